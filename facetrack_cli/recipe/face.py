@@ -6,13 +6,22 @@ imported here.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.correlation_filter import Box, CorrelationFilter, Guided, Rate, Share, VisibleWalk
-from facetrack_cli.recipe.sections import LengthPerPart, Likelihood, Motion, Refusal, Section
+from facetrack_cli.recipe.correlation_filter import Box, CorrelationFilter, Guided, Share, VisibleWalk
+from facetrack_cli.recipe.sections import (
+    Length,
+    LengthPerPart,
+    Likelihood,
+    Motion,
+    PerPart,
+    Prior,
+    Refusal,
+    Section,
+)
 from facetrack_cli.recipe.times import FRAMES
 
 if TYPE_CHECKING:
@@ -50,33 +59,73 @@ class Head(Section):
     """Detections as measurements of the points; null: none."""
 
 
-class RestingWalk(Motion):
-    """A random walk drawn back to rest, a_i = rest_i + keep (a_i^- - rest_i) + N(0, sigma), of first order (ours).
+class JumpingWalk(Motion):
+    """A walk with heavy tails around rest: N(m, sigma) or, with probability `jumps`, N(m, jump) (ours).
 
-    At rest is the shape of the first frame, carried by the head.
+    m_i = rest_i + keep (a_i^- - rest_i), where rest is the shape of the first frame, carried by the head.
     """
 
-    engine = "facetrack_cli.tracking.models.motion:resting_walk"
+    engine = "facetrack_cli.tracking.models.motion:jumping_walk"
     goes_with = ("points",)
-    type: Literal["resting_walk"]
-    """Each part stays where it was, up to noise, and is drawn back to the shape of the start."""
+    type: Literal["jumping_walk"]
+    """Each part stays nearly where it was, and now and then moves far in one frame, as a mouth that opens."""
     sigma: LengthPerPart
-    """Standard deviation of a part's step from frame to frame, along x and along y."""
+    """Standard deviation of a part's usual step, along x and along y."""
+    jump: LengthPerPart
+    """Standard deviation of a part's step when it jumps."""
+    jumps: Share = 0.2
+    """Probability of a jump in a frame."""
     keep: Share = 0.98
-    """Share of the distance from the place at rest that is left after a frame; 1: the published random walk."""
+    """Share of the distance from the place at rest that is left after a frame."""
 
     def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
-        yield from self.sigma.refusals(("motion", "sigma"), whole.points)
+        for key in ("sigma", "jump"):
+            yield from getattr(self, key).refusals(("motion", key), whole.points)
 
 
-class BackgroundRatio(Likelihood):
-    """Windows as in `colour_ratio`, whose scale follows from what windows beside the part score (ours)."""
+Shift: TypeAlias = tuple[Annotated[float, Field(ge=-2, le=2)], Annotated[float, Field(ge=-2, le=2)]]
 
-    engine = "facetrack_cli.tracking.models.likelihoods.background_ratio:BackgroundRatio.build"
+
+class ShiftPerPart(PerPart[Annotated[Shift, Field(strict=False)]]):
+    """One shift for all parts, or `part: shift` for each; `default` serves the parts not named."""
+
+
+class WindowNcc(Likelihood):
+    """Normalised correlation of windows in brightness and redness with several templates of a part (ours)."""
+
+    engine = "facetrack_cli.tracking.models.likelihoods.window_ncc:WindowNcc"
     goes_with = ("points",)
-    type: Literal["background_ratio"]
-    """Likelihood ratio of the part against windows beside it, of a part that may be hidden."""
-    max_samples: Annotated[int, Field(ge=5)] | None = None
-    """Samples along a side of a window at most: a larger one is read from a reduced frame; null: every pixel."""
-    adapt: Rate = 0.05
-    """Learning rate of the second template, which follows the part while it is visible; 0: only the first frame's."""
+    type: Literal["window_ncc"]
+    """Correlation of windows with templates; new templates are learned where a part looks different."""
+    sharpness: Annotated[float, Field(gt=0, le=1000)] = 30.0
+    """The log-likelihood of a visible part is this times its correlation."""
+    templates: Annotated[int, Field(ge=1, le=20)] = 4
+    """Templates of a part at most: that of the first frame, and others of other looks, such as an open mouth."""
+    reach: Length = Length(0.5)
+    """How far from its last place a part is looked for, along x and along y."""
+    shift: ShiftPerPart = ShiftPerPart((0.0, 0.0))
+    """Where the middle of a window lies, seen from its part, in sizes of the window: [across, down]."""
+
+    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+        return self.shift.refusals(("likelihood", "shift"), whole.points)
+
+
+class StudentT(Prior):
+    """Shape prior: one Student t density with the second moments of registered training shapes (ours)."""
+
+    engine = "facetrack_cli.tracking.models.shape_prior:build_student"
+    goes_with = ("points",)
+    type: Literal["student_t"]
+    """Student t density, smooth and wide, where `parzen` is a sum of narrow kernels."""
+    file: Annotated[str, Field(min_length=1)]
+    """The training shapes, as for `parzen`."""
+    freedom: Annotated[float, Field(gt=0, le=1000)] = 4.0
+    """Degrees of freedom: the fewer, the heavier the tails."""
+
+    @property
+    def files(self) -> Mapping[str, str]:
+        return {"file": self.file}
+
+    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+        if getattr(whole.filter, "from_prior", 0):
+            yield Refusal(("filter", "from_prior"), "student_t proposes no parts; remove from_prior, or write parzen")

@@ -47,9 +47,15 @@ class Adapts(Protocol):
 
 @runtime_checkable
 class Looks(Protocol):
-    """A likelihood that looks at a frame once, before any particle is drawn, and proposes where they should be."""
+    """A likelihood that looks at a frame once, before any particle is drawn."""
 
     def look(self, learned: Any, frame: Frame, expected: Array) -> Any: ...  # around the expected state (K, D)
+
+
+@runtime_checkable
+class ProposesModes(Protocol):
+    """A likelihood that proposes where particles should be."""
+
     def guides(self, learned: Any) -> Guides: ...
 
 

@@ -19,12 +19,12 @@ from facetrack_cli.tracking.confidence import Judgement
 from facetrack_cli.tracking.filters import Ahead, Step
 from facetrack_cli.tracking.guides import Arrived, Guides
 from facetrack_cli.tracking.loop import Cover, log_weights
-from facetrack_cli.tracking.models.motion import VisibleWalk
-from facetrack_cli.tracking.models.shape_prior import BoundPrior
+from facetrack_cli.tracking.models.motion import JumpingWalk, Measured, VisibleWalk
+from facetrack_cli.tracking.models.shape_prior import BoundPrior, StudentPrior
 from facetrack_cli.tracking.models.spaces import CloudSpace, Estimate, PointSpace, Space, VisibleBoxSpace, evenly
 from facetrack_cli.tracking.models.velocity import Flow, PredictedWalk
 from facetrack_cli.tracking.resampling import uniform
-from facetrack_cli.tracking.roles import Adapts, Knows, LearnsParts, Likelihood, Looks, Motion, Names, Reports
+from facetrack_cli.tracking.roles import Adapts, Knows, LearnsParts, Likelihood, Looks, Motion, Names, ProposesModes, Reports
 from facetrack_cli.tracking.smoothing import Belief, belief
 from facetrack_cli.trajectory.diagnostics import ENTROPY, ERROR, EVIDENCE, NOISE, POSTERIOR, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import PLACE, Status, TargetResult, of_frame
@@ -67,7 +67,7 @@ class ParticleTarget:
     particles: int
     motion: Motion
     likelihood: Likelihood
-    prior: BoundPrior | None
+    prior: BoundPrior | StudentPrior | None
     step: Step
     confidence: Confidence | None
     exclusion: Exclusion | None = None
@@ -145,12 +145,18 @@ class ParticleTarget:
         return x
 
     def advance(
-        self, rng: Generator, state: State, frame: Frame, covers: Sequence[Cover] = ()
+        self,
+        rng: Generator,
+        state: State,
+        frame: Frame,
+        covers: Sequence[Cover] = (),
+        measured: Measured | None = None,
     ) -> tuple[State, TargetResult]:
+        """As a `Target` does; `measured` is what a sensor says of the parts of a target that moves by a JumpingWalk."""
         if self._looks is not None:
             expected = self.motion.expect(state.estimated.state[None])[0]
             state = replace(state, learned=self._looks.look(state.learned, frame, expected))
-        bound = Bound(self, state, frame, covers)
+        bound = Bound(self, state, frame, covers, measured)
         particles, info = self.step(rng, state.particles, bound)
         if state.absent is not None:
             particles = particles._replace(x=self.follow(particles.x, state.absent))
@@ -287,6 +293,7 @@ class Bound:
     state: State
     frame: Frame
     covers: Sequence[Cover] = ()
+    measured: Measured | None = None
 
     @cached_property
     def ahead(self) -> Ahead:
@@ -302,9 +309,12 @@ class Bound:
         return ahead if entropy is None else ahead._replace(entropy_fell=before is None or entropy <= before)
 
     def propagate(self, rng: Generator, x: Array) -> Array:
-        predicts = self.target._predicts
+        predicts, motion = self.target._predicts, self.target.motion
+        if self.measured is not None:
+            assert isinstance(motion, JumpingWalk)
+            return motion.propagate_given(rng, x, self.measured)
         if predicts is None:
-            return self.target.motion.propagate(rng, x)
+            return motion.propagate(rng, x)
         return predicts.propagate(rng, x, self.ahead.shift, self.ahead.noise)
 
     def expect(self, x: Array) -> Array:
@@ -314,7 +324,11 @@ class Bound:
         return self._of_present(self.target.motion.log_transition(x, parents))
 
     def log_likelihood(self, x: Array, parents: Array) -> Array:
-        log_p = self._of_present(self.target.likelihood.score(self.state.learned, self.frame, x, parents))
+        log_p = self.target.likelihood.score(self.state.learned, self.frame, x, parents)
+        if self.measured is not None:
+            assert isinstance(self.target.motion, JumpingWalk)
+            log_p = log_p + self.target.motion.log_measured(parents, self.measured)
+        log_p = self._of_present(log_p)
         exclusion = self.target.exclusion
         return log_p if exclusion is None else log_p + log_weights(exclusion, x, self.covers)
 
@@ -330,8 +344,8 @@ class Bound:
 
     @property
     def guides(self) -> Guides:
-        assert self.target._looks is not None
-        return self.target._looks.guides(self.state.learned)
+        assert isinstance(self.target.likelihood, ProposesModes)
+        return self.target.likelihood.guides(self.state.learned)
 
     def forecast(self, particles: Particles) -> tuple[Array, Array]:
         assert isinstance(self.target.motion, VisibleWalk)
@@ -342,5 +356,5 @@ class Bound:
         return self.target.motion.arrive(rng, z, particles, found=found)
 
     def propose_part(self, rng: Generator, x: Array, part: int) -> Array:
-        assert self.target.prior is not None
+        assert isinstance(self.target.prior, BoundPrior)
         return self.target.prior.propose(rng, x, part)

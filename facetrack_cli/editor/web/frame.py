@@ -18,6 +18,7 @@ from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.tracking.start import PARTS, box_start, name_targets
 from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.tracking.start.points import place
 from facetrack_cli.tracking.start.haar import NotHereError
 from facetrack_cli.tracking.start.init_file import NAME, TARGET
 from facetrack_cli.trajectory.header import FrameNumber, Pixels, Side
@@ -176,7 +177,8 @@ class Proposer:
         frame = self._frames.read(index)
         notes, proposals = [], []
         for number, found in enumerate(detector().find(frame)[:MOST_FACES], start=1):
-            points = {part: (round(found.points[part][0], 2), round(found.points[part][1], 2)) for part in self._points}
+            placed = place(frame.bgr, found.box, found.eyes)
+            points = {part: (round(placed[part][0], 2), round(placed[part][1], 2)) for part in self._points}
             visible = {part: at for part, at in points.items() if inside(at, frame.size)}
             start, note = self._complete(
                 frame, Start(index, {TARGET: TargetStart(found.box, visible)}, "the face found")

@@ -15,6 +15,7 @@ FACE: Final = 112.0  # sides of the face's box in it
 MIDDLE: Final = (SIDE - 1) / 2
 BOX: Final = (MIDDLE - (FACE - 1) / 2, MIDDLE - (FACE - 1) / 2, FACE, FACE)
 EYES: Final = 0.363 * FACE  # the distance between the eyes, in the box of a frontal cascade
+EYE_LINE: Final = MIDDLE - 0.112 * FACE  # the row of the eyes
 
 
 class Similarity(NamedTuple):

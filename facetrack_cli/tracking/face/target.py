@@ -6,9 +6,13 @@ moves. What is left to track is expression, and what the head turns out of the p
 and that filter is the published one (Patras & Pantic, FG 2004). The shape prior is that of the still face, so it is
 registered by the head: translation, scale and roll.
 
-A detector measures the points every so many frames, in the still face (`registration.py`). Of a head that is lost, it
-is asked as often where in the frame faces are; the head's filter compares them with what the first frames showed, and
-what it recognises is where it is proposed.
+In each frame a sensor places the points in the still face: a regression (`descent.py`), or a network where its file is
+there (`mesh.py`). Windows are exact and may be lost; the sensor is less exact and has no memory. The points' filter
+joins both (`sensors.py`, `models/motion.py`).
+
+A detector of faces measures the face's box every so many frames. Of a head that is lost, it is asked as often where in
+the frame faces are; the head's filter compares them with what the first frames showed, and what it recognises is where
+it is proposed.
 """
 
 from __future__ import annotations
@@ -27,7 +31,8 @@ from facetrack_cli.core.types import BOX, Array, Frame, TargetStart
 from facetrack_cli.recipe.face import Head
 from facetrack_cli.tracking.calibration import Calibration
 from facetrack_cli.tracking.face import still
-from facetrack_cli.tracking.face.registration import Registration
+from facetrack_cli.tracking.face.descent import Placed, load_descent
+from facetrack_cli.tracking.face.sensors import Facing, Sensor
 from facetrack_cli.tracking.face.still import EYES, FACE, Similarity
 from facetrack_cli.tracking.loop import Cover
 from facetrack_cli.tracking.roles import Names
@@ -38,7 +43,6 @@ from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnost
 from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, of_frame
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
-_STD: Final = 0.05  # of a detection, where there is none
 _SIZES: Final = 0.15  # standard deviation of the log size of a detection
 _FACES: Final = 4  # that are compared with the one that is lost
 _PLACES: Final = 0.1  # and of its middle, in sizes of the box
@@ -51,7 +55,7 @@ _MOST: Final = np.array([math.radians(60), 0.7, 0.3, 0.3])
 
 @dataclass(frozen=True)
 class FaceState:
-    """The states of head and points, the last `points` as rows of the still face, and how they are registered.
+    """The states of head and points, the last `points` as rows of the still face; what is known of their sensor.
 
     `pose` (4,) is that of the face in its head: roll in radians, the logarithm of its size, and its middle in sizes of
     the head's box; `pose_var` (4,) are their variances. `frames` counts those since the start. `marks` (M, 2) are the
@@ -61,7 +65,8 @@ class FaceState:
     head: State
     features: State
     points: TargetResult
-    registration: Registration
+    sensor: Sensor
+    facing: Facing
     pose: Array
     pose_var: Array
     marks: Array | None
@@ -96,22 +101,24 @@ class FaceTarget:
 
     def begin(self, rng: Generator, frame: Frame) -> tuple[FaceState, TargetResult]:
         head, box = self.head.begin(rng, frame)
-        seen = self._map(head, np.zeros(4)).read(frame)
+        similarity = self._map(head, np.zeros(4))
+        seen = similarity.read(frame)
         features, points = self.features.begin(rng, seen)
-        registration = Registration.begin(len(self.features.parts), self._std, searched=self.searched)
+        sensor = Sensor.begin(self._sensed(seen).at, self.features.x0, self._std)
+        facing = Facing()
         if self.detector is not None and not self.searched and self.detector.measure(seen.bgr, still.BOX) is None:
-            registration = registration.unseen()
+            facing = facing.unseen()
         marks, rest = self._marks(head, np.zeros(4), frame), np.zeros(4)
-        state = FaceState(head, features, points._replace(beliefs=None), registration, rest, rest, marks)
+        state = FaceState(head, features, points._replace(beliefs=None), sensor, facing, rest, rest, marks)
         return state, self._result(state, box, frame)
 
     def restart(
         self, rng: Generator, frame: Frame, first: FaceState, given: TargetStart, absent: Names = (), anew: Names = ()
     ) -> tuple[FaceState, TargetResult]:
         """As `ParticleTarget.restart`; the head is where the points are as in the first frame."""
-        points = {part: np.array(at) for part, at in given.points.items() if part not in absent}
-        known = np.isin(self.features.parts, list(points))
-        at = np.array([points[part] for part in self.features.parts if part in points])
+        placed = {part: np.array(at) for part, at in given.points.items() if part not in absent}
+        known = np.isin(self.features.parts, list(placed))
+        at = np.array([placed[part] for part in self.features.parts if part in placed])
         rest, scale, roll = self.features.x0[known], self.side / FACE, 0.0
         if len(at) > 1:
             spread = np.sum((rest - rest.mean(axis=0)) ** 2)
@@ -126,11 +133,12 @@ class FaceTarget:
         head, boxed = self.head.restart(rng, frame, first.head, TargetStart(box))
         pose = np.array([roll, 0.0, 0.0, 0.0])
         similarity = self._map(head, pose)
-        moved = {part: tuple(similarity.to_still(place).tolist()) for part, place in points.items()}
+        moved = {part: tuple(similarity.to_still(place).tolist()) for part, place in placed.items()}
         seen, there = similarity.read(frame), TargetStart(points=moved)
         features, rows = self.features.restart(rng, seen, first.features, there, absent, anew)
-        registration = first.registration.again(known, self._std)
-        state = FaceState(head, features, rows._replace(beliefs=None), registration, pose, np.zeros(4), first.marks)
+        sensor = Sensor.begin(self._sensed(seen).at, features.estimated.state, self._std)
+        points = rows._replace(beliefs=None)
+        state = FaceState(head, features, points, sensor, Facing(), pose, np.zeros(4), first.marks)
         return state, self._result(state, boxed, frame)
 
     def advance(
@@ -146,12 +154,15 @@ class FaceTarget:
             state = replace(state, head=head, frames=frames)
             return state, self._result(state, box, frame)
         seen = self._map(head, state.pose).read(frame)
-        features, points = self.features.advance(rng, state.features, seen)
-        anchored = getattr(features.learned, "anchored", np.zeros(len(self.features.parts)))
-        registration = state.registration.predict(anchored, looks=self.detector is not None)
+        (z, odds), visible = self._sensed(seen), self._visible(state.features)
+        told = replace(state.features, learned=state.features.learned._replace(told=odds))
+        features, points = self.features.advance(rng, told, seen, (), state.sensor.measured(z, visible))
+        estimated = features.estimated
+        sensor = state.sensor.learned(z, estimated.state, estimated.cov, self._visible(features))
         points = points._replace(beliefs=None)  # those are of the state
+        facing = state.facing if self.detector is None else state.facing.predicted()
         pose_var, marks = state.pose_var + _POSE**2, state.marks
-        state = FaceState(head, features, points, registration, state.pose, pose_var, marks, frames)
+        state = FaceState(head, features, points, sensor, facing, state.pose, pose_var, marks, frames)
         if not due:
             return state, self._result(state, box, frame)
         after = self._measured(state, seen, frame)
@@ -161,8 +172,20 @@ class FaceTarget:
 
     @property
     def _std(self) -> float:
-        """Standard deviation of a detection, in pixels of the still face."""
-        return EYES * (_STD if self.detector is None else self.detector.std)
+        """Standard deviation of the sensor's points, in pixels of the still face."""
+        return float(load_descent().std.mean())
+
+    def _sensed(self, seen: Frame) -> Placed:
+        """Where the sensor sees the parts in the still face; nan, and 0, of those that it does not know."""
+        descent = load_descent()
+        at, odds = descent.fit(seen.bgr)
+        index = [descent.parts.index(part) if part in descent.parts else -1 for part in self.features.parts]
+        known = np.array(index) >= 0
+        return Placed(np.where(known[:, None], at[index], np.nan), np.where(known, odds[index], 0.0))
+
+    def _visible(self, features: State) -> Array:
+        """(K,) how visible the parts are, where their likelihood says so."""
+        return np.asarray(getattr(features.learned, "visible", np.ones(len(self.features.parts))))
 
     def _map(self, head: State, pose: Array) -> Similarity:
         x, y, scale = head.estimated.state[0, :3].tolist()
@@ -179,16 +202,12 @@ class FaceTarget:
         return replace(head, learned=head.learned._replace(sighted=places))
 
     def _measured(self, state: FaceState, seen: Frame, frame: Frame) -> FaceState:
-        """With what the detector says of the points."""
+        """With what the detector says of the face's box."""
         assert self.detector is not None
         found = self.detector.measure(seen.bgr, still.BOX)
-        registration = state.registration.looked(found=found is not None)
-        parts = self.features.parts
-        known = np.array([found is not None and part in found.points for part in parts])
-        if found is None or not known.any():
-            return replace(state, registration=registration)
-        z = np.array([found.points.get(part, (0.0, 0.0)) for part in parts])
-        registration = registration.measured(state.features.estimated.state, z, known, self._std)
+        state = replace(state, facing=state.facing.looked(found=found is not None))
+        if found is None:
+            return state
         # how the detected face lies in the head's box, along the axes of the frame
         lies = Similarity(np.zeros(2), math.exp(state.pose[1]) / FACE, float(state.pose[0])).to_frame(
             np.array(centre(found.box))
@@ -203,7 +222,7 @@ class FaceTarget:
                 off[0], noise[0] = still.turn_between(marks, state.marks) / TILT, _TILT**2
         gain = state.pose_var / (state.pose_var + noise)
         pose = np.clip(state.pose + gain * off, -_MOST, _MOST)
-        return replace(state, registration=registration, pose=pose, pose_var=(1 - gain) * state.pose_var)
+        return replace(state, pose=pose, pose_var=(1 - gain) * state.pose_var)
 
     def _marks(self, head: State, pose: Array, frame: Frame) -> Array | None:
         """Where the detector sees the marks of the face, larger than the still one, so that they show how it rolls."""
@@ -224,9 +243,8 @@ class FaceTarget:
         features, origin = state.features, moved(np.zeros(2))
         particles = features.particles._replace(x=moved(features.particles.x))
         estimated = features.estimated._replace(state=moved(features.estimated.state))
-        registration = state.registration._replace(bias=moved(state.registration.bias) - origin)
-        features = replace(features, particles=particles, estimated=estimated)
-        return replace(state, features=features, registration=registration)
+        sensor = state.sensor._replace(bias=moved(state.sensor.bias) - origin)
+        return replace(state, features=replace(features, particles=particles, estimated=estimated), sensor=sensor)
 
     def cover(self, state: FaceState, *, ahead: bool) -> Cover | None:
         return self.head.cover(state.head, ahead=ahead)
@@ -237,13 +255,13 @@ class FaceTarget:
 
     def _result(self, state: FaceState, box: TargetResult, frame: Frame) -> TargetResult:
         """Rows of the points, as last seen in the still face, and of the box."""
-        similarity, rows, registration = self._map(state.head, state.pose), state.points.rows, state.registration
+        similarity, rows = self._map(state.head, state.pose), state.points.rows
         scale, matrix, gone = similarity.scale, similarity.matrix, rows.status == "absent"
-        at = similarity.to_frame(np.stack([rows.x, rows.y], axis=1) - registration.bias[0])
-        shown = registration.shown * _sure(state.head)
+        at = similarity.to_frame(np.stack([rows.x, rows.y], axis=1))
+        shown = state.facing.shown * _sure(state.head)
         known = np.where(np.isnan(rows.confidence), 1.0, rows.confidence) * shown
         cov = np.array([[rows.std_x**2, rows.cov_xy], [rows.cov_xy, rows.std_y**2]]).transpose(2, 0, 1)
-        cov = matrix @ (cov + registration.cov[:, :1, :1] * np.eye(2)) @ matrix.T
+        cov = matrix @ cov @ matrix.T
         cov += (1 - known)[:, None, None] * state.head.estimated.cov[0]  # of what is hidden, the head alone says
         var = cov.reshape(-1, 4)[:, ::3]
         near = 1 - np.exp(-((OFF * EYES * scale) ** 2) / np.maximum(var.sum(axis=1), 1e-9))
@@ -273,13 +291,12 @@ class FaceTarget:
         faces = of_frame(self._names, frame, found, **columns)
         if self.calibration is not None:
             faces = self.calibration.applied(faces, self.features.size * self.side / FACE)
-        cloud = similarity.to_frame(state.points.cloud - registration.bias[0])
+        cloud = similarity.to_frame(state.points.cloud)
         return TargetResult(faces, cloud, (), box.notes, lambda: self.beliefs(state))
 
     def beliefs(self, state: FaceState) -> tuple[Belief, ...]:
-        """What is known of the points in the still face, without their bias, and of the head."""
+        """What is known of the points in the still face, and of the head."""
         [points], [head] = self.features.beliefs(state.features), self.head.beliefs(state.head)
-        points = points._replace(mean=points.mean - state.registration.bias[0])
         if self.calibration is None:
             return points, head
         return self.calibration.believed(self.features.parts, points), self.calibration.believed(self.head.parts, head)

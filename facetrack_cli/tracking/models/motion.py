@@ -55,25 +55,85 @@ class RandomWalk:
         return Linear(eye, np.zeros_like(state), eye * self.sigma[:, None, None] ** 2)
 
 
-@dataclass(frozen=True)
-class RestingWalk(RandomWalk):
-    """A random walk drawn back to `rest` (K, 2): N(rest_i + keep (a_i^- - rest_i), sigma_i^2 I) (ours)."""
+class Measured(NamedTuple):
+    """What a sensor says of K parts in one frame: z (K, 2) = part + N(0, var I) with probability `sure` (K,).
 
+    Otherwise it says nothing: z is then anywhere in `area` square pixels. `var` (K,) in square pixels.
+    """
+
+    z: Array
+    var: Array
+    sure: Array
+    area: float
+
+
+@dataclass(frozen=True)
+class JumpingWalk:
+    """A random walk with heavy tails around `rest` (K, 2) (ours; see the recipe's section).
+
+    p(a | a^-) = (1 - jumps) N(m, sigma^2 I) + jumps N(m, jump^2 I), m = rest + keep (a^- - rest); `sigma` (K,) and
+    `jump` (K,) in pixels. Where a sensor has measured the parts, particles are drawn from p(a | a^-, z), which is a
+    mixture of normal densities, and weighted by p(z | a^-): the proposal of least variance (Doucet, Godsill & Andrieu,
+    Statistics and Computing 2000).
+    """
+
+    sigma: Array
+    jump: Array
+    jumps: float
     rest: Array
     keep: float
 
-    def propagate(self, rng: np.random.Generator, x: Array) -> Array:
-        return super().propagate(rng, self.expect(x))
-
     def expect(self, x: Array) -> Array:
+        """m of x (N, K, 2)."""
         return np.asarray(self.rest + self.keep * (x - self.rest))
 
+    def propagate(self, rng: np.random.Generator, x: Array) -> Array:
+        """x (N, K, 2) moved by one frame."""
+        step = np.where(rng.random(x.shape[:2]) < self.jumps, self.jump, self.sigma)
+        return np.asarray(self.expect(x) + step[..., None] * rng.standard_normal(x.shape))
+
+    def propagate_given(self, rng: np.random.Generator, x: Array, measured: Measured) -> Array:
+        """x (N, K, 2) moved by one frame, given what was measured in it."""
+        mean, log_p = self.expect(x), self._components(x, measured)
+        p = np.exp(log_p - log_p.max(axis=0))
+        below = np.cumsum(p, axis=0) / p.sum(axis=0)
+        chosen = (rng.random(x.shape[:2]) > below[:-1]).sum(axis=0)  # step or jump, and whether z says something
+        var = np.where(chosen % 2, self.jump, self.sigma) ** 2
+        gain = np.where(chosen < 2, var / (var + measured.var), 0.0)
+        noise = np.sqrt((1 - gain) * var)[..., None] * rng.standard_normal(x.shape)
+        return np.asarray(mean + gain[..., None] * (measured.z - mean) + noise)
+
+    def log_measured(self, x: Array, measured: Measured) -> Array:
+        """log p(z | a^-) of each part, x (N, K, 2) -> (N, K)."""
+        log_p = self._components(x, measured)
+        highest = log_p.max(axis=0)
+        return np.asarray(highest + np.log(np.exp(log_p - highest).sum(axis=0)))
+
+    def _components(self, x: Array, measured: Measured) -> Array:
+        """(4, N, K): of a step and of a jump, log p(z and that | a^-); the same where z says nothing."""
+        squared = np.sum((measured.z - self.expect(x)) ** 2, axis=2)
+        share = np.array([max(1 - self.jumps, 1e-12), max(self.jumps, 1e-12)])
+        var = np.stack([self.sigma**2, self.jump**2]) + measured.var  # (2, K)
+        log_n = -0.5 * squared / var[:, None] - np.log(2 * np.pi * var)[:, None]
+        sure = np.clip(measured.sure, 1e-6, 1 - 1e-6)
+        blind = np.broadcast_to(np.log1p(-sure) - np.log(measured.area), log_n.shape)
+        return np.asarray(np.concatenate([np.log(sure) + log_n, blind]) + np.log(np.tile(share, 2))[:, None, None])
+
     def log_transition(self, x: Array, parents: Array) -> Array:
-        return super().log_transition(x, self.expect(parents))
+        """log p(x_n | parents_m) of each part: x (N, K, 2), parents (M, K, 2) -> (N, M, K)."""
+        squared = np.sum((x[:, None] - self.expect(parents)[None]) ** 2, axis=3)
+        with np.errstate(divide="ignore"):
+            each = [
+                np.log(share) - 0.5 * squared / s**2 - np.log(2 * np.pi * s**2)
+                for share, s in ((1 - self.jumps, self.sigma), (self.jumps, self.jump))
+            ]
+        return np.logaddexp(*each)
 
     def linear(self, state: Array) -> Linear:
-        walk = super().linear(state)
-        return walk._replace(matrix=self.keep * walk.matrix, offset=(1 - self.keep) * self.rest)
+        """The motion around a state (K, 2), its noise that of all steps together."""
+        eye = np.broadcast_to(np.eye(2), (len(state), 2, 2))
+        var = (1 - self.jumps) * self.sigma**2 + self.jumps * self.jump**2
+        return Linear(self.keep * eye, (1 - self.keep) * self.rest, eye * var[:, None, None])
 
 
 @dataclass(frozen=True)
@@ -296,10 +356,13 @@ def random_walk(settings: points.RandomWalk, context: Context) -> RandomWalk | F
     return FirstOrder(position, scale, *placed.scale)
 
 
-def resting_walk(settings: face.RestingWalk, context: Context) -> RestingWalk:
+def jumping_walk(settings: face.JumpingWalk, context: Context) -> JumpingWalk:
     placed = context.placed
-    sigma = [settings.sigma.of(part).pixels(placed.unit) for part in context.settings.points]
-    return RestingWalk(np.array(sigma), placed.x0, settings.keep)
+    sigma, jump = (
+        np.array([lengths.of(part).pixels(placed.unit) for part in context.settings.points])
+        for lengths in (settings.sigma, settings.jump)
+    )
+    return JumpingWalk(sigma, jump, settings.jumps, placed.x0, settings.keep)
 
 
 def first_order(settings: regions.FirstOrder, context: Context) -> FirstOrder:

@@ -32,6 +32,7 @@ from facetrack_cli.core.errors import InputError, RecipeError, UsageError
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array
 from facetrack_cli.recipe.files import resolve_file, shipped_folder
+from facetrack_cli.recipe.face import StudentT
 from facetrack_cli.recipe.points import Parzen
 from facetrack_cli.tracking.kernels.shape import LANES, PADDING, log_parzen, pick_shape
 from facetrack_cli.tracking.models.spaces import Context
@@ -133,6 +134,11 @@ def build(settings: Parzen, context: Context) -> BoundPrior:
         raise InputError(f"{context.start.origin}: {e}") from None
 
 
+def build_student(settings: StudentT, context: Context) -> StudentPrior:
+    """The Student t prior of a recipe, from the same files as `build`."""
+    return StudentPrior(build(Parzen(type="parzen", file=settings.file, sigma=NARROWEST), context), settings.freedom)
+
+
 class BoundPrior:
     """A prior registered to one track; made by `bind`. x is (N, K, 2) in pixels; lengths are pixels throughout.
 
@@ -188,6 +194,32 @@ class BoundPrior:
         else:
             centre = x[:, self._stable] - self.first[self._stable] + self.length * self._shapes[chosen, part]
         return np.asarray(self.first[part] + centre + self._spread(part) * noise, np.float64)
+
+
+class StudentPrior:
+    """Student t density over the parts as seen from the stable one, with the shapes' second moments about rest (ours).
+
+    With q (2 (K - 1),) the displacements of the other parts since the first frame, relative to the stable part, in
+    units of L0, C = E[h h^T] + NARROWEST^2 I over training shapes h, and n = `freedom`,
+
+        log_density(s) = -(n + 2 (K - 1)) / 2 log(1 + q^T C^-1 q / n)
+
+    without its constant. x is (N, K, 2) in pixels.
+    """
+
+    def __init__(self, bound: BoundPrior, freedom: float) -> None:
+        self.first, self.length, self.freedom = bound.first, bound.length, freedom
+        self._stable, self._moving = bound._stable, bound._moving
+        h = bound._shapes[:, self._moving].reshape(len(bound._shapes), -1)
+        self.cov = h.T @ h / len(h) + NARROWEST**2 * np.eye(h.shape[1])
+        self._inverse = np.linalg.inv(self.cov)
+
+    def log_density(self, x: Array) -> Array:
+        """(N,): the log density, at most 0."""
+        moved = (x - self.first) / self.length
+        q = (moved - moved[:, [self._stable]])[:, self._moving].reshape(len(x), -1)
+        squared = np.einsum("ni,ij,nj->n", q, self._inverse, q)
+        return np.asarray(-0.5 * (self.freedom + q.shape[1]) * np.log1p(squared / self.freedom))
 
 
 class FileReport(NamedTuple):

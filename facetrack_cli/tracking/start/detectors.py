@@ -19,7 +19,7 @@ from facetrack_cli.core.geometry import overlap
 from facetrack_cli.core.types import Array, Box, Frame, Image, Point, Start, factor_for
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.tracking.start.haar import LONGEST, face_in, find_faces, nearest
-from facetrack_cli.tracking.start.points import EYES_IN_BOX, MOUTH_Y, lips_of, place, place_upright
+from facetrack_cli.tracking.start.points import EYES_IN_BOX, MOUTH_Y, place
 
 MODEL: Final = "face_detection_yunet_2023mar.onnx"
 SMALL: Final = 67  # pixels of the face's box to which a measured image is reduced
@@ -28,23 +28,22 @@ TILT: Final = 0.7  # of a face's tilt that YuNet shows on a face of 224 pixels; 
 
 
 class Found(NamedTuple):
-    """A face: its box as the frontal cascades draw it, and its points; `sure` if the detector has seen its features."""
+    """A face: its box as the frontal cascades draw it, and its eyes where the detector says where they are.
+
+    The left eye in the image comes first. `sure` if the detector has seen the face's features.
+    """
 
     box: Box
-    points: Mapping[str, Point]
+    eyes: tuple[Point, Point] | None = None
     sure: bool = False
 
 
 class Detector(Protocol):
-    """`std`: of its points, in distances between the eyes."""
-
     @property
     def name(self) -> str: ...
-    @property
-    def std(self) -> float: ...
 
     def find(self, frame: Frame) -> list[Found]:
-        """All faces of a frame with the five points, the best first."""
+        """All faces of a frame, the best first."""
 
     def measure(self, image: Image, box: Box) -> Found | None:
         """The upright face that about fills `box` of a small image; None if none is seen there."""
@@ -58,14 +57,13 @@ class Detector(Protocol):
 
 class Haar:
     name: Final = "haar"
-    std: Final = 0.09
 
     def find(self, frame: Frame) -> list[Found]:
-        return [Found(box, place(frame.bgr, box)) for box in find_faces(frame.bgr)]
+        return [Found(box) for box in find_faces(frame.bgr)]
 
     def measure(self, image: Image, box: Box) -> Found | None:
         face = nearest(image, box)
-        return None if face is None else Found(face, place_upright(image, face))
+        return None if face is None else Found(face)
 
     def place(self, image: Image, box: Box) -> Mapping[str, Point]:
         return place(image, face_in(image, box) or box)
@@ -78,7 +76,6 @@ class YuNet:
     """YuNet (Wu, Peng & Yu 2023), a small neural network; `model` is its file."""
 
     name: Final = "yunet"
-    std: Final = 0.05
 
     def __init__(self, model: Path) -> None:
         self._model = str(model)
@@ -87,14 +84,14 @@ class YuNet:
         factor = factor_for(max(frame.size), LONGEST)
         image, _, _ = frame.reduced(factor, (0.0, 0.0, frame.size[0] - 1.0, frame.size[1] - 1.0))
         rows = sorted(self._detect(image), key=lambda row: -row[2] * row[3] * row[14])
-        return [self._found(frame.bgr, factor * (row[4:14].reshape(5, 2) + 0.5) - 0.5) for row in rows]
+        return [self._found(factor * (row[4:14].reshape(5, 2) + 0.5) - 0.5) for row in rows]
 
     def measure(self, image: Image, box: Box) -> Found | None:
         # on faces of 60 to 70 pixels it is faster and more exact than on larger ones
         k = SMALL / box[2]
         small = cv2.resize(image, None, fx=k, fy=k, interpolation=cv2.INTER_AREA)
         rows = self._detect(np.asarray(small, np.uint8))
-        found = [self._found(image, (row[4:14].reshape(5, 2) + 0.5) / k - 0.5) for row in rows]
+        found = [self._found((row[4:14].reshape(5, 2) + 0.5) / k - 0.5) for row in rows]
         best = max(found, key=lambda one: overlap(one.box, box), default=None)
         return None if best is None or overlap(best.box, box) < SAME else best
 
@@ -105,7 +102,8 @@ class YuNet:
         found = self.measure(near, (x - left, y - top, w, h))
         if found is None:
             return Haar().place(image, box)
-        return {name: (u + left, v + top) for name, (u, v) in found.points.items()}
+        points = place(near, found.box, found.eyes)
+        return {name: (u + left, v + top) for name, (u, v) in points.items()}
 
     def marks(self, image: Image, box: Box) -> Array | None:
         rows = self._detect(image)
@@ -119,19 +117,17 @@ class YuNet:
         _, found = net.detect(image)
         return np.empty((0, 15), np.float32) if found is None else np.asarray(found, np.float32)
 
-    def _found(self, image: Image, marks: NDArray[np.float32]) -> Found:
+    def _found(self, marks: NDArray[np.float32]) -> Found:
         """A face with the eyes, the nose and the corners of the mouth at `marks` (5, 2)."""
-        eyes, mouth = sorted(map(tuple, marks[:2].tolist())), sorted(map(tuple, marks[3:].tolist()))
+        left, right = sorted(map(tuple, marks[:2].tolist()))
         middle = marks[:2].mean(axis=0)
         # seen from the side, eyes are closer together than a face's height says
-        apart = max(math.dist(*eyes), math.dist(middle, marks[3:].mean(axis=0)) / MOUTH_Y[0])
+        apart = max(math.dist(left, right), math.dist(middle, marks[3:].mean(axis=0)) / MOUTH_Y)
         side = apart / (EYES_IN_BOX[1][0] - EYES_IN_BOX[0][0])
         down = np.array([0.0, (0.5 - EYES_IN_BOX[0][1]) * side])
         # to 0.01 px, as in an init file: a run from that file begins in the same place
         x, y, side = (round(value, 2) for value in (*(middle + down - (side - 1) / 2).tolist(), side))
-        lips = lips_of(image, (eyes[0], eyes[1]), (mouth[0], mouth[1]))
-        nose = float(marks[2, 0]), float(marks[2, 1])
-        return Found((x, y, side, side), {"nose": nose, "mouth_left": mouth[0], "mouth_right": mouth[1], **lips}, True)
+        return Found((x, y, side, side), (left, right), True)
 
 
 def _box(row: NDArray[np.float32]) -> Box:

@@ -3,8 +3,8 @@
 A single detection may be of anything. Detections of successive frames that overlap are one candidate. A candidate is a
 face once it is found often enough, and shows eyes or a mouth. Of several, the one that covers most over the frames is
 taken: large, and there all the time; one in which nothing changes, such as a photograph, only if no other moves, and a
-dark one only if no better lit one follows. Its points are the medians of those
-in all its frames, in its box, so that one frame's mistake does not matter. Nothing here is random.
+dark one only if no better lit one follows. Its points are the means over its frames, in its box, of those that are near
+the first frame's, so that noise averages out and a mouth that moves stays as it is. Nothing here is random.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from facetrack_cli.core.geometry import inside, overlap
 from facetrack_cli.core.types import Box, Frame, Image, Point, Start, TargetStart
 from facetrack_cli.tracking.start.detectors import Detector, Found, Haar
 from facetrack_cli.tracking.start.haar import CONTRAST, PARTS, NotHereError, check_parts
-from facetrack_cli.tracking.start.points import shows_features
+from facetrack_cli.tracking.start.points import place, shows_features
 
 BOUND: Final = 250  # frames that are all searched: ten seconds of most clips
 STEP: Final = 50  # frames from one look to the next later on, at most; before, 2 % of those gone by
@@ -31,6 +31,7 @@ WAIT: Final = 10  # frames for rivals from the first that a candidate is found i
 PAUSE: Final = 4  # frames in which a candidate may be missed
 STILL: Final = 2.5  # grey levels; a face that changes by less from frame to frame may be a picture
 SMALL: Final = 24  # pixels of a side of the patch in which that is seen
+ALIKE: Final = 0.02  # sizes of the box; a part that is farther off has moved, nearer it is noise
 NEAR: Final = 0.3  # overlap with where it was last found
 Faces: TypeAlias = Literal["one", "all"]
 
@@ -155,16 +156,17 @@ class _Search:
         return self.frames.index(frame)
 
     def _add(self, candidate: _Candidate, frame: Frame, face: Found) -> None:
-        if not all(inside(face.points[part], frame.size) for part in self.parts):
+        points = place(frame.bgr, face.box, face.eyes)
+        if not all(inside(points[part], frame.size) for part in self.parts):
             return
         x, y, w, h = (round(side) for side in face.box)
         grey = cv2.cvtColor(frame.bgr[max(y, 0) : y + h, max(x, 0) : x + w], cv2.COLOR_BGR2GRAY)
         candidate.boxes.append((frame.index, face.box))
-        candidate.points.append(dict(face.points))
+        candidate.points.append(points)
         candidate.contrast.append(float(grey.std()))
         candidate.see(frame)
         candidate.features = candidate.features or face.sure or shows_features(frame.bgr, face.box)
-        start = Start(frame.index, {"face": TargetStart(face.box, dict(face.points))}, self.detector.name)
+        start = Start(frame.index, {"face": TargetStart(face.box, points)}, self.detector.name)
         try:
             candidate.begins[frame.index] = self.complete(frame, start)
         except NotHereError as e:
@@ -205,16 +207,17 @@ class _Search:
         return replace(start, targets=targets, note=note)
 
     def _settled(self, one: _Candidate, at: int) -> TargetStart:
-        """The target in the frame `at`, its points the medians of all frames' in its box."""
+        """The target in the frame `at`; its points are the means, in its box, of all frames that look alike."""
         boxes = np.array([box for _, box in one.boxes])
-        box = next(box for frame, box in one.boxes if frame == at)
-        points = {}
-        for part in self.parts:
-            each = (np.array([p[part] for p in one.points]) - boxes[:, :2]) / boxes[:, 2:]
-            x, y = np.array(box[:2]) + np.median(each, axis=0) * box[2:]
-            # to 0.01 px, as in an init file: a run from that file begins in the same place
-            points[part] = round(float(x), 2), round(float(y), 2)
-        return TargetStart(box, points)
+        now = [frame for frame, _ in one.boxes].index(at)
+        at_parts = np.array([[p[part] for part in self.parts] for p in one.points])  # (T, K, 2)
+        each = (at_parts - boxes[:, None, :2]) / boxes[:, None, 2:]
+        weight = np.exp(-0.5 * np.sum((each - each[now]) ** 2, axis=2) / ALIKE**2)
+        mean = np.sum(weight[..., None] * each, axis=0) / weight.sum(axis=0)[:, None]
+        # to 0.01 px, as in an init file: a run from that file begins in the same place
+        placed = (boxes[now, :2] + mean * boxes[now, 2:]).round(2).tolist()
+        points = {part: (x, y) for part, (x, y) in zip(self.parts, placed, strict=True)}
+        return TargetStart(one.boxes[now][1], points)
 
     def nobody(self, clip: str, last: int) -> InputError:
         if not self.frames:

@@ -1,0 +1,136 @@
+"""Nose and mouth of a face, placed by a cascade of linear regressions on gradients and redness (ours).
+
+The supervised descent method of Xiong & De la Torre, "Supervised Descent Method and its Applications to Face
+Alignment", CVPR 2013. From the mean shape x_0, stage k moves all parts at once,
+
+    x_{k+1} = x_k + R_k phi_k(x_k),
+
+where phi_k are image channels read on a grid around each part, and a 1. The channels are the gradient of log(grey) in
+8 directions, log(grey), redness log((red + 8) / (green + 8)) and its slope down the face, each relative to its
+surroundings. The matrices R_k are ridge regressions, trained on real faces by `tools/mouth_descent.py`. One more matrix
+gives, from the channels around the last x, the logarithm of the likelihood ratio of each part being visible or covered;
+it is trained on faces that boards, discs and fingers cover.
+
+Unlike windows it has no memory: its errors do not grow, and a mouth may open in a frame. It is less exact, and off by
+about the same vector for a person.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.core.npz import Kind, Stored
+from facetrack_cli.core.shipped import shipped_folder
+from facetrack_cli.core.types import Array, Image
+
+KIND = Kind("facetrack-descent", 1, "mouth descent", "python tools/mouth_descent.py")
+DEFAULT: Final = "mouth_descent.npz"
+LEFT, TOP, SIDE = 24, 46, 112  # of the still face, pixels: the part that is read
+DIRECTIONS, GRID = 8, 5
+ODDS_SCALE: Final = 1.6
+STEP: Final = 5.0  # pixels between the points of the grid, times the stage's scale
+_TURNS: Final = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
+_COS, _SIN = np.cos(_TURNS).astype(np.float32), np.sin(_TURNS).astype(np.float32)
+_AROUND: Final = (np.stack(np.meshgrid(*2 * [np.arange(GRID) - (GRID - 1) / 2]), axis=2) * STEP).reshape(-1, 2)
+
+
+class Placed(NamedTuple):
+    """Parts `at` (K, 2) in a still face, pixels; `odds` (K,): log p(image | visible) - log p(image | covered)."""
+
+    at: Array
+    odds: Array
+
+
+class Descent(NamedTuple):
+    """`mean` (K, 2): the mean shape in the part of the still face that is read; `stages` (S, F + 1, 2 K): R_k.
+
+    `scales` (S,): of the grid in each stage; `std` (K,): of the errors on people that were left out, pixels; `odds`
+    (F + 1, K): of visible parts.
+    """
+
+    parts: tuple[str, ...]
+    mean: Array
+    stages: NDArray[np.float32]
+    scales: Array
+    std: Array
+    odds: NDArray[np.float32]
+
+    def fit(self, still: Image) -> Placed:
+        """The parts in a still face."""
+        seen = channels(still[TOP : TOP + SIDE, LEFT : LEFT + SIDE])
+        x = self.descended(seen)
+        return Placed(x + (LEFT, TOP), read(seen, x, ODDS_SCALE) @ self.odds)
+
+    def descended(self, seen: NDArray[np.float32]) -> Array:
+        """x after the last stage (K, 2), in the channels of the part of the still face that is read."""
+        x = self.mean
+        for scale, matrix in zip(self.scales.tolist(), self.stages, strict=True):
+            x = x + (read(seen, x, scale) @ matrix).reshape(x.shape)
+        return x
+
+    def save(self, path: Path) -> None:
+        """Raises OutputError."""
+        numbers: dict[str, Array] = {name: np.asarray(getattr(self, name), "<f8") for name in ("mean", "scales", "std")}
+        numbers |= {name: getattr(self, name).astype("<f2") for name in ("stages", "odds")}
+        KIND.write(path, {"parts": np.array(self.parts), **numbers})
+
+
+@lru_cache(maxsize=8)
+def load_descent(path: Path | None = None) -> Descent:
+    """The descent in a file that `save` wrote, by default the shipped one. Raises InputError for anything else."""
+    return KIND.read(shipped_folder() / DEFAULT if path is None else path, _made)
+
+
+def _made(stored: Stored) -> Descent:
+    parts, stages = stored.texts("parts"), stored.reals("stages", 3).astype(np.float32)
+    mean, scales, std = stored.reals("mean", 2), stored.reals("scales", 1), stored.reals("std", 1)
+    odds, k = stored.reals("odds", 2).astype(np.float32), len(parts)
+    width = k * GRID**2 * (DIRECTIONS + 3) + 1
+    shapes = [one.shape for one in (stages, mean, std, odds)]
+    if shapes != [(len(scales), width, 2 * k), (k, 2), (k,), (width, k)]:
+        raise ValueError(f"arrays of {shapes} do not fit {k} parts")
+    return Descent(parts, mean, stages, scales, std, odds)
+
+
+def read(seen: NDArray[np.float32], x: Array, scale: float) -> NDArray[np.float32]:
+    """phi of parts x (K, 2): channels (H, W, C) at the nearest pixels of the grids, and a 1; (K GRID^2 C + 1,)."""
+    at = np.round(x[:, None] + scale * _AROUND).astype(np.int64).reshape(-1, 2)
+    column, row = np.clip(at, 0, (seen.shape[1] - 1, seen.shape[0] - 1)).T
+    return np.append(seen[row, column].ravel(), np.float32(1))
+
+
+def channels(image: Image) -> NDArray[np.float32]:
+    """The channels (H, W, DIRECTIONS + 3) of an image (H, W, 3)."""
+    bgr = cv2.blur(image, (3, 3)).astype(np.float32)
+    grey = np.log(bgr @ np.array([0.114, 0.587, 0.299], np.float32) + 16)
+    red = np.log((bgr[..., 2] + 8) / (bgr[..., 1] + 8))
+    across, down = cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)
+    size = np.sqrt(across**2 + down**2)
+    along = np.maximum(across[..., None] * _COS + down[..., None] * _SIN, 0)
+    along *= along / (size * (_rms(size, 27) + 0.02) + 1e-6)[..., None]
+    slope = cv2.Sobel(red, cv2.CV_32F, 0, 1)
+    slope = slope / (_rms(slope, 27) + 0.05)
+    found = np.dstack([along, _relative(red), _relative(grey), slope])
+    return _mean(_mean(found, 5), 5)
+
+
+def _mean(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+    """The means of squares around each pixel."""
+    return np.asarray(cv2.blur(values, (side, side)), np.float32)
+
+
+def _rms(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+    # sums of float32 that cancel may come out below 0
+    return np.asarray(np.sqrt(np.maximum(_mean(values**2, side), 0)), np.float32)
+
+
+def _relative(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Values less the mean around them, in standard deviations around them."""
+    off = values - _mean(values, 47)
+    return np.asarray(off / (_rms(off, 47) + 0.05), np.float32)

@@ -1,0 +1,94 @@
+"""What is known of a sensor of facial points, and of whether a face is turned to the camera (ours).
+
+A sensor, a regression or a network, says where the parts are with an error that has two shares. One stays for seconds,
+since it depends on the person, the expression and the light: the bias b. The other is new in each frame. With a_t the
+parts in frame t, in pixels of the still face,
+
+    z_t = a_t + b_t + N(0, r^2 I),    b_t = b_{t-1} + N(0, q I)
+
+b is followed by a Kalman filter for each part, the same along x and y; r follows from how far measurements have been
+off (Mehra, IEEE Transactions on Automatic Control 1970). The sensor that has placed the points of the start begins
+with b = 0.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from facetrack_cli.core.types import Array
+from facetrack_cli.tracking.face.still import EYES, SIDE
+from facetrack_cli.tracking.models.motion import Measured
+
+DRIFT: Final = 0.002 * EYES  # standard deviation of b in a frame, pixels
+LEAST, MOST = 0.05 * EYES, 0.1 * EYES  # bounds of r
+MISLED: Final = 0.1 * EYES  # r in a face of which a part is hidden: a sensor places all parts together
+LEARNS: Final = 0.02  # share of a measurement in r^2
+SURE: Final = 0.97  # probability that a sensor says something of a part that is visible
+BLIND: Final = 0.1  # ... of a part that is hidden
+_HIDE, _SHOW = 0.01, 0.05  # probabilities a frame
+_FALSE: Final = 0.1  # probability that a face is found that does not look to the camera
+_MANY: Final = 50.0  # looks over which it is learned how often a face is found
+
+
+class Sensor(NamedTuple):
+    """b (K, 2), its variance (K,) and r^2 (K,), in the still face."""
+
+    bias: Array
+    var: Array
+    noise: Array
+
+    @classmethod
+    def begin(cls, z: Array, x0: Array, std: float) -> Sensor:
+        """After a first measurement z (K, 2) of parts at x0 (K, 2), nan where there is none; `std`: r at first."""
+        known = np.isfinite(z).all(axis=1)
+        r2 = np.full(len(x0), std**2)
+        return cls(np.where(known[:, None], z - x0, 0.0), np.where(known, r2, MOST**2), r2)
+
+    def measured(self, z: Array, visible: Array) -> Measured:
+        """What z (K, 2) says of parts that are visible with a probability (K,)."""
+        known = np.isfinite(z).all(axis=1)
+        sure = np.where(known, BLIND + (SURE - BLIND) * visible, 0.0)
+        at = np.where(known[:, None], z - self.bias, 0.0)
+        noise = self.noise + MISLED**2 * (1 - visible.min())
+        return Measured(at, self.var + DRIFT**2 + noise, sure, float(SIDE**2) / 4)
+
+    def learned(self, z: Array, state: Array, cov: Array, visible: Array) -> Sensor:
+        """After z (K, 2), where the filter has the parts at `state` (K, 2), with `cov` (K, 2, 2)."""
+        var, spread = self.var + DRIFT**2, 0.5 * np.trace(cov, axis1=1, axis2=2)
+        off = z - self.bias - state
+        squared = 0.5 * np.sum(off**2, axis=1)
+        total = var + self.noise + spread
+        use = np.where(np.isfinite(squared) & (squared < 9 * total), visible * visible.min(), 0.0)
+        gain = use * var / total
+        noise = self.noise + LEARNS * use * (np.nan_to_num(squared) - self.noise)
+        bias = self.bias + gain[:, None] * np.nan_to_num(off)
+        return Sensor(bias, (1 - gain) * var, np.clip(noise, LEAST**2, MOST**2))
+
+
+class Facing(NamedTuple):
+    """P(the face is turned to the camera and not covered): a chain of two states, observed by a detector of faces.
+
+    `found` counts looks at a face that was shown: those that found it, and those that did not. The detector finds
+    another face seldom.
+    """
+
+    shown: float = 1.0
+    found: tuple[float, float] = (9.0, 1.0)
+
+    def unseen(self) -> Facing:
+        """Where the detector does not find the face of the start: then it means little that it does not later."""
+        return self._replace(found=(10 * _FALSE, 10 * (1 - _FALSE)))
+
+    def predicted(self) -> Facing:
+        return self._replace(shown=self.shown * (1 - _HIDE) + (1 - self.shown) * _SHOW)
+
+    def looked(self, *, found: bool) -> Facing:
+        """After the detector has found the face, or not."""
+        yes, no = self.found
+        rate = yes / (yes + no)
+        here, else_ = (rate, _FALSE) if found else (1 - rate, 1 - _FALSE)
+        shown = self.shown * here / (self.shown * here + (1 - self.shown) * else_)
+        keep = 1 - 1 / _MANY
+        return Facing(shown, (keep * yes + shown * found, keep * no + shown * (not found)))
