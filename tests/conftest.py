@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from facetrack_cli.__main__ import main
+from tests.support.models import hide_models, mesh_file
 from tests.support.samples import FOLDER
 
 # a shell starts what it puts into the background with Ctrl-C ignored, and every process that the tests start inherits
@@ -22,6 +23,8 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 # the processes that run the tests, and those that tests start, share the cores: threads of their own only wait
 for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
     os.environ.setdefault(variable, "1")
+
+hide_models()
 
 # property tests try the same examples each time; HYPOTHESIS_PROFILE=nightly tries ten times as many, new ones each time
 for profile, examples in {"default": 20, "nightly": 200}.items():
@@ -54,6 +57,17 @@ def facetrack(clips, tmp_path, monkeypatch, capfd):
 
     yield call
     cv2.setNumThreads(threads)
+
+
+@pytest.fixture(scope="session")
+def mesh_model(tmp_path_factory):
+    """The real file of the model `mesh`; the test skips where it cannot be had.
+
+    A test that is to use the network sets FACETRACK_MODELS to the folder of this file: no other test sees it.
+    """
+    own = tmp_path_factory.getbasetemp()  # with xdist a folder of each worker, in a folder of the session
+    with pytest.MonkeyPatch.context() as patch:
+        return mesh_file((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "models", patch)
 
 
 @pytest.fixture

@@ -35,6 +35,7 @@ COMMANDS = {
     "plot": "Draw what happened in a trajectory.",
     "report": "Write one HTML page about a run.",
     "export": "Write a trajectory as other tools read it.",
+    "models": "List and fetch optional networks.",
     "completion": "Print what makes a shell complete command lines.",
     "trax": "Speak TraX, the protocol of the VOT toolkit.",
 }

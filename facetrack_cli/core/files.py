@@ -319,7 +319,7 @@ def check_folder(path: Path, names: Sequence[str], *, overwrite: bool, inputs: S
         check_file(path / name, overwrite=overwrite, inputs=inputs, remedy="name another folder with --out")
 
 
-def make_folder(path: Path) -> list[Path]:
+def make_folder(path: Path, remedy: str = "choose another place with --out") -> list[Path]:
     """Make a folder and return those that were made, the innermost first. OutputError if it cannot be written to."""
     try:
         made = [folder for folder in (path, *path.parents) if not folder.exists()]
@@ -327,7 +327,7 @@ def make_folder(path: Path) -> list[Path]:
         if not os.access(path, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     except OSError as e:
-        raise cannot_write(path, e) from e
+        raise cannot_write(path, e, remedy) from e
     return made
 
 

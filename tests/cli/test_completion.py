@@ -35,6 +35,8 @@ def completed(line, cwd=None):
         ("run --conf", None, ["--config"]),
         ("recipes sh", None, ["show"]),
         ("completion z", None, ["zsh"]),
+        ("models g", None, ["get"]),
+        ("models get m", None, ["mesh"]),
         ("run cl", "file,cl", []),
         ("run --out cl", "dir,cl", []),
         ("run --init cl", "file,cl", []),

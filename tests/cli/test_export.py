@@ -4,10 +4,12 @@ import csv
 import json
 import math
 from collections import namedtuple
+from itertools import pairwise
 from xml.etree import ElementTree as ET
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
@@ -15,6 +17,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.cli.app import cli
 from facetrack_cli.cli.commands.export import ENDINGS
+from facetrack_cli.core.face_points import LINES, POINTS
 from facetrack_cli.trajectory.formats.boxes import read_got10k, read_mot, read_otb, read_vot
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.select import enclose
@@ -154,6 +157,31 @@ def test_coco_says_lost_by_visibility(track):
     assert lost["bbox"] == [93.75, 76, 50, 30] and lost["area"] == 1500 and lost["score"] == pytest.approx(0.5)
     assert by_image[3, 1]["keypoints"][5] == 2
     assert by_image[1, 2]["track_id"] == 2
+
+
+def test_a_face_of_all_points_with_lost_and_absent_rows(track):
+    gone = [Row(6, 0.24, "face", part, status="absent" if part == "chin" else "tracked", x=x, y=x, w=9, h=9)
+            for x, part in enumerate(POINTS)]  # fmt: skip
+    chin = POINTS.index("chin")
+    gone[chin] = gone[chin]._replace(x=None, y=None)
+    path = track(rows(parts=POINTS), gone, header=SOURCE)
+    export(path, "--to", "coco")
+    found = json.loads(path.with_name("trajectory.coco.json").read_text())
+    [face] = found["categories"]
+    assert tuple(face["keypoints"]) == POINTS and len(face["keypoints"]) == 28
+    lines = {frozenset(face["keypoints"][end - 1] for end in edge) for edge in face["skeleton"]}
+    assert lines == {frozenset(edge) for line in LINES for edge in pairwise(line)} | {frozenset(("nose", "lip_upper"))}
+    assert len(face["skeleton"]) == len(lines) == 25
+    by_image = {one["image_id"]: one for one in found["annotations"]}
+    assert by_image[4]["keypoints"][2::3] == [2, 1, *[2] * 26] and by_image[4]["num_keypoints"] == 28
+    assert by_image[7]["keypoints"][3 * chin : 3 * chin + 3] == [0, 0, 0] and by_image[7]["num_keypoints"] == 27
+    export(path, "--to", "dlc")
+    table = pd.read_csv(path.with_name("trajectory.dlc.csv"), header=[0, 1, 2], index_col=0)["facetrack-sir"]
+    assert table.shape == (7, 84) and tuple(dict.fromkeys(table.columns.get_level_values(0))) == POINTS
+    assert table.loc[3, ("mouth_right", "likelihood")] == 0.1 and table.loc[3, ("mouth_right", "x")] == 133.25
+    assert np.isnan(table.loc[6, ("chin", "x")]) and table.loc[6, ("nose", "x")] == POINTS.index("nose")
+    dropped = export(path, "--to", "dlc", "--drop-lost", "-o", "-").stdout.splitlines()
+    assert dropped[3 + 3].split(",")[4:7] == ["", "", ""]
 
 
 def test_coco_names_the_images_of_a_folder(track, tmp_path):

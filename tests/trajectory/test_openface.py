@@ -3,15 +3,20 @@
 import csv
 import io
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.trajectory.formats.openface import COLUMNS, write_openface
+from facetrack_cli.core.face_points import MESH, POINTS
+from facetrack_cli.trajectory.formats.openface import COLUMNS, IN_MESH, LANDMARKS, write_openface
+from facetrack_cli.trajectory.formats.pts import NAMED
 from facetrack_cli.trajectory.formats.tables import write_pose
 from facetrack_cli.trajectory.head_pose import SHAPE, rotation_of
 from facetrack_cli.trajectory.trajectory import joined, one_part
+from facetrack_cli.video.source import open_source
+from tests.support.samples import FOLDER
 
 NAMES = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 
@@ -31,7 +36,7 @@ def read(text):
 
 
 def test_columns_frames_and_landmarks_are_openface_s():
-    table = joined([*face(lost={("lip_lower", 5)}), one_part("face", "chin", [4], x=[1.0], y=[2.0])])
+    table = joined([*face(lost={("lip_lower", 5)}), one_part("face", "ear", [4], x=[1.0], y=[2.0])])
     found = read(write_openface(table, (640, 480)))
     assert list(found.columns) == list(COLUMNS) and len(COLUMNS) == 5 + 6 + 136
     assert found["frame"].tolist() == [5, 6, 8] and found["face_id"].tolist() == [0, 0, 0]
@@ -44,6 +49,50 @@ def test_columns_frames_and_landmarks_are_openface_s():
     assert found.drop(columns=[f"{c}_{n}" for c in "xy" for n in (30, 48, 54, 51, 57)]).filter(
         regex="^[xy]_"
     ).isna().all(axis=None)  # fmt: skip
+
+
+def test_points_of_a_face_and_of_the_mesh_fill_their_columns():
+    def columns(names):
+        parts = [one_part("face", name, [0], x=[float(i)], y=[2.0 * i]) for i, name in enumerate(names)]
+        found = read(write_openface(joined(parts), None)).iloc[0]
+        known = [i for i in range(68) if not np.isnan(found[f"x_{i}"])]
+        assert all(found[f"y_{i}"] == 2 * found[f"x_{i}"] for i in known)
+        return {i: names[int(found[f"x_{i}"])] for i in known}
+
+    assert {name: number - 1 for name, number in NAMED.items()}.items() <= LANDMARKS.items()
+    few = columns(POINTS)
+    lids = {f"eye_{side}_{lid}" for side in ("left", "right") for lid in ("upper", "lower")}
+    assert {*few.values()} == {*POINTS} - lids
+    assert [few[i] for i in (4, 8, 12)] == ["jaw_left", "chin", "jaw_right"]
+    assert [few[i] for i in (17, 21, 22, 26)] == [
+        "brow_left_outer", "brow_left_inner", "brow_right_inner", "brow_right_outer",
+    ]  # fmt: skip
+    assert [few[i] for i in (36, 39, 42, 45)] == [
+        "eye_left_outer", "eye_left_inner", "eye_right_inner", "eye_right_outer",
+    ]  # fmt: skip
+    named = {number: name for name, number in MESH.items()}
+    all_of_them = columns([named.get(i, f"mesh_{i}") for i in range(468)])
+    assert sorted(all_of_them) == list(range(68)) and few.items() <= all_of_them.items()
+    assert [all_of_them[i] for i in (0, 16, 37, 41, 67)] == ["mesh_127", "mesh_356", "mesh_160", "mesh_144", "mesh_87"]
+
+
+def test_the_real_mesh_is_a_face_in_ibug_s_order(mesh_model):
+    if not hasattr(cv2.dnn, "readNetFromTFLite"):
+        pytest.skip("this OpenCV reads no .tflite")
+    with open_source(FOLDER / "expressions.mp4", stop=1) as source:
+        [frame] = source
+    network = cv2.dnn.readNetFromTFLite(str(mesh_model))
+    network.setInput(cv2.dnn.blobFromImage(cv2.resize(frame.bgr[42:222, 71:251], (192, 192)), 1 / 255, swapRB=True))
+    mesh = max(network.forward(network.getUnconnectedOutLayersNames()), key=np.size).reshape(468, 3)
+    x, y = mesh[list(IN_MESH), :2].T
+    for row in ([0, 3, 4, 6, 8, 10, 12, 13, 16], range(17, 27), range(31, 36), range(36, 40), range(42, 46)):
+        assert (np.diff(x[[*row]]) > 0).all()
+    for row in (range(48, 55), [48, 59, 58, 57, 56, 55, 54], range(60, 65), [60, 67, 66, 65, 64]):
+        assert (np.diff(x[[*row]]) > 0).all()
+    for row in ([*range(27, 31), 33, 51, 62, 66, 57, 8], [37, 41], [38, 40], [43, 47], [44, 46], range(9), [16, 12, 8]):
+        assert (np.diff(y[[*row]]) > 0).all()
+    mirrored = [*range(16, -1, -1), *range(26, 16, -1)]
+    assert np.ptp(x[:27] + x[mirrored]) < 25  # the head is nearly frontal, and 192 points wide
 
 
 def test_the_pose_is_seen_by_openface_s_camera():
@@ -71,7 +120,9 @@ def test_faces_have_ids_and_stand_by_frame():
     points = [one_part("face", f"point_{i + 1:02d}", [0], x=[float(i)], y=[2.0 * i]) for i in range(68)]
     found = read(write_openface(joined(points), None)).iloc[0]
     assert found[[f"x_{i}" for i in range(68)]].tolist() == list(range(68)) and np.isnan(found["pose_Rx"])
-    with pytest.raises(InputError, match="no part is one of OpenFace's landmarks, which are nose, mouth_left"):
+    with pytest.raises(
+        InputError, match=r"no part is one of .* landmarks, which are mouth_left, .*, chin, .*, and point_01"
+    ):
         write_openface(one_part("hand", "box", [0], x=[1.0], y=[1.0]), None)
 
 

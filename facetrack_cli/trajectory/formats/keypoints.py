@@ -18,23 +18,19 @@ import csv
 import io
 import math
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from facetrack_cli.core.face_points import LINES
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import BOX
 from facetrack_cli.trajectory.select import Around, enclose
 from facetrack_cli.trajectory.trajectory import DECIMALS, SEEN, Trajectory, aligned
 
-EDGES = (
-    ("nose", "lip_upper"),
-    ("lip_upper", "mouth_left"),
-    ("lip_upper", "mouth_right"),
-    ("mouth_left", "lip_lower"),
-    ("mouth_right", "lip_lower"),
-)
-"""How the parts of the shipped recipes hang together; other parts are drawn without lines."""
+EDGES = (("nose", "lip_upper"), *(edge for line in LINES for edge in pairwise(line)))
+"""How the points of a face hang together; other parts are drawn without lines."""
 
 
 def write_coco(

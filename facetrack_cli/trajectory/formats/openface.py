@@ -3,7 +3,8 @@
 - `frame` counts from 1, `face_id` from 0 in the order of the targets; `timestamp` in seconds. `success` is 1 where all
   landmarks of the face are seen. All places are written, as OpenFace does; `confidence` is the mean over the parts.
 - `x_i`, `y_i` are the 68 landmarks of iBUG, from 0, in pixels: readers choose them by this number. A part that is one
-  of them (`LANDMARKS`, and `point_01` to `point_68`) fills its own; all others are empty, as is what is not known.
+  of them (`LANDMARKS`) fills its own; all others are empty, as is what is not known. Nothing is interpolated: iBUG has
+  two points on each lid, and a face of 28 points has another, between these two.
 - `pose_R` in radians: pitch, yaw, roll of R = R_x R_y R_z in the camera's axes. `pose_T` in millimetres: the middle
   between the eyes of a generic head (63 mm apart), which OpenFace has near the middle of the face, by OpenFace's own
   guess of a camera: a focal length of the mean of 500 width / 640 and 500 height / 480, through the image's centre.
@@ -16,18 +17,29 @@ from typing import Any, Final
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.face_points import MESH
 from facetrack_cli.core.types import Array
-from facetrack_cli.trajectory.formats.pts import NAMED
 from facetrack_cli.trajectory.formats.tables import csv_text, texts
 from facetrack_cli.trajectory.head_pose import HeadPose, euler, head_pose, rotation_of
 from facetrack_cli.trajectory.select import mean
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned, joined
 
-COUNT: Final = 68
-LANDMARKS: Final = {name: number - 1 for name, number in NAMED.items()} | {
+IN_MESH: Final = (
+    127, 234, 93, 132, 172, 136, 150, 176, 152, 400, 379, 365, 397, 361, 323, 454, 356,  # jaw
+    70, 63, 105, 66, 107, 336, 296, 334, 293, 300,  # brows
+    168, 197, 5, 1, 98, 97, 2, 326, 327,  # nose
+    33, 160, 158, 133, 153, 144, 362, 385, 387, 263, 373, 380,  # eyes
+    61, 39, 37, 0, 267, 269, 291, 321, 314, 17, 84, 91,  # lips, outer border
+    78, 82, 13, 312, 308, 317, 14, 87,  # inner border
+)  # fmt: skip
+"""The point of MediaPipe's mesh for each of the 68, from iBUG's mean face beside MediaPipe's canonical face; much as in
+github.com/PeizhiYan/Mediapipe_2_Dlib_Landmarks, which takes the mean of two points for some of the 68."""
+COUNT: Final = len(IN_MESH)
+_NAMES: Final = {number: name for name, number in MESH.items()}
+LANDMARKS: Final = {_NAMES.get(number, f"mesh_{number}"): i for i, number in enumerate(IN_MESH)} | {
     f"point_{i + 1:02d}": i for i in range(COUNT)
 }
-"""Parts, by the shipped recipes' names and as .pts files are read, and their numbers; left and right of the image."""
+"""The number of each part: a point of the face, another point of the mesh, or a point as .pts files are read."""
 POSE: Final = ("pose_Tx", "pose_Ty", "pose_Tz", "pose_Rx", "pose_Ry", "pose_Rz")
 COLUMNS: Final = (
     "frame", "face_id", "timestamp", "confidence", "success", *POSE,
@@ -56,7 +68,7 @@ def write_openface(table: Trajectory, size: tuple[int, int] | None) -> str:
         cells[:, 0], cells[:, 1] = frames + 1, ident
         found += [(row[0], ident, row) for row in cells.tolist()]
     if not found:
-        known = ", ".join(NAMED)
+        known = ", ".join(name for name in MESH if name in LANDMARKS)
         raise InputError(f"no part is one of OpenFace's landmarks, which are {known}, and point_01 to point_68")
     return csv_text(COLUMNS, [row for *_, row in sorted(found, key=lambda one: one[:2])])
 

