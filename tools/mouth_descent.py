@@ -17,7 +17,6 @@ from __future__ import annotations
 import argparse
 import csv
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,7 +24,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.shipped import shipped_folder
-from facetrack_cli.core.types import Array, Frame, Image
+from facetrack_cli.core.types import Array, Image
 from facetrack_cli.tracking.face import descent
 from facetrack_cli.tracking.face.descent import SIDE, Descent, channels, read
 from facetrack_cli.tracking.face.mesh import Mesh

@@ -24,7 +24,17 @@ from facetrack_cli.tracking.models.shape_prior import BoundPrior, StudentPrior
 from facetrack_cli.tracking.models.spaces import CloudSpace, Estimate, PointSpace, Space, VisibleBoxSpace, evenly
 from facetrack_cli.tracking.models.velocity import Flow, PredictedWalk
 from facetrack_cli.tracking.resampling import uniform
-from facetrack_cli.tracking.roles import Adapts, Knows, LearnsParts, Likelihood, Looks, Motion, Names, ProposesModes, Reports
+from facetrack_cli.tracking.roles import (
+    Adapts,
+    Knows,
+    LearnsParts,
+    Likelihood,
+    Looks,
+    Motion,
+    Names,
+    ProposesModes,
+    Reports,
+)
 from facetrack_cli.tracking.smoothing import Belief, belief
 from facetrack_cli.trajectory.diagnostics import ENTROPY, ERROR, EVIDENCE, NOISE, POSTERIOR, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import PLACE, Status, TargetResult, of_frame

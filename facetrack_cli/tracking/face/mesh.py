@@ -18,7 +18,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame
-from facetrack_cli.tracking.face.still import EYES, EYE_LINE, MIDDLE, Similarity
+from facetrack_cli.tracking.face.still import EYE_LINE, EYES, MIDDLE, Similarity
 
 POINTS: Final = 468
 CROP: Final = 192  # pixels of a side of what the network sees

@@ -31,8 +31,8 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, RecipeError, UsageError
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array
-from facetrack_cli.recipe.files import resolve_file, shipped_folder
 from facetrack_cli.recipe.face import StudentT
+from facetrack_cli.recipe.files import resolve_file, shipped_folder
 from facetrack_cli.recipe.points import Parzen
 from facetrack_cli.tracking.kernels.shape import LANES, PADDING, log_parzen, pick_shape
 from facetrack_cli.tracking.models.spaces import Context
