@@ -66,19 +66,17 @@ def _away(one: Measured, sign: int, longest: float) -> Iterator[tuple[int, int, 
         return
     value, time_s, short = sign * one.value[rows], one.time_s[rows], math.isfinite(longest)
     if short:
-        reach = max(1, round(REST_S / float(np.median(np.diff(time_s)))))
+        reach = round(REST_S / max(float(np.median(np.diff(time_s))), REST_S / 500))
         around = np.lib.stride_tricks.sliding_window_view(np.pad(value, reach, mode="symmetric"), 2 * reach + 1)
         value = value - np.median(around, axis=1)
     noise = max(float(np.median(np.abs(np.diff(value, n=2)))) / 0.6745 / math.sqrt(6), 1e-9)
     spread = np.fmax(one.std[rows], noise)
     beyond = value - _threshold(value, noise, float(np.median(spread)))
-    clear = np.flatnonzero(np.abs(beyond) > 2 * noise)
-    if not clear.size:
-        return
-    away = beyond[clear[np.maximum(np.searchsorted(clear, np.arange(len(rows)), "right") - 1, 0)]] > 0
+    clear = np.abs(beyond) > 2 * noise
+    away = beyond[np.maximum.accumulate(np.where(clear, np.arange(len(rows)), 0))] > 0
     pause = np.diff(time_s) > GAP_S
     states = sorted(spans(away, pause) + spans(~away, pause))
-    sure = [float(np.max((beyond if away[a] else -beyond)[a:b] / spread[a:b])) for a, b in states]
+    sure = (float(np.max((beyond if away[a] else -beyond)[a:b] / spread[a:b])) for a, b in states)
     chance = [math.erfc(-z / math.sqrt(2)) / 2 for z in sure]
     for k, (a, b) in enumerate(states):
         if away[a] and not (short and time_s[min(b, len(rows) - 1)] - time_s[a] > longest):

@@ -177,8 +177,9 @@ def _refined(rotation: Array, xy: Array, cov: Array, seen: Mask, shape: Array, s
         precision = weight * np.linalg.inv(cov + (scale**2)[:, None, None, None] * (axes @ axes.swapaxes(2, 3)))
         residual = xy - scale[:, None, None] * turned[..., :2] - origin[:, None]
         jacobian = _jacobian(turned, scale)
-        normal = np.einsum("tkia,tkij,tkjb->tab", jacobian, precision, jacobian)
-        slope = np.einsum("tkia,tkij,tkj->ta", jacobian, precision, residual)
+        weighed = precision @ jacobian
+        normal = np.einsum("tkia,tkib->tab", jacobian, weighed)
+        slope = np.einsum("tkia,tki->ta", weighed, residual)
         cost = np.einsum("tki,tkij,tkj->t", residual, precision, residual)
         # a step of half a radian at most
         normal += 1e-12 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(6)  # points that are one point
@@ -190,8 +191,8 @@ def _refined(rotation: Array, xy: Array, cov: Array, seen: Mask, shape: Array, s
             break
     # of weights that depend on the pose, a wide one makes a small cost: the density counts its width too
     cost = cost - np.where(seen, np.log(np.where(seen, np.linalg.det(precision), 1.0)), 0.0).sum(axis=1)
-    inverse, weighed = np.linalg.inv(normal), precision @ jacobian
-    own = inverse @ np.einsum("tkia,tkij,tkjb->tab", weighed, cov, weighed) @ inverse
+    inverse = np.linalg.inv(normal)
+    own = inverse @ np.einsum("tkia,tkib->tab", weighed, cov @ weighed) @ inverse
     return _Fit(rotation, scale, origin, np.stack([inverse, own], axis=1), cost)
 
 

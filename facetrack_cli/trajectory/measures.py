@@ -95,7 +95,7 @@ class Measured(NamedTuple):
     std: Array
 
 
-@np.errstate(invalid="ignore", divide="ignore")
+@np.errstate(all="ignore")
 def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
     """The measures of one target by name, in the order of MEASURES: those whose points are among its parts."""
     pose, parts = head_pose(parts), [part for part in with_eyes(parts) if part.part in USED]
@@ -122,7 +122,8 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
     for name, unit, _, needs, of in MEASURES:
         needs += () if unit != LENGTH else EYES if face.at.keys() >= {*EYES} else (BOX,)
         if of is not None and face.at.keys() >= {*needs}:
-            known[name] = np.stack([of(face), _spread(of, face, {part: spread[part] for part in needs})])
+            both = np.stack([of(face), _spread(of, face, {part: spread[part] for part in needs})])
+            known[name] = np.where(np.abs(both) < 1e6, both, np.nan)  # the face may have no size
         if name in known and (of or np.isfinite(known[name]).any()):
             found[name] = Measured(name, unit, frame, time_s, *known[name])
     return found
