@@ -87,7 +87,7 @@ def spread(points: Array, shape: Array) -> dict[str, Array]:
     axes, offs = [], []
     for seen in points[:, :, JAW:]:
         cov = np.broadcast_to(np.eye(2), (*seen.shape, 2))
-        angles, _, scale, origin, _ = fit_pose(
+        angles, _, scale, origin, *_ = fit_pose(
             seen, cov, np.isfinite(seen).all(axis=2), shape, np.full(shape.shape, 3.0)
         )
         axes.append(rotation_of(np.radians(angles))[:, :2])

@@ -2,7 +2,7 @@
 
 import math
 from bisect import bisect
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple, TypeAlias, get_args
 
@@ -13,7 +13,7 @@ from facetrack_cli.core.types import Array
 from facetrack_cli.trajectory.header import SeamHeader
 from facetrack_cli.trajectory.trajectory import Trajectory
 
-Kind: TypeAlias = Literal["start", "corrected", "seam", "lost", "back", "worst", "end"]
+Kind: TypeAlias = Literal["start", "corrected", "seam", "lost", "back", "opening", "smile", "blink", "worst", "end"]
 """Why a frame is shown, in the order in which the reasons of one frame stand."""
 MOST_FRAMES: Final = 12
 _OF_EPISODES: Final = 2 / 3  # of the frames beside start, worst and end, where there are too many events
@@ -88,12 +88,13 @@ class PartHistory:
 
 
 class Event(NamedTuple):
-    """Why a frame is shown: the spans that begin or end in it, its correction, or the pieces that meet in it."""
+    """Why a frame is shown: the spans that begin or end in it, its correction, pieces that meet, what is measured."""
 
     kind: Kind
     spans: tuple[LostSpan, ...] = ()
     corrected: CorrectedFrame | None = None
     seam: SeamHeader | None = None
+    words: str = ""
 
 
 class KeyFrame(NamedTuple):
@@ -113,6 +114,7 @@ class RunHistory:
     worst: int | None
     corrections: tuple[CorrectedFrame, ...]
     seams: tuple[SeamHeader, ...] = ()
+    peaks: tuple[tuple[int, Event], ...] = ()
 
     @property
     def spans(self) -> list[LostSpan]:
@@ -156,7 +158,21 @@ def history_of(table: Trajectory, clock: Clock, seams: tuple[SeamHeader, ...] = 
             given, absent = corrected.setdefault(int(one.frame[at]), ([], []))
             (absent if one.status[at] == "absent" else given).append(part.name)
     fixes = tuple(CorrectedFrame(at, tuple(given), tuple(absent)) for at, (given, absent) in sorted(corrected.items()))
-    return RunHistory(parts, episodes, int(any_lost.sum()), worst, fixes, seams)
+    return RunHistory(parts, episodes, int(any_lost.sum()), worst, fixes, seams, tuple(_peaks(table)))
+
+
+def _peaks(table: Trajectory) -> Iterator[tuple[int, Event]]:
+    """Where the mouth of the first face is open widest, and wide, and its eyes shut in a blink, as the spread tells."""
+    kinds: tuple[tuple[Kind, str, int], ...] = (
+        ("opening", "mouth_opening", 1), ("smile", "mouth_width", 1), ("blink", "eye_opening", -1),
+    )  # fmt: skip
+    for kind, name, sign in kinds:
+        for one in [found[name] for found in table.measures.values() if name in found][:1]:
+            sure = sign * one.value - np.nan_to_num(one.std)
+            if np.isfinite(sure).any() and (kind != "blink" or any(event.name == kind for event in table.events)):
+                row = int(np.nanargmax(sure))
+                words = f"{name.replace('_', ' ')} {one.value[row]:.2f} ± {one.std[row]:.2f} {one.unit}"
+                yield int(one.frame[row]), Event(kind, words=words)
 
 
 def _part(one: Trajectory, name: str, clock: Clock) -> PartHistory:
@@ -189,15 +205,15 @@ def _least(values: Array) -> float:
 
 
 def key_frames(history: RunHistory, first: int, last: int, most: int = MOST_FRAMES) -> list[KeyFrame]:
-    """At most `most` frames: the first, the last, that of the lowest mean confidence, and of events. Of too many
-    events, those where the longest episodes begin and end, then, one by one, the event furthest in time from all those
-    taken.
+    """At most `most` frames: the first, the last, that of the lowest mean confidence, the peaks, and of events. Of
+    too many events, where the longest episodes begin and end, then, one by one, that furthest in time from all taken.
     """
     found = history.events
     events = sorted({frame for frame, _ in found})
-    fixed: list[tuple[int | None, Kind]] = [(first, "start"), (history.worst, "worst"), (last, "end")]
-    found |= {(frame, kind): Event(kind) for frame, kind in fixed if frame is not None}
-    taken = {frame for frame, _ in fixed if frame is not None}
+    worst = [] if history.worst is None else [(history.worst, Event("worst"))]
+    fixed = [(first, Event("start")), *worst, *history.peaks, (last, Event("end"))]
+    found |= {(frame, event.kind): event for frame, event in fixed}
+    taken = {frame for frame, _ in fixed}
     if len(taken.union(events)) <= most:
         taken.update(events)
     else:

@@ -95,6 +95,8 @@ def make_report(
         calibrated=calibrated(header.recipe),
         warnings=[*text.doubts(header, mean), *header.warnings, *found.notes],
         bars=lambda spans: _bars(spans, first, _BINS / (last - first + 1)),
+        events=sorted(sorted(table.events, key=lambda event: -event.probability)[:MOST_SPANS]),
+        several=len(table.targets) > 1,
         spans=sorted(longest, key=lambda s: (s.first, s.name)),
         keys=keys,
         images=found.found,

@@ -162,6 +162,8 @@ def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) 
             case "back":
                 back = [(s.name, lasting(s.seconds), number(confidence.get(s.name))) for s in event.spans]
                 return "No longer called lost", names([f"{name} after {s} (confidence {c})" for name, s, c in back], 5)
+            case "opening" | "smile" | "blink":
+                return {"opening": "Mouth open widest", "smile": "Widest smile"}.get(event.kind, "Blink"), event.words
             case "worst":
                 return "Lowest confidence", mean + (f", the mean over {len(parts):,} parts" if len(parts) > 1 else "")
             case _:

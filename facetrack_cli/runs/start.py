@@ -19,7 +19,8 @@ from facetrack_cli.runs.signals import never
 from facetrack_cli.tracking.start import box_start, check_start, find_init, name_targets, read_init, search_start
 from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.tracking.start.search import Faces
-from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, by_frame
+from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
+from facetrack_cli.trajectory.writers import by_frame
 from facetrack_cli.video.seek import open_sought
 from facetrack_cli.video.source import Source
 

@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned
+from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned, one_part
 
 # mm: x to the right of the image, y down, z away from the camera; the origin is midway between the eyes
 SHAPE: Final[Mapping[str, tuple[float, float, float]]] = {
@@ -55,7 +55,8 @@ class HeadPose(NamedTuple):
     """The pose in each of T frames; nan, and False, where too few points are seen, or they tell nothing.
 
     `angles` (T, 3): pitch, yaw, roll in degrees; `cov` (T, 3, 3) their covariance in square degrees; `scale` (T,)
-    pixels per mm; `origin` (T, 2) where the middle between the eyes is, in pixels; `ambiguous` (T,).
+    pixels per mm; `origin` (T, 2) where the middle between the eyes is, in pixels; `ambiguous` (T,); `of_points`
+    (T, 3, 3) what of the covariance the tracker's points make, without that of people.
     """
 
     frame: Whole
@@ -64,6 +65,7 @@ class HeadPose(NamedTuple):
     scale: Array
     origin: Array
     ambiguous: Mask
+    of_points: Array
 
     @property
     def std(self) -> Array:
@@ -77,7 +79,7 @@ def head_pose(parts: Sequence[Trajectory]) -> HeadPose | None:
     The spread holds both the tracker's uncertainty and that of the person's own proportions. The latter is the same in
     all frames of a person: differences between frames are more exact than it says.
     """
-    known = [part for part in parts if part.part in SHAPE]
+    known = [part for part in with_eyes(parts) if part.part in SHAPE]
     if not _deep(_of(SHAPE, known), np.ones((1, len(known)), bool))[0]:
         return None
     frame, columns = aligned(known, "x", "y", "std_x", "std_y", "cov_xy", "status")
@@ -90,14 +92,30 @@ def head_pose(parts: Sequence[Trajectory]) -> HeadPose | None:
     return HeadPose(frame, *fit_pose(xy, cov, seen, _of(SHAPE, known), _of(SPREAD, known)))
 
 
-def fit_pose(xy: Array, cov: Array, seen: Mask, shape: Array, spread: Array) -> tuple[Array, Array, Array, Array, Mask]:
-    """`angles`, `cov`, `scale`, `origin`, `ambiguous` of HeadPose, for points xy (T, K, 2) with cov (T, K, 2, 2).
+def with_eyes(parts: Sequence[Trajectory]) -> list[Trajectory]:
+    """The parts, and the centre of each eye whose corners are among them: `eye_left`, `eye_right`."""
+    found = {part.part: part for part in parts}
+    for eye in ("eye_left", "eye_right"):
+        if eye not in found and {f"{eye}_outer", f"{eye}_inner"} <= found.keys():
+            corners = [found[f"{eye}_{end}"] for end in ("outer", "inner")]
+            frame, columns = aligned(corners, "x", "y", "std_x", "std_y", "cov_xy", "status")
+            seen = np.isin(columns.pop("status"), SEEN).all(axis=1)
+            half = {name: np.hypot(*v.T) / 2 if "std" in name else v.mean(axis=1) for name, v in columns.items()}
+            half |= {"cov_xy": half["cov_xy"] / 2, "status": np.where(seen, "tracked", "lost")}
+            found[eye] = one_part(corners[0].target, eye, frame, **half)
+    return list(found.values())
+
+
+def fit_pose(
+    xy: Array, cov: Array, seen: Mask, shape: Array, spread: Array
+) -> tuple[Array, Array, Array, Array, Mask, Array]:
+    """All of HeadPose but the frames, for points xy (T, K, 2) with cov (T, K, 2, 2).
 
     `seen` (T, K) are the points to use; `shape` (K, 3) is the face and `spread` (K, 3) its standard deviations, in mm.
     """
     frames = len(xy)
     angles, scale, origin = np.full((frames, 3), np.nan), np.full(frames, np.nan), np.full((frames, 2), np.nan)
-    covariance, ambiguous = np.full((frames, 3, 3), np.nan), np.zeros(frames, bool)
+    covariance, ambiguous = np.full((frames, 2, 3, 3), np.nan), np.zeros(frames, bool)
     rows = np.flatnonzero(_deep(shape, seen))
     if rows.size:
         points = np.where(seen[rows, :, None], xy[rows], 0.0), cov[rows], seen[rows], shape, spread
@@ -110,14 +128,14 @@ def fit_pose(xy: Array, cov: Array, seen: Mask, shape: Array, spread: Array) -> 
         turned = _angle_between(first.rotation, other.rotation)
         ambiguous[rows] = (np.abs(first.cost - other.cost) < HARDLY) & (turned > np.radians(5))
         found = euler(best.rotation)
-        inverse = np.linalg.inv(_spins(found))
-        spread_ = np.degrees(np.degrees(inverse @ best.cov[:, :3, :3] @ inverse.swapaxes(1, 2)))
-        told = np.diagonal(spread_, axis1=1, axis2=2).max(axis=1) < MOST**2
+        inverse = np.linalg.inv(_spins(found))[:, None]
+        spread_ = np.degrees(np.degrees(inverse @ best.cov[..., :3, :3] @ inverse.swapaxes(2, 3)))
+        told = np.diagonal(spread_[:, 0], axis1=1, axis2=2).max(axis=1) < MOST**2
         ambiguous[rows] &= told
         rows, best = rows[told], _Fit(*(values[told] for values in best))
         angles[rows], covariance[rows] = np.degrees(found[told]), spread_[told]
         scale[rows], origin[rows] = best.scale, best.origin
-    return angles, covariance, scale, origin, ambiguous
+    return angles, covariance[:, 0], scale, origin, ambiguous, covariance[:, 1]
 
 
 def rotation_of(angles: Array) -> Array:
@@ -139,7 +157,7 @@ def euler(rotation: Array) -> Array:
 
 
 class _Fit(NamedTuple):
-    """Of each of T frames; `cov` (T, 6, 6) of a rotation about the camera's axes, of log s and of t."""
+    """Of T frames; `cov` (T, 2, 6, 6), all and of points alone, of a rotation about the camera's axes, log s and t."""
 
     rotation: Array
     scale: Array
@@ -159,8 +177,9 @@ def _refined(rotation: Array, xy: Array, cov: Array, seen: Mask, shape: Array, s
         precision = weight * np.linalg.inv(cov + (scale**2)[:, None, None, None] * (axes @ axes.swapaxes(2, 3)))
         residual = xy - scale[:, None, None] * turned[..., :2] - origin[:, None]
         jacobian = _jacobian(turned, scale)
-        normal = np.einsum("tkia,tkij,tkjb->tab", jacobian, precision, jacobian)
-        slope = np.einsum("tkia,tkij,tkj->ta", jacobian, precision, residual)
+        weighed = precision @ jacobian
+        normal = np.einsum("tkia,tkib->tab", jacobian, weighed)
+        slope = np.einsum("tkia,tki->ta", weighed, residual)
         cost = np.einsum("tki,tkij,tkj->t", residual, precision, residual)
         # a step of half a radian at most
         normal += 1e-12 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(6)  # points that are one point
@@ -172,7 +191,9 @@ def _refined(rotation: Array, xy: Array, cov: Array, seen: Mask, shape: Array, s
             break
     # of weights that depend on the pose, a wide one makes a small cost: the density counts its width too
     cost = cost - np.where(seen, np.log(np.where(seen, np.linalg.det(precision), 1.0)), 0.0).sum(axis=1)
-    return _Fit(rotation, scale, origin, np.linalg.inv(normal), cost)
+    inverse = np.linalg.inv(normal)
+    own = inverse @ np.einsum("tkia,tkib->tab", weighed, cov @ weighed) @ inverse
+    return _Fit(rotation, scale, origin, np.stack([inverse, own], axis=1), cost)
 
 
 def _jacobian(turned: Array, scale: Array) -> Array:

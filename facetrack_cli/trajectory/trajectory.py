@@ -6,11 +6,9 @@ number that is not known is nan, a text "".
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
-from itertools import groupby
-from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
@@ -22,6 +20,9 @@ from facetrack_cli.trajectory.diagnostics import POSTERIOR, SURE, Diagnostics, o
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+    from facetrack_cli.trajectory.face_events import FaceEvent
+    from facetrack_cli.trajectory.measures import Measured
 
 Status: TypeAlias = Literal["init", "tracked", "lost", "absent"]
 SEEN: Final = ("", "visible", "init", "tracked")  # statuses, also of ground truth, of what can be seen
@@ -123,8 +124,7 @@ class Trajectory:
 
     def take(self, rows: Whole | Mask | slice, **others: Any) -> Trajectory:
         """These rows, in their order; `others` are replaced."""
-        arrays: dict[str, Any] = {name: getattr(self, name) for name in _ARRAYS}
-        picked: dict[str, Any] = {key: array[rows] for key, array in arrays.items() if array is not None}
+        picked = {name: array[rows] for name in _ARRAYS if (array := getattr(self, name)) is not None}
         if "names" in others:
             picked["which"] = np.zeros(len(picked["frame"]), np.int64)
         return replace(self, **picked, **others)
@@ -190,10 +190,27 @@ class Trajectory:
         What begins where pieces of a clip meet, as the header says, was not corrected.
         """
         absent = self.status == "absent"
-        shown = (self.status == "init") & ~np.isin(self.frame, _seams(self.header))
+        seams = self.header.get("seams")
+        meet = [one.get("frame") for one in seams if isinstance(one, dict)] if isinstance(seams, list) else []
+        shown = (self.status == "init") & ~np.isin(self.frame, [one for one in meet if isinstance(one, int)])
         shown |= absent & ~np.concatenate([absent[:1], absent[:-1]])
         found: Mask = self.by_hand | (shown & (np.arange(len(self)) > 0))
         return found
+
+    @cached_property
+    def measures(self) -> Mapping[str, Mapping[str, Measured]]:
+        """Of each target what its face does, by the measure's name."""
+        from facetrack_cli.trajectory.measures import measures_of
+
+        return {target: measures_of(self.of_target(target)) for target in self.targets}
+
+    @cached_property
+    def events(self) -> tuple[FaceEvent, ...]:
+        """When mouths open and close, eyes blink and heads nod, in the order of time."""
+        from facetrack_cli.trajectory.face_events import events_of
+
+        kinds = (kind for name, found in self.measures.items() for kind in events_of(name, found).values())
+        return tuple(sorted(event for kind in kinds for event in kind))
 
     def columns(self) -> dict[str, Any]:
         """The columns of the CSV as arrays, rows in the order of the file: by frame, then by part."""
@@ -210,13 +227,6 @@ class Trajectory:
 
 
 _ARRAYS = tuple(f.name for f in fields(Trajectory) if str(f.type).startswith(("Whole", "Array", "Texts", "Mask")))
-
-
-def _seams(header: Mapping[str, Any]) -> list[int]:
-    """The frames in which pieces of a clip meet."""
-    seams = header.get("seams")
-    frames = [one.get("frame") for one in seams if isinstance(one, dict)] if isinstance(seams, list) else []
-    return [frame for frame in frames if isinstance(frame, int)]
 
 
 def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: Any) -> Trajectory:
@@ -388,10 +398,3 @@ def successive(pieces: Sequence[Trajectory], like: Trajectory | None = None) -> 
         return joined(pieces, diagnostics=diagnostics)
     # the first piece gives the order of the names
     return joined([like.take(slice(0, 0)), *pieces], diagnostics=diagnostics, header=like.header, path=like.path)
-
-
-def by_frame(rows: Trajectory) -> Iterator[tuple[int, list[int]]]:
-    """Each frame and the indices of its rows, by part."""
-    order, frames = rows._by_frame
-    for frame, group in groupby(zip(frames.tolist(), order.tolist(), strict=True), key=itemgetter(0)):
-        yield frame, [row for _, row in group]

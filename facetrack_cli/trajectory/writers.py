@@ -17,7 +17,7 @@ from facetrack_cli import __version__
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Array
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, KNOWN, Diagnostics
-from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, SPREAD, Trajectory, by_frame
+from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, SPREAD, Trajectory
 
 SCHEMA = "facetrack-trajectory"
 VERSION = 1
@@ -161,6 +161,13 @@ def as_written(rows: Trajectory) -> Trajectory:
     columns: dict[str, Any] = {name: rounded(getattr(rows, name), decimals) for name, decimals in DECIMALS.items()}
     diagnostics = {target: reported(found) for target, found in rows.diagnostics.items()}
     return replace(rows, **columns, corners=None, diagnostics=diagnostics)
+
+
+def by_frame(rows: Trajectory) -> Iterator[tuple[int, list[int]]]:
+    """Each frame and the indices of its rows, by part."""
+    order = np.lexsort((rows.which, rows.frame))
+    for frame, at in groupby(order.tolist(), key=rows.frame.tolist().__getitem__):
+        yield frame, list(at)
 
 
 def _frames(rows: Trajectory, style: _Style) -> Iterator[tuple[int, list[int], list[tuple[str, ...]]]]:

@@ -247,6 +247,15 @@ def test_a_folder_its_json_and_the_clip_beside_it(track, tmp_path):
     assert "clip.mp4 is not there; ELAN will ask for it" in export(tmp_path, "--to", "eaf", "--overwrite").stderr
 
 
+def test_measures_of_a_face_and_of_no_face(track):
+    path = track(rows(parts=("lip_upper", "lip_lower", "box"), size=(100 / 0.363, 100.0)))
+    assert "6 frames of face" in export(path, "--to", "measures").output
+    with path.with_name("trajectory.measures.csv").open() as file:
+        found = list(csv.DictReader(file))
+    assert [row["mouth_opening"] for row in found] == [*["0.3606"] * 3, "", "", "0.3606"], "lost in frames 3 and 4"
+    assert "a measure needs parts of a face" in refused(track(), "--to", "measures", "-o", "-", code=3)
+
+
 @pytest.mark.parametrize("form", FORMS)
 def test_every_format_goes_to_standard_output_and_beside_the_trajectory(track, tmp_path, form):
     path = track(header=SOURCE)

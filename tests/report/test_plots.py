@@ -16,7 +16,9 @@ from facetrack_cli.report.figures import lines as plot_lines
 from facetrack_cli.report.figures import style as plot_style
 from facetrack_cli.report.figures.lines import MANY, columns_for, lines_of, stacked
 from facetrack_cli.report.figures.style import numbers
+from facetrack_cli.trajectory.measures import MEASURES
 from facetrack_cli.trajectory.trajectory import joined, one_part
+from tests.support.face_shape import moving_face
 
 pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
 
@@ -188,6 +190,18 @@ def test_legends_stand_in_the_page(names):
 # --- the page ----------------------------------------------------------------------------------------------------
 
 ALL = ["x", "y", "size", "confidence", "status", "effective sample size", "spread"]
+
+
+def test_measures_have_a_panel_each_with_their_spread_as_a_band():
+    table = moving_face(60, noise=0.5, open=np.linspace(0, 0.3, 60))
+    found = panels(plots.page_figure(table))
+    names = [one.name.replace("_", " ") if one.of else f"pose: {one.name}" for one in MEASURES]
+    assert [name for name in found if name in names] == names
+    axes, one = found["mouth opening"], table.measures["face"]["mouth_opening"]
+    np.testing.assert_allclose(drawn(axes)[0], np.stack([one.frame, one.value], axis=1))
+    low, high = (one.value + sign * one.std for sign in (-1, 1))
+    corners = axes.collections[0].get_paths()[0].vertices[:, 1]
+    assert corners.min() == pytest.approx(low.min()) and corners.max() == pytest.approx(high.max())
 
 
 def test_page_has_a_panel_of_what_is_known_and_no_other():

@@ -12,9 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.trajectory import face_events
 from facetrack_cli.trajectory.formats.eaf import VOCABULARIES, spans_of, write_eaf
 from facetrack_cli.trajectory.formats.head_motion import KINDS, LABELS
 from facetrack_cli.trajectory.trajectory import joined, one_part
+from tests.support.face_shape import moving_face
 
 WRITTEN = datetime(2020, 1, 2, 3, 4, 5, tzinfo=timezone.utc)
 
@@ -110,8 +112,23 @@ def test_frames_without_rows_are_in_no_span():
 
 
 def test_every_kind_of_motion_has_a_vocabulary_with_its_labels():
-    assert tuple(VOCABULARIES) == KINDS
+    assert tuple(VOCABULARIES) == (*KINDS, *face_events.KINDS)
     assert all(set(LABELS[kind]) == set(VOCABULARIES[kind]) for kind in LABELS)
+
+
+def test_what_a_face_does_stands_in_tiers_that_its_points_can_tell():
+    t = np.arange(200)
+    shut = (t % 50 == 30) | (t % 50 == 31) | (t % 50 == 32)
+    moves = {"open": np.where((t < 20) | ((t >= 100) & (t < 120)), 0.4, 0.0), "shut": shut}
+    whole = moving_face(200, noise=0.3, std=0.3, **moves)
+    root = ET.fromstring(write_eaf(whole, Path("/videos/clip.mp4"), Path("/videos"), written=WRITTEN))
+    check_schema(root)
+    found = tiers(root)
+    assert found["mouth@face"] == [(0, 800, "open"), (4000, 4800, "open")], "also open from the start"
+    assert found["blinks@face"] == [(k * 40, (k + 3) * 40, "blink") for k in (30, 80, 130, 180)]
+    assert found["dips@face"] == []
+    bare = tiers(eaf(part("nose", states("....")), part("mouth_left", states("...."))))
+    assert not {"mouth@face", "blinks@face", "dips@face"} & bare.keys()
 
 
 def test_motion_stands_in_its_tiers():

@@ -37,7 +37,7 @@ def test_a_turned_shape_gives_its_pose_back(pitch, yaw, roll, scale):
     angles = np.array([[pitch, yaw, roll]])
     np.testing.assert_allclose(np.degrees(euler(rotation_of(np.radians(angles)))), angles, atol=1e-9)
     for names in (FIVE, MOUTH, tuple(SHAPE)):
-        found, _, size, origin, ambiguous = fit(seen_from(angles, names, scale), names, std=0.01 * scale)
+        found, _, size, origin, ambiguous, _ = fit(seen_from(angles, names, scale), names, std=0.01 * scale)
         np.testing.assert_allclose(found, angles, atol=0.01)
         np.testing.assert_allclose(size, scale, rtol=1e-4)
         np.testing.assert_allclose(origin[0], (300, 200), atol=0.01 * scale)
@@ -59,7 +59,7 @@ def test_a_slow_plain_twin_agrees(names):
     xy = seen_from(angles, names) + rng.normal(0, 1, (3, 5, 2))
     cov = np.broadcast_to(np.array([[1.0, 0.2], [0.2, 0.8]]), (*xy.shape, 2))
     shape, spread = table(names, SHAPE), table(names, SPREAD)
-    found, covariance, scale, origin, _ = fit_pose(xy, cov, np.ones(xy.shape[:2], bool), shape, spread)
+    found, covariance, scale, origin, *_ = fit_pose(xy, cov, np.ones(xy.shape[:2], bool), shape, spread)
     for t in range(3):
         pose, wide = twin.fit(xy[t], cov[t], shape, spread)
         np.testing.assert_allclose(np.degrees(pose[:3]), found[t], atol=1e-3)
@@ -75,6 +75,10 @@ def test_the_spread_is_what_noise_of_points_and_people_makes(names, angles):
     turned = np.einsum("ij,nkj->nki", rotation_of(np.radians(np.array(angles)))[:2], shapes)
     points = scale * turned + 200 + rng.normal(0, 1.0, (count, 5, 2))
     found, covariance, *_ = fit(points, names, std=1.0)
+    same = seen_from(np.array([angles]), names) + rng.normal(0, 1.0, (count, 5, 2))
+    poses, *_, of_points = fit(same, names, std=1.0)
+    alone = np.sqrt(np.median(np.diagonal(of_points, axis1=1, axis2=2), axis=0))
+    np.testing.assert_allclose(np.std(poses, axis=0), alone, rtol=0.1)
     claimed = np.sqrt(np.median(np.diagonal(covariance, axis1=1, axis2=2), axis=0))
     np.testing.assert_allclose(np.std(found, axis=0), claimed, rtol=0.15)
     z = np.abs(found - angles) / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
@@ -88,7 +92,7 @@ def test_small_faces_in_noise_are_ambiguous_and_say_so():
 
     def share(scale):
         xy = seen_from(angles, MOUTH, scale) + rng.normal(0, 1.0, (400, 5, 2))
-        found, covariance, _, _, ambiguous = fit(xy, MOUTH, std=1.0)
+        found, covariance, _, _, ambiguous, _ = fit(xy, MOUTH, std=1.0)
         return ambiguous.mean(), (np.abs(found[:, 1] - 25) < 2 * np.sqrt(covariance[:, 1, 1])).mean()
 
     (none, fine), (some, fair) = share(1.5), share(0.12)  # 95 and 8 pixels between the eyes

@@ -23,12 +23,12 @@ from facetrack_cli.trajectory.trajectory import (
     Collector,
     Trajectory,
     build,
-    by_frame,
     joined,
     one_part,
     recorded,
     successive,
 )
+from facetrack_cli.trajectory.writers import by_frame
 from tests.support import results
 from tests.support.results import rows_of
 from tests.support.trajectories import known, trajectories

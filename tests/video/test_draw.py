@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,13 +12,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from facetrack_cli.core.face_points import GROUPS, LINES, POINTS
 from facetrack_cli.core.numbers import clock
 from facetrack_cli.core.types import Frame, Image
-from facetrack_cli.trajectory.trajectory import FrameResult, Status, TargetResult
+from facetrack_cli.trajectory.trajectory import FrameResult, Status, TargetResult, recorded
 from facetrack_cli.video.overlay.marks import PALETTE, Font, Sprite, plain, readable, stamp
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.overlay.status_bar import StatusBar, summary
 from tests.support import results
+from tests.support.face_shape import SHAPE, moving_face
 from tests.support.results import target
 
 Part = dict[str, Any]  # as tests.support.results has it
@@ -566,6 +570,40 @@ def test_dots_of_a_small_face_leave_the_mouth_to_be_seen() -> None:
         return float((mouth != 128).any(axis=2).mean())
 
     assert covered(40.0, 320) < 0.6 and covered(64.0, 320) < 0.4 and covered(200.0, 1280) < 0.4
+
+
+def of_face(size: tuple[int, int], names: Sequence[str], lost: Sequence[str] = ()) -> Image:
+    """A face of these points, each 0.3 of the height between its eyes, as it is drawn on grey."""
+    table = moving_face(1, unit=0.3 * size[1], place=(size[0] / 2, 0.35 * size[1]), names=names)
+    status = np.array(["lost" if part in lost else "tracked" for _, part in table.names])
+    frame = Frame(0, 0.0, np.full((size[1], size[0], 3), 128, np.uint8))
+    return Overlay(size).draw(FrameResult(frame, recorded(0, replace(table, status=status))))
+
+
+def test_lips_are_a_thin_closed_line_and_grey_beside_what_is_lost() -> None:
+    mouth = ("mouth_left", "mouth_right", "lip_upper", "lip_lower")
+    size = (320, 240)
+    drawn, gone = of_face(size, mouth), of_face(size, mouth, lost=("lip_upper",))
+    for k, (a, b) in enumerate(zip(("mouth_left", "lip_upper", "mouth_right", "lip_lower"), LINES[0][1:], strict=True)):
+        (x, y), (u, v) = SHAPE[a], SHAPE[b]
+        at = round(160 + 72 * (x + u) / 2), round(84 + 72 * (y + v) / 2)
+        spot, other = (around(image, *at, 1).reshape(-1, 3).astype(int) for image in (drawn, gone))
+        assert np.ptp(spot, axis=1).max() > 60, "in colour"
+        assert (np.ptp(other, axis=1).max() < 30) == (k < 2), "grey, of the two lines that end in what is lost"
+    inside = drawn[round(84 + 72 * 1.1) : round(84 + 72 * 1.15), 150:158]
+    assert (inside == 128).all(), "the mouth is seen"
+    assert not around(touched(of_face(size, mouth[1:])), 145, 159, 3).any(), "no line to a part that is not there"
+
+
+def test_many_points_have_lines_and_at_most_tiny_dots() -> None:
+    few, many = (touched(of_face((640, 480), names)) for names in (("nose", *GROUPS["mouth"]), POINTS))
+    assert many[100:400, 200:440].mean() < 0.06
+    for name in ("eye_left_upper", "brow_right_middle", "chin"):
+        x, y = 320 + 144 * SHAPE[name][0], 168 + 144 * SHAPE[name][1]
+        assert around(many, x, y, 1).any() and not around(few, x, y, 1).any()
+        assert around(many, x, y, 6).mean() < 0.35
+    nose = around(many, 320, 168 + 144 * 0.55, 4)
+    assert 1 <= nose.sum() <= 16
 
 
 AROUND = {"mouth_left": (-1, 0), "mouth_right": (1, 0), "lip_upper": (0, -0.4), "lip_lower": (0, 0.4)}

@@ -23,6 +23,7 @@ ENDINGS = {
     "csv-wide": "wide.csv",
     "parquet": "parquet",
     "pose": "pose.csv",
+    "measures": "measures.csv",
     "openface": "openface.csv",
     "mot": "mot.txt",
     "otb": "otb.txt",
@@ -51,6 +52,7 @@ class Export:
       csv-wide  CSV with one row a frame, for spreadsheets
       parquet   the rows of trajectory.csv, with types; needs pyarrow
       pose      CSV of the head's pitch, yaw and roll, with their spread
+      measures  CSV of mouth opening, smile, brows, lids, pose, and their spread
       openface  OpenFace's CSV: confidence, success, pose, landmarks
       mot       MOTChallenge results: frame, id, box, confidence; all from 1
       otb       OTB boxes, one a line, pixels from 1; one target
@@ -58,7 +60,7 @@ class Export:
       vot       VOT result, one region a line, pixels from 0; one target
       coco      COCO keypoints JSON: boxes and points of every frame
       dlc       DeepLabCut CSV: x, y, likelihood of every point
-      eaf       ELAN annotations: what was lost, how the head moved
+      eaf       ELAN annotations: what was lost, what head and face did
       cvat      CVAT for video 1.1: a track for each part, to correct there
       labelstudio  Label Studio's video rectangles, to correct there
 
@@ -72,9 +74,9 @@ class Export:
     cvat and labelstudio go to the annotation tool, and what is corrected there comes back by facetrack fix --import.
     A lost row is occluded in cvat, and not enabled in labelstudio; with --drop-lost it is outside in cvat, too.
 
-    eaf has tiers for lost parts, motion to the left, right, up and down, tilt, size, nods and shakes: as seen in the
-    image plane. It needs the video; coco and openface's pose_T the size of the frames: both stand in a trajectory.json,
-    else give --media.
+    eaf has tiers for lost parts, motion to the left, right, up and down, tilt, size, nods and shakes, as seen in the
+    image plane; for open mouths, blinks and nods of the pose. It needs the video; coco and openface's pose_T the size
+    of the frames: both stand in a trajectory.json, else give --media.
 
     \b
     Examples:
@@ -147,8 +149,8 @@ class Export:
             raise InputError("no row has a place, x and y; there is nothing to export")
         if self.to in ("csv-wide", "parquet"):
             return tables.write_wide(table) if self.to == "csv-wide" else tables.write_parquet(table)
-        if self.to == "pose":
-            return tables.write_pose(table)
+        if self.to in ("pose", "measures"):
+            return tables.write_pose(table) if self.to == "pose" else tables.write_measures(table)
         if self.to == "openface":
             return openface.write_openface(table, self._size(table))
         if self.to == "cvat":

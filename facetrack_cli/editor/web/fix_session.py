@@ -22,7 +22,8 @@ from facetrack_cli.tracking.corrected import spoken
 from facetrack_cli.tracking.start import PARTS
 from facetrack_cli.trajectory.diagnostics import outlines
 from facetrack_cli.trajectory.header import FrameNumber
-from facetrack_cli.trajectory.trajectory import Trajectory, by_frame
+from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.writers import by_frame
 from facetrack_cli.video.seek import Frames
 
 MOST_ROWS: Final = 600

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
 from pathlib import PurePath
@@ -20,6 +20,7 @@ from facetrack_cli.report.figures.diagnostics import adaptation, known, panels
 from facetrack_cli.report.figures.lines import MANY, Line, Panel, Pen, columns_for, lines_of, quantiles, stacked
 from facetrack_cli.report.figures.style import Axes, Figure
 from facetrack_cli.trajectory.header import said
+from facetrack_cli.trajectory.measures import MEASURES, Measured
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 BINS = 1000  # about the pixels across a panel
@@ -208,6 +209,11 @@ class _Page:
         if known(spread(table)):
             notes = [bands, "standard deviation of the particles, both axes together"]
             yield Panel("spread (px)", notes, 0.95, partial(self._positive, of=spread))
+        for name, unit, formula, _, of in MEASURES:
+            if found := {target: one[name] for target, one in table.measures.items() if name in one}:
+                title = f"{name.replace('_', ' ') if of else f'pose: {name}'} ({unit})"
+                notes = ["band: a standard deviation to either side", formula]
+                yield Panel(title, notes, 0.7, partial(self._measure, found=found))
         yield from panels(table, lines, self.pen)
         if any(known(wrong) for _, _, wrong in self.paired):
             notes = [bands, self._shaded("hidden in the ground truth" if "hidden" in self.truth else "")]
@@ -240,6 +246,15 @@ class _Page:
         self._positive(axes, _confidence, _UNIT if usual else None)
         if usual:
             axes.set_yticks([0, 0.5, 1])
+
+    def _measure(self, axes: Axes, found: Mapping[str, Measured]) -> None:
+        axes.locator_params(axis="y", nbins=3)
+        for target, colour in {
+            line.ours.target: line.group for line in self.lines if line.ours.target in found
+        }.items():
+            one = found[target]
+            self.pen.band(axes, one.frame, one.value - one.std, one.value + one.std, colour, 0.2)
+            self.pen.line(axes, one.frame, one.value, color=colour, linewidth=1.2)
 
     def _particles(self, axes: Axes) -> None:
         from matplotlib.ticker import LogLocator

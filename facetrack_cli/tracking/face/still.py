@@ -8,13 +8,14 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 
+from facetrack_cli.core.face_points import EYE_DISTANCE
 from facetrack_cli.core.types import Array, Frame
 
 SIDE: Final = 160  # sides of the still face, in pixels
 FACE: Final = 112.0  # sides of the face's box in it
 MIDDLE: Final = (SIDE - 1) / 2
 BOX: Final = (MIDDLE - (FACE - 1) / 2, MIDDLE - (FACE - 1) / 2, FACE, FACE)
-EYES: Final = 0.363 * FACE  # the distance between the eyes, in the box of a frontal cascade
+EYES: Final = EYE_DISTANCE * FACE
 EYE_LINE: Final = MIDDLE - 0.112 * FACE  # the row of the eyes
 
 

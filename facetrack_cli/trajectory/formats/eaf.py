@@ -19,7 +19,9 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX
+from facetrack_cli.trajectory.face_events import events_of
 from facetrack_cli.trajectory.formats.head_motion import head_motion, kinds_of
+from facetrack_cli.trajectory.measures import measures_of
 from facetrack_cli.trajectory.trajectory import Trajectory, aligned
 
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
@@ -42,6 +44,9 @@ VOCABULARIES = {
     "size": {"approach": "grows in the image", "recede": "shrinks in the image"},
     "nods": {"nod": "swings up and down, three times or more", "shake": "swings left and right, three times or more"},
     "still": {"still": "none of the motions of the other tiers for a second or more"},
+    "mouth": {"open": "the mouth is open"},
+    "blinks": {"blink": "the eyes are shut, for half a second at most"},
+    "dips": {"nod": "the head goes down and back, by its pitch"},
 }
 FRAME_S = 0.04  # how long a single frame lasts where nothing tells
 
@@ -104,6 +109,9 @@ def _tiers(target: str, parts: Sequence[Trajectory]) -> Iterator[tuple[str, str,
     moved = head_motion(parts)
     for kind in kinds_of(parts):
         yield kind, name, [(span.first, span.last, span.label) for span in moved if span.kind == kind]
+    for kind, events in events_of(name, measures_of(parts)).items():
+        (label,) = VOCABULARIES[kind]
+        yield kind, name, [(first, last, label) for first, last in sorted({(e.first, e.last) for e in events})]
 
 
 def _times(table: Trajectory) -> list[dict[int, int]]:

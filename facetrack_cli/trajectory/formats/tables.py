@@ -7,23 +7,28 @@ import csv
 import io
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.core.types import BOX
+from facetrack_cli.core.face_points import POINTS
+from facetrack_cli.core.types import BOX, Whole
 from facetrack_cli.trajectory.head_pose import SHAPE, head_pose
+from facetrack_cli.trajectory.measures import MEASURES, Measured
 from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, Trajectory, aligned
 
 WIDE = ("x", "y", "w", "h", "confidence", "status")
 WHOLE = ("frame", "particles")
+STD = ("", "_std")
 POSE = ("frame", "time_s", "target", "pitch", "yaw", "roll", "std_pitch", "std_yaw", "std_roll", "ambiguous")
 
 
 def write_wide(table: Trajectory) -> str:
-    """A CSV with one row a frame: frame, time_s, and of each part `target_part_x`, y, w, h, confidence, status.
+    """A CSV with one row a frame: frame, time_s, of each part `target_part_x`, y, w, h, confidence, status, and of each
+    measure (measures.py) `target_mouth_opening`, `target_mouth_opening_std`, ...
 
     Of a part `box` the name is the target's alone. Frames are those that have a row. The text begins with a byte order
     mark only where a name is not ASCII: spreadsheets need it then. A name that they would take for a formula is put
@@ -36,6 +41,9 @@ def write_wide(table: Trajectory) -> str:
     for at, (name, values) in enumerate(columns.items(), 2):
         cells[:, at :: len(WIDE)] = values if name == "status" else texts(values, DECIMALS[name])
     names = [f"{_called(*pair)}_{column}" for pair in table.names for column in WIDE]
+    for target, found in table.measures.items():
+        cells = np.hstack([cells, _measured(found, [*found], frames)])
+        names += [f"{_called(target, name)}{end}" for name in found for end in STD]
     text = csv_text(["frame", "time_s", *names], cells.tolist())
     return text if "".join(names).isascii() else "\ufeff" + text
 
@@ -45,18 +53,37 @@ def write_pose(table: Trajectory) -> str:
 
     InputError if no target has enough points for a pose.
     """
-    found: list[tuple[int, int, list[Any]]] = []
-    for n, name in enumerate(table.targets):
-        parts = table.of_target(name)
-        if (pose := head_pose(parts)) is None:
-            continue
-        times = dict(zip(table.frames.tolist(), texts(table.times, 4).tolist(), strict=True))
-        angles, ambiguous = texts(np.concatenate([pose.angles, pose.std], axis=1), 2), pose.ambiguous.astype(int)
-        for frame, row, more in zip(pose.frame.tolist(), angles.tolist(), ambiguous.tolist(), strict=True):
-            found.append((frame, n, [frame, times[frame], name, *row, more if row[0] else ""]))
-    if not found:
+    rows: list[list[Any]] = []
+    times = dict(zip(table.frames.tolist(), texts(table.times, 4).tolist(), strict=True))
+    for name in table.targets:
+        if (pose := head_pose(table.of_target(name))) is not None:
+            angles = texts(np.hstack([pose.angles, pose.std]), 2).tolist()
+            told = zip(pose.frame.tolist(), angles, pose.ambiguous.astype(int).tolist(), strict=True)
+            rows += ([frame, times[frame], name, *row, more if row[0] else ""] for frame, row, more in told)
+    if not rows:
         raise InputError(f"a pose needs four parts that are not in a plane, among {', '.join(SHAPE)}")
-    return csv_text(POSE, [row for *_, row in sorted(found, key=lambda one: one[:2])])
+    return csv_text(POSE, sorted(rows, key=itemgetter(0)))
+
+
+def write_measures(table: Trajectory) -> str:
+    """A CSV with a row for each frame and target: the MEASURES that any target has, and the spread `_std` of each."""
+    has = {target: found for target, found in table.measures.items() if found}
+    names = [one.name for one in MEASURES if any(one.name in found for found in has.values())]
+    if not names:
+        raise InputError(f"a measure needs parts of a face, among {', '.join(POINTS)}, and its box or its eyes")
+    each = [_measured(found, names, table.frames).tolist() for found in has.values()]
+    rows = zip(table.frames.tolist(), texts(table.times, DECIMALS["time_s"]).tolist(), *each, strict=True)
+    lines = ([frame, time, target, *of] for frame, time, *cells in rows for target, of in zip(has, cells, strict=True))
+    return csv_text(["frame", "time_s", "target", *(name + end for name in names for end in STD)], lines)
+
+
+def _measured(found: Mapping[str, Measured], names: Sequence[str], frames: Whole) -> Any:
+    """(T, 2 N) texts of N measures and their spreads in T frames, "" of what is not known."""
+    values = np.full((len(names), 2, len(frames)), np.nan)
+    for k, name in enumerate(names):
+        if name in found:
+            values[k][:, np.searchsorted(frames, found[name].frame)] = found[name].value, found[name].std
+    return texts(values.reshape(-1, len(frames)).T, 4)
 
 
 def write_parquet(table: Trajectory) -> bytes:

@@ -193,7 +193,7 @@ class Labels:
         middle = shape.centres.mean(axis=0).tolist()
         columns = (shape.parts, shape.bounds.tolist(), shape.centres.tolist(), shape.lost.tolist(), shape.colours)
         for part, bound, centre, lost, colour in zip(*columns, strict=True):
-            small = min(bound[2] - bound[0], bound[3] - bound[1]) < 2.4 * self._font.cap
+            small = shape.is_face or min(bound[2] - bound[0], bound[3] - bound[1]) < 2.4 * self._font.cap
             if small or part in (shape.target, BOX):  # the latter say nothing more
                 continue
             sprite = self._font.sprite(readable(part), LOST if lost else colour, self._line)

@@ -1,19 +1,21 @@
 """A tracker's result drawn over its frame: windows, trails, spread of the particles, status.
 
 A target has a colour of its own, of a single one each part (as in the plots); what is lost is vermilion, its window
-dashed. Absent parts are not drawn. Of a face, points in a box, there are a frame and small dots alone, so that the
-mouth stays visible; what is lost of it is grey.
+dashed. Absent parts are not drawn. Of a face, points in a box, there are a frame, thin lines and small dots alone, so
+that the mouth stays visible; what is lost of it is grey.
 """
 
 import math
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator, Sequence
+from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
+from facetrack_cli.core.face_points import LINES
 from facetrack_cli.core.types import BOX, Array, Image, Mask
 from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
 from facetrack_cli.video.overlay import marks
@@ -25,6 +27,7 @@ _FADES = 4  # steps of opacity along a trail
 _SAMPLES = 32  # of the past, at most, for a trail
 _DOTS = 150  # particles shown a part, at most
 _ROOM, _SMALL = 9, 18  # least side of windows with dots, and with large marks, in line widths
+_FEW = 6  # parts of a face that have dots; of more, those that no line joins have tiny ones
 _FACE_DOT = 0.012  # radius of a point's dot, in sizes of its face
 _RIM = 0.7  # opacity of the dark rim around all lines
 _CIRCLE = np.stack([f(np.linspace(0, 2 * np.pi, 33)[:-1]) for f in (np.cos, np.sin)], axis=1)  # (32, 2)
@@ -88,8 +91,7 @@ class Overlay:
         for shape in shapes:
             trail = self._remember(shape, frame.time_s)
             if shape.parts:
-                if not shape.is_face:
-                    self._cloud(image, shape)
+                (self._features if shape.is_face else self._cloud)(image, shape)
                 self._lines(image, shape, trail[-1:] if shape.is_face else trail)
         names = {shape.target for shape in shapes}
         self._past = {name: past for name, past in self._past.items() if name in names}
@@ -166,6 +168,17 @@ class Overlay:
         part = np.broadcast_to(np.arange(len(lost))[:, None, None], inside.shape)
         spots, flat = (y * width + x)[inside], image.reshape(-1, 3)
         flat[spots] = (flat[spots] * np.uint16(156) + tints[part[inside]]) >> np.uint16(8)
+
+    def _features(self, image: Image, shape: Shape) -> None:
+        """Thin lines between points of a face, and tiny dots, without a rim, which would hide it; grey where lost."""
+        place = {part: k for k, part in enumerate(shape.parts)}
+        for path in ([place[part] for part in path] for path in LINES if place.keys() >= {*path}):
+            for both in map(list, pairwise(path)):
+                colour = GREY if shape.lost[both].any() else shape.colours[path[0]]
+                marks.polylines(image, [marks.fixed(shape.centres[both])], colour, max(1, self._line - 1))
+        for part in place.keys() - {BOX, *chain(*LINES)} if len(place) > _FEW else ():
+            colour = GREY if shape.lost[place[part]] else shape.colour
+            marks.mark(image, shape.centres[place[part]].tolist(), "tracked", colour, 0.5 * self._line, 1, False)
 
     def _lines(self, image: Image, shape: Shape, trail: list[_Past]) -> None:
         """Trails, ellipses, windows and marks with a dark rim around them, blended at once and only where they are."""
@@ -246,7 +259,7 @@ class Overlay:
         side = shape.side
         if shape.is_face:  # so small that the mouth between them is seen
             face = float(shape.side[shape.parts.index(BOX)])
-            dot = min(1.5 * self._line, max(_FACE_DOT * face, 0.6))
+            dot = min(1.5 * self._line, max(_FACE_DOT * face, 0.6)) if len(shape.parts) <= _FEW else 0.0
             return [0.0 if part == BOX else dot for part in shape.parts]
         share = np.where(shape.lost & (side >= _SMALL * self._line), 0.3, 0.2)
         large = np.maximum(2 * self._line, share * np.minimum(side, 40 * self._line))
