@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -23,6 +24,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from facetrack_cli.core.face_points import MESH, POINTS
 from facetrack_cli.core.shipped import shipped_folder
 from facetrack_cli.core.types import Array, Image
 from facetrack_cli.tracking.face import descent
@@ -33,8 +35,10 @@ from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.video.source import open_source
 
 PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
-MIRRORED = [0, 2, 1, 3, 4]
-IN_MESH = [1, 61, 291, 0, 17]
+OTHERS = tuple(point for point in POINTS if point not in PARTS)
+NAMES = (*PARTS, *OTHERS)
+MIRRORED = [NAMES.index(re.sub("left|right", lambda side: "right" if side[0] == "left" else "left", one)) for one in NAMES]
+IN_MESH = [MESH[name] for name in NAMES]
 CORNERS_OF_EYES = [33, 133, 362, 263]
 CROPS = ((3.8, 0.75), (3.2, 0.55), (4.2, 0.75), (3.8, 0.95))
 FRAMES, SAMPLES, STARTS = 120, 300, 2  # of a clip; of each; from which a sample begins
@@ -46,13 +50,14 @@ BEGINS = 0.05  # standard deviation of the mean shape where a sample begins, dis
 SCALES = (1.6, 1.2, 1.0, 0.8)
 RIDGE = (1.5, 0.4, 0.2, 0.15)  # in mean squares of a channel
 ODDS_RIDGE = 0.3
+JITTER = 0.03  # distances between the eyes, by which a network may be off
 VIDEOS = {".mp4", ".webm", ".mpg", ".mkv", ".avi"}
 AGREED = 0.1  # of crops: greatest standard deviation of a part, distances between the eyes
 PAD = 24  # pixels around the part that is read, so that a sample can be moved
 
 
 class Clip(NamedTuple):
-    """Pictures (T, SIDE + 2 PAD, ..., 3) of upright faces and the parts (T, K, 2) in them.
+    """Pictures (T, SIDE + 2 PAD, ..., 3) of upright faces and the points (T, 28, 2) in them, the K parts first.
 
     `apart`: median distance between the eyes in the clip, pixels.
     """
@@ -108,7 +113,7 @@ def load(path: Path, mesh: Mesh) -> Clip | None:
             if known:
                 if len(known.get(frame.index, {})) < len(PARTS):
                     continue
-                parts = np.array([known[frame.index][part] for part in PARTS])
+                parts[: len(PARTS)] = [known[frame.index][part] for part in PARTS]
             corner = np.array([descent.LEFT, descent.TOP], float) - PAD
             middle = corner + (SIDE + 2 * PAD - 1) / 2
             crop = head._replace(centre=head.to_frame(middle)).read(frame, SIDE + 2 * PAD)
@@ -208,9 +213,9 @@ def shape(rng: np.random.Generator, points: Array) -> Array:
 
 
 def train(clips: Sequence[Clip], seed: int = 0) -> Descent:
-    rng = np.random.default_rng(seed)
+    rng, k = np.random.default_rng(seed), len(PARTS)
     drawn = [sample(rng, clip) for clip in clips for _ in range(SAMPLES)]
-    seen, points = [channels(one.picture) for one in drawn], np.array([one.points for one in drawn])
+    seen, points = [channels(one.picture) for one in drawn], np.array([one.points[:k] for one in drawn])
     which = np.repeat(np.arange(len(seen)), STARTS)
     mean = points.mean(axis=0)
     x = mean + rng.normal(0, BEGINS * EYES, (len(which), 1, 2))
@@ -220,13 +225,19 @@ def train(clips: Sequence[Clip], seed: int = 0) -> Descent:
         stages.append(solved(phi, (points[which] - x).reshape(len(which), -1), ridge))
         x = x + (phi @ stages[-1]).reshape(x.shape)
     std = np.sqrt(((x - points[which]) ** 2).sum(axis=2).mean(axis=0) / 2)
-    blind = np.zeros((phi.shape[1], len(PARTS)), np.float32)
-    model = Descent(PARTS, mean, np.array(stages, np.float32), np.array(SCALES), std, blind)
+    blind = np.zeros((phi.shape[1], k), np.float32)
+    model = Descent(PARTS, mean, np.array(stages, np.float32), np.array(SCALES), std, blind, OTHERS, blind)
     drawn = [sample(rng, clip, clips, COVERED) for clip in clips for _ in range(SAMPLES // 2)]
-    seen = [channels(one.picture) for one in drawn]
+    seen, visible = [channels(one.picture) for one in drawn], np.array([1 - 2 * one.covered for one in drawn])
     phi = np.stack([read(one, model.descended(one), descent.ODDS_SCALE) for one in seen])
-    odds = solved(phi, np.array([1 - 2 * one.covered for one in drawn]), ODDS_RIDGE)
-    return model._replace(odds=np.asarray(odds, np.float32))
+    odds = solved(phi, visible[:, :k], ODDS_RIDGE)
+    jitter = rng.normal(0, JITTER * EYES, (len(drawn), len(OTHERS), 2))
+    around = [one.points[k:] + off for one, off in zip(drawn, jitter, strict=True)]
+    phi = np.stack([read(one, at, descent.ODDS_SCALE) for one, at in zip(seen, around, strict=True)])
+    each = phi[:, :-1].reshape(len(drawn), len(OTHERS), -1)
+    ones = np.ones((len(drawn), 1), np.float32)
+    local = [solved(np.hstack([each[:, j], ones]), visible[:, k + j], ODDS_RIDGE / 10) for j in range(len(OTHERS))]
+    return model._replace(odds=np.asarray(odds, np.float32), local=np.asarray(local, np.float32).T)
 
 
 def solved(phi: Array, wanted: Array, ridge: float) -> Array:
@@ -252,21 +263,22 @@ def errors(model: Descent, clip: Clip, others: Sequence[Clip]) -> Errors:
         one = sample(rng, clip, others, share)
         still = np.zeros((160, 160, 3), np.uint8)
         still[corner[1] : corner[1] + SIDE, corner[0] : corner[0] + SIDE] = one.picture
-        placed = model.fit(still)
+        placed, others = model.fit(still), one.points[len(PARTS) :] + corner
         if not share:
-            off.append(placed.at - corner - one.points)
-        scores.append(placed.odds)
+            off.append(placed.at - corner - one.points[: len(PARTS)])
+        scores.append(np.append(placed.odds, model.visible(descent.seen_in(still), others)))
         covers.append(one.covered)
     return Errors(np.sqrt(np.var(off, axis=0).mean(axis=1)), np.array(scores), np.array(covers))
 
 
 def calibrated(model: Descent, found: Sequence[Errors]) -> Descent:
     """The model with the errors of clips left out, and scores as logarithms of the likelihood ratio (Platt 1999)."""
-    odds = model.odds.copy()
+    k, odds, local = len(PARTS), model.odds.copy(), model.local.copy()
     scores, covers = (np.concatenate([getattr(one, key) for one in found]) for key in ("scores", "covered"))
-    for k in range(odds.shape[1]):
-        known = (covers[:, k] > HIDDEN) | (covers[:, k] < HIDDEN / 2)
-        s, visible = scores[known, k], covers[known, k] < HIDDEN / 2
+    for j in range(len(NAMES)):
+        matrix, column = (odds, j) if j < k else (local, j - k)
+        known = (covers[:, j] > HIDDEN) | (covers[:, j] < HIDDEN / 2)
+        s, visible = scores[known, j], covers[known, j] < HIDDEN / 2
         weight = np.where(visible, 0.5 / visible.mean(), 0.5 / (1 - visible.mean()))
         a, b = 1.0, 0.0
         for _ in range(50):  # Newton's method
@@ -274,9 +286,16 @@ def calibrated(model: Descent, found: Sequence[Errors]) -> Descent:
             phi = np.stack([s, np.ones_like(s)], axis=1)
             step = np.linalg.solve((phi.T * (weight * p * (1 - p))) @ phi, phi.T @ (weight * (visible - p)))
             a, b = a + step[0], b + step[1]
-        odds[:, k] *= a
-        odds[-1, k] += b
-    return model._replace(std=np.median([one.std for one in found], axis=0), odds=odds)
+        matrix[:, column] *= a
+        matrix[-1, column] += b
+        if SHOW_AUC: print(NAMES[j], 'auc', auc(s, visible), 'n', len(s), (~visible).sum())
+    return model._replace(std=np.median([one.std for one in found], axis=0), odds=odds, local=local)
+
+
+SHOW_AUC = True
+def auc(s, y):
+    r = np.empty(len(s)); r[np.argsort(s)] = np.arange(len(s)); n1 = y.sum()
+    return round((r[y].sum() - n1 * (n1 - 1) / 2) / (n1 * (len(y) - n1)), 3)
 
 
 def clips_in(folder: Path) -> Iterator[Path]:

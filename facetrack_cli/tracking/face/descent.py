@@ -9,7 +9,8 @@ where phi_k are image channels read on a grid around each part, and a 1. The cha
 8 directions, log(grey), redness log((red + 8) / (green + 8)) and its slope down the face, each relative to its
 surroundings. The matrices R_k are ridge regressions, trained on real faces by `tools/mouth_descent.py`. One more matrix
 gives, from the channels around the last x, the logarithm of the likelihood ratio of each part being visible or covered;
-it is trained on faces that boards, discs and fingers cover.
+it is trained on faces that boards, discs and fingers cover. For other points of the face, which a network places, the
+same is told by the channels around each.
 
 Unlike windows it has no memory: its errors do not grow, and a mouth may open in a frame. It is less exact, and off by
 about the same vector for a person.
@@ -51,7 +52,7 @@ class Descent(NamedTuple):
     """`mean` (K, 2): the mean shape in the part of the still face that is read; `stages` (S, F + 1, 2 K): R_k.
 
     `scales` (S,): of the grid in each stage; `std` (K,): of the errors on people that were left out, pixels; `odds`
-    (F + 1, K): of visible parts.
+    (F + 1, K): of visible parts; `local` (F / K + 1, J): of the points `others`.
     """
 
     parts: tuple[str, ...]
@@ -60,10 +61,12 @@ class Descent(NamedTuple):
     scales: Array
     std: Array
     odds: NDArray[np.float32]
+    others: tuple[str, ...]
+    local: NDArray[np.float32]
 
     def fit(self, still: Image) -> Placed:
         """The parts in a still face."""
-        seen = channels(still[TOP : TOP + SIDE, LEFT : LEFT + SIDE])
+        seen = seen_in(still)
         x = self.descended(seen)
         return Placed(x + (LEFT, TOP), read(seen, x, ODDS_SCALE) @ self.odds)
 
@@ -74,11 +77,16 @@ class Descent(NamedTuple):
             x = x + (read(seen, x, scale) @ matrix).reshape(x.shape)
         return x
 
+    def visible(self, seen: NDArray[np.float32], others: Array) -> Array:
+        """The log odds (J,) that the `others` are visible, which are at (J, 2) in the still face with those channels."""
+        phi = read(seen, others - (LEFT, TOP), ODDS_SCALE)[:-1].reshape(len(others), -1)
+        return np.asarray(np.einsum("jf,fj->j", phi, self.local[:-1]) + self.local[-1])
+
     def save(self, path: Path) -> None:
         """Raises OutputError."""
         numbers: dict[str, Array] = {name: np.asarray(getattr(self, name), "<f8") for name in ("mean", "scales", "std")}
-        numbers |= {name: getattr(self, name).astype("<f2") for name in ("stages", "odds")}
-        KIND.write(path, {"parts": np.array(self.parts), **numbers})
+        numbers |= {name: getattr(self, name).astype("<f2") for name in ("stages", "odds", "local")}
+        KIND.write(path, {"parts": np.array(self.parts), "others": np.array(self.others), **numbers})
 
 
 @lru_cache(maxsize=8)
@@ -90,12 +98,17 @@ def load_descent(path: Path | None = None) -> Descent:
 def _made(stored: Stored) -> Descent:
     parts, stages = stored.texts("parts"), stored.reals("stages", 3).astype(np.float32)
     mean, scales, std = stored.reals("mean", 2), stored.reals("scales", 1), stored.reals("std", 1)
-    odds, k = stored.reals("odds", 2).astype(np.float32), len(parts)
-    width = k * GRID**2 * (DIRECTIONS + 3) + 1
-    shapes = [one.shape for one in (stages, mean, std, odds)]
-    if shapes != [(len(scales), width, 2 * k), (k, 2), (k,), (width, k)]:
+    odds, local = (stored.reals(name, 2).astype(np.float32) for name in ("odds", "local"))
+    others, k, width = stored.texts("others"), len(parts), GRID**2 * (DIRECTIONS + 3)
+    shapes = [one.shape for one in (stages, mean, std, odds, local)]
+    if shapes != [(len(scales), k * width + 1, 2 * k), (k, 2), (k,), (k * width + 1, k), (width + 1, len(others))]:
         raise ValueError(f"arrays of {shapes} do not fit {k} parts")
-    return Descent(parts, mean, stages, scales, std, odds)
+    return Descent(parts, mean, stages, scales, std, odds, others, local)
+
+
+def seen_in(still: Image) -> NDArray[np.float32]:
+    """The channels of the part of a still face that is read."""
+    return channels(still[TOP : TOP + SIDE, LEFT : LEFT + SIDE])
 
 
 def read(seen: NDArray[np.float32], x: Array, scale: float) -> NDArray[np.float32]:
