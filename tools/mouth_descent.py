@@ -257,16 +257,16 @@ class Errors(NamedTuple):
 
 def errors(model: Descent, clip: Clip, others: Sequence[Clip]) -> Errors:
     """What a model that has not seen the clip makes of it."""
-    rng, corner = np.random.default_rng(1), np.array([descent.LEFT, descent.TOP])
+    rng, corner = np.random.default_rng(1), descent.CORNER.astype(int)
     off, scores, covers = [], [], []
     for share in (0.0,) * 50 + (1.0,) * 50:
         one = sample(rng, clip, others, share)
         still = np.zeros((160, 160, 3), np.uint8)
         still[corner[1] : corner[1] + SIDE, corner[0] : corner[0] + SIDE] = one.picture
-        placed, others = model.fit(still), one.points[len(PARTS) :] + corner
+        placed, around = model.fit(still), one.points[len(PARTS) :] + corner
         if not share:
             off.append(placed.at - corner - one.points[: len(PARTS)])
-        scores.append(np.append(placed.odds, model.visible(descent.seen_in(still), others)))
+        scores.append(np.append(placed.odds, model.others_visible(descent.seen_in(still), around)))
         covers.append(one.covered)
     return Errors(np.sqrt(np.var(off, axis=0).mean(axis=1)), np.array(scores), np.array(covers))
 

@@ -16,6 +16,7 @@ Where a correction placed a target, its belief has no covariance, and nothing co
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -131,21 +132,25 @@ def _predicted(one: Chain, t: int, mean: Array, cov: Array) -> tuple[Array, Arra
     return ahead, matrix @ cov @ _turned(matrix) + one.motion.cov[t]
 
 
-def fitted(one: Chain) -> tuple[Chain, Array]:
+def fitted(one: Chain, *, freedom: float = math.inf) -> tuple[Chain, Array]:
     """The chain with the motion that the clip itself shows, and its noise over that of the recipe (K,).
 
     Of each part, the recipe's noise is multiplied by the factor that makes the beliefs most likely, by expectation and
     maximisation (Shumway & Stoffer, Journal of Time Series Analysis 1982). What a frame says is what its belief has
     beyond the recipe's prediction, N(z, R) with R^-1 = P^-1 - P'^-1; from that the beliefs follow by a Kalman filter
     with the other noise.
+
+    With degrees of `freedom` the noise is of Student's t: a part that rests is smoothed, and one that jumps is left as
+    it is. The t is a normal density whose variance differs from frame to frame, and that is a hidden variable, too
+    (Lange, Little & Taylor, Journal of the American Statistical Association 1989).
     """
     told = _observations(bridged(one))
     motion, inverse = one.motion, _inverse(one.motion.cov)
     rank = np.maximum(np.linalg.matrix_rank(motion.cov @ inverse, tol=1e-6), 1)
-    factor, counted = np.ones(one.mean.shape[1]), one.linked
+    factor, counted, wide = np.ones(one.mean.shape[1]), one.linked, np.ones(one.mean.shape[:2])
     now = one
     for _ in range(ROUNDS):
-        now = _filtered(one._replace(motion=motion._replace(cov=motion.cov * factor[:, None, None])), told)
+        now = _filtered(one._replace(motion=motion._replace(cov=motion.cov * (factor * wide)[..., None, None])), told)
         mean, cov, gains = _backward(now)
         matrix = motion.matrix[1:]
         off = mean[1:] - np.einsum("tkde,tke->tkd", matrix, mean[:-1]) - motion.offset[1:]
@@ -153,6 +158,9 @@ def fitted(one: Chain) -> tuple[Chain, Array]:
         squared = off[..., None] * off[..., None, :] + cov[1:] + matrix @ cov[:-1] @ _turned(matrix)
         squared -= cross + _turned(cross)
         each = np.einsum("tkde,tked->tk", inverse[1:], squared) / rank[1:]
+        if math.isfinite(freedom):
+            wide[1:] = (freedom + rank[1:] * each / factor) / (freedom + rank[1:])
+            each = each / wide[1:]
         total = np.sum(each, axis=0, where=counted[1:])
         found = total / np.maximum(counted[1:].sum(axis=0), 1)
         factor = np.where(counted[1:].any(axis=0), np.clip(found, 1e-6, 1e3), 1.0)

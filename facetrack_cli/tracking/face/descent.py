@@ -33,6 +33,7 @@ from facetrack_cli.core.types import Array, Image
 KIND = Kind("facetrack-descent", 1, "mouth descent", "python tools/mouth_descent.py")
 DEFAULT: Final = "mouth_descent.npz"
 LEFT, TOP, SIDE = 24, 46, 112  # of the still face, pixels: the part that is read
+CORNER: Final = np.array([LEFT, TOP], np.float64)
 DIRECTIONS, GRID = 8, 5
 ODDS_SCALE: Final = 1.6
 STEP: Final = 5.0  # pixels between the points of the grid, times the stage's scale
@@ -67,8 +68,8 @@ class Descent(NamedTuple):
     def fit(self, still: Image) -> Placed:
         """The parts in a still face."""
         seen = seen_in(still)
-        x = self.descended(seen)
-        return Placed(x + (LEFT, TOP), read(seen, x, ODDS_SCALE) @ self.odds)
+        at = self.descended(seen) + CORNER
+        return Placed(at, self.visible(seen, at))
 
     def descended(self, seen: NDArray[np.float32]) -> Array:
         """x after the last stage (K, 2), in the channels of the part of the still face that is read."""
@@ -77,9 +78,13 @@ class Descent(NamedTuple):
             x = x + (read(seen, x, scale) @ matrix).reshape(x.shape)
         return x
 
-    def visible(self, seen: NDArray[np.float32], others: Array) -> Array:
-        """The log odds (J,) that the `others` are visible, which are at (J, 2) in the still face with those channels."""
-        phi = read(seen, others - (LEFT, TOP), ODDS_SCALE)[:-1].reshape(len(others), -1)
+    def visible(self, seen: NDArray[np.float32], at: Array) -> Array:
+        """The log odds (K,) that the parts at (K, 2) are visible in the still face with those channels."""
+        return np.asarray(read(seen, at - CORNER, ODDS_SCALE) @ self.odds)
+
+    def others_visible(self, seen: NDArray[np.float32], at: Array) -> Array:
+        """As `visible`, of the points `others` at (J, 2)."""
+        phi = read(seen, at - CORNER, ODDS_SCALE)[:-1].reshape(len(at), -1)
         return np.asarray(np.einsum("jf,fj->j", phi, self.local[:-1]) + self.local[-1])
 
     def save(self, path: Path) -> None:

@@ -22,7 +22,10 @@ from facetrack_cli.core.types import Array, Frame
 from facetrack_cli.tracking.face.still import EYE_LINE, EYES, MIDDLE, Similarity
 
 COUNT: Final = 468
-NAMES: Final = {**{f"mesh_{i}": i for i in range(COUNT) if i not in MESH.values()}, **{part: MESH[part] for part in POINTS}}
+NAMES: Final = {
+    **{f"mesh_{i}": i for i in range(COUNT) if i not in MESH.values()},
+    **{part: MESH[part] for part in POINTS},
+}
 """Every point of the mesh by its name."""
 CROP: Final = 192  # pixels of a side of what the network sees
 # crops: side, and distance of the middle below the eyes, in distances between the eyes

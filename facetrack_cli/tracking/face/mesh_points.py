@@ -11,6 +11,7 @@ say, up to s. Whether a point is visible is a chain of two states, as in `window
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from facetrack_cli.tracking.models.motion import Linear
 from facetrack_cli.tracking.smoothing import Belief
 
 KEEP: Final = 0.5
+UNSEEN: Final = -1.0  # log odds where the network sees no face
 MEMORY: Final = 100.0  # frames over which s and r are learned, and four times that for the place at rest
 MOVES, TREMBLES = 0.05 * EYES, 0.015 * EYES  # s and r at first, pixels
 LEAST_MOVES, LEAST_TREMBLES, MOST_TREMBLES = 0.02 * EYES, 0.005 * EYES, 0.05 * EYES
@@ -47,7 +49,9 @@ class MeshPoints(NamedTuple):
     def begin(cls, z: Array) -> MeshPoints:
         """At the first measurement z (J, 2)."""
         ones = np.ones(len(z))
-        return cls(z, np.zeros_like(z), TREMBLES**2 * ones, MOVES**2 * ones, TREMBLES**2 * ones, ones, z, np.stack([z, z]))
+        return cls(
+            z, np.zeros_like(z), TREMBLES**2 * ones, MOVES**2 * ones, TREMBLES**2 * ones, ones, z, np.stack([z, z])
+        )
 
     @property
     def at(self) -> Array:
@@ -59,7 +63,12 @@ class MeshPoints(NamedTuple):
         """(J, 2, 2): how sure they are."""
         return (self.var + OFF**2)[:, None, None] * np.eye(2)
 
-    def after(self, z: Array | None, odds: Array) -> MeshPoints:
+    def mapped(self, to: Callable[[Array], Array]) -> MeshPoints:
+        """In another stabilized image, whose places are those of this one by a similarity."""
+        rest, moved = to(self.rest), to(self.moved)
+        return self._replace(rest=rest, moved=moved, off=to(self.at) - moved, before=to(self.before))
+
+    def after(self, z: Array | None, odds: Array | float) -> MeshPoints:
         """A frame later, with z (J, 2), None where the network sees no face, and the log odds (J,) of being visible."""
         v = visible_after(self.visible, np.clip(odds, *BY_TOLD))
         off, var = KEEP * self.off, KEEP**2 * self.var + (1 - KEEP**2) * self.moves
@@ -77,11 +86,11 @@ class MeshPoints(NamedTuple):
         rest = self.rest + (rate / 4)[:, None] * off
         return MeshPoints(rest, off, (1 - gain) * var, moves, trembles, v, moved, np.stack([self.before[1], z]))
 
-    def belief(self, doubt: Array) -> Belief:
+    def belief(self) -> Belief:
         """What is known after a frame, for the smoother."""
         eye = np.broadcast_to(np.eye(2), (len(self.rest), 2, 2))
         motion = Linear(KEEP * eye, (1 - KEEP) * self.moved, ((1 - KEEP**2) * self.moves)[:, None, None] * eye)
-        return Belief(self.at, self.cov, motion, doubt > 0)
+        return Belief(self.at, self.cov, motion, self.visible < 0.5)
 
 
 def led(rest: Array, z: Array, weight: Array) -> Array:

@@ -8,7 +8,7 @@ registered by the head: translation, scale and roll.
 
 In each frame a sensor places the points in the still face: a regression (`descent.py`), or a network where its file is
 there (`mesh.py`). Windows are exact and may be lost; the sensor is less exact and has no memory. The points' filter
-joins both (`sensors.py`, `models/motion.py`).
+joins both (`sensors.py`, `models/motion.py`). Further points of the network have no windows (`mesh_points.py`).
 
 A detector of faces measures the face's box every so many frames. Of a head that is lost, it is asked as often where in
 the frame faces are; the head's filter compares them with what the first frames showed, and what it recognises is where
@@ -21,17 +21,19 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.geometry import centre, corners
-from facetrack_cli.core.types import BOX, Array, Frame, TargetStart
+from facetrack_cli.core.types import BOX, Array, Frame, Mask, TargetStart
 from facetrack_cli.recipe.face import Head
 from facetrack_cli.tracking.calibration import Calibration
 from facetrack_cli.tracking.face import still
-from facetrack_cli.tracking.face.descent import Placed, load_descent
+from facetrack_cli.tracking.face.descent import CORNER, Placed, load_descent, seen_in
+from facetrack_cli.tracking.face.mesh import NAMES, Mesh
+from facetrack_cli.tracking.face.mesh_points import UNSEEN, MeshPoints
 from facetrack_cli.tracking.face.sensors import Facing, Sensor
 from facetrack_cli.tracking.face.still import EYES, FACE, Similarity
 from facetrack_cli.tracking.loop import Cover
@@ -57,6 +59,8 @@ _MOST: Final = np.array([math.radians(60), 0.7, 0.3, 0.3])
 class FaceState:
     """The states of head and points, the last `points` as rows of the still face; what is known of their sensor.
 
+    `others` are the points of the network, None before it has seen the face.
+
     `pose` (4,) is that of the face in its head: roll in radians, the logarithm of its size, and its middle in sizes of
     the head's box; `pose_var` (4,) are their variances. `frames` counts those since the start. `marks` (M, 2) are the
     detector's, of the start, where the roll is 0; None if it saw none there.
@@ -70,14 +74,22 @@ class FaceState:
     pose: Array
     pose_var: Array
     marks: Array | None
+    others: MeshPoints | None
     frames: int = 0
+
+
+class Sensed(NamedTuple):
+    """What sensors say of the points in the still face: those with windows, and the network's `others` (J, 2)."""
+
+    parts: Placed
+    others: Placed | None
 
 
 @dataclass(frozen=True)
 class FaceTarget:
     """`side`: of the box at the start, in pixels. `searched`: whether the detector itself has placed the points.
 
-    `detector` may be None; rows are those of the points, and of the box.
+    `detector` may be None; rows are those of the points, of the box, and of the `others`, which `mesh` places.
     """
 
     name: str
@@ -87,11 +99,13 @@ class FaceTarget:
     side: float
     detector: Detector | None
     searched: bool
+    mesh: Mesh | None = None
+    others: tuple[str, ...] = ()
     calibration: Calibration | None = None
 
     @property
     def parts(self) -> tuple[str, ...]:
-        return (*self.features.parts, BOX)
+        return (*self.features.parts, BOX, *self.others)
 
     @property
     def windows(self) -> Mapping[str, tuple[float, float]]:
@@ -104,12 +118,14 @@ class FaceTarget:
         similarity = self._map(head, np.zeros(4))
         seen = similarity.read(frame)
         features, points = self.features.begin(rng, seen)
-        sensor = Sensor.begin(self._sensed(seen).at, self.features.x0, self._std)
+        sensed = self._sensed(frame, similarity, seen)
+        sensor = Sensor.begin(sensed.parts.at, self.features.x0, self._std)
+        others = None if sensed.others is None else MeshPoints.begin(sensed.others.at)
         facing = Facing()
         if self.detector is not None and not self.searched and self.detector.measure(seen.bgr, still.BOX) is None:
             facing = facing.unseen()
         marks, rest = self._marks(head, np.zeros(4), frame), np.zeros(4)
-        state = FaceState(head, features, points._replace(beliefs=None), sensor, facing, rest, rest, marks)
+        state = FaceState(head, features, points._replace(beliefs=None), sensor, facing, rest, rest, marks, others)
         return state, self._result(state, box, frame)
 
     def restart(
@@ -136,9 +152,11 @@ class FaceTarget:
         moved = {part: tuple(similarity.to_still(place).tolist()) for part, place in placed.items()}
         seen, there = similarity.read(frame), TargetStart(points=moved)
         features, rows = self.features.restart(rng, seen, first.features, there, absent, anew)
-        sensor = Sensor.begin(self._sensed(seen).at, features.estimated.state, self._std)
+        sensed = self._sensed(frame, similarity, seen)
+        sensor = Sensor.begin(sensed.parts.at, features.estimated.state, self._std)
+        others = None if sensed.others is None else MeshPoints.begin(sensed.others.at)
         points = rows._replace(beliefs=None)
-        state = FaceState(head, features, points, sensor, Facing(), pose, np.zeros(4), first.marks)
+        state = FaceState(head, features, points, sensor, Facing(), pose, np.zeros(4), first.marks, others)
         return state, self._result(state, boxed, frame)
 
     def advance(
@@ -153,16 +171,21 @@ class FaceTarget:
         if _sure(head) < self.settings.lost_below:
             state = replace(state, head=head, frames=frames)
             return state, self._result(state, box, frame)
-        seen = self._map(head, state.pose).read(frame)
-        (z, odds), visible = self._sensed(seen), self._visible(state.features)
+        similarity = self._map(head, state.pose)
+        seen = similarity.read(frame)
+        ((z, odds), far), visible = self._sensed(frame, similarity, seen), self._visible(state.features)
         told = replace(state.features, learned=state.features.learned._replace(told=odds))
         features, points = self.features.advance(rng, told, seen, (), state.sensor.measured(z, visible))
         estimated = features.estimated
         sensor = state.sensor.learned(z, estimated.state, estimated.cov, self._visible(features))
         points = points._replace(beliefs=None)  # those are of the state
         facing = state.facing if self.detector is None else state.facing.predicted()
-        pose_var, marks = state.pose_var + _POSE**2, state.marks
-        state = FaceState(head, features, points, sensor, facing, state.pose, pose_var, marks, frames)
+        pose_var, others = state.pose_var + _POSE**2, state.others
+        if others is not None:
+            others = others.after(None, UNSEEN) if far is None else others.after(*far)
+        elif far is not None:
+            others = MeshPoints.begin(far.at)
+        state = FaceState(head, features, points, sensor, facing, state.pose, pose_var, state.marks, others, frames)
         if not due:
             return state, self._result(state, box, frame)
         after = self._measured(state, seen, frame)
@@ -175,13 +198,25 @@ class FaceTarget:
         """Standard deviation of the sensor's points, in pixels of the still face."""
         return float(load_descent().std.mean())
 
-    def _sensed(self, seen: Frame) -> Placed:
-        """Where the sensor sees the parts in the still face; nan, and 0, of those that it does not know."""
-        descent = load_descent()
-        at, odds = descent.fit(seen.bgr)
+    def _sensed(self, frame: Frame, similarity: Similarity, seen: Frame) -> Sensed:
+        """What sensors say of the points in the still face `seen`; nan, and 0, of parts that none of them knows."""
+        descent, channels = load_descent(), seen_in(seen.bgr)
+        at = descent.descended(channels) + CORNER
+        points = None if self.mesh is None else self.mesh.measure(frame, similarity)
+        if points is not None:
+            at = points[[NAMES[part] for part in descent.parts]]
+        odds = descent.visible(channels, at)
         index = [descent.parts.index(part) if part in descent.parts else -1 for part in self.features.parts]
         known = np.array(index) >= 0
-        return Placed(np.where(known[:, None], at[index], np.nan), np.where(known, odds[index], 0.0))
+        parts = Placed(np.where(known[:, None], at[index], np.nan), np.where(known, odds[index], 0.0))
+        if points is None:
+            return Sensed(parts, None)
+        # a point is as visible as the nearest of which something is known
+        around = points[[NAMES[part] for part in descent.others]]
+        told = np.append(odds, descent.others_visible(channels, around))
+        others = points[[NAMES[part] for part in self.others]]
+        nearest = np.hypot(*(others[:, None] - np.concatenate([at, around])).transpose(2, 0, 1)).argmin(axis=1)
+        return Sensed(parts, Placed(others, told[nearest]))
 
     def _visible(self, features: State) -> Array:
         """(K,) how visible the parts are, where their likelihood says so."""
@@ -244,7 +279,9 @@ class FaceTarget:
         particles = features.particles._replace(x=moved(features.particles.x))
         estimated = features.estimated._replace(state=moved(features.estimated.state))
         sensor = state.sensor._replace(bias=moved(state.sensor.bias) - origin)
-        return replace(state, features=replace(features, particles=particles, estimated=estimated), sensor=sensor)
+        others = state.others and state.others.mapped(moved)
+        features = replace(features, particles=particles, estimated=estimated)
+        return replace(state, features=features, sensor=sensor, others=others)
 
     def cover(self, state: FaceState, *, ahead: bool) -> Cover | None:
         return self.head.cover(state.head, ahead=ahead)
@@ -254,35 +291,41 @@ class FaceTarget:
         return SCALE, ROLL, EVIDENCE
 
     def _result(self, state: FaceState, box: TargetResult, frame: Frame) -> TargetResult:
-        """Rows of the points, as last seen in the still face, and of the box."""
+        """Rows of the points, as last seen in the still face, of the box, and of the network's points."""
         similarity, rows = self._map(state.head, state.pose), state.points.rows
-        scale, matrix, gone = similarity.scale, similarity.matrix, rows.status == "absent"
-        at = similarity.to_frame(np.stack([rows.x, rows.y], axis=1))
-        shown = state.facing.shown * _sure(state.head)
-        known = np.where(np.isnan(rows.confidence), 1.0, rows.confidence) * shown
+        scale, matrix, shown = similarity.scale, similarity.matrix, state.facing.shown * _sure(state.head)
         cov = np.array([[rows.std_x**2, rows.cov_xy], [rows.cov_xy, rows.std_y**2]]).transpose(2, 0, 1)
-        cov = matrix @ cov @ matrix.T
-        cov += (1 - known)[:, None, None] * state.head.estimated.cov[0]  # of what is hidden, the head alone says
-        var = cov.reshape(-1, 4)[:, ::3]
-        near = 1 - np.exp(-((OFF * EYES * scale) ** 2) / np.maximum(var.sum(axis=1), 1e-9))
-        confidence = known * near if state.frames else rows.confidence
-        lost = (shown * near < self.settings.lost_below) | (rows.status == "lost")
+        visible = np.where(np.isnan(rows.confidence), 1.0, rows.confidence)
+        points = self._rows(state, np.stack([rows.x, rows.y], axis=1), cov, visible, rows.status == "lost")
         since = np.where(rows.status == "init", "init" if not state.frames else "tracked", rows.status)
-        std, face = np.sqrt(var), self._face(box.rows, similarity)
-        points = {"x": at[:, 0], "y": at[:, 1], "w": rows.w * scale, "h": rows.h * scale, "confidence": confidence}
-        points |= {"std_x": std[:, 0], "std_y": std[:, 1], "cov_xy": cov[:, 0, 1]}
-        if gone.any():
-            points = {name: np.where(gone, np.nan, values) for name, values in points.items()}
-        points |= {"status": np.where(lost & ~gone, "lost", since), "ess": rows.ess}
+        points["status"] = np.where(points["status"] == "lost", "lost", since)
+        points["confidence"] = points["confidence"] if state.frames else rows.confidence
+        points |= {"w": rows.w * scale, "h": rows.h * scale, "ess": rows.ess}
+        gone = rows.status == "absent"
+        points = (
+            {name: np.where(gone, "absent" if name == "status" else np.nan, values) for name, values in points.items()}
+            if gone.any()
+            else points
+        )
+        face = {name: getattr(box.rows, name) for name in points} | self._face(box.rows, similarity)
+        blank = {name: np.full((1, *one.shape[1:]), np.nan) for name, one in face.items() if name != "status"}
+        sections = [points, face]
+        if self.others and (mesh := state.others) is not None:
+            sections.append(self._rows(state, mesh.at, mesh.cov, mesh.visible, mesh.visible < self.settings.lost_below))
+        elif self.others:
+            sections.append({"status": np.full(len(self.others), "lost")})
+        counts = len(rows), 1, len(self.others)
         columns = {
-            name: np.concatenate([values, face.pop(name, getattr(box.rows, name))]) for name, values in points.items()
-        }
-        # what points do not have
-        columns |= {
-            name: np.concatenate([np.full((len(rows), *one.shape[1:]), np.nan), one]) for name, one in face.items()
+            name: np.concatenate(
+                [
+                    section[name] if name in section else np.repeat(blank[name], n, axis=0)
+                    for section, n in zip(sections, counts, strict=False)
+                ]
+            )
+            for name in face
         }
         # of a target one number: both filters' together
-        columns["particles"] = np.full(len(rows) + 1, float(rows.particles.max() + box.rows.particles[0]))
+        columns["particles"] = np.full(len(self.parts), float(rows.particles.max() + box.rows.particles[0]))
         values = {SCALE.name: scale * FACE / self.side, ROLL.name: math.degrees(state.pose[0])}
         # both likelihoods are ratios, which are 1 where the head is lost and nothing is compared
         seen = [one for one in (box.rows, rows) if one.frame[0] == frame.index]
@@ -294,12 +337,35 @@ class FaceTarget:
         cloud = similarity.to_frame(state.points.cloud)
         return TargetResult(faces, cloud, (), box.notes, lambda: self.beliefs(state))
 
+    def _rows(self, state: FaceState, at: Array, cov: Array, visible: Array, lost: Mask) -> dict[str, Any]:
+        """Columns of points in the still face: places (K, 2) and covariances (K, 2, 2) there, how visible, and lost."""
+        similarity = self._map(state.head, state.pose)
+        shown = state.facing.shown * _sure(state.head)
+        known = visible * shown
+        cov = similarity.matrix @ cov @ similarity.matrix.T
+        cov = cov + (1 - known)[:, None, None] * state.head.estimated.cov[0]  # of what is hidden, the head alone says
+        var = cov.reshape(-1, 4)[:, ::3]
+        near = 1 - np.exp(-((OFF * EYES * similarity.scale) ** 2) / np.maximum(var.sum(axis=1), 1e-9))
+        x, y = similarity.to_frame(at).T
+        std_x, std_y = np.sqrt(var).T
+        lost = lost | (shown * near < self.settings.lost_below)
+        return {
+            "x": x, "y": y, "std_x": std_x, "std_y": std_y, "cov_xy": cov[:, 0, 1], "confidence": known * near,
+            "status": np.where(lost, "lost", "tracked"),
+        }  # fmt: skip
+
     def beliefs(self, state: FaceState) -> tuple[Belief, ...]:
-        """What is known of the points in the still face, and of the head."""
-        [points], [head] = self.features.beliefs(state.features), self.head.beliefs(state.head)
+        """What is known of the points in the still face, of the head, and of the network's points."""
+        parts = [(self.features.parts, *self.features.beliefs(state.features))]
+        parts.append((self.head.parts, *self.head.beliefs(state.head)))
+        if self.others:
+            unseen = MeshPoints.begin(np.full((len(self.others), 2), still.MIDDLE))._replace(
+                visible=np.zeros(len(self.others))
+            )
+            parts.append((self.others, (state.others or unseen).belief()))
         if self.calibration is None:
-            return points, head
-        return self.calibration.believed(self.features.parts, points), self.calibration.believed(self.head.parts, head)
+            return tuple(one for _, one in parts)
+        return tuple(self.calibration.believed(names, one) for names, one in parts)
 
     @cached_property
     def _names(self) -> tuple[tuple[str, str], ...]:
