@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.core.face_points import MESH, POINTS
 from facetrack_cli.core.shipped import shipped_folder
@@ -49,7 +50,7 @@ MOVED, SCALED, ROLLED = 0.075, 0.1, 0.075  # standard deviations: distances betw
 BEGINS = 0.05  # standard deviation of the mean shape where a sample begins, distances between the eyes
 SCALES = (1.6, 1.2, 1.0, 0.8)
 RIDGE = (1.5, 0.4, 0.2, 0.15)  # in mean squares of a channel
-ODDS_RIDGE = 0.3
+ODDS_RIDGE = 0.03
 JITTER = 0.03  # distances between the eyes, by which a network may be off
 VIDEOS = {".mp4", ".webm", ".mpg", ".mkv", ".avi"}
 AGREED = 0.1  # of crops: greatest standard deviation of a part, distances between the eyes
@@ -213,9 +214,9 @@ def shape(rng: np.random.Generator, points: Array) -> Array:
 
 
 def train(clips: Sequence[Clip], seed: int = 0) -> Descent:
-    rng, k = np.random.default_rng(seed), len(PARTS)
+    rng = np.random.default_rng(seed)
     drawn = [sample(rng, clip) for clip in clips for _ in range(SAMPLES)]
-    seen, points = [channels(one.picture) for one in drawn], np.array([one.points[:k] for one in drawn])
+    seen, points = [channels(one.picture) for one in drawn], np.array([one.points[: len(PARTS)] for one in drawn])
     which = np.repeat(np.arange(len(seen)), STARTS)
     mean = points.mean(axis=0)
     x = mean + rng.normal(0, BEGINS * EYES, (len(which), 1, 2))
@@ -225,19 +226,23 @@ def train(clips: Sequence[Clip], seed: int = 0) -> Descent:
         stages.append(solved(phi, (points[which] - x).reshape(len(which), -1), ridge))
         x = x + (phi @ stages[-1]).reshape(x.shape)
     std = np.sqrt(((x - points[which]) ** 2).sum(axis=2).mean(axis=0) / 2)
-    blind = np.zeros((phi.shape[1], k), np.float32)
-    model = Descent(PARTS, mean, np.array(stages, np.float32), np.array(SCALES), std, blind, OTHERS, blind)
+    blind = np.zeros((1, len(NAMES)), np.float32)
+    model = Descent(NAMES, mean, np.array(stages, np.float32), np.array(SCALES), std, blind)
+    return model._replace(odds=odds_of(rng, model, clips))
+
+
+def odds_of(rng: np.random.Generator, model: Descent, clips: Sequence[Clip]) -> NDArray[np.float32]:
+    """The regressions that tell whether points are visible, around parts where the model has placed them."""
     drawn = [sample(rng, clip, clips, COVERED) for clip in clips for _ in range(SAMPLES // 2)]
-    seen, visible = [channels(one.picture) for one in drawn], np.array([1 - 2 * one.covered for one in drawn])
-    phi = np.stack([read(one, model.descended(one), descent.ODDS_SCALE) for one in seen])
-    odds = solved(phi, visible[:, :k], ODDS_RIDGE)
-    jitter = rng.normal(0, JITTER * EYES, (len(drawn), len(OTHERS), 2))
-    around = [one.points[k:] + off for one, off in zip(drawn, jitter, strict=True)]
-    phi = np.stack([read(one, at, descent.ODDS_SCALE) for one, at in zip(seen, around, strict=True)])
-    each = phi[:, :-1].reshape(len(drawn), len(OTHERS), -1)
-    ones = np.ones((len(drawn), 1), np.float32)
-    local = [solved(np.hstack([each[:, j], ones]), visible[:, k + j], ODDS_RIDGE / 10) for j in range(len(OTHERS))]
-    return model._replace(odds=np.asarray(odds, np.float32), local=np.asarray(local, np.float32).T)
+    found, visible = [], np.array([1 - 2 * one.covered for one in drawn])
+    for one in drawn:
+        seen, at = channels(one.picture), one.points + rng.normal(0, JITTER * EYES, one.points.shape)
+        at[: len(PARTS)] = model.descended(seen)
+        found.append(read(seen, at, descent.ODDS_SCALE)[:-1].reshape(len(at), -1))
+    phi = np.array(found)
+    phi = np.concatenate([phi, np.ones_like(phi[..., :1])], axis=2)
+    odds = [solved(phi[:, j], visible[:, j], ODDS_RIDGE) for j in range(len(NAMES))]
+    return np.asarray(odds, np.float32).T
 
 
 def solved(phi: Array, wanted: Array, ridge: float) -> Array:
@@ -263,20 +268,21 @@ def errors(model: Descent, clip: Clip, others: Sequence[Clip]) -> Errors:
         one = sample(rng, clip, others, share)
         still = np.zeros((160, 160, 3), np.uint8)
         still[corner[1] : corner[1] + SIDE, corner[0] : corner[0] + SIDE] = one.picture
-        placed, around = model.fit(still), one.points[len(PARTS) :] + corner
+        at, k = one.points + corner, len(PARTS)
+        placed = model.fit(still)
         if not share:
-            off.append(placed.at - corner - one.points[: len(PARTS)])
-        scores.append(np.append(placed.odds, model.others_visible(descent.seen_in(still), around)))
+            off.append(placed.at - at[:k])
+        at[:k] = placed.at
+        scores.append(model.visible(descent.seen_in(still), at))
         covers.append(one.covered)
     return Errors(np.sqrt(np.var(off, axis=0).mean(axis=1)), np.array(scores), np.array(covers))
 
 
 def calibrated(model: Descent, found: Sequence[Errors]) -> Descent:
     """The model with the errors of clips left out, and scores as logarithms of the likelihood ratio (Platt 1999)."""
-    k, odds, local = len(PARTS), model.odds.copy(), model.local.copy()
+    odds = model.odds.copy()
     scores, covers = (np.concatenate([getattr(one, key) for one in found]) for key in ("scores", "covered"))
     for j in range(len(NAMES)):
-        matrix, column = (odds, j) if j < k else (local, j - k)
         known = (covers[:, j] > HIDDEN) | (covers[:, j] < HIDDEN / 2)
         s, visible = scores[known, j], covers[known, j] < HIDDEN / 2
         weight = np.where(visible, 0.5 / visible.mean(), 0.5 / (1 - visible.mean()))
@@ -286,10 +292,10 @@ def calibrated(model: Descent, found: Sequence[Errors]) -> Descent:
             phi = np.stack([s, np.ones_like(s)], axis=1)
             step = np.linalg.solve((phi.T * (weight * p * (1 - p))) @ phi, phi.T @ (weight * (visible - p)))
             a, b = a + step[0], b + step[1]
-        matrix[:, column] *= a
-        matrix[-1, column] += b
+        odds[:, j] *= a
+        odds[-1, j] += b
         if SHOW_AUC: print(NAMES[j], 'auc', auc(s, visible), 'n', len(s), (~visible).sum())
-    return model._replace(std=np.median([one.std for one in found], axis=0), odds=odds, local=local)
+    return model._replace(std=np.median([one.std for one in found], axis=0), odds=odds)
 
 
 SHOW_AUC = True

@@ -7,10 +7,9 @@ Alignment", CVPR 2013. From the mean shape x_0, stage k moves all parts at once,
 
 where phi_k are image channels read on a grid around each part, and a 1. The channels are the gradient of log(grey) in
 8 directions, log(grey), redness log((red + 8) / (green + 8)) and its slope down the face, each relative to its
-surroundings. The matrices R_k are ridge regressions, trained on real faces by `tools/mouth_descent.py`. One more matrix
-gives, from the channels around the last x, the logarithm of the likelihood ratio of each part being visible or covered;
-it is trained on faces that boards, discs and fingers cover. For other points of the face, which a network places, the
-same is told by the channels around each.
+surroundings. The matrices R_k are ridge regressions, trained on real faces by `tools/mouth_descent.py`. Further
+regressions give, from the channels around a point, the logarithm of the likelihood ratio of its being visible or
+covered; they are trained on faces that boards, discs and fingers cover. They also know points that a network places.
 
 Unlike windows it has no memory: its errors do not grow, and a mouth may open in a frame. It is less exact, and off by
 about the same vector for a person.
@@ -43,7 +42,7 @@ _AROUND: Final = (np.stack(np.meshgrid(*2 * [np.arange(GRID) - (GRID - 1) / 2]),
 
 
 class Placed(NamedTuple):
-    """Parts `at` (K, 2) in a still face, pixels; `odds` (K,): log p(image | visible) - log p(image | covered)."""
+    """Points `at` (K, 2) in a still face, pixels; `odds` (K,): log p(image | visible) - log p(image | covered)."""
 
     at: Array
     odds: Array
@@ -53,17 +52,19 @@ class Descent(NamedTuple):
     """`mean` (K, 2): the mean shape in the part of the still face that is read; `stages` (S, F + 1, 2 K): R_k.
 
     `scales` (S,): of the grid in each stage; `std` (K,): of the errors on people that were left out, pixels; `odds`
-    (F + 1, K): of visible parts; `local` (F / K + 1, J): of the points `others`.
+    (F / K + 1, J): of J points, the K `parts` first.
     """
 
-    parts: tuple[str, ...]
+    points: tuple[str, ...]
     mean: Array
     stages: NDArray[np.float32]
     scales: Array
     std: Array
     odds: NDArray[np.float32]
-    others: tuple[str, ...]
-    local: NDArray[np.float32]
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return self.points[: len(self.mean)]
 
     def fit(self, still: Image) -> Placed:
         """The parts in a still face."""
@@ -79,19 +80,15 @@ class Descent(NamedTuple):
         return x
 
     def visible(self, seen: NDArray[np.float32], at: Array) -> Array:
-        """The log odds (K,) that the parts at (K, 2) are visible in the still face with those channels."""
-        return np.asarray(read(seen, at - CORNER, ODDS_SCALE) @ self.odds)
-
-    def others_visible(self, seen: NDArray[np.float32], at: Array) -> Array:
-        """As `visible`, of the points `others` at (J, 2)."""
-        phi = read(seen, at - CORNER, ODDS_SCALE)[:-1].reshape(len(at), -1)
-        return np.asarray(np.einsum("jf,fj->j", phi, self.local[:-1]) + self.local[-1])
+        """The log odds (J,) that the first J points are visible at (J, 2) in the still face with those channels."""
+        phi, odds = read(seen, at - CORNER, ODDS_SCALE)[:-1].reshape(len(at), -1), self.odds[:, : len(at)]
+        return np.asarray(np.einsum("jf,fj->j", phi, odds[:-1]) + odds[-1])
 
     def save(self, path: Path) -> None:
         """Raises OutputError."""
         numbers: dict[str, Array] = {name: np.asarray(getattr(self, name), "<f8") for name in ("mean", "scales", "std")}
-        numbers |= {name: getattr(self, name).astype("<f2") for name in ("stages", "odds", "local")}
-        KIND.write(path, {"parts": np.array(self.parts), "others": np.array(self.others), **numbers})
+        numbers |= {name: getattr(self, name).astype("<f2") for name in ("stages", "odds")}
+        KIND.write(path, {"points": np.array(self.points), **numbers})
 
 
 @lru_cache(maxsize=8)
@@ -101,14 +98,13 @@ def load_descent(path: Path | None = None) -> Descent:
 
 
 def _made(stored: Stored) -> Descent:
-    parts, stages = stored.texts("parts"), stored.reals("stages", 3).astype(np.float32)
+    points, stages = stored.texts("points"), stored.reals("stages", 3).astype(np.float32)
     mean, scales, std = stored.reals("mean", 2), stored.reals("scales", 1), stored.reals("std", 1)
-    odds, local = (stored.reals(name, 2).astype(np.float32) for name in ("odds", "local"))
-    others, k, width = stored.texts("others"), len(parts), GRID**2 * (DIRECTIONS + 3)
-    shapes = [one.shape for one in (stages, mean, std, odds, local)]
-    if shapes != [(len(scales), k * width + 1, 2 * k), (k, 2), (k,), (k * width + 1, k), (width + 1, len(others))]:
-        raise ValueError(f"arrays of {shapes} do not fit {k} parts")
-    return Descent(parts, mean, stages, scales, std, odds, others, local)
+    odds, k, width = stored.reals("odds", 2).astype(np.float32), len(mean), GRID**2 * (DIRECTIONS + 3)
+    shapes = [one.shape for one in (stages, mean, std, odds)]
+    if shapes != [(len(scales), k * width + 1, 2 * k), (k, 2), (k,), (width + 1, len(points))] or k > len(points):
+        raise ValueError(f"arrays of {shapes} do not fit {len(points)} points")
+    return Descent(points, mean, stages, scales, std, odds)
 
 
 def seen_in(still: Image) -> NDArray[np.float32]:

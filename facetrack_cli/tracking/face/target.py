@@ -204,7 +204,7 @@ class FaceTarget:
         at = descent.descended(channels) + CORNER
         points = None if self.mesh is None else self.mesh.measure(frame, similarity)
         if points is not None:
-            at = points[[NAMES[part] for part in descent.parts]]
+            at = points[[NAMES[point] for point in descent.points]]
         odds = descent.visible(channels, at)
         index = [descent.parts.index(part) if part in descent.parts else -1 for part in self.features.parts]
         known = np.array(index) >= 0
@@ -212,11 +212,9 @@ class FaceTarget:
         if points is None:
             return Sensed(parts, None)
         # a point is as visible as the nearest of which something is known
-        around = points[[NAMES[part] for part in descent.others]]
-        told = np.append(odds, descent.others_visible(channels, around))
         others = points[[NAMES[part] for part in self.others]]
-        nearest = np.hypot(*(others[:, None] - np.concatenate([at, around])).transpose(2, 0, 1)).argmin(axis=1)
-        return Sensed(parts, Placed(others, told[nearest]))
+        nearest = np.hypot(*(others[:, None] - at).transpose(2, 0, 1)).argmin(axis=1)
+        return Sensed(parts, Placed(others, odds[nearest]))
 
     def _visible(self, features: State) -> Array:
         """(K,) how visible the parts are, where their likelihood says so."""
@@ -293,7 +291,7 @@ class FaceTarget:
     def _result(self, state: FaceState, box: TargetResult, frame: Frame) -> TargetResult:
         """Rows of the points, as last seen in the still face, of the box, and of the network's points."""
         similarity, rows = self._map(state.head, state.pose), state.points.rows
-        scale, matrix, shown = similarity.scale, similarity.matrix, state.facing.shown * _sure(state.head)
+        scale = similarity.scale
         cov = np.array([[rows.std_x**2, rows.cov_xy], [rows.cov_xy, rows.std_y**2]]).transpose(2, 0, 1)
         visible = np.where(np.isnan(rows.confidence), 1.0, rows.confidence)
         points = self._rows(state, np.stack([rows.x, rows.y], axis=1), cov, visible, rows.status == "lost")
@@ -301,12 +299,9 @@ class FaceTarget:
         points["status"] = np.where(points["status"] == "lost", "lost", since)
         points["confidence"] = points["confidence"] if state.frames else rows.confidence
         points |= {"w": rows.w * scale, "h": rows.h * scale, "ess": rows.ess}
-        gone = rows.status == "absent"
-        points = (
-            {name: np.where(gone, "absent" if name == "status" else np.nan, values) for name, values in points.items()}
-            if gone.any()
-            else points
-        )
+        if (gone := rows.status == "absent").any():
+            nothing = {name: "absent" if name == "status" else np.nan for name in points}
+            points = {name: np.where(gone, nothing[name], values) for name, values in points.items()}
         face = {name: getattr(box.rows, name) for name in points} | self._face(box.rows, similarity)
         blank = {name: np.full((1, *one.shape[1:]), np.nan) for name, one in face.items() if name != "status"}
         sections = [points, face]
@@ -356,16 +351,15 @@ class FaceTarget:
 
     def beliefs(self, state: FaceState) -> tuple[Belief, ...]:
         """What is known of the points in the still face, of the head, and of the network's points."""
-        parts = [(self.features.parts, *self.features.beliefs(state.features))]
-        parts.append((self.head.parts, *self.head.beliefs(state.head)))
+        found = [*self.features.beliefs(state.features), *self.head.beliefs(state.head)]
         if self.others:
-            unseen = MeshPoints.begin(np.full((len(self.others), 2), still.MIDDLE))._replace(
-                visible=np.zeros(len(self.others))
-            )
-            parts.append((self.others, (state.others or unseen).belief()))
+            j = len(self.others)
+            unseen = MeshPoints.begin(np.full((j, 2), still.MIDDLE))._replace(visible=np.zeros(j))
+            found.append((state.others or unseen).belief())
         if self.calibration is None:
-            return tuple(one for _, one in parts)
-        return tuple(self.calibration.believed(names, one) for names, one in parts)
+            return tuple(found)
+        names = self.features.parts, self.head.parts, self.others
+        return tuple(map(self.calibration.believed, names, found))
 
     @cached_property
     def _names(self) -> tuple[tuple[str, str], ...]:
