@@ -202,7 +202,8 @@ class FaceTarget:
         """What sensors say of the points in the still face `seen`; nan, and 0, of parts that none of them knows."""
         descent, channels = load_descent(), seen_in(seen.bgr)
         at = descent.descended(channels) + CORNER
-        points = None if self.mesh is None else self.mesh.measure(frame, similarity)
+        crops = None if self.mesh is None else self.mesh.measure(frame, similarity)
+        points = None if crops is None else crops.mean(axis=0)
         if points is not None:
             at = points[[NAMES[point] for point in descent.points]]
         odds = descent.visible(channels, at)
