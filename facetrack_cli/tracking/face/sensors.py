@@ -21,8 +21,9 @@ from facetrack_cli.core.types import Array
 from facetrack_cli.tracking.face.still import EYES, SIDE
 from facetrack_cli.tracking.models.motion import Measured
 
-DRIFT: Final = 0.002 * EYES  # standard deviation of b in a frame, pixels
-LEAST, MOST = 0.05 * EYES, 0.1 * EYES  # bounds of r
+DRIFT: Final = 0.001 * EYES  # standard deviation of b in a frame, pixels
+REGRESSION, NETWORK = 0.05 * EYES, 0.01 * EYES  # the least r of a sensor
+MOST: Final = 0.1 * EYES  # and the greatest
 MISLED: Final = 0.1 * EYES  # r in a face of which a part is hidden: a sensor places all parts together
 LEARNS: Final = 0.02  # share of a measurement in r^2
 SURE: Final = 0.97  # probability that a sensor says something of a part that is visible
@@ -33,18 +34,19 @@ _MANY: Final = 50.0  # looks over which it is learned how often a face is found
 
 
 class Sensor(NamedTuple):
-    """b (K, 2), its variance (K,) and r^2 (K,), in the still face."""
+    """b (K, 2), its variance (K,) and r^2 (K,), in the still face; `least` is the least r."""
 
     bias: Array
     var: Array
     noise: Array
+    least: float
 
     @classmethod
-    def begin(cls, z: Array, x0: Array, std: float) -> Sensor:
+    def begin(cls, z: Array, x0: Array, std: float, least: float) -> Sensor:
         """After a first measurement z (K, 2) of parts at x0 (K, 2), nan where there is none; `std`: r at first."""
         known = np.asarray(np.isfinite(z).all(axis=1))
         r2 = np.full(len(x0), std**2)
-        return cls(np.where(known[:, None], z - x0, 0.0), np.where(known, r2, MOST**2), r2)
+        return cls(np.where(known[:, None], z - x0, 0.0), np.where(known, r2, MOST**2), r2, least)
 
     def measured(self, z: Array, visible: Array) -> Measured:
         """What z (K, 2) says of parts that are visible with a probability (K,)."""
@@ -64,7 +66,7 @@ class Sensor(NamedTuple):
         gain = use * var / total
         noise = self.noise + LEARNS * use * (np.nan_to_num(squared) - self.noise)
         bias = self.bias + gain[:, None] * np.nan_to_num(off)
-        return Sensor(bias, (1 - gain) * var, np.clip(noise, LEAST**2, MOST**2))
+        return Sensor(bias, (1 - gain) * var, np.clip(noise, self.least**2, MOST**2), self.least)
 
 
 class Facing(NamedTuple):

@@ -34,7 +34,7 @@ from facetrack_cli.tracking.face import still
 from facetrack_cli.tracking.face.descent import CORNER, Placed, load_descent, seen_in
 from facetrack_cli.tracking.face.mesh import NAMES, Mesh
 from facetrack_cli.tracking.face.mesh_points import UNSEEN, MeshPoints
-from facetrack_cli.tracking.face.sensors import Facing, Sensor
+from facetrack_cli.tracking.face.sensors import NETWORK, REGRESSION, Facing, Sensor
 from facetrack_cli.tracking.face.still import EYES, FACE, Similarity
 from facetrack_cli.tracking.loop import Cover
 from facetrack_cli.tracking.roles import Names
@@ -119,7 +119,7 @@ class FaceTarget:
         seen = similarity.read(frame)
         features, points = self.features.begin(rng, seen)
         sensed = self._sensed(frame, similarity, seen)
-        sensor = Sensor.begin(sensed.parts.at, self.features.x0, self._std)
+        sensor = self._sensor(sensed, self.features.x0)
         others = None if sensed.others is None else MeshPoints.begin(sensed.others.at)
         facing = Facing()
         if self.detector is not None and not self.searched and self.detector.measure(seen.bgr, still.BOX) is None:
@@ -153,7 +153,7 @@ class FaceTarget:
         seen, there = similarity.read(frame), TargetStart(points=moved)
         features, rows = self.features.restart(rng, seen, first.features, there, absent, anew)
         sensed = self._sensed(frame, similarity, seen)
-        sensor = Sensor.begin(sensed.parts.at, features.estimated.state, self._std)
+        sensor = self._sensor(sensed, features.estimated.state)
         others = None if sensed.others is None else MeshPoints.begin(sensed.others.at)
         points = rows._replace(beliefs=None)
         state = FaceState(head, features, points, sensor, Facing(), pose, np.zeros(4), first.marks, others)
@@ -193,10 +193,10 @@ class FaceTarget:
         result = self._result(replace(after, pose=state.pose), box, frame)
         return self._moved(after, state.pose), result
 
-    @property
-    def _std(self) -> float:
-        """Standard deviation of the sensor's points, in pixels of the still face."""
-        return float(load_descent().std.mean())
+    def _sensor(self, sensed: Sensed, x0: Array) -> Sensor:
+        """What is known of the sensor in a frame whose parts are at x0 (K, 2)."""
+        least = REGRESSION if self.mesh is None else NETWORK
+        return Sensor.begin(sensed.parts.at, x0, float(load_descent().std.mean()), least)
 
     def _sensed(self, frame: Frame, similarity: Similarity, seen: Frame) -> Sensed:
         """What sensors say of the points in the still face `seen`; nan, and 0, of parts that none of them knows."""
@@ -209,7 +209,8 @@ class FaceTarget:
         odds = descent.visible(channels, at)
         index = [descent.parts.index(part) if part in descent.parts else -1 for part in self.features.parts]
         known = np.array(index) >= 0
-        parts = Placed(np.where(known[:, None], at[index], np.nan), np.where(known, odds[index], 0.0))
+        placed = known & (self.mesh is None or points is not None)
+        parts = Placed(np.where(placed[:, None], at[index], np.nan), np.where(known, odds[index], 0.0))
         if points is None:
             return Sensed(parts, None)
         # a point is as visible as the nearest of which something is known
