@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -22,7 +21,6 @@ from facetrack_cli.trajectory.trajectory import SPREAD, FrameResult, Trajectory,
 MotionName: TypeAlias = Literal["recipe", "fitted"]
 _Moments: TypeAlias = tuple[Array, Array]  # means (T, K, D), covariances (T, K, D, D)
 Beliefs: TypeAlias = Sequence[tuple[Belief, ...]]
-TAIL: Final = 2.0  # degrees of freedom of the steps of a face's points
 _SMOOTHED: Final = ("x", "y", "w", "h", "angle", *SPREAD)
 
 
@@ -161,12 +159,13 @@ class _Target:
         old, new = (each[:, None, None] * turn for each in (scale, scale * ratio))
         was = np.einsum("tde,tke->tkd", old, points.mean - MIDDLE) + place[:, None]
         begun = np.einsum("tde,tke->tkd", np.linalg.inv(new), was - moved[:, None]) + MIDDLE
-        begun_at = points._replace(mean=begun, cov=points.cov / ratio[:, None, None, None] ** 2)
-        # parts of a face rest and jump, by how much the recipe does not say
-        still, cov = _smoothed(begun_at, "recipe" if self.lagged else "fitted", freedom=TAIL)
+        still, cov = _smoothed(points._replace(mean=begun, cov=points.cov / ratio[:, None, None, None] ** 2), motion)
         now = np.einsum("tde,tke->tkd", new, still - MIDDLE) + moved[:, None]
         # what the rows have beside the filter's mean and covariance is kept
         at = np.stack([self.of["x"][:, those], self.of["y"][:, those]], axis=-1) + now - was
+        if not self.lagged:
+            # in the frame, where what the head's filter and the points' correct of each other is no jitter
+            at = smoothing.steadied(at, ~points.unseen & ~self.gone[:, those])
         seen = self._cov(those) + _mapped(new, cov) - _mapped(old, points.cov)
         hidden = _mapped(new, cov) + box_cov[..., :2, :2]
         values, vectors = np.linalg.eigh(np.where(points.unseen[..., None, None], hidden, seen))
@@ -237,7 +236,7 @@ def _places(mean: Array, cov: Array) -> dict[str, Array]:
     return {**known, "cov_xy": cov[..., 0, 1]}
 
 
-def _smoothed(one: Chain, motion: MotionName, freedom: float = math.inf) -> _Moments:
+def _smoothed(one: Chain, motion: MotionName) -> _Moments:
     """Means and covariances; with a `fitted` motion the means follow from it, the covariances from the recipe's.
 
     Errors of a filter last from frame to frame, and do not become as small as those of a quiet motion would.
@@ -245,4 +244,4 @@ def _smoothed(one: Chain, motion: MotionName, freedom: float = math.inf) -> _Mom
     mean, cov = smoothing.smoothed(one)
     if motion == "recipe":
         return mean, cov
-    return smoothing.smoothed(smoothing.fitted(one, freedom=freedom)[0])[0], cov
+    return smoothing.smoothed(smoothing.fitted(one)[0])[0], cov
