@@ -17,6 +17,7 @@ about the same vector for a person.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -30,11 +31,12 @@ from facetrack_cli.core.shipped import shipped_folder
 from facetrack_cli.core.types import Array, Image
 
 KIND = Kind("facetrack-descent", 1, "mouth descent", "python tools/mouth_descent.py")
-DEFAULT: Final = "mouth_descent.npz"
+DEFAULT = "mouth_descent.npz"
 LEFT, TOP, SIDE = 24, 46, 112  # of the still face, pixels: the part that is read
 CORNER: Final = np.array([LEFT, TOP], np.float64)
 DIRECTIONS, GRID = 8, 5
 ODDS_SCALE: Final = 1.6
+NEAR: Final = 3.0  # pixels
 STEP: Final = 5.0  # pixels between the points of the grid, times the stage's scale
 _TURNS: Final = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
 _COS, _SIN = np.cos(_TURNS).astype(np.float32), np.sin(_TURNS).astype(np.float32)
@@ -66,11 +68,22 @@ class Descent(NamedTuple):
     def parts(self) -> tuple[str, ...]:
         return self.points[: len(self.mean)]
 
-    def fit(self, still: Image) -> Placed:
-        """The parts in a still face."""
-        seen = seen_in(still)
-        at = self.descended(seen) + CORNER
-        return Placed(at, self.visible(seen, at))
+    def fit(self, still: Image, around: Sequence[Array] = ()) -> Placed:
+        """The parts in a still face.
+
+        Beside the usual place of a face, the parts are sought around other middles (2,); the likeliest is taken, by
+        the odds of being visible.
+        """
+        usual = self.mean.mean(axis=0) + CORNER
+        shifts = [np.zeros(2), *(np.round(middle - usual) for middle in around)]
+        found = []
+        for i, shift in enumerate(shifts):
+            if i and np.abs(shift).max() < NEAR:
+                continue  # the regression finds its way from there
+            seen = seen_in(still, shift)
+            at = self.descended(seen) + CORNER
+            found.append(Placed(at + shift, self.visible(seen, at)))
+        return max(found, key=lambda one: float(one.odds.sum()))
 
     def descended(self, seen: NDArray[np.float32]) -> Array:
         """x after the last stage (K, 2), in the channels of the part of the still face that is read."""
@@ -107,9 +120,14 @@ def _made(stored: Stored) -> Descent:
     return Descent(points, mean, stages, scales, std, odds)
 
 
-def seen_in(still: Image) -> NDArray[np.float32]:
-    """The channels of the part of a still face that is read."""
-    return channels(still[TOP : TOP + SIDE, LEFT : LEFT + SIDE])
+def seen_in(still: Image, shift: Array | None = None) -> NDArray[np.float32]:
+    """The channels of the part of a still face that is read, or of the part (2,) whole pixels beside it."""
+    if shift is None or not shift.any():
+        return channels(still[TOP : TOP + SIDE, LEFT : LEFT + SIDE])
+    x, y = (CORNER + shift + (SIDE - 1) / 2).tolist()
+    size = still.shape[0]
+    part = cv2.getRectSubPix(still, (SIDE, SIDE), (float(np.clip(x, 0, size)), float(np.clip(y, 0, size))))
+    return channels(np.asarray(part, np.uint8))
 
 
 def read(seen: NDArray[np.float32], x: Array, scale: float) -> NDArray[np.float32]:

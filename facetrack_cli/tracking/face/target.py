@@ -18,7 +18,7 @@ it is proposed.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, NamedTuple
@@ -27,19 +27,19 @@ import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.geometry import centre, corners
-from facetrack_cli.core.types import BOX, Array, Frame, Mask, TargetStart
+from facetrack_cli.core.types import BOX, Array, Frame, Mask, Point, TargetStart
 from facetrack_cli.recipe.face import Head
 from facetrack_cli.tracking.calibration import Calibration
 from facetrack_cli.tracking.face import still
-from facetrack_cli.tracking.face.descent import CORNER, Placed, load_descent, seen_in
+from facetrack_cli.tracking.face.descent import Placed, load_descent, seen_in
 from facetrack_cli.tracking.face.mesh import NAMES, Mesh
 from facetrack_cli.tracking.face.mesh_points import UNSEEN, MeshPoints
-from facetrack_cli.tracking.face.sensors import NETWORK, REGRESSION, Facing, Sensor
+from facetrack_cli.tracking.face.sensors import DETECTOR, NETWORK, REGRESSION, Facing, Sensor, common_shift, joined
 from facetrack_cli.tracking.face.still import EYES, FACE, Similarity
 from facetrack_cli.tracking.loop import Cover
 from facetrack_cli.tracking.roles import Names
 from facetrack_cli.tracking.smoothing import Belief
-from facetrack_cli.tracking.start.detectors import TILT, Detector
+from facetrack_cli.tracking.start.detectors import TILT, Detector, Found
 from facetrack_cli.tracking.target import ParticleTarget, State
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, of_frame
@@ -59,7 +59,7 @@ _MOST: Final = np.array([math.radians(60), 0.7, 0.3, 0.3])
 class FaceState:
     """The states of head and points, the last `points` as rows of the still face; what is known of their sensor.
 
-    `others` are the points of the network, None before it has seen the face.
+    `second` is that of the detector; `others` are the points of the network, None before it has seen the face.
 
     `pose` (4,) is that of the face in its head: roll in radians, the logarithm of its size, and its middle in sizes of
     the head's box; `pose_var` (4,) are their variances. `frames` counts those since the start. `marks` (M, 2) are the
@@ -70,6 +70,7 @@ class FaceState:
     features: State
     points: TargetResult
     sensor: Sensor
+    second: Sensor
     facing: Facing
     pose: Array
     pose_var: Array
@@ -121,11 +122,14 @@ class FaceTarget:
         sensed = self._sensed(frame, similarity, seen)
         sensor = self._sensor(sensed, self.features.x0)
         others = None if sensed.others is None else MeshPoints.begin(sensed.others.at)
-        facing = Facing()
-        if self.detector is not None and not self.searched and self.detector.measure(seen.bgr, still.BOX) is None:
+        facing, found = Facing(), self._detected(seen)
+        if self.detector is not None and not self.searched and found is None:
             facing = facing.unseen()
+        second = self._second(found, self.features.x0)
         marks, rest = self._marks(head, np.zeros(4), frame), np.zeros(4)
-        state = FaceState(head, features, points._replace(beliefs=None), sensor, facing, rest, rest, marks, others)
+        state = FaceState(
+            head, features, points._replace(beliefs=None), sensor, second, facing, rest, rest, marks, others
+        )
         return state, self._result(state, box, frame)
 
     def restart(
@@ -155,8 +159,8 @@ class FaceTarget:
         sensed = self._sensed(frame, similarity, seen)
         sensor = self._sensor(sensed, features.estimated.state)
         others = None if sensed.others is None else MeshPoints.begin(sensed.others.at)
-        points = rows._replace(beliefs=None)
-        state = FaceState(head, features, points, sensor, Facing(), pose, np.zeros(4), first.marks, others)
+        points, second = rows._replace(beliefs=None), self._second(self._detected(seen), features.estimated.state)
+        state = FaceState(head, features, points, sensor, second, Facing(), pose, np.zeros(4), first.marks, others)
         return state, self._result(state, boxed, frame)
 
     def advance(
@@ -173,11 +177,22 @@ class FaceTarget:
             return state, self._result(state, box, frame)
         similarity = self._map(head, state.pose)
         seen = similarity.read(frame)
-        ((z, odds), far), visible = self._sensed(frame, similarity, seen), self._visible(state.features)
-        told = replace(state.features, learned=state.features.learned._replace(told=odds))
-        features, points = self.features.advance(rng, told, seen, (), state.sensor.measured(z, visible))
-        estimated = features.estimated
-        sensor = state.sensor.learned(z, estimated.state, estimated.cov, self._visible(features))
+        found, visible = self._detected(seen) if due else None, self._visible(state.features)
+        before_at, z2 = state.features.estimated.state, self._named({} if found is None else found.points)
+        around, told = [before_at.mean(axis=0)], np.isfinite(z2).all(axis=1)
+        if told.any():
+            around.append((before_at + (z2 - before_at)[told].mean(axis=0)).mean(axis=0))
+        ((z, odds), far) = self._sensed(frame, similarity, seen, around)
+        features = replace(state.features, learned=state.features.learned._replace(told=odds))
+        measured = state.sensor.measured(z, visible)
+        if found is not None:
+            measured = joined(measured, state.second.measured(z2, visible))
+        shift = common_shift(measured, before_at)
+        features = _shifted(features, lambda x: x + shift)
+        features, points = self.features.advance(rng, features, seen, (), measured)
+        estimated, visible = features.estimated, self._visible(features)
+        sensor = state.sensor.learned(z, estimated.state, estimated.cov, visible)
+        second = state.second.learned(z2, estimated.state, estimated.cov, visible)
         points = points._replace(beliefs=None)  # those are of the state
         facing = state.facing if self.detector is None else state.facing.predicted()
         pose_var, others = state.pose_var + _POSE**2, state.others
@@ -185,28 +200,45 @@ class FaceTarget:
             others = others.after(None, UNSEEN) if far is None else others.after(*far)
         elif far is not None:
             others = MeshPoints.begin(far.at)
-        state = FaceState(head, features, points, sensor, facing, state.pose, pose_var, state.marks, others, frames)
+        kept = state.pose, pose_var, state.marks, others, frames
+        state = FaceState(head, features, points, sensor, second, facing, *kept)
         if not due:
             return state, self._result(state, box, frame)
-        after = self._measured(state, seen, frame)
+        after = self._measured(state, found, frame)
         # of this frame the points are in the still face as it was
         result = self._result(replace(after, pose=state.pose), box, frame)
         return self._moved(after, state.pose), result
+
+    def _detected(self, seen: Frame) -> Found | None:
+        """The face that the detector sees in the still one."""
+        return None if self.detector is None else self.detector.measure(seen.bgr, still.BOX)
+
+    def _named(self, points: Mapping[str, Point]) -> Array:
+        """The places (K, 2) of the parts; nan of those that are not there."""
+        return np.array([points.get(part, (math.nan, math.nan)) for part in self.features.parts])
+
+    def _second(self, found: Found | None, x0: Array) -> Sensor:
+        """What is known of the detector in a frame whose parts are at x0 (K, 2)."""
+        return Sensor.begin(self._named({} if found is None else found.points), x0, DETECTOR, DETECTOR)
 
     def _sensor(self, sensed: Sensed, x0: Array) -> Sensor:
         """What is known of the sensor in a frame whose parts are at x0 (K, 2)."""
         least = REGRESSION if self.mesh is None else NETWORK
         return Sensor.begin(sensed.parts.at, x0, float(load_descent().std.mean()), least)
 
-    def _sensed(self, frame: Frame, similarity: Similarity, seen: Frame) -> Sensed:
-        """What sensors say of the points in the still face `seen`; nan, and 0, of parts that none of them knows."""
-        descent, channels = load_descent(), seen_in(seen.bgr)
-        at = descent.descended(channels) + CORNER
+    def _sensed(self, frame: Frame, similarity: Similarity, seen: Frame, around: Sequence[Array] = ()) -> Sensed:
+        """What sensors say of the points in the still face `seen`; nan, and 0, of parts that none of them knows.
+
+        `around` (2,) are where the middle of the parts may be, beside the usual place.
+        """
+        descent = load_descent()
         crops = None if self.mesh is None else self.mesh.measure(frame, similarity)
         points = None if crops is None else crops.mean(axis=0)
-        if points is not None:
+        if points is None:
+            at, odds = descent.fit(seen.bgr, around)
+        else:
             at = points[[NAMES[point] for point in descent.points]]
-        odds = descent.visible(channels, at)
+            odds = descent.visible(seen_in(seen.bgr), at)
         index = [descent.parts.index(part) if part in descent.parts else -1 for part in self.features.parts]
         known = np.array(index) >= 0
         placed = known & (self.mesh is None or points is not None)
@@ -236,10 +268,8 @@ class FaceTarget:
         )
         return replace(head, learned=head.learned._replace(sighted=places))
 
-    def _measured(self, state: FaceState, seen: Frame, frame: Frame) -> FaceState:
+    def _measured(self, state: FaceState, found: Found | None, frame: Frame) -> FaceState:
         """With what the detector says of the face's box."""
-        assert self.detector is not None
-        found = self.detector.measure(seen.bgr, still.BOX)
         state = replace(state, facing=state.facing.looked(found=found is not None))
         if found is None:
             return state
@@ -275,13 +305,10 @@ class FaceTarget:
         def moved(x: Array) -> Array:
             return new.to_still(old.to_frame(x))
 
-        features, origin = state.features, moved(np.zeros(2))
-        particles = features.particles._replace(x=moved(features.particles.x))
-        estimated = features.estimated._replace(state=moved(features.estimated.state))
-        sensor = state.sensor._replace(bias=moved(state.sensor.bias) - origin)
+        origin = moved(np.zeros(2))
+        sensor, second = (one._replace(bias=moved(one.bias) - origin) for one in (state.sensor, state.second))
         others = state.others and state.others.mapped(moved)
-        features = replace(features, particles=particles, estimated=estimated)
-        return replace(state, features=features, sensor=sensor, others=others)
+        return replace(state, features=_shifted(state.features, moved), sensor=sensor, second=second, others=others)
 
     def cover(self, state: FaceState, *, ahead: bool) -> Cover | None:
         return self.head.cover(state.head, ahead=ahead)
@@ -376,6 +403,14 @@ class FaceTarget:
         # the border runs through the middle of the outermost pixels
         size = np.stack([found["w"] - 1, found["h"] - 1], axis=1)
         return {**found, "corners": corners(way, face.centre[None], size)}
+
+
+def _shifted(features: State, to: Callable[[Array], Array]) -> State:
+    """The points' state at other places."""
+    particles = features.particles._replace(x=to(features.particles.x))
+    return replace(
+        features, particles=particles, estimated=features.estimated._replace(state=to(features.estimated.state))
+    )
 
 
 def _sure(head: State) -> float:

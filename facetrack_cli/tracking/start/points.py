@@ -1,6 +1,7 @@
 """The five points of a face, placed by a regression (`face/descent.py`) in the face as its eyes show it, upright."""
 
 import math
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from threading import get_ident
@@ -10,7 +11,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.types import Box, Frame, Image, Point
-from facetrack_cli.tracking.face.descent import load_descent
+from facetrack_cli.tracking.face.descent import CORNER, load_descent
 from facetrack_cli.tracking.face.still import EYE_LINE, FACE, MIDDLE, Similarity
 
 # Fractions of a Haar box (x, y): the mean over 26 images, of 15 clips and two portraits; standard deviation 0.02.
@@ -34,14 +35,19 @@ def _load(name: str, thread: int) -> cv2.CascadeClassifier:
     return cv2.CascadeClassifier(str(Path(cv2.__file__).parent / "data" / f"haarcascade_{name}.xml"))
 
 
-def place(image: Image, box: Box, eyes: tuple[Point, Point] | None = None) -> dict[str, Point]:
+def place(
+    image: Image, box: Box, eyes: tuple[Point, Point] | None = None, points: Mapping[str, Point] | None = None
+) -> dict[str, Point]:
     """All five points of the face that fills `box` as the frontal cascade draws it, in pixels of `image` (BGR).
 
-    Without `eyes`, the left one in the image first, cascades look for them.
+    Without `eyes`, the left one in the image first, cascades look for them. `points` are those that a detector has
+    seen, near which the parts may be.
     """
-    face = upright(image, box, eyes)
-    descent = load_descent()
-    at = face.to_frame(descent.fit(face.read(Frame(0, 0.0, image)).bgr).at)
+    face, descent = upright(image, box, eyes), load_descent()
+    rest = dict(zip(descent.parts, descent.mean + CORNER, strict=True))
+    off = [face.to_still(np.array(at)) - rest[part] for part, at in (points or {}).items()]
+    around = [np.mean(off, axis=0) + np.mean(list(rest.values()), axis=0)] if off else []
+    at = face.to_frame(descent.fit(face.read(Frame(0, 0.0, image)).bgr, around).at)
     return {part: (x, y) for part, (x, y) in zip(descent.parts, at.tolist(), strict=True)}
 
 
