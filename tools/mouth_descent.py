@@ -5,8 +5,9 @@
 
 `clips` is searched for clips of one face each. Of a clip with a mesh.csv beside it (frame, part, x, y) the points in
 that are the truth; of others it is the mean of four crops of the network (facetrack models get mesh). Frames are
-moved, scaled, rolled, mirrored, blurred, compressed and coloured at random. The odds are learned from frames that boards, discs
-and fingers cover, with the colours of other pictures or of the face's own skin. Each clip has the same weight.
+moved, scaled, rolled, mirrored, blurred, compressed and coloured at random. The odds are learned from frames that
+boards, discs and fingers cover, with the colours of other pictures or of the face's own skin. Each clip has the same
+weight.
 
 `std` in the file is the root mean square error of each part on clips that a model of the others has not seen, five
 groups of clips in turn; `--quick` leaves that out and takes the errors of training.
@@ -22,6 +23,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.core.shipped import shipped_folder
 from facetrack_cli.core.types import Array, Image
@@ -115,8 +117,8 @@ def load(path: Path, mesh: Mesh) -> Clip | None:
             seen.append((crop.bgr, head.to_still(parts) - corner, head.scale * EYES))
     if len(seen) < LEAST:
         return None
-    pictures, points, apart = zip(*seen, strict=True)
-    return Clip(str(path), pictures, np.array(points), float(np.median(apart)))
+    pictures, parts_of, apart = zip(*seen, strict=True)
+    return Clip(str(path), pictures, np.array(parts_of), float(np.median(apart)))
 
 
 class Sample(NamedTuple):
@@ -146,7 +148,7 @@ def sample(rng: np.random.Generator, clip: Clip, others: Sequence[Clip] = (), sh
         small = cv2.resize(moved, None, fx=1 / k, fy=1 / k, interpolation=cv2.INTER_AREA)
         if rng.random() < 0.5:
             coded = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, int(rng.uniform(30, 90))])[1]
-            small = cv2.imdecode(coded, cv2.IMREAD_COLOR)
+            small = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), np.uint8)
         moved = cv2.resize(small, (SIDE, SIDE))
     light = moved * np.exp(rng.normal(0, 0.06, 3)) * np.exp(rng.normal(0, 0.2))
     found = Sample(np.clip(light, 0, 255).astype(np.uint8), points @ turn.T + shift, np.zeros(len(points)))
@@ -173,10 +175,10 @@ def texture(rng: np.random.Generator, own: Image, others: Sequence[Clip]) -> Arr
         piece = cv2.resize(own[y : y + side, x : x + side], (SIDE, SIDE), interpolation=cv2.INTER_CUBIC)
         found = piece * np.exp(rng.normal(0, 0.15))
     elif kind < 0.7:
-        pictures = others[rng.integers(len(others))].pictures
-        whole, side = pictures[rng.integers(len(pictures))], int(rng.integers(30, 110))
+        pictures = others[int(rng.integers(len(others)))].pictures
+        whole, side = pictures[int(rng.integers(len(pictures)))], int(rng.integers(30, 110))
         y, x = rng.integers(0, whole.shape[0] - side, 2).tolist()
-        turned = np.rot90(cv2.resize(whole[y : y + side, x : x + side], (SIDE, SIDE)), rng.integers(4))
+        turned = np.rot90(cv2.resize(whole[y : y + side, x : x + side], (SIDE, SIDE)), int(rng.integers(4)))
         found = turned * np.exp(rng.normal(0, 0.3))
     else:
         cells = rng.uniform(20, 230, (*[int(rng.integers(2, 12))] * 2, 3)).astype(np.float32)
@@ -186,7 +188,7 @@ def texture(rng: np.random.Generator, own: Image, others: Sequence[Clip]) -> Arr
     return np.asarray(found + rng.normal(0, rng.uniform(0, 6), (SIDE, SIDE, 3)))
 
 
-def shape(rng: np.random.Generator, points: Array) -> Array:
+def shape(rng: np.random.Generator, points: Array) -> NDArray[np.float32]:
     """A mask (SIDE, SIDE) of a board, a disc or fingers near one of the points (K, 2)."""
     mask = np.zeros((SIDE, SIDE), np.float32)
     at, kind = points[rng.integers(len(points))] + rng.normal(0, 0.25 * EYES, 2), rng.random()
@@ -202,8 +204,8 @@ def shape(rng: np.random.Generator, points: Array) -> Array:
         for i in range(count):
             across = (i - (count - 1) / 2) * 1.02 * width * np.array([-along[1], along[0]])
             tip = at + along * rng.uniform(-0.1, 0.5) * EYES + across
-            ends = (np.round(end).astype(int).tolist() for end in (tip, tip - 3 * EYES * along))
-            cv2.line(mask, *ends, 1.0, max(int(width), 2))
+            ends = np.round([tip, tip - 3 * EYES * along]).astype(int).tolist()
+            cv2.line(mask, ends[0], ends[1], 1.0, max(int(width), 2))
     return mask
 
 
@@ -229,7 +231,7 @@ def train(clips: Sequence[Clip], seed: int = 0) -> Descent:
     return model._replace(odds=np.asarray(odds, np.float32))
 
 
-def solved(phi: Array, wanted: Array, ridge: float) -> Array:
+def solved(phi: NDArray[np.float32], wanted: Array, ridge: float) -> Array:
     """The matrix R of the ridge regression phi R = wanted."""
     gram = (phi.T @ phi).astype(np.float64)
     gram[np.diag_indices(len(gram))] += ridge * np.trace(gram) / len(gram)
@@ -237,7 +239,7 @@ def solved(phi: Array, wanted: Array, ridge: float) -> Array:
 
 
 class Errors(NamedTuple):
-    """Of samples of a clip: root mean square error (K,) along an axis, less the mean error; scores (N, K) and covers."""
+    """Of samples of a clip: root mean square error (K,) along an axis without the mean error; scores (N, K), covers."""
 
     std: Array
     scores: Array

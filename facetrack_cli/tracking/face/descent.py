@@ -65,7 +65,8 @@ class Descent(NamedTuple):
         """The parts in a still face."""
         seen = channels(still[TOP : TOP + SIDE, LEFT : LEFT + SIDE])
         x = self.descended(seen)
-        return Placed(x + (LEFT, TOP), read(seen, x, ODDS_SCALE) @ self.odds)
+        odds = read(seen, x, ODDS_SCALE) @ self.odds
+        return Placed(x + np.array([LEFT, TOP]), odds.astype(np.float64))
 
     def descended(self, seen: NDArray[np.float32]) -> Array:
         """x after the last stage (K, 2), in the channels of the part of the still face that is read."""

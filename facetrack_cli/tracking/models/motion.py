@@ -127,7 +127,7 @@ class JumpingWalk:
                 np.log(share) - 0.5 * squared / s**2 - np.log(2 * np.pi * s**2)
                 for share, s in ((1 - self.jumps, self.sigma), (self.jumps, self.jump))
             ]
-        return np.logaddexp(*each)
+        return np.asarray(np.logaddexp(*each))
 
     def linear(self, state: Array) -> Linear:
         """The motion around a state (K, 2), its noise that of all steps together."""
