@@ -93,6 +93,10 @@ def _made(stored: Stored) -> Descent:
     mean, scales, std = stored.reals("mean", 2), stored.reals("scales", 1), stored.reals("std", 1)
     odds, k = stored.reals("odds", 2).astype(np.float32), len(parts)
     width = k * GRID**2 * (DIRECTIONS + 3) + 1
+    if not parts or len(set(parts)) < k or not len(scales):
+        raise ValueError("a descent has a stage or more, and a part or more, each named once")
+    if not all(np.isfinite(one).all() for one in (stages, mean, scales, std, odds)) or min(*scales, *std) <= 0:
+        raise ValueError("a number is not finite, or a scale or an error not above 0")
     shapes = [one.shape for one in (stages, mean, std, odds)]
     if shapes != [(len(scales), width, 2 * k), (k, 2), (k,), (width, k)]:
         raise ValueError(f"arrays of {shapes} do not fit {k} parts")
