@@ -12,8 +12,8 @@ eyes). Of each variant and clip the first frames are as they were, so that the t
     roll        turned by 40 degrees and back           away                  out of the picture for 2 s, back elsewhere
 
 The table has, for each variant, the share of frames whose visible nose and mouth corners are within .35 eye distances
-of the reference; of hidden points the median error, and those called lost; of visible ones those called lost; and the
-worst clip. `TRACKER.csv` of each clip stays beside it.
+of the reference, and the worst clip; of hidden points the median error, and the share called lost; of visible ones the
+share called lost.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from __future__ import annotations
 import argparse
 import csv
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import imageio_ffmpeg
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Image
 from facetrack_cli.recipe.load import load_recipe
@@ -39,8 +39,10 @@ from facetrack_cli.runs.seeds import variant
 from facetrack_cli.video.source import open_source
 
 FRAMES, PUT_ON, LONGEST = 180, 20, 640  # of a variant; the frame of the change; pixels of its longer side
+GONE, BACK, SEEN_AGAIN = 55, 80, 100  # frames of "away": out of the picture, to the right of it, in it again
 CORE = ("nose", "mouth_left", "mouth_right")
 Points = dict[str, tuple[float, float]]
+Reals = NDArray[np.floating[Any]]
 
 
 class Shot(NamedTuple):
@@ -58,7 +60,7 @@ def shots(clip: Path) -> list[Shot]:
     for row in csv.DictReader((clip / "mesh.csv").open(encoding="utf-8")):
         known.setdefault(int(row["frame"]), {})[row["part"]] = float(row["x"]), float(row["y"]), float(row["unit"])
     [video] = [path for path in clip.iterdir() if path.suffix in (".mp4", ".webm", ".mkv")]
-    found = []
+    found: list[Shot] = []
     with open_source(video) as source:
         for frame in source:
             if len(found) == 3 * FRAMES:
@@ -77,30 +79,46 @@ def moved(shot: Shot, matrix: Array) -> Shot:
     h, w = shot.image.shape[:2]
     beyond = np.median(shot.image[:, [0, -1]].reshape(-1, 3), axis=0).tolist()
     image = cv2.warpAffine(shot.image, matrix, (w, h), flags=cv2.INTER_LINEAR, borderValue=beyond)
-    points = {part: tuple((matrix[:, :2] @ at + matrix[:, 2]).tolist()) for part, at in shot.points.items()}
+    places = {part: (matrix[:, :2] @ at + matrix[:, 2]).tolist() for part, at in shot.points.items()}
+    points = {part: (x, y) for part, (x, y) in places.items()}
     scale = float(np.hypot(*matrix[:, 0]))
     out = frozenset(part for part, (x, y) in points.items() if not (0 <= x < w and 0 <= y < h))
-    return Shot(np.asarray(image, np.uint8), points, shot.unit * scale, shot.hidden | out)  # type: ignore[arg-type]
+    return Shot(np.asarray(image, np.uint8), points, shot.unit * scale, shot.hidden | out)
 
 
-def covered(shot: Shot, picture: Array, mask: Array) -> Shot:
-    """A shot with a picture (H, W, 3) before it, where the mask (H, W) is 1."""
+def similarity(about: Array, scale: float, angle: float, to: Array) -> Array:
+    """(2, 3): the map that turns and enlarges about a place and brings that `to` another."""
+    a = scale * np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    return np.column_stack([a, to - a @ about])
+
+
+def covered(shot: Shot, picture: Reals, mask: Reals) -> Shot:
+    """A shot with a picture (H, W, 3) before it, where the mask (H, W) is 1, and its shadow around."""
     soft = cv2.GaussianBlur(mask, (0, 0), max(0.012 * shot.unit, 0.5))[..., None]
-    shade = cv2.GaussianBlur(mask, (0, 0), 0.08 * shot.unit)[..., None]
-    image = shot.image * (1 - 0.35 * np.clip(shade - soft, 0, 1)) * (1 - soft) + picture * soft
     near = cv2.GaussianBlur(mask, (0, 0), 0.08 * shot.unit)
+    shadow = np.clip(near[..., None] - soft, 0, 1)
+    image = shot.image * (1 - 0.35 * shadow) * (1 - soft) + picture * soft
     h, w = mask.shape
     at = {part: (int(np.clip(y, 0, h - 1)), int(np.clip(x, 0, w - 1))) for part, (x, y) in shot.points.items()}
     hidden = frozenset(part for part, place in at.items() if near[place] > 0.6)
     return shot._replace(image=np.clip(image, 0, 255).astype(np.uint8), hidden=shot.hidden | hidden)
 
 
+def blank(shot: Shot) -> NDArray[np.float32]:
+    """A mask (H, W) of nothing."""
+    return np.zeros(shot.image.shape[:2], np.float32)
+
+
 def face_axes(shot: Shot) -> tuple[Array, Array, Array]:
     """The middle of the mouth, and the face's axes across and down, of a length of one eye distance."""
-    left, right, nose = (np.array(shot.points[part]) for part in ("mouth_left", "mouth_right", "nose"))
+    left, right = (np.array(shot.points[part]) for part in ("mouth_left", "mouth_right"))
     mouth = 0.5 * (left + right)
     across = (right - left) / max(float(np.hypot(*(right - left))), 1e-6) * shot.unit
     return mouth, across, np.array([-across[1], across[0]])
+
+
+FINGERS = (-0.55, 0.15), (-0.18, 0.0), (0.19, 0.05), (0.55, 0.3)  # across and down the hand, of their tips
+PALM = (-0.8, 1.1), (0.8, 1.1), (0.7, 2.6), (0.4, 6.0), (-0.4, 6.0), (-0.7, 2.6)
 
 
 def hand(shot: Shot, t: float, skin: Array, rng: np.random.Generator) -> Shot:
@@ -110,30 +128,26 @@ def hand(shot: Shot, t: float, skin: Array, rng: np.random.Generator) -> Shot:
     along = -math.cos(turn) * down + math.sin(turn) * across
     side = math.cos(turn) * across + math.sin(turn) * down
     tip = mouth - 0.15 * down + (1 - t) * 4 * down
-    mask, lines = np.zeros(shot.image.shape[:2], np.float32), np.zeros(shot.image.shape[:2], np.float32)
 
     def place(u: float, v: float) -> tuple[int, int]:
-        x, y = (tip + u * side - v * along).tolist()
-        return round(float(np.clip(x, -9999, 9999))), round(float(np.clip(y, -9999, 9999)))
+        x, y = np.clip(tip + u * side - v * along, -9999, 9999).tolist()
+        return round(x), round(y)
 
+    mask, lines = blank(shot), blank(shot)
     width = max(round(0.36 * shot.unit), 2)
-    for finger, (u, v) in enumerate(((-0.55, 0.15), (-0.18, 0.0), (0.19, 0.05), (0.55, 0.3))):
-        for target, value in ((mask, width), (lines, max(width // 9, 1))):
-            offset = 0.0 if target is mask else 0.19
-            if target is mask or finger < 3:
-                cv2.line(target, place(u + offset, v), place(0.8 * u + offset, 1.3), 1.0, value, cv2.LINE_AA)
-    palm = np.array(
-        [place(-0.8, 1.1), place(0.8, 1.1), place(0.7, 2.6), place(0.4, 6.0), place(-0.4, 6.0), place(-0.7, 2.6)]
-    )
-    cv2.fillConvexPoly(mask, cv2.convexHull(palm), 1.0, cv2.LINE_AA)
+    for u, v in FINGERS:
+        cv2.line(mask, place(u, v), place(0.8 * u, 1.3), 1.0, width, cv2.LINE_AA)
+    for u, v in FINGERS[:-1]:  # the line between a finger and the next
+        cv2.line(lines, place(u + 0.19, v), place(0.8 * u + 0.19, 1.3), 1.0, max(width // 9, 1), cv2.LINE_AA)
+    cv2.fillConvexPoly(mask, cv2.convexHull(np.array([place(*at) for at in PALM])), 1.0, cv2.LINE_AA)
     y, x = np.mgrid[: mask.shape[0], : mask.shape[1]]
     light = 1 + 0.12 * np.sin((x * across[0] + y * across[1]) / shot.unit**2 * 2.2)
     grain = cv2.GaussianBlur(rng.normal(0, 1, mask.shape).astype(np.float32), (0, 0), 1.5)
-    picture = skin * (light * (1 - 0.4 * cv2.GaussianBlur(lines, (0, 0), 1.0)) + 0.05 * grain)[..., None]
-    return covered(shot, picture, mask)
+    dark = 1 - 0.4 * cv2.GaussianBlur(lines, (0, 0), 1.0)
+    return covered(shot, skin * (light * dark + 0.05 * grain)[..., None], mask)
 
 
-def book(shot: Shot, t: float, cover: Array) -> Shot:
+def book(shot: Shot, t: float, cover: Reals) -> Shot:
     """A book before the whole face, moved in from the side."""
     mouth, across, down = face_axes(shot)
     h, w = shot.image.shape[:2]
@@ -143,58 +157,62 @@ def book(shot: Shot, t: float, cover: Array) -> Shot:
     matrix = cv2.getAffineTransform(source, np.array(corners, np.float32))
     picture = cv2.warpAffine(cover, matrix, (w, h), flags=cv2.INTER_AREA)
     mask = cv2.warpAffine(np.ones(cover.shape[:2], np.float32), matrix, (w, h))
-    return covered(shot, picture, mask)
+    return covered(shot, np.asarray(picture, np.float32), np.asarray(mask, np.float32))
 
 
-def worn(shot: Shot, kind: str) -> Shot:
-    """A hat, dark glasses or a beard; what of the mouth a beard covers stays visible."""
+def outline(at: Iterable[tuple[float, float]], about: Array, across: Array, down: Array) -> NDArray[np.int32]:
+    """Corners (M, 2) of a polygon on a face, in pixels."""
+    return np.round([about + u * across + v * down for u, v in at]).astype(np.int32)
+
+
+def worn(shot: Shot, mask: Reals, picture: Reals) -> Shot:
+    """A shot with something put on, after which its points count as visible: a beard has a mouth, too."""
+    return covered(shot, np.broadcast_to(picture, shot.image.shape), mask)._replace(hidden=shot.hidden)
+
+
+BRIM = (-1.5, -0.45), (1.5, -0.45), (1.5, -0.7), (0.9, -0.8)
+CROWN = (0.75, -1.7), (-0.75, -1.7), (-0.9, -0.8), (-1.5, -0.7)
+LENS = (-0.36, -0.2), (0.36, -0.2), (0.3, 0.22), (-0.3, 0.22)
+
+
+def hat(shot: Shot) -> Shot:
     mouth, across, down = face_axes(shot)
-    mask, grain = np.zeros(shot.image.shape[:2], np.float32), np.ones(shot.image.shape[:2])
-    eyes = mouth - 1.05 * down
+    mask = blank(shot)
+    cv2.fillPoly(mask, [outline((*BRIM, *CROWN), mouth - 1.05 * down, across, down)], 1.0)
+    return worn(shot, mask, np.array([40.0, 60.0, 90.0]))
 
-    def shape(points: Sequence[tuple[float, float]], about: Array) -> Array:
-        return np.round([about + u * across + v * down for u, v in points]).astype(np.int32)
 
-    if kind == "hat":
-        cv2.fillPoly(
-            mask,
-            [
-                shape(
-                    [
-                        (-1.5, -0.45),
-                        (1.5, -0.45),
-                        (1.5, -0.7),
-                        (0.9, -0.8),
-                        (0.75, -1.7),
-                        (-0.75, -1.7),
-                        (-0.9, -0.8),
-                        (-1.5, -0.7),
-                    ],
-                    eyes,
-                )
-            ],
-            1.0,
-        )
-        colour: Array = np.array([40.0, 60.0, 90.0])
-    elif kind == "glasses":
-        for u in (-0.5, 0.5):
-            cv2.fillPoly(
-                mask, [shape([(u - 0.36, -0.2), (u + 0.36, -0.2), (u + 0.3, 0.22), (u - 0.3, 0.22)], eyes)], 1.0
-            )
-        cv2.line(
-            mask,
-            *[tuple(p) for p in shape([(-0.9, -0.1), (0.9, -0.1)], eyes).tolist()],
-            1.0,
-            max(round(0.06 * shot.unit), 1),
-        )
-        colour = np.array([25.0, 22.0, 20.0])
-    else:
-        ring = [(0.95 * math.cos(a), 0.25 + 0.75 * math.sin(a)) for a in np.linspace(0, math.pi, 20)]
-        inner = [(0.5 * math.cos(a), 0.05 + 0.3 * math.sin(a)) for a in np.linspace(math.pi, 0, 20)]
-        cv2.fillPoly(mask, [shape([*ring, *inner], mouth)], 1.0)
-        colour, grain = np.array([35.0, 45.0, 60.0]), 0.75 + 0.5 * np.random.default_rng(0).random(mask.shape)
-    found = covered(shot, np.broadcast_to(colour, shot.image.shape) * grain[..., None], mask)
-    return found._replace(hidden=shot.hidden)
+def glasses(shot: Shot) -> Shot:
+    mouth, across, down = face_axes(shot)
+    mask, eyes = blank(shot), mouth - 1.05 * down
+    for eye in (-0.5, 0.5):
+        cv2.fillPoly(mask, [outline([(eye + u, v) for u, v in LENS], eyes, across, down)], 1.0)
+    one_end, other_end = outline([(-0.9, -0.1), (0.9, -0.1)], eyes, across, down).tolist()
+    cv2.line(mask, one_end, other_end, 1.0, max(round(0.06 * shot.unit), 1))
+    return worn(shot, mask, np.array([25.0, 22.0, 20.0]))
+
+
+def beard(shot: Shot) -> Shot:
+    mouth, across, down = face_axes(shot)
+    mask = blank(shot)
+    chin = [(0.95 * math.cos(a), 0.25 + 0.75 * math.sin(a)) for a in np.linspace(0, math.pi, 20)]
+    lips = [(0.5 * math.cos(a), 0.05 + 0.3 * math.sin(a)) for a in np.linspace(math.pi, 0, 20)]
+    cv2.fillPoly(mask, [outline([*chin, *lips], mouth, across, down)], 1.0)
+    hair = 0.75 + 0.5 * np.random.default_rng(0).random(mask.shape)
+    return worn(shot, mask, np.array([35.0, 45.0, 60.0]) * hair[..., None])
+
+
+def blurred(shot: Shot, sigma: float) -> Shot:
+    return shot._replace(image=np.asarray(cv2.GaussianBlur(shot.image, (0, 0), sigma))) if sigma > 0.3 else shot
+
+
+def away(shot: Shot, t: int) -> Shot:
+    """Out of the picture to the left, and from frame 80 on in again from the right, smaller."""
+    width, back = shot.image.shape[1], t >= BACK
+    (x, y), gone = shot.points["nose"], width + 3 * shot.unit
+    far = 1.0 if GONE <= t < SEEN_AGAIN else ramp(t, PUT_ON + 10, 120, 25)
+    to = width / 2 + (x - width / 2) * 0.5 + far * gone if back else x - far * gone
+    return moved(shot, similarity(np.array([x, y]), 0.6 if back else 1.0, 0.0, np.array([to, y])))
 
 
 def ramp(t: int, first: int, last: int, rise: int = 8) -> float:
@@ -202,21 +220,26 @@ def ramp(t: int, first: int, last: int, rise: int = 8) -> float:
     return float(np.clip(min((t - first) / rise, (last - t) / rise), 0, 1))
 
 
-def varied(all_shots: list[Shot], kind: str, seed: int) -> Iterator[Shot]:
-    rng = np.random.default_rng(seed)
-    first = all_shots[0]
-    mouth, _, down = face_axes(first)
+def skin_of(shot: Shot) -> Array:
+    """The mean colour (3,) of the forehead."""
+    mouth, _, down = face_axes(shot)
     x, y = np.round(mouth - 1.7 * down).astype(int).tolist()
-    r = max(round(0.15 * first.unit), 1)
-    skin = np.asarray(first.image[max(y - r, 0) : y + r, max(x - r, 0) : x + r].reshape(-1, 3).mean(axis=0), float)
-    skin = skin if np.isfinite(skin).all() else np.array([110.0, 140.0, 190.0])
-    cover = cv2.resize(rng.integers(30, 220, (9, 7, 3)).astype(np.float32), (210, 270), interpolation=cv2.INTER_NEAREST)
-    h, w = first.image.shape[:2]
+    r = max(round(0.15 * shot.unit), 1)
+    forehead = shot.image[max(y - r, 0) : y + r, max(x - r, 0) : x + r].reshape(-1, 3)
+    return np.asarray(forehead.mean(axis=0), float) if len(forehead) else np.array([110.0, 140.0, 190.0])
+
+
+def varied(all_shots: list[Shot], kind: str, seed: int) -> Iterator[Shot]:
+    """The shots of a variant."""
+    rng, skin = np.random.default_rng(seed), skin_of(all_shots[0])
+    cells = rng.integers(30, 220, (9, 7, 3)).astype(np.float32)
+    cover = np.asarray(cv2.resize(cells, (210, 270), interpolation=cv2.INTER_NEAREST), np.float32)
+    put_on = {"hat": hat, "glasses": glasses, "beard": beard}
     taken = all_shots[::3] if kind == "skip" else all_shots
     for t, shot in enumerate(taken[:FRAMES]):
-        middle = np.array(shot.points["nose"])
-        if kind in ("hat", "glasses", "beard"):
-            yield worn(shot, kind) if t >= PUT_ON else shot
+        nose = np.array(shot.points["nose"])
+        if kind in put_on:
+            yield put_on[kind](shot) if t >= PUT_ON else shot
         elif kind == "hand":
             yield hand(shot, ramp(t, 30, 80), skin, rng)
         elif kind == "book":
@@ -225,29 +248,17 @@ def varied(all_shots: list[Shot], kind: str, seed: int) -> Iterator[Shot]:
             gain = (1.0, 0.45, 1.3, 0.7)[t // 30 % 4]
             yield shot._replace(image=np.clip(shot.image * gain, 0, 255).astype(np.uint8))
         elif kind == "blur":
-            sigma = 0.12 * shot.unit * ramp(t, 25, 10_000)
-            yield shot._replace(image=np.asarray(cv2.GaussianBlur(shot.image, (0, 0), sigma))) if sigma > 0.3 else shot
+            yield blurred(shot, 0.12 * shot.unit * ramp(t, 25, 10_000))
         elif kind == "zoom":
             scale = 2 ** math.sin(math.pi * ramp(t, PUT_ON, PUT_ON + 100, 50))
-            yield moved(shot, similarity(middle, scale, 0.0, middle))
+            yield moved(shot, similarity(nose, scale, 0.0, nose))
         elif kind == "roll":
             angle = math.radians(40) * math.sin(2 * math.pi * max(t - PUT_ON, 0) / 120)
-            yield moved(shot, similarity(middle, 1.0, angle, middle))
+            yield moved(shot, similarity(nose, 1.0, angle, nose))
         elif kind == "away":
-            side, scale = -1.0 if t < 80 else 1.0, 0.6 if t >= 80 else 1.0
-            far = ramp(t, PUT_ON + 10, 120, 25) * (w + 3 * shot.unit) * side
-            if 55 <= t < 100:
-                far = (w + 3 * shot.unit) * side
-            to = np.array([far + (w / 2 + (middle[0] - w / 2) * 0.5 if t >= 80 else middle[0]), middle[1]])
-            yield moved(shot, similarity(middle, scale, 0.0, to))
+            yield away(shot, t)
         else:
             yield shot
-
-
-def similarity(about: Array, scale: float, angle: float, to: Array) -> Array:
-    """(2, 3): the map that turns and enlarges about a place and brings that `to` another."""
-    a = scale * np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-    return np.column_stack([a, to - a @ about])
 
 
 KINDS = ("plain", "skip", "hat", "glasses", "beard", "hand", "book", "light", "blur", "zoom", "roll", "away")
@@ -262,15 +273,12 @@ def write(clip: Path, out: Path, kind: str, seed: int = 0) -> Path:
     for t, shot in enumerate(varied(shots(clip), kind, seed)):
         h, w = (2 * (side // 2) for side in shot.image.shape[:2])
         if writer is None:
-            writer = imageio_ffmpeg.write_frames(
-                str(path), (w, h), fps=25, quality=8, macro_block_size=2, pix_fmt_in="bgr24"
-            )
+            how = {"fps": 25, "quality": 8, "macro_block_size": 2, "pix_fmt_in": "bgr24"}
+            writer = imageio_ffmpeg.write_frames(str(path), (w, h), **how)
             writer.send(None)
         writer.send(np.ascontiguousarray(shot.image[:h, :w]))
-        rows += [
-            f"{t},{part},{x:.2f},{y:.2f},{shot.unit:.2f},{int(part in shot.hidden)}"
-            for part, (x, y) in shot.points.items()
-        ]
+        for part, (x, y) in shot.points.items():
+            rows.append(f"{t},{part},{x:.2f},{y:.2f},{shot.unit:.2f},{int(part in shot.hidden)}")
     assert writer is not None
     writer.close()
     path.with_suffix(".mesh.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
@@ -286,14 +294,13 @@ class Scores(NamedTuple):
     visible_lost: float
 
 
-def score(path: Path, config: str, seed: int, change: Callable[[Path], None] = lambda path: None) -> Scores:
+def score(path: Path, config: str, seed: int) -> Scores:
     cv2.setNumThreads(1)
-    change(path)
     name, overrides = variant(config)
     ours = track_video(path, load_recipe(name, overrides), seed=seed)
     found = {part: ours.find("face", part) for part in (*CORE, "lip_upper", "lip_lower")}
-    frames: dict[int, list[bool]] = {}
-    error: list[float] = []
+    right: dict[int, list[bool]] = {}
+    errors: list[float] = []
     lost: dict[bool, list[bool]] = {True: [], False: []}
     for row in csv.DictReader(path.with_suffix(".mesh.csv").open(encoding="utf-8")):
         one, hidden, frame = found[row["part"]], row["hidden"] == "1", int(row["frame"])
@@ -303,15 +310,17 @@ def score(path: Path, config: str, seed: int, change: Callable[[Path], None] = l
             off = math.hypot(one.x[at] - float(row["x"]), one.y[at] - float(row["y"])) / float(row["unit"])
             lost[hidden].append(bool(one.status[at] == "lost"))
         if hidden:
-            error.append(off)
+            errors.append(off)
         elif row["part"] in CORE:
-            frames.setdefault(frame, []).append(off <= 0.35)
-    right = float(np.mean([all(each) for each in frames.values()]))
-    return Scores(
-        right,
-        float(np.median(error)) if error else math.nan,
-        *(float(np.mean(lost[k])) if lost[k] else math.nan for k in (True, False)),
-    )
+            right.setdefault(frame, []).append(off <= 0.35)
+    hidden_lost, visible_lost = (float(np.mean(lost[k])) if lost[k] else math.nan for k in (True, False))
+    off = float(np.median(errors)) if errors else math.nan
+    return Scores(float(np.mean([all(each) for each in right.values()])), off, hidden_lost, visible_lost)
+
+
+def mean_of_known(values: Sequence[float]) -> float:
+    known = [value for value in values if not math.isnan(value)]
+    return float(np.mean(known)) if known else math.nan
 
 
 def main() -> None:
@@ -327,35 +336,23 @@ def main() -> None:
     kinds = args.variants.split(",")
     clips = [clip for clip in args.clips if (clip / "mesh.csv").exists()]
     with ProcessPoolExecutor(args.jobs) as pool:
-        jobs = list(product(kinds, clips))
-        paths = list(pool.map(write, [clip for _, clip in jobs], [args.out] * len(jobs), [kind for kind, _ in jobs]))
+        jobs = [(clip, args.out, kind) for kind, clip in product(kinds, clips)]
+        paths = list(pool.map(write, *zip(*jobs, strict=True)))
         if args.config is None:
             return
-        runs = list(product(paths, range(args.seeds)))
-        scored = list(
-            pool.map(partial(score), [path for path, _ in runs], [args.config] * len(runs), [seed for _, seed in runs])
-        )
+        runs = [(path, args.config, seed) for path, seed in product(paths, range(args.seeds))]
+        scores = list(pool.map(score, *zip(*runs, strict=True)))
     print(f"{'variant':<10}{'right':>8}{'worst':>8}  {'clip':<12}{'hidden: off':>12}{'lost':>7}{'visible: lost':>15}")
     for kind in kinds:
         mine = [
             (path.stem.rpartition("-")[0], one)
-            for (path, _), one in zip(runs, scored, strict=True)
+            for (path, _, _), one in zip(runs, scores, strict=True)
             if path.stem.endswith(f"-{kind}")
         ]
         worst, low = min(mine, key=lambda each: each[1].right)
-        means = (
-            np.nanmean([one for _, one in mine], axis=0)
-            if any(math.isfinite(one.hidden) for _, one in mine)
-            else np.array(
-                [
-                    np.mean([one.right for _, one in mine]),
-                    math.nan,
-                    math.nan,
-                    np.mean([one.visible_lost for _, one in mine]),
-                ]
-            )
-        )
-        print(f"{kind:<10}{means[0]:8.3f}{low.right:8.3f}  {worst:<12}{means[1]:12.3f}{means[2]:7.2f}{means[3]:15.3f}")
+        mean = Scores(*map(mean_of_known, zip(*(one for _, one in mine), strict=True)))
+        print(f"{kind:<10}{mean.right:8.3f}{low.right:8.3f}  {worst:<12}{mean.hidden:12.3f}", end="")
+        print(f"{mean.hidden_lost:7.2f}{mean.visible_lost:15.3f}")
 
 
 if __name__ == "__main__":

@@ -210,8 +210,10 @@ def row(schema: Schema, key: str, field: Schema, required: bool, note: str = "")
 
 def members(schema: Schema, field: Schema) -> list[Schema]:
     """The sections that a field accepts: one, several that differ by `type`, or none if it is a value."""
-    found = [resolve(schema, one) for one in field.get("oneOf") or field.get("anyOf") or [field]]
-    return [one for one in found if "properties" in one]
+    if below := field.get("oneOf") or field.get("anyOf"):
+        return [one for each in below for one in members(schema, each)]
+    one = resolve(schema, field)
+    return [one] if "properties" in one else []
 
 
 def resolve(schema: Schema, field: Schema) -> Schema:
@@ -229,6 +231,7 @@ def value(schema: Schema, field: Schema) -> str:
     if name:
         named = {
             "LengthPerPart": "length, or `{part: length}`",
+            "ShiftPerPart": "`[across, down]`, or `{part: [across, down]}`",
             "WindowPerPart": "length or `[width, height]`, or `{part: ...}`",
         }
         return named[name] if name in named else value(schema, schema["$defs"][name])

@@ -5,8 +5,9 @@
 
 `clips` is searched for clips of one face each. Of a clip with a mesh.csv beside it (frame, part, x, y) the points in
 that are the truth; of others it is the mean of four crops of the network (facetrack models get mesh). Frames are
-moved, scaled, rolled, mirrored, blurred, compressed and coloured at random. The odds are learned from frames that boards, discs
-and fingers cover, with the colours of other pictures or of the face's own skin. Each clip has the same weight.
+moved, scaled, rolled, mirrored, blurred, compressed and coloured at random. The odds are learned from frames that
+boards, discs and fingers cover, with the colours of other pictures or of the face's own skin. Each clip has the same
+weight.
 
 `std` in the file is the root mean square error of each part on clips that a model of the others has not seen, five
 groups of clips in turn; `--quick` leaves that out and takes the errors of training.
@@ -38,7 +39,9 @@ from facetrack_cli.video.source import open_source
 PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 OTHERS = tuple(point for point in POINTS if point not in PARTS)
 NAMES = (*PARTS, *OTHERS)
-MIRRORED = [NAMES.index(re.sub("left|right", lambda side: "right" if side[0] == "left" else "left", one)) for one in NAMES]
+MIRRORED = [
+    NAMES.index(re.sub("left|right", lambda side: "right" if side[0] == "left" else "left", one)) for one in NAMES
+]
 IN_MESH = [MESH[name] for name in NAMES]
 CORNERS_OF_EYES = [33, 133, 362, 263]
 CROPS = ((3.8, 0.75), (3.2, 0.55), (4.2, 0.75), (3.8, 0.95))
@@ -121,8 +124,8 @@ def load(path: Path, mesh: Mesh) -> Clip | None:
             seen.append((crop.bgr, head.to_still(parts) - corner, head.scale * EYES))
     if len(seen) < LEAST:
         return None
-    pictures, points, apart = zip(*seen, strict=True)
-    return Clip(str(path), pictures, np.array(points), float(np.median(apart)))
+    pictures, parts_of, apart = zip(*seen, strict=True)
+    return Clip(str(path), pictures, np.array(parts_of), float(np.median(apart)))
 
 
 class Sample(NamedTuple):
@@ -152,7 +155,7 @@ def sample(rng: np.random.Generator, clip: Clip, others: Sequence[Clip] = (), sh
         small = cv2.resize(moved, None, fx=1 / k, fy=1 / k, interpolation=cv2.INTER_AREA)
         if rng.random() < 0.5:
             coded = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, int(rng.uniform(30, 90))])[1]
-            small = cv2.imdecode(coded, cv2.IMREAD_COLOR)
+            small = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), np.uint8)
         moved = cv2.resize(small, (SIDE, SIDE))
     light = moved * np.exp(rng.normal(0, 0.06, 3)) * np.exp(rng.normal(0, 0.2))
     found = Sample(np.clip(light, 0, 255).astype(np.uint8), points @ turn.T + shift, np.zeros(len(points)))
@@ -179,10 +182,10 @@ def texture(rng: np.random.Generator, own: Image, others: Sequence[Clip]) -> Arr
         piece = cv2.resize(own[y : y + side, x : x + side], (SIDE, SIDE), interpolation=cv2.INTER_CUBIC)
         found = piece * np.exp(rng.normal(0, 0.15))
     elif kind < 0.7:
-        pictures = others[rng.integers(len(others))].pictures
-        whole, side = pictures[rng.integers(len(pictures))], int(rng.integers(30, 110))
+        pictures = others[int(rng.integers(len(others)))].pictures
+        whole, side = pictures[int(rng.integers(len(pictures)))], int(rng.integers(30, 110))
         y, x = rng.integers(0, whole.shape[0] - side, 2).tolist()
-        turned = np.rot90(cv2.resize(whole[y : y + side, x : x + side], (SIDE, SIDE)), rng.integers(4))
+        turned = np.rot90(cv2.resize(whole[y : y + side, x : x + side], (SIDE, SIDE)), int(rng.integers(4)))
         found = turned * np.exp(rng.normal(0, 0.3))
     else:
         cells = rng.uniform(20, 230, (*[int(rng.integers(2, 12))] * 2, 3)).astype(np.float32)
@@ -192,7 +195,7 @@ def texture(rng: np.random.Generator, own: Image, others: Sequence[Clip]) -> Arr
     return np.asarray(found + rng.normal(0, rng.uniform(0, 6), (SIDE, SIDE, 3)))
 
 
-def shape(rng: np.random.Generator, points: Array) -> Array:
+def shape(rng: np.random.Generator, points: Array) -> NDArray[np.float32]:
     """A mask (SIDE, SIDE) of a board, a disc or fingers near one of the points (K, 2)."""
     mask = np.zeros((SIDE, SIDE), np.float32)
     at, kind = points[rng.integers(len(points))] + rng.normal(0, 0.25 * EYES, 2), rng.random()
@@ -208,8 +211,8 @@ def shape(rng: np.random.Generator, points: Array) -> Array:
         for i in range(count):
             across = (i - (count - 1) / 2) * 1.02 * width * np.array([-along[1], along[0]])
             tip = at + along * rng.uniform(-0.1, 0.5) * EYES + across
-            ends = (np.round(end).astype(int).tolist() for end in (tip, tip - 3 * EYES * along))
-            cv2.line(mask, *ends, 1.0, max(int(width), 2))
+            ends = np.round([tip, tip - 3 * EYES * along]).astype(int).tolist()
+            cv2.line(mask, ends[0], ends[1], 1.0, max(int(width), 2))
     return mask
 
 
@@ -245,7 +248,7 @@ def odds_of(rng: np.random.Generator, model: Descent, clips: Sequence[Clip]) -> 
     return np.asarray(odds, np.float32).T
 
 
-def solved(phi: Array, wanted: Array, ridge: float) -> Array:
+def solved(phi: NDArray[np.float32], wanted: Array, ridge: float) -> Array:
     """The matrix R of the ridge regression phi R = wanted."""
     gram = (phi.T @ phi).astype(np.float64)
     gram[np.diag_indices(len(gram))] += ridge * np.trace(gram) / len(gram)
@@ -253,7 +256,7 @@ def solved(phi: Array, wanted: Array, ridge: float) -> Array:
 
 
 class Errors(NamedTuple):
-    """Of samples of a clip: root mean square error (K,) along an axis, less the mean error; scores (N, K) and covers."""
+    """Of samples of a clip: root mean square error (K,) along an axis without the mean error; scores (N, K), covers."""
 
     std: Array
     scores: Array
@@ -294,13 +297,18 @@ def calibrated(model: Descent, found: Sequence[Errors]) -> Descent:
             a, b = a + step[0], b + step[1]
         odds[:, j] *= a
         odds[-1, j] += b
-        if SHOW_AUC: print(NAMES[j], 'auc', auc(s, visible), 'n', len(s), (~visible).sum())
+        if SHOW_AUC:
+            print(NAMES[j], "auc", auc(s, visible), "n", len(s), (~visible).sum())
     return model._replace(std=np.median([one.std for one in found], axis=0), odds=odds)
 
 
 SHOW_AUC = True
+
+
 def auc(s, y):
-    r = np.empty(len(s)); r[np.argsort(s)] = np.arange(len(s)); n1 = y.sum()
+    r = np.empty(len(s))
+    r[np.argsort(s)] = np.arange(len(s))
+    n1 = y.sum()
     return round((r[y].sum() - n1 * (n1 - 1) / 2) / (n1 * (len(y) - n1)), 3)
 
 

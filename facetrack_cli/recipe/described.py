@@ -14,9 +14,14 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema
 
+from facetrack_cli.recipe.sections import Length
+
 
 class Described(GenerateJsonSchema):
-    """Fields without a description of their own get their docstrings."""
+    """Fields without a description of their own get their docstrings, and lengths are written as in recipes."""
+
+    def encode_default(self, dft: Any) -> Any:
+        return super().encode_default(dft.written() if isinstance(dft, Length) else dft)
 
     def model_schema(self, schema: Any) -> dict[str, Any]:
         found = super().model_schema(schema)

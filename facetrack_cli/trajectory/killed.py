@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import re
 import shutil
 from collections import deque
@@ -97,6 +98,17 @@ class _Ending(NamedTuple):
     lines: int
 
 
+def _ended(line: bytes) -> bool:
+    """Whether a line is whole: without its end it may be torn where an object inside of it ends."""
+    if line.endswith(b"\n"):
+        return True
+    try:
+        json.loads(line)
+    except ValueError:
+        return False
+    return True
+
+
 def _ends(form: Format, path: Path) -> Sequence[_Ending]:
     """The last whole frames of a table that was being written."""
     found: deque[_Ending] = deque(maxlen=8)
@@ -104,7 +116,7 @@ def _ends(form: Format, path: Path) -> Sequence[_Ending]:
     with path.open("rb") as file:
         for text in file:
             place += len(text)
-            if (one := _FRAME[form].fullmatch(text)) is None:
+            if (one := _FRAME[form].fullmatch(text)) is None or not _ended(text):
                 continue
             frame, lines = int(one[1]), 1
             if found and found[-1].frame == frame:

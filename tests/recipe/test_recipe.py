@@ -548,4 +548,5 @@ def test_schema_describes_every_field():
     assert kinds == ["Sir", "Auxiliary", "Factorized", "Independent", "Adaptive", "Guided", "Peak"]
     length = json.dumps(schema["$defs"]["LengthPerPart"])
     assert '"maximum": 1000000.0' in length and "px" in length
+    assert models["VisibleWalk"]["properties"]["hidden"]["default"] == 0.1, "as a recipe writes it"
     assert schema["$defs"]["ColourRatio"]["properties"]["robust"]["enum"][0] == "l1"

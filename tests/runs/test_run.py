@@ -118,10 +118,10 @@ def test_a_clip_gets_a_folder_with_three_files(run: Runner, clip: Path) -> None:
     assert count(folder / "annotated.mp4") == 30
     data = json.loads((folder / "trajectory.json").read_text())
     assert (data["complete"], data["frames_tracked"], data["variable_fps"]) == (True, 30, False)
-    assert (data["recipe"]["name"], data["recipe"]["filter"]["particles"]) == ("face", 20)
+    assert (data["recipe"]["name"], data["recipe"]["filter"]["particles"]) == ("face", 30)
     assert data["source"] == {"path": str(clip), "size": [128, 96], "fps": 25.0}
     assert data["init"]["targets"]["face"]["points"]["nose"] == [60, 40]
-    assert data["frames"][0]["targets"][0]["particles"] == 120
+    assert data["frames"][0]["targets"][0]["particles"] == 130
     # on a busy machine compiling takes so long that progress is told
     line, verdict, next_ = [one for one in err.splitlines() if " of about " not in one]
     assert "begins in frame 0 (0:00.00), by" in verdict
@@ -809,8 +809,17 @@ def test_the_header_is_the_schema(run: Runner, clip: Path) -> None:
         (["--set", "target.windows=1000px"], 2, "larger than the frame of 128x96; make it smaller"),
         (["--set", "target.windows=1e299px"], 2, "no more than a million"),
         (["--set", "motion.sigma=1e299px"], 2, "no more than a million"),
-        (["--set", "prior.sigma=0.001"], 2, "prior.sigma must be at least 0.005, not 0.001"),
-        (["--set", "target.parts=[nose, mouth_left]"], 2, "the recipe does not track mouth_right"),
+        (["--set", "prior.freedom=0"], 2, "prior.freedom must be greater than 0, not 0"),
+        (
+            ["--config", "sir", "--set", "prior={type: parzen, file: mouth_prior.npz, sigma: 0.001}"],
+            2,
+            "prior.sigma must be at least 0.005, not 0.001",
+        ),
+        (
+            ["--set", "target.parts=[nose, mouth_left]", "--set", "likelihood.shift=[0, 0]"],
+            2,
+            "the recipe does not track mouth_right",
+        ),
         (["--seed", str(2**63)], 2, "seed must be less than 9223372036854775808"),
         (["--start", "x"], 2, "'x' is not a valid whole number"),
         (["--init", ""], 2, "--init is empty"),

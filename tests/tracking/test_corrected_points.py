@@ -43,7 +43,7 @@ def test_a_box_places_what_is_there_and_leaves_out_what_is_absent(face, box):
 
 
 def test_a_box_may_stand_out_of_the_picture_with_a_part_that_is_absent(face):
-    outside = (-60.0, 100.0, 130.0, 130.0)
+    outside = (-42.0, 100.0, 130.0, 130.0)
     with pytest.raises(InputError, match="would put mouth_left outside the frame"):
         run("factorized", face, given(15, box=outside))
     put = run("factorized", face, given(15, box=outside, absent=("mouth_left",)))

@@ -161,14 +161,13 @@ def test_messages_know_of_it(plugged, tmp_path):
         'unknown likelihood type "grey_diference"; did you mean "grey_difference"?'
     )
     assert refused("likelihood.type=nothing").endswith(
-        "it is one of: colour_ratio, product, skin_ncc, skin, appearance, correlation_filter, background_ratio, "
+        "it is one of: colour_ratio, product, skin_ncc, skin, appearance, correlation_filter, window_ncc, "
         "grey_difference"
     )
     wrong = 'likelihood type "grey_difference" does not go with target type "region"; write product or skin_ncc'
     assert wrong in refused(PLUGGED, config="histogram")
-    assert (
-        'does not go with target type "points"; write colour_ratio or background_ratio or grey_difference'
-        in refused("likelihood={type: skin}")
+    assert 'does not go with target type "points"; write colour_ratio or window_ncc or grey_difference' in refused(
+        "likelihood={type: skin}"
     )
     text = read_recipe(next(path for path in shipped_recipes() if path.stem == "sir"))
     text = re.sub(r"likelihood:\n(  .*\n)+", "likelihood:\n  type: grey_difference\n  sigma: 300\n", text)

@@ -14,8 +14,8 @@ from facetrack_cli.tracking.kernels.compiled import exact
 CLIPS = Path(__file__).parents[2] / "sample_videos"
 # between them these call all that is declared
 RECIPES = {
-    "face": "expressions", "adaptive": "expressions", "contour_histogram_correlation": "expressions",
-    "skin_ncc": "expressions", "head_hands": "signing",
+    "face": "expressions", "factorized": "expressions", "adaptive": "expressions",
+    "contour_histogram_correlation": "expressions", "skin_ncc": "expressions", "head_hands": "signing",
 }  # fmt: skip
 _RUN = """
 import json, sys

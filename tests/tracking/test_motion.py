@@ -1,11 +1,13 @@
-"""The random walk: its draws have the density that it states."""
+"""The walks of points: their draws have the density that they state."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import Particles
-from facetrack_cli.tracking.models.motion import RandomWalk
+from facetrack_cli.tracking.models.motion import JumpingWalk, Measured, RandomWalk
 from facetrack_cli.tracking.models.spaces import estimate
 
 SIGMA = np.array([0.5, 2.0, 4.0])
@@ -52,3 +54,131 @@ def test_estimate_is_the_weighted_mean_and_covariance():
 def test_size_of_points_is_the_largest_distance():
     assert size_of_points(np.array([[0.0, 0.0], [3.0, 4.0], [1.0, 1.0]])) == pytest.approx(5.0)
     assert size_of_points(np.array([[2.0, 2.0]])) == 0.0
+
+
+# --- a walk that jumps ----------------------------------------------------------------------------------------------
+
+REST = np.array([[2.0, -1.0], [0.0, 0.0], [1.0, 1.0]])
+JUMPS = JumpingWalk(np.array([0.5, 1.0, 2.0]), np.array([3.0, 4.0, 6.0]), 0.3, REST, 0.9)
+PARENT = np.array([[3.0, -2.0], [1.0, 0.5], [-2.0, 2.0]])
+STEP = 0.1
+AXIS = np.arange(-40, 40, STEP)
+GRID = np.stack(np.meshgrid(AXIS, AXIS), axis=2).reshape(-1, 1, 2)
+
+
+def normal(off, var):
+    return np.exp(-0.5 * (off**2).sum(axis=-1) / var) / (2 * np.pi * var)
+
+
+def jump_density(x, parent, part):
+    """p(x | parent) by its formula; x (..., 2)."""
+    mean = REST[part] + 0.9 * (parent - REST[part])
+    return 0.7 * normal(x - mean, JUMPS.sigma[part] ** 2) + 0.3 * normal(x - mean, JUMPS.jump[part] ** 2)
+
+
+def sensed(z, x, measured, part):
+    """p(z | x) by its formula."""
+    sure = measured.sure[part]
+    return sure * normal(z - x, measured.var[part]) + (1 - sure) / measured.area
+
+
+MEASURED = Measured(
+    np.array([[5.0, -1.0], [-9.0, 4.0], [30.0, 30.0]]),  # near, a jump away, and where nobody gets
+    np.array([1.0, 2.0, 1.5]),
+    np.array([0.95, 0.9, 0.8]),
+    1600.0,
+)
+
+
+def test_jumping_draws_are_the_mixture_that_is_stated():
+    x = PARENT[None].repeat(60_000, axis=0)
+    moved = JUMPS.propagate(np.random.default_rng(0), x)
+    mean = REST + 0.9 * (PARENT - REST)
+    np.testing.assert_allclose(JUMPS.expect(x[:1])[0], mean)
+    np.testing.assert_allclose(moved.mean(axis=0), mean, atol=0.06)
+    var = 0.7 * JUMPS.sigma**2 + 0.3 * JUMPS.jump**2
+    np.testing.assert_allclose(moved.var(axis=0), var[:, None].repeat(2, axis=1), rtol=0.05)
+    # a part jumps in both coordinates at once: within 1.5 sigma of the mean are both kinds by their shares
+    far = ((moved - mean) ** 2).sum(axis=2) > (1.5 * JUMPS.sigma) ** 2
+    shares = 0.7 * np.exp(-0.5 * 1.5**2) + 0.3 * np.exp(-0.5 * (1.5 * JUMPS.sigma / JUMPS.jump) ** 2)
+    np.testing.assert_allclose(far.mean(axis=0), shares, atol=0.01)
+    steps = moved - mean
+    assert np.abs(np.corrcoef(far.T) - np.eye(3)).max() < 0.02
+    assert np.abs(np.corrcoef(steps.reshape(-1, 6).T) - np.eye(6)).max() < 0.02
+
+
+def test_the_density_of_a_jump_is_the_formula_and_integrates_to_one():
+    log_p = JUMPS.log_transition(GRID.repeat(3, axis=1), PARENT[None])
+    assert log_p.shape == (len(GRID), 1, 3)
+    np.testing.assert_allclose(np.exp(log_p[:, 0]).sum(axis=0) * STEP**2, 1.0, atol=1e-3)
+    for part in range(3):
+        np.testing.assert_allclose(np.exp(log_p[::977, 0, part]), jump_density(GRID[::977, 0], PARENT[part], part))
+    table = JUMPS.log_transition(GRID[:4].repeat(3, axis=1), np.stack([PARENT, PARENT + 1, PARENT - 2]))
+    one = JUMPS.log_transition(GRID[2:3].repeat(3, axis=1), PARENT[None] + 1)
+    np.testing.assert_allclose(table[2, 1], one[0, 0])
+
+
+@pytest.mark.parametrize("part", range(3))
+def test_what_a_sensor_says_of_a_parent_is_the_integral_over_all_steps(part):
+    for parent in (PARENT, PARENT + 3):
+        p = jump_density(GRID[:, 0], parent[part], part)
+        whole = (p * sensed(MEASURED.z[part], GRID[:, 0], MEASURED, part)).sum() * STEP**2
+        assert JUMPS.log_measured(parent[None], MEASURED)[0, part] == pytest.approx(np.log(whole), abs=2e-3)
+
+
+@pytest.mark.parametrize("part", range(3))
+def test_draws_given_a_sensor_are_of_the_posterior(part):
+    p = jump_density(GRID[:, 0], PARENT[part], part) * sensed(MEASURED.z[part], GRID[:, 0], MEASURED, part)
+    p /= p.sum()
+    draws = JUMPS.propagate_given(np.random.default_rng(1), PARENT[None].repeat(60_000, axis=0), MEASURED)[:, part]
+    mean = p @ GRID[:, 0]
+    cov = (GRID[:, 0] - mean).T @ ((GRID[:, 0] - mean) * p[:, None])
+    np.testing.assert_allclose(draws.mean(axis=0), mean, atol=0.05)
+    np.testing.assert_allclose(np.cov(draws.T), cov, atol=0.03 * np.trace(cov))
+    side = len(AXIS)
+    for axis in (0, 1):
+        below = p.reshape(side, side).sum(axis=axis).cumsum()  # axis 0 is y
+        drawn = np.searchsorted(np.sort(draws[:, axis]), AXIS + STEP / 2) / len(draws)
+        assert np.abs(below - drawn).max() < 0.01
+
+
+def test_one_step_of_many_particles_is_the_exact_posterior():
+    """Drawn given z and weighted by p(z | parent), as the filter does: the posterior over a cloud of parents."""
+    rng, z = np.random.default_rng(2), np.array([[6.0, 1.0], [2.0, 0.0], [-2.0, 5.0]])
+    measured = MEASURED._replace(z=z)
+    parents = PARENT + 1.5 * rng.standard_normal((60_000, 3, 2))
+    log_w = JUMPS.log_measured(parents, measured)
+    w = np.exp(log_w - log_w.max(axis=0))
+    w /= w.sum(axis=0)
+    found = np.einsum("nk,nkd->kd", w, JUMPS.propagate_given(rng, parents, measured))
+    for part in range(3):
+        mean = REST[part] + 0.9 * (PARENT[part] - REST[part])
+        spread = 0.81 * 1.5**2  # of where the parents lead
+        p = 0.7 * normal(GRID[:, 0] - mean, spread + JUMPS.sigma[part] ** 2)
+        p += 0.3 * normal(GRID[:, 0] - mean, spread + JUMPS.jump[part] ** 2)
+        p *= sensed(z[part], GRID[:, 0], measured, part)
+        np.testing.assert_allclose(found[part], p @ GRID[:, 0] / p.sum(), atol=0.06)
+
+
+def test_a_sensor_that_says_nothing_changes_nothing():
+    silent = Measured(np.zeros((3, 2)), np.ones(3), np.zeros(3), 6400.0)
+    x = PARENT + np.random.default_rng(3).normal(0, 5, (20_000, 3, 2))
+    log_w = JUMPS.log_measured(x, silent)
+    np.testing.assert_allclose(log_w, log_w[0, 0], atol=1e-2)
+    off = JUMPS.propagate_given(np.random.default_rng(4), x, silent) - JUMPS.expect(x)
+    var = 0.7 * JUMPS.sigma**2 + 0.3 * JUMPS.jump**2
+    np.testing.assert_allclose(off.var(axis=0), var[:, None].repeat(2, axis=1), rtol=0.06)
+
+
+@pytest.mark.parametrize("jumps", [0.0, 1.0])
+def test_a_walk_that_never_or_always_jumps_is_a_gaussian_one(jumps):
+    walk = replace(JUMPS, jumps=jumps, keep=1.0)
+    sigma = walk.jump if jumps else walk.sigma
+    x = np.random.default_rng(5).normal(0, 3, (50, 3, 2))
+    same = RandomWalk(sigma)
+    np.testing.assert_allclose(walk.log_transition(x, PARENT[None]), same.log_transition(x, PARENT[None]))
+    linear, plain = walk.linear(PARENT), same.linear(PARENT)
+    for one, other in zip(linear, plain, strict=True):
+        np.testing.assert_allclose(one, other)
+    assert np.isfinite(walk.log_measured(x, MEASURED)).all()
+    assert np.isfinite(walk.propagate_given(np.random.default_rng(6), x + 1e5, MEASURED)).all()

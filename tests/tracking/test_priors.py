@@ -12,10 +12,18 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError, RecipeError, UsageError
+from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.report.figures.shape_prior import prior_figure
 from facetrack_cli.report.figures.style import COLOURS, FAINT, render
 from facetrack_cli.tracking.kernels.shape import LANES, PADDING, log_parzen, pick_shape
-from facetrack_cli.tracking.models.shape_prior import ShapePrior, bind, default_prior_path, fit_prior, load_prior
+from facetrack_cli.tracking.models.shape_prior import (
+    ShapePrior,
+    StudentPrior,
+    bind,
+    default_prior_path,
+    fit_prior,
+    load_prior,
+)
 from facetrack_cli.trajectory.trajectory import COLUMNS, joined, one_part
 from facetrack_cli.trajectory.writers import csv_frames
 from tests.twins import shape as naive_shape
@@ -153,6 +161,57 @@ def test_density_far_away_is_finite_and_falls():
     away = ((way - way[NOSE]) * 1e8 / (0.05 * length))[1:]
     assert values[3] == pytest.approx(-0.5 * (away**2).sum(), rel=1e-6)
     assert bound.log_density(np.empty((0, 5, 2))).shape == (0,)
+
+
+# --- Student t -----------------------------------------------------------------------------------------------------
+
+
+def student(prior, parts=PARTS, first=FACE, freedom=4.0):
+    return StudentPrior(bind(prior, parts, first, 0.1), freedom)
+
+
+@pytest.mark.parametrize("freedom", [1.0, 4.0, 300.0])
+def test_the_student_density_is_the_formula(freedom):
+    prior, x = some_prior(7), some_particles(25)
+    others, length = [1, 2, 3, 4], np.hypot(40.0, 1.0)
+    plain = naive_shape.log_student(x, others, FACE, NOSE, length, prior.shapes[:, others], freedom, 0.05)
+    np.testing.assert_allclose(student(prior, freedom=freedom).log_density(x), plain, rtol=1e-9)
+
+
+def test_the_student_density_follows_the_face_and_its_size_and_not_the_order_of_parts():
+    prior, x = some_prior(), some_particles(50)
+    expected = student(prior).log_density(x)
+    np.testing.assert_allclose(student(prior).log_density(x + np.array([37.0, -12.5])), expected, rtol=1e-9)
+    np.testing.assert_allclose(student(prior, first=3 * FACE + 7.0).log_density(3 * x), expected, rtol=1e-9)
+    order = [3, 0, 4, 2, 1]
+    shuffled = student(prior, [PARTS[i] for i in order], FACE[order])
+    np.testing.assert_allclose(shuffled.log_density(x[:, order]), expected, rtol=1e-9)
+
+
+def test_the_student_density_is_highest_at_rest_and_falls_slowly():
+    prior = student(load_prior(default_prior_path()))
+    way = np.random.default_rng(5).normal(size=(5, 2))
+    assert prior.log_density(FACE[None]) == pytest.approx([0.0], abs=1e-12)
+    values = prior.log_density(np.stack([FACE + r * way for r in (1.0, 1e2, 1e4, 1e8, 1e50)]))
+    assert np.isfinite(values).all() and (np.diff(values) < 0).all()
+    # far out as a power of the distance, so that a window that is sure is believed
+    assert values[3] - values[2] == pytest.approx(-(4 + 8) * np.log(1e4), rel=1e-3)
+    assert prior.log_density(np.empty((0, 5, 2))).shape == (0,)
+
+
+def test_the_student_density_is_wide_along_what_mouths_do():
+    """A jaw that drops is likelier than a mouth that is as much out of shape."""
+    prior = student(load_prior(default_prior_path()))
+    drops, leaves = FACE.copy(), FACE.copy()
+    drops[4, 1] += 12.0  # the lower lip down
+    leaves[1, 1] -= 12.0  # one corner up
+    down, up = prior.log_density(np.stack([drops, leaves]))
+    assert down > up + 2
+
+
+def test_a_recipe_that_draws_from_a_student_prior_is_refused():
+    with pytest.raises(RecipeError, match="student_t proposes no parts; remove from_prior, or write parzen"):
+        load_recipe("face", ["filter.from_prior=0.1"])
 
 
 # --- conditionals ------------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
+from facetrack_cli.tracking.start import search as module
 from facetrack_cli.tracking.start import search_start
 from facetrack_cli.tracking.start.detectors import Found
 from facetrack_cli.tracking.start.search import BOUND, OFTEN, STEP, WAIT
@@ -15,7 +16,7 @@ from tests.support.moving_face import PARTS, Pose
 
 
 class Fake:
-    """A detector that finds boxes (left, top, side) by frame; points lie in them as `at` says."""
+    """A detector that finds boxes (left, top, side) by frame."""
 
     name, std = "haar", 0.1
 
@@ -23,11 +24,7 @@ class Fake:
         self.found, self.sure = found, sure
 
     def find(self, frame):
-        faces = []
-        for x, y, side in self.found(frame.index):
-            points = {part: (x + side * (0.3 + 0.1 * k), y + 0.7 * side) for k, part in enumerate(PARTS)}
-            faces.append(Found((x, y, side, side), points, self.sure))
-        return faces
+        return [Found((x, y, side, side), None, self.sure) for x, y, side in self.found(frame.index)]
 
     def measure(self, image, box):
         return None
@@ -87,14 +84,55 @@ def test_a_photograph_on_the_wall_comes_after_a_face_that_moves():
     assert search(lambda t: [photograph], still=photograph).targets["face"].box[2] == 60
 
 
-def test_points_are_the_medians_of_all_frames_in_the_box():
-    class Wrong(Fake):
-        def find(self, frame):
-            [face] = super().find(frame)
-            return [face._replace(points=dict.fromkeys(PARTS, (5.0, 5.0)))] if frame.index == 0 else [face]
+@pytest.fixture
+def placing(monkeypatch):
+    """Puts `at(t, part)` (2,), in sizes of the box, in the place of what is seen in frame t."""
 
-    start = search_start(noise(30), detector=Wrong(lambda t: [(60 + t, 40, 40)]))
-    assert start.frame == 0 and start.targets["face"].points["nose"] == (72.0, 68.0)
+    def use(at):
+        def place(image, box, eyes):
+            t = next(one.index for one in frames if one.bgr is image)
+            return {part: tuple(np.add(box[:2], np.multiply(at(t, part), box[2:])).tolist()) for part in PARTS}
+
+        frames = noise(30)
+        monkeypatch.setattr(module, "place", place)
+        return search_start(frames, detector=Fake(lambda t: [(40 + 2 * t, 30, 50)]))
+
+    return use
+
+
+def in_box(start, part):
+    (x, y, w, h), (u, v) = start.targets["face"].box, start.targets["face"].points[part]
+    return (u - x) / w, (v - y) / h
+
+
+def test_noise_of_points_averages_out_in_the_box(placing):
+    rng = np.random.default_rng(1)
+    off = 0.004 * rng.standard_normal((30, len(PARTS), 2))
+    start = placing(lambda t, part: np.array([0.5, 0.6]) + off[t, PARTS.index(part)])
+    assert start.frame == 0, "of ten frames"
+    for k, part in enumerate(PARTS):
+        mean = np.array([0.5, 0.6]) + off[:WAIT, k].mean(axis=0)
+        assert in_box(start, part) == pytest.approx(mean, abs=5e-4), "and it is rounded to 0.01 pixels"
+
+
+def test_a_part_that_moves_afterwards_keeps_the_place_of_its_own_frame(placing):
+    def at(t, part):
+        opened = 0.12 * (t >= 2) if part == "lip_lower" else 0.0
+        return 0.5, 0.8 + opened
+
+    start = placing(at)
+    assert in_box(start, "lip_lower") == pytest.approx((0.5, 0.8), abs=5e-4)
+    assert in_box(start, "nose") == pytest.approx((0.5, 0.8), abs=5e-4)
+
+
+def test_one_frame_that_is_wrong_changes_nothing(placing):
+    start = placing(lambda t, part: (0.1, 0.1) if t == 3 else (0.5, 0.6))
+    assert in_box(start, "nose") == pytest.approx((0.5, 0.6), abs=5e-4)
+
+
+def test_a_recipe_of_boxes_has_a_start_without_points():
+    start = search_start(noise(30), (), detector=Fake(lambda t: [(60, 40, 40)]))
+    assert start.targets["face"].box == (60, 40, 40, 40) and start.targets["face"].points == {}
 
 
 def test_a_face_without_eyes_and_mouth_is_none():

@@ -173,7 +173,16 @@ def test_a_face_moves_as_one(points):
     assert np.abs(after.x - before.x).max() < 8
     assert after.between(1, 40).std_x.min() > 0
     np.testing.assert_array_equal(now.angle, box.angle)
-    assert np.median(np.abs(np.diff(now.x, 2))) <= np.median(np.abs(np.diff(box.x, 2)))
+    # the box has no truth, and how smooth it is says little; points are as near to the truth as before, or nearer
+    assert off_in(after) < 1.005 * off_in(before)
+
+
+def off_in(rows):
+    """The mean distance of points from the truth."""
+    points = rows.parts[:-1]
+    true = [[CLIP.truth[t, part.part] for t in part.frame.tolist()] for part in points]
+    return np.mean([np.hypot(part.x - [one.x for one in at], part.y - [one.y for one in at])
+                    for part, at in zip(points, true, strict=True)])  # fmt: skip
 
 
 @pytest.mark.parametrize("absent", [True, ("nose",)])

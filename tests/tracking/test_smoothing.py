@@ -6,7 +6,7 @@ import pytest
 from facetrack_cli.core.types import Particles
 from facetrack_cli.recipe import affine, correlation_filter
 from facetrack_cli.tracking import smoothing
-from facetrack_cli.tracking.models.motion import AffineWalk, FirstOrder, RandomWalk, RestingWalk, VisibleWalk
+from facetrack_cli.tracking.models.motion import AffineWalk, FirstOrder, JumpingWalk, RandomWalk, VisibleWalk
 from facetrack_cli.tracking.smoothing import Belief
 
 STAY = np.array([[1.0, 0.0], [0.0, 0.0]])
@@ -20,8 +20,8 @@ VISIBLE = VisibleWalk(
 )
 MOTIONS = {
     "random_walk": (RandomWalk(np.array([3.0, 1.0])), np.array([[10.0, 20.0], [30.0, 5.0]])),
-    "resting_walk": (
-        RestingWalk(np.array([3.0, 1.0]), np.array([[12.0, 18.0], [31.0, 6.0]]), 0.9),
+    "jumping_walk": (
+        JumpingWalk(np.array([1.0, 0.5]), np.array([6.0, 2.0]), 0.2, np.array([[12.0, 18.0], [31.0, 6.0]]), 0.9),
         np.array([[10.0, 20.0], [30.0, 5.0]]),
     ),
     "first_order": (FirstOrder(PLACE, SIZE, 0.1, 10.0), np.array([[10.0, 20.0, 1.0, 1.0, -1.0, 0.0]])),

@@ -19,7 +19,7 @@ from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.tracking.start import PARTS, box_start, check_start, find_init, read_init, search_start, write_init
 from facetrack_cli.tracking.start.haar import find_faces
-from facetrack_cli.tracking.start.points import HALF_WIDTH, MOUTH_Y, TIP_ABOVE_SHADE, mean_eyes, place, read_points
+from facetrack_cli.tracking.start.points import mean_eyes, place
 from facetrack_cli.tracking.start.preview import draw_start
 from facetrack_cli.tracking.start.search import WAIT
 
@@ -289,15 +289,64 @@ def test_what_they_accept():
         check_start(Start(4, {"face": target}, ""), (320, 240), ["nose"], frames=4)
 
 
+# --- points -------------------------------------------------------------------------------------------------------
+
+
+def as_it_lies(image, turn, zoom):
+    """The image turned about its middle, in degrees, and enlarged; the map (2, 3)."""
+    height, width = image.shape[:2]
+    matrix = cv2.getRotationMatrix2D((width / 2, height / 2), -turn, zoom)
+    size = round(zoom * width), round(zoom * height)
+    matrix[:, 2] += (np.array(size) - (width, height)) / 2
+    turned = cv2.warpAffine(image, matrix, size, flags=cv2.INTER_AREA, borderMode=cv2.BORDER_REPLICATE)
+    return turned, matrix
+
+
+@pytest.mark.parametrize(("turn", "zoom"), [(0, 0.6), (0, 2.5), (12, 1.0), (-12, 1.0), (25, 1.4), (-60, 0.8)])
+@pytest.mark.parametrize("clip", ["expressions", "occlusion"])
+def test_points_go_with_a_face_whose_eyes_are_seen_however_it_lies(clip, turn, zoom):
+    frame, truth = next(sample(clip))
+    box = find_faces(frame.bgr)[0]
+    eyes, apart = np.array(mean_eyes(box)), 0.363 * box[2]
+    straight = place(frame.bgr, box, tuple(map(tuple, eyes)))
+    assert max(np.hypot(*np.subtract(straight[part], truth[part])) for part in PARTS) < 0.2 * apart
+    image, to = as_it_lies(frame.bgr, turn, zoom)
+    (cx, cy), (left, right) = (
+        to[:, :2] @ np.add(box[:2], np.divide(box[2:], 2)) + to[:, 2],
+        eyes @ to[:, :2].T + to[:, 2],
+    )
+    side = zoom * box[2]
+    points = place(image, (cx - side / 2, cy - side / 2, side, side), (tuple(left), tuple(right)))
+    off = [np.hypot(*(to[:, :2] @ straight[part] + to[:, 2] - points[part])) / (zoom * apart) for part in PARTS]
+    assert np.mean(off) < 0.06 and max(off) < 0.12
+
+
+@pytest.mark.parametrize(("turn", "size"), [(0, 0.8), (0, 1.2), (6, 1.0), (-6, 0.9)])
+@pytest.mark.parametrize("clip", ["expressions", "occlusion"])
+def test_points_are_found_in_a_box_that_says_neither_the_size_nor_the_tilt_of_a_face(clip, turn, size):
+    frame, truth = next(sample(clip))
+    x, y, w, h = find_faces(frame.bgr)[0]
+    image, to = as_it_lies(frame.bgr, turn, 1.0)
+    cx, cy = to[:, :2] @ (x + w / 2, y + h / 2) + to[:, 2]
+    points = place(image, (cx - size * w / 2, cy - size * h / 2, size * w, size * h))
+    off = [np.hypot(*(to[:, :2] @ truth[part] + to[:, 2] - points[part])) / (0.363 * w) for part in PARTS]
+    assert max(off) < 0.2
+
+
 # --- Haar ---------------------------------------------------------------------------------------------------------
 
 
 def test_a_flat_face_has_mean_proportions():
-    points = read_points(np.full((96, 96, 3), 128, np.uint8))
-    assert points["mouth_left"] == pytest.approx((-HALF_WIDTH[0], MOUTH_Y[0]), abs=0.04)
-    assert points["mouth_right"] == pytest.approx((HALF_WIDTH[0], MOUTH_Y[0]), abs=0.04)
-    assert abs(points["nose"][0]) < 0.08 and abs(points["nose"][1] - (0.70 - TIP_ABOVE_SHADE)) < 0.03
-    assert points["lip_upper"][1] < MOUTH_Y[0] < points["lip_lower"][1]
+    box = (30.0, 20.0, 96.0, 96.0)
+    (left, y), (right, _) = mean_eyes(box)
+    points = place(np.full((160, 160, 3), 128, np.uint8), box, mean_eyes(box))
+    u = {part: ((at[0] - (left + right) / 2) / (right - left), (at[1] - y) / (right - left))
+         for part, at in points.items()}  # fmt: skip
+    assert u["mouth_left"] == pytest.approx((-0.39, 1.0), abs=0.04)
+    assert u["mouth_right"] == pytest.approx((0.39, 1.0), abs=0.04)
+    assert u["nose"] == pytest.approx((0, 0.57), abs=0.04)
+    assert abs(u["lip_upper"][0]) < 0.04 and abs(u["lip_lower"][0]) < 0.04
+    assert 0.8 < u["lip_upper"][1] < 1.0 < u["lip_lower"][1] < 1.3
 
 
 @pytest.mark.parametrize("clip", ["expressions", "occlusion"])
@@ -413,7 +462,7 @@ def test_a_box_stands_in_for_a_face_that_no_detector_sees(by):
     frame = Frame(3, 0.1, np.full((200, 200, 3), 100, np.uint8))
     points = box_start(frame, (40, 40, 100, 120), by=by).targets["face"].points
     (left, _), (right, _) = mean_eyes((40, 40, 100, 120))
-    assert points["mouth_left"][0] == pytest.approx((left + right) / 2 - HALF_WIDTH[0] * (right - left), abs=2)
+    assert points["mouth_left"][0] == pytest.approx((left + right) / 2 - 0.41 * (right - left), abs=2)
     assert 40 < points["nose"][1] < points["lip_upper"][1] < points["lip_lower"][1] < 160
 
 

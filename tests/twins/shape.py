@@ -1,4 +1,4 @@
-"""Slow, plain twins of kernels/shape.py, in the words of the formulas. Imports nothing of ours."""
+"""Slow, plain twins of the shape priors, in the words of the formulas. Imports nothing of ours."""
 
 import math
 
@@ -34,4 +34,21 @@ def pick_shape(x, parts, first, stable, width, shapes, u):
         weights = [math.exp(v - max(e)) for v in e]
         reached = [sum(weights[: j + 1]) for j in range(len(weights))]
         out.append(min(j for j in range(len(weights)) if reached[j] > uniform * reached[-1]))
+    return np.array(out)
+
+
+def log_student(x, parts, first, stable, length, shapes, freedom, narrowest):
+    """Of hypotheses x (N, K, 2); shapes (M, P, 2) are those of the moving parts, in units of `length`."""
+    d = 2 * len(parts)
+    c = [[narrowest**2 * (i == j) for j in range(d)] for i in range(d)]
+    for h in shapes:
+        flat = [h[k][axis] for k in range(len(parts)) for axis in (0, 1)]
+        for i in range(d):
+            for j in range(d):
+                c[i][j] += flat[i] * flat[j] / len(shapes)
+    out = []
+    for one in x:
+        q = registered(one, parts, first, stable, length).ravel()
+        squared = float(q @ np.linalg.solve(np.array(c), q))
+        out.append(-(freedom + d) / 2 * math.log(1 + squared / freedom))
     return np.array(out)

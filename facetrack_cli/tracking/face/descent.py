@@ -37,6 +37,7 @@ CORNER: Final = np.array([LEFT, TOP], np.float64)
 DIRECTIONS, GRID = 8, 5
 ODDS_SCALE: Final = 1.6
 NEAR: Final = 3.0  # pixels
+SURE: Final = 4.0  # bound of what one part says of how well a face lies, in log odds
 STEP: Final = 5.0  # pixels between the points of the grid, times the stage's scale
 _TURNS: Final = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
 _COS, _SIN = np.cos(_TURNS).astype(np.float32), np.sin(_TURNS).astype(np.float32)
@@ -48,6 +49,11 @@ class Placed(NamedTuple):
 
     at: Array
     odds: Array
+
+    @property
+    def sure(self) -> float:
+        """The log odds of all parts together, each of them bounded."""
+        return float(np.clip(self.odds, -SURE, SURE).sum())
 
 
 class Descent(NamedTuple):
@@ -83,7 +89,7 @@ class Descent(NamedTuple):
             seen = seen_in(still, shift)
             at = self.descended(seen) + CORNER
             found.append(Placed(at + shift, self.visible(seen, at)))
-        return max(found, key=lambda one: float(one.odds.sum()))
+        return max(found, key=lambda one: one.sure)
 
     def descended(self, seen: NDArray[np.float32]) -> Array:
         """x after the last stage (K, 2), in the channels of the part of the still face that is read."""
@@ -114,6 +120,10 @@ def _made(stored: Stored) -> Descent:
     points, stages = stored.texts("points"), stored.reals("stages", 3).astype(np.float32)
     mean, scales, std = stored.reals("mean", 2), stored.reals("scales", 1), stored.reals("std", 1)
     odds, k, width = stored.reals("odds", 2).astype(np.float32), len(mean), GRID**2 * (DIRECTIONS + 3)
+    if not k or len(set(points)) < len(points) or not len(scales):
+        raise ValueError("a descent has a stage or more, and a part or more, each named once")
+    if not all(np.isfinite(one).all() for one in (stages, mean, scales, std, odds)) or min(*scales, *std) <= 0:
+        raise ValueError("a number is not finite, or a scale or an error not above 0")
     shapes = [one.shape for one in (stages, mean, std, odds)]
     if shapes != [(len(scales), k * width + 1, 2 * k), (k, 2), (k,), (width + 1, len(points))] or k > len(points):
         raise ValueError(f"arrays of {shapes} do not fit {len(points)} points")

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.types import Array
+from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.tracking.face.still import EYES, SIDE
 from facetrack_cli.tracking.models.motion import Measured
 
@@ -46,13 +46,13 @@ class Sensor(NamedTuple):
     @classmethod
     def begin(cls, z: Array, x0: Array, std: float, least: float) -> Sensor:
         """After a first measurement z (K, 2) of parts at x0 (K, 2), nan where there is none; `std`: r at first."""
-        known = np.asarray(np.isfinite(z).all(axis=1))
+        known = _known(z)
         r2 = np.full(len(x0), std**2)
         return cls(np.where(known[:, None], z - x0, 0.0), np.where(known, r2, MOST**2), r2, least)
 
     def measured(self, z: Array, visible: Array) -> Measured:
         """What z (K, 2) says of parts that are visible with a probability (K,)."""
-        known = np.asarray(np.isfinite(z).all(axis=1))
+        known = _known(z)
         sure = np.where(known, BLIND + (SURE - BLIND) * visible, 0.0)
         at = np.where(known[:, None], z - self.bias, 0.0)
         noise = self.noise + MISLED**2 * (1 - visible.min())
@@ -118,3 +118,8 @@ class Facing(NamedTuple):
         shown = self.shown * here / (self.shown * here + (1 - self.shown) * else_)
         keep = 1 - 1 / _MANY
         return Facing(shown, (keep * yes + shown * found, keep * no + shown * (not found)))
+
+
+def _known(z: Array) -> Mask:
+    """(K,): of which parts z (K, 2) says something."""
+    return np.asarray(np.isfinite(z).all(axis=1), np.bool_)

@@ -21,7 +21,7 @@ from facetrack_cli.tracking.kernels.cache import compiling
 PATIENCE_S = 30.0  # for the last kernel of the second process, the dearest of which takes 3 s
 _FILTERS = "filter=auxiliary filter=factorized filter=guided filter=independent filter=sir"
 _CELLS, _LOOKS, _NCC = "likelihood=correlation_filter", "likelihood=appearance", "ncc"
-_COLOURS = "likelihood=colour_ratio likelihood=background_ratio"
+_COLOURS = "likelihood=colour_ratio"
 # a kernel, the dearest first; what it takes: f8 a number, f8x2 a tuple, f8:2 an array of two axes, f8:2r a read-only
 # one; any of the settings that call it: `key=type`, or the key of a section without types
 KERNELS: Mapping[str, tuple[str, str]] = {

@@ -217,7 +217,7 @@ class StudentPrior:
     def log_density(self, x: Array) -> Array:
         """(N,): the log density, at most 0."""
         moved = (x - self.first) / self.length
-        q = (moved - moved[:, [self._stable]])[:, self._moving].reshape(len(x), -1)
+        q = (moved - moved[:, [self._stable]])[:, self._moving].reshape(len(x), len(self.cov))
         squared = np.einsum("ni,ij,nj->n", q, self._inverse, q)
         return np.asarray(-0.5 * (self.freedom + q.shape[1]) * np.log1p(squared / self.freedom))
 

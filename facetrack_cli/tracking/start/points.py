@@ -1,4 +1,4 @@
-"""The five points of a face, placed by a regression (`face/descent.py`) in the face as its eyes show it, upright."""
+"""The five points of a face, placed by a regression (`face/descent.py`) in the face as it is seen upright."""
 
 import math
 from collections.abc import Mapping
@@ -10,13 +10,16 @@ from typing import Final
 import cv2
 import numpy as np
 
-from facetrack_cli.core.types import Box, Frame, Image, Point
-from facetrack_cli.tracking.face.descent import CORNER, load_descent
-from facetrack_cli.tracking.face.still import EYE_LINE, FACE, MIDDLE, Similarity
+from facetrack_cli.core.types import Array, Box, Frame, Image, Point
+from facetrack_cli.tracking.face.descent import CORNER, Placed, load_descent
+from facetrack_cli.tracking.face.still import EYE_LINE, FACE, MIDDLE, Similarity, turn_between
 
 # Fractions of a Haar box (x, y): the mean over 26 images, of 15 clips and two portraits; standard deviation 0.02.
 EYES_IN_BOX: Final = ((0.309, 0.388), (0.672, 0.388))
 MOUTH_Y: Final = 1.12  # how far the corners of the mouth are below the eyes, in distances between the eyes
+EYES_AT: Final = np.array([MIDDLE, EYE_LINE])  # the middle between the eyes in the still face
+ZOOMS: Final = (0.95, 1.15)  # sizes of a face in the box of a cascade
+AGAIN: Final = 2  # times that a face is laid upright by its points, at most
 EYE_WIDTH: Final = 100  # pixels to which a face is brought before its eyes are searched
 # Each cascade with the offset of its window's centre from the eye's centre, in face widths.
 _EYE_CASCADES: Final = (
@@ -40,39 +43,53 @@ def place(
 ) -> dict[str, Point]:
     """All five points of the face that fills `box` as the frontal cascade draws it, in pixels of `image` (BGR).
 
-    Without `eyes`, the left one in the image first, cascades look for them. `points` are those that a detector has
-    seen, near which the parts may be.
+    `eyes`, the left one in the image first, and `points`: where a detector sees them.
     """
-    face, descent = upright(image, box, eyes), load_descent()
-    rest = dict(zip(descent.parts, descent.mean + CORNER, strict=True))
-    off = [face.to_still(np.array(at)) - rest[part] for part, at in (points or {}).items()]
-    around = [np.mean(off, axis=0) + np.mean(list(rest.values()), axis=0)] if off else []
-    at = face.to_frame(descent.fit(face.read(Frame(0, 0.0, image)).bgr, around).at)
-    return {part: (x, y) for part, (x, y) in zip(descent.parts, at.tolist(), strict=True)}
-
-
-def upright(image: Image, box: Box, eyes: tuple[Point, Point] | None = None) -> Similarity:
-    """The face in `box` as a still face, by its eyes."""
-    if eyes is None:
-        # the part of the image around the box, so that the time does not depend on the size of the frame
-        x0, y0 = max(int(box[0] - 0.5 * box[2]), 0), max(int(box[1] - 0.5 * box[3]), 0)
-        near = image[y0 : int(box[1] + 1.5 * box[3]) + 1, x0 : int(box[0] + 1.5 * box[2]) + 1]
-        left, right = np.add(_find_eyes(near, (box[0] - x0, box[1] - y0, box[2], box[3])), (x0, y0))
-    else:
-        left, right = np.array(eyes)
-    across = right - left
-    face = Similarity(np.zeros(2), math.sqrt(box[2] * box[3]) / FACE, math.atan2(across[1], across[0]))
-    return face._replace(centre=(left + right) / 2 - face.to_frame(np.array([MIDDLE, EYE_LINE])))
+    at = _placed(Frame(0, 0.0, image), box, eyes, points or {}).at
+    return {part: (x, y) for part, (x, y) in zip(load_descent().parts, at.tolist(), strict=True)}
 
 
 def shows_features(image: Image, box: Box) -> bool:
-    """Whether the face in `box` shows an eye to a cascade, or a mouth to the regression."""
+    """Whether the face in `box` shows an eye to a cascade, or nose and mouth to the regression, most of them."""
     x0, y0 = max(int(box[0]), 0), max(int(box[1]), 0)
     near = image[y0 : int(box[1] + box[3]) + 1, x0 : int(box[0] + box[2]) + 1]
-    if any(_detected_eyes(near, (box[0] - x0, box[1] - y0, box[2], box[3]))):
+    if _shows_eye(near, (box[0] - x0, box[1] - y0, box[2], box[3])):
         return True
-    still = upright(image, box, mean_eyes(box)).read(Frame(0, 0.0, image))
-    return bool(load_descent().fit(still.bgr).odds.min() > 0)
+    return _placed(Frame(0, 0.0, image), box, None, {}).sure > 0
+
+
+def _placed(frame: Frame, box: Box, eyes: tuple[Point, Point] | None, points: Mapping[str, Point]) -> Placed:
+    """The face in `box` where the regression sees most of it.
+
+    Without `eyes` they are taken to be where they are on average, and the face to be of one of two sizes: the boxes of
+    cascades say neither how a face is tilted, nor well how large it is. Then the face is laid upright by its points,
+    as long as more is seen.
+    """
+    descent, (left, right) = load_descent(), np.array(eyes or mean_eyes(box))
+    zooms = (1.0,) if eyes else ZOOMS
+    size, (across, down) = math.sqrt(box[2] * box[3]) / FACE, (right - left).tolist()
+
+    def seen(scale: float, angle: float, at: Array, still: Array) -> Placed:
+        """What is seen of the face of which the place `still` (2,) of the still face is `at` (2,) in the frame."""
+        face = Similarity(np.zeros(2), scale, angle)
+        face = face._replace(centre=at - face.to_frame(still))
+        placed = descent.fit(face.read(frame).bgr)
+        return Placed(face.to_frame(placed.at), placed.odds)
+
+    rest, angle = descent.mean + CORNER, math.atan2(down, across)
+    tries = [seen(zoom * size, angle, (left + right) / 2, EYES_AT) for zoom in zooms]
+    if points:
+        known = rest[[descent.parts.index(part) for part in points]]
+        tries.append(seen(size, angle, np.mean(list(points.values()), axis=0), known.mean(axis=0)))
+    best = max(tries, key=lambda one: one.sure)
+    for _ in range(AGAIN):
+        middle, rest_middle = best.at.mean(axis=0), rest.mean(axis=0)
+        scale = math.sqrt(float(np.sum((best.at - middle) ** 2) / np.sum((rest - rest_middle) ** 2)))
+        again = seen(scale, turn_between(best.at, rest), middle, rest_middle)
+        if again.sure <= best.sure:
+            break
+        best = again
+    return best
 
 
 def mean_eyes(box: Box) -> tuple[Point, Point]:
@@ -82,31 +99,21 @@ def mean_eyes(box: Box) -> tuple[Point, Point]:
     return left, right
 
 
-def _find_eyes(image: Image, box: Box) -> tuple[Point, Point]:
-    """The eyes of the face in `box`, in pixels: each the median of what two cascades say, else its mean place."""
-    # of few detections the mean place is one more, so that a single wrong one cannot pull an eye all the way
-    both = zip(mean_eyes(box), _detected_eyes(image, box), strict=True)
-    left, right = (np.median([mean, *seen] if len(seen) < 3 else seen, axis=0).tolist() for mean, seen in both)
-    return left, right
-
-
-def _detected_eyes(image: Image, box: Box) -> tuple[list[Point], list[Point]]:
-    """What the cascades see near the mean place of either eye."""
+def _shows_eye(image: Image, box: Box) -> bool:
+    """Whether a cascade sees an eye near the mean place of either."""
     x, y, w, h = box
-    zoom, top, means = EYE_WIDTH / w, y + 0.1 * h, mean_eyes(box)
+    zoom, top = EYE_WIDTH / w, y + 0.1 * h
     matrix = np.array([[zoom, 0, -(x - 0.5) * zoom - 0.5], [0, zoom, -(top - 0.5) * zoom - 0.5]])
     size = (EYE_WIDTH, round(0.55 * h * zoom))
     patch = cv2.warpAffine(_smooth(image, 1 / zoom), matrix, size, borderMode=cv2.BORDER_REPLICATE)
     grey = cv2.equalizeHist(cv2.cvtColor(patch, cv2.COLOR_BGR2GRAY))
-    found: tuple[list[Point], list[Point]] = ([], [])
     smallest, largest = (round(0.15 * EYE_WIDTH),) * 2, (round(0.45 * EYE_WIDTH),) * 2
     for name, dx, dy in _EYE_CASCADES:
         for ex, ey, ew, eh in cascade(name).detectMultiScale(grey, 1.1, 2, 0, smallest, largest):
             at = (x - 0.5 + (ex + ew / 2) / zoom - dx * w, top - 0.5 + (ey + eh / 2) / zoom - dy * w)
-            for seen, mean in zip(found, means, strict=True):
-                if abs(at[0] - mean[0]) < 0.08 * w and abs(at[1] - mean[1]) < 0.09 * h:
-                    seen.append(at)
-    return found
+            if any(abs(at[0] - u) < 0.08 * w and abs(at[1] - v) < 0.09 * h for u, v in mean_eyes(box)):
+                return True
+    return False
 
 
 def _smooth(image: Image, shrink: float) -> Image:

@@ -210,7 +210,8 @@ class _Search:
         """The target in the frame `at`; its points are the means, in its box, of all frames that look alike."""
         boxes = np.array([box for _, box in one.boxes])
         now = [frame for frame, _ in one.boxes].index(at)
-        at_parts = np.array([[p[part] for part in self.parts] for p in one.points])  # (T, K, 2)
+        # (T, K, 2); a recipe of boxes has no parts
+        at_parts = np.array([[p[part] for part in self.parts] for p in one.points]).reshape(len(boxes), -1, 2)
         each = (at_parts - boxes[:, None, :2]) / boxes[:, None, 2:]
         weight = np.exp(-0.5 * np.sum((each - each[now]) ** 2, axis=2) / ALIKE**2)
         mean = np.sum(weight[..., None] * each, axis=0) / weight.sum(axis=0)[:, None]

@@ -89,8 +89,8 @@ class WindowNcc:
         """Templates at x0 (K, 2) in the first frame."""
         templates = tuple(Templates((_unit(self._window(frame, k, at)),), (1.0,), (YOUNG,)) for k, at in enumerate(x0))
         ones = np.ones(len(x0))
-        learned = self.look(Learned(templates, 0.9 * ones, 0 * ones, ones, 0 * ones, 0 * ones), frame, x0)
-        return learned._replace(beside=self._beside(learned, x0).mean(axis=1))
+        learned = Learned(templates, 0.9 * ones, 0 * ones, ones, 0 * ones, 0 * ones)
+        return learned._replace(beside=self._beside(self.look(learned, frame, x0), x0).mean(axis=1))
 
     def look(self, learned: Learned, frame: Frame, expected: Array) -> Learned:
         """With r around `expected` (K, 2)."""
@@ -131,6 +131,8 @@ class WindowNcc:
 
     def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
         """g where a part is visible, b always, and new templates."""
+        if learned.maps is None:  # of a track that begins again nobody has looked at the frame
+            learned = self.look(learned, frame, state)
         visible, r = self.presence(learned, frame, state), self.correlation(learned, state[None])[0]
         good = learned.good + visible / MEMORY * (r - learned.good)
         beside = learned.beside + (self._beside(learned, state).mean(axis=1) - learned.beside) / MEMORY

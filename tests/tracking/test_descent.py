@@ -1,0 +1,177 @@
+"""The regression that places nose and mouth: channels against their twin, real faces, covers, and its file."""
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.shipped import shipped_folder
+from facetrack_cli.core.types import Frame
+from facetrack_cli.tracking.face import descent
+from facetrack_cli.tracking.face.descent import LEFT, TOP, channels, load_descent, read
+from facetrack_cli.tracking.face.still import EYES, Similarity, turn_between
+from tests.support.samples import TrackClip
+from tests.twins import descent as naive
+
+PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
+CLIPS = {name: TrackClip(name, 50) for name in ("expressions", "occlusion")}  # in which all parts are visible
+
+
+def rest_shape():
+    """The mean shape (K, 2) in the still face."""
+    return load_descent().mean + np.array([LEFT, TOP])
+
+
+def laid(at, rng):
+    """The still face whose parts are at `at` (K, 2) in the frame, as far off as a head is."""
+    rest = rest_shape()
+    a, b = at - at.mean(axis=0), rest - rest.mean(axis=0)
+    scale, turn = np.sqrt((a**2).sum() / (b**2).sum()), turn_between(at, rest)
+    lies = Similarity(np.zeros(2), scale * np.exp(rng.normal(0, 0.07)), turn + rng.normal(0, 0.05))
+    off = rng.normal(0, 0.07 * EYES * scale, 2)
+    return lies._replace(centre=at.mean(axis=0) + off - lies.to_frame(rest.mean(axis=0)))
+
+
+def faces(seed=0, every=7):
+    """Still faces (160, 160, 3) of real people, and the true places of their parts."""
+    rng = np.random.default_rng(seed)
+    for clip in CLIPS.values():
+        for frame in clip.frames[::every]:
+            at = np.array([(row.x, row.y) for row in (clip.truth[frame.index, part] for part in PARTS)])
+            lies = laid(at, rng)
+            yield lies.read(frame).bgr, lies.to_still(at)
+
+
+def test_the_channels_and_how_they_are_read_are_what_the_plain_twin_says():
+    rng = np.random.default_rng(3)
+    noise = rng.integers(0, 256, (7, 8, 3)).astype(np.uint8)
+    image = cv2.resize(noise, (31, 26), interpolation=cv2.INTER_CUBIC)
+    image[4:9, 20:27] = 0  # flat, and as dark as can be
+    seen, plain = channels(image), naive.channels(image.tolist())
+    np.testing.assert_allclose(seen, np.moveaxis(plain, 0, 2), atol=2e-4)
+    x = np.array([[12.2, 9.9], [-40.0, 70.0], [30.4, 0.2]])
+    for scale in (1.6, 0.8):
+        np.testing.assert_allclose(read(seen, x, scale), naive.read(plain, x.tolist(), scale), atol=2e-4)
+
+
+def test_it_finds_the_points_of_real_faces_from_the_mean_shape():
+    model = load_descent()
+    assert model.parts == PARTS
+    off, before = [], []
+    for still, true in faces():
+        off.append(np.hypot(*(model.fit(still).at - true).T))
+        before.append(np.hypot(*(rest_shape() - true).T))
+    off, before = np.array(off) / EYES, np.array(before) / EYES
+    assert off.mean() < 0.08 and off.max() < 0.25
+    assert off.mean() < 0.6 * before.mean()
+
+
+def test_a_mouth_that_opens_is_followed_in_the_frame():
+    clip = TrackClip("expressions", 130)
+    rng, model, apart, wide = np.random.default_rng(1), load_descent(), [], []
+    for frame in clip.frames[::10]:
+        at = np.array([(row.x, row.y) for row in (clip.truth[frame.index, part] for part in PARTS)])
+        lies = laid(at, rng)
+        found = lies.to_frame(model.fit(lies.read(frame).bgr).at)
+        apart.append(found[4, 1] - found[3, 1])
+        wide.append(at[4, 1] - at[3, 1])
+    assert max(wide) > 1.5 * wide[0], "it opens"
+    assert np.corrcoef(apart, wide)[0, 1] > 0.9
+
+
+def board(rng):
+    cells = rng.integers(20, 230, (4, 6, 3)).astype(np.uint8)
+    return cv2.resize(cells, (80, 50), interpolation=cv2.INTER_NEAREST)
+
+
+def test_what_is_free_is_likely_visible_and_what_a_board_covers_is_not():
+    rng, model, free, covered = np.random.default_rng(2), load_descent(), [], []
+    for still, true in faces(every=3):
+        free.append(model.fit(still).odds)
+        x, y = np.round(true[1:].mean(axis=0)).astype(int)  # the middle of the mouth
+        still = still.copy()
+        still[y - 18 : y + 32, x - 40 : x + 40] = board(rng)
+        covered.append(model.fit(still).odds[1:])
+    assert np.mean(np.array(free) > 0) > 0.9 and np.median(free) > 1.5
+    assert np.mean(np.array(covered) < 0) > 0.9 and np.median(covered) < -2
+
+
+def test_a_flat_face_has_nearly_the_mean_shape_and_says_nothing():
+    at, odds = load_descent().fit(np.full((160, 160, 3), 128, np.uint8))
+    assert np.hypot(*(at - rest_shape()).T).max() < 0.2 * EYES
+    assert np.isfinite(odds).all()
+    for extreme in (np.zeros, np.ones):
+        assert np.isfinite(load_descent().fit((255 * extreme((160, 160, 3))).astype(np.uint8)).at).all()
+
+
+def test_equal_faces_give_equal_points():
+    still, _ = next(faces())
+    first = load_descent().fit(still)
+    threads = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(2)
+        turned = np.asfortranarray(still)  # the same pixels in another order of memory
+        for image in (still.copy(), turned):
+            again = load_descent().fit(image)
+            np.testing.assert_array_equal(again.at, first.at)
+            np.testing.assert_array_equal(again.odds, first.odds)
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def test_what_is_saved_is_read_back_and_equal_ones_give_equal_bytes(tmp_path):
+    model, path = load_descent(), tmp_path / "own.npz"
+    model.save(path)
+    again = load_descent(path)
+    assert again.parts == model.parts
+    for name in ("mean", "stages", "scales", "std", "odds"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(model, name), err_msg=name)
+    again.save(tmp_path / "more.npz")
+    assert path.read_bytes() == (tmp_path / "more.npz").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda one: one._replace(parts=one.parts[:4]), "do not fit 4 parts"),
+        (lambda one: one._replace(parts=("nose",) * 5), "each named once"),
+        (lambda one: one._replace(parts=()), "lacks an array|of <U|named once|axes"),
+        (lambda one: one._replace(mean=one.mean[:4]), "do not fit 5 parts"),
+        (lambda one: one._replace(stages=one.stages[:, :-1]), "do not fit 5 parts"),
+        (lambda one: one._replace(stages=one.stages[:2]), "do not fit 5 parts"),
+        (lambda one: one._replace(odds=one.odds[:, :3]), "do not fit 5 parts"),
+        (lambda one: one._replace(mean=one.mean * np.nan), "not finite"),
+        (lambda one: one._replace(odds=one.odds * np.inf), "not finite"),
+        (lambda one: one._replace(std=0 * one.std), "not above 0"),
+        (lambda one: one._replace(scales=one.scales[:0], stages=one.stages[:0]), "a stage or more"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused_in_a_line(tmp_path, change, said):
+    path = tmp_path / "odd.npz"
+    with np.errstate(invalid="ignore"):
+        change(load_descent()).save(path)
+    with pytest.raises(InputError, match=said) as refused:
+        load_descent(path)
+    assert str(path) in str(refused.value) and "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9, 0.999])
+def test_a_file_that_is_cut_is_refused(tmp_path, share):
+    whole = (shipped_folder() / descent.DEFAULT).read_bytes()
+    path = tmp_path / "cut.npz"
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(InputError, match=r"cut\.npz: .*make one with `python tools/mouth_descent\.py`"):
+        load_descent(path)
+
+
+def test_what_is_another_file_or_none_is_refused(tmp_path):
+    for path in (tmp_path / "none.npz", shipped_folder() / "mouth_prior.npz"):
+        with pytest.raises(InputError, match="mouth descent"):
+            load_descent(path)
+
+
+def test_a_still_face_of_any_frame_is_read(tmp_path):
+    """Beyond the border, and far smaller than it is read."""
+    frame = Frame(0, 0.0, np.full((20, 30, 3), 90, np.uint8))
+    for where in (Similarity(np.array([-40.0, 300.0]), 3.0, 1.0), Similarity(np.array([15.0, 10.0]), 0.05)):
+        assert np.isfinite(load_descent().fit(where.read(frame).bgr).at).all()

@@ -1,0 +1,149 @@
+"""What is known of a sensor of points, and of a detector of faces: against chains written out, and where they must not
+learn."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from facetrack_cli.tracking.face import sensors
+from facetrack_cli.tracking.face.sensors import BLIND, DRIFT, LEAST, MISLED, MOST, SURE, Facing, Sensor
+from facetrack_cli.tracking.face.still import EYES
+
+PLACES = np.array([[80.0, 100.0], [64.0, 120.0], [96.0, 120.0]])
+VISIBLE = np.ones(3)
+EXACT = np.broadcast_to(0.2 * np.eye(2), (3, 2, 2))  # covariance of the filter's state
+AWAY = np.array([[3.0, -1.5], [-2.0, 2.5], [0.0, 4.0]])
+
+
+def fed(sensor, offset, frames, rng, noise=1.0, visible=VISIBLE, cov=EXACT, every=1):
+    """After `frames` in which the sensor says where the parts are, plus an offset and noise."""
+    for t in range(frames):
+        z = PLACES + offset + noise * rng.standard_normal((3, 2))
+        z = z if t % every == 0 else np.full((3, 2), np.nan)
+        sensor = sensor.learned(z, PLACES + np.sqrt(0.2) * rng.standard_normal((3, 2)), cov, visible)
+    return sensor
+
+
+def test_what_a_sensor_has_differently_in_every_frame_becomes_its_bias():
+    rng = np.random.default_rng(0)
+    begun = Sensor.begin(PLACES, PLACES, 2.0)
+    np.testing.assert_array_equal(begun.bias, 0)
+    after = fed(begun, AWAY, 600, rng)
+    assert np.abs(after.bias - AWAY).max() < 0.4
+    said = after.measured(PLACES + AWAY, VISIBLE)
+    assert np.abs(said.z - PLACES).max() < 0.4, "it is taken off"
+    # it is known as exactly as the drift allows: the filter's variance is that of a random walk seen with noise r
+    assert (after.var < 0.2 * begun.var).all() and (after.var > DRIFT**2).all()
+
+
+def test_the_bias_is_the_kalman_filter_of_a_drifting_offset():
+    rng = np.random.default_rng(1)
+    one = Sensor.begin(PLACES + AWAY, PLACES, 2.5)
+    mean, var, r2 = AWAY.copy(), np.full(3, 2.5**2), np.full(3, 2.5**2)
+    np.testing.assert_allclose(one.bias, mean)
+    for _ in range(25):
+        z = PLACES + AWAY + 1.5 * rng.standard_normal((3, 2))
+        for k in range(3):
+            predicted = var[k] + DRIFT**2
+            off = z[k] - mean[k] - PLACES[k]
+            if off @ off / 2 >= 9 * (predicted + r2[k] + 0.2):
+                var[k] = predicted
+                continue
+            gain = predicted / (predicted + r2[k] + 0.2)
+            mean[k] = mean[k] + gain * off
+            var[k] = (1 - gain) * predicted
+            r2[k] = np.clip(r2[k] + 0.02 * (off @ off / 2 - r2[k]), LEAST**2, MOST**2)
+        one = one.learned(z, PLACES, EXACT, VISIBLE)
+    np.testing.assert_allclose(one.bias, mean)
+    np.testing.assert_allclose(one.var, var)
+    np.testing.assert_allclose(one.noise, r2)
+
+
+@pytest.mark.parametrize(
+    ("noise", "least", "most"), [(0.0, LEAST, LEAST), (1.2 * LEAST, LEAST, MOST), (8.0, MOST, MOST)]
+)
+def test_the_noise_follows_how_far_measurements_are_off_within_its_bounds(noise, least, most):
+    after = fed(Sensor.begin(PLACES, PLACES, 0.07 * EYES), 0.0, 600, np.random.default_rng(2), noise)
+    assert (np.sqrt(after.noise) >= least - 1e-9).all() and (np.sqrt(after.noise) <= most + 1e-9).all()
+    if least < most:
+        np.testing.assert_allclose(np.sqrt(after.noise), noise, rtol=0.35)
+
+
+@pytest.mark.parametrize("how", ["all hidden", "another hidden", "far off", "not seen"])
+def test_it_is_not_misled_by_what_says_nothing_of_the_part(how):
+    """What covers a part moves what a sensor says of all of them; it is not how the sensor usually errs."""
+    rng = np.random.default_rng(3)
+    before = fed(Sensor.begin(PLACES, PLACES, 2.0), 0.0, 50, rng)
+    visible = {"all hidden": np.zeros(3), "another hidden": np.array([1.0, 0.0, 1.0])}.get(how, VISIBLE)
+    offset = {"far off": 40.0, "not seen": np.nan}.get(how, 5.0)
+    after = fed(before, offset, 80, rng, visible=visible)
+    np.testing.assert_allclose(after.bias, before.bias, atol=1e-9)
+    np.testing.assert_allclose(after.noise, before.noise, atol=1e-9)
+    assert (after.var > before.var).all(), "meanwhile it is less known"
+
+
+def test_where_the_filter_is_not_sure_less_is_learned():
+    begun = Sensor.begin(PLACES, PLACES, 2.0)
+    z, vague = PLACES + 2.0, 100 * EXACT
+    sure, unsure = (begun.learned(z, PLACES, cov, VISIBLE).bias for cov in (EXACT, vague))
+    assert (np.abs(unsure) < 0.5 * np.abs(sure)).all() and (unsure > 0).all()
+
+
+def test_what_it_says_of_a_part_depends_on_how_visible_that_is():
+    one = Sensor.begin(PLACES, PLACES, 2.0)
+    seen, hidden = (one.measured(PLACES, np.array([1.0, 1.0, v])) for v in (1.0, 0.0))
+    np.testing.assert_allclose(seen.sure, SURE)
+    np.testing.assert_allclose(hidden.sure, [SURE, SURE, BLIND])
+    np.testing.assert_allclose(seen.var, one.var + DRIFT**2 + one.noise)
+    np.testing.assert_allclose(hidden.var, seen.var + MISLED**2, err_msg="all are placed together")
+
+
+def test_a_part_that_the_sensor_does_not_know_has_no_bias_and_is_not_measured():
+    z = PLACES.copy()
+    z[1] = np.nan
+    one = Sensor.begin(z, PLACES - 1.0, 3.0)
+    np.testing.assert_allclose(one.bias, [[1, 1], [0, 0], [1, 1]])
+    assert one.var[1] == pytest.approx(MOST**2) and one.var[0] == pytest.approx(9.0)
+    said = one.measured(z, VISIBLE)
+    assert said.sure[1] == 0 and np.isfinite(said.z).all()
+    after = one.learned(z, PLACES, EXACT, VISIBLE)
+    assert np.isfinite([*after.bias.ravel(), *after.var, *after.noise]).all() and after.noise[1] == one.noise[1]
+
+
+# --- is the face turned to the camera? -----------------------------------------------------------------------------
+
+
+@given(st.lists(st.sampled_from([True, False, None]), min_size=1, max_size=40), st.booleans())
+def test_facing_is_the_exact_chain_of_two_states(looks, unseen):
+    """The forward pass over [shown, away], with the rate of finds as it was counted; None: a frame without a look."""
+    one = Facing().unseen() if unseen else Facing()
+    p, (yes, no) = np.array([1.0, 0.0]), one.found
+    moves = np.array([[1 - sensors._HIDE, sensors._HIDE], [sensors._SHOW, 1 - sensors._SHOW]])
+    for found in looks:
+        one = one.predicted()
+        p = p @ moves
+        if found is not None:
+            rate = yes / (yes + no)
+            seen = np.array([rate, sensors._FALSE])
+            p = p * (seen if found else 1 - seen)
+            p /= p.sum()
+            yes, no = ((1 - 1 / 50) * count + p[0] * hit for count, hit in ((yes, found), (no, not found)))
+            one = one.looked(found=found)
+        assert one.shown == pytest.approx(p[0])
+        assert one.found == pytest.approx((yes, no))
+
+
+def test_how_often_a_face_is_found_says_what_it_means_when_it_is_not():
+    often = seldom = Facing()
+    for i in range(60):
+        often, seldom = often.looked(found=True).predicted(), seldom.looked(found=i % 2 == 0).predicted()
+    assert often.looked(found=False).shown < seldom.looked(found=False).shown
+    for _ in range(4):
+        often = often.looked(found=False).predicted()
+    assert often.shown < 0.3
+    assert often.looked(found=True).looked(found=True).shown > 0.8
+    never = Facing().unseen()
+    for _ in range(30):
+        never = never.looked(found=False).predicted()
+    assert never.shown > 0.5, "a face that the detector never saw is not taken for one that turned away"

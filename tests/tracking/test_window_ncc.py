@@ -1,0 +1,293 @@
+"""Windows with several templates: r against its twin, its peak, new templates, and what is visible."""
+
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.core.types import Frame, Particles
+from facetrack_cli.recipe import face
+from facetrack_cli.tracking.models.likelihoods import window_ncc
+from facetrack_cli.tracking.models.likelihoods.window_ncc import NEW_BELOW, YOUNG, WindowNcc
+from tests.support.parts import section
+from tests.support.samples import TrackClip
+from tests.twins import window_ncc as naive
+
+PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
+
+
+def built(windows, parts=PARTS, reach=9.0, shift=(0.0, 0.0), **settings):
+    """Windows (K, 2) and reach in pixels."""
+    one = section(face.WindowNcc, reach=face.Length(reach, px=True), shift=face.ShiftPerPart(shift), **settings)
+    placed = SimpleNamespace(windows=np.array(windows, float), unit=40.0)
+    return WindowNcc(one, SimpleNamespace(placed=placed, settings=SimpleNamespace(points=parts)))
+
+
+def texture(seed=0, size=(90, 120)):
+    noise = np.random.default_rng(seed).uniform(0, 255, (*size, 3))
+    smooth = cv2.GaussianBlur(noise, (0, 0), 2.0)
+    return np.clip(128 + (smooth - smooth.mean()) * 35 / smooth.std(), 0, 255).round().astype(np.uint8)
+
+
+def frame(image):
+    return Frame(0, 0.0, image)
+
+
+def around(x0, spread=0.3, n=50, seed=0):
+    x = x0 + np.random.default_rng(seed).normal(0, spread, (n, *x0.shape))
+    return Particles(x, np.full(n, -np.log(n)))
+
+
+def told(learned, value):
+    return learned._replace(told=np.broadcast_to(np.asarray(value, float), learned.good.shape))
+
+
+def step(model, learned, image, x, says=2.0):
+    """After one more frame with the parts at x (K, 2), of which a sensor `says` so much."""
+    learned = told(model.look(learned, frame(image), x), says)
+    return model.learn(learned, frame(image), x, around(x))
+
+
+# --- r ----------------------------------------------------------------------------------------------------------
+
+
+def test_r_is_what_the_plain_twin_says_for_several_templates_and_beyond_the_reach():
+    first, now, reach = texture(0), texture(1), 6
+    mixed = (0.6 * first + 0.4 * now).astype(np.uint8)
+    model = built([[11, 7], [8, 9]], PARTS[:2], reach)
+    x0 = np.array([[40.0, 30.0], [3.0, 84.0]])  # the second at the border
+    learned = model.init(frame(first), x0)
+    more = model.relearn(learned, frame(now), x0, np.array([True, True]))
+    templates = tuple(
+        one._replace(windows=one.windows + other.windows, used=(1.0, 0.5), age=(YOUNG, 0))
+        for one, other in zip(learned.templates, more.templates, strict=True)
+    )
+    learned = model.look(learned._replace(templates=templates), frame(mixed), x0 + 0.3)
+    rng = np.random.default_rng(2)
+    x = x0 + rng.uniform(-reach, reach, (12, 2, 2))
+    sides = [(11, 7), (9, 9)]  # windows have an odd number of pixels
+    plain = [
+        [naive.channels(image, *x0[k].astype(int).tolist(), *sides[k]) for image in (first, now)] for k in range(2)
+    ]
+    wanted = [[naive.between(mixed, plain[k], *one[k].tolist()) for k in range(2)] for one in x]
+    np.testing.assert_allclose(model.correlation(learned, x), wanted, atol=2e-4)
+    beyond = x0 + np.array([500.0, -3.0])
+    edge = np.clip(beyond, x0 - reach, x0 + reach)
+    np.testing.assert_allclose(
+        model.correlation(learned, beyond[None]), model.correlation(learned, edge[None]), atol=1e-4
+    )
+
+
+@pytest.mark.parametrize("gain", [0.6, 1.0, 1.5])
+def test_the_peak_is_at_the_truth_whatever_the_light(gain):
+    image, shift = texture(), np.array([4.0, -3.0])
+    model = built([[15, 15], [21, 11]], PARTS[:2])
+    x0 = np.array([[50.0, 40.0], [70.0, 52.0]])
+    learned = model.init(frame(image), x0)
+    moved = cv2.warpAffine(image, np.array([[1, 0, shift[0]], [0, 1, shift[1]]]), image.shape[1::-1])
+    moved = np.clip(moved * gain, 0, 255).round().astype(np.uint8)
+    learned = model.look(learned, frame(moved), x0)
+    offsets = np.stack(np.meshgrid(*2 * [np.arange(-9, 9.01, 0.5)]), axis=2).reshape(-1, 1, 2)
+    score = model.score(learned, frame(moved), x0 + offsets, x0 + offsets)
+    np.testing.assert_array_equal(offsets[score.argmax(axis=0), 0], [shift, shift])
+    assert model.correlation(learned, (x0 + shift)[None]).min() > 0.97
+
+
+def test_the_peak_on_a_real_face_is_at_the_truth():
+    clip = TrackClip("expressions", 40)
+    at = np.array([[(row.x, row.y) for row in (clip.truth[t, part] for part in PARTS)] for t in range(40)])
+    model = built([[20, 20], *[[15, 15]] * 4], reach=18.0)
+    learned = model.init(clip.frames[0], at[0])
+    offsets = np.stack(np.meshgrid(*2 * [np.arange(-14, 14.01, 0.5)]), axis=2).reshape(-1, 1, 2)
+    off = []
+    for t in range(4, 40, 5):
+        learned = model.look(learned, clip.frames[t], at[t])
+        score = model.score(learned, clip.frames[t], at[t] + offsets, at[t] + offsets)
+        off.append(np.hypot(*offsets[score.argmax(axis=0), 0].T))
+    assert np.median(off) < 1.5 and np.mean(np.array(off) < 4) > 0.9
+
+
+def test_a_shifted_window_lies_beside_its_part():
+    image, x0 = texture(), np.array([[50.0, 40.0], [50.0, 40.0]])
+    model = built([[15, 15], [15, 15]], PARTS[:2], shift={"nose": (0.0, 0.4), "default": (0.0, 0.0)})
+    np.testing.assert_array_equal(model.shift, [[0, 6], [0, 0]])
+    there = built([[15, 15], [15, 15]], PARTS[:2]).init(frame(image), x0 + np.array([[0, 6], [0, 0]]))
+    learned = model.init(frame(image), x0)
+    for one, other in zip(learned.templates, there.templates, strict=True):
+        np.testing.assert_array_equal(one.windows[0], other.windows[0])
+    assert model.correlation(model.look(learned, frame(image), x0), x0[None]).min() > 0.999
+
+
+def test_flat_images_and_particles_far_outside_are_survived():
+    x0 = np.array([[50.0, 40.0], [1.0, 88.0]])
+    model = built([[15, 15], [9, 9]], PARTS[:2])
+    far = np.array([[[1e7, -1e7], [-5e5, 3.0]]])
+    for first, now in (
+        (texture(), np.full((90, 120, 3), 128, np.uint8)),
+        (np.zeros((90, 120, 3), np.uint8), texture()),
+    ):
+        learned = model.init(frame(first), x0)
+        for where in (x0, x0 + 4e6):
+            seen = model.look(learned, frame(now), where)
+            assert np.isfinite(model.score(seen, frame(now), far, far)).all()
+            assert np.isfinite(model.distances(seen, frame(now), far)).all()
+            assert np.isfinite(model.presence(seen, frame(now), where)).all()
+            later = model.learn(seen, frame(now), where, around(where))
+            assert np.isfinite([later.good, later.beside, later.visible, later.usual]).all()
+
+
+def test_a_window_that_matches_nothing_says_as_little_as_one_that_is_hidden():
+    model, image, x0 = built([[15, 15]], PARTS[:1]), texture(), np.array([[50.0, 40.0]])
+    learned = model.look(model.init(frame(image), x0), frame(image), x0)
+    x = x0 + np.random.default_rng(0).uniform(-9, 9, (200, 1, 2))
+    hidden = model.score(learned._replace(visible=np.zeros(1)), frame(image), x, x)
+    seen = model.score(learned, frame(image), x, x)
+    r = model.correlation(learned, x)
+    assert np.ptp(hidden[r < 0.3]) < 0.02, "nothing, where it is not like the part"
+    assert seen.max() - np.median(seen) > 8
+    np.testing.assert_allclose(seen[r < 0], np.log1p(-0.98) - 0.5 * 30, atol=0.01)
+
+
+# --- templates and what is visible --------------------------------------------------------------------------------
+
+
+def one_part(image, templates=4):
+    x = np.array([[60.0, 45.0]])
+    model = built([[15, 15]], PARTS[:1], templates=templates)
+    return model, model.init(frame(image), x), x
+
+
+def with_patch(image, other, half=10):
+    """`image` with a piece of another around the part."""
+    image = image.copy()
+    image[45 - half : 46 + half, 60 - half : 61 + half] = other[45 - half : 46 + half, 60 - half : 61 + half]
+    return image
+
+
+def test_a_look_that_is_new_gives_a_template_and_is_known_from_then_on():
+    closed, opened = texture(0), with_patch(texture(0), texture(1))
+    model, learned, x = one_part(closed)
+    learned = step(model, learned, closed, x)
+    assert len(learned.templates[0].windows) == 1
+    before = model.correlation(model.look(learned, frame(opened), x), x[None])[0, 0]
+    learned = step(model, learned, opened, x, says=4.0)
+    assert before < NEW_BELOW
+    assert len(learned.templates[0].windows) == 2
+    assert model.correlation(model.look(learned, frame(opened), x), x[None])[0, 0] > 0.99
+    for _ in range(5):
+        learned = step(model, learned, opened, x, says=4.0)
+    assert len(learned.templates[0].windows) == 2, "it is not learned again"
+    assert model.correlation(model.look(learned, frame(closed), x), x[None])[0, 0] > 0.99, "nor is the first one lost"
+
+
+@pytest.mark.parametrize("stays", [3, YOUNG + 2])
+def test_what_was_learned_of_a_part_that_hides_soon_after_is_forgotten(stays):
+    closed, opened, cover = texture(0), with_patch(texture(0), texture(1)), with_patch(texture(0), texture(2), 24)
+    model, learned, x = one_part(closed)
+    learned = step(model, learned, closed, x)
+    for _ in range(stays):
+        learned = step(model, learned, opened, x, says=4.0)
+    assert len(learned.templates[0].windows) == 2
+    for _ in range(4):
+        learned = step(model, learned, cover, x, says=-4.0)
+    assert learned.visible[0] < 0.1
+    assert len(learned.templates[0].windows) == (1 if stays < YOUNG else 2)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"says": -1.0},  # less than a sensor says usually
+        {"spread": 2.0},  # of particles that are not sure where it is
+    ],
+)
+def test_nothing_is_learned_of_what_is_in_doubt(change):
+    closed, opened = texture(0), with_patch(texture(0), texture(1))
+    model, learned, x = one_part(closed)
+    for _ in range(80):
+        learned = step(model, learned, closed, x, says=3.0)
+    assert learned.usual[0] > 2
+    learned = told(model.look(learned, frame(opened), x), change.get("says", 3.0))
+    learned = model.learn(learned, frame(opened), x, around(x, change.get("spread", 0.3)))
+    assert learned.visible[0] > 0.5 and len(learned.templates[0].windows) == 1
+
+
+def test_of_too_many_templates_the_one_that_matched_least_goes_and_never_the_first():
+    looks = [texture(0), *(with_patch(texture(0), texture(i)) for i in range(1, 5))]
+    model, learned, x = one_part(looks[0], templates=3)
+    first = learned.templates[0].windows[0]
+    for look, times in ((0, 1), (1, 30), (2, 80), (3, 2), (2, 5)):
+        for _ in range(times):
+            learned = step(model, learned, looks[look], x, says=4.0)
+    kept = learned.templates[0].windows
+    assert len(kept) == 3 and kept[0] is first
+    like = [model.correlation(model.look(learned, frame(look), x), x[None])[0, 0] for look in looks]
+    assert min(like[i] for i in (0, 2, 3)) > 0.99 and like[1] < NEW_BELOW
+
+
+def test_one_template_alone_stays_the_first_one():
+    model, learned, x = one_part(texture(0), templates=1)
+    for _ in range(3):
+        learned = step(model, learned, with_patch(texture(0), texture(1)), x, says=4.0)
+    assert len(learned.templates[0].windows) == 1
+
+
+def test_a_part_that_something_covers_hides_and_comes_back_without_a_sensor():
+    free, cover = texture(0), with_patch(texture(0), texture(2), 24)
+    model, learned, x = one_part(free)
+    for _ in range(20):
+        learned = step(model, learned, free, x, says=0.0)
+    assert learned.visible[0] > 0.95
+    good = learned.good.copy()
+    gone, back = [], []
+    for _ in range(12):
+        learned = step(model, learned, cover, x, says=0.0)
+        gone.append(learned.visible[0])
+    assert np.diff(gone).max() < 0.01 and gone[5] < 0.1
+    assert learned.good[0] > good[0] - 0.08, "what it looks like when it is seen is kept"
+    for _ in range(4):
+        learned = step(model, learned, free, x, says=0.0)
+        back.append(learned.visible[0])
+    assert back[-1] > 0.9
+    assert len(learned.templates[0].windows) == 1, "what covered it was not learned"
+
+
+def test_a_sensor_alone_says_of_a_changed_look_that_it_is_the_part():
+    """A mouth that opens matches nothing; that the sensor sees a mouth decides."""
+    opened = with_patch(texture(0), texture(1))
+    seen, unseen = [], []
+    for says, found in ((4.0, seen), (-4.0, unseen)):
+        model, learned, x = one_part(texture(0))
+        for _ in range(4):
+            learned = step(model, learned, opened, x, says=says)
+            found.append(learned.visible[0])
+    assert min(seen) > 0.9 and unseen[-1] < 0.05
+
+
+def test_v_is_the_chain_of_two_states_with_the_evidence_that_is_written():
+    model, learned, x = one_part(texture(0))
+    now = (0.7 * texture(0) + 0.3 * texture(1)).astype(np.uint8)
+    chain, rng = 1.0, np.random.default_rng(0)
+    for _ in range(12):
+        says = rng.uniform(-3, 3)
+        r = naive.correlation(naive.channels(texture(0), 60, 45, 15, 15), naive.channels(now, 60, 45, 15, 15))
+        q = (learned.good[0] - r) / (learned.good[0] - learned.beside[0])
+        odds = min(max((0.35 - q) / 0.1, -1.5), 5.0) + says
+        before = chain * (1 - window_ncc.HIDE) + (1 - chain) * window_ncc.SHOW
+        chain = before / (before + (1 - before) * np.exp(-odds))
+        learned = step(model, learned, now, x, says=says)
+        if len(learned.templates[0].windows) > 1:  # r of the first one alone is compared
+            learned = learned._replace(templates=(type(learned.templates[0])(*(v[:1] for v in learned.templates[0])),))
+        assert learned.visible[0] == pytest.approx(chain, abs=1e-4)
+
+
+def test_where_a_track_begins_again_the_frame_is_looked_at_and_not_the_first_one():
+    first, other = texture(0), texture(3)
+    model, learned, x = one_part(first)
+    assert learned.maps is None
+    again = model.learn(learned, frame(other), x, around(x))
+    seen = model.learn(model.look(learned, frame(other), x), frame(other), x, around(x))
+    np.testing.assert_array_equal(again.good, seen.good)
+    np.testing.assert_array_equal(again.beside, seen.beside)
+    assert again.maps is None and again.good[0] < learned.good[0]
