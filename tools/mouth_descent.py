@@ -302,16 +302,6 @@ def calibrated(model: Descent, found: Sequence[Errors]) -> Descent:
     return model._replace(std=np.median([one.std for one in found], axis=0), odds=odds)
 
 
-SHOW_AUC = True
-
-
-def auc(s, y):
-    r = np.empty(len(s))
-    r[np.argsort(s)] = np.arange(len(s))
-    n1 = y.sum()
-    return round((r[y].sum() - n1 * (n1 - 1) / 2) / (n1 * (len(y) - n1)), 3)
-
-
 def clips_in(folder: Path) -> Iterator[Path]:
     for path in sorted(folder.rglob("*")):
         if path.suffix in VIDEOS or path.name == "img":
