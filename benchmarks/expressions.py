@@ -80,7 +80,7 @@ def score(clip: Path, config: str, seed: int, regressions: Path | None) -> Score
     error = np.hypot(*np.moveaxis(off - np.median(off, axis=0), 2, 0))
     spread = np.stack([column("std_x"), column("std_y")], axis=2) / unit[..., None]
     inside = np.sum(((off - np.median(off, axis=0)) / spread) ** 2, axis=2) <= ELLIPSE
-    moves = []
+    moves: list[float] = []
     for a, b in ((3, 4), (1, 2)):
         shown = ~(lost[:, a] | lost[:, b])
         mine, mesh = (np.hypot(*(one[:, a] - one[:, b]).T) / unit[:, 0] for one in (at, true))
@@ -88,7 +88,8 @@ def score(clip: Path, config: str, seed: int, regressions: Path | None) -> Score
         moves.append(float(same) if mesh.std() >= VARIES else float("nan"))
     whole = np.hypot(*np.moveaxis(off, 2, 0))
     right = np.all(whole[:, :3] <= RIGHT, axis=1).sum() / len(frames)
-    return Scores(*moves, float(np.median(error)), right, inside.mean(), lost.mean(), whole[0].mean())
+    opening, width = moves
+    return Scores(opening, width, float(np.median(error)), right, inside.mean(), lost.mean(), whole[0].mean())
 
 
 def main() -> None:
@@ -108,18 +109,14 @@ def main() -> None:
         table = found.reshape(len(clips), args.seeds, -1)
         print(f"\n| `{config}` | {' | '.join(names)} |\n|---|{'---|' * len(names)}")
         for clip, runs in zip(clips, table, strict=True):
-            print(
-                f"| {clip.name} | "
-                + " | ".join(f"{m:.3f} ± {s:.3f}" for m, s in zip(runs.mean(0), runs.std(0), strict=True))
-                + " |"
-            )
-        means = np.nanmean(table, axis=0)
-        print(
-            "| mean | "
-            + " | ".join(f"{m:.3f} ± {s:.3f}" for m, s in zip(means.mean(0), means.std(0), strict=True))
-            + " |",
-            flush=True,
-        )
+            print(line(clip.name, runs))
+        print(line("mean", np.nanmean(table, axis=0)), flush=True)
+
+
+def line(name: str, runs: Array) -> str:
+    """A row of the table: means and standard deviations over seeds."""
+    both = zip(runs.mean(axis=0).tolist(), runs.std(axis=0).tolist(), strict=True)
+    return f"| {name} | " + " | ".join(f"{mean:.3f} ± {std:.3f}" for mean, std in both) + " |"
 
 
 if __name__ == "__main__":

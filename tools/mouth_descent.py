@@ -297,8 +297,6 @@ def calibrated(model: Descent, found: Sequence[Errors]) -> Descent:
             a, b = a + step[0], b + step[1]
         odds[:, j] *= a
         odds[-1, j] += b
-        if SHOW_AUC:
-            print(NAMES[j], "auc", auc(s, visible), "n", len(s), (~visible).sum())
     return model._replace(std=np.median([one.std for one in found], axis=0), odds=odds)
 
 
