@@ -41,6 +41,7 @@ NEW_BELOW: Final = 0.7  # correlation with all templates below which a visible p
 SURE: Final = 0.06  # standard deviation of a part, in reaches, up to which a new template is learned
 HIDDEN, SOFT = 0.35, 0.1
 BY_WINDOW, BY_TOLD = (-0.5, 5.0), (-4.0, 4.0)  # bounds of the terms of the evidence: looks change
+LENIENT = 0.0
 YOUNG: Final = 10  # frames
 UNLIKE: Final = 2.0  # below what a sensor usually says of a part, which then may be half covered
 HIDE, SHOW = 0.01, 0.1  # probabilities a frame
@@ -126,7 +127,7 @@ class WindowNcc:
         ]
         r = np.array([max(_like(each, self._window(frame, k, state[k]))) for k, each in enumerate(old)])
         q = (learned.good - r) / np.maximum(learned.good - learned.beside, 0.05)
-        evidence = np.clip((HIDDEN - q) / SOFT, *BY_WINDOW) + np.clip(learned.told, *BY_TOLD)
+        evidence = np.clip((HIDDEN - q) / SOFT, *BY_WINDOW) + np.clip(learned.told + LENIENT, *BY_TOLD)
         return visible_after(learned.visible, evidence)
 
     def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
