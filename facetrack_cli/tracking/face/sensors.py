@@ -4,11 +4,11 @@ A sensor, a regression, a network or a detector, says where the parts are with a
 for seconds, since it depends on the person, the expression and the light: the bias b. The other is new in each frame.
 With a_t the parts in frame t, in pixels of the still face,
 
-    z_t = a_t + b_t + N(0, r^2 I),    b_t = b_{t-1} + N(0, q I)
+    z_t = a_t + b_t + N(0, r^2 I),    b_t = k b_{t-1} + N(0, q I)
 
 b is followed by a Kalman filter for each part, the same along x and y; r follows from how far measurements have been
-off (Mehra, IEEE Transactions on Automatic Control 1970). The sensor that has placed the points of the start begins
-with b = 0.
+off (Mehra, IEEE Transactions on Automatic Control 1970). Where somebody has placed the points of the start, a sensor
+may always be off from them by the same (k = 1). A start that was placed by a sensor may itself be wrong: then b fades.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from facetrack_cli.tracking.models.motion import Measured
 
 DRIFT: Final = 0.001 * EYES  # standard deviation of b in a frame, pixels
 REGRESSION, NETWORK, DETECTOR = 0.05 * EYES, 0.01 * EYES, 0.05 * EYES  # the least r of a sensor
+FADES: Final = 0.99  # k of a start that a sensor has placed
 MOST: Final = 0.1 * EYES  # and the greatest
 MISLED: Final = 0.1 * EYES  # r in a face of which a part is hidden: a sensor places all parts together
 LEARNS: Final = 0.02  # share of a measurement in r^2
@@ -36,39 +37,45 @@ _MANY: Final = 50.0  # looks over which it is learned how often a face is found
 
 
 class Sensor(NamedTuple):
-    """b (K, 2), its variance (K,) and r^2 (K,), in the still face; `least` is the least r."""
+    """b (K, 2), its variance (K,) and r^2 (K,), in the still face; `least` is the least r, and `keep` is k."""
 
     bias: Array
     var: Array
     noise: Array
     least: float
+    keep: float
 
     @classmethod
-    def begin(cls, z: Array, x0: Array, std: float, least: float) -> Sensor:
+    def begin(cls, z: Array, x0: Array, std: float, least: float, keep: float) -> Sensor:
         """After a first measurement z (K, 2) of parts at x0 (K, 2), nan where there is none; `std`: r at first."""
         known = _known(z)
         r2 = np.full(len(x0), std**2)
-        return cls(np.where(known[:, None], z - x0, 0.0), np.where(known, r2, MOST**2), r2, least)
+        return cls(np.where(known[:, None], z - x0, 0.0), np.where(known, r2, MOST**2), r2, least, keep)
 
     def measured(self, z: Array, visible: Array) -> Measured:
         """What z (K, 2) says of parts that are visible with a probability (K,)."""
         known = _known(z)
         sure = np.where(known, BLIND + (SURE - BLIND) * visible, 0.0)
-        at = np.where(known[:, None], z - self.bias, 0.0)
+        at = np.where(known[:, None], z - self.keep * self.bias, 0.0)
         noise = self.noise + MISLED**2 * (1 - visible.min())
-        return Measured(at, self.var + DRIFT**2 + noise, sure, float(SIDE**2) / 4)
+        return Measured(at, self._ahead + noise, sure, float(SIDE**2) / 4)
 
     def learned(self, z: Array, state: Array, cov: Array, visible: Array) -> Sensor:
         """After z (K, 2), where the filter has the parts at `state` (K, 2), with `cov` (K, 2, 2)."""
-        var, spread = self.var + DRIFT**2, 0.5 * np.trace(cov, axis1=1, axis2=2)
-        off = z - self.bias - state
+        var, spread, before = self._ahead, 0.5 * np.trace(cov, axis1=1, axis2=2), self.keep * self.bias
+        off = z - before - state
         squared = 0.5 * np.sum(off**2, axis=1)
         total = var + self.noise + spread
         use = np.where(np.isfinite(squared) & (squared < 9 * total), visible * visible.min(), 0.0)
         gain = use * var / total
         noise = self.noise + LEARNS * use * (np.nan_to_num(squared) - self.noise)
-        bias = self.bias + gain[:, None] * np.nan_to_num(off)
-        return Sensor(bias, (1 - gain) * var, np.clip(noise, self.least**2, MOST**2), self.least)
+        bias = before + gain[:, None] * np.nan_to_num(off)
+        return self._replace(bias=bias, var=(1 - gain) * var, noise=np.clip(noise, self.least**2, MOST**2))
+
+    @property
+    def _ahead(self) -> Array:
+        """The variance of b in the next frame."""
+        return np.asarray(self.keep**2 * self.var + DRIFT**2)
 
 
 def joined(one: Measured, other: Measured) -> Measured:

@@ -34,7 +34,16 @@ from facetrack_cli.tracking.face import still
 from facetrack_cli.tracking.face.descent import Placed, load_descent, seen_in
 from facetrack_cli.tracking.face.mesh import NAMES, Mesh
 from facetrack_cli.tracking.face.mesh_points import UNSEEN, MeshPoints
-from facetrack_cli.tracking.face.sensors import DETECTOR, NETWORK, REGRESSION, Facing, Sensor, common_shift, joined
+from facetrack_cli.tracking.face.sensors import (
+    DETECTOR,
+    FADES,
+    NETWORK,
+    REGRESSION,
+    Facing,
+    Sensor,
+    common_shift,
+    joined,
+)
 from facetrack_cli.tracking.face.still import EYES, FACE, Similarity
 from facetrack_cli.tracking.loop import Cover
 from facetrack_cli.tracking.roles import Names
@@ -219,12 +228,16 @@ class FaceTarget:
 
     def _second(self, found: Found | None, x0: Array) -> Sensor:
         """What is known of the detector in a frame whose parts are at x0 (K, 2)."""
-        return Sensor.begin(self._named({} if found is None else found.points), x0, DETECTOR, DETECTOR)
+        return Sensor.begin(self._named({} if found is None else found.points), x0, DETECTOR, DETECTOR, self._keep)
+
+    @property
+    def _keep(self) -> float:
+        return FADES if self.searched else 1.0
 
     def _sensor(self, sensed: Sensed, x0: Array) -> Sensor:
         """What is known of the sensor in a frame whose parts are at x0 (K, 2)."""
         least = REGRESSION if self.mesh is None else NETWORK
-        return Sensor.begin(sensed.parts.at, x0, float(load_descent().std.mean()), least)
+        return Sensor.begin(sensed.parts.at, x0, float(load_descent().std.mean()), least, self._keep)
 
     def _sensed(self, frame: Frame, similarity: Similarity, seen: Frame, around: Sequence[Array] = ()) -> Sensed:
         """What sensors say of the points in the still face `seen`; nan, and 0, of parts that none of them knows.
