@@ -3,6 +3,7 @@
     python tools/calibrations.py                                     # what is not there yet
     python tools/calibrations.py --again --config factorized --config face
     FACETRACK_CLIPS=../clips python tools/calibrations.py -j 2       # with the real clips in that folder
+    FACETRACK_CLIPS=../clips python tools/calibrations.py --again --config face --regression without_them.npz
 
 Each recipe is fitted to rendered clips (benchmarks/rendered.py, seeds 0 to 3 of each kind, in --clips), to the
 sample clips that it has goldens of, and to the real clips of $FACETRACK_CLIPS: folders with a groundtruth.csv of a box
@@ -39,6 +40,7 @@ from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.seeds import load_recipes
+from facetrack_cli.tracking.face import descent
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -108,10 +110,13 @@ def main() -> None:
     parser.add_argument("--config", action="append", default=[], metavar="NAME", help="this recipe; repeatable")
     parser.add_argument("--seeds", type=int, default=1, help="runs of each clip [default: 1]")
     parser.add_argument("-j", "--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--regression", type=Path, help="of face: one that has not seen these clips")
     parser.add_argument("-o", "--out", type=Path, default=ROOT / "configs" / "calibration", help="folder of the files")
     parser.add_argument("--again", action="store_true", help="also those that have a file")
     args = parser.parse_args()
     cv2.setNumThreads(1)
+    if args.regression is not None:
+        descent.DEFAULT = str(args.regression.resolve())
     args.clips.mkdir(parents=True, exist_ok=True)
     args.out.mkdir(parents=True, exist_ok=True)
     rendered = render(args.clips)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -25,6 +26,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from facetrack_cli.core.face_points import MESH, POINTS
 from facetrack_cli.core.shipped import shipped_folder
 from facetrack_cli.core.types import Array, Image
 from facetrack_cli.tracking.face import descent
@@ -35,8 +37,12 @@ from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.video.source import open_source
 
 PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
-MIRRORED = [0, 2, 1, 3, 4]
-IN_MESH = [1, 61, 291, 0, 17]
+OTHERS = tuple(point for point in POINTS if point not in PARTS)
+NAMES = (*PARTS, *OTHERS)
+MIRRORED = [
+    NAMES.index(re.sub("left|right", lambda side: "right" if side[0] == "left" else "left", one)) for one in NAMES
+]
+IN_MESH = [MESH[name] for name in NAMES]
 CORNERS_OF_EYES = [33, 133, 362, 263]
 CROPS = ((3.8, 0.75), (3.2, 0.55), (4.2, 0.75), (3.8, 0.95))
 FRAMES, SAMPLES, STARTS = 120, 300, 2  # of a clip; of each; from which a sample begins
@@ -47,14 +53,15 @@ MOVED, SCALED, ROLLED = 0.075, 0.1, 0.075  # standard deviations: distances betw
 BEGINS = 0.05  # standard deviation of the mean shape where a sample begins, distances between the eyes
 SCALES = (1.6, 1.2, 1.0, 0.8)
 RIDGE = (1.5, 0.4, 0.2, 0.15)  # in mean squares of a channel
-ODDS_RIDGE = 0.3
+ODDS_RIDGE = 0.03
+JITTER = 0.03  # distances between the eyes, by which a network may be off
 VIDEOS = {".mp4", ".webm", ".mpg", ".mkv", ".avi"}
 AGREED = 0.1  # of crops: greatest standard deviation of a part, distances between the eyes
 PAD = 24  # pixels around the part that is read, so that a sample can be moved
 
 
 class Clip(NamedTuple):
-    """Pictures (T, SIDE + 2 PAD, ..., 3) of upright faces and the parts (T, K, 2) in them.
+    """Pictures (T, SIDE + 2 PAD, ..., 3) of upright faces and the points (T, 28, 2) in them, the K parts first.
 
     `apart`: median distance between the eyes in the clip, pixels.
     """
@@ -110,7 +117,7 @@ def load(path: Path, mesh: Mesh) -> Clip | None:
             if known:
                 if len(known.get(frame.index, {})) < len(PARTS):
                     continue
-                parts = np.array([known[frame.index][part] for part in PARTS])
+                parts[: len(PARTS)] = [known[frame.index][part] for part in PARTS]
             corner = np.array([descent.LEFT, descent.TOP], float) - PAD
             middle = corner + (SIDE + 2 * PAD - 1) / 2
             crop = head._replace(centre=head.to_frame(middle)).read(frame, SIDE + 2 * PAD)
@@ -212,7 +219,7 @@ def shape(rng: np.random.Generator, points: Array) -> NDArray[np.float32]:
 def train(clips: Sequence[Clip], seed: int = 0) -> Descent:
     rng = np.random.default_rng(seed)
     drawn = [sample(rng, clip) for clip in clips for _ in range(SAMPLES)]
-    seen, points = [channels(one.picture) for one in drawn], np.array([one.points for one in drawn])
+    seen, points = [channels(one.picture) for one in drawn], np.array([one.points[: len(PARTS)] for one in drawn])
     which = np.repeat(np.arange(len(seen)), STARTS)
     mean = points.mean(axis=0)
     x = mean + rng.normal(0, BEGINS * EYES, (len(which), 1, 2))
@@ -222,13 +229,23 @@ def train(clips: Sequence[Clip], seed: int = 0) -> Descent:
         stages.append(solved(phi, (points[which] - x).reshape(len(which), -1), ridge))
         x = x + (phi @ stages[-1]).reshape(x.shape)
     std = np.sqrt(((x - points[which]) ** 2).sum(axis=2).mean(axis=0) / 2)
-    blind = np.zeros((phi.shape[1], len(PARTS)), np.float32)
-    model = Descent(PARTS, mean, np.array(stages, np.float32), np.array(SCALES), std, blind)
+    blind = np.zeros((1, len(NAMES)), np.float32)
+    model = Descent(NAMES, mean, np.array(stages, np.float32), np.array(SCALES), std, blind)
+    return model._replace(odds=odds_of(rng, model, clips))
+
+
+def odds_of(rng: np.random.Generator, model: Descent, clips: Sequence[Clip]) -> NDArray[np.float32]:
+    """The regressions that tell whether points are visible, around parts where the model has placed them."""
     drawn = [sample(rng, clip, clips, COVERED) for clip in clips for _ in range(SAMPLES // 2)]
-    seen = [channels(one.picture) for one in drawn]
-    phi = np.stack([read(one, model.descended(one), descent.ODDS_SCALE) for one in seen])
-    odds = solved(phi, np.array([1 - 2 * one.covered for one in drawn]), ODDS_RIDGE)
-    return model._replace(odds=np.asarray(odds, np.float32))
+    found, visible = [], np.array([1 - 2 * one.covered for one in drawn])
+    for one in drawn:
+        seen, at = channels(one.picture), one.points + rng.normal(0, JITTER * EYES, one.points.shape)
+        at[: len(PARTS)] = model.descended(seen)
+        found.append(read(seen, at, descent.ODDS_SCALE)[:-1].reshape(len(at), -1))
+    phi = np.array(found)
+    phi = np.concatenate([phi, np.ones_like(phi[..., :1])], axis=2)
+    odds = [solved(phi[:, j], visible[:, j], ODDS_RIDGE) for j in range(len(NAMES))]
+    return np.asarray(odds, np.float32).T
 
 
 def solved(phi: NDArray[np.float32], wanted: Array, ridge: float) -> Array:
@@ -248,16 +265,18 @@ class Errors(NamedTuple):
 
 def errors(model: Descent, clip: Clip, others: Sequence[Clip]) -> Errors:
     """What a model that has not seen the clip makes of it."""
-    rng, corner = np.random.default_rng(1), np.array([descent.LEFT, descent.TOP])
+    rng, corner = np.random.default_rng(1), descent.CORNER.astype(int)
     off, scores, covers = [], [], []
     for share in (0.0,) * 50 + (1.0,) * 50:
         one = sample(rng, clip, others, share)
         still = np.zeros((160, 160, 3), np.uint8)
         still[corner[1] : corner[1] + SIDE, corner[0] : corner[0] + SIDE] = one.picture
+        at, k = one.points + corner, len(PARTS)
         placed = model.fit(still)
         if not share:
-            off.append(placed.at - corner - one.points)
-        scores.append(placed.odds)
+            off.append(placed.at - at[:k])
+        at[:k] = placed.at
+        scores.append(model.visible(descent.seen_in(still), at))
         covers.append(one.covered)
     return Errors(np.sqrt(np.var(off, axis=0).mean(axis=1)), np.array(scores), np.array(covers))
 
@@ -266,9 +285,9 @@ def calibrated(model: Descent, found: Sequence[Errors]) -> Descent:
     """The model with the errors of clips left out, and scores as logarithms of the likelihood ratio (Platt 1999)."""
     odds = model.odds.copy()
     scores, covers = (np.concatenate([getattr(one, key) for one in found]) for key in ("scores", "covered"))
-    for k in range(odds.shape[1]):
-        known = (covers[:, k] > HIDDEN) | (covers[:, k] < HIDDEN / 2)
-        s, visible = scores[known, k], covers[known, k] < HIDDEN / 2
+    for j in range(len(NAMES)):
+        known = (covers[:, j] > HIDDEN) | (covers[:, j] < HIDDEN / 2)
+        s, visible = scores[known, j], covers[known, j] < HIDDEN / 2
         weight = np.where(visible, 0.5 / visible.mean(), 0.5 / (1 - visible.mean()))
         a, b = 1.0, 0.0
         for _ in range(50):  # Newton's method
@@ -276,8 +295,8 @@ def calibrated(model: Descent, found: Sequence[Errors]) -> Descent:
             phi = np.stack([s, np.ones_like(s)], axis=1)
             step = np.linalg.solve((phi.T * (weight * p * (1 - p))) @ phi, phi.T @ (weight * (visible - p)))
             a, b = a + step[0], b + step[1]
-        odds[:, k] *= a
-        odds[-1, k] += b
+        odds[:, j] *= a
+        odds[-1, j] += b
     return model._replace(std=np.median([one.std for one in found], axis=0), odds=odds)
 
 

@@ -33,13 +33,23 @@ DETECTORS: tuple[DetectorName, ...] = ("haar", "yunet")
 
 
 class Detections(Section):
-    """A detector of faces that measures the points every so many frames."""
+    """A detector of faces that measures the face's box every so many frames."""
 
     every: Annotated[int, Field(ge=1, le=1000), FRAMES] = 3
     """Frames from one look for the face to the next; while it is lost, the whole frame is searched as often."""
     by: DetectorName | Literal["auto"] = "auto"
     """OpenCV's Haar cascades or YuNet (of the extra `detect`); auto: what found the start, else the better one
     that is installed."""
+
+
+class Landmarks(Section):
+    """What places the points of the face in every frame: a regression, or a network where its file is there."""
+
+    network: Annotated[str, Field(min_length=1)] | None = "auto"
+    """MediaPipe's face mesh, which adds points: `mesh`, brought by `facetrack models get mesh`, or the path of its
+    file; null: only the regression; auto: mesh where it is there."""
+    points: Literal["features", "all"] = "features"
+    """The points of the network: 28 of mouth, eyes, brows, nose and jaw, or all 468."""
 
 
 class Head(Section):
@@ -56,7 +66,9 @@ class Head(Section):
     lost_below: Share = 0.5
     """The head is lost while its confidence is below this, and all points with it."""
     detections: Detections | None = Detections()
-    """Detections as measurements of the points; null: none."""
+    """Detections of the face as measurements of its box; null: none."""
+    landmarks: Landmarks = Landmarks()
+    """What places the points."""
 
 
 class JumpingWalk(Motion):

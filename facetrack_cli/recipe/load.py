@@ -9,6 +9,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from facetrack_cli.core.errors import RecipeError
+from facetrack_cli.core.models import model_path
 from facetrack_cli.core.yaml_tree import Node, Problem, Span, YamlProblems, assign, parse
 from facetrack_cli.recipe.files import find_file, find_recipe, read_file
 from facetrack_cli.recipe.messages import problems
@@ -17,16 +18,19 @@ from facetrack_cli.recipe.sections import suggest
 from facetrack_cli.recipe.times import FPS, times
 
 
-def load_recipe(name_or_path: str, overrides: Sequence[str] | Mapping[str, Any] = ()) -> Recipe:
+def load_recipe(
+    name_or_path: str, overrides: Sequence[str] | Mapping[str, Any] = (), *, installed: bool = True
+) -> Recipe:
     """Read a recipe from a path, or by the name of a shipped one.
 
     `overrides` are values by key, as in `{"filter.particles": 200}`, or `filter.particles=200` of the command line.
+    Unless `installed`, `auto` takes no model that this machine has and others may lack.
     Raises RecipeError for the first thing that is wrong, and says how many more there are.
     """
     if isinstance(overrides, Mapping):
         overrides = [f"{key}={json.dumps(value)}" for key, value in overrides.items()]
     try:
-        return _load(find_recipe(name_or_path), overrides)
+        return _load(find_recipe(name_or_path), overrides, installed=installed)
     except YamlProblems as refused:
         raise error_of(refused.problems) from None
 
@@ -67,7 +71,7 @@ def files_of(recipe: Recipe) -> list[Path]:
     return [find_file(recipe, file, key) for key, file in named.items()]
 
 
-def _load(path: Path, overrides: Sequence[str]) -> Recipe:
+def _load(path: Path, overrides: Sequence[str], *, installed: bool = True) -> Recipe:
     source = read_file(path)
     root = parse(source)
     if root is None or root.value is None:
@@ -79,9 +83,15 @@ def _load(path: Path, overrides: Sequence[str]) -> Recipe:
         assign(root, "--set", override)
     kind = _kind(root)
     try:
-        return kind.model_validate(root.plain(), context={"path": path, "root": root})
+        recipe = kind.model_validate(root.plain(), context={"path": path, "root": root})
     except ValidationError as error:
         raise YamlProblems(problems(error, kind, root)) from None
+    heads = [name for name, one in recipe.filters.items() if one.head and one.head.landmarks.network == "auto"]
+    if not heads:
+        return recipe
+    # said in the recipe, so that what continues a run uses the same
+    network = "mesh" if installed and model_path("mesh") else "null"
+    return _load(path, [*overrides, *(f"{above(name)}head.landmarks.network={network}" for name in heads)])
 
 
 def _kind(root: Node) -> type[Recipe]:

@@ -154,6 +154,12 @@ class Recipe(Section):
         return sum(one.filter.particles for one in self.filters.values()) + sum(heads) or None
 
     @property
+    def networks(self) -> tuple[str, ...]:
+        """The networks that place points: `mesh`, or the paths of files."""
+        heads = [one.head for one in self.filters.values() if one.head is not None]
+        return tuple(head.landmarks.network for head in heads if head.landmarks.network is not None)
+
+    @property
     def random(self) -> bool:
         """Whether another seed may give another track."""
         return True

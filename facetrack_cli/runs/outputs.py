@@ -71,7 +71,9 @@ class Outputs:
             self._claim = Claim(out).__enter__()
             recover(out, self._claim)
             self._began = time.monotonic()
-            self._run = Manifest(asked=asked(self._job), host=here()[0], began=utc_now())
+            self._run = Manifest(
+                asked=asked(self._job), networks=self._job.recipe.networks, host=here()[0], began=utc_now()
+            )
             check(self._job)  # again, as somebody may have written since
             for form in self._job.formats:
                 self._sinks.append(FileSink(out / f"trajectory.{form}"))

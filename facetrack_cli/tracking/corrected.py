@@ -172,8 +172,8 @@ def is_complete(correction: Correction, parts: Sequence[str]) -> bool:
 
 
 def spoken(parts: Sequence[str]) -> tuple[str, ...]:
-    """The parts that corrections speak of: of points in a box the points."""
-    return tuple(part for part in parts if part != BOX) or tuple(parts)
+    """The parts that corrections speak of: of a face's points those before its box; others a network places."""
+    return tuple(parts[: parts.index(BOX)] if BOX in parts else parts) or tuple(parts)
 
 
 def completed(correction: Correction, rows: Trajectory) -> Correction:

@@ -10,7 +10,7 @@ from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.core.types import BOX, Array, Mask
+from facetrack_cli.core.types import BOX, Array, Mask, Whole
 from facetrack_cli.tracking import smoothing
 from facetrack_cli.tracking.face.still import FACE, MIDDLE
 from facetrack_cli.tracking.models.motion import Linear
@@ -64,7 +64,7 @@ def _next(
     for i, target in enumerate(now.targets):
         rows = successive([one.targets[i].rows for one in kept])
         beliefs = [() if (given := one.targets[i].beliefs) is None else given() for one in kept]
-        found = _Target(rows, beliefs, before[i] if before else ())
+        found = _Target(rows, beliefs, before[i] if before else (), lag=True)
         frame = now.frame.index
         targets.append(target._replace(rows=found.rows("recipe").between(frame, frame + 1)))
         after.append(found.carried(at))
@@ -76,9 +76,11 @@ def _next(
 class _Target:
     """One target over T frames; its K parts in columns (T, K)."""
 
-    def __init__(self, rows: Trajectory, beliefs: Beliefs, carried: Sequence[Belief] = ()) -> None:
+    def __init__(
+        self, rows: Trajectory, beliefs: Beliefs, carried: Sequence[Belief] = (), *, lag: bool = False
+    ) -> None:
         """`carried` are the beliefs of the first frame in place of its own, where those before it were lost."""
-        self.all, k, t = rows, len(rows.names), len(beliefs)
+        self.all, k, t, self.lagged = rows, len(rows.names), len(beliefs), bool(lag)
         table = {name: getattr(rows, name).reshape(k, t).T for name in (*_SMOOTHED, "status", "by_hand")}
         self.of = table
         self.gone: Mask = np.isnan(table["x"])
@@ -101,19 +103,21 @@ class _Target:
         if not self.chains:
             return self.all
         columns = {name: self.of[name].copy() for name in _SMOOTHED}
-        before, box = self.chains, self.all.names[-1][1] == BOX
-        after = [_smoothed(before[-1], motion)]
-        if len(before) == 2:
-            points, head = before
-            after = [self._face(columns, points, head, *after[0], motion), *after]
+        # of a face points, box, and a network's points
+        head = self.chains[min(len(self.chains) - 1, 1)]
+        before, box = [head], BOX in [part for _, part in self.all.names]
+        after = [_smoothed(head, motion)]
+        if len(self.chains) > 1:
+            points = _side_by_side([one for one in self.chains if one is not head])
+            before, after = [points, head], [self._face(columns, points, head, *after[0], motion), *after]
         elif box and before[0].mean.shape[-1] > 2:
             self._box(columns, before[0], *after[0])
         else:
             columns |= _places(*after[0])
-        unseen, linked = (np.concatenate([getattr(one, key) for one in before], axis=1) for key in ("unseen", "linked"))
+        unseen, linked = (np.concatenate([getattr(one, key) for one in self.chains], 1) for key in ("unseen", "linked"))
         keep = self.fixed | (unseen & ~linked)
         found = {name: np.where(keep, self.of[name], columns[name]).T.ravel() for name in _SMOOTHED}
-        diagnostics = self._diagnostics(before, after, keep[:, -1])
+        diagnostics = self._diagnostics(before, after, keep[:, self.sizes[0] if len(self.sizes) > 1 else -1])
         rows = replace(self.all, **found, diagnostics=diagnostics, corners=None)
         return replace(rows, corners=outlines(rows))
 
@@ -145,7 +149,7 @@ class _Target:
         What a point's filter corrects of its head's noise must not come apart from it: the points are smoothed in the
         still face of the smoothed head, in which they first are where they were in the frame.
         """
-        k = self.sizes[0]
+        k, those = self.sizes[0], np.delete(np.arange(len(self.all.names)), self.sizes[0])
         ratio = boxes[:, 0, 2] / head.mean[:, 0, 2]
         place = np.nan_to_num(np.stack([self.of["x"][:, k], self.of["y"][:, k]], axis=1))  # nan where it is absent
         moved = boxes[:, 0, :2] + (place - head.mean[:, 0, :2]) * ratio[:, None]
@@ -158,18 +162,25 @@ class _Target:
         still, cov = _smoothed(points._replace(mean=begun, cov=points.cov / ratio[:, None, None, None] ** 2), motion)
         now = np.einsum("tde,tke->tkd", new, still - MIDDLE) + moved[:, None]
         # what the rows have beside the filter's mean and covariance is kept
-        at = np.stack([self.of["x"][:, :k], self.of["y"][:, :k]], axis=-1) + now - was
-        seen = self._cov(slice(k)) + _mapped(new, cov) - _mapped(old, points.cov)
+        at = np.stack([self.of["x"][:, those], self.of["y"][:, those]], axis=-1) + now - was
+        if not self.lagged:
+            # in the frame, where what the head's filter and the points' correct of each other is no jitter
+            at = smoothing.steadied(at, ~points.unseen & ~self.gone[:, those])
+        seen = self._cov(those) + _mapped(new, cov) - _mapped(old, points.cov)
         hidden = _mapped(new, cov) + box_cov[..., :2, :2]
         values, vectors = np.linalg.eigh(np.where(points.unseen[..., None, None], hidden, seen))
         spread = vectors * np.maximum(values, 1e-6)[..., None, :] @ np.swapaxes(vectors, -1, -2)
-        columns |= _places(np.concatenate([at, moved[:, None]], 1), np.concatenate([spread, box_cov[..., :2, :2]], 1))
+        place, cov_of = (
+            np.concatenate([each[:, :k], of_box, each[:, k:]], axis=1)
+            for each, of_box in ((at, moved[:, None]), (spread, box_cov[..., :2, :2]))
+        )
+        columns |= _places(place, cov_of)
         for side in ("w", "h"):
             columns[side] = self.of[side] * ratio[:, None]
             columns[f"std_{side}"][:, k] = self.of[side][:, k] * np.sqrt(box_cov[:, 0, 2, 2]) / head.mean[:, 0, 2]
         return still, cov
 
-    def _cov(self, those: slice) -> Array:
+    def _cov(self, those: Whole) -> Array:
         x, y, xy = (np.nan_to_num(self.of[name][:, those]) for name in ("std_x", "std_y", "cov_xy"))
         return np.stack([x**2, xy, xy, y**2], axis=-1).reshape(*x.shape, 2, 2)
 
@@ -202,6 +213,18 @@ class _Target:
         return tuple(found)
 
 
+def _side_by_side(chains: Sequence[Chain]) -> Chain:
+    """The chains of several sets of parts as one."""
+    if len(chains) == 1:
+        return chains[0]
+    motion = Linear(*(np.concatenate(each, axis=1) for each in zip(*(one.motion for one in chains), strict=True)))
+    joined = (
+        np.concatenate([getattr(one, name) for one in chains], axis=1) for name in Chain._fields if name != "motion"
+    )
+    mean, cov, *others = joined
+    return Chain(mean, cov, motion, *others)
+
+
 def _mapped(matrix: Array, cov: Array) -> Array:
     return np.asarray(matrix[:, None] @ cov @ np.swapaxes(matrix, 1, 2)[:, None])
 
@@ -219,4 +242,6 @@ def _smoothed(one: Chain, motion: MotionName) -> _Moments:
     Errors of a filter last from frame to frame, and do not become as small as those of a quiet motion would.
     """
     mean, cov = smoothing.smoothed(one)
-    return (mean, cov) if motion == "recipe" else (smoothing.smoothed(smoothing.fitted(one)[0])[0], cov)
+    if motion == "recipe":
+        return mean, cov
+    return smoothing.smoothed(smoothing.fitted(one)[0])[0], cov

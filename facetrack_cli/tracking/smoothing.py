@@ -16,6 +16,8 @@ Where a correction placed a target, its belief has no covariance, and nothing co
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -26,6 +28,7 @@ from facetrack_cli.tracking.models.motion import Linear
 
 # of expectation and maximisation; more make errors larger again, which last from frame to frame
 ROUNDS = 5
+TAIL: Final = 1.0  # degrees of freedom of steps in `steadied`
 _LEAST: Final = 1e-9  # of a variance: what is less is rounding
 
 
@@ -157,6 +160,41 @@ def fitted(one: Chain) -> tuple[Chain, Array]:
         found = total / np.maximum(counted[1:].sum(axis=0), 1)
         factor = np.where(counted[1:].any(axis=0), np.clip(found, 1e-6, 1e3), 1.0)
     return now, factor
+
+
+def steadied(at: Array, shown: Mask) -> Array:
+    """Places (T, K, 2) without their jitter, where two successive frames have `shown` (T, K) a part.
+
+    The places are a random walk with steps of Student's t, seen with normal noise: what rests is smoothed, and what
+    moves stays as it is. Noise and steps are those of each part in the clip. The t is a normal density whose variance
+    differs from frame to frame, and that is a hidden variable, too (Lange, Little & Taylor, Journal of the American
+    Statistical Association 1989): expectation and maximisation find it, with a smoother of known variances within.
+    """
+    joined = shown[1:] & shown[:-1]
+    bends = np.where(joined[1:] & joined[:-1], np.sum((at[2:] - 2 * at[1:-1] + at[:-2]) ** 2, axis=2), np.nan)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of parts that are never seen thrice
+        noise = np.nan_to_num(np.nanmedian(bends, axis=0)) / (6 * 2 * math.log(2)) + _LEAST
+    step, wide, smooth = noise.copy(), np.ones(joined.shape), at
+    for _ in range(ROUNDS):
+        var, smooth = np.empty(shown.shape), at.copy()
+        var[0] = noise
+        for t in range(1, len(at)):
+            ahead = np.where(joined[t - 1], var[t - 1] + step * wide[t - 1], np.inf)
+            gain = np.where(joined[t - 1], 1 / (1 + noise / ahead), 1.0)
+            var[t] = gain * noise
+            smooth[t] = smooth[t - 1] + np.where(joined[t - 1], gain, 1.0)[:, None] * (at[t] - smooth[t - 1])
+        moved = np.zeros(joined.shape)
+        for t in range(len(at) - 2, -1, -1):
+            ahead = var[t] + step * wide[t]
+            gain = np.where(joined[t], var[t] / ahead, 0.0)
+            moved[t] = var[t + 1] * (1 - gain) ** 2 + gain * step * wide[t]
+            smooth[t] += gain[:, None] * (smooth[t + 1] - smooth[t])
+            var[t] += gain**2 * (var[t + 1] - ahead)
+        moved += 0.5 * np.sum((smooth[1:] - smooth[:-1]) ** 2, axis=2)
+        wide = (TAIL + 2 * moved / step) / (TAIL + 2)
+        step = np.sum(moved / wide, axis=0, where=joined) / np.maximum(joined.sum(axis=0), 1) + _LEAST
+    return smooth
 
 
 class _Told(NamedTuple):

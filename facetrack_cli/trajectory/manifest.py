@@ -52,6 +52,8 @@ class Clip(File):
 class Manifest(_Stored):
     """The contents of run.json. `asked`: a digest of all that was asked for; `lost_at_end`: parts lost at the end.
 
+    `networks` are those that placed points: `mesh`, or the file that the recipe names.
+
     `began` and `ended` are UTC; `seconds` is the time between them. In a batch a clip that failed has its `error`, and
     `log`, the last lines of a process that died.
     """
@@ -60,6 +62,7 @@ class Manifest(_Stored):
     version: Literal[1] = 1
     facetrack: str = __version__
     asked: str = ""
+    networks: tuple[str, ...] = ()
     clip: Clip | None = None
     complete: bool = True
     stopped: str | None = None

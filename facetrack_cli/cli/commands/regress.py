@@ -96,7 +96,7 @@ class Regress:
         from facetrack_cli.recipe.load import load_recipe
 
         began = time.monotonic()
-        given = [load_recipe(name, self.set) for name in self.config]
+        given = [load_recipe(name, self.set, installed=False) for name in self.config]
         goldens = select(self.folder, given)
         found: list[Checked] = []
         for one in check(self.folder, goldens, given, self.set, **runs):

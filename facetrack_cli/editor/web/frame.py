@@ -177,7 +177,7 @@ class Proposer:
         frame = self._frames.read(index)
         notes, proposals = [], []
         for number, found in enumerate(detector().find(frame)[:MOST_FACES], start=1):
-            placed = place(frame.bgr, found.box, found.eyes)
+            placed = place(frame.bgr, found.box, found.eyes, found.points)
             points = {part: (round(placed[part][0], 2), round(placed[part][1], 2)) for part in self._points}
             visible = {part: at for part, at in points.items() if inside(at, frame.size)}
             start, note = self._complete(

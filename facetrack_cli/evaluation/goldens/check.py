@@ -181,7 +181,7 @@ def check(
             raise InputError(f"the clip {clip} is not there; put it back, or remove {path}")
         if checksum(clip) != golden.clip.sha256:
             raise InputError(f"the clip {clip} is not the one recorded; restore it, or {UPDATE}")
-        recipe = given.get(golden.recipe_name) or load_recipe(golden.recipe_from(folder), overrides)
+        recipe = given.get(golden.recipe_name) or load_recipe(golden.recipe_from(folder), overrides, installed=False)
         recipe = _recognising(recipe, folder, golden, gallery)
         _check_runs_here(recipe)
         seeds = tuple(range(first_seed, first_seed + golden.seeds.tested))
@@ -269,10 +269,10 @@ def update(
     record.
     """
     for config in configs:
-        load_recipe(config)  # a wrong one is refused before anything runs
+        load_recipe(config, installed=False)  # a wrong one is refused before anything runs
 
     def prepare(clip: Path, config: str, known: Golden | None) -> Plan:
-        recipe = _recognising(load_recipe(config), folder, known, gallery)
+        recipe = _recognising(load_recipe(config, installed=False), folder, known, gallery)
         _check_runs_here(recipe)
         last = known.stop if known is not None and not configs and stop is None else stop
         start = Begin(clip, stop=last).find(recipe, stopped=stopped or Stop())

@@ -105,9 +105,9 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
 def _check(one: Correction, target: Target, start: Start, origin: str, *, points: bool) -> None:
     """InputError if it speaks of parts that nobody knows, or lacks the box of what is followed as a box."""
     named = [*one.given.points, *one.kept, *(() if one.absent is True else one.absent)]
-    known = {*target.parts, *start.targets[one.target].points}
+    known = {*spoken(target.parts), *start.targets[one.target].points}
     if unknown := ", ".join(part for part in named if part not in known):
-        these = f"these are {', '.join(target.parts)}: correct the name"
+        these = f"these are {', '.join(spoken(target.parts))}: correct the name"
         raise InputError(f"{origin}: has {unknown}, which is no part that is followed; {these}")
     hidden = one.hidden(target.parts)
     if not points and not hidden and one.given.box is None:

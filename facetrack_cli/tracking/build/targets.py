@@ -5,12 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from facetrack_cli.core.face_points import POINTS
 from facetrack_cli.core.geometry import centre, size_of_points
+from facetrack_cli.core.models import model_path
 from facetrack_cli.core.types import BOX, Box, Start, TargetStart
 from facetrack_cli.recipe.face import Head
 from facetrack_cli.recipe.files import resolve_file
 from facetrack_cli.recipe.model import Confidence, ParticleFilter, ParticleRecipe, ParticlesRecipe, Recipe, above
 from facetrack_cli.tracking.calibration import Calibration, load_calibration
+from facetrack_cli.tracking.face.mesh import NAMES, Mesh
 from facetrack_cli.tracking.face.still import FACE, Similarity
 from facetrack_cli.tracking.face.target import FaceTarget
 from facetrack_cli.tracking.models.spaces import Context
@@ -54,6 +57,16 @@ def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, sta
     alone = ParticleFilter.model_construct(
         target=head.target, motion=head.motion, likelihood=head.likelihood, filter=head.filter, confidence=judged
     )
+    network, mesh = head.landmarks.network, None
+    if network is not None:
+        key_of = f"{above(key)}head.landmarks.network"
+        path = model_path("mesh") if network == "mesh" else resolve_file(recipe, network, key_of)
+        if path is None:
+            raise recipe.error(
+                key_of, "the network mesh is not here; bring it by facetrack models get mesh, or write null"
+            )
+        mesh = Mesh(path)
+    more = POINTS if head.landmarks.points == "features" else tuple(NAMES)
     still, boxed = (replace(start, targets={name: one}, corrections=()) for one in (inside, TargetStart(box)))
     return FaceTarget(
         name=name,
@@ -63,6 +76,8 @@ def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, sta
         side=side,
         detector=None if by is None else detector(detector_of(start) if by == "auto" else by),
         searched=placed_by(start) != "",
+        mesh=mesh,
+        others=() if mesh is None else tuple(point for point in more if point not in given.points),
         calibration=_calibration(recipe, key, given),
     )
 

@@ -7,9 +7,9 @@ Alignment", CVPR 2013. From the mean shape x_0, stage k moves all parts at once,
 
 where phi_k are image channels read on a grid around each part, and a 1. The channels are the gradient of log(grey) in
 8 directions, log(grey), redness log((red + 8) / (green + 8)) and its slope down the face, each relative to its
-surroundings. The matrices R_k are ridge regressions, trained on real faces by `tools/mouth_descent.py`. One more matrix
-gives, from the channels around the last x, the logarithm of the likelihood ratio of each part being visible or covered;
-it is trained on faces that boards, discs and fingers cover.
+surroundings. The matrices R_k are ridge regressions, trained on real faces by `tools/mouth_descent.py`. Further
+regressions give, from the channels around a point, the logarithm of the likelihood ratio of its being visible or
+covered; they are trained on faces that boards, discs and fingers cover. They also know points that a network places.
 
 Unlike windows it has no memory: its errors do not grow, and a mouth may open in a frame. It is less exact, and off by
 about the same vector for a person.
@@ -17,6 +17,7 @@ about the same vector for a person.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -30,10 +31,13 @@ from facetrack_cli.core.shipped import shipped_folder
 from facetrack_cli.core.types import Array, Image
 
 KIND = Kind("facetrack-descent", 1, "mouth descent", "python tools/mouth_descent.py")
-DEFAULT: Final = "mouth_descent.npz"
+DEFAULT = "mouth_descent.npz"
 LEFT, TOP, SIDE = 24, 46, 112  # of the still face, pixels: the part that is read
+CORNER: Final = np.array([LEFT, TOP], np.float64)
 DIRECTIONS, GRID = 8, 5
 ODDS_SCALE: Final = 1.6
+NEAR: Final = 3.0  # pixels
+SURE: Final = 4.0  # bound of what one part says of how well a face lies, in log odds
 STEP: Final = 5.0  # pixels between the points of the grid, times the stage's scale
 _TURNS: Final = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
 _COS, _SIN = np.cos(_TURNS).astype(np.float32), np.sin(_TURNS).astype(np.float32)
@@ -41,32 +45,51 @@ _AROUND: Final = (np.stack(np.meshgrid(*2 * [np.arange(GRID) - (GRID - 1) / 2]),
 
 
 class Placed(NamedTuple):
-    """Parts `at` (K, 2) in a still face, pixels; `odds` (K,): log p(image | visible) - log p(image | covered)."""
+    """Points `at` (K, 2) in a still face, pixels; `odds` (K,): log p(image | visible) - log p(image | covered)."""
 
     at: Array
     odds: Array
+
+    @property
+    def sure(self) -> float:
+        """The log odds of all parts together, each of them bounded."""
+        return float(np.clip(self.odds, -SURE, SURE).sum())
 
 
 class Descent(NamedTuple):
     """`mean` (K, 2): the mean shape in the part of the still face that is read; `stages` (S, F + 1, 2 K): R_k.
 
     `scales` (S,): of the grid in each stage; `std` (K,): of the errors on people that were left out, pixels; `odds`
-    (F + 1, K): of visible parts.
+    (F / K + 1, J): of J points, the K `parts` first.
     """
 
-    parts: tuple[str, ...]
+    points: tuple[str, ...]
     mean: Array
     stages: NDArray[np.float32]
     scales: Array
     std: Array
     odds: NDArray[np.float32]
 
-    def fit(self, still: Image) -> Placed:
-        """The parts in a still face."""
-        seen = channels(still[TOP : TOP + SIDE, LEFT : LEFT + SIDE])
-        x = self.descended(seen)
-        odds = read(seen, x, ODDS_SCALE) @ self.odds
-        return Placed(x + np.array([LEFT, TOP]), odds.astype(np.float64))
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return self.points[: len(self.mean)]
+
+    def fit(self, still: Image, around: Sequence[Array] = ()) -> Placed:
+        """The parts in a still face.
+
+        Beside the usual place of a face, the parts are sought around other middles (2,); the likeliest is taken, by
+        the odds of being visible.
+        """
+        usual = self.mean.mean(axis=0) + CORNER
+        shifts = [np.zeros(2), *(np.round(middle - usual) for middle in around)]
+        found = []
+        for i, shift in enumerate(shifts):
+            if i and np.abs(shift).max() < NEAR:
+                continue  # the regression finds its way from there
+            seen = seen_in(still, shift)
+            at = self.descended(seen) + CORNER
+            found.append(Placed(at + shift, self.visible(seen, at)))
+        return max(found, key=lambda one: one.sure)
 
     def descended(self, seen: NDArray[np.float32]) -> Array:
         """x after the last stage (K, 2), in the channels of the part of the still face that is read."""
@@ -75,11 +98,16 @@ class Descent(NamedTuple):
             x = x + (read(seen, x, scale) @ matrix).reshape(x.shape)
         return x
 
+    def visible(self, seen: NDArray[np.float32], at: Array) -> Array:
+        """The log odds (J,) that the first J points are visible at (J, 2) in the still face with those channels."""
+        phi, odds = read(seen, at - CORNER, ODDS_SCALE)[:-1].reshape(len(at), -1), self.odds[:, : len(at)]
+        return np.asarray(np.einsum("jf,fj->j", phi, odds[:-1]) + odds[-1])
+
     def save(self, path: Path) -> None:
         """Raises OutputError."""
         numbers: dict[str, Array] = {name: np.asarray(getattr(self, name), "<f8") for name in ("mean", "scales", "std")}
         numbers |= {name: getattr(self, name).astype("<f2") for name in ("stages", "odds")}
-        KIND.write(path, {"parts": np.array(self.parts), **numbers})
+        KIND.write(path, {"points": np.array(self.points), **numbers})
 
 
 @lru_cache(maxsize=8)
@@ -89,18 +117,27 @@ def load_descent(path: Path | None = None) -> Descent:
 
 
 def _made(stored: Stored) -> Descent:
-    parts, stages = stored.texts("parts"), stored.reals("stages", 3).astype(np.float32)
+    points, stages = stored.texts("points"), stored.reals("stages", 3).astype(np.float32)
     mean, scales, std = stored.reals("mean", 2), stored.reals("scales", 1), stored.reals("std", 1)
-    odds, k = stored.reals("odds", 2).astype(np.float32), len(parts)
-    width = k * GRID**2 * (DIRECTIONS + 3) + 1
-    if not parts or len(set(parts)) < k or not len(scales):
+    odds, k, width = stored.reals("odds", 2).astype(np.float32), len(mean), GRID**2 * (DIRECTIONS + 3)
+    if not k or len(set(points)) < len(points) or not len(scales):
         raise ValueError("a descent has a stage or more, and a part or more, each named once")
     if not all(np.isfinite(one).all() for one in (stages, mean, scales, std, odds)) or min(*scales, *std) <= 0:
         raise ValueError("a number is not finite, or a scale or an error not above 0")
     shapes = [one.shape for one in (stages, mean, std, odds)]
-    if shapes != [(len(scales), width, 2 * k), (k, 2), (k,), (width, k)]:
-        raise ValueError(f"arrays of {shapes} do not fit {k} parts")
-    return Descent(parts, mean, stages, scales, std, odds)
+    if shapes != [(len(scales), k * width + 1, 2 * k), (k, 2), (k,), (width + 1, len(points))] or k > len(points):
+        raise ValueError(f"arrays of {shapes} do not fit {len(points)} points")
+    return Descent(points, mean, stages, scales, std, odds)
+
+
+def seen_in(still: Image, shift: Array | None = None) -> NDArray[np.float32]:
+    """The channels of the part of a still face that is read, or of the part (2,) whole pixels beside it."""
+    if shift is None or not shift.any():
+        return channels(still[TOP : TOP + SIDE, LEFT : LEFT + SIDE])
+    x, y = (CORNER + shift + (SIDE - 1) / 2).tolist()
+    size = still.shape[0]
+    part = cv2.getRectSubPix(still, (SIDE, SIDE), (float(np.clip(x, 0, size)), float(np.clip(y, 0, size))))
+    return channels(np.asarray(part, np.uint8))
 
 
 def read(seen: NDArray[np.float32], x: Array, scale: float) -> NDArray[np.float32]:

@@ -17,13 +17,19 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.face_points import MESH, POINTS
 from facetrack_cli.core.types import Array, Frame
 from facetrack_cli.tracking.face.still import EYE_LINE, EYES, MIDDLE, Similarity
 
-POINTS: Final = 468
+COUNT: Final = 468
+NAMES: Final = {
+    **{f"mesh_{i}": i for i in range(COUNT) if i not in MESH.values()},
+    **{part: MESH[part] for part in POINTS},
+}
+"""Every point of the mesh by its name."""
 CROP: Final = 192  # pixels of a side of what the network sees
 # crops: side, and distance of the middle below the eyes, in distances between the eyes
-CROPS: Final = ((3.8, 0.75), (3.2, 0.55))
+CROPS: Final = ((4.2, 0.75), (3.4, 0.75))
 PRESENT: Final = 0.5  # probability of a face below which nothing is said
 
 
@@ -45,7 +51,7 @@ class Mesh:
             points, presence = sorted(net.forward(net.getUnconnectedOutLayersNames()), key=np.size, reverse=True)
             if 1 / (1 + math.exp(-float(presence.ravel()[0]))) < PRESENT:
                 return None
-            found.append((points.reshape(POINTS, 3)[:, :2] - (CROP - 1) / 2) * zoom + middle)
+            found.append((points.reshape(COUNT, 3)[:, :2] - (CROP - 1) / 2) * zoom + middle)
         return np.asarray(found, np.float64)
 
 
@@ -54,6 +60,6 @@ def _net(path: Path, thread: int) -> cv2.dnn.Net:
     """The network, loaded once for each thread, since it holds what it computes."""
     try:
         return cv2.dnn.readNetFromTFLite(str(path))
-    except cv2.error as e:
+    except cv2.error:
         remedy = "get it by facetrack models get mesh, or name face_landmark.tflite"
-        raise InputError(f"{path}: is no network that OpenCV reads; {remedy}") from e
+        raise InputError(f"{path}: is no network that OpenCV reads; {remedy}") from None

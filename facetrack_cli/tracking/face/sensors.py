@@ -1,8 +1,8 @@
 """What is known of a sensor of facial points, and of whether a face is turned to the camera (ours).
 
-A sensor, a regression or a network, says where the parts are with an error that has two shares. One stays for seconds,
-since it depends on the person, the expression and the light: the bias b. The other is new in each frame. With a_t the
-parts in frame t, in pixels of the still face,
+A sensor, a regression, a network or a detector, says where the parts are with an error that has two shares. One stays
+for seconds, since it depends on the person, the expression and the light: the bias b. The other is new in each frame.
+With a_t the parts in frame t, in pixels of the still face,
 
     z_t = a_t + b_t + N(0, r^2 I),    b_t = b_{t-1} + N(0, q I)
 
@@ -21,10 +21,13 @@ from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.tracking.face.still import EYES, SIDE
 from facetrack_cli.tracking.models.motion import Measured
 
-DRIFT: Final = 0.002 * EYES  # standard deviation of b in a frame, pixels
-LEAST, MOST = 0.05 * EYES, 0.1 * EYES  # bounds of r
+DRIFT: Final = 0.001 * EYES  # standard deviation of b in a frame, pixels
+REGRESSION, NETWORK, DETECTOR = 0.05 * EYES, 0.01 * EYES, 0.05 * EYES  # the least r of a sensor
+MOST: Final = 0.1 * EYES  # and the greatest
 MISLED: Final = 0.1 * EYES  # r in a face of which a part is hidden: a sensor places all parts together
 LEARNS: Final = 0.02  # share of a measurement in r^2
+SLIP: Final = 0.1 * EYES  # standard deviation of what a head moves in a frame and its box does not
+FAR: Final = 9.0  # of squared distances, in variances
 SURE: Final = 0.97  # probability that a sensor says something of a part that is visible
 BLIND: Final = 0.1  # ... of a part that is hidden
 _HIDE, _SHOW = 0.01, 0.05  # probabilities a frame
@@ -33,18 +36,19 @@ _MANY: Final = 50.0  # looks over which it is learned how often a face is found
 
 
 class Sensor(NamedTuple):
-    """b (K, 2), its variance (K,) and r^2 (K,), in the still face."""
+    """b (K, 2), its variance (K,) and r^2 (K,), in the still face; `least` is the least r."""
 
     bias: Array
     var: Array
     noise: Array
+    least: float
 
     @classmethod
-    def begin(cls, z: Array, x0: Array, std: float) -> Sensor:
+    def begin(cls, z: Array, x0: Array, std: float, least: float) -> Sensor:
         """After a first measurement z (K, 2) of parts at x0 (K, 2), nan where there is none; `std`: r at first."""
         known = _known(z)
         r2 = np.full(len(x0), std**2)
-        return cls(np.where(known[:, None], z - x0, 0.0), np.where(known, r2, MOST**2), r2)
+        return cls(np.where(known[:, None], z - x0, 0.0), np.where(known, r2, MOST**2), r2, least)
 
     def measured(self, z: Array, visible: Array) -> Measured:
         """What z (K, 2) says of parts that are visible with a probability (K,)."""
@@ -64,7 +68,29 @@ class Sensor(NamedTuple):
         gain = use * var / total
         noise = self.noise + LEARNS * use * (np.nan_to_num(squared) - self.noise)
         bias = self.bias + gain[:, None] * np.nan_to_num(off)
-        return Sensor(bias, (1 - gain) * var, np.clip(noise, LEAST**2, MOST**2))
+        return Sensor(bias, (1 - gain) * var, np.clip(noise, self.least**2, MOST**2), self.least)
+
+
+def joined(one: Measured, other: Measured) -> Measured:
+    """What two sensors say together; where they are far apart, what the other says alone."""
+    apart = np.sum((one.z - other.z) ** 2, axis=1) > FAR * (one.var + other.var)
+    weight = np.where((other.sure > 0) & apart, 0.0, one.sure / one.var), other.sure / other.var
+    total = np.maximum(weight[0] + weight[1], 1e-12)
+    z = (weight[0][:, None] * one.z + weight[1][:, None] * other.z) / total[:, None]
+    sure = np.maximum(one.sure, other.sure)
+    return Measured(z, np.where(sure > 0, sure / total, one.var), sure, one.area)
+
+
+def common_shift(measured: Measured, state: Array) -> Array:
+    """By how much (2,) all parts have moved together since they were at `state` (K, 2): what the head has not followed.
+
+    The mean under N(0, SLIP^2 I) of the shift, whose measurement is the median of the parts'.
+    """
+    known = measured.sure > 0.5
+    if known.sum() < 3:
+        return np.zeros(2)
+    off = np.median((measured.z - state)[known], axis=0)
+    return np.asarray(off * SLIP**2 / (SLIP**2 + np.median(measured.var[known])))
 
 
 class Facing(NamedTuple):

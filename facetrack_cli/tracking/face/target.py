@@ -8,7 +8,7 @@ registered by the head: translation, scale and roll.
 
 In each frame a sensor places the points in the still face: a regression (`descent.py`), or a network where its file is
 there (`mesh.py`). Windows are exact and may be lost; the sensor is less exact and has no memory. The points' filter
-joins both (`sensors.py`, `models/motion.py`).
+joins both (`sensors.py`, `models/motion.py`). Further points of the network have no windows (`mesh_points.py`).
 
 A detector of faces measures the face's box every so many frames. Of a head that is lost, it is asked as often where in
 the frame faces are; the head's filter compares them with what the first frames showed, and what it recognises is where
@@ -18,26 +18,28 @@ it is proposed.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.geometry import centre, corners
-from facetrack_cli.core.types import BOX, Array, Frame, TargetStart
+from facetrack_cli.core.types import BOX, Array, Frame, Mask, Point, TargetStart
 from facetrack_cli.recipe.face import Head
 from facetrack_cli.tracking.calibration import Calibration
 from facetrack_cli.tracking.face import still
-from facetrack_cli.tracking.face.descent import Placed, load_descent
-from facetrack_cli.tracking.face.sensors import Facing, Sensor
+from facetrack_cli.tracking.face.descent import Placed, load_descent, seen_in
+from facetrack_cli.tracking.face.mesh import NAMES, Mesh
+from facetrack_cli.tracking.face.mesh_points import UNSEEN, MeshPoints
+from facetrack_cli.tracking.face.sensors import DETECTOR, NETWORK, REGRESSION, Facing, Sensor, common_shift, joined
 from facetrack_cli.tracking.face.still import EYES, FACE, Similarity
 from facetrack_cli.tracking.loop import Cover
 from facetrack_cli.tracking.roles import Names
 from facetrack_cli.tracking.smoothing import Belief
-from facetrack_cli.tracking.start.detectors import TILT, Detector
+from facetrack_cli.tracking.start.detectors import TILT, Detector, Found
 from facetrack_cli.tracking.target import ParticleTarget, State
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, of_frame
@@ -57,6 +59,8 @@ _MOST: Final = np.array([math.radians(60), 0.7, 0.3, 0.3])
 class FaceState:
     """The states of head and points, the last `points` as rows of the still face; what is known of their sensor.
 
+    `second` is that of the detector; `others` are the points of the network, None before it has seen the face.
+
     `pose` (4,) is that of the face in its head: roll in radians, the logarithm of its size, and its middle in sizes of
     the head's box; `pose_var` (4,) are their variances. `frames` counts those since the start. `marks` (M, 2) are the
     detector's, of the start, where the roll is 0; None if it saw none there.
@@ -66,18 +70,27 @@ class FaceState:
     features: State
     points: TargetResult
     sensor: Sensor
+    second: Sensor
     facing: Facing
     pose: Array
     pose_var: Array
     marks: Array | None
+    others: MeshPoints | None
     frames: int = 0
+
+
+class Sensed(NamedTuple):
+    """What sensors say of the points in the still face: those with windows, and the network's `others` (J, 2)."""
+
+    parts: Placed
+    others: Placed | None
 
 
 @dataclass(frozen=True)
 class FaceTarget:
     """`side`: of the box at the start, in pixels. `searched`: whether the detector itself has placed the points.
 
-    `detector` may be None; rows are those of the points, and of the box.
+    `detector` may be None; rows are those of the points, of the box, and of the `others`, which `mesh` places.
     """
 
     name: str
@@ -87,11 +100,13 @@ class FaceTarget:
     side: float
     detector: Detector | None
     searched: bool
+    mesh: Mesh | None = None
+    others: tuple[str, ...] = ()
     calibration: Calibration | None = None
 
     @property
     def parts(self) -> tuple[str, ...]:
-        return (*self.features.parts, BOX)
+        return (*self.features.parts, BOX, *self.others)
 
     @property
     def windows(self) -> Mapping[str, tuple[float, float]]:
@@ -104,12 +119,17 @@ class FaceTarget:
         similarity = self._map(head, np.zeros(4))
         seen = similarity.read(frame)
         features, points = self.features.begin(rng, seen)
-        sensor = Sensor.begin(self._sensed(seen).at, self.features.x0, self._std)
-        facing = Facing()
-        if self.detector is not None and not self.searched and self.detector.measure(seen.bgr, still.BOX) is None:
+        sensed = self._sensed(frame, similarity, seen)
+        sensor = self._sensor(sensed, self.features.x0)
+        others = None if sensed.others is None else MeshPoints.begin(sensed.others.at)
+        facing, found = Facing(), self._detected(seen)
+        if self.detector is not None and not self.searched and found is None:
             facing = facing.unseen()
+        second = self._second(found, self.features.x0)
         marks, rest = self._marks(head, np.zeros(4), frame), np.zeros(4)
-        state = FaceState(head, features, points._replace(beliefs=None), sensor, facing, rest, rest, marks)
+        state = FaceState(
+            head, features, points._replace(beliefs=None), sensor, second, facing, rest, rest, marks, others
+        )
         return state, self._result(state, box, frame)
 
     def restart(
@@ -136,9 +156,11 @@ class FaceTarget:
         moved = {part: tuple(similarity.to_still(place).tolist()) for part, place in placed.items()}
         seen, there = similarity.read(frame), TargetStart(points=moved)
         features, rows = self.features.restart(rng, seen, first.features, there, absent, anew)
-        sensor = Sensor.begin(self._sensed(seen).at, features.estimated.state, self._std)
-        points = rows._replace(beliefs=None)
-        state = FaceState(head, features, points, sensor, Facing(), pose, np.zeros(4), first.marks)
+        sensed = self._sensed(frame, similarity, seen)
+        sensor = self._sensor(sensed, features.estimated.state)
+        others = None if sensed.others is None else MeshPoints.begin(sensed.others.at)
+        points, second = rows._replace(beliefs=None), self._second(self._detected(seen), features.estimated.state)
+        state = FaceState(head, features, points, sensor, second, Facing(), pose, np.zeros(4), first.marks, others)
         return state, self._result(state, boxed, frame)
 
     def advance(
@@ -153,35 +175,80 @@ class FaceTarget:
         if _sure(head) < self.settings.lost_below:
             state = replace(state, head=head, frames=frames)
             return state, self._result(state, box, frame)
-        seen = self._map(head, state.pose).read(frame)
-        (z, odds), visible = self._sensed(seen), self._visible(state.features)
-        told = replace(state.features, learned=state.features.learned._replace(told=odds))
-        features, points = self.features.advance(rng, told, seen, (), state.sensor.measured(z, visible))
-        estimated = features.estimated
-        sensor = state.sensor.learned(z, estimated.state, estimated.cov, self._visible(features))
+        similarity = self._map(head, state.pose)
+        seen = similarity.read(frame)
+        found, visible = self._detected(seen) if due else None, self._visible(state.features)
+        before_at, z2 = state.features.estimated.state, self._named({} if found is None else found.points)
+        around, told = [before_at.mean(axis=0)], np.isfinite(z2).all(axis=1)
+        if told.any():
+            around.append((before_at + (z2 - before_at)[told].mean(axis=0)).mean(axis=0))
+        ((z, odds), far) = self._sensed(frame, similarity, seen, around)
+        features = replace(state.features, learned=state.features.learned._replace(told=odds))
+        measured = state.sensor.measured(z, visible)
+        if found is not None:
+            measured = joined(measured, state.second.measured(z2, visible))
+        shift = common_shift(measured, before_at)
+        features = _shifted(features, lambda x: x + shift)
+        features, points = self.features.advance(rng, features, seen, (), measured)
+        estimated, visible = features.estimated, self._visible(features)
+        sensor = state.sensor.learned(z, estimated.state, estimated.cov, visible)
+        second = state.second.learned(z2, estimated.state, estimated.cov, visible)
         points = points._replace(beliefs=None)  # those are of the state
         facing = state.facing if self.detector is None else state.facing.predicted()
-        pose_var, marks = state.pose_var + _POSE**2, state.marks
-        state = FaceState(head, features, points, sensor, facing, state.pose, pose_var, marks, frames)
+        pose_var, others = state.pose_var + _POSE**2, state.others
+        if others is not None:
+            others = others.after(None, UNSEEN) if far is None else others.after(*far)
+        elif far is not None:
+            others = MeshPoints.begin(far.at)
+        kept = state.pose, pose_var, state.marks, others, frames
+        state = FaceState(head, features, points, sensor, second, facing, *kept)
         if not due:
             return state, self._result(state, box, frame)
-        after = self._measured(state, seen, frame)
+        after = self._measured(state, found, frame)
         # of this frame the points are in the still face as it was
         result = self._result(replace(after, pose=state.pose), box, frame)
         return self._moved(after, state.pose), result
 
-    @property
-    def _std(self) -> float:
-        """Standard deviation of the sensor's points, in pixels of the still face."""
-        return float(load_descent().std.mean())
+    def _detected(self, seen: Frame) -> Found | None:
+        """The face that the detector sees in the still one."""
+        return None if self.detector is None else self.detector.measure(seen.bgr, still.BOX)
 
-    def _sensed(self, seen: Frame) -> Placed:
-        """Where the sensor sees the parts in the still face; nan, and 0, of those that it does not know."""
+    def _named(self, points: Mapping[str, Point]) -> Array:
+        """The places (K, 2) of the parts; nan of those that are not there."""
+        return np.array([points.get(part, (math.nan, math.nan)) for part in self.features.parts])
+
+    def _second(self, found: Found | None, x0: Array) -> Sensor:
+        """What is known of the detector in a frame whose parts are at x0 (K, 2)."""
+        return Sensor.begin(self._named({} if found is None else found.points), x0, DETECTOR, DETECTOR)
+
+    def _sensor(self, sensed: Sensed, x0: Array) -> Sensor:
+        """What is known of the sensor in a frame whose parts are at x0 (K, 2)."""
+        least = REGRESSION if self.mesh is None else NETWORK
+        return Sensor.begin(sensed.parts.at, x0, float(load_descent().std.mean()), least)
+
+    def _sensed(self, frame: Frame, similarity: Similarity, seen: Frame, around: Sequence[Array] = ()) -> Sensed:
+        """What sensors say of the points in the still face `seen`; nan, and 0, of parts that none of them knows.
+
+        `around` (2,) are where the middle of the parts may be, beside the usual place.
+        """
         descent = load_descent()
-        at, odds = descent.fit(seen.bgr)
+        crops = None if self.mesh is None else self.mesh.measure(frame, similarity)
+        points = None if crops is None else crops.mean(axis=0)
+        if points is None:
+            at, odds = descent.fit(seen.bgr, around)
+        else:
+            at = points[[NAMES[point] for point in descent.points]]
+            odds = descent.visible(seen_in(seen.bgr), at)
         index = [descent.parts.index(part) if part in descent.parts else -1 for part in self.features.parts]
         known = np.array(index) >= 0
-        return Placed(np.where(known[:, None], at[index], np.nan), np.where(known, odds[index], 0.0))
+        placed = known & (self.mesh is None or points is not None)
+        parts = Placed(np.where(placed[:, None], at[index], np.nan), np.where(known, odds[index], 0.0))
+        if points is None:
+            return Sensed(parts, None)
+        # a point is as visible as the nearest of which something is known
+        others = points[[NAMES[part] for part in self.others]]
+        nearest = np.hypot(*(others[:, None] - at).transpose(2, 0, 1)).argmin(axis=1)
+        return Sensed(parts, Placed(others, odds[nearest]))
 
     def _visible(self, features: State) -> Array:
         """(K,) how visible the parts are, where their likelihood says so."""
@@ -201,10 +268,8 @@ class FaceTarget:
         )
         return replace(head, learned=head.learned._replace(sighted=places))
 
-    def _measured(self, state: FaceState, seen: Frame, frame: Frame) -> FaceState:
+    def _measured(self, state: FaceState, found: Found | None, frame: Frame) -> FaceState:
         """With what the detector says of the face's box."""
-        assert self.detector is not None
-        found = self.detector.measure(seen.bgr, still.BOX)
         state = replace(state, facing=state.facing.looked(found=found is not None))
         if found is None:
             return state
@@ -240,11 +305,10 @@ class FaceTarget:
         def moved(x: Array) -> Array:
             return new.to_still(old.to_frame(x))
 
-        features, origin = state.features, moved(np.zeros(2))
-        particles = features.particles._replace(x=moved(features.particles.x))
-        estimated = features.estimated._replace(state=moved(features.estimated.state))
-        sensor = state.sensor._replace(bias=moved(state.sensor.bias) - origin)
-        return replace(state, features=replace(features, particles=particles, estimated=estimated), sensor=sensor)
+        origin = moved(np.zeros(2))
+        sensor, second = (one._replace(bias=moved(one.bias) - origin) for one in (state.sensor, state.second))
+        others = state.others and state.others.mapped(moved)
+        return replace(state, features=_shifted(state.features, moved), sensor=sensor, second=second, others=others)
 
     def cover(self, state: FaceState, *, ahead: bool) -> Cover | None:
         return self.head.cover(state.head, ahead=ahead)
@@ -254,35 +318,38 @@ class FaceTarget:
         return SCALE, ROLL, EVIDENCE
 
     def _result(self, state: FaceState, box: TargetResult, frame: Frame) -> TargetResult:
-        """Rows of the points, as last seen in the still face, and of the box."""
+        """Rows of the points, as last seen in the still face, of the box, and of the network's points."""
         similarity, rows = self._map(state.head, state.pose), state.points.rows
-        scale, matrix, gone = similarity.scale, similarity.matrix, rows.status == "absent"
-        at = similarity.to_frame(np.stack([rows.x, rows.y], axis=1))
-        shown = state.facing.shown * _sure(state.head)
-        known = np.where(np.isnan(rows.confidence), 1.0, rows.confidence) * shown
+        scale = similarity.scale
         cov = np.array([[rows.std_x**2, rows.cov_xy], [rows.cov_xy, rows.std_y**2]]).transpose(2, 0, 1)
-        cov = matrix @ cov @ matrix.T
-        cov += (1 - known)[:, None, None] * state.head.estimated.cov[0]  # of what is hidden, the head alone says
-        var = cov.reshape(-1, 4)[:, ::3]
-        near = 1 - np.exp(-((OFF * EYES * scale) ** 2) / np.maximum(var.sum(axis=1), 1e-9))
-        confidence = known * near if state.frames else rows.confidence
-        lost = (shown * near < self.settings.lost_below) | (rows.status == "lost")
+        visible = np.where(np.isnan(rows.confidence), 1.0, rows.confidence)
+        points = self._rows(state, np.stack([rows.x, rows.y], axis=1), cov, visible, rows.status == "lost")
         since = np.where(rows.status == "init", "init" if not state.frames else "tracked", rows.status)
-        std, face = np.sqrt(var), self._face(box.rows, similarity)
-        points = {"x": at[:, 0], "y": at[:, 1], "w": rows.w * scale, "h": rows.h * scale, "confidence": confidence}
-        points |= {"std_x": std[:, 0], "std_y": std[:, 1], "cov_xy": cov[:, 0, 1]}
-        if gone.any():
-            points = {name: np.where(gone, np.nan, values) for name, values in points.items()}
-        points |= {"status": np.where(lost & ~gone, "lost", since), "ess": rows.ess}
+        points["status"] = np.where(points["status"] == "lost", "lost", since)
+        points["confidence"] = points["confidence"] if state.frames else rows.confidence
+        points |= {"w": rows.w * scale, "h": rows.h * scale, "ess": rows.ess}
+        if (gone := rows.status == "absent").any():
+            nothing = {name: "absent" if name == "status" else np.nan for name in points}
+            points = {name: np.where(gone, nothing[name], values) for name, values in points.items()}
+        face = {name: getattr(box.rows, name) for name in points} | self._face(box.rows, similarity)
+        blank = {name: np.full((1, *one.shape[1:]), np.nan) for name, one in face.items() if name != "status"}
+        sections = [points, face]
+        if self.others and (mesh := state.others) is not None:
+            sections.append(self._rows(state, mesh.at, mesh.cov, mesh.visible, mesh.visible < self.settings.lost_below))
+        elif self.others:
+            sections.append({"status": np.full(len(self.others), "lost")})
+        counts = len(rows), 1, len(self.others)
         columns = {
-            name: np.concatenate([values, face.pop(name, getattr(box.rows, name))]) for name, values in points.items()
-        }
-        # what points do not have
-        columns |= {
-            name: np.concatenate([np.full((len(rows), *one.shape[1:]), np.nan), one]) for name, one in face.items()
+            name: np.concatenate(
+                [
+                    section[name] if name in section else np.repeat(blank[name], n, axis=0)
+                    for section, n in zip(sections, counts, strict=False)
+                ]
+            )
+            for name in face
         }
         # of a target one number: both filters' together
-        columns["particles"] = np.full(len(rows) + 1, float(rows.particles.max() + box.rows.particles[0]))
+        columns["particles"] = np.full(len(self.parts), float(rows.particles.max() + box.rows.particles[0]))
         values = {SCALE.name: scale * FACE / self.side, ROLL.name: math.degrees(state.pose[0])}
         # both likelihoods are ratios, which are 1 where the head is lost and nothing is compared
         seen = [one for one in (box.rows, rows) if one.frame[0] == frame.index]
@@ -294,12 +361,34 @@ class FaceTarget:
         cloud = similarity.to_frame(state.points.cloud)
         return TargetResult(faces, cloud, (), box.notes, lambda: self.beliefs(state))
 
+    def _rows(self, state: FaceState, at: Array, cov: Array, visible: Array, lost: Mask) -> dict[str, Any]:
+        """Columns of points in the still face: places (K, 2) and covariances (K, 2, 2) there, how visible, and lost."""
+        similarity = self._map(state.head, state.pose)
+        shown = state.facing.shown * _sure(state.head)
+        known = visible * shown
+        cov = similarity.matrix @ cov @ similarity.matrix.T
+        cov = cov + (1 - known)[:, None, None] * state.head.estimated.cov[0]  # of what is hidden, the head alone says
+        var = cov.reshape(-1, 4)[:, ::3]
+        near = 1 - np.exp(-((OFF * EYES * similarity.scale) ** 2) / np.maximum(var.sum(axis=1), 1e-9))
+        x, y = similarity.to_frame(at).T
+        std_x, std_y = np.sqrt(var).T
+        lost = lost | (shown * near < self.settings.lost_below)
+        return {
+            "x": x, "y": y, "std_x": std_x, "std_y": std_y, "cov_xy": cov[:, 0, 1], "confidence": known * near,
+            "status": np.where(lost, "lost", "tracked"),
+        }  # fmt: skip
+
     def beliefs(self, state: FaceState) -> tuple[Belief, ...]:
-        """What is known of the points in the still face, and of the head."""
-        [points], [head] = self.features.beliefs(state.features), self.head.beliefs(state.head)
+        """What is known of the points in the still face, of the head, and of the network's points."""
+        found = [*self.features.beliefs(state.features), *self.head.beliefs(state.head)]
+        if self.others:
+            j = len(self.others)
+            unseen = MeshPoints.begin(np.full((j, 2), still.MIDDLE))._replace(visible=np.zeros(j))
+            found.append((state.others or unseen).belief())
         if self.calibration is None:
-            return points, head
-        return self.calibration.believed(self.features.parts, points), self.calibration.believed(self.head.parts, head)
+            return tuple(found)
+        names = self.features.parts, self.head.parts, self.others
+        return tuple(map(self.calibration.believed, names, found))
 
     @cached_property
     def _names(self) -> tuple[tuple[str, str], ...]:
@@ -314,6 +403,14 @@ class FaceTarget:
         # the border runs through the middle of the outermost pixels
         size = np.stack([found["w"] - 1, found["h"] - 1], axis=1)
         return {**found, "corners": corners(way, face.centre[None], size)}
+
+
+def _shifted(features: State, to: Callable[[Array], Array]) -> State:
+    """The points' state at other places."""
+    particles = features.particles._replace(x=to(features.particles.x))
+    return replace(
+        features, particles=particles, estimated=features.estimated._replace(state=to(features.estimated.state))
+    )
 
 
 def _sure(head: State) -> float:

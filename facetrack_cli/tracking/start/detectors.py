@@ -28,13 +28,15 @@ TILT: Final = 0.7  # of a face's tilt that YuNet shows on a face of 224 pixels; 
 
 
 class Found(NamedTuple):
-    """A face: its box as the frontal cascades draw it, and its eyes where the detector says where they are.
+    """A face: its box as the frontal cascades draw it, and what else the detector says of it.
 
-    The left eye in the image comes first. `sure` if the detector has seen the face's features.
+    `eyes`: the left one in the image first. `points`: the nose and the corners of the mouth. `sure` if the detector has
+    seen the face's features.
     """
 
     box: Box
     eyes: tuple[Point, Point] | None = None
+    points: Mapping[str, Point] = {}
     sure: bool = False
 
 
@@ -102,7 +104,7 @@ class YuNet:
         found = self.measure(near, (x - left, y - top, w, h))
         if found is None:
             return Haar().place(image, box)
-        points = place(near, found.box, found.eyes)
+        points = place(near, found.box, found.eyes, found.points)
         return {name: (u + left, v + top) for name, (u, v) in points.items()}
 
     def marks(self, image: Image, box: Box) -> Array | None:
@@ -127,7 +129,9 @@ class YuNet:
         down = np.array([0.0, (0.5 - EYES_IN_BOX[0][1]) * side])
         # to 0.01 px, as in an init file: a run from that file begins in the same place
         x, y, side = (round(value, 2) for value in (*(middle + down - (side - 1) / 2).tolist(), side))
-        return Found((x, y, side, side), (left, right), True)
+        corners = sorted(map(tuple, marks[3:].tolist()))
+        points = dict(zip(("nose", "mouth_left", "mouth_right"), (tuple(marks[2].tolist()), *corners), strict=True))
+        return Found((x, y, side, side), (left, right), points, True)
 
 
 def _box(row: NDArray[np.float32]) -> Box:

@@ -1,16 +1,17 @@
 """The five points of a face, placed by a regression (`face/descent.py`) in the face as it is seen upright."""
 
 import math
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from threading import get_ident
-from typing import Final, NamedTuple
+from typing import Final
 
 import cv2
 import numpy as np
 
 from facetrack_cli.core.types import Array, Box, Frame, Image, Point
-from facetrack_cli.tracking.face.descent import LEFT, TOP, load_descent
+from facetrack_cli.tracking.face.descent import CORNER, Placed, load_descent
 from facetrack_cli.tracking.face.still import EYE_LINE, FACE, MIDDLE, Similarity, turn_between
 
 # Fractions of a Haar box (x, y): the mean over 26 images, of 15 clips and two portraits; standard deviation 0.02.
@@ -19,7 +20,6 @@ MOUTH_Y: Final = 1.12  # how far the corners of the mouth are below the eyes, in
 EYES_AT: Final = np.array([MIDDLE, EYE_LINE])  # the middle between the eyes in the still face
 ZOOMS: Final = (0.95, 1.15)  # sizes of a face in the box of a cascade
 AGAIN: Final = 2  # times that a face is laid upright by its points, at most
-SURE: Final = 4.0  # bound of what one part says of how well a face lies, in log odds
 EYE_WIDTH: Final = 100  # pixels to which a face is brought before its eyes are searched
 # Each cascade with the offset of its window's centre from the eye's centre, in face widths.
 _EYE_CASCADES: Final = (
@@ -38,24 +38,14 @@ def _load(name: str, thread: int) -> cv2.CascadeClassifier:
     return cv2.CascadeClassifier(str(Path(cv2.__file__).parent / "data" / f"haarcascade_{name}.xml"))
 
 
-class _Seen(NamedTuple):
-    """The parts of a face (K, 2) in the image, and the log odds (K,) that each is visible."""
-
-    at: Array
-    odds: Array
-
-    @property
-    def sure(self) -> float:
-        """The log odds of all parts together, each of them bounded."""
-        return float(np.clip(self.odds, -SURE, SURE).sum())
-
-
-def place(image: Image, box: Box, eyes: tuple[Point, Point] | None = None) -> dict[str, Point]:
+def place(
+    image: Image, box: Box, eyes: tuple[Point, Point] | None = None, points: Mapping[str, Point] | None = None
+) -> dict[str, Point]:
     """All five points of the face that fills `box` as the frontal cascade draws it, in pixels of `image` (BGR).
 
-    `eyes`: where a detector sees them, the left one in the image first.
+    `eyes`, the left one in the image first, and `points`: where a detector sees them.
     """
-    at = _placed(Frame(0, 0.0, image), box, eyes).at
+    at = _placed(Frame(0, 0.0, image), box, eyes, points or {}).at
     return {part: (x, y) for part, (x, y) in zip(load_descent().parts, at.tolist(), strict=True)}
 
 
@@ -65,10 +55,10 @@ def shows_features(image: Image, box: Box) -> bool:
     near = image[y0 : int(box[1] + box[3]) + 1, x0 : int(box[0] + box[2]) + 1]
     if _shows_eye(near, (box[0] - x0, box[1] - y0, box[2], box[3])):
         return True
-    return _placed(Frame(0, 0.0, image), box, None).sure > 0
+    return _placed(Frame(0, 0.0, image), box, None, {}).sure > 0
 
 
-def _placed(frame: Frame, box: Box, eyes: tuple[Point, Point] | None) -> _Seen:
+def _placed(frame: Frame, box: Box, eyes: tuple[Point, Point] | None, points: Mapping[str, Point]) -> Placed:
     """The face in `box` where the regression sees most of it.
 
     Without `eyes` they are taken to be where they are on average, and the face to be of one of two sizes: the boxes of
@@ -79,15 +69,19 @@ def _placed(frame: Frame, box: Box, eyes: tuple[Point, Point] | None) -> _Seen:
     zooms = (1.0,) if eyes else ZOOMS
     size, (across, down) = math.sqrt(box[2] * box[3]) / FACE, (right - left).tolist()
 
-    def seen(scale: float, angle: float, at: Array, still: Array) -> _Seen:
+    def seen(scale: float, angle: float, at: Array, still: Array) -> Placed:
         """What is seen of the face of which the place `still` (2,) of the still face is `at` (2,) in the frame."""
         face = Similarity(np.zeros(2), scale, angle)
         face = face._replace(centre=at - face.to_frame(still))
         placed = descent.fit(face.read(frame).bgr)
-        return _Seen(face.to_frame(placed.at), placed.odds)
+        return Placed(face.to_frame(placed.at), placed.odds)
 
-    tries = (seen(zoom * size, math.atan2(down, across), (left + right) / 2, EYES_AT) for zoom in zooms)
-    best, rest = max(tries, key=lambda one: one.sure), descent.mean + np.array([LEFT, TOP])
+    rest, angle = descent.mean + CORNER, math.atan2(down, across)
+    tries = [seen(zoom * size, angle, (left + right) / 2, EYES_AT) for zoom in zooms]
+    if points:
+        known = rest[[descent.parts.index(part) for part in points]]
+        tries.append(seen(size, angle, np.mean(list(points.values()), axis=0), known.mean(axis=0)))
+    best = max(tries, key=lambda one: one.sure)
     for _ in range(AGAIN):
         middle, rest_middle = best.at.mean(axis=0), rest.mean(axis=0)
         scale = math.sqrt(float(np.sum((best.at - middle) ** 2) / np.sum((rest - rest_middle) ** 2)))

@@ -156,7 +156,7 @@ class _Search:
         return self.frames.index(frame)
 
     def _add(self, candidate: _Candidate, frame: Frame, face: Found) -> None:
-        points = place(frame.bgr, face.box, face.eyes)
+        points = place(frame.bgr, face.box, face.eyes, face.points)
         if not all(inside(points[part], frame.size) for part in self.parts):
             return
         x, y, w, h = (round(side) for side in face.box)

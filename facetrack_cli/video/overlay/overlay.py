@@ -104,9 +104,10 @@ class Overlay:
 
     def _shape(self, target: TargetResult, place: int, *, alone: bool) -> Shape:
         every = target.rows
-        fine = np.isfinite(every.x + every.y + every.w + every.h)
+        fine = np.isfinite(every.x + every.y)
         rows = every if fine.all() else every.take(fine)
-        table = np.clip(np.stack([rows.x, rows.y, rows.w, rows.h], axis=1), -self._reach, self._reach)
+        sizes = np.nan_to_num(np.stack([rows.w, rows.h], axis=1))  # points of a network have no windows
+        table = np.clip(np.column_stack([rows.x, rows.y, sizes]), -self._reach, self._reach)
         half = np.maximum(table[:, 2:] - 1, 2) / 2
         corners = half[:, None] * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
         angle = np.radians(np.where(np.isfinite(rows.angle), rows.angle, 0.0))
@@ -122,7 +123,6 @@ class Overlay:
         shown = np.flatnonzero(fine)
         cloud = target.cloud[:, shown[shown < target.cloud.shape[1]]] if target.cloud.ndim == 3 else target.cloud
         parts = tuple(every.names[i][1] for i in rows.which.tolist())
-        sizes = np.stack([rows.w, rows.h], axis=1)
         lost: Mask = rows.status == "lost"
         centres = table[:, :2]
         colours = tuple(PALETTE[(k if alone else place) % len(PALETTE)] for k in shown.tolist()) or (PALETTE[0],)

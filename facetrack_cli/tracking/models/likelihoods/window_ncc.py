@@ -40,7 +40,7 @@ MEMORY: Final = 50.0  # frames over which g and b are learned
 NEW_BELOW: Final = 0.7  # correlation with all templates below which a visible part gives a new one
 SURE: Final = 0.06  # standard deviation of a part, in reaches, up to which a new template is learned
 HIDDEN, SOFT = 0.35, 0.1
-BY_WINDOW, BY_TOLD = (-1.5, 5.0), (-4.0, 4.0)  # bounds of the terms of the evidence
+BY_WINDOW, BY_TOLD = (-0.5, 5.0), (-4.0, 4.0)  # bounds of the terms of the evidence: looks change
 YOUNG: Final = 10  # frames
 UNLIKE: Final = 2.0  # below what a sensor usually says of a part, which then may be half covered
 HIDE, SHOW = 0.01, 0.1  # probabilities a frame
@@ -126,9 +126,8 @@ class WindowNcc:
         ]
         r = np.array([max(_like(each, self._window(frame, k, state[k]))) for k, each in enumerate(old)])
         q = (learned.good - r) / np.maximum(learned.good - learned.beside, 0.05)
-        v = learned.visible * (1 - HIDE) + (1 - learned.visible) * SHOW
         evidence = np.clip((HIDDEN - q) / SOFT, *BY_WINDOW) + np.clip(learned.told, *BY_TOLD)
-        return np.asarray(1 / (1 + (1 - v) / v * np.exp(-evidence)))
+        return visible_after(learned.visible, evidence)
 
     def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
         """g where a part is visible, b always, and new templates."""
@@ -199,6 +198,12 @@ class WindowNcc:
         energy = np.maximum(squares - sums**2 / (w * h), 0).sum(axis=2)
         best = np.max([cv2.matchTemplate(region, one, cv2.TM_CCORR) for one in templates.windows], axis=0)
         return np.asarray(best / np.sqrt(energy + 1e-6), np.float32)
+
+
+def visible_after(before: Array, evidence: Array) -> Array:
+    """P(visible) a frame later than `before`, given the log ratio of the likelihoods of visible and hidden."""
+    v = before * (1 - HIDE) + (1 - before) * SHOW
+    return np.asarray(1 / (1 + (1 - v) / v * np.exp(-evidence)))
 
 
 def _read(frame: Frame, centre: Array, w: int, h: int) -> Channels:
