@@ -11,7 +11,7 @@ so that a window that matches nothing says nothing, and the other sources place 
 (g), and the mean of r beside it (b), follow the clip slowly. v is the state of a chain of two states, visible and
 hidden, whose evidence in a frame is
 
-    log p(y | visible) - log p(y | hidden) = (0.35 - q) / 0.1 + told,    q = (g - r) / (g - b) at the estimate
+    log p(y | visible) - log p(y | hidden) = (0.45 - q) / 0.1 + told,    q = (g - r) / (g - b) at the estimate
 
 where `told` is what a sensor says of it. Both terms are bounded.
 
@@ -39,8 +39,9 @@ Channels = NDArray[np.float32]  # (H, W, 2)
 MEMORY: Final = 50.0  # frames over which g and b are learned
 NEW_BELOW: Final = 0.7  # correlation with all templates below which a visible part gives a new one
 SURE: Final = 0.06  # standard deviation of a part, in reaches, up to which a new template is learned
-HIDDEN, SOFT = 0.35, 0.1
-BY_WINDOW, BY_TOLD = (-0.5, 5.0), (-4.0, 4.0)  # bounds of the terms of the evidence: looks change
+HIDDEN, SOFT = 0.45, 0.1
+BY_WINDOW, BY_TOLD = (-1.0, 6.0), (-4.0, 4.0)  # bounds of the terms of the evidence: looks change
+
 YOUNG: Final = 10  # frames
 UNLIKE: Final = 2.0  # below what a sensor usually says of a part, which then may be half covered
 HIDE, SHOW = 0.01, 0.1  # probabilities a frame
