@@ -181,18 +181,19 @@ def steadied(at: Array, shown: Mask) -> Array:
         var[0] = noise
         for t in range(1, len(at)):
             ahead = np.where(joined[t - 1], var[t - 1] + step * wide[t - 1], np.inf)
-            gain = np.where(joined[t - 1], 1 / (1 + noise / ahead), 1.0)
+            gain = 1 / (1 + noise / ahead)
             var[t] = gain * noise
-            smooth[t] = smooth[t - 1] + np.where(joined[t - 1], gain, 1.0)[:, None] * (at[t] - smooth[t - 1])
+            before = np.where(joined[t - 1][:, None], smooth[t - 1], at[t])  # there may be none
+            smooth[t] = before + gain[:, None] * (at[t] - before)
         moved = np.zeros(joined.shape)
         for t in range(len(at) - 2, -1, -1):
             ahead = var[t] + step * wide[t]
             gain = np.where(joined[t], var[t] / ahead, 0.0)
             moved[t] = var[t + 1] * (1 - gain) ** 2 + gain * step * wide[t]
-            smooth[t] += gain[:, None] * (smooth[t + 1] - smooth[t])
+            smooth[t] += gain[:, None] * np.where(joined[t][:, None], smooth[t + 1] - smooth[t], 0.0)
             var[t] += gain**2 * (var[t + 1] - ahead)
         moved += 0.5 * np.sum((smooth[1:] - smooth[:-1]) ** 2, axis=2)
-        wide = (TAIL + 2 * moved / step) / (TAIL + 2)
+        wide = np.where(joined, (TAIL + 2 * moved / step) / (TAIL + 2), 1.0)
         step = np.sum(moved / wide, axis=0, where=joined) / np.maximum(joined.sum(axis=0), 1) + _LEAST
     return smooth
 

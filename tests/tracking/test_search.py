@@ -24,7 +24,7 @@ class Fake:
         self.found, self.sure = found, sure
 
     def find(self, frame):
-        return [Found((x, y, side, side), None, self.sure) for x, y, side in self.found(frame.index)]
+        return [Found((x, y, side, side), sure=self.sure) for x, y, side in self.found(frame.index)]
 
     def measure(self, image, box):
         return None
@@ -89,7 +89,7 @@ def placing(monkeypatch):
     """Puts `at(t, part)` (2,), in sizes of the box, in the place of what is seen in frame t."""
 
     def use(at):
-        def place(image, box, eyes):
+        def place(image, box, eyes, points):
             t = next(one.index for one in frames if one.bgr is image)
             return {part: tuple(np.add(box[:2], np.multiply(at(t, part), box[2:])).tolist()) for part in PARTS}
 

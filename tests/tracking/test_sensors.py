@@ -7,13 +7,32 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.tracking.face import sensors
-from facetrack_cli.tracking.face.sensors import BLIND, DRIFT, LEAST, MISLED, MOST, SURE, Facing, Sensor
-from facetrack_cli.tracking.face.still import EYES
+from facetrack_cli.tracking.face.sensors import (
+    BLIND,
+    DRIFT,
+    MISLED,
+    MOST,
+    NETWORK,
+    REGRESSION,
+    SLIP,
+    SURE,
+    Facing,
+    Sensor,
+    common_shift,
+    joined,
+)
+from facetrack_cli.tracking.face.still import EYES, SIDE
+from facetrack_cli.tracking.models.motion import Measured
 
 PLACES = np.array([[80.0, 100.0], [64.0, 120.0], [96.0, 120.0]])
 VISIBLE = np.ones(3)
 EXACT = np.broadcast_to(0.2 * np.eye(2), (3, 2, 2))  # covariance of the filter's state
 AWAY = np.array([[3.0, -1.5], [-2.0, 2.5], [0.0, 4.0]])
+FAR_AWAY, TOGETHER = np.array([20.0, 0.0]), np.array([6.0, -3.0])
+
+
+def begun(z, x0, std, least=REGRESSION):
+    return Sensor.begin(z, x0, std, least)
 
 
 def fed(sensor, offset, frames, rng, noise=1.0, visible=VISIBLE, cov=EXACT, every=1):
@@ -27,19 +46,19 @@ def fed(sensor, offset, frames, rng, noise=1.0, visible=VISIBLE, cov=EXACT, ever
 
 def test_what_a_sensor_has_differently_in_every_frame_becomes_its_bias():
     rng = np.random.default_rng(0)
-    begun = Sensor.begin(PLACES, PLACES, 2.0)
-    np.testing.assert_array_equal(begun.bias, 0)
-    after = fed(begun, AWAY, 600, rng)
+    first = begun(PLACES, PLACES, 2.0)
+    np.testing.assert_array_equal(first.bias, 0)
+    after = fed(first, AWAY, 600, rng)
     assert np.abs(after.bias - AWAY).max() < 0.4
     said = after.measured(PLACES + AWAY, VISIBLE)
     assert np.abs(said.z - PLACES).max() < 0.4, "it is taken off"
     # it is known as exactly as the drift allows: the filter's variance is that of a random walk seen with noise r
-    assert (after.var < 0.2 * begun.var).all() and (after.var > DRIFT**2).all()
+    assert (after.var < 0.2 * first.var).all() and (after.var > DRIFT**2).all()
 
 
 def test_the_bias_is_the_kalman_filter_of_a_drifting_offset():
     rng = np.random.default_rng(1)
-    one = Sensor.begin(PLACES + AWAY, PLACES, 2.5)
+    one = begun(PLACES + AWAY, PLACES, 2.5)
     mean, var, r2 = AWAY.copy(), np.full(3, 2.5**2), np.full(3, 2.5**2)
     np.testing.assert_allclose(one.bias, mean)
     for _ in range(25):
@@ -53,7 +72,7 @@ def test_the_bias_is_the_kalman_filter_of_a_drifting_offset():
             gain = predicted / (predicted + r2[k] + 0.2)
             mean[k] = mean[k] + gain * off
             var[k] = (1 - gain) * predicted
-            r2[k] = np.clip(r2[k] + 0.02 * (off @ off / 2 - r2[k]), LEAST**2, MOST**2)
+            r2[k] = np.clip(r2[k] + 0.02 * (off @ off / 2 - r2[k]), REGRESSION**2, MOST**2)
         one = one.learned(z, PLACES, EXACT, VISIBLE)
     np.testing.assert_allclose(one.bias, mean)
     np.testing.assert_allclose(one.var, var)
@@ -61,10 +80,10 @@ def test_the_bias_is_the_kalman_filter_of_a_drifting_offset():
 
 
 @pytest.mark.parametrize(
-    ("noise", "least", "most"), [(0.0, LEAST, LEAST), (1.2 * LEAST, LEAST, MOST), (8.0, MOST, MOST)]
+    ("noise", "least", "most"), [(0.0, REGRESSION, REGRESSION), (1.2 * REGRESSION, REGRESSION, MOST), (8.0, MOST, MOST)]
 )
 def test_the_noise_follows_how_far_measurements_are_off_within_its_bounds(noise, least, most):
-    after = fed(Sensor.begin(PLACES, PLACES, 0.07 * EYES), 0.0, 600, np.random.default_rng(2), noise)
+    after = fed(begun(PLACES, PLACES, 0.07 * EYES), 0.0, 600, np.random.default_rng(2), noise)
     assert (np.sqrt(after.noise) >= least - 1e-9).all() and (np.sqrt(after.noise) <= most + 1e-9).all()
     if least < most:
         np.testing.assert_allclose(np.sqrt(after.noise), noise, rtol=0.35)
@@ -74,7 +93,7 @@ def test_the_noise_follows_how_far_measurements_are_off_within_its_bounds(noise,
 def test_it_is_not_misled_by_what_says_nothing_of_the_part(how):
     """What covers a part moves what a sensor says of all of them; it is not how the sensor usually errs."""
     rng = np.random.default_rng(3)
-    before = fed(Sensor.begin(PLACES, PLACES, 2.0), 0.0, 50, rng)
+    before = fed(begun(PLACES, PLACES, 2.0), 0.0, 50, rng)
     visible = {"all hidden": np.zeros(3), "another hidden": np.array([1.0, 0.0, 1.0])}.get(how, VISIBLE)
     offset = {"far off": 40.0, "not seen": np.nan}.get(how, 5.0)
     after = fed(before, offset, 80, rng, visible=visible)
@@ -84,14 +103,14 @@ def test_it_is_not_misled_by_what_says_nothing_of_the_part(how):
 
 
 def test_where_the_filter_is_not_sure_less_is_learned():
-    begun = Sensor.begin(PLACES, PLACES, 2.0)
+    first = begun(PLACES, PLACES, 2.0)
     z, vague = PLACES + 2.0, 100 * EXACT
-    sure, unsure = (begun.learned(z, PLACES, cov, VISIBLE).bias for cov in (EXACT, vague))
+    sure, unsure = (first.learned(z, PLACES, cov, VISIBLE).bias for cov in (EXACT, vague))
     assert (np.abs(unsure) < 0.5 * np.abs(sure)).all() and (unsure > 0).all()
 
 
 def test_what_it_says_of_a_part_depends_on_how_visible_that_is():
-    one = Sensor.begin(PLACES, PLACES, 2.0)
+    one = begun(PLACES, PLACES, 2.0)
     seen, hidden = (one.measured(PLACES, np.array([1.0, 1.0, v])) for v in (1.0, 0.0))
     np.testing.assert_allclose(seen.sure, SURE)
     np.testing.assert_allclose(hidden.sure, [SURE, SURE, BLIND])
@@ -102,13 +121,60 @@ def test_what_it_says_of_a_part_depends_on_how_visible_that_is():
 def test_a_part_that_the_sensor_does_not_know_has_no_bias_and_is_not_measured():
     z = PLACES.copy()
     z[1] = np.nan
-    one = Sensor.begin(z, PLACES - 1.0, 3.0)
+    one = begun(z, PLACES - 1.0, 3.0)
     np.testing.assert_allclose(one.bias, [[1, 1], [0, 0], [1, 1]])
     assert one.var[1] == pytest.approx(MOST**2) and one.var[0] == pytest.approx(9.0)
     said = one.measured(z, VISIBLE)
     assert said.sure[1] == 0 and np.isfinite(said.z).all()
     after = one.learned(z, PLACES, EXACT, VISIBLE)
     assert np.isfinite([*after.bias.ravel(), *after.var, *after.noise]).all() and after.noise[1] == one.noise[1]
+
+
+def test_a_network_may_be_far_more_exact_than_a_regression():
+    rng = np.random.default_rng(4)
+    exact, rough = (fed(begun(PLACES, PLACES, 2.0, least), 0.0, 600, rng, 0.1) for least in (NETWORK, REGRESSION))
+    assert (exact.noise < 0.1 * rough.noise).all() and (exact.noise >= NETWORK**2).all()
+
+
+# --- two sensors ----------------------------------------------------------------------------------------------------
+
+
+def said(z, var, sure):
+    return Measured(np.asarray(z, float), np.full(3, var), np.full(3, sure), SIDE**2 / 4)
+
+
+def test_two_sensors_that_agree_are_one_that_is_more_exact():
+    """As the product of their normal densities, where both are sure."""
+    both = joined(said(PLACES, 4.0, 1.0), said(PLACES + 1.0, 1.0, 1.0))
+    np.testing.assert_allclose(both.z, PLACES + 0.8)
+    np.testing.assert_allclose(both.var, 1 / (1 / 4 + 1))
+    np.testing.assert_allclose(both.sure, 1.0)
+
+
+def test_of_two_sensors_the_one_that_says_nothing_does_not_count():
+    one, other = said(PLACES, 4.0, 0.9), said(PLACES + 1.0, 1.0, 0.0)
+    np.testing.assert_allclose(joined(one, other).z, PLACES)
+    np.testing.assert_allclose(joined(one, other).sure, 0.9)
+    np.testing.assert_allclose(joined(other, one).z, PLACES)
+    neither = joined(other, other)
+    assert np.isfinite([*neither.z.ravel(), *neither.var]).all() and (neither.sure == 0).all()
+
+
+def test_where_two_sensors_are_far_apart_the_second_is_believed():
+    far = joined(said(PLACES, 4.0, 0.9), said(PLACES + FAR_AWAY, 1.0, 0.9))
+    np.testing.assert_allclose(far.z, PLACES + FAR_AWAY)
+    np.testing.assert_allclose(far.sure, 0.9)
+
+
+def test_what_all_parts_move_together_is_the_head_s_and_what_one_moves_is_not():
+    var = 4.0
+    moved = common_shift(said(PLACES + TOGETHER, var, 0.9), PLACES)
+    np.testing.assert_allclose(moved, TOGETHER * SLIP**2 / (SLIP**2 + var))
+    opened = PLACES.copy()
+    opened[2, 1] += 15.0
+    np.testing.assert_allclose(common_shift(said(opened, var, 0.9), PLACES), 0, atol=1e-9)
+    two = said(PLACES + 6.0, var, 0.9)._replace(sure=np.array([0.9, 0.9, 0.2]))
+    np.testing.assert_array_equal(common_shift(two, PLACES), 0)
 
 
 # --- is the face turned to the camera? -----------------------------------------------------------------------------

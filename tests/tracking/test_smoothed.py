@@ -173,8 +173,10 @@ def test_a_face_moves_as_one(points):
     assert np.abs(after.x - before.x).max() < 8
     assert after.between(1, 40).std_x.min() > 0
     np.testing.assert_array_equal(now.angle, box.angle)
-    # the box has no truth, and how smooth it is says little; points are as near to the truth as before, or nearer
-    assert off_in(after) < 1.005 * off_in(before)
+    # the box has no truth; points tremble less, and are as near to the truth as before
+    trembles = [[np.median(np.abs(np.diff(one.y, 2))) for one in rows.parts[:-1]] for rows in (after, before)]
+    assert np.mean(trembles[0]) < 0.97 * np.mean(trembles[1])
+    assert off_in(after) < off_in(before) + 0.02, "pixels"
 
 
 def off_in(rows):

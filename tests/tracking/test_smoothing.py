@@ -197,3 +197,37 @@ def test_linear_motions_are_those_that_particles_are_drawn_by(motion, state):
         assert np.abs((drawn[:, k].mean(axis=0) - expected[k]) / std).max() < 0.03
         scatter = np.cov(drawn[:, k].T)
         assert np.abs((scatter - linear.cov[k]) / np.outer(std, std)).max() < 0.05
+
+
+def test_points_at_rest_lose_their_jitter_and_what_jumps_stays_where_it_is():
+    rng = np.random.default_rng(5)
+    true = np.full((80, 2, 2), 50.0)
+    true[40:, 1, 1] += 12.0  # a lip that drops in a frame
+    at = true + 0.4 * rng.standard_normal(true.shape)
+    found = smoothing.steadied(at, np.ones((80, 2), bool))
+    off, before = np.abs(found - true), np.abs(at - true)
+    assert off[:, 0].mean() < 0.5 * before[:, 0].mean()
+    assert off[:, 1].mean() < 0.7 * before[:, 1].mean()
+    np.testing.assert_allclose(found[38:42, 1], at[38:42, 1], atol=0.8)
+    moving = np.cumsum(3 * rng.standard_normal((80, 1, 2)), axis=0)
+    np.testing.assert_allclose(smoothing.steadied(moving, np.ones((80, 1), bool)), moving, atol=4.0)
+    still = np.full((5, 1, 2), 7.0)
+    np.testing.assert_array_equal(smoothing.steadied(still, np.ones((5, 1), bool)), still)
+
+
+def test_what_is_hidden_or_absent_stays_as_it_is_and_parts_before_from_after():
+    rng = np.random.default_rng(6)
+    at = 50 + 0.4 * rng.standard_normal((60, 3, 2))
+    shown = np.ones((60, 3), bool)
+    shown[20:30, 1:], at[20:30, 2] = False, np.nan
+    at[20:30, 1] += 30.0
+    found = smoothing.steadied(at, shown)
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(at))
+    np.testing.assert_array_equal(found[20:30, 1], at[20:30, 1])
+    assert np.abs(found[30:, 1] - 50).max() < 1.5 and np.abs(found[:20, 1] - 50).max() < 1.5
+    # of either side nothing comes to the other
+    other = at.copy()
+    other[30:, 2] += 9.0
+    np.testing.assert_allclose(smoothing.steadied(other, shown)[:20, 2], found[:20, 2])
+    for few in (1, 2):
+        np.testing.assert_allclose(smoothing.steadied(at[:few], shown[:few]), at[:few])

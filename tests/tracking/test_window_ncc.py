@@ -233,7 +233,8 @@ def test_one_template_alone_stays_the_first_one():
     assert len(learned.templates[0].windows) == 1
 
 
-def test_a_part_that_something_covers_hides_and_comes_back_without_a_sensor():
+def test_a_part_that_something_covers_hides_and_comes_back():
+    """A sensor that is in doubt and a window that does not match say it together."""
     free, cover = texture(0), with_patch(texture(0), texture(2), 24)
     model, learned, x = one_part(free)
     for _ in range(20):
@@ -242,9 +243,13 @@ def test_a_part_that_something_covers_hides_and_comes_back_without_a_sensor():
     good = learned.good.copy()
     gone, back = [], []
     for _ in range(12):
-        learned = step(model, learned, cover, x, says=0.0)
+        learned = step(model, learned, cover, x, says=-2.0)
         gone.append(learned.visible[0])
     assert np.diff(gone).max() < 0.01 and gone[5] < 0.1
+    other = one_part(free)[1]
+    for _ in range(6):
+        other = step(model, other, free, x, says=-2.0)
+    assert other.visible[0] > 0.9, "where the window matches, a sensor that is in doubt does not hide it"
     assert learned.good[0] > good[0] - 0.08, "what it looks like when it is seen is kept"
     for _ in range(4):
         learned = step(model, learned, free, x, says=0.0)
@@ -273,7 +278,7 @@ def test_v_is_the_chain_of_two_states_with_the_evidence_that_is_written():
         says = rng.uniform(-3, 3)
         r = naive.correlation(naive.channels(texture(0), 60, 45, 15, 15), naive.channels(now, 60, 45, 15, 15))
         q = (learned.good[0] - r) / (learned.good[0] - learned.beside[0])
-        odds = min(max((0.35 - q) / 0.1, -1.5), 5.0) + says
+        odds = np.clip((0.35 - q) / 0.1, *window_ncc.BY_WINDOW) + says
         before = chain * (1 - window_ncc.HIDE) + (1 - chain) * window_ncc.SHOW
         chain = before / (before + (1 - before) * np.exp(-odds))
         learned = step(model, learned, now, x, says=says)

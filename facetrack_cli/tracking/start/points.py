@@ -63,7 +63,7 @@ def _placed(frame: Frame, box: Box, eyes: tuple[Point, Point] | None, points: Ma
 
     Without `eyes` they are taken to be where they are on average, and the face to be of one of two sizes: the boxes of
     cascades say neither how a face is tilted, nor well how large it is. Then the face is laid upright by its points,
-    as long as more is seen.
+    as long as more is seen; its size stays, since a mouth may be wide.
     """
     descent, (left, right) = load_descent(), np.array(eyes or mean_eyes(box))
     zooms = (1.0,) if eyes else ZOOMS
@@ -77,15 +77,13 @@ def _placed(frame: Frame, box: Box, eyes: tuple[Point, Point] | None, points: Ma
         return Placed(face.to_frame(placed.at), placed.odds)
 
     rest, angle = descent.mean + CORNER, math.atan2(down, across)
-    tries = [seen(zoom * size, angle, (left + right) / 2, EYES_AT) for zoom in zooms]
+    tries = [(zoom * size, seen(zoom * size, angle, (left + right) / 2, EYES_AT)) for zoom in zooms]
     if points:
         known = rest[[descent.parts.index(part) for part in points]]
-        tries.append(seen(size, angle, np.mean(list(points.values()), axis=0), known.mean(axis=0)))
-    best = max(tries, key=lambda one: one.sure)
+        tries.append((size, seen(size, angle, np.mean(list(points.values()), axis=0), known.mean(axis=0))))
+    scale, best = max(tries, key=lambda one: one[1].sure)
     for _ in range(AGAIN):
-        middle, rest_middle = best.at.mean(axis=0), rest.mean(axis=0)
-        scale = math.sqrt(float(np.sum((best.at - middle) ** 2) / np.sum((rest - rest_middle) ** 2)))
-        again = seen(scale, turn_between(best.at, rest), middle, rest_middle)
+        again = seen(scale, turn_between(best.at, rest), best.at.mean(axis=0), rest.mean(axis=0))
         if again.sure <= best.sure:
             break
         best = again
