@@ -278,7 +278,7 @@ def test_v_is_the_chain_of_two_states_with_the_evidence_that_is_written():
         says = rng.uniform(-3, 3)
         r = naive.correlation(naive.channels(texture(0), 60, 45, 15, 15), naive.channels(now, 60, 45, 15, 15))
         q = (learned.good[0] - r) / (learned.good[0] - learned.beside[0])
-        odds = np.clip((0.35 - q) / 0.1, *window_ncc.BY_WINDOW) + says
+        odds = np.clip((window_ncc.HIDDEN - q) / window_ncc.SOFT, *window_ncc.BY_WINDOW) + says
         before = chain * (1 - window_ncc.HIDE) + (1 - chain) * window_ncc.SHOW
         chain = before / (before + (1 - before) * np.exp(-odds))
         learned = step(model, learned, now, x, says=says)
