@@ -14,6 +14,7 @@ from facetrack_cli.recipe.files import resolve_file
 from facetrack_cli.recipe.model import Confidence, ParticleFilter, ParticleRecipe, ParticlesRecipe, Recipe, above
 from facetrack_cli.tracking.calibration import Calibration, load_calibration
 from facetrack_cli.tracking.face.mesh import NAMES, Mesh
+from facetrack_cli.tracking.face.senses import Senses
 from facetrack_cli.tracking.face.still import FACE, Similarity
 from facetrack_cli.tracking.face.target import FaceTarget
 from facetrack_cli.tracking.models.spaces import Context
@@ -68,16 +69,20 @@ def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, sta
         mesh = Mesh(path)
     more = POINTS if head.landmarks.points == "features" else tuple(NAMES)
     still, boxed = (replace(start, targets={name: one}, corrections=()) for one in (inside, TargetStart(box)))
+    features = replace(particle_target(recipe, key, given, still, name), exclusion=None, calibration=None)
     return FaceTarget(
         name=name,
         head=particle_target(recipe, f"{key}.head" if key else "head", alone, boxed, name),
-        features=replace(particle_target(recipe, key, given, still, name), exclusion=None, calibration=None),
+        features=features,
         settings=head,
+        senses=Senses(
+            features.parts,
+            None if by is None else detector(detector_of(start) if by == "auto" else by),
+            searched=placed_by(start) != "",
+            mesh=mesh,
+            others=() if mesh is None else tuple(point for point in more if point not in given.points),
+        ),
         side=side,
-        detector=None if by is None else detector(detector_of(start) if by == "auto" else by),
-        searched=placed_by(start) != "",
-        mesh=mesh,
-        others=() if mesh is None else tuple(point for point in more if point not in given.points),
         calibration=_calibration(recipe, key, given),
     )
 

@@ -23,7 +23,7 @@ from facetrack_cli.tracking.models.motion import Measured
 
 DRIFT: Final = 0.001 * EYES  # standard deviation of b in a frame, pixels
 REGRESSION, NETWORK, DETECTOR = 0.05 * EYES, 0.01 * EYES, 0.05 * EYES  # the least r of a sensor
-FADES: Final = 0.99  # k of a start that a sensor has placed
+FADES: Final = 0.98  # k of a start that a sensor has placed
 MOST: Final = 0.1 * EYES  # and the greatest
 MISLED: Final = 0.1 * EYES  # r in a face of which a part is hidden: a sensor places all parts together
 LEARNS: Final = 0.02  # share of a measurement in r^2
@@ -43,10 +43,10 @@ class Sensor(NamedTuple):
     var: Array
     noise: Array
     least: float
-    keep: float
+    keep: float = 1.0
 
     @classmethod
-    def begin(cls, z: Array, x0: Array, std: float, least: float, keep: float) -> Sensor:
+    def begin(cls, z: Array, x0: Array, std: float, least: float, keep: float = 1.0) -> Sensor:
         """After a first measurement z (K, 2) of parts at x0 (K, 2), nan where there is none; `std`: r at first."""
         known = _known(z)
         r2 = np.full(len(x0), std**2)

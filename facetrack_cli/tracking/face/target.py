@@ -21,34 +21,24 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.geometry import centre, corners
-from facetrack_cli.core.types import BOX, Array, Frame, Mask, Point, TargetStart
+from facetrack_cli.core.types import BOX, Array, Frame, Mask, TargetStart
 from facetrack_cli.recipe.face import Head
 from facetrack_cli.tracking.calibration import Calibration
 from facetrack_cli.tracking.face import still
-from facetrack_cli.tracking.face.descent import Placed, load_descent, seen_in
-from facetrack_cli.tracking.face.mesh import NAMES, Mesh
 from facetrack_cli.tracking.face.mesh_points import UNSEEN, MeshPoints
-from facetrack_cli.tracking.face.sensors import (
-    DETECTOR,
-    FADES,
-    NETWORK,
-    REGRESSION,
-    Facing,
-    Sensor,
-    common_shift,
-    joined,
-)
+from facetrack_cli.tracking.face.senses import Senses
+from facetrack_cli.tracking.face.sensors import Facing, Sensor, common_shift, joined
 from facetrack_cli.tracking.face.still import EYES, FACE, Similarity
 from facetrack_cli.tracking.loop import Cover
 from facetrack_cli.tracking.roles import Names
 from facetrack_cli.tracking.smoothing import Belief
-from facetrack_cli.tracking.start.detectors import TILT, Detector, Found
+from facetrack_cli.tracking.start.detectors import TILT, Found
 from facetrack_cli.tracking.target import ParticleTarget, State
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, of_frame
@@ -88,34 +78,21 @@ class FaceState:
     frames: int = 0
 
 
-class Sensed(NamedTuple):
-    """What sensors say of the points in the still face: those with windows, and the network's `others` (J, 2)."""
-
-    parts: Placed
-    others: Placed | None
-
-
 @dataclass(frozen=True)
 class FaceTarget:
-    """`side`: of the box at the start, in pixels. `searched`: whether the detector itself has placed the points.
-
-    `detector` may be None; rows are those of the points, of the box, and of the `others`, which `mesh` places.
-    """
+    """`side`: of the box at the start, in pixels; rows are those of the points, of the box, and of the `others`."""
 
     name: str
     head: ParticleTarget
     features: ParticleTarget
     settings: Head
+    senses: Senses
     side: float
-    detector: Detector | None
-    searched: bool
-    mesh: Mesh | None = None
-    others: tuple[str, ...] = ()
     calibration: Calibration | None = None
 
     @property
     def parts(self) -> tuple[str, ...]:
-        return (*self.features.parts, BOX, *self.others)
+        return (*self.features.parts, BOX, *self.senses.others)
 
     @property
     def windows(self) -> Mapping[str, tuple[float, float]]:
@@ -128,13 +105,13 @@ class FaceTarget:
         similarity = self._map(head, np.zeros(4))
         seen = similarity.read(frame)
         features, points = self.features.begin(rng, seen)
-        sensed = self._sensed(frame, similarity, seen)
-        sensor = self._sensor(sensed, self.features.x0)
+        sensed = self.senses.sensed(frame, similarity, seen)
+        sensor = self.senses.sensor(sensed, self.features.x0)
         others = None if sensed.others is None else MeshPoints.begin(sensed.others.at)
-        facing, found = Facing(), self._detected(seen)
-        if self.detector is not None and not self.searched and found is None:
+        facing, found = Facing(), self.senses.detected(seen)
+        if self.senses.detector is not None and not self.senses.searched and found is None:
             facing = facing.unseen()
-        second = self._second(found, self.features.x0)
+        second = self.senses.second(found, self.features.x0)
         marks, rest = self._marks(head, np.zeros(4), frame), np.zeros(4)
         state = FaceState(
             head, features, points._replace(beliefs=None), sensor, second, facing, rest, rest, marks, others
@@ -165,10 +142,11 @@ class FaceTarget:
         moved = {part: tuple(similarity.to_still(place).tolist()) for part, place in placed.items()}
         seen, there = similarity.read(frame), TargetStart(points=moved)
         features, rows = self.features.restart(rng, seen, first.features, there, absent, anew)
-        sensed = self._sensed(frame, similarity, seen)
-        sensor = self._sensor(sensed, features.estimated.state)
+        sensed = self.senses.sensed(frame, similarity, seen)
+        sensor = self.senses.sensor(sensed, features.estimated.state)
         others = None if sensed.others is None else MeshPoints.begin(sensed.others.at)
-        points, second = rows._replace(beliefs=None), self._second(self._detected(seen), features.estimated.state)
+        second = self.senses.second(self.senses.detected(seen), features.estimated.state)
+        points = rows._replace(beliefs=None)
         state = FaceState(head, features, points, sensor, second, Facing(), pose, np.zeros(4), first.marks, others)
         return state, self._result(state, boxed, frame)
 
@@ -176,7 +154,7 @@ class FaceTarget:
         self, rng: Generator, state: FaceState, frame: Frame, covers: Sequence[Cover] = ()
     ) -> tuple[FaceState, TargetResult]:
         detections, frames = self.settings.detections, state.frames + 1
-        due = self.detector is not None and detections is not None and frames % detections.every == 0
+        due = self.senses.detector is not None and detections is not None and frames % detections.every == 0
         before = state.head
         if due and _sure(before) < self.settings.lost_below:
             before = self._sighted(before, state.pose, frame)
@@ -186,12 +164,12 @@ class FaceTarget:
             return state, self._result(state, box, frame)
         similarity = self._map(head, state.pose)
         seen = similarity.read(frame)
-        found, visible = self._detected(seen) if due else None, self._visible(state.features)
-        before_at, z2 = state.features.estimated.state, self._named({} if found is None else found.points)
+        found, visible = self.senses.detected(seen) if due else None, self._visible(state.features)
+        before_at, z2 = state.features.estimated.state, self.senses.named({} if found is None else found.points)
         around, told = [before_at.mean(axis=0)], np.isfinite(z2).all(axis=1)
         if told.any():
             around.append((before_at + (z2 - before_at)[told].mean(axis=0)).mean(axis=0))
-        ((z, odds), far) = self._sensed(frame, similarity, seen, around)
+        ((z, odds), far) = self.senses.sensed(frame, similarity, seen, around)
         features = replace(state.features, learned=state.features.learned._replace(told=odds))
         measured = state.sensor.measured(z, visible)
         if found is not None:
@@ -203,7 +181,7 @@ class FaceTarget:
         sensor = state.sensor.learned(z, estimated.state, estimated.cov, visible)
         second = state.second.learned(z2, estimated.state, estimated.cov, visible)
         points = points._replace(beliefs=None)  # those are of the state
-        facing = state.facing if self.detector is None else state.facing.predicted()
+        facing = state.facing if self.senses.detector is None else state.facing.predicted()
         pose_var, others = state.pose_var + _POSE**2, state.others
         if others is not None:
             others = others.after(None, UNSEEN) if far is None else others.after(*far)
@@ -218,51 +196,6 @@ class FaceTarget:
         result = self._result(replace(after, pose=state.pose), box, frame)
         return self._moved(after, state.pose), result
 
-    def _detected(self, seen: Frame) -> Found | None:
-        """The face that the detector sees in the still one."""
-        return None if self.detector is None else self.detector.measure(seen.bgr, still.BOX)
-
-    def _named(self, points: Mapping[str, Point]) -> Array:
-        """The places (K, 2) of the parts; nan of those that are not there."""
-        return np.array([points.get(part, (math.nan, math.nan)) for part in self.features.parts])
-
-    def _second(self, found: Found | None, x0: Array) -> Sensor:
-        """What is known of the detector in a frame whose parts are at x0 (K, 2)."""
-        return Sensor.begin(self._named({} if found is None else found.points), x0, DETECTOR, DETECTOR, self._keep)
-
-    @property
-    def _keep(self) -> float:
-        return FADES if self.searched else 1.0
-
-    def _sensor(self, sensed: Sensed, x0: Array) -> Sensor:
-        """What is known of the sensor in a frame whose parts are at x0 (K, 2)."""
-        least = REGRESSION if self.mesh is None else NETWORK
-        return Sensor.begin(sensed.parts.at, x0, float(load_descent().std.mean()), least, self._keep)
-
-    def _sensed(self, frame: Frame, similarity: Similarity, seen: Frame, around: Sequence[Array] = ()) -> Sensed:
-        """What sensors say of the points in the still face `seen`; nan, and 0, of parts that none of them knows.
-
-        `around` (2,) are where the middle of the parts may be, beside the usual place.
-        """
-        descent = load_descent()
-        crops = None if self.mesh is None else self.mesh.measure(frame, similarity)
-        points = None if crops is None else crops.mean(axis=0)
-        if points is None:
-            at, odds = descent.fit(seen.bgr, around)
-        else:
-            at = points[[NAMES[point] for point in descent.points]]
-            odds = descent.visible(seen_in(seen.bgr), at)
-        index = [descent.parts.index(part) if part in descent.parts else -1 for part in self.features.parts]
-        known = np.array(index) >= 0
-        placed = known & (self.mesh is None or points is not None)
-        parts = Placed(np.where(placed[:, None], at[index], np.nan), np.where(known, odds[index], 0.0))
-        if points is None:
-            return Sensed(parts, None)
-        # a point is as visible as the nearest of which something is known
-        others = points[[NAMES[part] for part in self.others]]
-        nearest = np.hypot(*(others[:, None] - at).transpose(2, 0, 1)).argmin(axis=1)
-        return Sensed(parts, Placed(others, odds[nearest]))
-
     def _visible(self, features: State) -> Array:
         """(K,) how visible the parts are, where their likelihood says so."""
         return np.asarray(getattr(features.learned, "visible", np.ones(len(self.features.parts))))
@@ -274,8 +207,8 @@ class FaceTarget:
 
     def _sighted(self, head: State, pose: Array, frame: Frame) -> State:
         """The state of a head that is lost, with the places where a detector sees faces."""
-        assert self.detector is not None
-        boxes = [found.box for found in self.detector.find(frame)[:_FACES]]
+        assert self.senses.detector is not None
+        boxes = [found.box for found in self.senses.detector.find(frame)[:_FACES]]
         places = tuple(
             np.array([*(np.array(centre(box)) - box[2] * pose[2:]), math.log(box[2] / self.side)]) for box in boxes
         )
@@ -292,7 +225,7 @@ class FaceTarget:
         )
         off = np.array([0.0, math.log(found.box[2] / FACE), *lies])
         # a box drawn by hand may be another one than the detector's
-        noise = np.array([np.inf, _SIZES**2, _PLACES**2, _PLACES**2]) if self.searched else np.full(4, np.inf)
+        noise = np.array([np.inf, _SIZES**2, _PLACES**2, _PLACES**2]) if self.senses.searched else np.full(4, np.inf)
         assert self.settings.detections is not None
         if state.marks is not None and state.frames // self.settings.detections.every % _TILTED == 0:
             marks = self._marks(state.head, state.pose, frame)
@@ -304,12 +237,12 @@ class FaceTarget:
 
     def _marks(self, head: State, pose: Array, frame: Frame) -> Array | None:
         """Where the detector sees the marks of the face, larger than the still one, so that they show how it rolls."""
-        if self.detector is None:
+        if self.senses.detector is None:
             return None
         side, box = _FINE
         similarity = self._map(head, pose)
         fine = similarity._replace(scale=similarity.scale * FACE / box[2])
-        return self.detector.marks(fine.read(frame, side).bgr, box)
+        return self.senses.detector.marks(fine.read(frame, side).bgr, box)
 
     def _moved(self, state: FaceState, before: Array) -> FaceState:
         """With the points, which are in the still face of the pose `before`, in that of the state's own."""
@@ -347,11 +280,11 @@ class FaceTarget:
         face = {name: getattr(box.rows, name) for name in points} | self._face(box.rows, similarity)
         blank = {name: np.full((1, *one.shape[1:]), np.nan) for name, one in face.items() if name != "status"}
         sections = [points, face]
-        if self.others and (mesh := state.others) is not None:
+        if self.senses.others and (mesh := state.others) is not None:
             sections.append(self._rows(state, mesh.at, mesh.cov, mesh.visible, mesh.visible < self.settings.lost_below))
-        elif self.others:
-            sections.append({"status": np.full(len(self.others), "lost")})
-        counts = len(rows), 1, len(self.others)
+        elif self.senses.others:
+            sections.append({"status": np.full(len(self.senses.others), "lost")})
+        counts = len(rows), 1, len(self.senses.others)
         columns = {
             name: np.concatenate(
                 [
@@ -394,13 +327,13 @@ class FaceTarget:
     def beliefs(self, state: FaceState) -> tuple[Belief, ...]:
         """What is known of the points in the still face, of the head, and of the network's points."""
         found = [*self.features.beliefs(state.features), *self.head.beliefs(state.head)]
-        if self.others:
-            j = len(self.others)
+        if self.senses.others:
+            j = len(self.senses.others)
             unseen = MeshPoints.begin(np.full((j, 2), still.MIDDLE))._replace(visible=np.zeros(j))
             found.append((state.others or unseen).belief())
         if self.calibration is None:
             return tuple(found)
-        names = self.features.parts, self.head.parts, self.others
+        names = self.features.parts, self.head.parts, self.senses.others
         return tuple(map(self.calibration.believed, names, found))
 
     @cached_property
