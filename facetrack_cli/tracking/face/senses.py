@@ -1,0 +1,84 @@
+"""What sees the points of a face in the still face: the regression or the network, and the detector of faces."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from facetrack_cli.core.types import Array, Frame, Point
+from facetrack_cli.tracking.face import still
+from facetrack_cli.tracking.face.descent import Placed, load_descent, seen_in
+from facetrack_cli.tracking.face.mesh import NAMES, Mesh
+from facetrack_cli.tracking.face.sensors import DETECTOR, FADES, NETWORK, REGRESSION, Sensor
+from facetrack_cli.tracking.face.still import Similarity
+from facetrack_cli.tracking.start.detectors import Detector, Found
+
+
+class Sensed(NamedTuple):
+    """What sensors say of the points in the still face: those with windows, and the network's `others` (J, 2)."""
+
+    parts: Placed
+    others: Placed | None
+
+
+@dataclass(frozen=True)
+class Senses:
+    """Those of a face of which `parts` have windows, and `others` have none.
+
+    `detector` may be None. `searched`: whether it has placed the points itself.
+    """
+
+    parts: tuple[str, ...]
+    detector: Detector | None
+    searched: bool
+    mesh: Mesh | None = None
+    others: tuple[str, ...] = ()
+
+    def detected(self, seen: Frame) -> Found | None:
+        """The face that the detector sees in the still one."""
+        return None if self.detector is None else self.detector.measure(seen.bgr, still.BOX)
+
+    def named(self, points: Mapping[str, Point]) -> Array:
+        """The places (K, 2) of the parts; nan of those that are not there."""
+        return np.array([points.get(part, (math.nan, math.nan)) for part in self.parts])
+
+    def second(self, found: Found | None, x0: Array) -> Sensor:
+        """What is known of the detector in a frame whose parts are at x0 (K, 2)."""
+        return Sensor.begin(self.named({} if found is None else found.points), x0, DETECTOR, DETECTOR, self._keep)
+
+    @property
+    def _keep(self) -> float:
+        return FADES if self.searched else 1.0
+
+    def sensor(self, sensed: Sensed, x0: Array) -> Sensor:
+        """What is known of the sensor in a frame whose parts are at x0 (K, 2)."""
+        least = REGRESSION if self.mesh is None else NETWORK
+        return Sensor.begin(sensed.parts.at, x0, float(load_descent().std.mean()), least, self._keep)
+
+    def sensed(self, frame: Frame, similarity: Similarity, seen: Frame, around: Sequence[Array] = ()) -> Sensed:
+        """What sensors say of the points in the still face `seen`; nan, and 0, of parts that none of them knows.
+
+        `around` (2,) are where the middle of the parts may be, beside the usual place.
+        """
+        descent = load_descent()
+        crops = None if self.mesh is None else self.mesh.measure(frame, similarity)
+        points = None if crops is None else crops.mean(axis=0)
+        if points is None:
+            at, odds = descent.fit(seen.bgr, around)
+        else:
+            at = points[[NAMES[point] for point in descent.points]]
+            odds = descent.visible(seen_in(seen.bgr), at)
+        index = [descent.parts.index(part) if part in descent.parts else -1 for part in self.parts]
+        known = np.array(index) >= 0
+        placed = known & (self.mesh is None or points is not None)
+        parts = Placed(np.where(placed[:, None], at[index], np.nan), np.where(known, odds[index], 0.0))
+        if points is None:
+            return Sensed(parts, None)
+        # a point is as visible as the nearest of which something is known
+        others = points[[NAMES[part] for part in self.others]]
+        nearest = np.hypot(*(others[:, None] - at).transpose(2, 0, 1)).argmin(axis=1)
+        return Sensed(parts, Placed(others, odds[nearest]))
