@@ -22,7 +22,8 @@ Of the latter, in terms of the mouth's width in the first frame:
     partly             mean error of hidden points of a face that is not hidden as a whole: its box is visible
     recall, false      of hidden points, those called lost; of visible ones within .2, those called lost
 
-A recipe's settings are given as for `facetrack compare`. The first figure is the mean over clips, with the standard
+A recipe's settings are given as for `facetrack compare`. `--regression` is one that has not seen the clips, by
+`tools/mouth_descent.py --without`. The first figure is the mean over clips, with the standard
 deviation over seeds; shares of points are of those of all clips and seeds together.
 """
 
@@ -48,6 +49,7 @@ from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.runs.seeds import variant
 from facetrack_cli.runs.start import Begin
+from facetrack_cli.tracking.face import descent
 from facetrack_cli.tracking.start import read_init
 from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.trajectory.formats.read import read_truth
@@ -193,8 +195,11 @@ def main() -> None:
     parser.add_argument("--init", choices=("haar", "yunet"), help="what finds the start [default: what is installed]")
     parser.add_argument("--start", choices=("found", "box", "file"), default="found", help="[default: found]")
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--regression", type=Path, metavar="FILE", help="instead of that of the package")
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
+    if args.regression is not None:
+        descent.DEFAULT = str(args.regression.resolve())
     try:
         table(args.clips, args.config, args.init, args.start, args.seeds, args.jobs)
     except FacetrackError as e:

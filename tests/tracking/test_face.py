@@ -222,7 +222,7 @@ def test_the_detector_is_that_of_the_start_and_else_the_better_one(tmp_path):
     of_others = replace(by_file, detector="haar"), replace(by_file, detector=""), replace(by_box, origin="haar")
     built = [build_tracker(recipe, start)[0] for start in (by_file, by_box, *of_others)]
     assert [one.senses.detector.name for one in built] == [best, best, "haar", "haar", "haar"]
-    assert [one.searched for one in built] == [False, True, False, False, True]
+    assert [one.senses.searched for one in built] == [False, True, False, False, True]
 
 
 @pytest.mark.parametrize("box", [None, (115, 75, 90, 90)])
