@@ -11,7 +11,8 @@ eyes). `--regressions` is a folder of regressions that have not seen a person: w
                      that are not lost, times the share of those; of clips in which the mesh's varies by .03 or more
     median           median error of the five points without constant offsets, in distances between the eyes
     .35              share of frames with nose and corners of the mouth within .35
-    90 %             share of points, without constant offsets, in the ellipse that should hold 90 % of them
+    90 %             share of points in the ellipse that should hold 90 % of them
+    moves            the same without constant offsets
     lost             share of points called lost
     start            mean error of the points of the start
 """
@@ -45,6 +46,7 @@ class Scores(NamedTuple):
     median: float
     right: float
     inside: float
+    moves: float
     lost: float
     start: float
 
@@ -63,6 +65,7 @@ def score(clip: Path, config: str, seed: int, regressions: Path | None) -> Score
     cv2.setNumThreads(1)
     if regressions is not None:
         descent.DEFAULT = str((regressions / f"without_{clip.name}.npz").resolve())
+        descent.load_descent.cache_clear()
     name, overrides = variant(config)
     [video] = [path for path in clip.iterdir() if path.suffix in (".mp4", ".webm", ".mkv")]
     ours = track_video(video, load_recipe(name, overrides), seed=seed)
@@ -79,17 +82,20 @@ def score(clip: Path, config: str, seed: int, regressions: Path | None) -> Score
     off = (at - true) / unit[..., None]
     error = np.hypot(*np.moveaxis(off - np.median(off, axis=0), 2, 0))
     spread = np.stack([column("std_x"), column("std_y")], axis=2) / unit[..., None]
-    inside = np.sum(((off - np.median(off, axis=0)) / spread) ** 2, axis=2) <= ELLIPSE
-    moves: list[float] = []
+    spread = np.maximum(spread, 1e-9)  # of rows that are given it is 0
+    inside, without = (
+        float(np.mean(np.sum((one / spread) ** 2, axis=2) <= ELLIPSE)) for one in (off, off - np.median(off, axis=0))
+    )
+    same: list[float] = []
     for a, b in ((3, 4), (1, 2)):
         shown = ~(lost[:, a] | lost[:, b])
         mine, mesh = (np.hypot(*(one[:, a] - one[:, b]).T) / unit[:, 0] for one in (at, true))
-        same = np.corrcoef(mine[shown], mesh[shown])[0, 1] * shown.mean()
-        moves.append(float(same) if mesh.std() >= VARIES else float("nan"))
+        alike = np.corrcoef(mine[shown], mesh[shown])[0, 1] * shown.mean()
+        same.append(float(alike) if mesh.std() >= VARIES else float("nan"))
     whole = np.hypot(*np.moveaxis(off, 2, 0))
     right = np.all(whole[:, :3] <= RIGHT, axis=1).sum() / len(frames)
-    opening, width = moves
-    return Scores(opening, width, float(np.median(error)), right, inside.mean(), lost.mean(), whole[0].mean())
+    opening, width = same
+    return Scores(opening, width, float(np.median(error)), right, inside, without, lost.mean(), whole[0].mean())
 
 
 def main() -> None:
@@ -101,7 +107,7 @@ def main() -> None:
     parser.add_argument("-j", "--jobs", type=int, default=2)
     args = parser.parse_args()
     clips: Sequence[Path] = args.clips
-    names = ("opening", "width", "median", ".35", "90 %", "lost", "start")
+    names = ("opening", "width", "median", ".35", "90 %", "moves", "lost", "start")
     for config in args.config or ["face"]:
         jobs = list(product(clips, [config], range(args.seeds), [args.regressions]))
         with ProcessPoolExecutor(args.jobs) as pool:

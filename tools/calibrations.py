@@ -3,14 +3,16 @@
     python tools/calibrations.py                                     # what is not there yet
     python tools/calibrations.py --again --config factorized --config face
     FACETRACK_CLIPS=../clips python tools/calibrations.py -j 2       # with the real clips in that folder
-    FACETRACK_CLIPS=../clips python tools/calibrations.py --again --config face --regression without_them.npz
+    FACETRACK_CLIPS=../clips python tools/calibrations.py --again --config face --regressions left_out
 
 Each recipe is fitted to rendered clips (benchmarks/rendered.py, seeds 0 to 3 of each kind, in --clips), to the
 sample clips that it has goldens of, and to the real clips of $FACETRACK_CLIPS: folders with a groundtruth.csv of a box
-and a video or images. Their points are those of reference_points.csv (benchmarks/face.py). For each it prints the
-calibration error and Brier score on clips left out, raw and calibrated. Clips that are rendered, and recipes that have
-a file, are left as they are, so that it may be interrupted. A clip that a recipe cannot run on is named and left out,
-and so is a recipe with fewer than two clips.
+and a video or images, whose points are those of reference_points.csv (benchmarks/face.py); and people/*/ with mesh.csv
+(benchmarks/expressions.py), whose tracks begin as a search finds them. `--regressions` is a folder of regressions that
+have not seen a clip (tools/mouth_descent.py). For each recipe it prints the calibration error and Brier score on clips
+left out, raw and calibrated. Clips that are rendered, and recipes that have a file, are left as they are, so that it
+may be interrupted. A clip that a recipe cannot run on is named and left out, and so is a recipe with fewer than two
+clips.
 Rendering needs the `samples` extra.
 """
 
@@ -24,6 +26,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from itertools import product
 from pathlib import Path
 
@@ -36,10 +39,14 @@ from boxes import clip_in
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import BOX
 from facetrack_cli.evaluation.experiments import calibrate
+from facetrack_cli.evaluation.experiments.calibration_fit import fit as fitted
 from facetrack_cli.evaluation.experiments.compare import default_truth
+from facetrack_cli.evaluation.experiments.sheet import clip_name
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.runs.api import track_video
 from facetrack_cli.runs.seeds import load_recipes
+from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.face import descent
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -47,6 +54,8 @@ from facetrack_cli.trajectory.trajectory import Trajectory
 ROOT = Path(__file__).parent.parent
 SAMPLES = ROOT / "sample_videos"
 SEEDS = range(4)
+MESH = "mesh.csv"
+SHIPPED = descent.DEFAULT
 KINDS = ("object", "passer", "gestures")
 
 
@@ -63,8 +72,9 @@ def render(folder: Path) -> list[Path]:
 
 
 def real() -> list[Path]:
-    folder = os.environ.get("FACETRACK_CLIPS")
-    return [] if folder is None else [clip_in(file.parent) for file in sorted(Path(folder).glob("*/groundtruth.csv"))]
+    folder = Path(os.environ.get("FACETRACK_CLIPS", os.devnull))
+    boxes = [clip_in(file.parent) for file in sorted(folder.glob("*/groundtruth.csv"))]
+    return boxes + [next(file.parent.glob("*.mp4")) for file in sorted(folder.glob(f"people/*/{MESH}"))]
 
 
 def clips_of(recipe: Recipe, rendered: Sequence[Path]) -> list[Path]:
@@ -75,14 +85,16 @@ def clips_of(recipe: Recipe, rendered: Sequence[Path]) -> list[Path]:
 
 
 def truth_of(clip: Path, recipe: Recipe) -> Trajectory:
-    """The ground truth of a clip, with the points of another detector where it has boxes alone."""
-    path = default_truth(clip)
-    reference, truth = path.with_name("reference_points.csv"), read_truth(path)
-    if not recipe.points or not reference.is_file():
-        return truth
-    lines = ["frame,target,part,x,y,w,h"]
-    for frame, x, y, w, h in zip(truth.frame, truth.x, truth.y, truth.w, truth.h, strict=True):
-        lines.append(f"{frame},face,{BOX},{x},{y},{w},{h}")
+    """The ground truth of a clip, with the points of a mesh, or of another detector where it has boxes alone."""
+    lines, meshed = ["frame,target,part,x,y,w,h"], clip.with_name(MESH)
+    path = meshed if meshed.is_file() else default_truth(clip)
+    reference = path if path == meshed else path.with_name("reference_points.csv")
+    if path != meshed:
+        truth = read_truth(path)
+        if not recipe.points or not reference.is_file():
+            return truth
+        for frame, x, y, w, h in zip(truth.frame, truth.x, truth.y, truth.w, truth.h, strict=True):
+            lines.append(f"{frame},face,{BOX},{x},{y},{w},{h}")
     with reference.open(encoding="utf-8") as file:
         lines += [f"{row['frame']},face,{row['part']},{row['x']},{row['y']},," for row in csv.DictReader(file)]
     with tempfile.TemporaryDirectory() as folder:
@@ -91,16 +103,36 @@ def truth_of(clip: Path, recipe: Recipe) -> Trajectory:
         return read_truth(both)
 
 
-def fit(recipe: Recipe, clips: Sequence[Path], seeds: int, workers: int) -> calibrate.Calibrated:
-    """The calibration by all clips that the recipe runs on. Raises what speaks against all of them."""
+def runs_of(clip: Path, recipe: Recipe, seeds: int, regression: Path | None) -> tuple[list[Trajectory], Trajectory]:
+    """Runs on a clip, one a seed, and its ground truth."""
+    cv2.setNumThreads(1)
+    descent.DEFAULT = str(regression.resolve()) if regression is not None and regression.is_file() else SHIPPED
+    descent.load_descent.cache_clear()
+    truth = truth_of(clip, recipe)
+    start = Begin(clip).find(recipe, None if clip.with_name(MESH).is_file() else truth)
+    numbers = range(seeds if recipe.random else 1)
+    return [track_video(clip, recipe, init=start, seed=seed) for seed in numbers], truth
 
-    def left_out(clip: Path, error: FacetrackError) -> None:
-        print(f"{recipe.name}: {clip.name} is left out: {error}", file=sys.stderr, flush=True)
 
-    given = [(clip, truth_of(clip, recipe)) for clip in clips]
-    found = calibrate.run(recipe, given, seeds, workers=workers, failed=left_out)
-    assert found is not None
-    return found
+def fit(
+    recipe: Recipe, clips: Sequence[Path], seeds: int, workers: int, regressions: Path | None
+) -> calibrate.Calibrated:
+    """The calibration by all clips that the recipe runs on. Raises InputError if it runs on none."""
+    raw, found = calibrate.uncalibrated(recipe), {}
+    with ProcessPoolExecutor(workers) as pool:
+        waiting = {}
+        for clip in sorted(clips, key=clip_name):  # their order must not show in the last digit
+            own = regressions and regressions / f"without_{clip.parent.name}.npz"
+            waiting[clip] = pool.submit(runs_of, clip, raw, seeds, own)
+        for clip, one in waiting.items():
+            try:
+                found[clip] = one.result()
+            except FacetrackError as e:
+                print(f"{recipe.name}: {clip.name} is left out: {e}", file=sys.stderr, flush=True)
+    samples = calibrate.collect(list(found.values()))
+    kept = {kind: one for kind, one in samples.items() if len(one.clips) > 1} or samples
+    by_kind = {kind: fitted(one) for kind, one in kept.items()}
+    return calibrate.Calibrated(recipe.name, tuple(map(clip_name, found)), seeds, by_kind)
 
 
 def main() -> None:
@@ -110,13 +142,10 @@ def main() -> None:
     parser.add_argument("--config", action="append", default=[], metavar="NAME", help="this recipe; repeatable")
     parser.add_argument("--seeds", type=int, default=1, help="runs of each clip [default: 1]")
     parser.add_argument("-j", "--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--regression", type=Path, help="of face: one that has not seen these clips")
+    parser.add_argument("--regressions", type=Path, help="of face: without_NAME.npz for a clip in the folder NAME")
     parser.add_argument("-o", "--out", type=Path, default=ROOT / "configs" / "calibration", help="folder of the files")
     parser.add_argument("--again", action="store_true", help="also those that have a file")
     args = parser.parse_args()
-    cv2.setNumThreads(1)
-    if args.regression is not None:
-        descent.DEFAULT = str(args.regression.resolve())
     args.clips.mkdir(parents=True, exist_ok=True)
     args.out.mkdir(parents=True, exist_ok=True)
     rendered = render(args.clips)
@@ -129,7 +158,7 @@ def main() -> None:
         began = time.monotonic()
         try:
             [recipe] = load_recipes([(str(path), ())], gallery)
-            found = fit(recipe, clips_of(recipe, rendered), args.seeds, args.jobs)
+            found = fit(recipe, clips_of(recipe, rendered), args.seeds, args.jobs, args.regressions)
         except FacetrackError as e:
             print(f"{path.stem}: no calibration: {e}", file=sys.stderr, flush=True)
             continue
