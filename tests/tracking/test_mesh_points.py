@@ -1,4 +1,4 @@
-"""The filter of points that a network places: against one written out, and where points are hidden or the face turns."""
+"""The filter of points that a network places: against one written out, of hidden points, and in a turned face."""
 
 import numpy as np
 import pytest
