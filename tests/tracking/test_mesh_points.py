@@ -152,8 +152,13 @@ def test_a_belief_has_the_motion_that_the_filter_predicts_by():
     after = before.after(None, UNSEEN)
     mean, cov, motion, doubt = after.belief()
     np.testing.assert_array_equal(mean, after.at)
-    np.testing.assert_array_equal(cov, after.cov)
+    np.testing.assert_array_equal(cov, after.var[:, None, None] * np.eye(2))
     np.testing.assert_allclose(np.einsum("jde,je->jd", motion.matrix, before.at) + motion.offset, after.at)
     own = before.var[:, None, None] * np.eye(2)
     np.testing.assert_allclose(motion.matrix @ own @ motion.matrix + motion.cov, after.var[:, None, None] * np.eye(2))
     assert not doubt.any()
+    for _ in range(30):
+        after = after.after(None, UNSEEN)
+    # what is unseen for long is known as its motion says: more would let a smoother add up what is wrong
+    cov, motion = after.belief()[1:3]
+    np.testing.assert_allclose(motion.matrix @ cov @ motion.matrix + motion.cov, cov)
