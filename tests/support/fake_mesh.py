@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from facetrack_cli.core.face_points import MESH
+from facetrack_cli.core.types import Frame
 from facetrack_cli.tracking.face.mesh import CROPS, NAMES, Mesh
 from facetrack_cli.tracking.face.still import FACE, Similarity
 from tests.support import moving_face as moving
@@ -39,6 +40,12 @@ def layout() -> np.ndarray:
     return head_of(IN_CLIP).to_frame(at)
 
 
+def clip(poses: list[Pose | None]) -> list[Frame]:
+    """A frame for each pose, as of `moving_face`, of a face that does not talk."""
+    grounds = (moving.ground() if pose is None else moving.paste(moving.ground(), pose, 0) for pose in poses)
+    return [moving.frame(i, picture) for i, picture in enumerate(grounds)]
+
+
 class FakeMesh(Mesh):
     """Of frame t it sees the face in `poses[t]`, none where that is None; its noise, in pixels, is the frame's own."""
 
@@ -49,7 +56,7 @@ class FakeMesh(Mesh):
         """(468, 2): the points in frame t."""
         pose = self.poses[t]
         at = layout() @ moving.matrix(pose)[:, :2].T + moving.matrix(pose)[:, 2]
-        at[[NAMES[part] for part in PARTS]] = moving.truth(pose, t % 40)
+        at[[NAMES[part] for part in PARTS]] = moving.truth(pose, 0)
         return at
 
     def measure(self, frame, head, crops=CROPS):
