@@ -61,13 +61,16 @@ def in_frames(recipe: Recipe, fps: float | Fraction) -> Recipe:
 
 
 def files_of(recipe: Recipe) -> list[Path]:
-    """The files that a recipe names: priors, galleries, calibrations. YamlProblems for one that is not there."""
+    """The files that a recipe names: priors, galleries, networks, calibrations. YamlProblems for a missing one."""
     named: dict[str, str] = {}
     for name, one in recipe.filters.items():
         for section, given in one.components.items():
             named |= {f"{above(name)}{section}.{key}": file for key, file in given.files.items()}
         if one.confidence.calibration is not None:
             named[f"{above(name)}confidence.calibration"] = one.confidence.calibration
+        network = None if one.head is None else one.head.landmarks.network
+        if network not in (None, "mesh"):
+            named[f"{above(name)}head.landmarks.network"] = network
     return [find_file(recipe, file, key) for key, file in named.items()]
 
 

@@ -133,9 +133,11 @@ class Calibration(_Stored):
     clips: list[str]
     seeds: int
 
-    def believed(self, parts: Sequence[str], one: Belief) -> Belief:
-        """What the filter knows of these parts, with the spread that their rows have."""
-        return one._replace(cov=one.cov * self.spread.get("box" if BOX in parts else "points", 1.0) ** 2)
+    def believed(self, parts: Sequence[str], one: Belief, *, moves: bool = False) -> Belief:
+        """What the filter knows of these parts, with the spread that their rows have; with `moves`, of motion too."""
+        by = self.spread.get("box" if BOX in parts else "points", 1.0) ** 2
+        motion = one.motion._replace(cov=one.motion.cov * by) if moves else one.motion
+        return one._replace(cov=one.cov * by, motion=motion)
 
     def applied(self, rows: Trajectory, size: float) -> Trajectory:
         """The rows with p as their confidence, for points whose largest distance was `size` pixels at the start.

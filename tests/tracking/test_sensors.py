@@ -10,6 +10,7 @@ from facetrack_cli.tracking.face import sensors
 from facetrack_cli.tracking.face.sensors import (
     BLIND,
     DRIFT,
+    FADES,
     MISLED,
     MOST,
     NETWORK,
@@ -56,15 +57,21 @@ def test_what_a_sensor_has_differently_in_every_frame_becomes_its_bias():
     assert (after.var < 0.2 * first.var).all() and (after.var > DRIFT**2).all()
 
 
-def test_the_bias_is_the_kalman_filter_of_a_drifting_offset():
+@pytest.mark.parametrize("keep", [1.0, FADES])
+def test_the_bias_is_the_kalman_filter_of_an_offset_that_drifts_and_may_fade(keep):
     rng = np.random.default_rng(1)
-    one = begun(PLACES + AWAY, PLACES, 2.5)
+    one = Sensor.begin(PLACES + AWAY, PLACES, 2.5, REGRESSION, keep)
     mean, var, r2 = AWAY.copy(), np.full(3, 2.5**2), np.full(3, 2.5**2)
     np.testing.assert_allclose(one.bias, mean)
     for _ in range(25):
         z = PLACES + AWAY + 1.5 * rng.standard_normal((3, 2))
+        z[rng.random(3) < 0.2] += 40.0
+        said = one.measured(z, VISIBLE)
+        np.testing.assert_allclose(said.z, z - keep * mean)
+        np.testing.assert_allclose(said.var, keep**2 * var + DRIFT**2 + r2)
         for k in range(3):
-            predicted = var[k] + DRIFT**2
+            predicted = keep**2 * var[k] + DRIFT**2
+            mean[k] *= keep
             off = z[k] - mean[k] - PLACES[k]
             if off @ off / 2 >= 9 * (predicted + r2[k] + 0.2):
                 var[k] = predicted
@@ -77,6 +84,14 @@ def test_the_bias_is_the_kalman_filter_of_a_drifting_offset():
     np.testing.assert_allclose(one.bias, mean)
     np.testing.assert_allclose(one.var, var)
     np.testing.assert_allclose(one.noise, r2)
+
+
+def test_a_bias_of_a_start_that_a_sensor_placed_fades_while_nothing_is_measured_and_that_of_a_hand_stays():
+    hand, placed = (Sensor.begin(PLACES + AWAY, PLACES, 2.5, REGRESSION, keep) for keep in (1.0, FADES))
+    for _ in range(60):
+        hand, placed = (one.learned(np.full((3, 2), np.nan), PLACES, EXACT, VISIBLE) for one in (hand, placed))
+    np.testing.assert_array_equal(hand.bias, AWAY)
+    np.testing.assert_allclose(placed.bias, FADES**60 * AWAY)
 
 
 @pytest.mark.parametrize(

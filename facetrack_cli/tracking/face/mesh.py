@@ -58,8 +58,13 @@ class Mesh:
 @lru_cache(maxsize=16)
 def _net(path: Path, thread: int) -> cv2.dnn.Net:
     """The network, loaded once for each thread, since it holds what it computes."""
+    remedy = "get it by facetrack models get mesh, or name face_landmark.tflite"
     try:
-        return cv2.dnn.readNetFromTFLite(str(path))
+        net = cv2.dnn.readNetFromTFLite(str(path))
+        net.setInput(np.zeros((1, 3, CROP, CROP), np.float32))
+        sizes = sorted(one.size for one in net.forward(net.getUnconnectedOutLayersNames()))
     except cv2.error:
-        remedy = "get it by facetrack models get mesh, or name face_landmark.tflite"
         raise InputError(f"{path}: is no network that OpenCV reads; {remedy}") from None
+    if sizes != [1, 3 * COUNT]:
+        raise InputError(f"{path}: is another network than MediaPipe's face mesh; {remedy}")
+    return net

@@ -87,10 +87,10 @@ class MeshPoints(NamedTuple):
         return MeshPoints(rest, off, (1 - gain) * var, moves, trembles, v, moved, np.stack([self.before[1], z]))
 
     def belief(self) -> Belief:
-        """What is known after a frame, for the smoother."""
+        """What is known after a frame, for the smoother; by what the network is off for long does not move."""
         eye = np.broadcast_to(np.eye(2), (len(self.rest), 2, 2))
         motion = Linear(KEEP * eye, (1 - KEEP) * self.moved, ((1 - KEEP**2) * self.moves)[:, None, None] * eye)
-        return Belief(self.at, self.cov, motion, self.visible < 0.5)
+        return Belief(self.at, self.var[:, None, None] * eye, motion, self.visible < 0.5)
 
 
 def led(rest: Array, z: Array, weight: Array) -> Array:

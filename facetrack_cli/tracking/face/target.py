@@ -334,7 +334,11 @@ class FaceTarget:
         if self.calibration is None:
             return tuple(found)
         names = self.features.parts, self.head.parts, self.senses.others
-        return tuple(map(self.calibration.believed, names, found))
+        # what returns to rest is never less known than its motion says
+        return tuple(
+            self.calibration.believed(parts, one, moves=i == 2)
+            for i, (parts, one) in enumerate(zip(names, found, strict=False))
+        )
 
     @cached_property
     def _names(self) -> tuple[tuple[str, str], ...]:

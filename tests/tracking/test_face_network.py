@@ -1,0 +1,222 @@
+"""A face whose points a network places: its rows, what is lost, corrections and smoothing. The network is a fake."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from facetrack_cli.cli.app import cli
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.face_points import POINTS
+from facetrack_cli.core.types import BOX, Correction, TargetStart
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.tracking.build import targets
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.corrected import completed, is_complete, spoken
+from facetrack_cli.tracking.face.mesh import NAMES
+from facetrack_cli.tracking.loop import track
+from facetrack_cli.tracking.smoothed import lagged, smoothed_rows
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.trajectory import successive
+from tests.support import moving_face as moving
+from tests.support.fake_mesh import IN_CLIP, FakeMesh, clip
+from tests.support.moving_face import PARTS, Pose
+from tests.support.samples import FOLDER
+
+FEATURES = tuple(part for part in POINTS if part not in PARTS)
+ALL = tuple(name for name in NAMES if name not in PARTS)
+POSES = [Pose(120 + 1.2 * t, 112 + 6 * np.sin(t / 6), 100 * 1.003**t) for t in range(40)]
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    """A file in place of the network's."""
+    path = tmp_path_factory.mktemp("network") / "a.tflite"
+    path.touch()
+    return path
+
+
+def results_of(file, mesh, poses, points="features", corrections=(), particles=100):
+    """What a tracker gives that was built with `mesh` as the network in the file."""
+    more = [f"head.landmarks.{key}={value}" for key, value in (("network", file), ("points", points))]
+    recipe = load_recipe("face", [*more, f"filter.particles={particles}", "head.detections=null"])
+    start = replace(moving.start(poses[0]), corrections=tuple(corrections))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(targets, "Mesh", lambda path: mesh if path == file else None)
+        return list(track(build_tracker(recipe, start), iter(clip(poses)), 0))
+
+
+def column(results, name, parts):
+    """(T, J) of a column."""
+    names = [part for _, part in results[0].rows.names]
+    return np.stack([getattr(one.rows, name) for one in results])[:, [names.index(part) for part in parts]]
+
+
+def places(results, parts):
+    return np.stack([column(results, name, parts) for name in "xy"], axis=-1)
+
+
+def errors(at, mesh, poses, parts):
+    """(T, J) in distances between the eyes."""
+    index = [NAMES[part] for part in parts]
+    return np.stack(
+        [np.hypot(*(one - mesh.truth(t)[index]).T) / (moving.EYES * poses[t].side) for t, one in enumerate(at)]
+    )
+
+
+@pytest.fixture(scope="module")
+def moved(file):
+    """A face that moves and grows, seen by a network that trembles by a pixel."""
+    mesh = FakeMesh(POSES, noise=1.0)
+    return mesh, results_of(file, mesh, POSES)
+
+
+def test_rows_are_those_of_the_parts_of_the_box_and_of_the_points_of_the_network(moved):
+    mesh, results = moved
+    assert all(tuple(part for _, part in one.rows.names) == (*PARTS, BOX, *FEATURES) for one in results)
+    assert len(FEATURES) == 23
+    assert {*results[0].rows.status[:6]} == {"init"} and {*results[0].rows.status[6:]} == {"tracked"}
+    for one in results:
+        np.testing.assert_array_equal(one.rows.frame, one.frame.index)
+        assert np.isfinite([one.rows.x, one.rows.y, one.rows.std_x, one.rows.std_y, one.rows.confidence]).all()
+        assert np.isfinite(one.rows.w[:6]).all() and np.isnan(one.rows.w[6:]).all(), "they have no windows"
+    for parts in (PARTS, FEATURES):
+        found = errors(places(results, parts), mesh, POSES, parts)
+        assert np.median(found) < 0.06 and (found < 0.35).mean() > 0.99
+    assert (column(results, "status", FEATURES) == "lost").mean() < 0.1
+
+
+def test_of_all_points_there_is_a_row_each(file):
+    mesh = FakeMesh(POSES[:3])
+    results = results_of(file, mesh, POSES[:3], "all")
+    names = [part for _, part in results[2].rows.names]
+    assert len({*names} - {BOX}) == 468 and len(names) == 469 and names[:6] == [*PARTS, BOX]
+    found = errors(places(results, ALL), mesh, POSES, ALL)
+    assert found[0] == pytest.approx(0, abs=1e-6) and found.max() < 0.2
+
+
+def test_before_the_network_has_seen_the_face_its_points_are_lost_and_have_no_place(file):
+    mesh = FakeMesh([None if t < 4 else pose for t, pose in enumerate(POSES[:14])])
+    results = results_of(file, mesh, POSES[:14])
+    assert (column(results[:4], "status", FEATURES) == "lost").all() and np.isnan(places(results[:4], FEATURES)).all()
+    assert (column(results, "status", (*PARTS, BOX)) != "lost").all(), "their windows show them"
+    assert errors(places(results, PARTS), FakeMesh(POSES), POSES, PARTS).max() < 0.35
+    assert (column(results[4:], "status", FEATURES) == "tracked").mean() > 0.9
+    assert np.isfinite(places(results[4:], FEATURES)).all()
+    # a run of which the network never sees the face has rows that can be smoothed
+    never = results_of(file, FakeMesh([None] * 6), POSES[:6])
+    rows = successive([one.rows for one in never])
+    after = smoothed_rows(rows, [one.targets[0].beliefs() for one in never])
+    for one in (rows, after):
+        part = np.array([part for _, part in one.names])[one.which]
+        assert {*one.status[np.isin(part, FEATURES)]} == {"lost"} and np.isnan(one.x[np.isin(part, FEATURES)]).all()
+        assert np.isfinite(one.x[~np.isin(part, FEATURES)]).all()
+
+
+def test_points_of_a_network_are_lost_while_it_sees_no_face_and_with_the_head(file):
+    still, head_gone = [POSES[0]] * 45, slice(34, 45)
+    seen = [None if 10 <= t < 24 else pose for t, pose in enumerate(still)]
+    shown = [pose if t < 28 else None for t, pose in enumerate(still)]
+    results = results_of(file, FakeMesh(seen), shown)
+    gone = column(results, "status", FEATURES) == "lost"
+    assert gone[20:24].all() and gone[:11].mean() < 0.2 and gone[27].mean() < 0.2
+    assert (column(results[:28], "status", (BOX,)) != "lost").all()
+    confidence = column(results, "confidence", FEATURES)
+    assert (confidence[23] < confidence[9]).all()
+    assert gone[head_gone].all() and (column(results[head_gone], "status", (BOX,)) == "lost").all()
+
+
+# --- corrections ------------------------------------------------------------------------------------------------------
+
+
+def test_corrections_speak_of_the_parts_and_not_of_points_of_the_network(moved):
+    _, results = moved
+    rows = results[3].rows
+    parts = [part for _, part in rows.names]
+    assert spoken(parts) == PARTS
+    points = {part: (100.0, 90.0 + i) for i, part in enumerate(PARTS)}
+    assert is_complete(Correction(3, "face", TargetStart(points=points)), parts)
+    assert is_complete(Correction(3, "face", absent=PARTS), parts)
+    one = completed(Correction(3, "face", TargetStart(points={"nose": (100.0, 90.0)})), rows)
+    assert {*one.kept} == {*PARTS} - {"nose"} and one.absent == ()
+
+
+def test_a_correction_puts_parts_and_points_of_the_network_right_and_all_may_be_absent(file):
+    poses = [POSES[0]] * 5 + [Pose(200, 120)] * 10
+    mesh = FakeMesh(poses)
+    given = dict(zip(PARTS, map(tuple, moving.truth(poses[5], 0).tolist()), strict=True))
+    for learn in (None, False, True):
+        one = Correction(5, "face", TargetStart(points=given), learn=learn)
+        gone = Correction(11, "face", absent=PARTS)
+        results = results_of(file, mesh, poses, corrections=(one, gone))
+        rows = results[5].rows
+        assert rows.by_hand.tolist() == [True] * 5 + [False] * 24
+        assert {*rows.status[:5]} == {"init"} and {*rows.status[6:]} <= {"tracked", "lost"}
+        found = errors(places(results[:11], (*PARTS, *FEATURES)), mesh, poses, (*PARTS, *FEATURES))
+        assert found[5].max() < 0.1 and (found[5:] < 0.35).mean() > 0.97
+        assert {*results[12].rows.status} == {"absent"} and np.isnan(results[12].rows.x).all()
+
+
+def test_a_correction_of_a_point_of_the_network_is_refused(file):
+    one = Correction(2, "face", TargetStart(points={"chin": (100.0, 90.0)}))
+    with pytest.raises(InputError, match=r"has chin, which is no part that is followed; these are nose, .*lower:"):
+        results_of(file, FakeMesh(POSES[:3]), POSES[:3], corrections=(one,))
+
+
+# --- smoothing --------------------------------------------------------------------------------------------------------
+
+
+def jitter(at):
+    return np.median(np.abs(at[2:] - 2 * at[1:-1] + at[:-2]))
+
+
+@pytest.mark.parametrize("motion", ["recipe", "fitted"])
+def test_smoothed_points_of_parts_and_network_are_nearer_and_quieter(moved, motion):
+    mesh, results = moved
+    rows = successive([one.rows for one in results])
+    beliefs = [one.targets[0].beliefs() for one in results]
+    assert [len(one.mean) for one in beliefs[0]] == [5, 1, 23]
+    after = smoothed_rows(rows, beliefs, motion)
+    assert after.names == rows.names
+    for name in ("status", "confidence", "frame"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(rows, name))
+    smooth = [after.at(one.frame.index) for one in results]
+    index = {part: i for i, (_, part) in enumerate(rows.names)}
+    # a motion that is fitted to a few frames is that of the head
+    for parts, quieter in ((FEATURES, 0.8), *([(PARTS, 0.95)] if motion == "recipe" else [])):
+        which = [index[part] for part in parts]
+        at = np.stack([np.stack([one.x, one.y], axis=1)[which] for one in smooth])
+        before = places(results, parts)
+        assert jitter(at) < quieter * jitter(before)
+        shown = column(results, "status", parts) != "lost"
+        off = errors(at, mesh, POSES, parts)
+        assert off[shown].mean() < errors(before, mesh, POSES, parts)[shown].mean()
+    box = np.stack([[one.x[5], one.y[5], one.w[5]] for one in smooth])
+    assert np.isfinite(box).all() and np.abs(box[:, 0] - [pose.x for pose in POSES]).max() < 8
+
+
+def test_a_lag_smooths_points_of_the_network_too(moved):
+    mesh, results = moved
+    after = list(lagged(iter(results), 8))
+    assert [one.rows.names for one in after] == [one.rows.names for one in results]
+    before, at = (places(each, FEATURES) for each in (results, after))
+    assert jitter(at) < jitter(before)
+    assert errors(at, mesh, POSES, FEATURES).mean() < errors(before, mesh, POSES, FEATURES).mean()
+
+
+def test_a_run_of_a_clip_that_is_smoothed(file, tmp_path, monkeypatch):
+    monkeypatch.setattr(targets, "Mesh", lambda path: FakeMesh([IN_CLIP] * 14, noise=0.6))
+    found = {}
+    for more in ((), ("--smooth",)):
+        out = tmp_path / f"run{len(more)}"
+        sets = ("--set", f"head.landmarks.network={file}", "--set", "filter.particles=100", "--stop", "14")
+        given = ("run", FOLDER / "expressions.mp4", "--config", "face", *sets, "--no-video", "-q", *more, "-o", out)
+        result = CliRunner().invoke(cli, [str(word) for word in given])
+        assert result.exit_code == 0, result.output
+        assert json.loads((out / "run.json").read_text())["networks"] == [str(file)]
+        found[more] = read_trajectory(out / "trajectory.csv")
+        assert [part for _, part in found[more].names] == [*PARTS, BOX, *FEATURES]
+    ahead, smooth = (np.stack([[one.x, one.y] for one in rows.parts[6:]]).T for rows in found.values())
+    assert smooth.shape == (14, 2, 23) and jitter(smooth) < 0.8 * jitter(ahead)

@@ -1,0 +1,157 @@
+"""The landmark network, where its file can be had, and what senses the points of a still face, with it and without."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.face_points import MESH, POINTS
+from facetrack_cli.tracking.face.descent import load_descent, seen_in
+from facetrack_cli.tracking.face.mesh import COUNT, CROPS, NAMES, Mesh
+from facetrack_cli.tracking.face.senses import Senses
+from facetrack_cli.tracking.face.sensors import FADES, NETWORK, REGRESSION
+from facetrack_cli.tracking.face.still import EYES
+from facetrack_cli.tracking.start.detectors import Found
+from tests.support import moving_face as moving
+from tests.support.fake_mesh import IN_CLIP, FakeMesh, head_of
+from tests.support.moving_face import PARTS, Pose
+
+CORE = [NAMES[part] for part in PARTS]
+POSES = [IN_CLIP, Pose(120, 110, 60), Pose(180, 125, 130, 12), Pose(160, 120, 90, -20)]
+
+
+def off(a, b):
+    """Distances, in those between the eyes of the still face."""
+    return np.hypot(*(a - b).T) / EYES
+
+
+# --- the network ----------------------------------------------------------------------------------------------------
+
+
+def test_each_point_of_the_mesh_has_one_name():
+    assert sorted(NAMES.values()) == list(range(COUNT))
+    assert {part: NAMES[part] for part in POINTS} == MESH
+    assert all(name in POINTS or name == f"mesh_{i}" for name, i in NAMES.items())
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_the_network_places_the_points_where_they_are(mesh_model, pose):
+    """Wherever the face is in the frame, however large and turned, it is seen in its head."""
+    [frame] = moving.clip([pose])
+    head = head_of(pose)
+    found = Mesh(mesh_model).measure(frame, head)
+    assert found.shape == (len(CROPS), COUNT, 2)
+    at = found.mean(axis=0)
+    true = head.to_still(moving.truth(pose, 0))
+    assert off(at[CORE], true).max() < 0.12
+    assert off(at[CORE], load_descent().fit(head.read(frame).bgr).at).max() < 0.2, "and where the regression has them"
+    # brows above eyes above nose, and the left of the image at the left
+    brow, eye, chin = (at[MESH[part]] for part in ("brow_left_middle", "eye_left_upper", "chin"))
+    assert brow[1] < eye[1] < at[MESH["nose"], 1] < chin[1] and eye[0] < chin[0] < at[MESH["eye_right_upper"], 0]
+    assert np.median(off(*found)) < 0.06, "both crops say nearly the same"
+    # the same face in another head: turned, smaller and beside it
+    other = head._replace(centre=head.centre + 3, scale=0.93 * head.scale, angle=head.angle + 0.15)
+    again = other.to_frame(Mesh(mesh_model).measure(frame, other).mean(axis=0))
+    assert np.median(off(head.to_still(again), at)) < 0.06
+
+
+def test_the_network_sees_no_face_where_there_is_none_and_one_in_each_thread(mesh_model):
+    mesh, head = Mesh(mesh_model), head_of(IN_CLIP)
+    assert mesh.measure(moving.frame(0, moving.ground()), head) is None
+    frames = moving.clip([IN_CLIP] * 8)
+    alone = [mesh.measure(frame, head) for frame in frames]
+    assert not np.allclose(alone[0], alone[7])
+    with ThreadPoolExecutor(2) as pool:
+        for one, other in zip(alone, pool.map(lambda frame: mesh.measure(frame, head), frames), strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("content", [b"", b"no network\n", b"\x1c\0\0\0TFL3" + bytes(2000)])
+def test_a_file_that_is_no_network_is_refused_in_a_line(tmp_path, content, capfd):
+    path = tmp_path / "a.tflite"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"a\.tflite: is no network that OpenCV reads; get it by facetrack") as error:
+        Mesh(path)
+    assert "\n" not in str(error.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_another_network_is_refused_before_anything_is_tracked(tmp_path, monkeypatch):
+    class Iris:
+        def setInput(self, blob):  # noqa: N802
+            assert blob.shape == (1, 3, 192, 192)
+
+        def getUnconnectedOutLayersNames(self):  # noqa: N802
+            return ("contours", "iris")
+
+        def forward(self, names):
+            return [np.zeros((1, 213)), np.zeros((1, 15))]
+
+    monkeypatch.setattr("cv2.dnn.readNetFromTFLite", lambda path: Iris())
+    with pytest.raises(InputError, match=r"iris\.tflite: is another network than MediaPipe's face mesh; get it by"):
+        Mesh(tmp_path / "iris.tflite")
+
+
+# --- what senses the points -----------------------------------------------------------------------------------------
+
+
+def sensed(senses, pose=IN_CLIP):
+    [frame] = moving.clip([pose])
+    head = head_of(pose)
+    seen = head.read(frame)
+    return senses.sensed(frame, head, seen), seen.bgr
+
+
+def senses_of(parts, mesh=None, others=(), searched=False):
+    return Senses(parts, None, searched, mesh, others)
+
+
+def test_without_a_network_the_regression_places_its_parts_and_of_others_nothing_is_known():
+    (parts, others), seen = sensed(senses_of(("lip_lower", "ear_left", "nose", "chin")))
+    expected, order = load_descent().fit(seen), [PARTS.index("lip_lower"), 0]
+    np.testing.assert_array_equal(parts.at[[0, 2]], expected.at[order])
+    np.testing.assert_array_equal(parts.odds[[0, 2]], expected.odds[order])
+    assert np.isnan(parts.at[[1, 3]]).all() and (parts.odds[[1, 3]] == 0).all()
+    assert others is None
+
+
+def test_with_a_network_parts_are_where_it_says_and_as_visible_as_the_image_there_says():
+    mesh, names = FakeMesh([IN_CLIP], noise=0.4), tuple(name for name in NAMES if name not in PARTS)
+    (parts, others), seen = sensed(senses_of((*PARTS, "ear_left"), mesh, names))
+    [frame] = moving.clip([IN_CLIP])
+    at = mesh.measure(frame, head_of(IN_CLIP)).mean(axis=0)
+    np.testing.assert_allclose(parts.at[:5], at[CORE])
+    assert np.isnan(parts.at[5]).all() and parts.odds[5] == 0
+    np.testing.assert_allclose(others.at, at[[NAMES[name] for name in names]])
+    # of each point of which something is known, the odds at its place; of all others those of the nearest
+    descent = load_descent()
+    core = at[[NAMES[point] for point in descent.points]]
+    odds = descent.visible(seen_in(seen), core)
+    np.testing.assert_array_equal(parts.odds[:5], odds[:5])
+    assert len(set(others.odds.tolist())) > 20
+    for place, said in zip(others.at, others.odds, strict=True):
+        assert said == odds[min(range(len(core)), key=lambda j: np.hypot(*(core[j] - place)))]
+
+
+def test_a_network_that_sees_no_face_places_nothing_and_the_regression_says_what_is_visible():
+    (parts, others), seen = sensed(senses_of(PARTS, FakeMesh([None]), ("chin",)))
+    assert np.isnan(parts.at).all() and others is None
+    np.testing.assert_array_equal(parts.odds, load_descent().fit(seen).odds)
+    sensor = senses_of(PARTS, FakeMesh([None])).sensor(sensed(senses_of(PARTS, FakeMesh([None])))[0], np.zeros((5, 2)))
+    assert (sensor.bias == 0).all() and (sensor.measured(parts.at, np.ones(5)).sure == 0).all()
+
+
+@pytest.mark.parametrize("searched", [False, True])
+def test_the_bias_of_sensors_fades_where_the_points_of_the_start_were_searched(searched):
+    x0 = head_of(IN_CLIP).to_still(moving.truth(IN_CLIP, 0)) + 1.5
+    for mesh, least in ((None, REGRESSION), (FakeMesh([IN_CLIP]), NETWORK)):
+        senses = senses_of(PARTS, mesh, searched=searched)
+        found, _ = sensed(senses)
+        first = senses.sensor(found, x0)
+        assert (first.keep, first.least) == (FADES if searched else 1.0, least)
+        np.testing.assert_allclose(first.bias, found.parts.at - x0)
+    seen = Found((0, 0, 9, 9), None, {"nose": tuple(x0[0] + 2.0)})
+    second = senses.second(seen, x0)
+    np.testing.assert_allclose(second.bias, [[2, 2], *4 * [[0, 0]]])
+    assert second.keep == first.keep
