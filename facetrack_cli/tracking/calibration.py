@@ -142,7 +142,8 @@ class Calibration(_Stored):
     def applied(self, rows: Trajectory, size: float) -> Trajectory:
         """The rows with p as their confidence, for points whose largest distance was `size` pixels at the start.
 
-        What was given to the tracker (status init) keeps its own; p is unknown where confidence is, or there is no map.
+        What was given to the tracker (status init), and what has no particles, keeps its own; p is unknown where
+        confidence is, or there is no map.
         """
         boxes, p, by = boxes_of(rows), np.full(len(rows), np.nan), np.ones(len(rows))
         known = features(rows, boxes, size)
@@ -150,7 +151,7 @@ class Calibration(_Stored):
             mine = boxes if kind == "box" else ~boxes
             if mine.any():
                 p, by = np.where(mine, of(known), p), np.where(mine, self.spread[kind], by)
-        given = (rows.status == "init") | np.isnan(rows.confidence)
+        given = (rows.status == "init") | np.isnan(rows.confidence) | np.isnan(rows.ess)
         spread = {name: getattr(rows, name) * (by**2 if name == "cov_xy" else by) for name in SPREAD}
         return replace(rows, confidence=np.where(given, rows.confidence, p), **spread)
 
