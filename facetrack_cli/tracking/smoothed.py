@@ -80,7 +80,7 @@ class _Target:
         self, rows: Trajectory, beliefs: Beliefs, carried: Sequence[Belief] = (), *, lag: bool = False
     ) -> None:
         """`carried` are the beliefs of the first frame in place of its own, where those before it were lost."""
-        self.all, k, t, self.lagged = rows, len(rows.names), len(beliefs), bool(lag)
+        self.all, k, t, self.lag = rows, len(rows.names), len(beliefs), lag
         table = {name: getattr(rows, name).reshape(k, t).T for name in (*_SMOOTHED, "status", "by_hand")}
         self.of = table
         self.gone: Mask = np.isnan(table["x"])
@@ -163,7 +163,7 @@ class _Target:
         now = np.einsum("tde,tke->tkd", new, still - MIDDLE) + moved[:, None]
         # what the rows have beside the filter's mean and covariance is kept
         at = np.stack([self.of["x"][:, those], self.of["y"][:, those]], axis=-1) + now - was
-        if not self.lagged:
+        if not self.lag:
             # in the frame, where what the head's filter and the points' correct of each other is no jitter
             at = smoothing.steadied(at, ~points.unseen & ~self.gone[:, those])
         seen = self._cov(those) + _mapped(new, cov) - _mapped(old, points.cov)
@@ -218,11 +218,10 @@ def _side_by_side(chains: Sequence[Chain]) -> Chain:
     if len(chains) == 1:
         return chains[0]
     motion = Linear(*(np.concatenate(each, axis=1) for each in zip(*(one.motion for one in chains), strict=True)))
-    joined = (
-        np.concatenate([getattr(one, name) for one in chains], axis=1) for name in Chain._fields if name != "motion"
+    others = [name for name in Chain._fields if name != "motion"]
+    return Chain(
+        motion=motion, **{name: np.concatenate([getattr(one, name) for one in chains], axis=1) for name in others}
     )
-    mean, cov, *others = joined
-    return Chain(mean, cov, motion, *others)
 
 
 def _mapped(matrix: Array, cov: Array) -> Array:
@@ -242,6 +241,4 @@ def _smoothed(one: Chain, motion: MotionName) -> _Moments:
     Errors of a filter last from frame to frame, and do not become as small as those of a quiet motion would.
     """
     mean, cov = smoothing.smoothed(one)
-    if motion == "recipe":
-        return mean, cov
-    return smoothing.smoothed(smoothing.fitted(one)[0])[0], cov
+    return (mean, cov) if motion == "recipe" else (smoothing.smoothed(smoothing.fitted(one)[0])[0], cov)

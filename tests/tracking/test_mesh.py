@@ -103,6 +103,12 @@ def sensed(senses, pose=IN_CLIP):
     return senses.sensed(frame, head, seen), seen.bgr
 
 
+def begun(senses, x0, found=None):
+    [frame] = moving.clip([IN_CLIP])
+    head = head_of(IN_CLIP)
+    return senses.begin(frame, head, head.read(frame), found, x0)
+
+
 def senses_of(parts, mesh=None, others=(), searched=False):
     return Senses(parts, None, searched, mesh, others)
 
@@ -138,7 +144,8 @@ def test_a_network_that_sees_no_face_places_nothing_and_the_regression_says_what
     (parts, others), seen = sensed(senses_of(PARTS, FakeMesh([None]), ("chin",)))
     assert np.isnan(parts.at).all() and others is None
     np.testing.assert_array_equal(parts.odds, load_descent().fit(seen).odds)
-    sensor = senses_of(PARTS, FakeMesh([None])).sensor(sensed(senses_of(PARTS, FakeMesh([None])))[0], np.zeros((5, 2)))
+    sensor, _, points = begun(senses_of(PARTS, FakeMesh([None]), ("chin",)), np.zeros((5, 2)))
+    assert points is None
     assert (sensor.bias == 0).all() and (sensor.measured(parts.at, np.ones(5)).sure == 0).all()
 
 
@@ -148,10 +155,9 @@ def test_the_bias_of_sensors_fades_where_the_points_of_the_start_were_searched(s
     for mesh, least in ((None, REGRESSION), (FakeMesh([IN_CLIP]), NETWORK)):
         senses = senses_of(PARTS, mesh, searched=searched)
         found, _ = sensed(senses)
-        first = senses.sensor(found, x0)
+        seen = Found((0, 0, 9, 9), None, {"nose": tuple(x0[0] + 2.0)})
+        first, second, _ = begun(senses, x0, seen)
         assert (first.keep, first.least) == (FADES if searched else 1.0, least)
         np.testing.assert_allclose(first.bias, found.parts.at - x0)
-    seen = Found((0, 0, 9, 9), None, {"nose": tuple(x0[0] + 2.0)})
-    second = senses.second(seen, x0)
-    np.testing.assert_allclose(second.bias, [[2, 2], *4 * [[0, 0]]])
-    assert second.keep == first.keep
+        np.testing.assert_allclose(second.bias, [[2, 2], *4 * [[0, 0]]])
+        assert second.keep == first.keep

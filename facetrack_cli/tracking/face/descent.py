@@ -110,10 +110,14 @@ class Descent(NamedTuple):
         KIND.write(path, {"points": np.array(self.points), **numbers})
 
 
-@lru_cache(maxsize=8)
 def load_descent(path: Path | None = None) -> Descent:
     """The descent in a file that `save` wrote, by default the shipped one. Raises InputError for anything else."""
-    return KIND.read(shipped_folder() / DEFAULT if path is None else path, _made)
+    return _load(shipped_folder() / DEFAULT if path is None else path)
+
+
+@lru_cache(maxsize=8)
+def _load(path: Path) -> Descent:
+    return KIND.read(path, _made)
 
 
 def _made(stored: Stored) -> Descent:
@@ -149,21 +153,26 @@ def read(seen: NDArray[np.float32], x: Array, scale: float) -> NDArray[np.float3
 
 def channels(image: Image) -> NDArray[np.float32]:
     """The channels (H, W, DIRECTIONS + 3) of an image (H, W, 3)."""
-    bgr = cv2.blur(image, (3, 3)).astype(np.float32)
-    grey = np.log(bgr @ np.array([0.114, 0.587, 0.299], np.float32) + 16)
-    red = np.log((bgr[..., 2] + 8) / (bgr[..., 1] + 8))
+    grey, red = looks(np.asarray(cv2.blur(image, (3, 3)), np.uint8))
     across, down = cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)
     size = np.sqrt(across**2 + down**2)
     along = np.maximum(across[..., None] * _COS + down[..., None] * _SIN, 0)
     along *= along / (size * (_rms(size, 27) + 0.02) + 1e-6)[..., None]
-    slope = cv2.Sobel(red, cv2.CV_32F, 0, 1)
+    slope = np.asarray(cv2.Sobel(red, cv2.CV_32F, 0, 1), np.float32)
     slope = slope / (_rms(slope, 27) + 0.05)
     found = np.dstack([along, _relative(red), _relative(grey), slope])
     return _mean(_mean(found, 5), 5)
 
 
+def looks(image: Image) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """log(grey + 16), and the redness log((red + 8) / (green + 8)), (H, W) each, of an image (H, W, 3)."""
+    bgr = image.astype(np.float32)
+    grey = bgr @ np.array([0.114, 0.587, 0.299], np.float32)
+    return np.log(grey + 16), np.log((bgr[..., 2] + 8) / (bgr[..., 1] + 8))
+
+
 def _mean(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
-    """The means of squares around each pixel."""
+    """The means around each pixel, in squares of `side` pixels."""
     return np.asarray(cv2.blur(values, (side, side)), np.float32)
 
 

@@ -13,6 +13,7 @@ from facetrack_cli.core.types import Array, Frame, Point
 from facetrack_cli.tracking.face import still
 from facetrack_cli.tracking.face.descent import Placed, load_descent, seen_in
 from facetrack_cli.tracking.face.mesh import NAMES, Mesh
+from facetrack_cli.tracking.face.mesh_points import MeshPoints
 from facetrack_cli.tracking.face.sensors import DETECTOR, FADES, NETWORK, REGRESSION, Sensor
 from facetrack_cli.tracking.face.still import Similarity
 from facetrack_cli.tracking.start.detectors import Detector, Found
@@ -23,6 +24,14 @@ class Sensed(NamedTuple):
 
     parts: Placed
     others: Placed | None
+
+
+class Begun(NamedTuple):
+    """What is known of the sensor and, `second`, of the detector; the network's points, if it has seen the face."""
+
+    sensor: Sensor
+    second: Sensor
+    others: MeshPoints | None
 
 
 @dataclass(frozen=True)
@@ -46,18 +55,13 @@ class Senses:
         """The places (K, 2) of the parts; nan of those that are not there."""
         return np.array([points.get(part, (math.nan, math.nan)) for part in self.parts])
 
-    def second(self, found: Found | None, x0: Array) -> Sensor:
-        """What is known of the detector in a frame whose parts are at x0 (K, 2)."""
-        return Sensor.begin(self.named({} if found is None else found.points), x0, DETECTOR, DETECTOR, self._keep)
-
-    @property
-    def _keep(self) -> float:
-        return FADES if self.searched else 1.0
-
-    def sensor(self, sensed: Sensed, x0: Array) -> Sensor:
-        """What is known of the sensor in a frame whose parts are at x0 (K, 2)."""
-        least = REGRESSION if self.mesh is None else NETWORK
-        return Sensor.begin(sensed.parts.at, x0, float(load_descent().std.mean()), least, self._keep)
+    def begin(self, frame: Frame, similarity: Similarity, seen: Frame, found: Found | None, x0: Array) -> Begun:
+        """What is known in a frame whose parts are at x0 (K, 2), where the detector has found the face, or not."""
+        parts, others = self.sensed(frame, similarity, seen)
+        least, keep = REGRESSION if self.mesh is None else NETWORK, FADES if self.searched else 1.0
+        sensor = Sensor.begin(parts.at, x0, float(load_descent().std.mean()), least, keep)
+        second = Sensor.begin(self.named({} if found is None else found.points), x0, DETECTOR, DETECTOR, keep)
+        return Begun(sensor, second, None if others is None else MeshPoints.begin(others.at))
 
     def sensed(self, frame: Frame, similarity: Similarity, seen: Frame, around: Sequence[Array] = ()) -> Sensed:
         """What sensors say of the points in the still face `seen`; nan, and 0, of parts that none of them knows.

@@ -23,8 +23,8 @@ from facetrack_cli.tracking.models.motion import Measured
 
 DRIFT: Final = 0.001 * EYES  # standard deviation of b in a frame, pixels
 REGRESSION, NETWORK, DETECTOR = 0.05 * EYES, 0.01 * EYES, 0.05 * EYES  # the least r of a sensor
-FADES: Final = 0.98  # k of a start that a sensor has placed
 MOST: Final = 0.1 * EYES  # and the greatest
+FADES: Final = 0.98  # k of a start that a sensor has placed
 MISLED: Final = 0.1 * EYES  # r in a face of which a part is hidden: a sensor places all parts together
 LEARNS: Final = 0.02  # share of a measurement in r^2
 SLIP: Final = 0.1 * EYES  # standard deviation of what a head moves in a frame and its box does not
@@ -66,7 +66,7 @@ class Sensor(NamedTuple):
         off = z - before - state
         squared = 0.5 * np.sum(off**2, axis=1)
         total = var + self.noise + spread
-        use = np.where(np.isfinite(squared) & (squared < 9 * total), visible * visible.min(), 0.0)
+        use = np.where(np.isfinite(squared) & (squared < FAR * total), visible * visible.min(), 0.0)
         gain = use * var / total
         noise = self.noise + LEARNS * use * (np.nan_to_num(squared) - self.noise)
         bias = before + gain[:, None] * np.nan_to_num(off)

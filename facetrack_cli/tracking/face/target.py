@@ -36,6 +36,8 @@ from facetrack_cli.tracking.face.senses import Senses
 from facetrack_cli.tracking.face.sensors import Facing, Sensor, common_shift, joined
 from facetrack_cli.tracking.face.still import EYES, FACE, Similarity
 from facetrack_cli.tracking.loop import Cover
+from facetrack_cli.tracking.models.likelihoods import window_ncc
+from facetrack_cli.tracking.models.motion import JumpingWalk
 from facetrack_cli.tracking.roles import Names
 from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.tracking.start.detectors import TILT, Found
@@ -105,13 +107,10 @@ class FaceTarget:
         similarity = self._map(head, np.zeros(4))
         seen = similarity.read(frame)
         features, points = self.features.begin(rng, seen)
-        sensed = self.senses.sensed(frame, similarity, seen)
-        sensor = self.senses.sensor(sensed, self.features.x0)
-        others = None if sensed.others is None else MeshPoints.begin(sensed.others.at)
         facing, found = Facing(), self.senses.detected(seen)
+        sensor, second, others = self.senses.begin(frame, similarity, seen, found, self.features.x0)
         if self.senses.detector is not None and not self.senses.searched and found is None:
             facing = facing.unseen()
-        second = self.senses.second(found, self.features.x0)
         marks, rest = self._marks(head, np.zeros(4), frame), np.zeros(4)
         state = FaceState(
             head, features, points._replace(beliefs=None), sensor, second, facing, rest, rest, marks, others
@@ -142,10 +141,8 @@ class FaceTarget:
         moved = {part: tuple(similarity.to_still(place).tolist()) for part, place in placed.items()}
         seen, there = similarity.read(frame), TargetStart(points=moved)
         features, rows = self.features.restart(rng, seen, first.features, there, absent, anew)
-        sensed = self.senses.sensed(frame, similarity, seen)
-        sensor = self.senses.sensor(sensed, features.estimated.state)
-        others = None if sensed.others is None else MeshPoints.begin(sensed.others.at)
-        second = self.senses.second(self.senses.detected(seen), features.estimated.state)
+        found, at = self.senses.detected(seen), features.estimated.state
+        sensor, second, others = self.senses.begin(frame, similarity, seen, found, at)
         points = rows._replace(beliefs=None)
         state = FaceState(head, features, points, sensor, second, Facing(), pose, np.zeros(4), first.marks, others)
         return state, self._result(state, boxed, frame)
@@ -170,13 +167,15 @@ class FaceTarget:
         if told.any():
             around.append((before_at + (z2 - before_at)[told].mean(axis=0)).mean(axis=0))
         ((z, odds), far) = self.senses.sensed(frame, similarity, seen, around)
-        features = replace(state.features, learned=state.features.learned._replace(told=odds))
-        measured = state.sensor.measured(z, visible)
+        features, measured = state.features, state.sensor.measured(z, visible)
+        if isinstance(features.learned, window_ncc.Learned):
+            features = replace(features, learned=features.learned._replace(told=odds))
         if found is not None:
             measured = joined(measured, state.second.measured(z2, visible))
         shift = common_shift(measured, before_at)
         features = _shifted(features, lambda x: x + shift)
-        features, points = self.features.advance(rng, features, seen, (), measured)
+        given = measured if isinstance(self.features.motion, JumpingWalk) else None  # others have the shift alone
+        features, points = self.features.advance(rng, features, seen, (), given)
         estimated, visible = features.estimated, self._visible(features)
         sensor = state.sensor.learned(z, estimated.state, estimated.cov, visible)
         second = state.second.learned(z2, estimated.state, estimated.cov, visible)
@@ -198,7 +197,8 @@ class FaceTarget:
 
     def _visible(self, features: State) -> Array:
         """(K,) how visible the parts are, where their likelihood says so."""
-        return np.asarray(getattr(features.learned, "visible", np.ones(len(self.features.parts))))
+        known = isinstance(features.learned, window_ncc.Learned)
+        return np.asarray(features.learned.visible if known else np.ones(len(self.features.parts)))
 
     def _map(self, head: State, pose: Array) -> Similarity:
         x, y, scale = head.estimated.state[0, :3].tolist()
@@ -326,19 +326,15 @@ class FaceTarget:
 
     def beliefs(self, state: FaceState) -> tuple[Belief, ...]:
         """What is known of the points in the still face, of the head, and of the network's points."""
-        found = [*self.features.beliefs(state.features), *self.head.beliefs(state.head)]
-        if self.senses.others:
-            j = len(self.senses.others)
-            unseen = MeshPoints.begin(np.full((j, 2), still.MIDDLE))._replace(visible=np.zeros(j))
-            found.append((state.others or unseen).belief())
-        if self.calibration is None:
-            return tuple(found)
-        names = self.features.parts, self.head.parts, self.senses.others
-        # what returns to rest is never less known than its motion says
-        return tuple(
-            self.calibration.believed(parts, one, moves=i == 2)
-            for i, (parts, one) in enumerate(zip(names, found, strict=False))
-        )
+        found, names = [*self.features.beliefs(state.features), *self.head.beliefs(state.head)], self.senses.others
+        if self.calibration is not None:
+            found = list(map(self.calibration.believed, (self.features.parts, self.head.parts), found))
+        if names:
+            unseen = MeshPoints.begin(np.full((len(names), 2), still.MIDDLE))._replace(visible=np.zeros(len(names)))
+            others = (state.others or unseen).belief()
+            # what returns to rest is never less known than its motion says
+            found.append(others if self.calibration is None else self.calibration.believed(names, others, moves=True))
+        return tuple(found)
 
     @cached_property
     def _names(self) -> tuple[tuple[str, str], ...]:

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame, Mask, Particles
 from facetrack_cli.recipe import face
+from facetrack_cli.tracking.face.descent import looks
 from facetrack_cli.tracking.models.spaces import Context
 
 Channels = NDArray[np.float32]  # (H, W, 2)
@@ -41,7 +42,6 @@ NEW_BELOW: Final = 0.7  # correlation with all templates below which a visible p
 SURE: Final = 0.06  # standard deviation of a part, in reaches, up to which a new template is learned
 HIDDEN, SOFT = 0.45, 0.1
 BY_WINDOW, BY_TOLD = (-1.0, 6.0), (-4.0, 4.0)  # bounds of the terms of the evidence: looks change
-
 YOUNG: Final = 10  # frames
 UNLIKE: Final = 2.0  # below what a sensor usually says of a part, which then may be half covered
 HIDE, SHOW = 0.01, 0.1  # probabilities a frame
@@ -218,9 +218,8 @@ def _read(frame: Frame, centre: Array, w: int, h: int) -> Channels:
 
 def channels(image: NDArray[np.uint8]) -> Channels:
     """log(grey + 16) and 2 log((red + 8) / (green + 8)) of an image (H, W, 3)."""
-    bgr = image.astype(np.float32)
-    grey = bgr @ np.array([0.114, 0.587, 0.299], np.float32)
-    return np.stack([np.log(grey + 16), 2 * np.log((bgr[..., 2] + 8) / (bgr[..., 1] + 8))], axis=2)
+    grey, red = looks(image)
+    return np.stack([grey, 2 * red], axis=2)
 
 
 def _like(templates: Sequence[Channels], window: Channels) -> list[float]:
