@@ -20,7 +20,6 @@ eyes). `--regressions` is a folder of regressions that have not seen a person: w
 from __future__ import annotations
 
 import argparse
-import csv
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from itertools import product
@@ -29,12 +28,13 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from boxes import clip_in
+from reference import MESH, points_in, take_regression
 
 from facetrack_cli.core.types import Array
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.runs.seeds import variant
-from facetrack_cli.tracking.face import descent
 
 PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 VARIES, RIGHT, ELLIPSE = 0.03, 0.35, 4.605  # the last: chi squared of two degrees of freedom, 90 %
@@ -53,9 +53,7 @@ class Scores(NamedTuple):
 
 def reference(path: Path) -> tuple[list[int], Array, Array]:
     """The frames, places (T, K, 2) and units (T,) of a mesh.csv, of frames with all parts."""
-    found: dict[int, dict[str, tuple[float, float, float]]] = {}
-    for row in csv.DictReader(path.open(encoding="utf-8")):
-        found.setdefault(int(row["frame"]), {})[row["part"]] = float(row["x"]), float(row["y"]), float(row["unit"])
+    found = points_in(path)
     frames = sorted(frame for frame, known in found.items() if known.keys() >= {*PARTS})
     table = np.array([[found[frame][part] for part in PARTS] for frame in frames])
     return frames, table[..., :2], table[:, 0, 2]
@@ -63,13 +61,10 @@ def reference(path: Path) -> tuple[list[int], Array, Array]:
 
 def score(clip: Path, config: str, seed: int, regressions: Path | None) -> Scores:
     cv2.setNumThreads(1)
-    if regressions is not None:
-        descent.DEFAULT = str((regressions / f"without_{clip.name}.npz").resolve())
-        descent.load_descent.cache_clear()
+    take_regression(regressions, clip.name)
     name, overrides = variant(config)
-    [video] = [path for path in clip.iterdir() if path.suffix in (".mp4", ".webm", ".mkv")]
-    ours = track_video(video, load_recipe(name, overrides), seed=seed)
-    frames, true, unit = reference(clip / "mesh.csv")
+    ours = track_video(clip_in(clip), load_recipe(name, overrides), seed=seed)
+    frames, true, unit = reference(clip / MESH)
     parts = [ours.find("face", part) for part in PARTS]
     rows = [[None if one is None else one.row(frame) for one in parts] for frame in frames]
     kept = [t for t, each in enumerate(rows) if None not in each]

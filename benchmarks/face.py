@@ -22,15 +22,14 @@ Of the latter, in terms of the mouth's width in the first frame:
     partly             mean error of hidden points of a face that is not hidden as a whole: its box is visible
     recall, false      of hidden points, those called lost; of visible ones within .2, those called lost
 
-A recipe's settings are given as for `facetrack compare`. `--regression` is one that has not seen the clips, by
-`tools/mouth_descent.py --without`. The first figure is the mean over clips, with the standard
-deviation over seeds; shares of points are of those of all clips and seeds together.
+A recipe's settings are given as for `facetrack compare`. `--regressions` is a folder of regressions that have
+not seen a clip NAME, without_NAME.npz (tools/mouth_descent.py). The first figure is the mean over clips, with the
+standard deviation over seeds; shares of points are of those of all clips and seeds together.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -40,6 +39,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from boxes import clip_in
+from reference import points_in, take_regression
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Array, Mask, Start, TargetStart
@@ -49,7 +49,6 @@ from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.runs.seeds import variant
 from facetrack_cli.runs.start import Begin
-from facetrack_cli.tracking.face import descent
 from facetrack_cli.tracking.start import read_init
 from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.trajectory.formats.read import read_truth
@@ -85,8 +84,9 @@ def start_of(clip: Path, recipe: Recipe, by: DetectorName | None, how: str) -> S
     return found if how == "found" else replace(found, origin="a file", detector=found.origin)
 
 
-def run(clip: Path, config: str, init: DetectorName | None, how: str, seed: int) -> Points:
+def run(clip: Path, config: str, init: DetectorName | None, how: str, seed: int, regressions: Path | None) -> Points:
     cv2.setNumThreads(1)
+    take_regression(regressions, clip.name)
     name, overrides = variant(config)
     recipe = load_recipe(name, overrides)
     if (clip / REFERENCE).exists():
@@ -98,10 +98,7 @@ def run(clip: Path, config: str, init: DetectorName | None, how: str, seed: int)
 
 
 def against_reference(ours: Trajectory, path: Path) -> Points:
-    frames: dict[int, dict[str, tuple[float, float, float]]] = {}
-    for row in csv.DictReader(path.open(encoding="utf-8")):
-        place = float(row["x"]), float(row["y"]), float(row["unit"])
-        frames.setdefault(int(row["frame"]), {})[row["part"]] = place
+    frames = points_in(path)
     parts = sorted({part for known in frames.values() for part in known})
     error, lost = np.full((len(frames), len(parts)), np.inf), np.ones((len(frames), len(parts)), np.bool_)
     for k, part in enumerate(parts):
@@ -167,7 +164,13 @@ def mean(values: Array | Mask) -> float:
 
 
 def table(
-    clips: Sequence[Path], configs: Sequence[str], init: DetectorName | None, how: str, seeds: int, jobs: int
+    clips: Sequence[Path],
+    configs: Sequence[str],
+    init: DetectorName | None,
+    how: str,
+    seeds: int,
+    regressions: Path | None,
+    jobs: int,
 ) -> None:
     referred = (clips[0] / REFERENCE).exists()
     figures, names = (reference_figures, NAMES) if referred else (true_figures, TRUE_NAMES)
@@ -175,7 +178,13 @@ def table(
     print(f"| | {' | '.join(columns)} |\n{'|---' * (len(columns) + 1)}|")
     with ProcessPoolExecutor(jobs) as pool:
         waiting = [
-            (config, [[pool.submit(run, clip, config, init, how, seed) for seed in range(seeds)] for clip in clips])
+            (
+                config,
+                [
+                    [pool.submit(run, clip, config, init, how, seed, regressions) for seed in range(seeds)]
+                    for clip in clips
+                ],
+            )
             for config in configs
         ]
         for config, of_clips in waiting:
@@ -195,13 +204,11 @@ def main() -> None:
     parser.add_argument("--init", choices=("haar", "yunet"), help="what finds the start [default: what is installed]")
     parser.add_argument("--start", choices=("found", "box", "file"), default="found", help="[default: found]")
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--regression", type=Path, metavar="FILE", help="instead of that of the package")
+    parser.add_argument("--regressions", type=Path, help="folder of those that have not seen a clip: without_NAME.npz")
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
-    if args.regression is not None:
-        descent.DEFAULT = str(args.regression.resolve())
     try:
-        table(args.clips, args.config, args.init, args.start, args.seeds, args.jobs)
+        table(args.clips, args.config, args.init, args.start, args.seeds, args.regressions, args.jobs)
     except FacetrackError as e:
         raise SystemExit(f"face.py: {e}") from None
 

@@ -30,7 +30,9 @@ from typing import Any, NamedTuple
 import cv2
 import imageio_ffmpeg
 import numpy as np
+from boxes import clip_in
 from numpy.typing import NDArray
+from reference import MESH, points_in, take_regression
 
 from facetrack_cli.core.types import Array, Image
 from facetrack_cli.recipe.load import load_recipe
@@ -56,12 +58,8 @@ class Shot(NamedTuple):
 
 def shots(clip: Path) -> list[Shot]:
     """The first frames of a clip, reduced."""
-    known: dict[int, dict[str, tuple[float, float, float]]] = {}
-    for row in csv.DictReader((clip / "mesh.csv").open(encoding="utf-8")):
-        known.setdefault(int(row["frame"]), {})[row["part"]] = float(row["x"]), float(row["y"]), float(row["unit"])
-    [video] = [path for path in clip.iterdir() if path.suffix in (".mp4", ".webm", ".mkv")]
-    found: list[Shot] = []
-    with open_source(video) as source:
+    known, found = points_in(clip / MESH), list[Shot]()
+    with open_source(clip_in(clip)) as source:
         for frame in source:
             if len(found) == 3 * FRAMES:
                 break
@@ -294,8 +292,9 @@ class Scores(NamedTuple):
     visible_lost: float
 
 
-def score(path: Path, config: str, seed: int) -> Scores:
+def score(path: Path, config: str, seed: int, regressions: Path | None) -> Scores:
     cv2.setNumThreads(1)
+    take_regression(regressions, path.stem.rpartition("-")[0])
     name, overrides = variant(config)
     ours = track_video(path, load_recipe(name, overrides), seed=seed)
     found = {part: ours.find("face", part) for part in (*CORE, "lip_upper", "lip_lower")}
@@ -328,25 +327,26 @@ def main() -> None:
     parser.add_argument("clips", nargs="+", type=Path)
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the variants")
     parser.add_argument("--config", help="the recipe to track them by")
+    parser.add_argument("--regressions", type=Path, help="folder of those that have not seen a clip: without_NAME.npz")
     parser.add_argument("--variants", default=",".join(KINDS))
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("-j", "--jobs", type=int, default=2)
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     kinds = args.variants.split(",")
-    clips = [clip for clip in args.clips if (clip / "mesh.csv").exists()]
+    clips = [clip for clip in args.clips if (clip / MESH).exists()]
     with ProcessPoolExecutor(args.jobs) as pool:
         jobs = [(clip, args.out, kind) for kind, clip in product(kinds, clips)]
         paths = list(pool.map(write, *zip(*jobs, strict=True)))
         if args.config is None:
             return
-        runs = [(path, args.config, seed) for path, seed in product(paths, range(args.seeds))]
+        runs = [(path, args.config, seed, args.regressions) for path, seed in product(paths, range(args.seeds))]
         scores = list(pool.map(score, *zip(*runs, strict=True)))
     print(f"{'variant':<10}{'right':>8}{'worst':>8}  {'clip':<12}{'hidden: off':>12}{'lost':>7}{'visible: lost':>15}")
     for kind in kinds:
         mine = [
             (path.stem.rpartition("-")[0], one)
-            for (path, _, _), one in zip(runs, scores, strict=True)
+            for (path, *_), one in zip(runs, scores, strict=True)
             if path.stem.endswith(f"-{kind}")
         ]
         worst, low = min(mine, key=lambda each: each[1].right)

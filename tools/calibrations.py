@@ -19,7 +19,6 @@ Rendering needs the `samples` extra.
 from __future__ import annotations
 
 import argparse
-import csv
 import os
 import subprocess
 import sys
@@ -35,6 +34,7 @@ import cv2
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 
 from boxes import clip_in
+from reference import MESH, points_in, take_regression
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import BOX
@@ -47,15 +47,12 @@ from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.start import Begin
-from facetrack_cli.tracking.face import descent
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 ROOT = Path(__file__).parent.parent
 SAMPLES = ROOT / "sample_videos"
 SEEDS = range(4)
-MESH = "mesh.csv"
-SHIPPED = descent.DEFAULT
 KINDS = ("object", "passer", "gestures")
 
 
@@ -73,8 +70,8 @@ def render(folder: Path) -> list[Path]:
 
 def real() -> list[Path]:
     folder = Path(os.environ.get("FACETRACK_CLIPS", os.devnull))
-    boxes = [clip_in(file.parent) for file in sorted(folder.glob("*/groundtruth.csv"))]
-    return boxes + [next(file.parent.glob("*.mp4")) for file in sorted(folder.glob(f"people/*/{MESH}"))]
+    kinds = "*/groundtruth.csv", f"people/*/{MESH}"
+    return [clip_in(file.parent) for kind in kinds for file in sorted(folder.glob(kind))]
 
 
 def clips_of(recipe: Recipe, rendered: Sequence[Path]) -> list[Path]:
@@ -86,28 +83,27 @@ def clips_of(recipe: Recipe, rendered: Sequence[Path]) -> list[Path]:
 
 def truth_of(clip: Path, recipe: Recipe) -> Trajectory:
     """The ground truth of a clip, with the points of a mesh, or of another detector where it has boxes alone."""
-    lines, meshed = ["frame,target,part,x,y,w,h"], clip.with_name(MESH)
-    path = meshed if meshed.is_file() else default_truth(clip)
-    reference = path if path == meshed else path.with_name("reference_points.csv")
-    if path != meshed:
-        truth = read_truth(path)
-        if not recipe.points or not reference.is_file():
+    lines, points = ["frame,target,part,x,y,w,h"], clip.with_name(MESH)
+    if not points.is_file():
+        path = default_truth(clip)
+        truth, points = read_truth(path), path.with_name("reference_points.csv")
+        if not recipe.points or not points.is_file():
             return truth
         for frame, x, y, w, h in zip(truth.frame, truth.x, truth.y, truth.w, truth.h, strict=True):
             lines.append(f"{frame},face,{BOX},{x},{y},{w},{h}")
-    with reference.open(encoding="utf-8") as file:
-        lines += [f"{row['frame']},face,{row['part']},{row['x']},{row['y']},," for row in csv.DictReader(file)]
+    for at, known in points_in(points).items():
+        lines += [f"{at},face,{part},{x},{y},," for part, (x, y, _) in known.items()]
     with tempfile.TemporaryDirectory() as folder:
-        both = Path(folder) / path.name
+        both = Path(folder) / "truth.csv"
         both.write_text("\n".join(lines) + "\n", encoding="utf-8")
         return read_truth(both)
 
 
-def runs_of(clip: Path, recipe: Recipe, seeds: int, regression: Path | None) -> tuple[list[Trajectory], Trajectory]:
+def runs_of(clip: Path, recipe: Recipe, seeds: int, regressions: Path | None) -> tuple[list[Trajectory], Trajectory]:
     """Runs on a clip, one a seed, and its ground truth."""
     cv2.setNumThreads(1)
-    descent.DEFAULT = str(regression.resolve()) if regression is not None and regression.is_file() else SHIPPED
-    descent.load_descent.cache_clear()
+    real = regressions is not None and (regressions / f"without_{clip.parent.name}.npz").is_file()
+    take_regression(regressions if real else None, clip.parent.name)
     truth = truth_of(clip, recipe)
     start = Begin(clip).find(recipe, None if clip.with_name(MESH).is_file() else truth)
     numbers = range(seeds if recipe.random else 1)
@@ -120,10 +116,8 @@ def fit(
     """The calibration by all clips that the recipe runs on. Raises InputError if it runs on none."""
     raw, found = calibrate.uncalibrated(recipe), {}
     with ProcessPoolExecutor(workers) as pool:
-        waiting = {}
-        for clip in sorted(clips, key=clip_name):  # their order must not show in the last digit
-            own = regressions and regressions / f"without_{clip.parent.name}.npz"
-            waiting[clip] = pool.submit(runs_of, clip, raw, seeds, own)
+        ordered = sorted(clips, key=clip_name)  # their order must not show in the last digit
+        waiting = {clip: pool.submit(runs_of, clip, raw, seeds, regressions) for clip in ordered}
         for clip, one in waiting.items():
             try:
                 found[clip] = one.result()

@@ -16,8 +16,8 @@ groups of clips in turn; `--quick` leaves that out and takes the errors of train
 from __future__ import annotations
 
 import argparse
-import csv
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -26,7 +26,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.core.face_points import MESH, POINTS
+sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
+
+from reference import MESH, points_in
+
+from facetrack_cli.core.face_points import MESH as NUMBERS
+from facetrack_cli.core.face_points import POINTS
 from facetrack_cli.core.shipped import shipped_folder
 from facetrack_cli.core.types import Array, Image
 from facetrack_cli.tracking.face import descent
@@ -42,7 +47,7 @@ NAMES = (*PARTS, *OTHERS)
 MIRRORED = [
     NAMES.index(re.sub("left|right", lambda side: "right" if side[0] == "left" else "left", one)) for one in NAMES
 ]
-IN_MESH = [MESH[name] for name in NAMES]
+IN_MESH = [NUMBERS[name] for name in NAMES]
 CORNERS_OF_EYES = [33, 133, 362, 263]
 CROPS = ((3.8, 0.75), (3.2, 0.55), (4.2, 0.75), (3.8, 0.95))
 FRAMES, SAMPLES, STARTS = 120, 300, 2  # of a clip; of each; from which a sample begins
@@ -72,14 +77,6 @@ class Clip(NamedTuple):
     apart: float
 
 
-def truth(path: Path) -> dict[int, dict[str, tuple[float, float]]]:
-    found: dict[int, dict[str, tuple[float, float]]] = {}
-    if path.exists():
-        for row in csv.DictReader(path.open(encoding="utf-8")):
-            found.setdefault(int(row["frame"]), {})[row["part"]] = float(row["x"]), float(row["y"])
-    return found
-
-
 def upright(eyes: Array, nose: Array) -> Similarity:
     """The still face whose eyes are at `eyes` (2, 2); of a turned face its size is that down to the nose."""
     middle, across = eyes.mean(axis=0), eyes[1] - eyes[0]
@@ -91,7 +88,8 @@ def upright(eyes: Array, nose: Array) -> Similarity:
 
 def load(path: Path, mesh: Mesh) -> Clip | None:
     """The faces of a clip that the network sees."""
-    known, finder, head = truth(path.parent / "mesh.csv"), detector(), None
+    reference, finder, head = path.with_name(MESH), detector(), None
+    known = points_in(reference) if reference.exists() else {}
     seen: list[tuple[Image, Array, float]] = []
     with open_source(path) as source:
         total = sum(1 for _ in source)
@@ -117,7 +115,7 @@ def load(path: Path, mesh: Mesh) -> Clip | None:
             if known:
                 if len(known.get(frame.index, {})) < len(PARTS):
                     continue
-                parts[: len(PARTS)] = [known[frame.index][part] for part in PARTS]
+                parts[: len(PARTS)] = [known[frame.index][part][:2] for part in PARTS]
             corner = np.array([descent.LEFT, descent.TOP], float) - PAD
             middle = corner + (SIDE + 2 * PAD - 1) / 2
             crop = head._replace(centre=head.to_frame(middle)).read(frame, SIDE + 2 * PAD)

@@ -1,0 +1,26 @@
+"""Points of another program as the reference of a clip, and regressions that have not seen the clip."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Final
+
+from facetrack_cli.tracking.face import descent
+
+MESH: Final = "mesh.csv"
+SHIPPED: Final = descent.DEFAULT
+
+
+def points_in(path: Path) -> dict[int, dict[str, tuple[float, float, float]]]:
+    """By frame and part x, y and the distance between the eyes of a table with columns frame, part, x, y, unit."""
+    found: dict[int, dict[str, tuple[float, float, float]]] = {}
+    with path.open(encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            found.setdefault(int(row["frame"]), {})[row["part"]] = float(row["x"]), float(row["y"]), float(row["unit"])
+    return found
+
+
+def take_regression(folder: Path | None, name: str) -> None:
+    """Let recipes use the regression of a folder that has not seen the clip, without_NAME.npz; None: the package's."""
+    descent.DEFAULT = SHIPPED if folder is None else str((folder / f"without_{name}.npz").resolve())
