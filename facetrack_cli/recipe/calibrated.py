@@ -46,7 +46,7 @@ def _shipped(name: str) -> dict[str, Any] | None:
     """The settings of the shipped recipe of this name that has a calibration; None if there is none."""
     if all(file.stem != name for file in shipped_recipes()):
         return None
-    ours = _bare(to_dict(load_recipe(name)))
+    ours = _bare(to_dict(load_recipe(name, installed=False)))  # whatever networks this machine has
     return ours if (ours.get("confidence") or {}).get("calibration") else None
 
 

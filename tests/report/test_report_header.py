@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.recipe.calibrated import calibrated
+from facetrack_cli.recipe.calibrated import _shipped, calibrated
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
@@ -90,3 +90,10 @@ def test_a_shipped_calibration_holds_for_the_recipe_as_it_is_shipped():
     changed = to_dict(load_recipe("skin_ncc_robust", ["likelihood.skin=null"]))
     assert not calibrated(changed) and doubts(SimpleNamespace(recipe=changed), 0.4)  # low, it still says something
     assert not calibrated(to_dict(load_recipe("skin_ncc")))
+
+
+def test_a_calibration_is_of_the_shipped_recipe_without_a_network_on_machines_that_have_it_too(monkeypatch, tmp_path):
+    monkeypatch.setattr("facetrack_cli.recipe.load.model_path", lambda name: tmp_path)
+    _shipped.cache_clear()
+    assert calibrated(to_dict(load_recipe("face", installed=False)))
+    assert not calibrated(to_dict(load_recipe("face")))

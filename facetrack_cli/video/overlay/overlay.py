@@ -174,7 +174,8 @@ class Overlay:
         place = {part: k for k, part in enumerate(shape.parts)}
         for path in ([place[part] for part in path] for path in LINES if place.keys() >= {*path}):
             for both in map(list, pairwise(path)):
-                colour = GREY if shape.lost[both].any() else shape.colours[path[0]]
+                colour = shape.colours[path[0]] if len(place) <= _FEW else shape.colour
+                colour = GREY if shape.lost[both].any() else colour
                 marks.polylines(image, [marks.fixed(shape.centres[both])], colour, max(1, self._line - 1))
         for part in place.keys() - {BOX, *chain(*LINES)} if len(place) > _FEW else ():
             colour = GREY if shape.lost[place[part]] else shape.colour
