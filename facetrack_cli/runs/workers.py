@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import faulthandler
 import multiprocessing
 import os
@@ -14,7 +15,6 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext
-from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -24,7 +24,7 @@ from facetrack_cli.runs.signals import Stop
 
 Work: TypeAlias = Callable[[Any, Stop, Callable[..., None]], Any]
 """A function of a module: from a task, the wish to stop, and whom to report the frames done, to a result."""
-Ending: TypeAlias = "Synchronized[int]"  # the exit code of the wish to stop, 0 without one
+Ending: TypeAlias = ctypes.c_int  # the exit code of the wish to stop, 0 without one
 REPORT_S = 0.2  # between a worker's reports
 LOOK_S = 0.2  # between two looks at the signals
 
@@ -107,7 +107,8 @@ class _Pool:
     def __init__(self, work: Work, threads: int, size: int, logs: Path) -> None:
         with _starting():
             self._context = worker_context()
-            self.ending: Ending = self._context.Value("i", 0)
+            # no lock: a worker that is killed while it holds one would stop all others
+            self.ending: Ending = self._context.RawValue("i", 0)
         self._asked, self._size, self._logs = (work, self.ending, threads), size, logs
         self.workers: list[_Worker] = []
         self._done = self._made = 0

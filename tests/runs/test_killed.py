@@ -9,6 +9,7 @@ import re
 import shutil
 import signal
 import subprocess
+import threading
 import time
 from pathlib import Path
 
@@ -17,6 +18,8 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core import sets
 from facetrack_cli.core.claims import LOCK, Claim
+from facetrack_cli.runs.signals import Stop
+from facetrack_cli.runs.workers import DiedError, side_by_side
 from facetrack_cli.trajectory import killed as module
 from facetrack_cli.trajectory.killed import settle
 from facetrack_cli.trajectory.manifest import NAME, read_manifest
@@ -203,6 +206,20 @@ def test_a_worker_that_is_killed_is_replaced_once(clip, whole, tmp_path, kills):
     known = read_manifest(folder)
     assert known.stopped == "killed" and len(read_trajectory(folder).frames) >= 19
     assert "its process ended with code -9" in known.error and known.exit_code == 1
+
+
+def _ask_until_killed(task, stop, report):
+    if task < 30:
+        threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGKILL)).start()
+    while task < 30:
+        stop._elsewhere()
+    return stop()
+
+
+@posix
+def test_a_worker_that_is_killed_while_it_asks_whether_to_stop_holds_up_no_other():
+    ended = dict(side_by_side(range(32), _ask_until_killed, 2, Stop()))
+    assert all(isinstance(ended[task], DiedError) for task in range(30)) and not ended[30] and not ended[31]
 
 
 # --- one writer, one set ---
