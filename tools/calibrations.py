@@ -39,7 +39,6 @@ from reference import MESH, points_in, take_regression
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import BOX
 from facetrack_cli.evaluation.experiments import calibrate
-from facetrack_cli.evaluation.experiments.calibration_fit import fit as fitted
 from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.evaluation.experiments.sheet import clip_name
 from facetrack_cli.recipe.files import shipped_recipes
@@ -123,10 +122,7 @@ def fit(
                 found[clip] = one.result()
             except FacetrackError as e:
                 print(f"{recipe.name}: {clip.name} is left out: {e}", file=sys.stderr, flush=True)
-    samples = calibrate.collect(list(found.values()))
-    kept = {kind: one for kind, one in samples.items() if len(one.clips) > 1} or samples
-    by_kind = {kind: fitted(one) for kind, one in kept.items()}
-    return calibrate.Calibrated(recipe.name, tuple(map(clip_name, found)), seeds, by_kind)
+    return calibrate.of_runs(recipe.name, found, seeds)
 
 
 def main() -> None:

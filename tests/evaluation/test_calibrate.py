@@ -1,5 +1,8 @@
 """Which rows a calibration is fitted to, and what it takes as right."""
 
+import importlib.util
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +15,10 @@ from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.support.samples import FOLDER
+
+ROOT = Path(__file__).parents[2]
+CLIPS = [FOLDER / f"{name}.mp4" for name in ("occlusion", "expressions")]
+GONE = Path("gone.mp4")
 
 
 def part(name, x, y, **columns):
@@ -75,17 +82,21 @@ def test_without_confidence_there_is_nothing_to_collect():
         calibrate.run(load_recipe("kcf"), [], 1)
 
 
-def test_a_clip_that_cannot_run_is_an_error_or_left_out():
-    clips = [
-        (FOLDER / f"{name}.mp4", read_truth(FOLDER / f"{name}.truth.csv")) for name in ("occlusion", "expressions")
-    ]
-    recipe, gone = load_recipe("independent", {"filter.particles": 20}), Path("gone.mp4")
-    given = [(gone, clips[0][1]), *clips]
+def test_a_clip_that_cannot_run_is_an_error():
+    recipe, truth = load_recipe("independent", {"filter.particles": 20}), read_truth(CLIPS[0].with_suffix(".truth.csv"))
     with pytest.raises(InputError, match=r"gone\.mp4"):
-        calibrate.run(recipe, given, 1, 5)
-    said = []
-    found = calibrate.run(recipe, given, 1, 5, failed=lambda clip, error: said.append((clip, str(error))))
-    assert found.clips == ("expressions.mp4", "occlusion.mp4") and [clip for clip, _ in said] == [gone]
+        calibrate.run(recipe, [(GONE, truth), (CLIPS[0], truth)], 1, 5)
+
+
+def test_the_tool_leaves_out_a_clip_that_cannot_run(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    spec = importlib.util.spec_from_file_location("calibrations", ROOT / "tools" / "calibrations.py")
+    tool = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    monkeypatch.setattr(tool, "ProcessPoolExecutor", ThreadPoolExecutor)
+    found = tool.fit(load_recipe("independent", {"filter.particles": 20}), [GONE, *CLIPS], 1, 1, None)
+    assert found.clips == ("expressions.mp4", "occlusion.mp4")
+    assert capsys.readouterr().err.count("gone.mp4 is left out: ") == 1
 
 
 def test_targets_lose_their_calibration_to_be_calibrated():

@@ -6,14 +6,14 @@
 Of each clip at most `MOST` rows of a kind are taken, evenly spaced: a long one is no better than a short one.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
+from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import BOX, Mask
 from facetrack_cli.evaluation.experiments.calibration_fit import Fitted, Sample, bins_of, fit, joined
@@ -93,46 +93,39 @@ def run(
     workers: int = 1,
     stopped: Stop | None = None,
     report: Report = lambda done, total: None,
-    failed: Callable[[Path, FacetrackError], None] | None = None,
 ) -> Calibrated | None:
     """Run a recipe on clips with their ground truth, up to the frame before `last`; None once `stopped` says so.
 
-    Raises UsageError for a recipe without confidence, and what keeps a clip from running; with `failed` that is called
-    instead, and the clip left out.
+    Raises UsageError for a recipe without confidence, and what keeps a clip from running.
     """
-    if not recipe.judges or not recipe.filters:
-        raise UsageError(f"{recipe.name} gives no confidence to calibrate; take a recipe that does")
     stopped, recipe = stopped or Stop(), uncalibrated(recipe)
     numbers = tuple(range(seeds if recipe.random else 1))
-    plans, runs, truths = [], [], dict(clips)
-
-    def refuse(clip: Path, error: FacetrackError) -> None:
-        if failed is None:
-            raise error
-        failed(clip, error)
-
+    plans, runs, truths = [], {}, dict(clips)
     for clip in sorted(truths, key=clip_name):  # their order must not show in the last digit
-        begin = Begin(clip, stop=last)
-        try:
-            plans.append(Plan(recipe.name, clip, recipe, begin.find(recipe, truths[clip], stopped), numbers, last))
-        except InputError as e:
-            refuse(clip, e)
+        start = Begin(clip, stop=last).find(recipe, truths[clip], stopped)
+        plans.append(Plan(recipe.name, clip, recipe, start, numbers, last))
     for ended in run_plans(plans, workers, stopped, report):
         if ended.error is not None:
-            refuse(ended.plan.clip, ended.error)
-        runs.append((ended.plan.clip, [one.trajectory for one in ended.runs]))
-    if len(runs) < len(plans):
-        return None
-    runs = [(clip, own) for clip, own in runs if own]
-    samples = collect([(own, truths[clip]) for clip, own in runs])
-    names = tuple(clip_name(clip) for clip, _ in runs)
+            raise ended.error
+        runs[ended.plan.clip] = [one.trajectory for one in ended.runs], truths[ended.plan.clip]
+    return of_runs(recipe.name, runs, len(numbers)) if len(runs) == len(plans) else None
+
+
+def of_runs(recipe: str, runs: Mapping[Path, tuple[Sequence[Trajectory], Trajectory]], seeds: int) -> Calibrated:
+    """The calibration that follows from runs of a recipe without one: of each clip `seeds` runs, and its ground truth.
+
+    Raises InputError as `collect` does.
+    """
+    samples = collect(list(runs.values()))
     # a kind of a single clip has no map, unless it is the only one: then that is the error
     several = {kind: one for kind, one in samples.items() if len(one.clips) > 1} or samples
-    return Calibrated(recipe.name, names, len(numbers), {kind: fit(one) for kind, one in several.items()})
+    return Calibrated(recipe, tuple(map(clip_name, runs)), seeds, {kind: fit(one) for kind, one in several.items()})
 
 
 def uncalibrated(recipe: Recipe) -> Recipe:
-    """The recipe with the confidence that it computes itself."""
+    """The recipe with the confidence that it computes itself. Raises UsageError for a recipe that computes none."""
+    if not recipe.judges or not recipe.filters:
+        raise UsageError(f"{recipe.name} gives no confidence to calibrate; take a recipe that does")
 
     def raw(one: ParticleFilter) -> ParticleFilter:
         return one.model_copy(update={"confidence": one.confidence.model_copy(update={"calibration": None})})
