@@ -61,9 +61,9 @@ class ProposesModes(Protocol):
 
 @runtime_checkable
 class Knows(Protocol):
-    """A likelihood that says with which probability each part is visible, (K,), at the estimate (K, D)."""
+    """A likelihood that says with which probability each part was visible, (K,), in the frame that it learned last."""
 
-    def presence(self, learned: Any, frame: Frame, state: Array) -> Array: ...
+    def visible(self, learned: Any) -> Array: ...
 
 
 @runtime_checkable

@@ -171,18 +171,17 @@ class ParticleTarget:
         if state.absent is not None:
             particles = particles._replace(x=self.follow(particles.x, state.absent))
         estimated = self.space.estimate(particles, info.ess, best=self.best)
+        learned = self.likelihood.learn(state.learned, frame, estimated.state, particles)
         if (judgement := state.judgement) is not None:
             assert self.confidence is not None
             if self._hides is not None:
                 presence = self._hides.presence(particles, estimated)
                 judgement = confidence.decide(self.confidence, judgement, presence)
             elif self._knows is not None:
-                presence = self._knows.presence(state.learned, frame, estimated.state)
-                judgement = confidence.decide(self.confidence, judgement, presence)
+                judgement = confidence.decide(self.confidence, judgement, self._knows.visible(learned))
             else:
                 distance = self.likelihood.distances(state.learned, frame, estimated.state[None])[0]
                 judgement = confidence.judge(self.confidence, judgement, distance)
-        learned = self.likelihood.learn(state.learned, frame, estimated.state, particles)
         predicted: dict[str, Any] = {}
         if self._predicts is not None:
             flow = self._predicts.learn(frame, estimated.state, particles.x)

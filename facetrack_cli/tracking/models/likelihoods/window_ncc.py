@@ -120,6 +120,10 @@ class WindowNcc:
         centre = x.mean(axis=0)
         return np.asarray(1 - self.correlation(self.look(learned, frame, centre), x))
 
+    def visible(self, learned: Learned) -> Array:
+        """v (K,) of the frame that was learned last."""
+        return learned.visible
+
     def presence(self, learned: Learned, frame: Frame, state: Array) -> Array:
         """v (K,) of parts at the estimate (K, 2)."""
         old = [
