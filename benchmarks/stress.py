@@ -10,6 +10,7 @@ eyes). Of each variant and clip the first frames are as they were, so that the t
     hand, book  before mouth or face for 40 frames      light                 steps of brightness
     blur        out of focus                            zoom                  twice as large and back
     roll        turned by 40 degrees and back           away                  out of the picture for 2 s, back elsewhere
+    jumps       by half of the face between two frames  dressed               a book, then tilted with a hat on
 
 The table has, for each variant, the share of frames whose visible nose and mouth corners are within .35 eye distances
 of the reference, and the worst clip; of hidden points the median error, and the share called lost; of visible ones the
@@ -213,6 +214,19 @@ def away(shot: Shot, t: int) -> Shot:
     return moved(shot, similarity(np.array([x, y]), 0.6 if back else 1.0, 0.0, np.array([to, y])))
 
 
+def jumped(shot: Shot, to: Array, before: Array) -> Shot:
+    """Elsewhere, larger and turned, by (x, y, log scale, radians), blurred by half of the way from `before`."""
+    nose, way = np.array(shot.points["nose"]), 0.5 * shot.unit * (to - before)[:2]
+    x, y, log_scale, angle = to.tolist()
+    there = moved(shot, similarity(nose, math.exp(log_scale), angle, nose + shot.unit * np.array([x, y])))
+    steps = min(max(round(float(np.hypot(*way))), 1), 24)
+    image = np.zeros(shot.image.shape, np.float32)
+    for u, v in (way * k / steps for k in range(steps)):
+        shift = np.array([[1.0, 0.0, -u], [0.0, 1.0, -v]])
+        image += cv2.warpAffine(there.image, shift, shot.image.shape[1::-1], borderMode=cv2.BORDER_REPLICATE)
+    return there._replace(image=(image / steps).astype(np.uint8))
+
+
 def ramp(t: int, first: int, last: int, rise: int = 8) -> float:
     """From 0 to 1 in frames from `first` on, and back to 0 up to `last`."""
     return float(np.clip(min((t - first) / rise, (last - t) / rise), 0, 1))
@@ -234,6 +248,7 @@ def varied(all_shots: list[Shot], kind: str, seed: int) -> Iterator[Shot]:
     cover = np.asarray(cv2.resize(cells, (210, 270), interpolation=cv2.INTER_NEAREST), np.float32)
     put_on = {"hat": hat, "glasses": glasses, "beard": beard}
     taken = all_shots[::3] if kind == "skip" else all_shots
+    to = np.zeros(4)
     for t, shot in enumerate(taken[:FRAMES]):
         nose = np.array(shot.points["nose"])
         if kind in put_on:
@@ -255,11 +270,23 @@ def varied(all_shots: list[Shot], kind: str, seed: int) -> Iterator[Shot]:
             yield moved(shot, similarity(nose, 1.0, angle, nose))
         elif kind == "away":
             yield away(shot, t)
+        elif kind == "jumps":
+            before = to
+            if t >= PUT_ON and t % 6 == 0:  # half a face is 1.4 eye distances
+                to = np.clip(rng.normal(0, (0.7, 0.7, 0.12, 0.25)), -1.4, 1.4)
+            yield jumped(shot, to, before)
+        elif kind == "dressed":
+            angle = math.radians(25) * min(ramp(t, 80, 10_000, 12), 1.0)
+            tilted = moved(book(shot, ramp(t, 30, 65), cover), similarity(nose, 1.0, angle, nose))
+            yield hat(tilted) if t >= 95 else tilted
         else:
             yield shot
 
 
-KINDS = ("plain", "skip", "hat", "glasses", "beard", "hand", "book", "light", "blur", "zoom", "roll", "away")
+KINDS = (
+    "plain", "skip", "hat", "glasses", "beard", "hand", "book", "light", "blur", "zoom", "roll", "away", "jumps",
+    "dressed",
+)  # fmt: skip
 
 
 def write(clip: Path, out: Path, kind: str, seed: int = 0) -> Path:

@@ -5,9 +5,9 @@
 
 `clips` is searched for clips of one face each. Of a clip with a mesh.csv beside it (frame, part, x, y) the points in
 that are the truth; of others it is the mean of four crops of the network (facetrack models get mesh). Frames are
-moved, scaled, rolled, mirrored, blurred, compressed and coloured at random. The odds are learned from frames that
-boards, discs and fingers cover, with the colours of other pictures or of the face's own skin. Each clip has the same
-weight.
+moved, scaled, rolled, mirrored, blurred as by motion, reduced, compressed and coloured at random. The odds are learned
+from frames that boards, discs and fingers cover, with the colours of other pictures or of the face's own skin. Each
+clip has the same weight.
 
 `std` in the file is the root mean square error of each part on clips that a model of the others has not seen, five
 groups of clips in turn; `--quick` leaves that out and takes the errors of training.
@@ -148,8 +148,14 @@ def sample(rng: np.random.Generator, clip: Clip, others: Sequence[Clip] = (), sh
     moved = cv2.warpAffine(picture, to, (SIDE, SIDE), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     if rng.random() < 0.15:
         moved = cv2.cvtColor(cv2.cvtColor(moved, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
+    if rng.random() < 0.12:
+        half = rng.uniform(1.5, 6.5) * np.array([np.cos(way := rng.uniform(0, np.pi)), np.sin(way)])
+        kernel = np.zeros((19, 19), np.float32)
+        one_end, other_end = (np.round(9 + end * half).astype(int).tolist() for end in (-1, 1))
+        cv2.line(kernel, one_end, other_end, 1.0)
+        moved = cv2.filter2D(moved, -1, kernel / kernel.sum(), borderType=cv2.BORDER_REPLICATE)
     if rng.random() < 0.4:
-        k = rng.uniform(1, 3)
+        k = rng.uniform(1, 3.5)
         small = cv2.resize(moved, None, fx=1 / k, fy=1 / k, interpolation=cv2.INTER_AREA)
         if rng.random() < 0.5:
             coded = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, int(rng.uniform(30, 90))])[1]

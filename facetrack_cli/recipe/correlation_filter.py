@@ -78,7 +78,7 @@ class CorrelationFilter(Likelihood):
     """The response of a correlation filter that is learned from frame to frame."""
     window: Annotated[float, Field(ge=2, le=10)] = 5.0
     """Side of the square window that is looked at, in mean sides of the box (BACF takes 5)."""
-    cells: Annotated[int, Field(ge=16, le=80, multiple_of=2)] = 32
+    cells: Annotated[int, Field(ge=16, le=80, multiple_of=2)] = 40
     """The window has so many cells along a side, of 4 resampled pixels each."""
     components: Annotated[int, Field(ge=2, le=34)] = 12
     """C, how many principal components of the channels are kept (ECO-HC takes 13)."""
@@ -100,8 +100,8 @@ class CorrelationFilter(Likelihood):
     """Share of the per-pixel colours in the response, where they tell the target from its surroundings (Staple)."""
     sharpness: Annotated[float, Field(gt=0, le=100)] = 5.0
     """log p(y | x) is this times the logarithm of the response."""
-    evidence: Annotated[float, Field(ge=-20, le=20)] = 4.0
-    """log p(y | visible) - log p(y | hidden) where the response is as high as usual."""
+    evidence: Annotated[float, Field(ge=0, le=20)] = 4.0
+    """Bound of log p(y | visible) - log p(y | hidden), whatever the height of the response."""
     modes: Annotated[int, Field(ge=1, le=10)] = 3
     """How many peaks of the response are proposed at most."""
     detect: Annotated[int, Field(ge=0, le=50)] = 3

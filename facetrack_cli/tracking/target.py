@@ -23,7 +23,7 @@ from facetrack_cli.tracking.models.motion import JumpingWalk, Measured, VisibleW
 from facetrack_cli.tracking.models.shape_prior import BoundPrior, StudentPrior
 from facetrack_cli.tracking.models.spaces import CloudSpace, Estimate, PointSpace, Space, VisibleBoxSpace, evenly
 from facetrack_cli.tracking.models.velocity import Flow, PredictedWalk
-from facetrack_cli.tracking.resampling import uniform
+from facetrack_cli.tracking.resampling import effective_sample_size, uniform
 from facetrack_cli.tracking.roles import (
     Adapts,
     Knows,
@@ -190,6 +190,16 @@ class ParticleTarget:
             particles, estimated, learned, judgement, self._diagnose(learned), absent=state.absent, **predicted
         )
         return state, self._result(state, frame, info, "tracked")
+
+    def carried(self, rng: Generator, state: State, frame: Frame, shift: Array) -> tuple[State, TargetResult]:
+        """As `advance`, of a box that others see `shift` (2,) from where it is expected."""
+        assert isinstance(self.motion, VisibleWalk)
+        before = state.estimated.state
+        step = self.motion.expect(before[None])[0, 0, :2] + shift - before[0, :2]
+        particles = state.particles._replace(x=self.motion.carried(rng, state.particles.x, step))
+        ess = np.full(1, effective_sample_size(particles.log_w))
+        state = replace(state, particles=particles, estimated=self.space.estimate(particles, ess, best=self.best))
+        return state, self._result(state, frame, Info(ess), "tracked")
 
     @cached_property
     def _predicts(self) -> PredictedWalk | None:

@@ -9,7 +9,7 @@ from facetrack_cli.core.shipped import shipped_folder
 from facetrack_cli.core.types import Frame
 from facetrack_cli.tracking.face import descent
 from facetrack_cli.tracking.face.descent import LEFT, TOP, channels, load_descent, read
-from facetrack_cli.tracking.face.still import EYES, Similarity, turn_between
+from facetrack_cli.tracking.face.still import EYES, Similarity, change_between
 from tests.support.samples import TrackClip
 from tests.twins import descent as naive
 
@@ -26,7 +26,7 @@ def laid(at, rng):
     """The still face whose parts are at `at` (K, 2) in the frame, as far off as a head is."""
     rest = rest_shape()
     a, b = at - at.mean(axis=0), rest - rest.mean(axis=0)
-    scale, turn = np.sqrt((a**2).sum() / (b**2).sum()), turn_between(at, rest)
+    scale, turn = np.sqrt((a**2).sum() / (b**2).sum()), change_between(at, rest)[0]
     lies = Similarity(np.zeros(2), scale * np.exp(rng.normal(0, 0.07)), turn + rng.normal(0, 0.05))
     off = rng.normal(0, 0.07 * EYES * scale, 2)
     return lies._replace(centre=at.mean(axis=0) + off - lies.to_frame(rest.mean(axis=0)))

@@ -13,7 +13,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.face.still import BOX as STILL_BOX
-from facetrack_cli.tracking.face.still import EYES, FACE, MIDDLE, SIDE, Similarity, turn_between
+from facetrack_cli.tracking.face.still import EYES, FACE, MIDDLE, SIDE, Similarity, change_between
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.start import detectors, write_init
 from facetrack_cli.tracking.start.points import place
@@ -99,7 +99,7 @@ def test_a_face_that_leaves_and_returns_elsewhere():
     spread = np.array([row.std_x[:5].mean() for row in rows])
     assert spread[43] > 2 * spread[20], "it grows while nothing is seen"
     confidence = np.array([row.confidence for row in rows])
-    assert confidence[30:44, :5].max() < 0.25 and confidence[32:44].max() < 0.5, "it falls as the spread grows"
+    assert confidence[30:44, :5].max() < 0.25 and confidence[32:44].max() < 0.6, "it falls as the spread grows"
     assert confidence[38:44, 5].max() < 0.4
 
 
@@ -171,7 +171,8 @@ def test_a_place_of_the_still_face_goes_to_the_frame_and_back(x, y, scale, angle
     assert similarity.to_still(similarity.to_frame(points)) == pytest.approx(points, abs=1e-6)
     assert similarity.to_frame(points)[1] == pytest.approx((x, y), abs=1e-6)
     rest = np.array([[-3.0, 0.5], [3.0, 0.0], [0.0, 5.0]])
-    assert turn_between(rest @ similarity.matrix.T + (x, y), rest) == pytest.approx(angle, abs=1e-6)
+    turn, log_size = change_between(rest @ similarity.matrix.T + (x, y), rest)
+    assert turn == pytest.approx(angle, abs=1e-6) and log_size == pytest.approx(np.log(scale), abs=1e-6)
 
 
 @pytest.mark.parametrize("scale", [0.5, 1.0, 3.0, 6.5])

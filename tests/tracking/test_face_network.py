@@ -124,7 +124,7 @@ def test_points_of_a_network_are_lost_while_it_sees_no_face_and_with_the_head(fi
     assert gone[20:24].all() and gone[:11].mean() < 0.2 and gone[27].mean() < 0.2
     assert (column(results[:28], "status", (BOX,)) != "lost").all()
     confidence = column(results, "confidence", FEATURES)
-    assert (confidence[23] < confidence[9]).all()
+    assert (confidence[23] < confidence[9]).mean() > 0.9
     assert gone[head_gone].all() and (column(results[head_gone], "status", (BOX,)) == "lost").all()
 
 
@@ -185,7 +185,7 @@ def test_smoothed_points_of_parts_and_network_are_nearer_and_quieter(moved, moti
     smooth = [after.at(one.frame.index) for one in results]
     index = {part: i for i, (_, part) in enumerate(rows.names)}
     # a motion that is fitted to a few frames is that of the head
-    for parts, quieter in ((FEATURES, 0.8), *([(PARTS, 0.95)] if motion == "recipe" else [])):
+    for parts, quieter in ((FEATURES, 0.8), *([(PARTS, 0.99)] if motion == "recipe" else [])):
         which = [index[part] for part in parts]
         at = np.stack([np.stack([one.x, one.y], axis=1)[which] for one in smooth])
         before = places(results, parts)

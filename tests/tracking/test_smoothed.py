@@ -176,7 +176,7 @@ def test_a_face_moves_as_one(points):
     # the box has no truth; points tremble less, and are as near to the truth as before
     trembles = [[np.median(np.abs(np.diff(one.y, 2))) for one in rows.parts[:-1]] for rows in (after, before)]
     assert np.mean(trembles[0]) < 0.97 * np.mean(trembles[1])
-    assert off_in(after) < off_in(before) + 0.02, "pixels"
+    assert off_in(after) < off_in(before) + 0.03, "pixels"
 
 
 def off_in(rows):

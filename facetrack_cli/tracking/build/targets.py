@@ -8,14 +8,15 @@ import numpy as np
 from facetrack_cli.core.face_points import POINTS
 from facetrack_cli.core.geometry import centre, size_of_points
 from facetrack_cli.core.models import model_path
-from facetrack_cli.core.types import BOX, Box, Start, TargetStart
+from facetrack_cli.core.types import BOX, Array, Box, Start, TargetStart
 from facetrack_cli.recipe.face import Head
 from facetrack_cli.recipe.files import resolve_file
 from facetrack_cli.recipe.model import Confidence, ParticleFilter, ParticleRecipe, ParticlesRecipe, Recipe, above
 from facetrack_cli.tracking.calibration import Calibration, load_calibration
+from facetrack_cli.tracking.face.descent import CORNER, load_descent
 from facetrack_cli.tracking.face.mesh import NAMES, Mesh
 from facetrack_cli.tracking.face.senses import Senses
-from facetrack_cli.tracking.face.still import FACE, Similarity
+from facetrack_cli.tracking.face.still import FACE, Similarity, change_between, slope
 from facetrack_cli.tracking.face.target import FaceTarget
 from facetrack_cli.tracking.models.spaces import Context
 from facetrack_cli.tracking.start.detectors import detector, detector_of, placed_by
@@ -49,7 +50,11 @@ def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, sta
     begun = start.targets[name]
     box = begun.box or box_around(begun)
     side = math.sqrt(box[2] * box[3])
-    similarity = Similarity(np.array(centre(box)), side / FACE)
+    searched, pose = placed_by(start) != "", np.zeros(4)
+    if searched:
+        pose = pose_of(begun, box)
+    middle = np.array(centre(box)) + side * pose[2:]
+    similarity = Similarity(middle, side * math.exp(pose[1]) / FACE, float(pose[0]))
     at = {part: similarity.to_still(np.array(place)).tolist() for part, place in begun.points.items()}
     windows = {part: (w / similarity.scale, h / similarity.scale) for part, (w, h) in begun.windows.items()}
     inside = TargetStart(None, {part: (x, y) for part, (x, y) in at.items()}, windows)
@@ -78,13 +83,29 @@ def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, sta
         senses=Senses(
             features.parts,
             None if by is None else detector(detector_of(start) if by == "auto" else by),
-            searched=placed_by(start) != "",
+            searched=searched,
             mesh=mesh,
             others=() if mesh is None else tuple(point for point in more if point not in given.points),
         ),
         side=side,
+        pose=pose,
         calibration=_calibration(recipe, key, given),
     )
+
+
+def pose_of(begun: TargetStart, box: Box) -> Array:
+    """How a face lies in a box that a search has found, (4,) as in `FaceState`: by the box and by its points alike."""
+    descent, side = load_descent(), math.sqrt(box[2] * box[3])
+    known = [part for part in descent.parts if part in begun.points]
+    if len(known) < 3:
+        return np.zeros(4)
+    rest = (descent.mean + CORNER)[[descent.parts.index(part) for part in known]]
+    at = np.array([begun.points[part] for part in known])
+    ends = [begun.points.get(part) for part in ("mouth_left", "mouth_right")]
+    roll, log_size = slope(np.array(ends)) if None not in ends else 0.0, change_between(at, rest)[1]
+    shape = Similarity(np.zeros(2), math.exp(log_size), roll)
+    off = (at.mean(axis=0) - shape.to_frame(rest.mean(axis=0)) - centre(box)) / side
+    return np.array([roll, 0.5 * (log_size - math.log(side / FACE)), *(0.5 * off)])
 
 
 def _calibration(recipe: Recipe, key: str, given: ParticleFilter) -> Calibration | None:

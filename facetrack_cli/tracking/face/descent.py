@@ -37,6 +37,7 @@ CORNER: Final = np.array([LEFT, TOP], np.float64)
 DIRECTIONS, GRID = 8, 5
 ODDS_SCALE: Final = 1.6
 NEAR: Final = 3.0  # pixels
+SEEN: Final = 14.0  # log odds of all parts, above which nothing else is tried
 SURE: Final = 4.0  # bound of what one part says of how well a face lies, in log odds
 STEP: Final = 5.0  # pixels between the points of the grid, times the stage's scale
 _TURNS: Final = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
@@ -77,19 +78,21 @@ class Descent(NamedTuple):
     def fit(self, still: Image, around: Sequence[Array] = ()) -> Placed:
         """The parts in a still face.
 
-        Beside the usual place of a face, the parts are sought around other middles (2,); the likeliest is taken, by
-        the odds of being visible.
+        If they are hardly seen from the usual place of a face, they are sought around other middles (2,); the likeliest
+        is taken, by the odds of being visible.
         """
-        usual = self.mean.mean(axis=0) + CORNER
-        shifts = [np.zeros(2), *(np.round(middle - usual) for middle in around)]
-        found = []
-        for i, shift in enumerate(shifts):
-            if i and np.abs(shift).max() < NEAR:
-                continue  # the regression finds its way from there
-            seen = seen_in(still, shift)
-            at = self.descended(seen) + CORNER
-            found.append(Placed(at + shift, self.visible(seen, at)))
-        return max(found, key=lambda one: one.sure)
+        usual, best = self.mean.mean(axis=0) + CORNER, self._from(still, np.zeros(2))
+        for middle in around:
+            shift = np.round(middle - usual)
+            if best.sure < SEEN and np.abs(shift).max() >= NEAR:  # from nearer the regression finds its way
+                best = max(best, self._from(still, shift), key=lambda one: one.sure)
+        return best
+
+    def _from(self, still: Image, shift: Array) -> Placed:
+        """The parts, sought `shift` (2,) beside the usual place."""
+        seen = seen_in(still, shift)
+        at = self.descended(seen) + CORNER
+        return Placed(at + shift, self.visible(seen, at))
 
     def descended(self, seen: NDArray[np.float32]) -> Array:
         """x after the last stage (K, 2), in the channels of the part of the still face that is read."""

@@ -13,6 +13,7 @@ may always be off from them by the same (k = 1). A start that was placed by a se
 
 from __future__ import annotations
 
+import math
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -33,6 +34,7 @@ SURE: Final = 0.97  # probability that a sensor says something of a part that is
 BLIND: Final = 0.1  # ... of a part that is hidden
 _HIDE, _SHOW = 0.01, 0.05  # probabilities a frame
 _FALSE: Final = 0.1  # probability that a face is found that does not look to the camera
+_TOLD: Final = 4.0  # bound of what is told to the head's filter, in log odds
 _MANY: Final = 50.0  # looks over which it is learned how often a face is found
 
 
@@ -80,12 +82,16 @@ class Sensor(NamedTuple):
 
 def joined(one: Measured, other: Measured) -> Measured:
     """What two sensors say together; where they are far apart, what the other says alone."""
-    apart = np.sum((one.z - other.z) ** 2, axis=1) > FAR * (one.var + other.var)
-    weight = np.where((other.sure > 0) & apart, 0.0, one.sure / one.var), other.sure / other.var
+    weight = np.where(apart(one, other), 0.0, one.sure / one.var), other.sure / other.var
     total = np.maximum(weight[0] + weight[1], 1e-12)
     z = (weight[0][:, None] * one.z + weight[1][:, None] * other.z) / total[:, None]
     sure = np.maximum(one.sure, other.sure)
     return Measured(z, np.where(sure > 0, sure / total, one.var), sure, one.area)
+
+
+def apart(one: Measured, other: Measured) -> Mask:
+    """(K,): of which parts two sensors cannot both be right."""
+    return np.asarray((other.sure > 0) & (np.sum((one.z - other.z) ** 2, axis=1) > FAR * (one.var + other.var)))
 
 
 def common_shift(measured: Measured, state: Array) -> Array:
@@ -113,6 +119,11 @@ class Facing(NamedTuple):
     def unseen(self) -> Facing:
         """Where the detector does not find the face of the start: then it means little that it does not later."""
         return self._replace(found=(10 * _FALSE, 10 * (1 - _FALSE)))
+
+    def odds(self, sure: float) -> float:
+        """Log odds, bounded, by which detector and sensor, with log odds `sure`, speak for a face in its place."""
+        seen = math.log(max(self.shown, 1e-6) / max(1 - self.shown, 1e-6))
+        return min(max(seen * self.found[0] / sum(self.found) + min(sure, 0.0), -_TOLD), _TOLD)
 
     def predicted(self) -> Facing:
         return self._replace(shown=self.shown * (1 - _HIDE) + (1 - self.shown) * _SHOW)

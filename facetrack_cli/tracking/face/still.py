@@ -54,7 +54,18 @@ class Similarity(NamedTuple):
         return Frame(frame.index, frame.time_s, np.asarray(still, np.uint8))
 
 
-def turn_between(x: Array, rest: Array) -> float:
-    """By which angle `rest` (K, 2) is turned to come nearest to x (K, 2) (Procrustes), in radians."""
+def change_between(x: Array, rest: Array) -> tuple[float, float]:
+    """By which angle `rest` (K, 2) is turned to come nearest to x (K, 2), in radians, and the log of its size.
+
+    By Procrustes.
+    """
     a, b = x - x.mean(axis=0), rest - rest.mean(axis=0)
-    return math.atan2(float(np.sum(b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0])), float(np.sum(a * b)))
+    along, across = float(np.sum(a * b)), float(np.sum(b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0]))
+    size = math.hypot(along, across) / max(float(np.sum(b * b)), 1e-9)
+    return math.atan2(across, along), math.log(max(size, 1e-9))
+
+
+def slope(pair: Array) -> float:
+    """The angle of the line from one place to another, (2, 2), in radians."""
+    across, down = (pair[1] - pair[0]).tolist()
+    return math.atan2(down, across)

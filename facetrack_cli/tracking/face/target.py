@@ -18,7 +18,7 @@ it is proposed.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
@@ -31,58 +31,40 @@ from facetrack_cli.core.types import BOX, Array, Frame, Mask, TargetStart
 from facetrack_cli.recipe.face import Head
 from facetrack_cli.tracking.calibration import Calibration
 from facetrack_cli.tracking.face import still
+from facetrack_cli.tracking.face.found_again import STAYS, Sighting, kept, look_of, sighted
 from facetrack_cli.tracking.face.mesh_points import UNSEEN, MeshPoints
 from facetrack_cli.tracking.face.senses import Senses
-from facetrack_cli.tracking.face.sensors import Facing, Sensor, common_shift, joined
+from facetrack_cli.tracking.face.sensors import Facing, apart, common_shift, joined
+from facetrack_cli.tracking.face.state import FaceState, View, shifted, sure_of, updated
 from facetrack_cli.tracking.face.still import EYES, FACE, Similarity
 from facetrack_cli.tracking.loop import Cover
 from facetrack_cli.tracking.models.likelihoods import window_ncc
 from facetrack_cli.tracking.models.motion import JumpingWalk
 from facetrack_cli.tracking.roles import Names
 from facetrack_cli.tracking.smoothing import Belief
-from facetrack_cli.tracking.start.detectors import TILT, Found
 from facetrack_cli.tracking.target import ParticleTarget, State
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, of_frame
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
-_SIZES: Final = 0.15  # standard deviation of the log size of a detection
+LOOK: Final = 3  # frames from one look of the head's filter to the next, where the points are seen in between
+EASY: Final = 8.0  # log odds that the points are seen where they are
+DOUBT: Final = 8.0  # log odds, below which the detector looks at once
+STEADY: Final = 2.5  # pixels of the still face, which a face is at most from where it is expected, in between
+_FORGETS: Final = 0.95  # share of `sure` that is left after a frame in which the head is lost
 _FACES: Final = 4  # that are compared with the one that is lost
-_PLACES: Final = 0.1  # and of its middle, in sizes of the box
-_POSE: Final = np.array([math.radians(0.5), 0.004, 0.004, 0.004])  # standard deviations of the pose in a frame
-_TILTED: Final = 2  # looks from one at the roll to the next
-_TILT: Final = math.radians(5)  # standard deviation of a roll that is measured so
-_FINE: Final = 256, (16.0, 16.0, 224.0, 224.0)  # pixels of the face in which it is measured, and the face's box there
-_MOST: Final = np.array([math.radians(60), 0.7, 0.3, 0.3])
-
-
-@dataclass(frozen=True)
-class FaceState:
-    """The states of head and points, the last `points` as rows of the still face; what is known of their sensor.
-
-    `second` is that of the detector; `others` are the points of the network, None before it has seen the face.
-
-    `pose` (4,) is that of the face in its head: roll in radians, the logarithm of its size, and its middle in sizes of
-    the head's box; `pose_var` (4,) are their variances. `frames` counts those since the start. `marks` (M, 2) are the
-    detector's, of the start, where the roll is 0; None if it saw none there.
-    """
-
-    head: State
-    features: State
-    points: TargetResult
-    sensor: Sensor
-    second: Sensor
-    facing: Facing
-    pose: Array
-    pose_var: Array
-    marks: Array | None
-    others: MeshPoints | None
-    frames: int = 0
+# standard deviations of the pose in a frame, of that by a detected box, and of that by parts left and right
+_POSE: Final = np.array([math.radians(1.5), 0.004, 0.004, 0.004])
+_BY_BOX: Final = np.array([np.inf, 0.15, 0.1, 0.1])
+_BY_PAIRS: Final = np.array([math.radians(3), np.inf, np.inf, np.inf])
 
 
 @dataclass(frozen=True)
 class FaceTarget:
-    """`side`: of the box at the start, in pixels; rows are those of the points, of the box, and of the `others`."""
+    """A face whose box has sides of `side` pixels at the start, and lies in it as `pose` (4,) says.
+
+    Rows are those of the points, of the box, and of the `others`.
+    """
 
     name: str
     head: ParticleTarget
@@ -90,6 +72,7 @@ class FaceTarget:
     settings: Head
     senses: Senses
     side: float
+    pose: Array
     calibration: Calibration | None = None
 
     @property
@@ -104,16 +87,16 @@ class FaceTarget:
 
     def begin(self, rng: Generator, frame: Frame) -> tuple[FaceState, TargetResult]:
         head, box = self.head.begin(rng, frame)
-        similarity = self._map(head, np.zeros(4))
+        similarity = self._map(head.estimated.state, self.pose)
         seen = similarity.read(frame)
         features, points = self.features.begin(rng, seen)
         facing, found = Facing(), self.senses.detected(seen)
         sensor, second, others = self.senses.begin(frame, similarity, seen, found, self.features.x0)
         if self.senses.detector is not None and not self.senses.searched and found is None:
             facing = facing.unseen()
-        marks, rest = self._marks(head, np.zeros(4), frame), np.zeros(4)
+        points = points._replace(beliefs=None)
         state = FaceState(
-            head, features, points._replace(beliefs=None), sensor, second, facing, rest, rest, marks, others
+            head, features, points, sensor, second, facing, self.pose, np.zeros(4), others, (look_of(seen),)
         )
         return state, self._result(state, box, frame)
 
@@ -128,7 +111,7 @@ class FaceTarget:
         if len(at) > 1:
             spread = np.sum((rest - rest.mean(axis=0)) ** 2)
             scale = math.sqrt(float(np.sum((at - at.mean(axis=0)) ** 2)) / max(float(spread), 1e-9))
-            roll = still.turn_between(at, rest)
+            roll = still.change_between(at, rest)[0]
         if given.box is not None and not given.points:
             scale = math.sqrt(given.box[2] * given.box[3]) / FACE
         shape = Similarity(np.zeros(2), scale, roll)
@@ -137,116 +120,157 @@ class FaceTarget:
         box = (float(middle[0]) - (side - 1) / 2, float(middle[1]) - (side - 1) / 2, side, side)
         head, boxed = self.head.restart(rng, frame, first.head, TargetStart(box))
         pose = np.array([roll, 0.0, 0.0, 0.0])
-        similarity = self._map(head, pose)
+        similarity = self._map(head.estimated.state, pose)
         moved = {part: tuple(similarity.to_still(place).tolist()) for part, place in placed.items()}
         seen, there = similarity.read(frame), TargetStart(points=moved)
         features, rows = self.features.restart(rng, seen, first.features, there, absent, anew)
         found, at = self.senses.detected(seen), features.estimated.state
         sensor, second, others = self.senses.begin(frame, similarity, seen, found, at)
         points = rows._replace(beliefs=None)
-        state = FaceState(head, features, points, sensor, second, Facing(), pose, np.zeros(4), first.marks, others)
+        state = FaceState(head, features, points, sensor, second, Facing(), pose, np.zeros(4), others, first.looks)
         return state, self._result(state, boxed, frame)
 
     def advance(
         self, rng: Generator, state: FaceState, frame: Frame, covers: Sequence[Cover] = ()
     ) -> tuple[FaceState, TargetResult]:
-        detections, frames = self.settings.detections, state.frames + 1
-        due = self.senses.detector is not None and detections is not None and frames % detections.every == 0
-        before = state.head
-        if due and _sure(before) < self.settings.lost_below:
-            before = self._sighted(before, state.pose, frame)
+        state, detections = replace(state, frames=state.frames + 1), self.settings.detections
+        due, shown = False, sure_of(state.head) >= self.settings.lost_below
+        if self.senses.detector is not None and detections is not None:
+            due = state.frames % detections.every == 0 or (shown and state.sure <= DOUBT)
+        if shown and state.sure >= EASY and state.frames % LOOK:
+            view = self._view(state, self.head.motion.expect(state.head.estimated.state[None])[0], frame, due=due)
+            if view.parts.sure >= EASY and math.hypot(*view.shift) < STEADY:
+                return self._followed(rng, state, view, frame, None)
+        if due and not shown:
+            state = self._sighted(state, frame)
+            if (
+                (seen := state.sighting) is not None
+                and frame.time_s - seen.since >= STAYS
+                and self._gone(state.head, seen)
+            ):
+                return self._returned(rng, state, seen, frame)
+        told = 0.0 if state.sighting is not None else state.facing.odds(state.sure)
+        before = replace(state.head, learned=state.head.learned._replace(told=told))
         head, box = self.head.advance(rng, before, frame, covers)
-        if _sure(head) < self.settings.lost_below:
-            state = replace(state, head=head, frames=frames)
+        if sure_of(head) < self.settings.lost_below:
+            state = replace(state, head=head, facing=state.facing.predicted(), sure=_FORGETS * state.sure)
             return state, self._result(state, box, frame)
+        state = replace(state, head=head, sighting=None)
+        return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=due), frame, box)
+
+    def _view(self, state: FaceState, head: Array, frame: Frame, *, due: bool) -> View:
+        """What is seen of the points where the head is at `head` (1, D); by the detector, too, where that is `due`."""
         similarity = self._map(head, state.pose)
         seen = similarity.read(frame)
-        found, visible = self.senses.detected(seen) if due else None, self._visible(state.features)
-        before_at, z2 = state.features.estimated.state, self.senses.named({} if found is None else found.points)
-        around, told = [before_at.mean(axis=0)], np.isfinite(z2).all(axis=1)
+        found = self.senses.detected(seen) if due else None
+        before, z2 = state.features.estimated.state, self.senses.named({} if found is None else found.points)
+        around, told = [before.mean(axis=0)], np.isfinite(z2).all(axis=1)
         if told.any():
-            around.append((before_at + (z2 - before_at)[told].mean(axis=0)).mean(axis=0))
-        ((z, odds), far) = self.senses.sensed(frame, similarity, seen, around)
-        features, measured = state.features, state.sensor.measured(z, visible)
+            around.append((before + (z2 - before)[told].mean(axis=0)).mean(axis=0))
+        sensed, visible = self.senses.sensed(frame, similarity, seen, around), self._visible(state.features)
+        measured, agree = state.sensor.measured(sensed.parts.at, visible), True
+        upright = np.where(measured.sure[:, None] > 0, measured.z, np.nan)
+        if found is not None:
+            second = state.second.measured(z2, visible)
+            agree, measured = not apart(measured, second).any(), joined(measured, second)
+        shift, sure = common_shift(measured, before), sensed.parts.sure if agree else 0.0
+        return View(similarity, seen, due, found, z2, *sensed, measured, upright, shift, sure)
+
+    def _followed(
+        self, rng: Generator, state: FaceState, view: View, frame: Frame, box: TargetResult | None
+    ) -> tuple[FaceState, TargetResult]:
+        """The points in a frame of which there is a `view`; a head without a `box` goes with them."""
+        (z, odds), features, shift = view.parts, state.features, view.shift
         if isinstance(features.learned, window_ncc.Learned):
             features = replace(features, learned=features.learned._replace(told=odds))
-        if found is not None:
-            measured = joined(measured, state.second.measured(z2, visible))
-        shift = common_shift(measured, before_at)
-        features = _shifted(features, lambda x: x + shift)
-        given = measured if isinstance(self.features.motion, JumpingWalk) else None  # others have the shift alone
-        features, points = self.features.advance(rng, features, seen, (), given)
+        features = shifted(features, lambda x: x + shift)
+        given = view.measured if isinstance(self.features.motion, JumpingWalk) else None  # others have the shift alone
+        features, points = self.features.advance(rng, features, view.seen, (), given)
         estimated, visible = features.estimated, self._visible(features)
         sensor = state.sensor.learned(z, estimated.state, estimated.cov, visible)
-        second = state.second.learned(z2, estimated.state, estimated.cov, visible)
+        second = state.second.learned(view.z2, estimated.state, estimated.cov, visible)
         points = points._replace(beliefs=None)  # those are of the state
         facing = state.facing if self.senses.detector is None else state.facing.predicted()
-        pose_var, others = state.pose_var + _POSE**2, state.others
+        others, far, similarity, head = state.others, view.others, view.similarity, state.head
         if others is not None:
             others = others.after(None, UNSEEN) if far is None else others.after(*far)
         elif far is not None:
             others = MeshPoints.begin(far.at)
-        kept = state.pose, pose_var, state.marks, others, frames
-        state = FaceState(head, features, points, sensor, second, facing, *kept)
-        if not due:
-            return state, self._result(state, box, frame)
-        after = self._measured(state, found, frame)
-        # of this frame the points are in the still face as it was
-        result = self._result(replace(after, pose=state.pose), box, frame)
-        return self._moved(after, state.pose), result
+        if box is None:
+            head, box = self.head.carried(rng, head, frame, similarity.matrix @ shift)
+        state = replace(
+            state, head=head, features=features, points=points, sensor=sensor, second=second, facing=facing,
+            others=others, sure=view.sure,
+        )  # fmt: skip
+        if view.found is not None and view.sure >= EASY:
+            state = replace(state, looks=kept(state.looks, look_of(view.seen)))
+        state = self._moved(self._posed(state, view), similarity)
+        return state, self._result(state, box, frame)
 
     def _visible(self, features: State) -> Array:
         """(K,) how visible the parts are, where their likelihood says so."""
         known = isinstance(features.learned, window_ncc.Learned)
         return np.asarray(features.learned.visible if known else np.ones(len(self.features.parts)))
 
-    def _map(self, head: State, pose: Array) -> Similarity:
-        x, y, scale = head.estimated.state[0, :3].tolist()
+    def _map(self, head: Array, pose: Array) -> Similarity:
+        """Of the face that lies so in a head at `head` (1, D)."""
+        x, y, scale = head[0, :3].tolist()
         middle = np.array([x, y]) + self.side * scale * pose[2:]
         return Similarity(middle, self.side * scale * math.exp(pose[1]) / FACE, float(pose[0]))
 
-    def _sighted(self, head: State, pose: Array, frame: Frame) -> State:
-        """The state of a head that is lost, with the places where a detector sees faces."""
+    def _sighted(self, state: FaceState, frame: Frame) -> FaceState:
+        """The state of a face that is lost, with the places where a detector sees faces."""
         assert self.senses.detector is not None
-        boxes = [found.box for found in self.senses.detector.find(frame)[:_FACES]]
+        faces, pose = self.senses.detector.find(frame)[:_FACES], state.pose
         places = tuple(
-            np.array([*(np.array(centre(box)) - box[2] * pose[2:]), math.log(box[2] / self.side)]) for box in boxes
+            np.array([*(np.array(centre(one.box)) - one.box[2] * pose[2:]), math.log(one.box[2] / self.side)])
+            for one in faces
         )
-        return replace(head, learned=head.learned._replace(sighted=places))
+        head = replace(state.head, learned=state.head.learned._replace(sighted=places))
+        return replace(state, head=head, sighting=sighted(state.sighting, faces, frame, state.looks))
 
-    def _measured(self, state: FaceState, found: Found | None, frame: Frame) -> FaceState:
-        """With what the detector says of the face's box."""
-        state = replace(state, facing=state.facing.looked(found=found is not None))
-        if found is None:
-            return state
-        # how the detected face lies in the head's box, along the axes of the frame
-        lies = Similarity(np.zeros(2), math.exp(state.pose[1]) / FACE, float(state.pose[0])).to_frame(
-            np.array(centre(found.box))
-        )
-        off = np.array([0.0, math.log(found.box[2] / FACE), *lies])
+    def _gone(self, head: State, seen: Sighting) -> bool:
+        """Whether a head that is lost may be where a face is seen: there, or no longer known to be covered."""
+        middle, half = head.estimated.state[0, :2], 0.5 * self.head.space.windows(head.estimated)[0]
+        if (np.abs(np.array(centre(seen.box)) - middle) < half).all():
+            return True
+        near = (np.abs(head.particles.x[:, 0, :2] - middle) < half).all(axis=1)
+        return float(np.exp(head.particles.log_w) @ near) < 0.5
+
+    def _returned(
+        self, rng: Generator, state: FaceState, seen: Sighting, frame: Frame
+    ) -> tuple[FaceState, TargetResult]:
+        """The face where it is seen again."""
+        side = seen.box[2] * math.exp(-state.pose[1])
+        x, y = np.array(centre(seen.box)) - side * state.pose[2:]
+        box = (float(x) - (side - 1) / 2, float(y) - (side - 1) / 2, side, side)
+        head, boxed = self.head.restart(rng, frame, state.head, TargetStart(box))
+        pose, rest = np.array([seen.roll, *state.pose[1:]]), self.features.x0
+        features = shifted(state.features, lambda x: x + (rest - state.features.estimated.state))
+        state = replace(state, head=head, features=features, pose=pose, facing=Facing(), sighting=None)
+        return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=True), frame, boxed)
+
+    def _posed(self, state: FaceState, view: View) -> FaceState:
+        """With what the detector says of the face's box, and parts left and right of its roll."""
+        z = view.upright
+        pose, var, known = state.pose, state.pose_var + _POSE**2, np.asarray(np.isfinite(z).all(axis=1))
+        pairs = [pair for pair in self._pairs if known[pair].all()]
+        if pairs and view.sure > 0:
+            turn = np.mean([still.slope(z[pair]) - self._slope(pair) for pair in pairs])
+            pose, var = updated(pose, var, np.array([turn, 0, 0, 0]), _BY_PAIRS)
+        if view.due:
+            state = replace(state, facing=state.facing.looked(found=view.found is not None))
         # a box drawn by hand may be another one than the detector's
-        noise = np.array([np.inf, _SIZES**2, _PLACES**2, _PLACES**2]) if self.senses.searched else np.full(4, np.inf)
-        assert self.settings.detections is not None
-        if state.marks is not None and state.frames // self.settings.detections.every % _TILTED == 0:
-            marks = self._marks(state.head, state.pose, frame)
-            if marks is not None:
-                off[0], noise[0] = still.turn_between(marks, state.marks) / TILT, _TILT**2
-        gain = state.pose_var / (state.pose_var + noise)
-        pose = np.clip(state.pose + gain * off, -_MOST, _MOST)
-        return replace(state, pose=pose, pose_var=(1 - gain) * state.pose_var)
+        if view.found is not None and self.senses.searched:
+            box = view.found.box
+            # how the detected face lies in the head's box, along the axes of the frame
+            lies = Similarity(np.zeros(2), math.exp(pose[1]) / FACE, float(pose[0])).to_frame(np.array(centre(box)))
+            pose, var = updated(pose, var, np.array([0.0, math.log(box[2] / FACE), *lies]), _BY_BOX)
+        return replace(state, pose=pose, pose_var=var)
 
-    def _marks(self, head: State, pose: Array, frame: Frame) -> Array | None:
-        """Where the detector sees the marks of the face, larger than the still one, so that they show how it rolls."""
-        if self.senses.detector is None:
-            return None
-        side, box = _FINE
-        similarity = self._map(head, pose)
-        fine = similarity._replace(scale=similarity.scale * FACE / box[2])
-        return self.senses.detector.marks(fine.read(frame, side).bgr, box)
-
-    def _moved(self, state: FaceState, before: Array) -> FaceState:
-        """With the points, which are in the still face of the pose `before`, in that of the state's own."""
-        old, new = (self._map(state.head, pose) for pose in (before, state.pose))
+    def _moved(self, state: FaceState, old: Similarity) -> FaceState:
+        """With the points, which are in the still face of the `old` map, in that of the state's own."""
+        new, rows = self._map(state.head.estimated.state, state.pose), state.points.rows
 
         def moved(x: Array) -> Array:
             return new.to_still(old.to_frame(x))
@@ -254,7 +278,10 @@ class FaceTarget:
         origin = moved(np.zeros(2))
         sensor, second = (one._replace(bias=moved(one.bias) - origin) for one in (state.sensor, state.second))
         others = state.others and state.others.mapped(moved)
-        return replace(state, features=_shifted(state.features, moved), sensor=sensor, second=second, others=others)
+        x, y = moved(np.stack([rows.x, rows.y], axis=1)).T
+        points = state.points._replace(rows=replace(rows, x=x, y=y), cloud=moved(state.points.cloud))
+        features = shifted(state.features, moved)
+        return replace(state, features=features, points=points, sensor=sensor, second=second, others=others)
 
     def cover(self, state: FaceState, *, ahead: bool) -> Cover | None:
         return self.head.cover(state.head, ahead=ahead)
@@ -265,7 +292,7 @@ class FaceTarget:
 
     def _result(self, state: FaceState, box: TargetResult, frame: Frame) -> TargetResult:
         """Rows of the points, as last seen in the still face, of the box, and of the network's points."""
-        similarity, rows = self._map(state.head, state.pose), state.points.rows
+        similarity, rows = self._map(state.head.estimated.state, state.pose), state.points.rows
         scale = similarity.scale
         cov = np.array([[rows.std_x**2, rows.cov_xy], [rows.cov_xy, rows.std_y**2]]).transpose(2, 0, 1)
         visible = np.where(np.isnan(rows.confidence), 1.0, rows.confidence)
@@ -309,8 +336,8 @@ class FaceTarget:
 
     def _rows(self, state: FaceState, at: Array, cov: Array, visible: Array, lost: Mask) -> dict[str, Any]:
         """Columns of points in the still face: places (K, 2) and covariances (K, 2, 2) there, how visible, and lost."""
-        similarity = self._map(state.head, state.pose)
-        shown = state.facing.shown * _sure(state.head)
+        similarity = self._map(state.head.estimated.state, state.pose)
+        shown = state.facing.shown * sure_of(state.head)
         known = visible * shown
         cov = similarity.matrix @ cov @ similarity.matrix.T
         cov = cov + (1 - known)[:, None, None] * state.head.estimated.cov[0]  # of what is hidden, the head alone says
@@ -336,6 +363,17 @@ class FaceTarget:
             found.append(others if self.calibration is None else self.calibration.believed(names, others, moves=True))
         return tuple(found)
 
+    def _slope(self, pair: list[int]) -> float:
+        """Of the line between two parts when the face is upright."""
+        return 0.0 if self.senses.searched else still.slope(self.features.x0[pair])
+
+    @cached_property
+    def _pairs(self) -> list[list[int]]:
+        """Parts left and right of each other, whose line turns with the face and not with an expression."""
+        parts = self.features.parts
+        pairs = [(part, part.replace("left", "right")) for part in parts if "left" in part]
+        return [[parts.index(left), parts.index(right)] for left, right in pairs if right in parts]
+
     @cached_property
     def _names(self) -> tuple[tuple[str, str], ...]:
         return tuple((self.name, part) for part in self.parts)
@@ -349,16 +387,3 @@ class FaceTarget:
         # the border runs through the middle of the outermost pixels
         size = np.stack([found["w"] - 1, found["h"] - 1], axis=1)
         return {**found, "corners": corners(way, face.centre[None], size)}
-
-
-def _shifted(features: State, to: Callable[[Array], Array]) -> State:
-    """The points' state at other places."""
-    particles = features.particles._replace(x=to(features.particles.x))
-    return replace(
-        features, particles=particles, estimated=features.estimated._replace(state=to(features.estimated.state))
-    )
-
-
-def _sure(head: State) -> float:
-    assert head.judgement is not None
-    return float(head.judgement.confidence[0])

@@ -219,6 +219,16 @@ class VisibleWalk:
         moved[:, 0, 2] = np.clip(x[:, 0, 2] * np.exp(one.scale * e[:, 4]), *self.limits)
         return moved
 
+    def carried(self, rng: np.random.Generator, x: Array, step: Array) -> Array:
+        """x (N, 1, 6) a frame later, where all are known to have moved by `step` (2,): with the mean velocities."""
+        moved, one = x.copy(), self.settings
+        noise = rng.standard_normal((len(x) + 1) // 2)
+        e = np.stack([noise, -noise], axis=1).ravel()[: len(x)]
+        moved[:, 0, 2] = np.clip(x[:, 0, 2] * np.exp(one.scale * e), *self.limits)
+        moved[:, 0, :2] += step
+        moved[:, 0, 3:5] = one.velocity * (1 - one.acceleration) * x[:, 0, 3:5] + one.acceleration * step
+        return moved
+
     def expect(self, x: Array) -> Array:
         """The mean of p(x_t | x_{t-1} = x), (N, 1, 6)."""
         moved = x.copy()

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.core.geometry import overlap
-from facetrack_cli.core.types import Array, Box, Frame, Image, Point, Start, factor_for
+from facetrack_cli.core.types import Box, Frame, Image, Point, Start, factor_for
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.tracking.start.haar import LONGEST, face_in, find_faces, nearest
 from facetrack_cli.tracking.start.points import EYES_IN_BOX, MOUTH_Y, place
@@ -24,7 +24,6 @@ from facetrack_cli.tracking.start.points import EYES_IN_BOX, MOUTH_Y, place
 MODEL: Final = "face_detection_yunet_2023mar.onnx"
 SMALL: Final = 67  # pixels of the face's box to which a measured image is reduced
 SAME: Final = 0.3  # overlap with the face that is expected
-TILT: Final = 0.7  # of a face's tilt that YuNet shows on a face of 224 pixels; on one of 67, less than a tenth
 
 
 class Found(NamedTuple):
@@ -53,9 +52,6 @@ class Detector(Protocol):
     def place(self, image: Image, box: Box) -> Mapping[str, Point]:
         """The five points of the face that somebody drew `box` (BGR image) around, whether it is seen or not."""
 
-    def marks(self, image: Image, box: Box) -> Array | None:
-        """Marks (M, 2) of the face that about fills `box`, which turn with it by TILT of its tilt; None if unseen."""
-
 
 class Haar:
     name: Final = "haar"
@@ -69,9 +65,6 @@ class Haar:
 
     def place(self, image: Image, box: Box) -> Mapping[str, Point]:
         return place(image, face_in(image, box) or box)
-
-    def marks(self, image: Image, box: Box) -> None:
-        """The cascades say nothing of a tilt: their points are placed in an upright box."""
 
 
 class YuNet:
@@ -107,11 +100,6 @@ class YuNet:
         points = place(near, found.box, found.eyes, found.points)
         return {name: (u + left, v + top) for name, (u, v) in points.items()}
 
-    def marks(self, image: Image, box: Box) -> Array | None:
-        rows = self._detect(image)
-        best = max(rows, key=lambda row: overlap(_box(row), box), default=None)
-        return None if best is None or overlap(_box(best), box) < SAME else best[4:14].reshape(5, 2).astype(float)
-
     def _detect(self, image: Image) -> NDArray[np.float32]:
         """(J, 15): left, top, width, height, five points, score of each face."""
         net = _net(self._model, get_ident())
@@ -132,11 +120,6 @@ class YuNet:
         corners = sorted(map(tuple, marks[3:].tolist()))
         points = dict(zip(("nose", "mouth_left", "mouth_right"), (tuple(marks[2].tolist()), *corners), strict=True))
         return Found((x, y, side, side), (left, right), points, True)
-
-
-def _box(row: NDArray[np.float32]) -> Box:
-    x, y, w, h = row[:4].tolist()
-    return x, y, w, h
 
 
 @lru_cache(maxsize=16)

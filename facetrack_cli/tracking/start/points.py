@@ -12,13 +12,13 @@ import numpy as np
 
 from facetrack_cli.core.types import Array, Box, Frame, Image, Point
 from facetrack_cli.tracking.face.descent import CORNER, Placed, load_descent
-from facetrack_cli.tracking.face.still import EYE_LINE, FACE, MIDDLE, Similarity, turn_between
+from facetrack_cli.tracking.face.still import EYE_LINE, FACE, MIDDLE, Similarity, change_between
 
 # Fractions of a Haar box (x, y): the mean over 26 images, of 15 clips and two portraits; standard deviation 0.02.
 EYES_IN_BOX: Final = ((0.309, 0.388), (0.672, 0.388))
 MOUTH_Y: Final = 1.12  # how far the corners of the mouth are below the eyes, in distances between the eyes
 EYES_AT: Final = np.array([MIDDLE, EYE_LINE])  # the middle between the eyes in the still face
-ZOOMS: Final = (0.95, 1.15)  # sizes of a face in the box of a cascade
+ZOOMS: Final = (0.95, 1.1, 1.3)  # sizes of a face in the box of a cascade
 AGAIN: Final = 2  # times that a face is laid upright by its points, at most
 EYE_WIDTH: Final = 100  # pixels to which a face is brought before its eyes are searched
 # Each cascade with the offset of its window's centre from the eye's centre, in face widths.
@@ -61,7 +61,7 @@ def shows_features(image: Image, box: Box) -> bool:
 def _placed(frame: Frame, box: Box, eyes: tuple[Point, Point] | None, points: Mapping[str, Point]) -> Placed:
     """The face in `box` where the regression sees most of it.
 
-    Without `eyes` they are taken to be where they are on average, and the face to be of one of two sizes: the boxes of
+    Without `eyes` they are taken to be where they are on average, and the face of one of three sizes: the boxes of
     cascades say neither how a face is tilted, nor well how large it is. Then the face is laid upright by its points,
     as long as more is seen; its size stays, since a mouth may be wide.
     """
@@ -83,7 +83,7 @@ def _placed(frame: Frame, box: Box, eyes: tuple[Point, Point] | None, points: Ma
         tries.append((size, seen(size, angle, np.mean(list(points.values()), axis=0), known.mean(axis=0))))
     scale, best = max(tries, key=lambda one: one[1].sure)
     for _ in range(AGAIN):
-        again = seen(scale, turn_between(best.at, rest), best.at.mean(axis=0), rest.mean(axis=0))
+        again = seen(scale, change_between(best.at, rest)[0], best.at.mean(axis=0), rest.mean(axis=0))
         if again.sure <= best.sure:
             break
         best = again

@@ -2,6 +2,7 @@
 
 Ours, of published pieces; each has a file of its own in `models/correlation_filter`:
 
+    heights.py   how high responses are of the target, and of all else
     features.py  gradients, grey and colours of a window, reduced (Danelljan et al. 2017, ECO)
     trained.py   the filter and how it is learned (2015, SRDCF; ECO; Li et al. 2018, STRCF)
     scale.py     the filter of scale (2014, DSST)
@@ -10,19 +11,22 @@ Ours, of published pieces; each has a file of its own in `models/correlation_fil
 With R the response to a window and Rm its highest value, the log-likelihood ratio of a target visible at x = (place,
 log scale) against one that is hidden is
 
-    log L(x) = evidence - z^2 / 2 + log sum_j (R_j / Rm)^sharpness N(x; x_j, std_j^2) / c,  z = max(mu - Rm, 0) / sigma
+    log L(x) = log p(Rm | visible) / p(Rm | hidden) + log sum_j (R_j / Rm)^sharpness N(x; x_j, std_j^2) / c
 
-R_j are the highest local maxima of R, as LMCF looks at several (Wang et al. 2017). mu and sigma are the running mean
-and standard deviation of Rm while the target is visible, as LMCF compares peaks with their means. std_j is that of
-R^sharpness beside the peak (Laplace's approximation), so that a blurred frame says less about the place; of the scale,
-that of the response over scales to the power `scales.sharpness`. The volume c makes `evidence` the logarithm of the
-Bayes factor for a peak of usual height, where the target is as likely in one place as in another within a box and a
+R_j are the highest local maxima of R, as LMCF looks at several (Wang et al. 2017). Peaks of the target have a running
+mean and standard deviation, as in LMCF; those of all else are what other windows of the first frame have. Each density
+is Student's, so that no height is impossible, and flat beyond its mean on the side away from the other one; `evidence`
+bounds their log ratio. A face that turns or puts on a hat has a peak far below its mean, and far above all else: it is
+visible. std_j is that of R^sharpness beside the peak (Laplace's approximation), so that a blurred frame says less about
+the place; of the scale, that of the response over scales to the power `scales.sharpness`.
+The volume c makes the ratio a Bayes factor where the target is as likely in one place as in another within a box and a
 tenth of log scale. Far from all peaks L is about 0, and a target there must be hidden.
 
 All is learned in proportion to P(visible), and a little while the target is hidden: a face that turns away and one that
-is covered look alike, and after some seconds what is seen is taken for the target. While it is hidden, windows on a
-lattice over the whole frame, those near the last place first, are compared with this filter and with that of the first
-frames together; what both find is a mode as well.
+is covered look alike, and after some seconds what is seen is taken for the target. What is visible with a low peak is
+learned slower: it may be partly covered. The filter of the first frames is part of R, so that what covers a target for
+some time does not replace it. While the target is hidden, windows on a lattice over the whole frame, those near the
+last place first, at one size after another, are compared with both filters alike; the best is a mode as well.
 """
 
 from __future__ import annotations
@@ -30,7 +34,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,73 +44,54 @@ from facetrack_cli.tracking.guides import Guides
 from facetrack_cli.tracking.kernels.cells import read_cubic
 from facetrack_cli.tracking.models.correlation_filter.colour import ColourModel, Colours
 from facetrack_cli.tracking.models.correlation_filter.features import Features, Single
+from facetrack_cli.tracking.models.correlation_filter.heights import (
+    Heights,
+    Peaks,
+    Usual,
+    View,
+    evidence,
+    log_student,
+)
 from facetrack_cli.tracking.models.correlation_filter.scale import ScaleTrainer, TrainedScale
 from facetrack_cli.tracking.models.correlation_filter.trained import UPSAMPLED, Trained, Trainer, peaks
 from facetrack_cli.tracking.models.spaces import VISIBLE, Context
 from facetrack_cli.tracking.resampling import logsumexp
 
 FIRST = 10  # frames from which the filter for re-detection is learned
-_MEMORY = 50.0  # frames over which it is learned how high peaks are
 _USUAL = (0.75, 0.15)  # mean and standard deviation of peaks, in terms of that of the first window itself
+_OTHER = 0.06  # least standard deviation of such peaks in other windows
 _PRIOR = 10.0  # frames that these count for
-_SIGMA = (0.1, 0.2)  # the least and the largest sigma, in terms of mu
+_LOW = 2.0  # standard deviations below the mean; a target with a lower peak is learned slower
+_SLOWER = 0.3  # by this factor at most
+_KEPT = 0.2  # weight of the first frames' response in R
 _LEAST = 1e-3  # of R / Rm and of S / Sm, whose logarithms are taken
 _SCALE_STD = 0.03
 _OFF = 0.25  # mean sides of the box; a peak further off the middle of the window is looked at once more
 _LEARNS = 0.05  # P(visible) below which nothing is learned
 _SIGHTED = 3.0  # log of how much likelier a detector sees a face there if it is the target
 _LATTICE = 0.4  # distance of two windows of re-detection, in sides of the window
+_SIZES = (1.0, 0.7, 1.0, 1.4)  # of what returns, in terms of its last size, one after another
 _MOST = 64  # windows of the lattice along a side of the frame, of a target that is tiny
+_SOON = 25  # frames within which what returns has its last size
 _SPEED = 0.5  # mean sides of the box a frame, by which re-detection widens
 
 
-class Heights(NamedTuple):
-    """Running mean and standard deviation of peaks, and how many frames they are learned from."""
-
-    mean: float
-    std: float
-    frames: float
-
-    def z(self, height: float) -> float:
-        """How many standard deviations a height is below the mean; 0 above it."""
-        least, most = (share * self.mean for share in _SIGMA)
-        return max(self.mean - height, 0.0) / max(min(max(self.std, least), most), 1e-9)
-
-    def learn(self, height: float, share: float) -> Heights:
-        frames = min(self.frames + share, _MEMORY)
-        rate = share / frames
-        off = min(max(height - self.mean, -2 * self.std), 2 * self.std)  # a mean that few bad frames do not move
-        return Heights(self.mean + rate * off, math.sqrt((1 - rate) * (self.std**2 + rate * off**2)), frames)
-
-
-class View(NamedTuple):
-    """A window around `centre` (2,): its response with colours, `raw` without, and that of the first frames."""
-
-    centre: Array
-    response: Single
-    raw: Single
-    first: Single
-
-    def heights(self, peak: Array) -> tuple[float, float]:
-        """How high both filters' responses are within a cell of a peak (column, row, height)."""
-        column, row = round(float(peak[0])), round(float(peak[1]))
-        rows, columns = (slice(max(k - UPSAMPLED, 0), k + UPSAMPLED + 1) for k in (row, column))
-        return float(self.raw[rows, columns].max()), float(self.first[rows, columns].max())
-
-
 class Seen(NamedTuple):
-    """What a frame shows: its modes, with log L at each, and how high R and the first frames' response are there."""
+    """What a frame shows: its modes, with log L at each, and how high responses are at the highest one."""
 
     guides: Guides
-    heights: tuple[float, float]
+    heights: Peaks
     candidate: Array | None
 
 
 class Learned(NamedTuple):
     """What is known of the clip. `first` are the filters of the first frames, `hidden` how long it has been hidden.
 
+    `last` is the index of the frame that was learned last.
+
     `candidate` (3,) is the best place and log scale elsewhere of the last frame, which is looked at again; `sighted`
-    are those where somebody else has seen something like the target in this one.
+    are those where somebody else has seen something like the target in this one; `told` is the log odds by which others
+    see it at its place.
     """
 
     features: Features
@@ -114,12 +99,13 @@ class Learned(NamedTuple):
     first: Single
     scales: TrainedScale | None
     colours: Colours | None
-    heights: Heights
-    first_heights: Heights
+    heights: Usual
     frames: int = 1
+    last: int = 0
     hidden: int = 0
     candidate: Array | None = None
     sighted: tuple[Array, ...] = ()
+    told: float = 0.0
     seen: Seen | None = None
 
 
@@ -168,14 +154,21 @@ class CorrelationFilter:
         x, window = features.read(frame, centre, self._side(scale))
         filters = self._trainer.begin(x)
         top = float(self._trainer.respond(filters.filters, x).max())
-        heights = Heights(_USUAL[0] * top, _USUAL[1] * top, _PRIOR)
+        others = [0.0]
+        for place in self._lattice(frame, centre, scale):
+            if float(np.abs(place - centre).max()) > 0.5 * self._side(scale):
+                there, _ = features.read(frame, place, self._side(scale))
+                others.append(float(self._trainer.respond(filters.filters, there).max()))
+        one = Heights(_USUAL[0] * top, _USUAL[1] * top, _PRIOR)
+        other = Heights(float(np.mean(others)), max(float(np.std(others)), _OTHER * top), _PRIOR)
+        heights = Usual(one, one, other, other)
         colours = None
         if features.colour and self.settings.colour > 0:
             colours = self._colour_model.learn(None, window, 1.0)
         scales, trainer = None, self._scale_trainer
         if trainer is not None:
             scales = trainer.learn(None, trainer.read(frame, centre, scale), 1.0)
-        return Learned(features, filters, filters.filters, scales, colours, heights, heights)
+        return Learned(features, filters, filters.filters, scales, colours, heights, last=frame.index)
 
     def look(self, learned: Learned, frame: Frame, expected: Array) -> Learned:
         """With what the frame shows around the place (1, D) where the target is `expected`."""
@@ -187,16 +180,17 @@ class CorrelationFilter:
             view = self._view(learned, frame, centre + off, scale)
             found = peaks(view.response, 0.5, one.modes)
         heights = view.heights(found[0])
-        log_l = one.evidence - 0.5 * learned.heights.z(heights[0]) ** 2
+        log_l: Any = evidence(learned.heights.now, learned.heights.others, heights.now, one.evidence) + learned.told
         log_l = log_l + one.sharpness * np.log(np.maximum(found[:, 2] / found[0, 2], _LEAST))
         modes = [self._modes(view, scale, found, log_l)]
         log_s, std = self._scale_at(learned, frame, modes[0].mean[0, :2], scale)
         modes[0].mean[:, 2] += log_s
         modes[0].std[:, 2] = std
         candidate = None
-        if (anew := self._detect(learned, frame, expected, scale)) is not None:
+        if (found_anew := self._detect(learned, frame, expected, scale)) is not None:
+            anew, height = found_anew
             modes.append(anew)
-            candidate = anew.mean[0]
+            candidate, heights = anew.mean[0], heights._replace(elsewhere=height)
         guides = Guides(*(np.concatenate(column) for column in zip(*modes, strict=True)))
         return learned._replace(seen=Seen(guides, heights, candidate))
 
@@ -206,28 +200,29 @@ class CorrelationFilter:
 
     def _view(self, learned: Learned, frame: Frame, centre: Array, scale: float) -> View:
         x, window = learned.features.read(frame, centre, self._side(scale))
-        raw, first = (self._trainer.respond(of, x) for of in (learned.filters.filters, learned.first))
-        response = raw
+        now, first = (self._trainer.respond(of, x) for of in (learned.filters.filters, learned.first))
+        response, (usual, usual_first) = now, learned.heights[:2]
         if learned.colours is not None:
-            score = self._colour_model.respond(learned.colours, window, len(raw))
+            score = self._colour_model.respond(learned.colours, window, len(now))
             if score is not None:
                 share = self.settings.colour
-                response = (1 - share) * raw + np.float32(share * learned.heights.mean) * score
-        return View(centre, response, raw, first)
+                response = (1 - share) * now + np.float32(share * usual.mean) * score
+        response = response + np.float32(_KEPT * usual.mean / max(usual_first.mean, 1e-9)) * first
+        return View(centre, response, now, first)
 
-    def _detect(self, learned: Learned, frame: Frame, expected: Array, scale: float) -> Guides | None:
-        """A mode found elsewhere, where the target is hidden: the best of a few windows, looked at once more."""
+    def _detect(self, learned: Learned, frame: Frame, expected: Array, scale: float) -> tuple[Guides, float] | None:
+        """A mode found elsewhere, where the target is hidden, and how high it is: the best of a few windows."""
         best: tuple[float, Array, bool] | None = None
         middle = UPSAMPLED * self.settings.cells // 2
-        places = [(np.array([*place, math.log(scale)]), False) for place in self._elsewhere(learned, frame, expected)]
+        places = [(place, False) for place in self._elsewhere(learned, frame, expected)]
         if learned.hidden:
             places += [(place, True) for place in learned.sighted]
-            places += [] if learned.candidate is None else [(learned.candidate, False)]
+            if (last := learned.candidate) is not None:  # once more, and at the last size
+                places += [(last, False), (np.array([*last[:2], math.log(scale)]), False)]
         for place, sighted in places:
             size = float(np.clip(math.exp(place[2]), *self.limits))
             view = self._view(learned, frame, place[:2], size)
-            both = view.raw / np.float32(learned.heights.mean) + view.first / np.float32(learned.first_heights.mean)
-            [top] = peaks(both, 1.0, 1)
+            [top] = peaks(self._both(learned, view), 1.0, 1)
             if best is None or top[2] > best[0]:
                 at = place[:2] + (top[:2] - middle) * self._sample(size)
                 best = float(top[2]), np.array([*at, math.log(size)]), sighted
@@ -235,11 +230,19 @@ class CorrelationFilter:
             return None
         size = math.exp(best[1][2])
         view = self._view(learned, frame, best[1][:2], size)
-        found = peaks(view.response, 1.0, 1)
-        raw, first = view.heights(found[0])
-        log_l = self.settings.evidence - 0.5 * (learned.heights.z(raw) ** 2 + learned.first_heights.z(first) ** 2)
-        log_l += _SIGHTED * best[2]
-        return self._modes(view, size, found, np.array([log_l]), anew=True)
+        found = peaks(self._both(learned, view), 1.0, 1)
+        height = float(found[0, 2])
+        log_l = (
+            evidence(learned.heights.now, learned.heights.elsewhere, height, self.settings.evidence)
+            + _SIGHTED * best[2]
+        )
+        return self._modes(view, size, found, np.array([log_l]), anew=True), height
+
+    def _both(self, learned: Learned, view: View) -> Single:
+        """What both filters respond to, as high as R usually is."""
+        usual, usual_first = learned.heights[:2]
+        ratio = usual.mean / max(usual_first.mean, 1e-9)
+        return np.float32(0.5) * (view.now + np.float32(ratio) * view.first)
 
     def _modes(self, view: View, scale: float, found: Array, log_l: Array, *, anew: bool = False) -> Guides:
         """The peaks `found` (J, 3) of a response as Gaussians of place and log scale, which is left open."""
@@ -270,20 +273,33 @@ class CorrelationFilter:
         return mean / (variance * precision), 1 / math.sqrt(precision)
 
     def _elsewhere(self, learned: Learned, frame: Frame, expected: Array) -> list[Array]:
-        """Where else to look for a target that is hidden: a few places of a lattice, the nearest first, in turn."""
+        """Where else to look for a target that is hidden, places and log scales (3,): a few of a lattice, in turn.
+
+        The nearest are first; after all the next size.
+        """
         count = self.settings.detect
         if not learned.hidden or not count:
             return []
+        places = self._lattice(frame, expected[0, :2], float(expected[0, 2]))
+        away = np.hypot(*(places - expected[0, :2]).T)
         step = _LATTICE * self._side(float(expected[0, 2]))
+        reach = step + _SPEED * self._unit * float(expected[0, 2]) * learned.hidden
+        places = places[: max(int(np.sum(away <= reach)), 1)]
+        begin = (learned.hidden - 1) * count
+        found, size = [], math.log(float(expected[0, 2]))
+        for k in range(begin, begin + min(count, len(places))):
+            turn, at = divmod(k, len(places))
+            factor = _SIZES[turn % len(_SIZES)] if learned.hidden > _SOON else 1.0
+            found.append(np.array([*places[at], size + math.log(factor)]))
+        return found
+
+    def _lattice(self, frame: Frame, near: Array, scale: float) -> Array:
+        """Middles (M, 2) of windows all over the frame, the nearest to a place (2,) first."""
+        step = _LATTICE * self._side(scale)
         across, down = (np.arange(min(max(round(n / step), 1), _MOST)) for n in frame.size)
         x, y = np.meshgrid((across + 0.5) / len(across) * frame.size[0], (down + 0.5) / len(down) * frame.size[1])
         places = np.column_stack([x.ravel(), y.ravel()])
-        away = np.hypot(*(places - expected[0, :2]).T)
-        order = np.argsort(away, kind="stable")
-        reach = step + _SPEED * self._unit * float(expected[0, 2]) * learned.hidden
-        order = order[: max(int(np.sum(away <= reach)), 1)]
-        begin = (learned.hidden - 1) * count
-        return [places[order[k % len(order)]] for k in range(begin, begin + min(count, len(order)))]
+        return places[np.argsort(np.hypot(*(places - near).T), kind="stable")]
 
     def score(self, learned: Learned, frame: Frame, x: Array, parents: Array) -> Array:
         """(N, 1): log L of x (N, 1, D), the Gaussians of the modes; 0 far from all."""
@@ -307,16 +323,18 @@ class CorrelationFilter:
         visible = float(np.clip(state[0, VISIBLE], 0, 1))
         frames = learned.frames + 1
         if seen is not None:
-            heights, first_heights = learned.heights, learned.first_heights
-            heights, first = heights.learn(seen.heights[0], visible), first_heights.learn(seen.heights[1], visible)
-            learned = learned._replace(heights=heights, first_heights=first)
+            learned = learned._replace(heights=learned.heights.learn(seen.heights, visible))
         hidden = learned.hidden + 1 if visible < 0.5 else 0
         candidate = seen.candidate if hidden and seen is not None else None
-        learned = learned._replace(hidden=hidden, candidate=candidate, sighted=(), seen=None, frames=frames)
+        learned = learned._replace(hidden=hidden, candidate=candidate, sighted=(), told=0.0, seen=None, frames=frames)
         share = one.hidden_rate + (1 - one.hidden_rate) * visible
-        step = 1 if frames <= FIRST else one.every
-        if share < _LEARNS or frames % step:
+        if seen is not None:
+            low = max(learned.heights.now.z(seen.heights.now) - _LOW, 0.0)
+            share *= max(math.exp(log_student(low)), _SLOWER)
+        step = frame.index - learned.last
+        if share < _LEARNS or (frames > FIRST and step < one.every):
             return learned
+        learned, step = learned._replace(last=frame.index), min(step, 2 * one.every)
         centre, scale = state[0, :2], float(state[0, 2])
         x, window = learned.features.read(frame, centre, self._side(scale))
         rate = min(step * share * one.rate, 1.0) if one.learn == "memory" else share
