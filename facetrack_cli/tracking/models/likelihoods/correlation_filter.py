@@ -72,6 +72,7 @@ _SIGHTED = 3.0  # log of how much likelier a detector sees a face there if it is
 _LATTICE = 0.4  # distance of two windows of re-detection, in sides of the window
 _SIZES = (1.0, 0.7, 1.0, 1.4)  # of what returns, in terms of its last size, one after another
 _MOST = 64  # windows of the lattice along a side of the frame, of a target that is tiny
+_AROUND = 64  # windows at most that the first frame is compared with
 _SOON = 25  # frames within which what returns has its last size
 _SPEED = 0.5  # mean sides of the box a frame, by which re-detection widens
 
@@ -155,7 +156,7 @@ class CorrelationFilter:
         filters = self._trainer.begin(x)
         top = float(self._trainer.respond(filters.filters, x).max())
         others = [0.0]
-        for place in self._lattice(frame, centre, scale):
+        for place in self._lattice(frame, centre, scale)[:_AROUND]:
             if float(np.abs(place - centre).max()) > 0.5 * self._side(scale):
                 there, _ = features.read(frame, place, self._side(scale))
                 others.append(float(self._trainer.respond(filters.filters, there).max()))
