@@ -34,8 +34,9 @@ from facetrack_cli.core.errors import ExitCode, FacetrackError, RecipeError, fro
 from facetrack_cli.core.log import as_json, log_line  # noqa: E402
 from facetrack_cli.runs.signals import TerminatedError, raising  # noqa: E402
 
-for _one, _handler in _before.items():
-    signal.signal(_one, _handler)
+if __name__ != "__main__":  # a program that imports us keeps its own handlers
+    for _one, _handler in _before.items():
+        signal.signal(_one, _handler)
 
 _LONGEST = 1000  # characters of an error
 _STREAM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
@@ -44,7 +45,7 @@ _STREAM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line (by default the process's own) and return its exit code."""
     _open_streams()
-    with raising():
+    with raising(instead_of=_end):
         code = _run(argv)
     if argv is None and code in (ExitCode.INTERRUPTED, ExitCode.TERMINATED):
         # another Ctrl-C while the interpreter shuts down must not change the exit code

@@ -69,8 +69,10 @@ class Stop:
 
 
 @contextlib.contextmanager
-def raising() -> Iterator[None]:
+def raising(instead_of: Callable[[int, Any], None] | None = None) -> Iterator[None]:
     """Where no Stop listens, Ctrl-C raises KeyboardInterrupt, other signals TerminatedError; what is ignored stays so.
+
+    Handlers of others stay, but for `instead_of`.
 
     Within an import, which may turn the exception into another one, the process ends at once. Python drops what is
     raised within a `__del__` or a callback: then the next Stop ends at once.
@@ -98,6 +100,6 @@ def raising() -> Iterator[None]:
         restored.callback(setattr, Stop, "before", None)
         main = threading.current_thread() is threading.main_thread()
         for number in [one for one in signal.Signals if one.name in _CODES] if main else ():
-            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler, instead_of):
                 restored.callback(signal.signal, number, signal.signal(number, end))
         yield
