@@ -171,3 +171,17 @@ def test_far_from_all_parents_it_is_finite():
     arrived = WALK.arrive(np.random.default_rng(0), z, particles)
     assert np.isfinite(arrived.x).all() and np.isfinite(np.logaddexp(arrived.log_visible, arrived.log_hidden)).all()
     assert arrived.x[1, 0, 2] == 10.0 and arrived.x[2, 0, 2] == 0.1
+
+
+@pytest.mark.parametrize("n", [1, 7, 400])
+def test_what_others_see_moving_is_carried_with_its_mean_velocities(n):
+    one, before = WALK.settings, np.repeat(np.array(PARENTS), [n] * 3, axis=0)[:, None]
+    step = np.array([5.0, -2.0])
+    after = WALK.carried(np.random.default_rng(0), before, step)
+    np.testing.assert_array_equal(after[:, 0, :2], before[:, 0, :2] + step)
+    np.testing.assert_array_equal(after[:, 0, VISIBLE], before[:, 0, VISIBLE])
+    # the mean of the velocity of `propagate`, given where the place has come to
+    a, b = one.velocity, one.acceleration
+    np.testing.assert_allclose(after[:, 0, 3:5], a * before[:, 0, 3:5] + b * (step - a * before[:, 0, 3:5]))
+    grown = np.log(after[:, 0, 2] / before[:, 0, 2])
+    assert grown.std() == pytest.approx(0.05, rel=0.15) if n == 400 else np.isfinite(grown).all()

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.shipped import shipped_folder
 from facetrack_cli.core.types import Array, Image
+from facetrack_cli.tracking.kernels.orientations import smoothed_channels
 
 KIND = Kind("facetrack-descent", 1, "mouth descent", "python tools/mouth_descent.py")
 DEFAULT = "mouth_descent.npz"
@@ -41,7 +42,7 @@ SEEN: Final = 14.0  # log odds of all parts, above which nothing else is tried
 SURE: Final = 4.0  # bound of what one part says of how well a face lies, in log odds
 STEP: Final = 5.0  # pixels between the points of the grid, times the stage's scale
 _TURNS: Final = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
-_COS, _SIN = np.cos(_TURNS).astype(np.float32), np.sin(_TURNS).astype(np.float32)
+_WAYS: Final = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1).astype(np.float32)
 _AROUND: Final = (np.stack(np.meshgrid(*2 * [np.arange(GRID) - (GRID - 1) / 2]), axis=2) * STEP).reshape(-1, 2)
 
 
@@ -157,14 +158,11 @@ def read(seen: NDArray[np.float32], x: Array, scale: float) -> NDArray[np.float3
 def channels(image: Image) -> NDArray[np.float32]:
     """The channels (H, W, DIRECTIONS + 3) of an image (H, W, 3)."""
     grey, red = looks(np.asarray(cv2.blur(image, (3, 3)), np.uint8))
-    across, down = cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)
-    size = np.sqrt(across**2 + down**2)
-    along = np.maximum(across[..., None] * _COS + down[..., None] * _SIN, 0)
-    along *= along / (size * (_rms(size, 27) + 0.02) + 1e-6)[..., None]
+    across, down = (np.asarray(cv2.Sobel(grey, cv2.CV_32F, *way), np.float32) for way in ((1, 0), (0, 1)))
+    size = np.asarray(cv2.magnitude(across, down), np.float32)
     slope = np.asarray(cv2.Sobel(red, cv2.CV_32F, 0, 1), np.float32)
-    slope = slope / (_rms(slope, 27) + 0.05)
-    found = np.dstack([along, _relative(red), _relative(grey), slope])
-    return _mean(_mean(found, 5), 5)
+    others = np.stack([_relative(red), _relative(grey), slope / (_rms(slope, 27) + 0.05)])
+    return smoothed_channels(across, down, size, _rms(size, 27), _WAYS, others)
 
 
 def looks(image: Image) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -124,12 +124,12 @@ class WindowNcc:
         """v (K,) of the frame that was learned last."""
         return learned.visible
 
-    def presence(self, learned: Learned, frame: Frame, state: Array) -> Array:
-        """v (K,) of parts at the estimate (K, 2)."""
-        old = [
-            [w for w, age in zip(known.windows, known.age, strict=True) if age >= YOUNG] for known in learned.templates
-        ]
-        r = np.array([max(_like(each, self._window(frame, k, state[k]))) for k, each in enumerate(old)])
+    def presence(self, learned: Learned, windows: Sequence[Channels]) -> Array:
+        """v (K,) of parts that look like `windows`, of unit norm, at the estimate."""
+        r = np.empty(len(windows))
+        for k, (known, window) in enumerate(zip(learned.templates, windows, strict=True)):
+            old = [one for one, age in zip(known.windows, known.age, strict=True) if age >= YOUNG]
+            r[k] = max(_like(old, window))
         q = (learned.good - r) / np.maximum(learned.good - learned.beside, 0.05)
         evidence = np.clip((HIDDEN - q) / SOFT, *BY_WINDOW) + np.clip(learned.told, *BY_TOLD)
         return visible_after(learned.visible, evidence)
@@ -138,7 +138,8 @@ class WindowNcc:
         """g where a part is visible, b always, and new templates."""
         if learned.maps is None:  # of a track that begins again nobody has looked at the frame
             learned = self.look(learned, frame, state)
-        visible, r = self.presence(learned, frame, state), self.correlation(learned, state[None])[0]
+        windows = [_unit(self._window(frame, k, at)) for k, at in enumerate(state)]
+        visible, r = self.presence(learned, windows), self.correlation(learned, state[None])[0]
         good = learned.good + visible / MEMORY * (r - learned.good)
         beside = learned.beside + (self._beside(learned, state).mean(axis=1) - learned.beside) / MEMORY
         w = np.exp(particles.log_w)
@@ -147,8 +148,7 @@ class WindowNcc:
         clear = (visible > 0.5) & (spread < SURE * 2 * self.reach) & (learned.told >= usual - UNLIKE)
         templates = []
         for k, known in enumerate(learned.templates):
-            window = self._window(frame, k, state[k]) if clear[k] else None
-            templates.append(self._kept(known, window, hidden=bool(visible[k] < 0.5)))
+            templates.append(self._kept(known, windows[k] if clear[k] else None, hidden=bool(visible[k] < 0.5)))
         return Learned(tuple(templates), good, beside, visible, learned.told, usual)
 
     def relearn(self, learned: Learned, frame: Frame, x0: Array, parts: Mask) -> Learned:
@@ -163,7 +163,7 @@ class WindowNcc:
         return Learned(templates, good, beside, visible, learned.told, learned.usual)
 
     def _kept(self, known: Templates, window: Channels | None, *, hidden: bool) -> Templates:
-        """The templates after one more frame; `window`: how the part looks, where it is clear."""
+        """The templates after one more frame; `window`, of unit norm: how the part looks, where it is clear."""
         each = [one for one in zip(*known, strict=True) if not (hidden and one[2] < YOUNG)]
         windows, used, age = zip(*((w, n, age + 1) for w, n, age in each), strict=True)
         if window is None:
@@ -176,7 +176,7 @@ class WindowNcc:
         if len(kept) == most:
             kept.remove(1 + int(np.argmin(used[1:])))
         found = (
-            (*(windows[i] for i in kept), _unit(window)),
+            (*(windows[i] for i in kept), window),
             (*(used[i] for i in kept), 0.5),
             (*(age[i] for i in kept), 0),
         )
@@ -212,12 +212,14 @@ def visible_after(before: Array, evidence: Array) -> Array:
 
 
 def _read(frame: Frame, centre: Array, w: int, h: int) -> Channels:
-    """The channels (h, w, 2) of a region around `centre` (2,), read bilinearly; outside, those of the border."""
-    left, top = (centre - (w - 1, h - 1) / np.array(2.0)).tolist()
-    to = np.array([[1.0, 0.0, left], [0.0, 1.0, top]])
-    how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    found = cv2.warpAffine(frame.bgr, to, (w, h), flags=how, borderMode=cv2.BORDER_REPLICATE)
-    return channels(np.asarray(found, np.uint8))
+    """The channels (h, w, 2) of a region around `centre` (2,), read bilinearly; outside, those of the border.
+
+    A centre outside is taken to the border.
+    """
+    height, width = frame.bgr.shape[:2]
+    x, y = centre.tolist()
+    at = min(max(x, 0.0), width - 1.0), min(max(y, 0.0), height - 1.0)
+    return channels(np.asarray(cv2.getRectSubPix(frame.bgr, (w, h), at), np.uint8))
 
 
 def channels(image: NDArray[np.uint8]) -> Channels:
@@ -227,9 +229,8 @@ def channels(image: NDArray[np.uint8]) -> Channels:
 
 
 def _like(templates: Sequence[Channels], window: Channels) -> list[float]:
-    """r of a window with each template."""
-    unit = _unit(window)
-    return [float(np.vdot(one, unit)) for one in templates]
+    """r of a window of unit norm with each template."""
+    return [float(np.vdot(one, window)) for one in templates]
 
 
 def _unit(window: Channels) -> Channels:
