@@ -52,7 +52,7 @@ def paired(
         if ended.error is not None:
             raise ended.error
         known = within(truth, ended.runs[0].trajectory, Options())
-        pairs = [match(run.trajectory, known, partial=partial, select=None, check_shift=False) for run in ended.runs]
+        pairs = [match(run.trajectory, known, partial=partial, select=None) for run in ended.runs]
         yield ended.plan.label, ended.runs, pairs
 
 

@@ -64,7 +64,7 @@ def run(clip: Path, config: str, seed: int) -> Array:
     with Memory(job) as memory:
         track_clip(job, memory, Stop())
         track = memory.trajectory
-    pairs = match(track, truth, partial=True, select=None, check_shift=False)
+    pairs = match(track, truth, partial=True, select=None)
     found = evaluate(pairs).all
     boxed, points, cover, trusted = found.boxes, found.points, found.coverage, found.confidence
     if boxed is not None and points is None:

@@ -255,11 +255,8 @@ class TruthOptions:
     """How a file of ground truth is read."""
 
     truth_format: str = format_of("--truth-format", f"How to read it: {', '.join(TRUTH_FORMATS[1:])}")
-    shift: int | None = option(
-        "--shift N",
-        "Add N to the frame numbers of the ground truth; 0 takes them as they are even if another shift would fit "
-        "better.",
-        type=int,
+    shift: int = option(
+        "--shift N", "Add N to the frame numbers of the ground truth.", type=int, default=0, show_default=False
     )
     partial: bool = flag("--partial", "Take the frames that both have, though ground truth or track lacks some.")
     target: str | None = TARGET
@@ -268,7 +265,7 @@ class TruthOptions:
         """UsageError, since there is no file, for an option that says how to read it; for --target only if `target`."""
         given = {
             "--truth-format": self.truth_format != "auto",
-            "--shift": self.shift is not None,
+            "--shift": self.shift != 0,
             "--partial": self.partial,
             "--target": target and self.target,
         }
@@ -278,13 +275,13 @@ class TruthOptions:
     def read(self, path: Path) -> Trajectory:
         from facetrack_cli.trajectory.formats.read import read_truth
 
-        return read_truth(path, self.truth_format, shift=self.shift or 0)
+        return read_truth(path, self.truth_format, shift=self.shift)
 
     def pairs(self, ours: Trajectory, theirs: Trajectory, note: Callable[[str], None]) -> list[Pair]:
         """The rows of a trajectory beside those of the ground truth; `note` gets what to know of it."""
         from facetrack_cli.evaluation.match import match
 
-        return match(ours, theirs, partial=self.partial, select=self.target, check_shift=self.shift is None, note=note)
+        return match(ours, theirs, partial=self.partial, select=self.target, note=note)
 
 
 class Page:

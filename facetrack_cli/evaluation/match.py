@@ -1,6 +1,6 @@
 """Which rows of a trajectory are measured against which rows of the ground truth: by names and by frames.
 
-    pairs = match(read_trajectory(run), read_truth(file), partial=False, select=None, check_shift=True)
+    pairs = match(read_trajectory(run), read_truth(file), partial=False, select=None)
 
 Ground truth that is empty, shorter, counted from another frame or of another clip gives an error that says so.
 """
@@ -8,13 +8,12 @@ Ground truth that is empty, shorter, counted from another frame or of another cl
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import BOX, Array, Whole
-from facetrack_cli.evaluation.rows import Pair, at
+from facetrack_cli.core.types import BOX, Whole
+from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.trajectory.header import frame_size_of
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -22,16 +21,6 @@ from facetrack_cli.trajectory.trajectory import Trajectory
 NOT_SEEN = ("hidden", "absent")
 OF_TRUTH = ("visible", *NOT_SEEN)
 OF_TRACK = ("init", "tracked", "lost")
-FARTHEST = 30  # frames that are searched to either side
-# chosen on 451 aligned tracks, real and simulated: no false alarm; of those that follow, cut by 12 frames, 4 of 5 found
-LOWER = 0.7  # the median error, of that at lag 0
-SPREAD_LOWER = 0.5  # the same without the median offset, which a straight path cannot tell from a lag
-ROWS_CLOSER = 0.7  # share of the rows that must be closer at the lag
-TWIN = 0.5  # the median error, of that at the lag of the other sign
-TRAILING, LEADING = 3, 1  # frames that a tracker may be behind or ahead: what differs so little is left to it
-LEAST_ROWS = 20
-MOST_ROWS = 2_000  # of a part; of more, evenly spaced ones are looked at: they find nearly as many cuts as all do
-ROUNDING = 0.05  # pixels: what is smaller is not told apart
 
 
 def match(
@@ -40,7 +29,6 @@ def match(
     *,
     partial: bool,
     select: str | None,
-    check_shift: bool,
     note: Callable[[str], None] = lambda _: None,
 ) -> list[Pair]:
     """The pairs of what both tables have, on the frames that both have, in the order of the trajectory.
@@ -51,20 +39,13 @@ def match(
     together, as far as the ground truth is dense enough to tell, and no frame of the ground truth may be missing.
 
     Raises InputError for tables that do not belong together, with the remedy: no name or frame in common, a status that
-    ground truth cannot have, frames of one that the other lacks, ground truth outside of the frame, and with
-    `check_shift` rows that fit another frame of the ground truth much better. UsageError for a `select` that names
-    nothing.
+    ground truth cannot have, frames of one that the other lacks, and ground truth outside of the frame. UsageError for
+    a `select` that names nothing.
     """
     named = _pair_names(choose(trajectory, select), truth, select, note)
     _check_status(trajectory, truth, named)
     _check_frames(trajectory, truth, named, partial)
     _check_places(trajectory, truth, named)
-    if check_shift and (found := find_shift(named)):
-        raise InputError(
-            f"{truth.path}: fits {trajectory.path} with {-found.lag:+d} added to its frames (median error "
-            f"{found.error_at_lag:.1f} px, as it is {found.error:.1f} px): was either file cut and renumbered? "
-            f"--shift {_shift(truth, -found.lag)} --partial moves the ground truth, --shift 0 measures it as it is"
-        )
     pairs = []
     for ours, theirs in named:
         _, mine, true = np.intersect1d(ours.frame, theirs.frame, assume_unique=True, return_indices=True)
@@ -214,103 +195,3 @@ def _check_places(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pai
             f"{truth.path}: {where.sum()} of its {where.size} places are outside of the image of {size[0]}x{size[1]} "
             f"pixels that {trajectory.path} was made from; it is of another clip or size: name the right one"
         )
-
-
-class Shift(NamedTuple):
-    """Rows fit the ground truth `lag` frames later: frame t of the trajectory is t + lag there. Medians in pixels."""
-
-    lag: int
-    error: float
-    error_at_lag: float
-
-
-def find_shift(pairs: Sequence[tuple[Trajectory, Trajectory]]) -> Shift | None:
-    """The lag at which (ours, truth) clearly belong together, or None where 0 is as good, or nothing can be said.
-
-    A file that was cut at its head and renumbered fits the ground truth at another lag than 0. For each lag the errors
-    of all visible rows are pooled. A lag is believed if the median error there is far lower than at 0, with the median
-    offset and without, and if nothing ordinary explains it: a tracker that trails behind, an offset along a straight
-    path, a target at rest, a motion that repeats itself.
-    """
-    tracks = [track for track in (_track(*pair) for pair in pairs) if track is not None]
-    rows = sum(len(track.truth) for track in tracks)
-    compared = {lag: _compare(tracks, lag) for lag in range(-FARTHEST, FARTHEST + 1) if lag and tracks}
-    usable = {lag: one for lag, one in compared.items() if one is not None and 2 * one.rows >= rows}
-    if not usable:
-        return None
-    lag = min(usable, key=lambda one: (usable[one].error, abs(one)))
-    best, twin = usable[lag], usable.get(-lag)
-    # the first rows of a tracker that trails lie on the ground truth at lag 0, where it began
-    first = np.concatenate([track.first for track in tracks])
-    if (
-        best.ratio < LOWER
-        and best.spread_ratio < SPREAD_LOWER
-        and best.closer > ROWS_CLOSER
-        and (twin is None or best.error < TWIN * twin.error)
-        and not -TRAILING <= lag <= LEADING
-        and not (len(first) and np.nanmedian(first) < 0.25 * best.error_at_zero)
-    ):
-        return Shift(lag, best.error_at_zero, best.error)
-    return None
-
-
-class _Compared(NamedTuple):
-    rows: int
-    error: float  # median at the lag
-    error_at_zero: float  # the lower median at lag 0, over the same rows of ground truth or of ours
-    ratio: float
-    spread_ratio: float
-    closer: float  # share of rows
-
-
-def _compare(tracks: Sequence[_Track], lag: int) -> _Compared | None:
-    columns: list[list[Array]] = []
-    for track in tracks:
-        at_lag, still, at_ours = track.errors(lag)
-        known = np.isfinite(at_lag).all(axis=1) & np.isfinite(still).all(axis=1)
-        if known.sum() >= 2:
-            at_lag, still, at_ours = at_lag[known], still[known], at_ours[known]
-            spreads = [offset - np.median(offset, axis=0) for offset in (at_lag, still)]
-            columns.append([np.hypot(*offset.T) for offset in (at_lag, still, at_ours, *spreads)])
-    if sum(len(distances[0]) for distances in columns) < LEAST_ROWS:
-        return None
-    there, same_truth, same_ours, spread, spread_at_zero = map(np.concatenate, zip(*columns, strict=True))
-    error, at_zero = float(np.median(there)), float(min(np.median(same_truth), np.nanmedian(same_ours)))
-    return _Compared(
-        len(there),
-        error,
-        at_zero,
-        (error + ROUNDING) / (at_zero + ROUNDING),
-        (float(np.median(spread)) + ROUNDING) / (float(np.median(spread_at_zero)) + ROUNDING),
-        float(np.mean(there < same_truth)),
-    )
-
-
-class _Track(NamedTuple):
-    """One pair: rows of ours and visible rows of ground truth with their frames, and the error of the first row."""
-
-    frame: Whole
-    ours: Array
-    truth_frame: Whole
-    truth: Array
-    first: Array
-
-    def errors(self, lag: int) -> tuple[Array, Array, Array]:
-        """(rows, 2) each, ours less truth: at the lag; at 0, its rows of ground truth; at 0, its rows of ours."""
-        wanted = self.truth_frame - lag
-        moved, still = (at(frames, self.frame, self.ours) for frames in (wanted, self.truth_frame))
-        between = np.stack([np.interp(wanted, self.truth_frame, axis, np.nan, np.nan) for axis in self.truth.T], axis=1)
-        return moved - self.truth, still - self.truth, moved - between
-
-
-def _track(ours: Trajectory, truth: Trajectory) -> _Track | None:
-    """None where too little is known."""
-    mine, true = (np.stack([one.x, one.y], axis=1) for one in (ours, truth))
-    tracked = np.isfinite(mine).all(axis=1) & (ours.status != "lost")
-    seen = np.isfinite(true).all(axis=1) & ~np.isin(truth.status, NOT_SEEN)
-    rows = np.flatnonzero(seen)[:: 1 + int(seen.sum()) // MOST_ROWS]
-    if rows.size < 2 or not tracked.any():
-        return None
-    frame, mine, truth_frame, true = ours.frame[tracked], mine[tracked], truth.frame[rows], true[rows]
-    began = np.flatnonzero(truth_frame == frame[0])
-    return _Track(frame, mine, truth_frame, true, np.hypot(*(mine[:1] - true[began]).T))

@@ -43,7 +43,7 @@ class TruthFile(NamedTuple):
 
     path: Path
     form: str = "auto"
-    shift: int | None = None
+    shift: int = 0
     partial: bool = False
     target: str | None = None
 
@@ -154,10 +154,9 @@ def _template() -> Any:
 
 def _measured(table: Trajectory, header: Header, truth: TruthFile) -> tuple[list[Pair], Mapping[str, Any]]:
     """The pairs of the run and its ground truth, and what the page says of them."""
-    theirs = read_truth(truth.path, truth.form, shift=truth.shift or 0)
+    theirs = read_truth(truth.path, truth.form, shift=truth.shift)
     notes: list[str] = []
-    check = truth.shift is None
-    pairs = match(table, theirs, partial=truth.partial, select=truth.target, check_shift=check, note=notes.append)
+    pairs = match(table, theirs, partial=truth.partial, select=truth.target, note=notes.append)
     found = evaluate(pairs, notes, Options(size=header.source.size), reference=theirs.parts)
     read_as = str(theirs.header.get("read_as", truth.form)) + (f", {truth.shift:+d} frames" if truth.shift else "")
     words = f"Read as {read_as}. {text.about(found)}"

@@ -24,7 +24,6 @@ from facetrack_cli.evaluation.experiments.compare import (
     less_is_better,
     rank,
     score_run,
-    shifted,
     tail_overlap,
 )
 from facetrack_cli.evaluation.experiments.compare_text import Comparison
@@ -199,19 +198,6 @@ def test_the_last_tenth_decides():
     assert tail_overlap(overlap) == 0.0
     overlap[5:] = np.nan
     assert tail_overlap(overlap) == 0.8 and tail_overlap(np.full(3, np.nan)) is None
-
-
-def test_a_truth_of_other_frames_is_noticed():
-    frame = np.arange(80)
-    path = 40 * np.sin(frame / 6)
-
-    def face(ahead, status):
-        x = 100 + 40 * np.sin((frame + ahead) / 6)
-        return (one_part("face", "nose", frame, x=x, y=path * 0 + 50, status=[status] * 80),)
-
-    truth = truth_of(face(0, "visible"))
-    assert shifted(run_of(face(0, "tracked")), truth, Options()) is None
-    assert shifted(run_of(face(5, "tracked")), truth, Options()) is not None
 
 
 # --- what is asked -----------------------------------------------------------------------------------------------

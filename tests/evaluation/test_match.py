@@ -1,8 +1,7 @@
-"""Pairing a trajectory with its ground truth: names, frames, lags, images; a mismatch is an error with a remedy."""
+"""Pairing a trajectory with its ground truth: names, frames, images; a mismatch is an error with a remedy."""
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,28 +13,13 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.rows import Pair
-from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory, joined, one_part
 
-SAMPLES = Path(__file__).parents[2] / "sample_videos"
 
-
-def walk(frames: range, seed: int = 0, size: float = 30.0) -> dict[str, np.ndarray]:
-    """A smooth path that does not repeat itself, a pixel or two a frame."""
-    t = np.arange(-200, 2000)
-    rng = np.random.default_rng(seed)
-    steps = np.convolve(rng.normal(0, 6, (2, t.size)).ravel(), np.ones(15) / 15, "same").reshape(2, -1)
-    x, y = 160 + np.cumsum(steps - steps.mean(axis=1, keepdims=True), axis=1)
-    at = np.searchsorted(t, np.asarray(frames))
-    full = np.full(len(frames), size)
-    return {"x": x[at], "y": y[at], "w": full, "h": full}
-
-
-def box(frames: range, target: str = "head", part: str = "box", noise: float = 0.0, **columns: object) -> Trajectory:
-    path = walk(frames)
-    rng = np.random.default_rng(5)
-    path["x"] = path["x"] + rng.normal(0, noise, len(frames))
-    path["y"] = path["y"] + rng.normal(0, noise, len(frames))
+def box(frames: range, target: str = "head", part: str = "box", **columns: object) -> Trajectory:
+    """On a smooth path, a pixel or two a frame."""
+    t, size = np.asarray(frames), np.full(len(frames), 30.0)
+    path = {"x": 160 + 40 * np.sin(t / 23), "y": 120 + 30 * np.sin(t / 17), "w": size, "h": size}
     return one_part(target, part, frames, **{**path, **columns})
 
 
@@ -48,11 +32,7 @@ def truth(frames: range, target: str = "", **columns: object) -> Trajectory:
 
 
 def pairs(ours: Trajectory, theirs: Trajectory, **given: object) -> list[Pair]:
-    return match(ours, theirs, **{"partial": False, "select": None, "check_shift": True, **given})  # type: ignore[arg-type]
-
-
-def renumbered(one: Trajectory, first: int) -> Trajectory:
-    return replace(one, frame=one.frame - one.frame[0] + first)
+    return match(ours, theirs, **{"partial": False, "select": None, **given})  # type: ignore[arg-type]
 
 
 # --- status ---
@@ -201,108 +181,6 @@ def test_partial_is_the_intersection(mine: set[int], others: set[int]) -> None:
     assert pair.ours.frame.tolist() == pair.truth.frame.tolist() == sorted(mine & others)
     assert np.array_equal(pair.ours.x, pair.truth.x)
     assert np.array_equal(pair.truth.x, pair.truth.frame * 2.0)
-
-
-# --- lags ---
-
-
-def cut(lag: int, noise: float, count: int = 250) -> tuple[Trajectory, Trajectory]:
-    """A trajectory whose frame t is frame t + lag of the ground truth, both numbered from 0."""
-    first = max(lag, 0)
-    ours = renumbered(box(range(first, first + count), noise=noise), 0)
-    theirs = renumbered(box(range(first - lag, first - lag + count), ""), 0)
-    return table(ours), table(theirs, name="gt.txt")
-
-
-@pytest.mark.parametrize("lag", [6, 20, 30, -8, -12, -30])
-@pytest.mark.parametrize("noise", [0.3, 1.5])
-def test_rows_of_other_frames_are_noticed(lag: int, noise: float) -> None:
-    ours, theirs = cut(lag, noise)
-    with pytest.raises(InputError, match=r"was either file cut and renumbered\? --shift") as said:
-        pairs(ours, theirs)
-    (told,) = re.findall(r"--shift (-?\d+) --partial", str(said.value))
-    assert int(told) == -lag
-    assert len(pairs(ours, theirs, check_shift=False)[0].ours) == 250
-    moved = replace(theirs, frame=theirs.frame - lag)
-    (pair,) = pairs(ours, moved, partial=True)  # the remedy is one
-    assert np.median(np.hypot(pair.ours.x - pair.truth.x, pair.ours.y - pair.truth.y)) < 2 * noise
-
-
-def trackers(x: np.ndarray) -> dict[str, np.ndarray]:
-    """What trackers do to a track (T, 2) without being cut."""
-    t, rng = len(x), np.random.default_rng(3)
-    smooth = x.copy()
-    for i in range(1, t):
-        smooth[i] = smooth[i - 1] + 0.25 * (x[i] - smooth[i - 1])
-    lost = x + rng.normal(0, 1, x.shape)
-    lost[t // 2 :] = lost[t // 2]
-    jumpy = np.where((np.arange(t) // 15 % 3 == 1)[:, None], x + 30, x)
-    return {
-        "good": x + rng.normal(0, 1, x.shape),
-        "one behind": np.concatenate([x[:1], x[:-1]]),
-        "three behind": np.concatenate([x[:1].repeat(3, axis=0), x[:-3]]),
-        "ten behind": np.concatenate([x[:1].repeat(10, axis=0), x[:-10]]),
-        "smooth": smooth,
-        "lost half of the time": lost,
-        "still": x[:1].repeat(t, axis=0),
-        "off": x + np.array([9, -6]),
-        "ahead along a straight path": x + np.array([8, 2]),
-        "jumpy": jumpy,
-        "drifting": x + np.cumsum(rng.normal(0, 1, x.shape), axis=0),
-    }
-
-
-def paths() -> dict[str, np.ndarray]:
-    t = np.arange(240)
-    samples = read_truth(SAMPLES / "expressions.truth.csv").parts[1]
-    walked = walk(range(240))
-    return {
-        "walk": np.stack([walked["x"], walked["y"]], axis=1),
-        "sample": np.stack([samples.x, samples.y], axis=1),
-        "period of 24": np.stack([100 + 30 * np.sin(t * np.pi / 12), 80 + 10 * np.cos(t * np.pi / 12)], axis=1),
-        "straight": np.stack([50 + t, 80 + t / 4], axis=1),
-        "at rest": np.full((240, 2), 90.0),
-        "stop and go": np.stack([50 + np.cumsum(t // 40 % 2 * 2.0), np.full(240, 80.0)], axis=1),
-    }
-
-
-@pytest.mark.parametrize("path", paths())
-@pytest.mark.parametrize("tracker", trackers(np.zeros((20, 2))))
-def test_bad_trackers_are_not_taken_for_a_cut(path: str, tracker: str) -> None:
-    x = paths()[path]
-    found = trackers(x)[tracker]
-    frames, size = range(len(x)), np.full(len(x), 30.0)
-    theirs = one_part("", "box", frames, x=x[:, 0], y=x[:, 1], w=size, h=size)
-    ours = one_part("head", "box", frames, x=found[:, 0], y=found[:, 1], w=size, h=size)
-    assert len(pairs(table(ours), table(theirs))) == 1
-
-
-@pytest.mark.parametrize("lag", [-1, -3, 1])
-def test_so_small_a_lag_may_be_the_tracker_itself(lag: int) -> None:
-    assert pairs(*cut(lag, 0.1))
-
-
-@pytest.mark.parametrize("clip", ["expressions", "occlusion"])
-@pytest.mark.parametrize("lag", [6, 15, -15])
-def test_a_cut_sample_is_noticed(clip: str, lag: int) -> None:
-    known = read_truth(SAMPLES / f"{clip}.truth.csv")
-    rng = np.random.default_rng(0)
-    first, count = max(lag, 0), len(known.frames) - abs(lag)
-
-    def part(one: Trajectory, at: int, noise: float) -> Trajectory:
-        return renumbered(replace(one, x=one.x + rng.normal(0, noise, len(one))).take(np.arange(at, at + count)), 0)
-
-    ours = table(*(part(one, first, 0.7) for one in known.parts))
-    theirs = table(*(part(one, first - lag, 0.0) for one in known.parts))
-    assert len(pairs(ours, ours)) == 5
-    with pytest.raises(InputError, match=rf"--shift {-lag} --partial"):
-        pairs(ours, theirs)
-
-
-def test_hidden_and_lost_rows_do_not_speak_for_a_lag() -> None:
-    ours, theirs = cut(15, 0.5)
-    assert pairs(ours, replace(theirs, status=np.full(250, "hidden")))
-    assert pairs(replace(ours, status=np.full(250, "lost")), theirs)
 
 
 # --- images ---

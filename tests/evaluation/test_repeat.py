@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 
-from facetrack_cli.evaluation.experiments.repeat import HOLD, spread_of, spreads, stretches, target_size
+from facetrack_cli.evaluation.experiments.repeat import HOLD, Leave, spread_of, spreads, target_size
 from facetrack_cli.trajectory.trajectory import joined, one_part
 
 
@@ -18,67 +17,61 @@ def runs(seeds=10, frames=60, noise=0.5, random=1):
     return line + np.random.default_rng(random).normal(0, noise, (seeds, frames, 2))
 
 
-def spread(positions, limit=10.0, first=100, truth=None):
+def spread(positions, limit=10.0, first=100, truth=np.nan):
     frames = np.arange(first, first + positions.shape[1])
     return spread_of("face", "nose", range(len(positions)), frames, positions, limit, truth)
 
 
-def test_one_crowd():
+def test_runs_that_stay_together():
     positions = runs()
     one = spread(positions)
     assert one.parting is None and one.leaves == () and not one.away.any()
-    assert [group.seeds for group in one.groups] == [tuple(range(10))]
     assert np.allclose(one.mean, positions.mean(axis=0))
     assert np.allclose(one.std, positions.std(axis=0) * np.sqrt(10 / 9))
-    assert one.spread.shape == (60,) and not one.identical
+    assert one.typical == pytest.approx(np.median(np.sqrt((one.std**2).sum(axis=1))))
     far = np.hypot(*np.moveaxis(positions - np.median(positions, axis=0), 2, 0)).max(axis=0)
     assert np.array_equal(one.from_median, far)
 
 
-def test_a_run_leaves_and_comes_back():
+def test_leaving_in_an_example_by_hand():
+    """The median is (0, 0), the limit is 10: the seed 2 is 11 away, later 13, by 5 along x and 12 along y."""
+    positions = np.zeros((5, 12, 2))
+    positions[2, 3:8, 0] = 11  # away in 5 frames, 103 to 107
+    positions[2, 10:] = (5, 12)
+    positions[1, 1:5, 0] = 50  # away in 4 frames
+    positions[0, 6:, 1] = -10  # at the limit
+    one = spread(positions)
+    assert one.leaves == (Leave(frame=103, seed=2, farthest_px=13.0),) and one.parting == 103
+    assert np.flatnonzero(one.away[2]).tolist() == [3, 4, 5, 6, 7, 10, 11]
+    assert np.flatnonzero(one.away[1]).tolist() == [1, 2, 3, 4], "an excursion is seen, though it is no parting"
+    assert not one.away[[0, 3, 4]].any()
+    assert spread(positions[:, : 3 + HOLD - 1]).leaves == (), "it has not been away for long enough"
+
+
+def test_runs_leave_in_the_order_of_frames():
     positions = runs()
     positions[7, 20:40, 0] += 30  # frames 120 to 139
     positions[3, 50:, 1] -= 25
-    positions[5, 10 : 10 + HOLD - 1, 0] += 50  # too short to count
+    positions[9, 20:, 1] += 30
     one = spread(positions)
-    assert [(leave.seed, leave.frame, leave.back) for leave in one.leaves] == [(7, 120, 140), (3, 150, None)]
-    assert [leave.farthest for leave in one.leaves] == pytest.approx([30, 25], abs=2.5)
+    assert [(leave.seed, leave.frame) for leave in one.leaves] == [(7, 120), (9, 120), (3, 150)]
+    assert [leave.farthest_px for leave in one.leaves] == pytest.approx([30, 30, 25], abs=2.5)
     assert one.parting == 120
-    assert [group.seeds for group in one.groups] == [(0, 1, 2, 4, 5, 6, 7, 8, 9), (3,)]
-    assert one.away[5, 10 : 10 + HOLD - 1].all(), "an excursion is seen, though it is no parting"
 
 
-@pytest.mark.parametrize("seeds", [10, 11])
-def test_two_halves_part_ways(seeds):
-    """The median of all lies between two halves; that must not make all runs leave, nor the halves take turns."""
-    positions = runs(seeds)
-    half = [s for s in range(seeds) if s % 2]
-    positions[half, 30:, 1] += np.linspace(0, 60, 30)
-    one = spread(positions, limit=10)
-    assert {leave.seed for leave in one.leaves} == set(half)
-    assert all(leave.back is None for leave in one.leaves)
-    # 2 pixels a frame, and 10 pixels from the median are the limit; it is half-way between halves of one size
-    assert 134 <= one.parting <= (137 if seeds % 2 else 142)
-    assert sorted(group.seeds for group in one.groups) == [tuple(s for s in range(seeds) if not s % 2), tuple(half)]
-
-
-def test_groups_are_told_with_their_error():
+def test_each_run_has_its_error_at_the_end():
     positions = runs(6)
     positions[[1, 4], 20:] += (0, 40)
     truth = np.stack([np.linspace(50, 110, 60), np.full(60, 120.0)], axis=1)
-    large, small = spread(positions, truth=truth).groups
-    assert (large.seeds, small.seeds) == ((0, 2, 3, 5), (1, 4))
-    assert large.error == pytest.approx(40, abs=1) and small.error < 1.5, "the many may be wrong"
-    assert small.y == pytest.approx(120, abs=1)
+    errors = spread(positions, truth=truth).errors
+    assert errors[[0, 2, 3, 5]] == pytest.approx(40, abs=1) and errors[[1, 4]].max() < 1.5, "the many may be wrong"
     truth[-HOLD:] = np.nan
-    assert [group.error for group in spread(positions, truth=truth).groups] == [None, None]
+    assert np.isnan(spread(positions, truth=truth).errors).all()
 
 
-def test_identical_and_single_runs():
-    same = np.repeat(runs(1), 4, axis=0)
-    assert spread(same).identical and spread(same).std.max() == 0
-    single = spread(same[:1])
-    assert single.identical and single.std.max() == 0 and len(single.groups) == 1
+def test_identical_runs():
+    same = spread(np.repeat(runs(1), 4, axis=0))
+    assert same.std.max() == same.from_median.max() == 0 and same.leaves == ()
 
 
 def test_a_run_without_positions_has_left():
@@ -86,22 +79,7 @@ def test_a_run_without_positions_has_left():
     positions[2, 30:] = np.nan
     one = spread(positions)
     assert [(leave.seed, leave.frame) for leave in one.leaves] == [(2, 130)]
-    assert [group.seeds for group in one.groups] == [(0, 1, 3, 4), (2,)]
     assert np.isfinite(one.mean).all() and np.isfinite(one.std).all() and np.isfinite(one.from_median).all()
-
-
-@given(hnp.arrays(np.bool_, st.integers(1, 60)), st.integers(1, 6))
-def test_stretches_are_what_a_state_machine_finds(mask, hold):
-    inside, expected = False, []
-    for t in range(len(mask)):
-        run = mask[t : t + hold]
-        if len(run) == hold and (run == (not inside)).all():
-            inside = not inside
-            if inside:
-                expected.append((t, None))
-            else:
-                expected[-1] = (expected[-1][0], t)
-    assert stretches(mask, hold) == expected
 
 
 @given(st.integers(0, 10**6), st.permutations(range(8)), st.floats(-50, 50))
@@ -130,8 +108,10 @@ def test_lengths_are_the_targets_own():
 
 def test_runs_of_unequal_length_count_as_far_as_all_go():
     tables = [table(np.zeros(30)), table(np.ones(20)), table(np.ones(25))]
-    truth = one_part("face", "chin", np.arange(10, 30), x=np.full(20, 40.0), y=np.zeros(20))
-    nose, chin = spreads([0, 1, 2], tables, truth=[truth])
-    assert nose.frame.tolist() == list(range(20)) and nose.name == "face/nose"
+    truth = one_part(
+        "face", "chin", np.arange(10, 30), x=np.full(20, 40.0), y=np.zeros(20), status=np.full(20, "visible")
+    )
+    nose, chin = spreads([0, 1, 2], tables, 0.25, truth)
+    assert nose.frame.tolist() == list(range(20)) and (nose.target, nose.part) == ("face", "nose")
     assert nose.std[:, 0] == pytest.approx(1 / np.sqrt(3))
-    assert nose.groups[0].error is None and chin.groups[0].error == pytest.approx(2 / 3)
+    assert np.isnan(nose.errors).all() and chin.errors.tolist() == [0, 1, 1]

@@ -202,7 +202,7 @@ def test_boxes_given_later_are_left_out_and_absent_ones_miss_where_there_is_some
     gone = [NAN if letter == "a" else 50.0 for letter in "iaatit"]
     ours = boxes(corrected("iaatit"), gone)
     ours = replace(ours, w=np.where(np.isnan(ours.x), NAN, 20.0), h=np.where(np.isnan(ours.x), NAN, 20.0))
-    found = evaluate(match(replace(ours, path=Path("t.json")), theirs, partial=False, select=None, check_shift=True))
+    found = evaluate(match(replace(ours, path=Path("t.json")), theirs, partial=False, select=None))
     measured = found.parts[0]
     assert (measured.boxes.rows, measured.boxes.missing) == (3, 1), "frame 4 was given by hand"
     assert measured.boxes.ao == pytest.approx(0.5), "one of two after the first"
@@ -211,22 +211,22 @@ def test_boxes_given_later_are_left_out_and_absent_ones_miss_where_there_is_some
 
 def test_a_trajectory_with_absent_rows_may_be_measured_and_be_truth(table):
     other = replace(table, x=table.x + 1, header={}, path=Path("checked.csv"))
-    found = evaluate(match(table, other, partial=False, select=None, check_shift=True))
+    found = evaluate(match(table, other, partial=False, select=None))
     assert found.counts["absent"] == 9 and found.all.points.mean_px == pytest.approx(1.0)
     truth = replace(table, status=np.full(26, "visible"), header={}, path=Path("truth.csv"))
     with pytest.raises(InputError, match="name them the other way round"):
-        match(truth, table, partial=False, select=None, check_shift=True)
+        match(truth, table, partial=False, select=None)
 
 
 def test_runs_of_a_part_that_is_absent_do_not_part_ways():
     positions = np.full((5, 40, 2), 30.0) + np.random.default_rng(1).normal(0, 0.3, (5, 40, 2))
     positions[:, 10:30] = NAN
-    found = spread_of("face", "lip", range(5), np.arange(40), positions, 5.0)
+    found = spread_of("face", "lip", range(5), np.arange(40), positions, 5.0, NAN)
     assert found.leaves == () and not found.away.any() and np.isnan(found.mean[15]).all()
     positions[:, 30:] = NAN
-    assert spread_of("face", "lip", range(5), np.arange(40), positions, 5.0).leaves == ()
+    assert spread_of("face", "lip", range(5), np.arange(40), positions, 5.0, NAN).leaves == ()
     positions[0, 10:] = 30.0
-    apart = spread_of("face", "lip", range(5), np.arange(40), positions, 5.0)
+    apart = spread_of("face", "lip", range(5), np.arange(40), positions, 5.0, NAN)
     assert apart.away[1:, 15].all(), "but where one has a place, those without are away"
 
 

@@ -91,7 +91,6 @@ class Compare:
                 self.seeds,
                 options,
                 rank_by=self.rank_by,
-                check_shift=known.shift is None,
                 workers=results.jobs,
                 stop=stopped,
                 shown=shown,

@@ -103,7 +103,7 @@ class Eval:
         settings = Options(self.normalise, self.failure, frame_size_of(ours))
         evaluation = evaluate(pairs, notes, settings, reference=theirs.parts)
         read_as = str(theirs.header.get("read_as", known.truth_format))
-        about = About(ours.path, theirs.path, read_as, known.shift or 0, ours.header.get("read_as"))
+        about = About(ours.path, theirs.path, read_as, known.shift, ours.header.get("read_as"))
 
         made: dict[str, bytes] = {}
         printed = ""

@@ -11,8 +11,9 @@ class Repeat:
     """Show how far the runs of a recipe differ from seed to seed.
 
     For each part: the spread over seeds, the run farthest from the median of all, and the frame at which the runs
-    part ways, which is the first of 5 frames in a row in which a run is farther from the median of most than a
-    quarter of the target's size (--apart). Then who leaves, how far, who comes back, and the groups at the end.
+    part ways, which is the first of 5 frames in a row in which a run is farther from the median of all than a
+    quarter of the target's size (--apart). Then who leaves, when and how far; with ground truth, each run's error at
+    the end.
 
     All runs advance together; after Ctrl-C the table holds the frames that they had reached.
 
@@ -43,12 +44,12 @@ class Repeat:
         type=Number(0, min_open=True),
         default=0.25,
     )
-    truth: Path | None = option("--truth FILE", "Ground truth, to say which runs are right.", type=FILE)
+    truth: Path | None = option("--truth FILE", "Ground truth, for the error of each run at the end.", type=FILE)
     out: str | None = option("-o --out DIR", "Folder for results [default: ./<clip>-<recipe>-repeat].")
     results: Results = group(Results)
 
     def run(self) -> int:
-        from facetrack_cli.evaluation.experiments.repeat import Repetition, matched, spreads
+        from facetrack_cli.evaluation.experiments.repeat import Repetition, spreads
         from facetrack_cli.evaluation.experiments.sheet import clip_name
         from facetrack_cli.recipe.files import default_recipe
         from facetrack_cli.report.figures.comparison import repeat_figures
@@ -81,7 +82,7 @@ class Repeat:
                 shown.say(f"facetrack: {stopped.reason} before two runs had begun; nothing was written")
                 return stopped.code or ExitCode.FAULT
             tables, seeds = [run.trajectory for run in runs], tuple(run.seed for run in runs)
-            spread = spreads(seeds, tables, self.apart, matched(tables[0], truth))
+            spread = spreads(seeds, tables, self.apart, truth)
             complete = stopped.code is None
             found = Repetition(clip, recipe.name, recipe, seeds, spread, self.apart, self.truth, complete, warned)
             publish(found, lambda: repeat_figures(found))

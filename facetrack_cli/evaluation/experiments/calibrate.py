@@ -163,7 +163,7 @@ def _rows(run: Trajectory, truth: Trajectory, clip: int) -> tuple[Sample, Mask]:
     alone = [one.name for one in run.parts if one.part == BOX]
     # boxes without names are those of the only box, though points have windows
     select = alone[0] if truth.targets == ("",) and len(alone) == 1 else None
-    for ours, true in match(run, truth, partial=True, select=select, check_shift=False):
+    for ours, true in match(run, truth, partial=True, select=select):
         stated = true.status != "lost"  # as a trajectory has it that serves as ground truth
         pairs.append(Pair(ours.take(stated), true.take(stated)))
     units = units_of(pairs, "size", truth.parts)

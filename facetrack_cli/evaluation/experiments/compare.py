@@ -188,18 +188,9 @@ def score_run(run: SeedRun, truth: Trajectory, options: Options, note: Callable[
     )
 
 
-def shifted(run: SeedRun, truth: Trajectory, options: Options) -> InputError | None:
-    """The error of ground truth that numbers the frames otherwise than a run that can be scored; None if it fits."""
-    try:
-        _pairs(run.trajectory, truth, options, check_shift=True)
-    except InputError as e:
-        return e
-    return None
-
-
 def _pairs(ours: Trajectory, truth: Trajectory, options: Options, **more: Any) -> list[Pair]:
     known = within(truth, ours, options)
-    return match(ours, known, **{"partial": options.partial, "select": options.select, "check_shift": False, **more})
+    return match(ours, known, **{"partial": options.partial, "select": options.select, **more})
 
 
 def kinds_of(plan: Plan, truth: Trajectory, options: Options) -> set[str]:
@@ -276,14 +267,13 @@ def run_recipes(
     options: Options,
     *,
     rank_by: str | None,
-    check_shift: bool,
     workers: int,
     stop: Stop,
     shown: Progress,
 ) -> list[Entry]:
     """Every recipe, by label, with its scores, or with what kept it from running; none if it is stopped before.
 
-    Raises the error if all fail of one, and InputError for ground truth that numbers the frames otherwise.
+    Raises the error if all fail of one.
     """
     entries = {label: Entry(label, recipe=recipe) for label, recipe in recipes.items()}
     family = (rank_by or "").partition(".")[0]
@@ -308,7 +298,6 @@ def run_recipes(
             entries[label].error = e
     alike = len({(plan.start.frame, plan.recipe.points) for plan in plans}) == 1
     notes: list[str] = []
-    moved: list[InputError | None] = []  # the error of a shift that a recipe's first run shows
     shown.begin(clip_name(begin.clip))
     with contextlib.closing(run_plans(plans, workers, stop, shown.update)) as found:
         for ended in found:
@@ -319,14 +308,12 @@ def run_recipes(
                 for run in ended.runs:
                     entry.warnings += run.warnings
                     entry.scores.append(score_run(run, truth, options, notes.append))
-                    if len(entry.scores) == 1:
-                        moved.append(shifted(run, truth, options) if check_shift else None)
             except FacetrackError as e:
                 entry.error = e
-                if alike and ended.error is None and not moved:
+                if alike and ended.error is None and not any(one.scores for one in entries.values()):
                     break  # what is wrong with the ground truth is wrong for every other run too
     failed = {entry.label: entry.error for entry in entries.values() if entry.error is not None}
-    if failed and not moved and stop.code is None:
+    if failed and not any(one.scores for one in entries.values()) and stop.code is None:
         first = next(iter(failed.values()))
         for label, error in failed.items():
             if str(error) != str(first):
@@ -336,9 +323,6 @@ def run_recipes(
         shown.say(f"facetrack: warning: {line}")
     for line in dict.fromkeys(notes):
         shown.say(f"facetrack: note: {line}")
-    # one recipe that trails behind is a bad tracker; if all do, the ground truth numbers the frames otherwise
-    if moved and moved[0] is not None and all(moved):
-        raise moved[0]
     return list(entries.values())
 
 

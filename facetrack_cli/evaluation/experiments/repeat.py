@@ -1,27 +1,19 @@
 """How far the runs of one recipe differ from seed to seed, and where they part ways.
 
     spread = spread_of("face", "nose", seeds, frames, positions, limit=12.0)
-    spread.std[:, 0], spread.parting, spread.groups
+    spread.std[:, 0], spread.parting, spread.leaves
 
-Axes: S runs, T frames; positions (S, T, 2) are a part's centres in pixels, x before y.
-
-*Parting.* At every frame the crowd is all runs, as long as each is within `limit` of their median. Otherwise it is the
-largest set of runs within `limit` of one of them (of equal ones the one that shares most with the crowd of the frame
-before), and a run is *away* when it is farther than `limit` from the crowd's median. So runs that fall into two halves
-are told apart too, where the median of all would lie between them. A run *leaves* at the first of `HOLD` frames in a
-row in which it is away, and is back at the first of as many in which it is not. The part's runs *part ways* at the
-frame at which the first of them leaves. Medians are taken along x and along y.
-
-`Repetition` holds the spread of all parts, as a table for reading, as CSV and as JSON.
+Axes: S runs, T frames; positions (S, T, 2) are a part's centres in pixels, x before y. A run is *away* in a frame
+when it is farther than `limit` from the median of all runs, which is taken along x and along y. It *leaves* at the
+first of `HOLD` frames in a row in which it is away; the runs *part ways* where the first of them leaves.
 """
 
-import itertools
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -34,206 +26,98 @@ from facetrack_cli.evaluation.rows import places
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.trajectory.trajectory import Trajectory
 
-HOLD: Final = 5  # frames in a row that make leaving, or coming back, more than an excursion
-FRACTION: Final = 0.25  # of the target's size: the default limit
-MOST_NAMED: Final = 10  # seeds in one line of the table
+HOLD: Final = 5  # frames in a row that make leaving more than an excursion
+MOST_NAMED: Final = 10  # runs that are told of in a note
 COLUMNS: Final = ("frame", "target", "part", "x", "y", "std_x", "std_y", "from_median", "away")
 HEADS: Final = ("part", "spread, px", "farthest\nrun, px", "at frame", "part ways\nat frame", "runs that\nleave")
 
 
-@dataclass(frozen=True)
-class Leave:
-    """A run that leaves the crowd: its seed, source frames, and how far it got from the crowd's median in pixels."""
+class Leave(NamedTuple):
+    """A run that leaves: the source frame, its seed, and how far it gets from the median, then or later."""
 
-    seed: int
     frame: int
-    back: int | None  # None: it never came back
-    farthest: float
-
-
-@dataclass(frozen=True)
-class Group:
-    """Runs that end at one place: the mean centre, and the mean error to the ground truth, if any; pixels."""
-
-    seeds: tuple[int, ...]
-    x: float
-    y: float
-    error: float | None = None
+    seed: int
+    farthest_px: float
 
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """One part over all runs. `std` has n - 1 below the sum; `from_median` (T,) is the farthest run from the median.
-
-    `away` (S, T) says which runs are outside the crowd. Lengths are in pixels.
-    """
+    """One part over all runs; lengths are in pixels."""
 
     target: str
     part: str
-    seeds: tuple[int, ...]
     frame: Whole
     mean: Array  # (T, 2)
-    std: Array  # (T, 2)
-    from_median: Array
-    away: Mask
+    std: Array  # (T, 2), with n - 1 below the sum
+    from_median: Array  # (T,), of the farthest run
+    away: Mask  # (S, T)
     limit: float
-    leaves: tuple[Leave, ...]
-    groups: tuple[Group, ...]
+    leaves: tuple[Leave, ...]  # one a run, by frame
+    errors: Array  # (S,), means over the last HOLD frames; nan without ground truth
 
     @property
-    def name(self) -> str:
-        return f"{self.target}/{self.part}"
-
-    @property
-    def identical(self) -> bool:
-        """Whether no run differs from another at any frame."""
-        return not (self.from_median.any() or self.away.any())
+    def typical(self) -> float:
+        """The standard deviation of both axes together, sqrt(std_x^2 + std_y^2), in the median frame."""
+        return float(np.nanmedian(np.hypot(*self.std.T)))
 
     @property
     def parting(self) -> int | None:
         """The source frame at which the first run leaves."""
-        return min((leave.frame for leave in self.leaves), default=None)
-
-    @property
-    def spread(self) -> Array:
-        """(T,): the standard deviation of both axes together, sqrt(std_x^2 + std_y^2)."""
-        return np.asarray(np.hypot(self.std[:, 0], self.std[:, 1]), dtype=np.float64)
+        return self.leaves[0].frame if self.leaves else None
 
 
 def target_size(tables: Sequence[Trajectory], target: str) -> float:
-    """The target's size in its first frame, in pixels, as recipes measure lengths.
-
-    The largest distance between two parts; of a single part the root of its box's area. 1.0 where neither is known.
-    """
+    """Pixels in the first frame: the largest distance of two parts; of one the root of its box's area; 1 if unknown."""
     parts = [one for one in tables[0].of_target(target) if len(one)]
-    if len(parts) > 1:
-        size = size_of_points(np.array([(one.x[0], one.y[0]) for one in parts]))
-    else:
-        size = float(np.sqrt(parts[0].w[0] * parts[0].h[0])) if parts else 0.0
+    points = np.array([(one.x[0], one.y[0]) for one in parts])
+    box = float(np.sqrt(parts[0].w[0] * parts[0].h[0])) if parts else 0.0
+    size = size_of_points(points) if len(parts) > 1 else box
     return size if np.isfinite(size) and size > 0 else 1.0
 
 
 def spreads(
-    seeds: Sequence[int], tables: Sequence[Trajectory], fraction: float = FRACTION, truth: Sequence[Trajectory] = ()
+    seeds: Sequence[int], tables: Sequence[Trajectory], fraction: float, truth: Trajectory | None = None
 ) -> tuple[Spread, ...]:
-    """The spread of every part over the runs `tables`, one a seed; `truth`: as `matched` returns it.
-
-    Runs that were cut short count as far as all of them go.
-    """
-    known = {one.names[0]: one for one in truth}
+    """The spread of every part over the runs `tables`, one a seed, as far as all of them go."""
+    pairs = [] if truth is None else match(tables[0], truth, partial=True, select=None)
+    known = {pair.ours.names[0]: pair.truth for pair in pairs}
     found = []
     for first in tables[0].parts:
         name = first.names[0]
         runs = [one for table in tables if (one := table.find(*name)) is not None]
         frames = reduce(np.intersect1d, [one.frame for one in runs])
-        kept = [one.take(np.isin(one.frame, frames)) for one in runs]
-        positions = np.stack([np.stack([one.x, one.y], axis=1) for one in kept])
+        positions = np.stack([places(one, frames) for one in runs])
         limit = fraction * target_size(tables, first.target)
-        true = places(known[name], frames) if name in known else None
+        true = places(known[name], frames) if name in known else np.nan
         found.append(spread_of(*name, seeds, frames, positions, limit, true))
     return tuple(found)
 
 
-def matched(table: Trajectory, truth: Trajectory | None) -> list[Trajectory]:
-    """The parts of the ground truth under the names of a run's."""
-    pairs = [] if truth is None else match(table, truth, partial=True, select=None, check_shift=False)
-    return [pair.truth.renamed(pair.ours.target, pair.ours.part) for pair in pairs]
-
-
 def spread_of(
-    target: str,
-    part: str,
-    seeds: Sequence[int],
-    frame: Whole,
-    positions: Array,
-    limit: float,
-    truth: Array | None = None,
+    target: str, part: str, seeds: Sequence[int], frame: Whole, positions: Array, limit: float, true: Array | float
 ) -> Spread:
-    """The spread of one part: positions (S, T, 2), `limit` in pixels, `truth` (T, 2) where it is known."""
+    """The spread of one part; `limit` is in pixels, `true` (T, 2) has true positions, nan where they are not known."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a frame without any position is nan, which is expected
         mean = np.nanmean(positions, axis=0)
-        std = np.nanstd(positions, axis=0, ddof=1) if len(seeds) > 1 else np.zeros_like(mean)
-        median = np.nanmedian(positions, axis=0)
-        distance = np.hypot(*np.moveaxis(positions - median, 2, 0))  # (S, T)
+        std = np.nanstd(positions, axis=0, ddof=1)
+        distance = np.hypot(*np.moveaxis(positions - np.nanmedian(positions, axis=0), 2, 0))  # (S, T)
         from_median = np.nanmax(distance, axis=0, initial=0.0)
-    to_crowd, away = _crowds(positions, distance, limit)
+        errors = np.nanmean(np.hypot(*np.moveaxis(positions - true, 2, 0))[:, -HOLD:], axis=1)
+    # a run without a position is away, unless no run has one, as of a part that a correction calls absent
+    away = ~(distance <= limit) & ~np.isnan(distance).all(axis=0)
+    held = [np.flatnonzero(np.convolve(one, np.ones(HOLD), "valid") == HOLD) for one in away]
     leaves = [
-        Leave(
-            seed,
-            int(frame[first]),
-            None if after is None else int(frame[after]),
-            float(np.max(np.nan_to_num(to_crowd[s, first:after]), initial=0.0)),
-        )
-        for s, seed in enumerate(seeds)
-        for first, after in stretches(away[s], HOLD)
+        Leave(int(frame[at[0]]), seed, round(float(np.nan_to_num(far[at[0] :]).max()), 3))
+        for seed, at, far in zip(seeds, held, distance, strict=True)
+        if at.size
     ]
-    leaves.sort(key=lambda leave: (leave.frame, leave.seed))
-    groups = _groups(seeds, positions[:, -HOLD:], limit, None if truth is None else truth[-HOLD:])
-    return Spread(target, part, tuple(seeds), frame, mean, std, from_median, away, limit, tuple(leaves), groups)
-
-
-def stretches(mask: Mask, hold: int) -> list[tuple[int, int | None]]:
-    """(first, after) of each time that (T,) `mask` turns true for `hold` places or more, until false for as many.
-
-    `after` is None where it is not false for so long again; what is shorter than `hold`, at the end too, is no stretch.
-    """
-    turns: list[int] = []  # in, out, in, ...
-    bounds = [0, *(np.flatnonzero(np.diff(mask)) + 1).tolist(), len(mask)]
-    for first, after in itertools.pairwise(bounds):
-        if after - first >= hold and bool(mask[first]) != len(turns) % 2:
-            turns.append(first)
-    return list(itertools.zip_longest(turns[::2], turns[1::2]))
-
-
-def _crowds(positions: Array, distance: Array, limit: float) -> tuple[Array, Mask]:
-    """(S, T) distances to the crowd's median and whether a run is away from it; `distance` is to the median of all."""
-    to_crowd, away = distance.copy(), np.zeros(distance.shape, dtype=np.bool_)
-    everyone = np.ones(len(positions), dtype=np.bool_)
-    before, last = everyone, -2
-    # one crowd is the rule, so that only the other frames are looked at one by one; where no run has a position, as of
-    # a part that a correction calls absent, none is away from others
-    apart = ~(distance <= limit).all(axis=0) & ~np.isnan(distance).all(axis=0)
-    for t in np.flatnonzero(apart).tolist():
-        crowd = _crowd(positions[:, t], before if last == t - 1 else everyone, limit)
-        middle = np.median(positions[crowd, t], axis=0) if crowd.any() else np.full(2, np.nan)
-        to_crowd[:, t] = np.hypot(*(positions[:, t] - middle).T)
-        away[:, t] = ~(to_crowd[:, t] <= limit)  # a run without a position is away too
-        before, last = crowd, t
-    return to_crowd, away
-
-
-def _crowd(points: Array, before: Mask, limit: float) -> Mask:
-    """(S,): the largest set of points (S, 2) within `limit` of one of them; of equal ones that most like `before`."""
-    apart = np.hypot(*np.moveaxis(points[:, None] - points[None], 2, 0))
-    near = apart <= limit
-    tightness = -np.where(near, apart, 0.0).sum(axis=1)
-    return np.asarray(near[np.lexsort((tightness, (near & before).sum(axis=1), near.sum(axis=1)))[-1]])
-
-
-def _groups(seeds: Sequence[int], last: Array, limit: float, truth: Array | None) -> tuple[Group, ...]:
-    """The crowd of the last frames (S, t, 2), then that of the rest, and so on; last come runs without a position."""
-    points = np.median(last, axis=1)
-    error = None if truth is None else np.hypot(*np.moveaxis(last - truth, 2, 0))  # (S, t)
-    left = np.arange(len(seeds))
-    found = []
-    while left.size:
-        crowd = _crowd(points[left], np.ones(left.size, dtype=np.bool_), limit)
-        members = left[crowd] if crowd.any() else left
-        known = error is not None and np.isfinite(error[members]).any()
-        wrong = float(np.nanmean(error[members])) if error is not None and known else None
-        x, y = points[members].mean(axis=0).tolist()
-        found.append(Group(tuple(seeds[i] for i in members), x, y, wrong))
-        left = np.setdiff1d(left, members)
-    return tuple(found)
+    return Spread(target, part, frame, mean, std, from_median, away, limit, tuple(sorted(leaves)), errors)
 
 
 @dataclass(frozen=True)
 class Repetition:
-    """The runs of one recipe on a clip; `fraction` of the target's size is the limit beyond which runs part.
-
-    `complete` is False where they were interrupted: they are as long as the shortest then.
-    """
+    """The runs of one recipe on a clip; `fraction` of the target's size is the limit beyond which runs part."""
 
     clip: Path
     label: str
@@ -242,55 +126,65 @@ class Repetition:
     spreads: tuple[Spread, ...]
     fraction: float
     truth: Path | None = None
-    complete: bool = True
+    complete: bool = True  # False: interrupted, and all as long as the shortest run
     warnings: tuple[str, ...] = ()
 
     @property
     def named(self) -> list[tuple[str, Spread]]:
         """Each spread under its name: that of the part alone where there is one target."""
         sole = len({one.target for one in self.spreads}) == 1
-        return [(one.part if sole else one.name, one) for one in self.spreads]
+        return [(one.part if sole else f"{one.target}/{one.part}", one) for one in self.spreads]
 
     @property
     def parting(self) -> int | None:
         """The source frame at which the first run leaves, at any part."""
-        return min((one.parting for one in self.spreads if one.parting is not None), default=None)
+        return min((leave.frame for one in self.spreads for leave in one.leaves), default=None)
 
     @property
     def identical(self) -> bool:
-        return all(one.identical for one in self.spreads)
+        """Whether no run differs from another in any frame."""
+        return not any(one.from_median.any() or one.away.any() for one in self.spreads)
 
     def sheet(self) -> Sheet:
         """A row a part."""
         first, last = self.spreads[0].frame[[0, -1]]
         title = f"{clip_name(self.clip)}: {len(self.seeds)} runs of {self.label} on frames {first} to {last}"
-        return Sheet(
-            title,
-            (*HEADS, "groups at\nthe end"),
-            tuple(_row(name, one) for name, one in self.named),
-            tuple(self.notes()),
-            left=(0,),
-        )
+        heads = HEADS if self.truth is None else (*HEADS, "error at\nthe end, px")
+        rows = []
+        for name, one in self.named:
+            at, errors = int(np.argmax(one.from_median)), one.errors[np.isfinite(one.errors)]
+            figures = (
+                f"{one.typical:.2f}",
+                f"{one.from_median[at]:.1f}",
+                f"{one.frame[at]}" if one.from_median[at] else NO_FIGURE,
+                NO_FIGURE if one.parting is None else f"{one.parting}",
+                f"{len(one.leaves)} of {len(one.away)}",
+                f"{errors.min():.1f} to {errors.max():.1f}" if errors.size else NO_FIGURE,
+            )
+            rows.append((name, *figures)[: len(heads)])
+        return Sheet(title, heads, tuple(rows), tuple(self.notes()), left=(0,))
 
     def notes(self) -> list[str]:
-        """What one must know to read the table, who leaves, and where the runs end."""
+        """What one must know to read the table, and who leaves."""
         limits = dict.fromkeys(f"{one.limit:.1f}" for one in self.spreads)
         lines = [] if self.complete else [f"Interrupted: these are the frames that {len(self.seeds)} runs had reached."]
         if self.identical:
             draws = "" if self.recipe.random else ": this tracker draws no random numbers"
             return [*lines, f"All {len(self.seeds)} runs are identical{draws}."]
         lines += [
-            "Spread: standard deviation over seeds, both axes together, in the median frame. Farthest run: from the "
-            "median of all.",
+            "Spread: standard deviation of both axes together, median of frames. Farthest run: from the median of all.",
             f"Runs part ways at the first of {HOLD} frames in a row in which one is farther than {' / '.join(limits)} "
-            f"px ({self.fraction:g} of the target's size) from the median of most.",
+            f"px ({self.fraction:g} of the target's size) from the median of all.",
         ]
-        partings = [(name, one) for name, one in self.named if one.parting is not None]
-        if not partings:
+        if self.parting is None:
             return [*lines, "No run leaves the others."]
-        first = " and ".join(name for name, one in partings if one.parting == self.parting)
+        first = " and ".join(name for name, one in self.named if one.parting == self.parting)
         lines.append(f"The first to part ways, at frame {self.parting}: {first}.")
-        return lines + [f"{name}: {text}." for name, one in partings for text in (_leaves(one), _ends(one.groups))]
+        for name, one in self.named:
+            texts = [f"seed {seed} leaves at {frame}, gets {far:.0f} px away" for frame, seed, far in one.leaves]
+            more = f"; and {len(texts) - MOST_NAMED} more" * (len(texts) > MOST_NAMED)
+            lines += [f"{name}: {'; '.join(texts[:MOST_NAMED])}{more}."] * bool(texts)
+        return lines
 
     def csv(self) -> str:
         """A row a frame and part: mean centre, standard deviations, the farthest run from the median, runs away."""
@@ -305,67 +199,16 @@ class Repetition:
 
     def json(self) -> str:
         """Everything, per frame too, with the recipe in full."""
+        plain = ("label", "seeds", "complete", "identical", "parting", "fraction", "warnings")
         fields = {
             "clip": str(self.clip),
             "truth": None if self.truth is None else str(self.truth),
-            "label": self.label,
-            "seeds": self.seeds,
-            "complete": self.complete,
-            "identical": self.identical,
-            "parting": self.parting,
-            "fraction": self.fraction,
+            **{key: getattr(self, key) for key in plain},
             "notes": self.notes(),
-            "warnings": self.warnings,
             "parts": [_part(one) for one in self.spreads],
             "recipe": to_dict(self.recipe),
         }
         return document("facetrack-repeat", fields)
-
-
-def _row(name: str, one: Spread) -> tuple[str, ...]:
-    at = int(np.argmax(one.from_median))
-    leaving = {leave.seed for leave in one.leaves}
-    return (
-        name,
-        f"{np.nanmedian(one.spread):.2f}",
-        f"{one.from_median[at]:.1f}",
-        NO_FIGURE if one.identical else f"{one.frame[at]}",
-        NO_FIGURE if one.parting is None else f"{one.parting}",
-        f"{len(leaving)} of {len(one.seeds)}",
-        " + ".join(str(len(group.seeds)) for group in one.groups),
-    )
-
-
-def _leaves(one: Spread) -> str:
-    texts = [
-        f"seed {leave.seed} leaves at {leave.frame}, gets {leave.farthest:.0f} px away"
-        + ("" if leave.back is None else f", is back at {leave.back}")
-        for leave in one.leaves
-    ]
-    return _first(texts, "")
-
-
-def _ends(groups: Sequence[Group]) -> str:
-    if len(groups) == 1:
-        return f"in the end all are together{_off(groups[0])}"
-    texts = [f"{_seeds(group.seeds)} at ({group.x:.0f}, {group.y:.0f}){_off(group)}" for group in groups]
-    return f"in the end {_first(texts, ' groups')}"
-
-
-def _first(texts: Sequence[str], what: str) -> str:
-    """The first of them, and how many more there are."""
-    more = [f"and {len(texts) - MOST_NAMED} more{what}"] * (len(texts) > MOST_NAMED)
-    return "; ".join([*texts[:MOST_NAMED], *more])
-
-
-def _seeds(seeds: Sequence[int]) -> str:
-    if len(seeds) > MOST_NAMED:
-        return f"{len(seeds)} runs"
-    return f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}"
-
-
-def _off(group: Group) -> str:
-    return "" if group.error is None else f", off by {group.error:.1f} px"
 
 
 def _part(one: Spread) -> dict[str, Any]:
@@ -375,16 +218,9 @@ def _part(one: Spread) -> dict[str, Any]:
         "part": one.part,
         "limit_px": round(one.limit, 3),
         "parting": one.parting,
-        "leaves": [
-            {"seed": leave.seed, "frame": leave.frame, "back": leave.back, "farthest_px": round(leave.farthest, 3)}
-            for leave in one.leaves
-        ],
-        "groups": [
-            {"seeds": group.seeds, "x": rounded(group.x, 3), "y": rounded(group.y, 3)}
-            | {"error_px": rounded(group.error, 3)}
-            for group in one.groups
-        ],
-        "spread_px": rounded(float(np.nanmedian(one.spread)), 3),
+        "leaves": [leave._asdict() for leave in one.leaves],
+        "error_px": [rounded(error, 3) for error in one.errors.tolist()],
+        "spread_px": rounded(one.typical, 3),
         "frame": one.frame.tolist(),
         **{name: [rounded(value, 3) for value in curve.tolist()] for name, curve in curves.items()},
         "away": one.away.sum(axis=0).tolist(),
