@@ -221,7 +221,7 @@ def jumped(shot: Shot, to: Array, before: Array) -> Shot:
     there = moved(shot, similarity(nose, math.exp(log_scale), angle, nose + shot.unit * np.array([x, y])))
     steps = min(max(round(float(np.hypot(*way))), 1), 24)
     image = np.zeros(shot.image.shape, np.float32)
-    for u, v in (way * k / steps for k in range(steps)):
+    for u, v in (way * ((k + 0.5) / steps - 0.5) for k in range(steps)):  # the truth is the middle of the exposure
         shift = np.array([[1.0, 0.0, -u], [0.0, 1.0, -v]])
         image += cv2.warpAffine(there.image, shift, shot.image.shape[1::-1], borderMode=cv2.BORDER_REPLICATE)
     return there._replace(image=(image / steps).astype(np.uint8))

@@ -54,7 +54,7 @@ STEADY: Final = 2.5  # pixels of the still face, which a face is at most from wh
 _FORGETS: Final = 0.95  # share of `sure` that is left after a frame in which the head is lost
 _FACES: Final = 4  # that are compared with the one that is lost
 # standard deviations of the pose in a frame, of that by a detected box, and of that by parts left and right
-_POSE: Final = np.array([math.radians(1.5), 0.004, 0.004, 0.004])
+_POSE: Final = np.array([math.radians(1.5), 0.012, 0.004, 0.004])
 _BY_BOX: Final = np.array([np.inf, 0.15, 0.1, 0.1])
 _BY_PAIRS: Final = np.array([math.radians(3), np.inf, np.inf, np.inf])
 
@@ -251,13 +251,15 @@ class FaceTarget:
         return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=True), frame, boxed)
 
     def _posed(self, state: FaceState, view: View) -> FaceState:
-        """With what the detector says of the face's box, and parts left and right of its roll."""
+        """With what the detector says of the face's box, and parts left and right, or else the eyes, of its roll."""
         z = view.upright
         pose, var, known = state.pose, state.pose_var + _POSE**2, np.asarray(np.isfinite(z).all(axis=1))
-        pairs = [pair for pair in self._pairs if known[pair].all()]
-        if pairs and view.sure > 0:
-            turn = np.mean([still.slope(z[pair]) - self._slope(pair) for pair in pairs])
-            pose, var = updated(pose, var, np.array([turn, 0, 0, 0]), _BY_PAIRS)
+        turns = [still.slope(z[pair]) - self._slope(pair) for pair in self._pairs if known[pair].all()]
+        if view.sure <= 0:  # the points are not seen
+            eyes = None if view.found is None or not self.senses.searched else view.found.eyes
+            turns = [] if eyes is None else [still.slope(np.array(eyes))]
+        if turns:
+            pose, var = updated(pose, var, np.array([np.mean(turns), 0, 0, 0]), _BY_PAIRS)
         if view.due:
             state = replace(state, facing=state.facing.looked(found=view.found is not None))
         # a box drawn by hand may be another one than the detector's
