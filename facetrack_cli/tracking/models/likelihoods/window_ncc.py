@@ -16,7 +16,7 @@ hidden, whose evidence in a frame is
 where `told` is what a sensor says of it. Both terms are bounded.
 
 A part that is visible, and looks like none of its templates, gives a new one: an open mouth, a smile. It may be what
-covers the part: it does not count in q for ten frames, and is forgotten if the part is hidden before. The first frame's
+covers the part: it does not count in q for three frames, and is forgotten if the part is hidden before. The first frame's
 template stays; of the others the one that has matched least is replaced when there is no room.
 
 A frame is looked at once: r is computed on a grid of whole pixels around the estimate, and read bilinearly.
@@ -42,7 +42,7 @@ NEW_BELOW: Final = 0.7  # correlation with all templates below which a visible p
 SURE: Final = 0.06  # standard deviation of a part, in reaches, up to which a new template is learned
 HIDDEN, SOFT = 0.45, 0.1
 BY_WINDOW, BY_TOLD = (-1.0, 6.0), (-4.0, 4.0)  # bounds of the terms of the evidence: looks change
-YOUNG: Final = 10  # frames
+YOUNG: Final = 3  # frames
 UNLIKE: Final = 2.0  # below what a sensor usually says of a part, which then may be half covered
 HIDE, SHOW = 0.01, 0.1  # probabilities a frame
 BOUNDS: Final = (0.001, 0.98)  # of v
