@@ -15,25 +15,27 @@ import math
 import sys
 import time
 from collections import defaultdict
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+Look = Callable[[NDArray[np.uint8]], dict[str, tuple[float, float]]]
 CORE, LIPS = ("nose", "mouth_left", "mouth_right"), ("lip_upper", "lip_lower")
 MESH = dict(zip((*CORE, *LIPS), (1, 61, 291, 0, 17), strict=True))
 VARIES = 0.03
 
 
-def yunet(path):
+def yunet(path: str) -> Look:
     """A function from an image to points by name, none where no face is seen."""
-    net, size = cv2.FaceDetectorYN.create(path, "", (320, 320), 0.6), None
+    net: Any = cv2.FaceDetectorYN.create(path, "", (320, 320), 0.6)
 
-    def look(image):
-        nonlocal size
-        if size != image.shape[:2]:
-            size = image.shape[:2]
-            net.setInputSize(size[::-1])
+    def look(image: NDArray[np.uint8]) -> dict[str, tuple[float, float]]:
+        net.setInputSize(image.shape[1::-1])
         _, faces = net.detect(image)
         if faces is None:
             return {}
@@ -43,12 +45,10 @@ def yunet(path):
     return look
 
 
-def mesh():
-    import mediapipe as mp
+def mesh() -> Look:
+    model = import_module("mediapipe").solutions.face_mesh.FaceMesh(max_num_faces=1)
 
-    model = mp.solutions.face_mesh.FaceMesh(max_num_faces=1)
-
-    def look(image):
+    def look(image: NDArray[np.uint8]) -> dict[str, tuple[float, float]]:
         found = model.process(cv2.cvtColor(image, cv2.COLOR_BGR2RGB)).multi_face_landmarks
         if not found:
             return {}
@@ -58,18 +58,20 @@ def mesh():
     return look
 
 
-def main():
+def main() -> None:
     kind, *rest = sys.argv[1:]
     paths = rest if kind == "mesh" else rest[1:]
     cv2.setNumThreads(1)
-    right, silent, alike, taken = defaultdict(list), defaultdict(list), defaultdict(list), []
+    right, silent, alike = (defaultdict[str, list[Any]](list) for _ in range(3))
+    taken: list[float] = []
     for path in map(Path, paths):
-        look, truth, variant = mesh() if kind == "mesh" else yunet(rest[0]), defaultdict(dict), path.stem.split("-")[-1]
+        look, variant = mesh() if kind == "mesh" else yunet(rest[0]), path.stem.split("-")[-1]
+        truth: dict[int, dict[str, dict[str, str]]] = defaultdict(dict)
         for row in csv.DictReader(path.with_suffix(".mesh.csv").open(encoding="utf-8")):
             truth[int(row["frame"])][row["part"]] = row
-        video, lengths, visible = cv2.VideoCapture(str(path)), [], []
+        video, lengths, visible = cv2.VideoCapture(str(path)), list[Any](), list[bool]()
         for known in (truth[t] for t in sorted(truth)):
-            image = video.read()[1]
+            image = np.asarray(video.read()[1], np.uint8)
             began = time.perf_counter()
             found = look(image)
             taken.append(time.perf_counter() - began)

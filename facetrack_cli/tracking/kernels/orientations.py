@@ -39,7 +39,8 @@ def _channels(across, down, size, rms, ways, others, planes, row, line, out):
                 along = max(u * across[y, x] + v * down[y, x], _ZERO)
                 plane[x] = along * along / (size[y, x] * (rms[y, x] + _FLAT) + _TINY)
         for k in range(directions, count):
-            planes[y, k] = others[k - directions, y]
+            for x in range(width):
+                planes[y, k, x] = others[k - directions, y, x]
     # two means over 5 pixels are a sum with weights 1 2 3 4 5 4 3 2 1
     padded, values = line[0], line[1]
     flat = row.ravel()
@@ -53,7 +54,8 @@ def _channels(across, down, size, rms, ways, others, planes, row, line, out):
             for x in range(len(flat)):
                 flat[x] += weight * (upper[x] + lower[x])
         for k in range(count):
-            padded[4 : width + 4] = row[k]
+            for x in range(width):
+                padded[x + 4] = row[k, x]
             for d in range(1, 5):
                 padded[4 - d], padded[width + 3 + d] = row[k, d], row[k, width - 1 - d]
             for x in range(width):

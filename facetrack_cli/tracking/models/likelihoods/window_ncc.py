@@ -16,8 +16,8 @@ hidden, whose evidence in a frame is
 where `told` is what a sensor says of it. Both terms are bounded.
 
 A part that is visible, and looks like none of its templates, gives a new one: an open mouth, a smile. It may be what
-covers the part: it does not count in q for three frames, and is forgotten if the part is hidden before. The first frame's
-template stays; of the others the one that has matched least is replaced when there is no room.
+covers the part: it does not count in q for three frames, and is forgotten if the part is hidden before. The first
+frame's template stays; of the others the one that has matched least is replaced when there is no room.
 
 A frame is looked at once: r is computed on a grid of whole pixels around the estimate, and read bilinearly.
 """
