@@ -159,7 +159,7 @@ def channels(image: Image) -> NDArray[np.float32]:
     """The channels (H, W, DIRECTIONS + 3) of an image (H, W, 3)."""
     grey, red = looks(np.asarray(cv2.blur(image, (3, 3)), np.uint8))
     across, down = (np.asarray(cv2.Sobel(grey, cv2.CV_32F, *way), np.float32) for way in ((1, 0), (0, 1)))
-    size = np.asarray(cv2.magnitude(across, down), np.float32)
+    size = np.sqrt(across**2 + down**2)  # what cv2.magnitude gives depends on where memory begins
     slope = np.asarray(cv2.Sobel(red, cv2.CV_32F, 0, 1), np.float32)
     others = np.stack([_relative(red), _relative(grey), slope / (_rms(slope, 27) + 0.05)])
     return smoothed_channels(across, down, size, _rms(size, 27), _WAYS, others)
