@@ -106,8 +106,7 @@ def test_a_face_that_leaves_and_returns_elsewhere():
 def test_it_does_not_come_back_on_what_is_no_face():
     poses = [Pose(90, 110)] * 20 + [None] * 40
     rows = run(moving.clip(poses), moving.start(poses[0]))
-    gone = lost(rows)[24:]
-    assert gone[:, :5].all() and gone[:, 5].mean() > 0.95
+    assert lost(rows)[24:].all()
 
 
 def test_a_covered_mouth_is_placed_by_the_nose_and_says_so():

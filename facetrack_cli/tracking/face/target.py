@@ -227,7 +227,9 @@ class FaceTarget:
             for one in faces
         )
         head = replace(state.head, learned=state.head.learned._replace(sighted=places))
-        return replace(state, head=head, sighting=sighted(state.sighting, faces, frame, state.looks))
+        seen = sighted(state.sighting, faces, frame, state.looks)
+        facing = state.facing.looked(found=False) if seen is None else state.facing
+        return replace(state, head=head, sighting=seen, facing=facing)
 
     def _gone(self, head: State, seen: Sighting) -> bool:
         """Whether a head that is lost may be where a face is seen: there, or no longer known to be covered."""
