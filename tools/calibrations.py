@@ -26,12 +26,10 @@ import tempfile
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
 import cv2
-import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 
@@ -40,7 +38,7 @@ from reference import MESH, points_in, take_regression
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import BOX
-from facetrack_cli.evaluation.experiments import calibrate, calibration_fit
+from facetrack_cli.evaluation.experiments import calibrate
 from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.evaluation.experiments.sheet import clip_name
 from facetrack_cli.recipe.files import shipped_recipes
@@ -124,14 +122,13 @@ def fit(
                 found[clip] = one.result()
             except FacetrackError as e:
                 print(f"{recipe.name}: {clip.name} is left out: {e}", file=sys.stderr, flush=True)
-    # rendered clips of one kind count as one, or they outweigh real ones
-    kinds = [clip.stem.rpartition("-")[0] if clip.stem.rpartition("-")[0] in KINDS else str(clip) for clip in found]
-    of_kind = np.unique(kinds, return_inverse=True)[1]
-    samples = {
-        kind: replace(one, clip=of_kind[one.clip]) for kind, one in calibrate.collect(list(found.values())).items()
-    }
-    fitted = {kind: calibration_fit.fit(one) for kind, one in samples.items() if len(one.clips) > 1}
-    return calibrate.Calibrated(recipe.name, tuple(map(clip_name, found)), seeds, fitted)
+
+    def kind_of(clip: Path) -> str:
+        """Of a rendered clip the kind, or they outweigh real ones."""
+        kind = clip.stem.rpartition("-")[0]
+        return kind if kind in KINDS else str(clip)
+
+    return calibrate.of_runs(recipe.name, found, seeds, kind_of)
 
 
 def main() -> None:

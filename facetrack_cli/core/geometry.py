@@ -42,6 +42,11 @@ def centre(box: Box) -> Point:
     return box[0] + (box[2] - 1) / 2, box[1] + (box[3] - 1) / 2
 
 
+def square(middle: Array, side: float) -> Box:
+    """The square box whose `centre` is at `middle` (2,)."""
+    return float(middle[0]) - (side - 1) / 2, float(middle[1]) - (side - 1) / 2, side, side
+
+
 def corners(affine: Array, centre: Array, size: Array) -> Array:
     """(T, 4, 2) corners, clockwise from the top left, of boxes whose sides became parallel to the columns of `affine`.
 

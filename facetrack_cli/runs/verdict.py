@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from facetrack_cli.core.geometry import centre
+from facetrack_cli.core.geometry import centre, square
 from facetrack_cli.core.numbers import clock
 from facetrack_cli.core.snapshot import STORED
 from facetrack_cli.core.types import BOX, Box, Point, Start
@@ -147,7 +147,7 @@ def _face(rows: Trajectory, began: Box, points: Mapping[str, Point]) -> Box | No
     for k in np.flatnonzero(there).tolist():
         if parts[k] not in points:
             side = max(float(np.sqrt(rows.w[k] * rows.h[k])), 2.0)
-            return float(rows.x[k]) - (side - 1) / 2, float(rows.y[k]) - (side - 1) / 2, side, side
+            return square(np.array([rows.x[k], rows.y[k]]), side)
     moved = [
         (rows.x[k] - points[p][0], rows.y[k] - points[p][1]) for k, p in enumerate(parts) if there[k] and p in points
     ]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.core.geometry import iou
+from facetrack_cli.core.geometry import centre, iou, square
 from facetrack_cli.evaluation import boxes
 from facetrack_cli.evaluation.boxes import measure_boxes, share_above, share_up_to, vot_overlaps, within
 from tests.twins import boxes as naive_boxes
@@ -231,3 +231,9 @@ def test_accuracy_takes_polygons_where_there_are_some():
     assert same.vot_accuracy == pytest.approx(measure_boxes(ours, truth, visible=valid).vot_accuracy)
     corners[1] += 100
     assert measure_boxes(ours, truth, visible=valid, true_corners=corners).vot_accuracy == same.vot_accuracy - 1 / 4
+
+
+@pytest.mark.parametrize("side", [1.0, 30.0, 47.5])
+def test_a_square_has_its_centre_where_it_is_asked_for(side):
+    box = square(np.array([12.25, 7.5]), side)
+    assert centre(box) == pytest.approx((12.25, 7.5)) and box[2:] == (side, side)

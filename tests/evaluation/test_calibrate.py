@@ -75,6 +75,15 @@ def test_a_long_clip_and_many_seeds_weigh_no_more():
     assert np.bincount(found.clip, found.weight) == pytest.approx([1, 1])
 
 
+def test_clips_of_one_kind_weigh_as_one_clip():
+    clips = [([face([0, 0, 0])], true(3)) for _ in range(3)]
+    found = calibrate.collect(clips, [0, 1, 0])["points"]
+    assert found.clips == [0, 1] and np.bincount(found.clip, found.weight) == pytest.approx([1, 1])
+    kinds = {Path("a-0"): clips[0], Path("b-0"): clips[1], Path("a-1"): clips[2]}
+    known = calibrate.of_runs("face", kinds, 1, lambda path: path.name[0])
+    assert known.fitted["points"].sample.clip.tolist() == found.clip.tolist()
+
+
 def test_without_confidence_there_is_nothing_to_collect():
     with pytest.raises(InputError, match="both a confidence and known ground truth"):
         calibrate.collect([([face([0, 0], confidence=np.full(2, np.nan))], true(2))])

@@ -6,7 +6,7 @@
 Of each clip at most `MOST` rows of a kind are taken, evenly spaced: a long one is no better than a short one.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -111,12 +111,18 @@ def run(
     return of_runs(recipe.name, runs, len(numbers)) if len(runs) == len(plans) else None
 
 
-def of_runs(recipe: str, runs: Mapping[Path, tuple[Sequence[Trajectory], Trajectory]], seeds: int) -> Calibrated:
+def of_runs(
+    recipe: str,
+    runs: Mapping[Path, tuple[Sequence[Trajectory], Trajectory]],
+    seeds: int,
+    kind_of: Callable[[Path], str] = str,
+) -> Calibrated:
     """The calibration that follows from runs of a recipe without one: of each clip `seeds` runs, and its ground truth.
 
-    Raises InputError as `collect` does.
+    Clips of one kind count as one clip. Raises InputError as `collect` does.
     """
-    samples = collect(list(runs.values()))
+    kinds = list(dict.fromkeys(map(kind_of, runs)))
+    samples = collect(list(runs.values()), [kinds.index(kind_of(clip)) for clip in runs])
     # a kind of a single clip has no map, unless it is the only one: then that is the error
     several = {kind: one for kind, one in samples.items() if len(one.clips) > 1} or samples
     return Calibrated(recipe, tuple(map(clip_name, runs)), seeds, {kind: fit(one) for kind, one in several.items()})
@@ -136,13 +142,17 @@ def uncalibrated(recipe: Recipe) -> Recipe:
     return raw(recipe) if isinstance(recipe, ParticleFilter) else recipe  # type: ignore[return-value]
 
 
-def collect(clips: Sequence[tuple[Sequence[Trajectory], Trajectory]]) -> dict[PartKind, Sample]:
+def collect(
+    clips: Sequence[tuple[Sequence[Trajectory], Trajectory]], numbers: Sequence[int] = ()
+) -> dict[PartKind, Sample]:
     """The rows of each kind of part: of each clip the runs, one a seed, and the ground truth.
 
-    Raises InputError as `match` does, and where no row has confidence and known ground truth.
+    Clips with the same of `numbers`, by default each has its own, count as one clip. Raises InputError as `match`
+    does, and where no row has confidence and known ground truth.
     """
     found: dict[PartKind, Sample] = {}
-    every = [[_rows(run, truth, number) for run in runs] for number, (runs, truth) in enumerate(clips)]
+    numbered = zip(numbers or range(len(clips)), clips, strict=True)
+    every = [[_rows(run, truth, number) for run in runs] for number, (runs, truth) in numbered]
     for kind in KINDS:
         thinned = []
         for runs in every:

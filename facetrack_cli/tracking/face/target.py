@@ -26,7 +26,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.random import Generator
 
-from facetrack_cli.core.geometry import centre, corners
+from facetrack_cli.core.geometry import centre, corners, square
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, TargetStart
 from facetrack_cli.recipe.face import Head
 from facetrack_cli.tracking.calibration import Calibration
@@ -117,8 +117,7 @@ class FaceTarget:
         shape = Similarity(np.zeros(2), scale, roll)
         middle = at.mean(axis=0) - (rest.mean(axis=0) - still.MIDDLE) @ shape.matrix.T
         side = FACE * scale
-        box = (float(middle[0]) - (side - 1) / 2, float(middle[1]) - (side - 1) / 2, side, side)
-        head, boxed = self.head.restart(rng, frame, first.head, TargetStart(box))
+        head, boxed = self.head.restart(rng, frame, first.head, TargetStart(square(middle, side)))
         pose = np.array([roll, 0.0, 0.0, 0.0])
         similarity = self._map(head.estimated.state, pose)
         moved = {part: tuple(similarity.to_still(place).tolist()) for part, place in placed.items()}
@@ -244,9 +243,8 @@ class FaceTarget:
     ) -> tuple[FaceState, TargetResult]:
         """The face where it is seen again."""
         side = seen.box[2] * math.exp(-state.pose[1])
-        x, y = np.array(centre(seen.box)) - side * state.pose[2:]
-        box = (float(x) - (side - 1) / 2, float(y) - (side - 1) / 2, side, side)
-        head, boxed = self.head.restart(rng, frame, state.head, TargetStart(box))
+        middle = np.array(centre(seen.box)) - side * state.pose[2:]
+        head, boxed = self.head.restart(rng, frame, state.head, TargetStart(square(middle, side)))
         pose, rest = np.array([seen.roll, *state.pose[1:]]), self.features.x0
         features = shifted(state.features, lambda x: x + (rest - state.features.estimated.state))
         state = replace(state, head=head, features=features, pose=pose, facing=Facing(), sighting=None)
