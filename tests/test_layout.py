@@ -21,7 +21,7 @@ ROOMS = {
     "editor": "core recipe video trajectory tracking runs evaluation report",
     "cli": "core recipe video trajectory tracking runs evaluation report editor",
 }
-NO_FILE_IS_LONGER = 400
+NO_FILE_IS_LONGER = 600
 
 
 def imports(source):
