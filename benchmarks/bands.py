@@ -149,16 +149,16 @@ def one_run(folder: Path, path: Path, case: Case, seed: int) -> Array | None:
     for result in results:
         collected.add(result.rows)
     table = collected.trajectory(path=clip)
-    return measure([table], golden.statistics, golden.names)
+    return measure([table], [band.statistic for band in golden.bands], golden.names)
 
 
 def cell(golden: Golden, case: Case, runs: Array) -> tuple[str, int, bool]:
     """What to print, how many groups were judged, and whether they were as they must be."""
-    k = golden.seeds.tested
+    k = golden.tested
     groups = [runs[i : i + k] for i in range(0, len(runs) - k + 1, k)]
-    verdicts = [judge(golden.statistics, golden.recorded, group) for group in groups]
-    failed = sum(not v.passed for v in verdicts)
-    far = [v.closest for v in verdicts]
+    verdicts = [judge(golden.bands, group) for group in groups]
+    failed = sum(bool(left) for _, left in verdicts)
+    far = [farthest for farthest, _ in verdicts]
     told = min(far) if case.must_fail else max(far)
     return f"{failed}/{len(groups)} ({told:.2f})", len(groups), failed == (len(groups) if case.must_fail else 0)
 
@@ -180,7 +180,7 @@ def main() -> None:
             golden = read_golden(path)
             cells = []
             for case in CASES:
-                count = golden.seeds.tested * (given.groups if case is CASES[0] else max(given.groups // 4, 1))
+                count = golden.tested * (given.groups if case is CASES[0] else max(given.groups // 4, 1))
                 seeds = range(FIRST_SEED, FIRST_SEED + count)
                 runs = [r for r in pool.map(partial(one_run, given.folder, path, case), seeds) if r is not None]
                 if not runs:
@@ -190,7 +190,7 @@ def main() -> None:
                 cells.append(text)
                 good &= right
                 passed += 0 if case.must_fail else groups
-            name, k = Path(golden.recipe).stem, golden.seeds.tested
+            name, k = Path(golden.recipe).stem, golden.tested
             print(f"| {Path(golden.clip.file).stem} | {name} | {k} | " + " | ".join(cells) + " |", flush=True)
     print(f"\n{'as it must be' if good else 'NOT as it must be'}; {passed} groups that must pass")
     raise SystemExit(0 if good else 1)

@@ -95,7 +95,7 @@ def test_an_unchanged_tracker_passes_and_the_reports_say_so(facetrack: Runner, c
     assert float(case.get("time", "0")) > 0 and len(case) == 0
     found = json.loads(data.read_text())
     assert (found["ok"], found["fails"], found["skipped"]) == (1, 0, 0)
-    assert found["results"][0]["closest"] < 1 and found["results"][0]["deviations"] == []
+    assert found["results"][0]["farthest"] < 1 and found["results"][0]["deviations"] == []
     again, out, err = facetrack("regress", clips, "--junit", xml)
     assert again == ExitCode.USAGE and "--overwrite" in err and out == "", "refused before anything runs"
     assert facetrack("regress", clips, "--junit", xml, "--overwrite")[0] == ExitCode.DONE
@@ -105,7 +105,7 @@ def test_the_same_seeds_give_the_same_verdict_in_processes(facetrack: Runner, cl
     for name, workers in (("one", 1), ("two", 2)):
         facetrack("regress", clips, "-j", workers, "--json", tmp_path / name)
     one, two = (json.loads((tmp_path / name).read_text())["results"][0] for name in ("one", "two"))
-    assert one["closest"] == two["closest"] and one["message"].split(";")[0] == two["message"].split(";")[0]
+    assert one["farthest"] == two["farthest"] and one["message"].split(";")[0] == two["message"].split(";")[0]
 
 
 def test_a_likelihood_that_is_off_fails_and_is_told(
@@ -117,15 +117,16 @@ def test_a_likelihood_that_is_off_fails_and_is_told(
     code, out, _ = facetrack("regress", clips, "--junit", xml, "--json", data)
     assert code == ExitCode.REGRESSION
     first, *more = out.splitlines()
-    assert first.startswith("occlusion.mp4 factorized: FAILS: frames 1-25, ") and "(from 20 seeds)" in first
-    assert "mean x " in out and " px, band " in first and any("leaves its path at frame " in line for line in more)
+    assert first.startswith("occlusion.mp4 factorized: FAILS: frames 1-25, ") and "(of 20 seeds)" in first
+    assert " px, band " in first and more[0] == "    positions are off from frame 1 on"
     assert more[-1].endswith("0 ok, 1 FAILS")
     failure = check_junit(xml).find(".//failure")
     assert failure is not None and failure.get("message") == first.split("FAILS: ")[1]
-    assert "leaves its path" in (failure.text or "")
+    assert "positions are off" in (failure.text or "")
     result = json.loads(data.read_text())["results"][0]
-    assert result["status"] == "fails" and result["leaves"]["distance_px"] > result["leaves"]["band_px"]
-    assert {d["family"] for d in result["deviations"]} >= {"local", "overall"}
+    deviation = next(one for one in result["deviations"] if one["quantity"] == "x")
+    assert result["status"] == "fails" and deviation["part"] and deviation["farthest"] > 1
+    assert deviation["runs"][1] < deviation["band"][0]
 
 
 def test_a_changed_recipe_is_told_and_compared_all_the_same(facetrack: Runner, clips: Path) -> None:
@@ -207,7 +208,7 @@ def test_a_recipe_of_the_user_is_found_from_the_folder_of_clips(facetrack: Runne
     text = (SAMPLES.parent / "configs" / "factorized.yaml").read_text(encoding="utf-8")
     (clips / "mine.yaml").write_text(text.replace("particles: 100", "particles: 30"), encoding="utf-8")
     code, out, _ = facetrack("regress", clips, "--config", clips / "mine.yaml", "--update", "--seeds", 20, "--stop", 12)
-    assert code == 0 and out == f"occlusion.mp4 mine: wrote {golden_of(clips)} (20 seeds, 12 to test)\n"
+    assert code == 0 and out == f"occlusion.mp4 mine: wrote {golden_of(clips)} (20 seeds, 4 to test)\n"
     assert read_golden(golden_of(clips)).recipe == "mine.yaml"
     assert facetrack("regress", clips)[0] == ExitCode.DONE
     before = golden_of(clips).read_bytes()
@@ -285,14 +286,14 @@ def verdicts(stem: str, *overrides: str, first_seed: int = 0) -> list[regress.Ch
 )
 def test_a_sigma_that_is_off_by_30_percent_fails(stem: str, change: str) -> None:
     (found,) = verdicts(stem, change)
-    assert found.status == "fails" and found.verdict is not None and found.verdict.closest > 1.1
+    assert found.status == "fails" and found.farthest > 1
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("change", ["motion.sigma=0.14", "likelihood.sigma=0.2"])
 def test_a_face_by_skin_with_another_sigma_fails(change: str) -> None:
     (found,) = verdicts("map.skin_ncc_robust", change)
-    assert found.status == "fails" and found.verdict is not None and found.verdict.closest > 1.1
+    assert found.status == "fails" and found.farthest > 1
 
 
 @pytest.mark.nightly
@@ -307,12 +308,12 @@ def test_a_likelihood_shifted_by_a_pixel_and_a_half_fails(stem: str, monkeypatch
     asked = ColourRatio.distances
     monkeypatch.setattr(ColourRatio, "distances", lambda s, a, f, x: asked(s, a, f, x + np.array([1.5, 0.0])))
     (found,) = verdicts(stem)
-    assert found.status == "fails" and "x" in {d.statistic.quantity for d in found.verdict.deviations}
+    assert found.status == "fails" and "x" in {one.band.quantity for one in found.deviations}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stem", [*ONE_BY_DAY, "map.skin_ncc_robust"])
 @pytest.mark.parametrize("first_seed", [300, *(pytest.param(n, marks=pytest.mark.nightly) for n in (400, 500))])
-def test_twelve_unseen_seeds_pass(stem: str, first_seed: int) -> None:
+def test_unseen_seeds_pass(stem: str, first_seed: int) -> None:
     (found,) = verdicts(stem, first_seed=first_seed)
-    assert found.status == "ok" and found.seeds >= 4
+    assert found.status == "ok" and found.seeds == 4

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import json
-import math
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from facetrack_cli.core import files
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Start, TargetStart
-from facetrack_cli.evaluation.goldens.bands import QUANTITIES
 from facetrack_cli.evaluation.goldens.goldens import (
-    EVERY,
     File,
     Golden,
     checksum,
@@ -44,36 +40,25 @@ def golden(tmp_path: Path) -> Golden:
 
 
 def test_a_golden_is_read_as_it_was_written(golden: Golden, tmp_path: Path) -> None:
-    golden.rows[0].offsets[3] = None
-    assert math.isnan(golden.recorded[3, 0])
     path = golden_path(tmp_path, golden.clip.file, "sir")
     assert path == tmp_path / "goldens" / "clip.sir.json"
     write_golden(path, golden)
     back = read_golden(path)
-    np.testing.assert_array_equal(back.recorded, golden.recorded)
-    assert back.statistics == golden.statistics and back.frames == (0, 100) and back.seeds == golden.seeds
-    assert back.start == golden.start and back.start.targets["face"].points == {"nose": (10.25, 20.0)}
-    assert back.model_dump() == golden.model_dump() and list(back.paths) == list(golden.paths)
+    assert back.model_dump() == golden.model_dump() and back.frames == (0, 100) and back.tested == 4
+    assert back.start.targets["face"].points == {"nose": (10.25, 20.0)}
     text = path.read_bytes()
     write_golden(path, back)
     assert path.read_bytes() == text, "the same numbers are the same bytes"
     assert find_goldens(tmp_path) == [path]
-
-
-def test_a_golden_has_a_line_a_statistic(golden: Golden, tmp_path: Path) -> None:
-    path = tmp_path / "goldens" / "a.json"
-    write_golden(path, golden)
-    lines = path.read_text(encoding="utf-8").splitlines()
-    wanted = [line for line in lines if line.startswith('    ["face/nose","x",1,25,')]
-    assert len(wanted) == 1
-    row = json.loads(wanted[0].rstrip(","))
-    assert len(row[5]) == 40 and row[4] * QUANTITIES["x"].unit == pytest.approx(110, abs=5)
+    (line,) = [one for one in text.decode().splitlines() if one.startswith('    ["face/nose","x",1,25,')]
+    *_, low, high, missing = json.loads(line.rstrip(","))
+    assert 105 < low < high < 115 and missing == 0
 
 
 def test_one_run_is_kept_of_a_tracker_without_chance(golden: Golden, tmp_path: Path) -> None:
     clip = tmp_path / golden.clip.file
     one = record(RECORDED[:1] * 5, clip=clip, recipe="kcf", settings={}, start=golden.start.start_from("x"))
-    assert one.recorded.shape[0] == 1 and one.seeds.tested == 1
+    assert one.seeds == one.tested == 1
 
 
 def spoil(text: str, how: str) -> str:
@@ -81,23 +66,19 @@ def spoil(text: str, how: str) -> str:
     if how == "cut":
         return text[:-200]
     if how == "version":
-        data["version"] = 2
-    elif how == "seeds":
-        data["statistics"][0][5].pop()
-    elif how == "units":
-        data["units"]["x"] = 1.0
-    elif how == "path":
-        data["paths"]["face/nose"]["x"].pop()
+        data["version"] = 1
+    elif how == "band":
+        data["bands"][0].pop()
     elif how == "part":
-        data["statistics"][0][0] = "face/chin"
+        data["bands"][0][0] = "face/chin"
     elif how == "clip":
         data["clip"]["file"] = "../../etc/passwd"
     elif how == "quantity":
-        data["statistics"][0][1] = "mood"
+        data["bands"][0][1] = "mood"
     return json.dumps(data)
 
 
-@pytest.mark.parametrize("how", ["cut", "version", "seeds", "units", "path", "part", "clip", "quantity"])
+@pytest.mark.parametrize("how", ["cut", "version", "band", "part", "clip", "quantity"])
 def test_what_is_no_golden_is_refused_in_a_line(how: str, golden: Golden, tmp_path: Path) -> None:
     path = tmp_path / "goldens" / "a.json"
     write_golden(path, golden)
@@ -198,10 +179,7 @@ def test_a_shipped_golden_is_of_the_clip_and_the_recipe_that_are_here(path: Path
         "record again: facetrack regress sample_videos --update"
     )
     assert differences(completed(golden.settings), to_dict(load_recipe(golden.recipe))) == []
-    assert 20 <= len(golden.recorded) <= 100 and 4 <= golden.seeds.tested <= 12
-    assert path.stat().st_size < 90_000
-    count = golden.frames[1] - golden.frames[0] + 1
-    assert all(len(p.x) == count and len(p.reach) == -(-count // EVERY) for p in golden.paths.values())
+    assert golden.seeds in (1, 40)
 
 
 def test_a_shipped_golden_is_written_as_it_is(tmp_path: Path) -> None:

@@ -257,11 +257,11 @@ def test_a_golden_holds_who_it_is_and_finds_its_gallery(clips: Path, tmp_path: P
     golden = read_golden(path)
     assert golden.names == {"face": "hopper"} and golden.gallery is not None and golden.gallery.file == "people.npz"
     assert golden.settings["recognition"]["gallery"] == "people.npz" and str(tmp_path) not in path.read_text()
-    assert {"identity", "particles", "angle", "w"} <= {s.quantity for s in golden.statistics}
+    assert {"identity", "particles", "angle", "w"} <= {band.quantity for band in golden.bands}
 
     monkeypatch.chdir(tmp_path)  # from another folder, and without an option
     assert main(["regress", "clips", "-q"]) == 0
-    assert f"; hopper in {golden.seeds.tested} of {golden.seeds.tested}; " in capfd.readouterr().out
+    assert f"; hopper in {golden.tested} of {golden.tested}; " in capfd.readouterr().out
     before = path.read_bytes()
     assert main(["regress", "clips", "--update", "--seeds", "20", "-q"]) == 0
     assert " to test; hopper in 20 of 20)" in capfd.readouterr().out

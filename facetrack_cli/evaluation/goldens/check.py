@@ -10,16 +10,14 @@ from pathlib import Path
 from typing import Literal, NamedTuple, TypeAlias
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
-from facetrack_cli.evaluation.goldens.bands import Deviation, Verdict, judge, last_names, measure, names
+from facetrack_cli.evaluation.goldens.bands import Deviation, judge, last_names, measure, names
 from facetrack_cli.evaluation.goldens.goldens import (
     FIRST_SEED,
     Golden,
-    Leave,
     beside,
     checksum,
     differences,
     find_goldens,
-    first_leave,
     golden_path,
     read_golden,
     record,
@@ -46,7 +44,8 @@ UPDATE = "record again with --update if that is meant"
 class Checked:
     """What came of checking or recording one golden: `message` is one line, `details` more of them.
 
-    "skipped": it cannot be run here, and nothing is wrong. `seconds` are those of the trackers alone.
+    "skipped": it cannot be run here, and nothing is wrong. `seconds` are those of the trackers alone. `farthest`: the
+    farthest statistic, above 1 outside of its band.
     """
 
     golden: Path
@@ -57,8 +56,8 @@ class Checked:
     details: tuple[str, ...] = ()
     seconds: float = 0.0
     seeds: int = 0
-    verdict: Verdict | None = None
-    leave: Leave | None = None
+    farthest: float | None = None
+    deviations: tuple[Deviation, ...] = ()
 
 
 class _SkippedError(FacetrackError):
@@ -184,7 +183,7 @@ def check(
         recipe = given.get(golden.recipe_name) or load_recipe(golden.recipe_from(folder), overrides, installed=False)
         recipe = _recognising(recipe, folder, golden, gallery)
         _check_runs_here(recipe)
-        seeds = tuple(range(first_seed, first_seed + golden.seeds.tested))
+        seeds = tuple(range(first_seed, first_seed + golden.tested))
         return Plan(path.stem, clip, recipe, golden.start.start_from(str(path)), seeds, golden.stop)
 
     jobs = []
@@ -205,37 +204,28 @@ def _compare(path: Path, golden: Golden, plan: Plan, runs: Sequence[SeedRun]) ->
     result = partial(Checked, path, golden.clip.file, golden.recipe_name, seconds=seconds, seeds=len(runs))
     if shape := _other_shape(golden, tables[0]):
         return result("fails", shape, tuple(notes))
-    verdict = judge(golden.statistics, golden.recorded, measure(tables, golden.statistics, golden.names))
     who = _identities(golden.names, tables)
-    if verdict.passed:
-        message = f"the farthest statistic is at {100 * verdict.closest:.0f} % of its band{who and '; ' + who}"
-        return result("ok", message, tuple(notes), verdict=verdict)
-    leave = first_leave(golden.paths, tables)
-    quantities = {one.statistic.quantity for one in verdict.deviations}
+    statistics = [band.statistic for band in golden.bands]
+    farthest, left = judge(golden.bands, measure(tables, statistics, golden.names))
+    if not left:
+        message = f"the farthest statistic is at {100 * farthest:.0f} % of its band{who and '; ' + who}"
+        return result("ok", message, tuple(notes), farthest=farthest)
+    first = [one.band.first for one in left if one.band.quantity in ("x", "y") and one.band.series]
+    shown = [left[0], *([left[-1]] if left[-1].band.series == "" and len(left) > 1 else [])]
     lines = []
-    for one in _shown(verdict):
-        _, series, first, last = one.statistic
-        lines.append(f"frames {first}-{last}, {golden.short(series) if series else 'all parts'}: {one}")
-    if leave is not None:
-        lines.insert(1, f"{golden.short(leave.series)} {leave}")
-    elif not quantities & {"x", "y"}:
-        lines.insert(1, "no part leaves its path; positions are as recorded")
-    if names(tables) != golden.names or "identity" in quantities:
-        named = golden.names
-        recorded = ", ".join(named.values() if len(named) == 1 else map(": ".join, named.items()))
+    for one in shown:
+        part = golden.short(one.band.series) if one.band.series else "all parts"
+        lines.append(f"frames {one.band.first}-{one.band.last}, {part}: {one}")
+    lines.insert(1, f"positions are off from frame {min(first)} on" if first else "positions are as recorded")
+    if names(tables) != golden.names or any(one.band.quantity == "identity" for one in left):
+        recorded = ", ".join(golden.names.values() if len(golden.names) == 1 else map(": ".join, golden.names.items()))
         lines.append(f"recorded was {recorded or 'nobody'}; now it is {who or 'nobody'}")
     now = versions()
     other = [f"{key} {was} -> {now.get(key, 'none')}" for key, was in golden.versions.items() if now.get(key) != was]
     if other:
         notes.append(f"other versions than recorded with: {', '.join(other)}")
-    message = f"{lines[0]} (from {golden.seeds.recorded} seeds)"
-    return result("fails", message, (*lines[1:], *notes), verdict=verdict, leave=leave)
-
-
-def _shown(verdict: Verdict) -> list[Deviation]:
-    """The deviations to show: the farthest of a span, the farthest overall, and the joint one if it stands alone."""
-    families = {one.family: one for one in reversed(verdict.deviations)}
-    return [families[name] for name in ("local", "overall") if name in families] or list(verdict.deviations[:1])
+    message = f"{lines[0]} (of {golden.seeds} seeds)"
+    return result("fails", message, (*lines[1:], *notes), farthest=farthest, deviations=tuple(left))
 
 
 def _other_shape(golden: Golden, table: Trajectory) -> str:
@@ -243,8 +233,8 @@ def _other_shape(golden: Golden, table: Trajectory) -> str:
     frames, series = table.frames.tolist(), [one.name for one in table.parts]
     if frames != list(range(first, last + 1)):
         return f"tracked frames {frames[0]}-{frames[-1]}, recorded were {first}-{last}; {UPDATE}"
-    if series != list(golden.paths):
-        return f"tracks {', '.join(series)}, recorded were {', '.join(golden.paths)}; {UPDATE}"
+    if series != golden.parts:
+        return f"tracks {', '.join(series)}, recorded were {', '.join(golden.parts)}; {UPDATE}"
     return ""
 
 
@@ -313,7 +303,7 @@ def _record(folder: Path, plan: Plan, runs: Sequence[SeedRun]) -> Checked:
     path = golden_path(folder, plan.clip.name, recipe.name)
     write_golden(path, golden)
     who = _identities(golden.names, tables)
-    message = f"{len(tables)} seeds, {golden.seeds.tested} to test{who and '; ' + who}"
+    message = f"{len(tables)} seeds, {golden.tested} to test{who and '; ' + who}"
     return Checked(path, plan.clip.name, recipe.name, "ok", message)
 
 

@@ -1,46 +1,36 @@
-"""Golden files: what many seeds of a recipe gave on a clip, to be checked against later.
+"""Golden files: the bands of a recipe's runs on a clip, against which later runs are checked.
 
     sample_videos/goldens/occlusion.factorized.json
 
-A golden is JSON with one line for each statistic: part, quantity, first and last frame, the median over seeds, and the
-offset of each seed from it, both in the quantity's unit (`units`; means of logarithms for those that `bands.py`
-averages so). `paths` are the medians of x and y in every frame. What it takes to run the same again stands before them.
+A golden is JSON with a line for each band: part, quantity, first and last frame, the band's edges (`bands.py`), and how
+many runs have no value. Before the bands stands what a run needs: clip, recipe, start, seeds.
 """
 
 import contextlib
 import json
-import math
 import os
 import platform
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError
 
 from facetrack_cli import __version__
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import MOST, check_readable, digest, write_new
-from facetrack_cli.core.types import Array, Start
+from facetrack_cli.core.types import Start
 from facetrack_cli.evaluation.goldens import bands
-from facetrack_cli.evaluation.goldens.bands import QUANTITIES, Name, Statistic, names
-from facetrack_cli.evaluation.goldens.permutation_test import median_of_runs
+from facetrack_cli.evaluation.goldens.bands import RUNS, Band
 from facetrack_cli.trajectory.header import StartRecord, TargetRecord, to_record
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.images import listing
 
 FOLDER: Final = "goldens"
-FIRST_SEED: Final = 1000  # of those recorded; those tested count from 0
+FIRST_SEED: Final = 1000  # of recorded runs; tested runs count from 0
 # settings that change no band; the gallery is a file, whose checksum is compared
 NOT_COMPARED: Final = ("description", "seed", "recognition.gallery")
-HOLD: Final = 3  # frames in a row outside the band that make leaving more than noise
-WIDE: Final = 2.5  # times the median distance of runs from their median: three standard deviations of a normal one
-LEAST_PX: Final = 0.5
-EVERY: Final = 5  # frames that share a reach
 
 
 class _Strict(BaseModel):
@@ -62,44 +52,16 @@ class GoldenStart(StartRecord):
     targets: dict[str, TargetRecord] = Field(min_length=1)
 
 
-class Seeds(_Strict):
-    """The first seed recorded, how many were, and how many a check runs, from 0."""
-
-    first: int
-    recorded: int = Field(ge=1)
-    tested: int = Field(ge=1, le=FIRST_SEED)
-
-
-class Row(NamedTuple):
-    """A statistic of all seeds: `median + offsets` in the quantity's unit, None where a seed has no value."""
-
-    series: str
-    quantity: Name
-    first: int
-    last: int
-    median: int
-    offsets: list[int | None]
-
-
-class PartPath(_Strict):
-    """The medians of one part over runs, x and y (T,) in pixels, None where no run has a position, and how far the
-    band reaches around them, one number for each EVERY frames.
-    """
-
-    x: list[float | None]
-    y: list[float | None]
-    reach: list[float]
-
-
 class Golden(_Strict):
     """What was recorded, as the file holds it.
 
     `recipe` is a shipped name or a path from the folder of clips; `gallery` that of a recipe that recognises, `names`
-    who each target is, if anybody; `frames` the first and the last one; `paths` by `target/part`.
+    who each target is, if anybody; `seeds` how many were recorded, from FIRST_SEED; `frames` the first and the last;
+    `parts` are `target/part`.
     """
 
     schema_: Literal["facetrack-golden"] = Field(alias="schema")
-    version: Literal[1]
+    version: Literal[2]
     clip: Clip
     recipe: str
     settings: dict[str, Any]
@@ -107,22 +69,16 @@ class Golden(_Strict):
     names: dict[str, str] = {}
     start: Annotated[GoldenStart, PlainSerializer(lambda start: to_record(start.start_from("")))]
     stop: int | None
-    seeds: Seeds
+    seeds: int = Field(ge=1)
     versions: dict[str, str]
     frames: tuple[int, int]
-    units: dict[Name, float]
-    rows: list[Row] = Field(alias="statistics", min_length=1)
-    paths: dict[str, PartPath] = Field(min_length=1)
+    parts: list[str] = Field(min_length=1)
+    bands: list[Band] = Field(min_length=1)
 
-    @cached_property
-    def statistics(self) -> tuple[Statistic, ...]:
-        return tuple(Statistic(row.quantity, row.series, row.first, row.last) for row in self.rows)
-
-    @cached_property
-    def recorded(self) -> Array:
-        """(S, F) as `bands.measure` gives it."""
-        rows = [[math.nan if v is None else row.median + v for v in row.offsets] for row in self.rows]
-        return np.array(rows, float).T
+    @property
+    def tested(self) -> int:
+        """How many seeds a check runs."""
+        return min(RUNS, self.seeds)
 
     @property
     def recipe_name(self) -> str:
@@ -134,7 +90,7 @@ class Golden(_Strict):
 
     def short(self, series: str) -> str:
         """The name of a part without its target, where there is only one target."""
-        targets = {name.split("/")[0] for name in self.paths}
+        targets = {name.split("/")[0] for name in self.parts}
         return series.split("/", 1)[-1] if len(targets) == 1 else series
 
 
@@ -164,35 +120,28 @@ def record(
     """A golden of runs of one recipe on one clip with different seeds."""
     if gallery is not None:  # a path from the clip's folder, wherever it was recorded from
         settings = {**settings, "recognition": {**settings["recognition"], "gallery": beside(clip.parent, gallery)}}
-    statistics = bands.choose(tables)
-    recorded = bands.measure(tables, statistics)
-    if bands.alike(recorded):  # a deterministic tracker: one run is enough
+    named = bands.names(tables)
+    statistics = bands.choose(tables, named)
+    recorded = bands.measure(tables, statistics, named)
+    if bands.deterministic(recorded):
         recorded = recorded[:1]
     frames = tables[0].frames
     return Golden(
         schema="facetrack-golden",
-        version=1,
+        version=2,
         clip=Clip(file=clip.name, sha256=checksum(clip)),
         recipe=recipe,
         settings=dict(settings),
         gallery=None if gallery is None else File(file=beside(clip.parent, gallery), sha256=checksum(gallery)),
-        names=names(tables),
+        names=named,
         start=GoldenStart.model_validate(to_record(start)),
         stop=stop,
-        seeds=Seeds(first=FIRST_SEED, recorded=len(recorded), tested=bands.runs_to_test(statistics, recorded)),
+        seeds=len(recorded),
         versions=versions(),
         frames=(int(frames[0]), int(frames[-1])),
-        units={name: QUANTITIES[name].unit for name in dict.fromkeys(one.quantity for one in statistics)},
-        statistics=[_row(*each) for each in zip(statistics, recorded.T, strict=True)],
-        paths=paths_of(tables),
+        parts=[part.name for part in tables[0].parts],
+        bands=bands.bands_of(statistics, recorded),
     )
-
-
-def _row(of: Statistic, values: Array) -> Row:
-    known = values[np.isfinite(values)]
-    median = round(float(np.median(known))) if known.size else 0
-    offsets = [round(value) - median if math.isfinite(value) else None for value in values.tolist()]
-    return Row(of.series, of.quantity, of.first, of.last, median, offsets)
 
 
 def beside(folder: Path, file: Path) -> str:
@@ -234,69 +183,11 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
             yield f"{prefix}{key}", value
 
 
-# --- paths ---------------------------------------------------------------------------------------------------------
-# they are there to be read: what decides is `bands.py`
-
-
-@dataclass(frozen=True)
-class Leave:
-    """Where runs leave the path: the source frame, the part, its distance, and the band's reach there; pixels."""
-
-    frame: int
-    series: str
-    distance: float
-    reach: float
-
-    def __str__(self) -> str:
-        times = f"{self.distance / self.reach:.1f} times the band of {self.reach:.1f} px"
-        return f"leaves its path at frame {self.frame}: {self.distance:.1f} px off, {times}"
-
-
-def paths_of(tables: Sequence[Trajectory]) -> dict[str, PartPath]:
-    """The paths of runs over the same frames and parts, by `target/part`, in tenths of pixels."""
-    found = {}
-    for i, one in enumerate(tables[0].parts):
-        x, y = _medians(tables, i)
-        away = np.hypot([t.parts[i].x - x for t in tables], [t.parts[i].y - y for t in tables])
-        reach = np.nan_to_num(np.maximum(WIDE * median_of_runs(away), LEAST_PX), nan=LEAST_PX)
-        widest = np.maximum.reduceat(reach, np.arange(0, len(reach), EVERY))
-        mx, my = ([None if np.isnan(v) else v for v in np.round(axis, 1).tolist()] for axis in (x, y))
-        found[one.name] = PartPath(x=mx, y=my, reach=np.round(widest, 1).tolist())
-    return found
-
-
-def first_leave(recorded: Mapping[str, PartPath], tables: Sequence[Trajectory]) -> Leave | None:
-    """Where the median of these runs first leaves the band of a path, for HOLD frames in a row; None if it does not."""
-    leaves = []
-    for i, (name, path) in enumerate(recorded.items()):
-        x, y = _medians(tables, i)
-        distance = np.hypot(x - np.array(path.x, float), y - np.array(path.y, float))
-        reach = np.repeat(path.reach, EVERY)[: len(distance)]
-        held = np.convolve(distance > reach, np.ones(HOLD))[HOLD - 1 :] == HOLD
-        if held.any():
-            at = int(held.argmax())
-            leaves.append(Leave(int(tables[0].parts[i].frame[at]), name, float(distance[at]), float(reach[at])))
-    return min(leaves, key=lambda leave: leave.frame, default=None)
-
-
-def _medians(tables: Sequence[Trajectory], i: int) -> tuple[Array, Array]:
-    parts = [table.parts[i] for table in tables]
-    return median_of_runs(np.array([one.x for one in parts])), median_of_runs(np.array([one.y for one in parts]))
-
-
-# --- files ---------------------------------------------------------------------------------------------------------
-
-
 def write_golden(path: Path, golden: Golden) -> None:
     """Whole or not at all; replaces the one before."""
-    head = golden.model_dump(by_alias=True, exclude={"rows", "paths"})
+    head = golden.model_dump(by_alias=True, exclude={"bands"})
     lines = [f'  "{key}": {_json(value)},' for key, value in head.items() if value or key not in ("gallery", "names")]
-    rows = [f"    {_json(row)}" for row in golden.rows]
-    parts = []
-    for name, one in golden.paths.items():
-        columns = ",\n".join(f'      "{key}": {_json(values)}' for key, values in one)
-        parts.append(f"    {_json(name)}: {{\n{columns}\n    }}")
-    lines += ['  "statistics": [', ",\n".join(rows), "  ],", '  "paths": {', ",\n".join(parts), "  }"]
+    lines += ['  "bands": [', ",\n".join(f"    {_json(band)}" for band in golden.bands), "  ]"]
     path.parent.mkdir(parents=True, exist_ok=True)
     write_new(path, "\n".join(["{", *lines, "}", ""]).encode(), overwrite=True)
 
@@ -317,21 +208,6 @@ def read_golden(path: Path) -> Golden:
         first = e.errors(include_url=False)[0]
         place = ".".join(str(step) for step in first["loc"])
         raise InputError(f"{path}: is no golden: {place + ': ' if place else ''}{first['msg']}; {anew}") from None
-    if flaw := _flaw(golden):
-        raise InputError(f"{path}: {flaw}; {anew}")
+    if unknown := {band.series for band in golden.bands} - {*golden.parts, ""}:
+        raise InputError(f"{path}: {min(unknown)} has a band and is no part; {anew}")
     return golden
-
-
-def _flaw(golden: Golden) -> str:
-    """What in a golden does not fit the rest of it, or this version."""
-    count = golden.frames[1] - golden.frames[0] + 1
-    lengths = count, count, -(-count // EVERY)
-    if any(QUANTITIES[name].unit != unit for name, unit in golden.units.items()):
-        return "was recorded in other units than this version measures in"
-    if any(len(row.offsets) != golden.seeds.recorded for row in golden.rows):
-        return f"a statistic does not have {golden.seeds.recorded} values, one for each seed"
-    if any((len(one.x), len(one.y), len(one.reach)) != lengths for one in golden.paths.values()):
-        return f"a path does not have a position for each of {count} frames"
-    if unknown := {row.series for row in golden.rows} - set(golden.paths):
-        return f"{min(unknown)} has statistics and no path"
-    return ""

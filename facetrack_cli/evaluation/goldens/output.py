@@ -35,48 +35,37 @@ def summary(found: Sequence[Checked], seconds: float) -> str:
 
 
 def as_json(found: Sequence[Checked]) -> str:
-    """`closest`: the farthest statistic in units of its band; `p`: the probability of runs like these, unchanged."""
-    results = [_result(one) for one in found]
-    whole = {"schema": "facetrack-regress", "version": 1, **_counts(found), "results": results}
+    """`farthest`: the farthest statistic, above 1 outside of its band."""
+    whole = {"schema": "facetrack-regress", "version": 2, **_counts(found), "results": [_result(one) for one in found]}
     return json.dumps(whole, indent=2, ensure_ascii=False) + "\n"
 
 
 def _result(one: Checked) -> dict[str, Any]:
-    verdict, leave = one.verdict, one.leave
+    plain = {key: getattr(one, key) for key in ("clip", "recipe", "status", "message", "details", "seeds")}
     return {
-        "clip": one.clip,
-        "recipe": one.recipe,
+        **plain,
         "golden": str(one.golden),
-        "status": one.status,
-        "message": one.message,
-        "details": list(one.details),
-        "seeds": one.seeds,
         "seconds": round(one.seconds, 3),
-        "closest": round(verdict.closest, 4) if verdict else None,
-        "p": round(verdict.p, 6) if verdict else None,
-        "leaves": leave
-        and {
-            "frame": leave.frame,
-            "part": leave.series,
-            "distance_px": round(leave.distance, 2),
-            "band_px": round(leave.reach, 2),
-        },
-        "deviations": [_deviation(one) for one in verdict.deviations] if verdict else [],
+        "farthest": _number(one.farthest),
+        "deviations": [_deviation(left) for left in one.deviations],
     }
 
 
 def _deviation(one: Deviation) -> dict[str, Any]:
-    value, low, high, far = (round(v, 4) if math.isfinite(v) else None for v in (one.value, one.low, one.high, one.far))
+    runs, band = one.shown
     return {
-        "family": one.family,
-        "quantity": one.statistic.quantity,
-        "part": one.statistic.series or None,
-        "frames": [one.statistic.first, one.statistic.last],
-        "value": value,
-        "band": [low, high],
-        "far": far,
+        "quantity": one.band.quantity,
+        "part": one.band.series or None,
+        "frames": [one.band.first, one.band.last],
+        "runs": [_number(v) for v in runs],
+        "band": [_number(v) for v in band],
+        "farthest": _number(one.far),
         "text": str(one),
     }
+
+
+def _number(value: float | None) -> float | None:
+    return round(value, 4) if value is not None and math.isfinite(value) else None
 
 
 def as_junit(found: Sequence[Checked], seconds: float) -> str:
