@@ -16,9 +16,9 @@ from facetrack_cli.core.errors import flat
 from facetrack_cli.core.numbers import document
 from facetrack_cli.evaluation.measure import HALVES, PERCENT
 from facetrack_cli.evaluation.points import HELD
+from facetrack_cli.evaluation.reliability import ReliabilityBin
 from facetrack_cli.evaluation.rows import NEAR_IOU
 from facetrack_cli.evaluation.summary import MEASURES, Evaluation, Measured
-from facetrack_cli.evaluation.trust import CalibrationBin
 
 CURVES: Final = ("success", "precision", "normalised_precision")
 WIDTH: Final = 200  # more than any table takes: lines are never cut
@@ -200,9 +200,9 @@ def _occlusions(found: Evaluation, name: Callable[[str, str], str]) -> Iterator[
         yield _line(f"... and {len(every) - MOST} more; --json has them all")
 
 
-def _calibration(bins: Sequence[CalibrationBin]) -> Table:
+def _calibration(bins: Sequence[ReliabilityBin]) -> Table:
     table = _grid(["confidence", *(f"{one.low:.1f}-{one.high:.1f}" for one in bins)])
-    table.add_row("rows", *(f"{one.rows:,}" for one in bins))
+    table.add_row("rows", *(f"{one.rows:,.0f}" for one in bins))
     for title, name in (("right, %", "right"), ("visible, %", "visible")):
         shares = [getattr(one, name) for one in bins]
         table.add_row(title, *(DASH if one is None else PERCENT(one) for one in shares))

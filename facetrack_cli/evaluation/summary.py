@@ -15,7 +15,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Whole
 from facetrack_cli.evaluation import points as errors
-from facetrack_cli.evaluation import trust
+from facetrack_cli.evaluation import reliability
 from facetrack_cli.evaluation.boxes import BoxMeasures, measure_boxes
 from facetrack_cli.evaluation.measure import Measure, Value, measures_of
 from facetrack_cli.evaluation.rows import Pair, Rows, Unit, check_normalise, column, rows_of, unit_of
@@ -44,10 +44,10 @@ class Measured:
     points: errors.PointMeasures | None
     boxes: BoxMeasures | None
     occlusions: errors.RecoveryMeasures | None
-    lost: trust.LostMeasures | None
-    confidence: trust.ConfidenceMeasures | None
-    coverage: trust.CoverageMeasures | None
-    jitter: trust.JitterMeasures | None
+    lost: reliability.LostMeasures | None
+    confidence: reliability.ConfidenceMeasures | None
+    coverage: reliability.CoverageMeasures | None
+    jitter: reliability.JitterMeasures | None
 
     @property
     def name(self) -> str:
@@ -149,8 +149,8 @@ def _measured(target: str, part: str, every: Sequence[tuple[Pair, Rows]], option
     boxed = [(pair, one) for pair, one in every if pair.is_box]
     of_points = errors.measure_points(points, options.failure) if points else None
     of_boxes = _boxes(boxed, options.size) if boxed else None
-    trusted = trust.measure_lost(rows), trust.measure_confidence(rows), trust.measure_coverage(rows)
-    jitter = trust.measure_jitter(rows)
+    trusted = reliability.measure_lost(rows), reliability.measure_confidence(rows), reliability.measure_coverage(rows)
+    jitter = reliability.measure_jitter(rows)
     return Measured(target, part, of_points, of_boxes, None, *trusted, jitter)
 
 

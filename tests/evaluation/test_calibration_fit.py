@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.evaluation.experiments import calibration_fit as fitting
 from facetrack_cli.evaluation.experiments.calibration_fit import Sample, figures, fit, fit_isotonic, fit_logistic, pool
-from facetrack_cli.evaluation.trust import ELLIPSE_90
+from facetrack_cli.evaluation.reliability import ELLIPSE_90
 from facetrack_cli.tracking.calibration import RISES
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from facetrack_cli.evaluation.trust import ConfidenceMeasures, calibration
+from facetrack_cli.evaluation.reliability import ConfidenceMeasures, reliability_bins
 from facetrack_cli.report import figures as plots
 from tests.report.test_plots import drawn
 
@@ -79,7 +79,7 @@ def test_spread_marks_where_runs_part_ways():
 def test_calibration_shows_share_and_count():
     confidence = np.r_[np.full(30, 0.95), np.full(10, 0.15)]
     near = np.r_[np.ones(24, bool), np.zeros(16, bool)]
-    bins = calibration(confidence, near, confidence > 0.5)
+    bins = reliability_bins(confidence, near, confidence > 0.5)
     measures = ConfidenceMeasures(40, 0.6, 0.6, None, None, 0.15, None, bins)
     upper, lower = plots.calibration_figure(measures).axes
     points = {line.get_label(): line.get_xydata() for line in upper.lines}

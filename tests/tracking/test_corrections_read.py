@@ -17,8 +17,8 @@ from facetrack_cli.evaluation.experiments.repeat import spread_of
 from facetrack_cli.evaluation.goldens.goldens import read_golden, record, write_golden
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.points import measure_points, measure_recovery, occlusions
+from facetrack_cli.evaluation.reliability import measure_confidence, measure_coverage, measure_lost
 from facetrack_cli.evaluation.summary import evaluate
-from facetrack_cli.evaluation.trust import measure_confidence, measure_coverage, measure_lost
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.report import figures as plots
@@ -37,7 +37,7 @@ from facetrack_cli.trajectory.trajectory import Collector, joined, one_part
 from facetrack_cli.trajectory.writers import WRITERS, Footer
 from tests.evaluation.test_bands import RECORDED
 from tests.evaluation.test_points import rows
-from tests.evaluation.test_trust import statuses
+from tests.evaluation.test_reliability import statuses
 from tests.support import results
 from tests.support.sinks import Alone
 

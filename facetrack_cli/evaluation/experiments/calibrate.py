@@ -19,9 +19,9 @@ from facetrack_cli.core.types import BOX, Mask
 from facetrack_cli.evaluation.experiments.calibration_fit import Fitted, Sample, bins_of, fit, joined
 from facetrack_cli.evaluation.experiments.sheet import NO_FIGURE, Sheet, clip_name
 from facetrack_cli.evaluation.match import match
+from facetrack_cli.evaluation.reliability import ConfidenceMeasures, mahalanobis_squared, reliability_bins
 from facetrack_cli.evaluation.rows import Pair, rows_of
 from facetrack_cli.evaluation.summary import units_of
-from facetrack_cli.evaluation.trust import BINS, ConfidenceMeasures, calibration, mahalanobis_squared
 from facetrack_cli.recipe.model import ParticleFilter, ParticlesRecipe, Recipe
 from facetrack_cli.runs.seeds import Plan, Report, run_plans
 from facetrack_cli.runs.signals import Stop
@@ -60,19 +60,21 @@ class Calibrated:
         """The calibrated rows of the clips left out, of all kinds together, by bins of equal width."""
         p = np.concatenate([one.left_out for one in self.fitted.values()])
         every = joined([one.sample for one in self.fitted.values()])
-        bins = calibration(p, every.right, every.visible)
+        bins = reliability_bins(p, every.right, every.visible)
         ece = sum(one.found.ece * len(one.sample) for one in self.fitted.values()) / len(p)
         return ConfidenceMeasures(len(p), None, float(np.mean(every.right)), None, None, float(ece), None, bins)
 
 
 def _sheet(title: str, one: Fitted) -> Sheet:
-    raw, found, weight, columns = one.raw, one.found, one.sample.weight, []
-    for p in (one.sample.known["confidence"], one.left_out):
-        rows, mean, right = bins_of(p, one.sample.right, weight)
-        for values in (rows / rows.sum(), mean, right):
-            shown = zip(values.tolist(), rows.tolist(), strict=True)
-            columns.append([f"{100 * value:.1f}" if n > 0 else NO_FIGURE for value, n in shown])
-    names = [f"{i / BINS:.1f}-{(i + 1) / BINS:.1f}" for i in range(BINS)]
+    raw, found = one.raw, one.found
+    binned = [bins_of(one.sample, p) for p in (one.sample.known["confidence"], one.left_out)]
+    rows = []
+    for both in zip(*binned, strict=True):
+        cells = [f"{both[0].low:.1f}-{both[0].high:.1f}"]
+        for of, own in zip(binned, both, strict=True):
+            shares = own.rows / sum(each.rows for each in of), own.mean_confidence, own.right
+            cells += [NO_FIGURE if v is None or not own.rows else f"{100 * v:.1f}" for v in shares]
+        rows.append(tuple(cells))
     heads = [f"{when}\n{what}, %" for when in ("raw", "calibrated") for what in ("rows", "mean", "right")]
     losses = ", ".join(f"{name} {loss:.3f}" for name, loss in one.losses.items())
     notes = (
@@ -82,7 +84,7 @@ def _sheet(title: str, one: Fitted) -> Sheet:
         f"90 %, with the spread as it is {100 * one.checked.within_90_raw:.0f} %.",
         f"The map is {one.name}. Log loss on clips left out: {losses}.",
     )
-    return Sheet(title, ("confidence", *heads), tuple(zip(names, *columns, strict=True)), notes, left=(0,))
+    return Sheet(title, ("confidence", *heads), tuple(rows), notes, left=(0,))
 
 
 def run(

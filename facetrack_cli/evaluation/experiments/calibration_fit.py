@@ -16,7 +16,13 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.evaluation.trust import BINS, ELLIPSE_50, ELLIPSE_90
+from facetrack_cli.evaluation.reliability import (
+    ELLIPSE_50,
+    ELLIPSE_90,
+    ReliabilityBin,
+    calibration_error,
+    reliability_bins,
+)
 from facetrack_cli.tracking.calibration import LARGEST, RISES, Checked, Feature, Isotonic, Logistic, Map
 
 ALIKE: Final = 20
@@ -262,19 +268,13 @@ def left_out(sample: Sample, one: Fit) -> Array:
     return p
 
 
-def bins_of(p: Array, right: Mask, weight: Array) -> tuple[Array, Array, Array]:
-    """(BINS,) of bins of equal width: the weight in each, the mean of p, the share right; nan where there is none."""
-    which = np.minimum((BINS * p).astype(np.int64), BINS - 1)
-    rows: Array = np.bincount(which, weight, BINS).astype(np.float64)
-    with np.errstate(invalid="ignore"):
-        mean, share = (np.bincount(which, weight * values, BINS) / rows for values in (p, right))
-    return rows, mean, share
+def bins_of(sample: Sample, p: Array) -> tuple[ReliabilityBin, ...]:
+    """The bins of probabilities p (R,) of a sample, all clips alike."""
+    return reliability_bins(p, sample.right, sample.visible, sample.weight)
 
 
 def figures(sample: Sample, p: Array) -> Figures:
-    weight, right = sample.weight, sample.right
-    rows, mean, share = bins_of(p, right, weight)
-    ece = np.nansum(rows * np.abs(share - mean)) / rows.sum()
-    chance = np.clip(np.where(right, p, 1 - p), 1e-6, 1)
-    brier, loss = (np.average(values, weights=weight) for values in ((p - right) ** 2, -np.log(chance)))
-    return Figures(float(ece), float(brier), float(loss))
+    chance = np.clip(np.where(sample.right, p, 1 - p), 1e-6, 1)
+    each = (p - sample.right) ** 2, -np.log(chance)
+    brier, loss = (float(np.average(values, weights=sample.weight)) for values in each)
+    return Figures(calibration_error(bins_of(sample, p)), brier, loss)

@@ -8,7 +8,7 @@ from typing import Any, Final, cast
 import numpy as np
 
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.evaluation.trust import ConfidenceMeasures
+from facetrack_cli.evaluation.reliability import ConfidenceMeasures
 from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.lines import Pen, columns_for, quantiles
 from facetrack_cli.report.figures.style import Axes, Figure

@@ -8,16 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from facetrack_cli.evaluation.trust import (
+from facetrack_cli.evaluation.reliability import (
     ELLIPSE_50,
     ELLIPSE_90,
     auroc,
-    calibration,
     mahalanobis_squared,
     measure_confidence,
     measure_coverage,
     measure_jitter,
     measure_lost,
+    reliability_bins,
 )
 from tests.evaluation.test_points import rows
 
@@ -112,7 +112,7 @@ def test_auroc_counts_pairs(pairs):
 
 @given(arrays.arrays(float, st.integers(1, 40), elements=st.floats(0, 1)))
 def test_every_confidence_is_in_the_bin_that_says_so(confidence):
-    bins = calibration(confidence, confidence > 0.5, confidence < 0.3)
+    bins = reliability_bins(confidence, confidence > 0.5, confidence < 0.3)
     for i, one in enumerate(bins):
         inside = (confidence >= one.low) & ((confidence < one.high) | (i == 9))
         assert one.rows == inside.sum()

@@ -1,6 +1,7 @@
-"""How far `lost`, `confidence` and the posterior's spread can be trusted, against the ground truth. Rows are counted,
-without those that the tracker was given: *near* and *right* as in rows.py, *covered* if hidden or absent in the ground
-truth, *gone* if covered or not near.
+"""How reliable `lost`, `confidence` and the posterior's spread are, against the ground truth.
+
+Rows are counted, without the rows that the tracker was given: *near* and *right* as in rows.py, *covered* if hidden or
+absent in the ground truth, *gone* if covered or not near.
 """
 
 import math
@@ -51,12 +52,15 @@ class LostMeasures:
 
 
 @dataclass(frozen=True)
-class CalibrationBin:
-    """Rows with low <= confidence < high (last bin: <= high), their mean confidence, the shares right and visible."""
+class ReliabilityBin:
+    """Rows with low <= confidence < high (last bin: <= high), their mean confidence, the shares right and visible.
+
+    `rows` is the number of rows, or the sum of their weights. Without rows the three means are None.
+    """
 
     low: float
     high: float
-    rows: int
+    rows: float
     mean_confidence: Value
     right: Value
     visible: Value
@@ -83,7 +87,7 @@ class ConfidenceMeasures:
     auroc_visible: Annotated[Value, Measure("AUROC\nvisible", UNIT, "more")]
     ece: Annotated[Value, Measure("calibration\nerror", UNIT, "less")]
     brier: Annotated[Value, Measure("Brier\n", UNIT, "less")]
-    bins: tuple[CalibrationBin, ...]
+    bins: tuple[ReliabilityBin, ...]
 
 
 @dataclass(frozen=True)
@@ -182,15 +186,14 @@ def measure_confidence(parts: Sequence[Rows]) -> ConfidenceMeasures | None:
     confidence, near, right, visible = confidence[rows], near[rows], right[rows], visible[rows]
     # scores of other tools need not lie between 0 and 1; then they rank rows, and that is all
     scaled = len(confidence) and np.all((confidence >= 0) & (confidence <= 1))
-    bins = calibration(confidence, right, visible) if scaled else ()
-    gaps = [one.rows * abs((one.right or 0.0) - (one.mean_confidence or 0.0)) for one in bins]
+    bins = reliability_bins(confidence, right, visible) if scaled else ()
     return ConfidenceMeasures(
         rows=len(confidence),
         near=mean(near),
         right=mean(right),
         auroc_near=auroc(confidence, near),
         auroc_visible=seen,
-        ece=float(sum(gaps) / len(confidence)) if scaled else None,
+        ece=calibration_error(bins) if scaled else None,
         brier=float(np.mean((confidence - right) ** 2)) if scaled else None,
         bins=bins,
     )
@@ -249,15 +252,24 @@ def auroc(score: Array, positive: Mask) -> Value:
     return above / (positives * negatives)
 
 
-def calibration(confidence: Array, right: Mask, visible: Mask) -> tuple[CalibrationBin, ...]:
-    """`BINS` bins of equal width for confidence (R,) from 0 to 1, right (R,) and visible (R,)."""
+def reliability_bins(
+    confidence: Array, right: Mask, visible: Mask, weight: Array | None = None
+) -> tuple[ReliabilityBin, ...]:
+    """`BINS` bins of equal width for confidence (R,) from 0 to 1, right, visible, and the weight of each row, (R,)."""
     edges = np.arange(BINS + 1) / BINS
     which = np.clip(np.searchsorted(edges, confidence, side="right") - 1, 0, BINS - 1)
-    rows = np.bincount(which, minlength=BINS)
-    sums = (np.bincount(which, weights=one.astype(np.float64), minlength=BINS) for one in (confidence, right, visible))
+    rows = np.bincount(which, weight, BINS)
+    weight = np.ones(len(which)) if weight is None else weight
+    sums = [np.bincount(which, weight * values, BINS) for values in (confidence, right, visible)]
     with np.errstate(invalid="ignore"):
-        means = np.stack([one / rows for one in sums], axis=1)
+        means = np.stack(sums, axis=1) / rows[:, None]
     return tuple(
-        CalibrationBin(float(edges[i]), float(edges[i + 1]), n, *(means[i].tolist() if n else [None] * 3))
+        ReliabilityBin(float(edges[i]), float(edges[i + 1]), n, *(means[i].tolist() if n else [None] * 3))
         for i, n in enumerate(rows.tolist())
     )
+
+
+def calibration_error(bins: Sequence[ReliabilityBin]) -> float:
+    """The expected calibration error: the mean over rows of |share right - mean confidence| of their bin."""
+    gaps = [one.rows * abs((one.right or 0.0) - (one.mean_confidence or 0.0)) for one in bins]
+    return sum(gaps) / sum(one.rows for one in bins)
