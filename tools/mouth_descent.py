@@ -37,7 +37,7 @@ from facetrack_cli.core.types import Array, Image
 from facetrack_cli.tracking.face import descent
 from facetrack_cli.tracking.face.descent import SIDE, Descent, channels, read
 from facetrack_cli.tracking.face.mesh import Mesh
-from facetrack_cli.tracking.face.still import EYE_LINE, EYES, MIDDLE, Similarity
+from facetrack_cli.tracking.face.stabilized import EYE_LINE, EYES, MIDDLE, Similarity
 from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.video.source import open_source
 
@@ -78,7 +78,7 @@ class Clip(NamedTuple):
 
 
 def upright(eyes: Array, nose: Array) -> Similarity:
-    """The still face whose eyes are at `eyes` (2, 2); of a turned face its size is that down to the nose."""
+    """The stabilized image whose eyes are at `eyes` (2, 2); of a turned face its size is that down to the nose."""
     middle, across = eyes.mean(axis=0), eyes[1] - eyes[0]
     apart = max(float(np.hypot(*across)), 1.6 * float(np.hypot(*(nose - middle))), 1.0)
     angle = float(np.arctan2(across[1], across[0]))
@@ -119,7 +119,7 @@ def load(path: Path, mesh: Mesh) -> Clip | None:
             corner = np.array([descent.LEFT, descent.TOP], float) - PAD
             middle = corner + (SIDE + 2 * PAD - 1) / 2
             crop = head._replace(centre=head.to_frame(middle)).read(frame, SIDE + 2 * PAD)
-            seen.append((crop.bgr, head.to_still(parts) - corner, head.scale * EYES))
+            seen.append((crop.bgr, head.to_stabilized(parts) - corner, head.scale * EYES))
     if len(seen) < LEAST:
         return None
     pictures, parts_of, apart = zip(*seen, strict=True)

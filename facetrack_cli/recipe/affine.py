@@ -123,7 +123,7 @@ class Components(Section):
 
 
 class PatchLikelihood(Likelihood):
-    """A likelihood that compares patches, and says how far one is from what is known (eq. 13): `target.Adapts`."""
+    """A likelihood that scores patches by their distance from the appearance (eq. 13): `roles.ScoresPatches`."""
 
     template: Annotated[tuple[Points, Points], Field(strict=False)] = (26, 30)
     """[columns, rows] of the patch; its grey levels have zero mean and unit variance."""

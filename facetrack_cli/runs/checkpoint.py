@@ -23,7 +23,7 @@ from facetrack_cli.core.files import Place
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.sets import sweep
 from facetrack_cli.core.snapshot import Arrays, flatten, restore
-from facetrack_cli.runs.posterior import Standing
+from facetrack_cli.runs.posterior import WriterState
 from facetrack_cli.runs.verdict import Watch
 from facetrack_cli.tracking import loop
 from facetrack_cli.trajectory.writers import Format
@@ -48,9 +48,9 @@ class Run(NamedTuple):
     lost: dict[str, int]
     evidence: dict[str, float]
     notes: tuple[str, ...]
-    at: loop.Standing
+    at: loop.TrackState
     tables: Mapping[Format, Place]
-    posterior: Standing | None
+    posterior: WriterState | None
     watch: Watch | None
 
 

@@ -20,7 +20,7 @@ from facetrack_cli.runs.verdict import Watch
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.corrected import resumed_at, revived
 from facetrack_cli.tracking.kernels.ahead import Ahead
-from facetrack_cli.tracking.loop import Standing, track
+from facetrack_cli.tracking.loop import TrackState, track
 from facetrack_cli.tracking.smoothed import lagged
 from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.trajectory.writers import Footer
@@ -77,7 +77,7 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = silent, 
         done.stopped = stop.reason
         return done
     done.note = start.note
-    at, first, resumed = Standing(), start.frame, outputs.resume(start)
+    at, first, resumed = TrackState(), start.frame, outputs.resume(start)
     begins = None if job.piece is None else job.piece.correction
     if begins is not None:
         first = begins

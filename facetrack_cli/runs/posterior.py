@@ -35,7 +35,7 @@ def check_smoothing(recipe: Recipe) -> None:
         raise UsageError(f"{recipe.name}: the particles of a cloud are the target itself, no posterior to smooth")
 
 
-class Standing(NamedTuple):
+class WriterState(NamedTuple):
     """Where a posterior that is being written stands: frames that are still to be written, their number, the file."""
 
     kept: list[list[tuple[int, tuple[Belief, ...]]]]
@@ -47,7 +47,7 @@ class PosteriorWriter:
     """Writes the beliefs of every frame into `path`, in blocks; they take less than 1 kB a frame and part."""
 
     def __init__(
-        self, path: Path, targets: Sequence[str], corrections: Any, after: tuple[Path, Standing] | None = None
+        self, path: Path, targets: Sequence[str], corrections: Any, after: tuple[Path, WriterState] | None = None
     ) -> None:
         """Of these `targets`; `corrections` as the trajectory's header has them. It goes on `after` a `place`."""
         given = {"targets": np.array(targets), "corrections": np.array(dumps(corrections))}
@@ -82,7 +82,7 @@ class PosteriorWriter:
         self._file.add(arrays)
         self._frames = 0
 
-    def place(self, file: Path) -> Standing:
+    def place(self, file: Path) -> WriterState:
         """Where it stands, so that another one goes on with `file`, which is linked to what is written. OSError."""
         written, part = self._file.place(), beside(self.path)
         if not same_file(file, part):
@@ -90,7 +90,7 @@ class PosteriorWriter:
             link.unlink(missing_ok=True)
             os.link(part, link)
             link.replace(file)
-        return Standing(self._kept, self._frames, written)
+        return WriterState(self._kept, self._frames, written)
 
     def close(self) -> None:
         if self._frames:

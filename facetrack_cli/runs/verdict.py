@@ -19,8 +19,8 @@ from facetrack_cli.core.types import BOX, Box, Point, Start
 from facetrack_cli.recipe.calibrated import calibrated, fitted
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.model import Recipe, to_dict
-from facetrack_cli.tracking.face.still import BOX as STILL
-from facetrack_cli.tracking.face.still import FACE, Similarity
+from facetrack_cli.tracking.face.stabilized import BOX as STILL
+from facetrack_cli.tracking.face.stabilized import FACE, Similarity
 from facetrack_cli.tracking.start.detectors import Detector, detector
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 

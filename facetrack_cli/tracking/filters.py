@@ -26,7 +26,7 @@ from facetrack_cli.tracking.resampling import (
 )
 
 
-class Ahead(NamedTuple):
+class Prediction(NamedTuple):
     """Where a target is expected in this frame, before any particle is drawn (Zhou et al. 2003, section 3.1.2).
 
     `state` (K, D) is the point estimate of the last frame and `shift` (K, D) what is added to it (nu_t, eq. 12);
@@ -45,7 +45,9 @@ class FrameModel(Protocol):
     """What a filter may ask. N particles, K parts, D coordinates a part; the parts of a particle move independently."""
 
     @property
-    def ahead(self) -> Ahead: ...  # where the target is expected; `propagate` takes its shift and noise into account
+    def ahead(
+        self,
+    ) -> Prediction: ...  # where the target is expected; `propagate` takes its shift and noise into account
     def propagate(self, rng: Generator, x: Array) -> Array: ...  # (N, K, D) drawn from p(x_t | x_{t-1} = x)
     def expect(self, x: Array) -> Array: ...  # (N, K, D): the mean of that
     def log_transition(self, x: Array, parents: Array) -> Array: ...  # (N, M, K): log p(x_t | x_{t-1}) of each part
@@ -237,7 +239,7 @@ def adaptive(settings: filters.Adaptive, rng: Generator, particles: Particles, m
     return _weighted(settings, rng, model, x, parents, np.zeros((len(x), 1)))
 
 
-def number(settings: filters.Adaptive, ahead: Ahead) -> int:
+def number(settings: filters.Adaptive, ahead: Prediction) -> int:
     """J_t, the number of particles (eq. 17). With J_0 = `particles` and d = `entropy` it is
 
         J_t = J_0 (eta + d)  if the entropy of the identity rose,  J_0 (eta - d)  if it did not,

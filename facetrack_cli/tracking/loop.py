@@ -51,7 +51,7 @@ def stream(seed: int, place: int) -> Generator:
 
 
 @dataclass
-class Standing:
+class TrackState:
     """Where a track stands after a frame: the state of each target, none before the first frame, and random numbers."""
 
     states: list[Any] = field(default_factory=list)
@@ -59,7 +59,7 @@ class Standing:
 
 
 def track(
-    tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "", at: Standing | None = None
+    tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "", at: TrackState | None = None
 ) -> Iterator[FrameResult]:
     """Track over `frames`, the first of which is the one that the tracker's start belongs to.
 
@@ -69,7 +69,7 @@ def track(
 
     `at` is kept up to date; one that stands after a frame already is gone on from, with the next of the `frames`.
     """
-    at = Standing() if at is None else at
+    at = TrackState() if at is None else at
     at.rngs = at.rngs or [stream(seed, place) for place in range(len(tracker))]
     for frame in frames:
         results: list[TargetResult] = []

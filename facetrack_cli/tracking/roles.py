@@ -1,4 +1,4 @@
-"""What the parts of a particle filter's target are asked: observation model, motion, and what some of them can more."""
+"""Protocols of the parts of a particle filter: likelihood and motion, and what a likelihood may offer further."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, TypeAlias, runtime_checkable
@@ -37,7 +37,7 @@ class Reports(Protocol):
 
 
 @runtime_checkable  # is asked once a target: it is slow
-class Adapts(Protocol):
+class ScoresPatches(Protocol):
     """A likelihood that says how far patches are from what is known, for the velocity prediction."""
 
     def error(self, learned: Any, patches: Any) -> Array: ...  # (N,): phi(y, a_t) of patches y (N, d)
@@ -46,7 +46,7 @@ class Adapts(Protocol):
 
 
 @runtime_checkable
-class Looks(Protocol):
+class PreparesFrame(Protocol):
     """A likelihood that looks at a frame once, before any particle is drawn."""
 
     def look(self, learned: Any, frame: Frame, expected: Array) -> Any: ...  # around the expected state (K, D)
@@ -60,7 +60,7 @@ class ProposesModes(Protocol):
 
 
 @runtime_checkable
-class Knows(Protocol):
+class EstimatesVisibility(Protocol):
     """A likelihood that says with which probability each part was visible, (K,), in the frame that it learned last."""
 
     def visible(self, learned: Any) -> Array: ...

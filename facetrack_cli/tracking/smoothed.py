@@ -12,7 +12,7 @@ import numpy as np
 
 from facetrack_cli.core.types import BOX, Array, Mask, Whole
 from facetrack_cli.tracking import smoothing
-from facetrack_cli.tracking.face.still import FACE, MIDDLE
+from facetrack_cli.tracking.face.stabilized import FACE, MIDDLE
 from facetrack_cli.tracking.models.motion import Linear
 from facetrack_cli.tracking.smoothing import Belief, Chain
 from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostics, outlines
@@ -144,10 +144,10 @@ class _Target:
     def _face(
         self, columns: dict[str, Array], points: Chain, head: Chain, boxes: Array, box_cov: Array, motion: MotionName
     ) -> _Moments:
-        """Points of a still face, which the box leads to the frame, where head and box become `boxes`.
+        """Points of a stabilized image, which the box leads to the frame, where head and box become `boxes`.
 
         What a point's filter corrects of its head's noise must not come apart from it: the points are smoothed in the
-        still face of the smoothed head, in which they first are where they were in the frame.
+        stabilized image of the smoothed head, in which they first are where they were in the frame.
         """
         k, those = self.sizes[0], np.delete(np.arange(len(self.all.names)), self.sizes[0])
         ratio = boxes[:, 0, 2] / head.mean[:, 0, 2]

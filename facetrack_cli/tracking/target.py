@@ -16,7 +16,7 @@ from facetrack_cli.recipe.skin import Exclusion
 from facetrack_cli.tracking import confidence
 from facetrack_cli.tracking.calibration import Calibration
 from facetrack_cli.tracking.confidence import Judgement
-from facetrack_cli.tracking.filters import Ahead, Step
+from facetrack_cli.tracking.filters import Prediction, Step
 from facetrack_cli.tracking.guides import Arrived, Guides
 from facetrack_cli.tracking.loop import Cover, log_weights
 from facetrack_cli.tracking.models.motion import JumpingWalk, Measured, VisibleWalk
@@ -25,15 +25,15 @@ from facetrack_cli.tracking.models.spaces import CloudSpace, Estimate, PointSpac
 from facetrack_cli.tracking.models.velocity import Flow, PredictedWalk
 from facetrack_cli.tracking.resampling import effective_sample_size, uniform
 from facetrack_cli.tracking.roles import (
-    Adapts,
-    Knows,
+    EstimatesVisibility,
     LearnsParts,
     Likelihood,
-    Looks,
     Motion,
     Names,
+    PreparesFrame,
     ProposesModes,
     Reports,
+    ScoresPatches,
 )
 from facetrack_cli.tracking.smoothing import Belief, belief
 from facetrack_cli.trajectory.diagnostics import ENTROPY, ERROR, EVIDENCE, NOISE, POSTERIOR, Diagnostic, Diagnostics
@@ -55,7 +55,7 @@ class State:
     judgement: Judgement | None
     reported: Mapping[str, Any] = field(default_factory=dict)
     flow: Flow | None = None
-    ahead: Ahead | None = None
+    ahead: Prediction | None = None
     entropy_before: float | None = None
     absent: Mask | None = None
 
@@ -163,9 +163,9 @@ class ParticleTarget:
         measured: Measured | None = None,
     ) -> tuple[State, TargetResult]:
         """As a `Target` does; `measured` is what a sensor says of the parts of a target that moves by a JumpingWalk."""
-        if self._looks is not None:
+        if self._prepares is not None:
             expected = self.motion.expect(state.estimated.state[None])[0]
-            state = replace(state, learned=self._looks.look(state.learned, frame, expected))
+            state = replace(state, learned=self._prepares.look(state.learned, frame, expected))
         bound = Bound(self, state, frame, covers, measured)
         particles, info = self.step(rng, state.particles, bound)
         if state.absent is not None:
@@ -177,8 +177,8 @@ class ParticleTarget:
             if self._hides is not None:
                 presence = self._hides.presence(particles, estimated)
                 judgement = confidence.decide(self.confidence, judgement, presence)
-            elif self._knows is not None:
-                judgement = confidence.decide(self.confidence, judgement, self._knows.visible(learned))
+            elif self._estimates_visibility is not None:
+                judgement = confidence.decide(self.confidence, judgement, self._estimates_visibility.visible(learned))
             else:
                 distance = self.likelihood.distances(state.learned, frame, estimated.state[None])[0]
                 judgement = confidence.judge(self.confidence, judgement, distance)
@@ -206,16 +206,16 @@ class ParticleTarget:
         return self.motion if isinstance(self.motion, PredictedWalk) else None
 
     @cached_property
-    def _adapts(self) -> Adapts | None:
-        return self.likelihood if isinstance(self.likelihood, Adapts) else None
+    def _scores_patches(self) -> ScoresPatches | None:
+        return self.likelihood if isinstance(self.likelihood, ScoresPatches) else None
 
     @cached_property
-    def _looks(self) -> Looks | None:
-        return self.likelihood if isinstance(self.likelihood, Looks) else None
+    def _prepares(self) -> PreparesFrame | None:
+        return self.likelihood if isinstance(self.likelihood, PreparesFrame) else None
 
     @cached_property
-    def _knows(self) -> Knows | None:
-        return self.likelihood if isinstance(self.likelihood, Knows) else None
+    def _estimates_visibility(self) -> EstimatesVisibility | None:
+        return self.likelihood if isinstance(self.likelihood, EstimatesVisibility) else None
 
     @cached_property
     def _hides(self) -> VisibleBoxSpace | None:
@@ -275,7 +275,7 @@ class ParticleTarget:
             rows = replace(rows, **known, status=np.where(state.absent, "absent", rows.status))
         if self.calibration is not None:
             rows = self.calibration.applied(rows, self.size)
-        insets = () if self._adapts is None else self._adapts.insets(state.learned)
+        insets = () if self._scores_patches is None else self._scores_patches.insets(state.learned)
         return TargetResult(rows, state.particles.x[..., :2], insets, beliefs=lambda: self.beliefs(state))
 
     def beliefs(self, state: State) -> tuple[Belief, ...]:
@@ -315,15 +315,19 @@ class Bound:
     measured: Measured | None = None
 
     @cached_property
-    def ahead(self) -> Ahead:
+    def ahead(self) -> Prediction:
         """Where the motion predicts the target, or where it was."""
         estimated, learned, target = self.state.estimated.state, self.state.learned, self.target
         if target._predicts is None:
-            return Ahead(estimated, np.zeros_like(estimated))
-        adapts, before, entropy = target._adapts, self.state.entropy_before, self.state.reported.get(ENTROPY.name)
-        assert self.state.flow is not None and adapts is not None
+            return Prediction(estimated, np.zeros_like(estimated))
+        scorer, before, entropy = (
+            target._scores_patches,
+            self.state.entropy_before,
+            self.state.reported.get(ENTROPY.name),
+        )
+        assert self.state.flow is not None and scorer is not None
         ahead = target._predicts.predict(
-            self.state.flow, self.frame, partial(adapts.error, learned), partial(adapts.expected, learned)
+            self.state.flow, self.frame, partial(scorer.error, learned), partial(scorer.expected, learned)
         )
         return ahead if entropy is None else ahead._replace(entropy_fell=before is None or entropy <= before)
 

@@ -7,13 +7,13 @@ import numpy as np
 from facetrack_cli.core.face_points import MESH
 from facetrack_cli.core.types import Frame
 from facetrack_cli.tracking.face.mesh import CROPS, NAMES, Mesh
-from facetrack_cli.tracking.face.still import FACE, Similarity
+from facetrack_cli.tracking.face.stabilized import FACE, Similarity
 from tests.support import moving_face as moving
 from tests.support.moving_face import PARTS, Pose
 
 IN_CLIP = Pose(moving._X + moving._SIDE / 2, moving._Y + moving._SIDE / 2, moving._SIDE)
 """The face of the sample clip `expressions` where it is."""
-# what the network says of the clip's first frame, in the still face
+# what the network says of the clip's first frame, in the stabilized image
 _AT = {
     "mouth_left": (55, 108), "mouth_right": (104, 109), "lip_upper": (79, 108), "lip_lower": (78, 122),
     "inner_lip_upper": (79, 111), "inner_lip_lower": (79, 116), "eye_left_outer": (49, 66), "eye_left_inner": (69, 69),
@@ -27,7 +27,7 @@ _AT = {
 
 
 def head_of(pose: Pose) -> Similarity:
-    """The still face of a face in that pose."""
+    """The stabilized image of a face in that pose."""
     return Similarity(np.array([pose.x, pose.y]), pose.side / FACE, np.radians(pose.roll))
 
 
@@ -64,4 +64,4 @@ class FakeMesh(Mesh):
             return None
         found = self.truth(frame.index)
         rng = np.random.default_rng(frame.index)
-        return head.to_still(found + self.noise * rng.standard_normal((len(crops), *found.shape)))
+        return head.to_stabilized(found + self.noise * rng.standard_normal((len(crops), *found.shape)))

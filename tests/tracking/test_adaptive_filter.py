@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.types import Particles
 from facetrack_cli.recipe.affine import Noise, Velocity
 from facetrack_cli.tracking import filters
-from facetrack_cli.tracking.filters import Ahead
+from facetrack_cli.tracking.filters import Prediction
 from facetrack_cli.tracking.models.spaces import AffineSpace, Patches, estimate
 from facetrack_cli.tracking.models.velocity import eta
 from facetrack_cli.tracking.resampling import uniform
@@ -28,7 +28,7 @@ SPREAD = np.array([2.0, 2.0, 0.05, 0.05, 0.05, 0.05])
 
 
 def ahead(noise=1.0, fell=None):
-    return Ahead(STATE, SHIFT, noise, None, fell)
+    return Prediction(STATE, SHIFT, noise, None, fell)
 
 
 # --- eq. 17 --------------------------------------------------------------------------------------------------------
@@ -72,7 +72,7 @@ class Gaussian:
 
     y: np.ndarray
     sigma: np.ndarray
-    ahead: Ahead
+    ahead: Prediction
     blind: bool = False
 
     def propagate(self, rng, x):

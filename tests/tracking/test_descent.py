@@ -9,7 +9,7 @@ from facetrack_cli.core.shipped import shipped_folder
 from facetrack_cli.core.types import Frame
 from facetrack_cli.tracking.face import descent
 from facetrack_cli.tracking.face.descent import LEFT, TOP, channels, load_descent, read
-from facetrack_cli.tracking.face.still import EYES, Similarity, change_between
+from facetrack_cli.tracking.face.stabilized import EYES, Similarity, change_between
 from tests.support.samples import TrackClip
 from tests.twins import descent as naive
 
@@ -18,12 +18,12 @@ CLIPS = {name: TrackClip(name, 50) for name in ("expressions", "occlusion")}  # 
 
 
 def rest_shape():
-    """The mean shape (K, 2) in the still face."""
+    """The mean shape (K, 2) in the stabilized image."""
     return load_descent().mean + np.array([LEFT, TOP])
 
 
 def laid(at, rng):
-    """The still face whose parts are at `at` (K, 2) in the frame, as far off as a head is."""
+    """The stabilized image whose parts are at `at` (K, 2) in the frame, as far off as a head is."""
     rest = rest_shape()
     a, b = at - at.mean(axis=0), rest - rest.mean(axis=0)
     scale, turn = np.sqrt((a**2).sum() / (b**2).sum()), change_between(at, rest)[0]
@@ -39,7 +39,7 @@ def faces(seed=0, every=7):
         for frame in clip.frames[::every]:
             at = np.array([(row.x, row.y) for row in (clip.truth[frame.index, part] for part in PARTS)])
             lies = laid(at, rng)
-            yield lies.read(frame).bgr, lies.to_still(at)
+            yield lies.read(frame).bgr, lies.to_stabilized(at)
 
 
 def test_the_channels_and_how_they_are_read_are_what_the_plain_twin_says():

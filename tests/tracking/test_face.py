@@ -12,8 +12,8 @@ from facetrack_cli.core.types import BOX, Correction, Frame, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.face.still import BOX as STILL_BOX
-from facetrack_cli.tracking.face.still import EYES, FACE, MIDDLE, SIDE, Similarity, change_between
+from facetrack_cli.tracking.face.stabilized import BOX as STILL_BOX
+from facetrack_cli.tracking.face.stabilized import EYES, FACE, MIDDLE, SIDE, Similarity, change_between
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.start import detectors, write_init
 from facetrack_cli.tracking.start.points import place
@@ -161,14 +161,14 @@ def test_a_correction_says_that_the_mouth_or_the_whole_face_is_absent():
     assert {*rows[13].status} == {"absent"}
 
 
-# --- the still face -----------------------------------------------------------------------------------------------
+# --- the stabilized image ---
 
 
 @given(st.floats(-50, 400), st.floats(-50, 400), st.floats(0.1, 9), st.floats(-1, 1))
 def test_a_place_of_the_still_face_goes_to_the_frame_and_back(x, y, scale, angle):
     similarity = Similarity(np.array([x, y]), scale, angle)
     points = np.array([[0.0, 0.0], [MIDDLE, MIDDLE], [12.5, 140.0]])
-    assert similarity.to_still(similarity.to_frame(points)) == pytest.approx(points, abs=1e-6)
+    assert similarity.to_stabilized(similarity.to_frame(points)) == pytest.approx(points, abs=1e-6)
     assert similarity.to_frame(points)[1] == pytest.approx((x, y), abs=1e-6)
     rest = np.array([[-3.0, 0.5], [3.0, 0.0], [0.0, 5.0]])
     turn, log_size = change_between(rest @ similarity.matrix.T + (x, y), rest)

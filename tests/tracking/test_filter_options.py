@@ -9,7 +9,7 @@ from facetrack_cli.core.types import Particles
 from facetrack_cli.recipe.filters import Kld
 from facetrack_cli.recipe.sections import Length
 from facetrack_cli.tracking import filters
-from facetrack_cli.tracking.filters import Ahead
+from facetrack_cli.tracking.filters import Prediction
 from facetrack_cli.tracking.models.motion import RandomWalk
 from facetrack_cli.tracking.models.spaces import estimate
 from facetrack_cli.tracking.resampling import distinct, effective_sample_size, normalise, tempered, uniform
@@ -120,7 +120,7 @@ class Around(LinearGaussian):
 
     def __init__(self, y):
         super().__init__(y)
-        self.ahead = Ahead(np.zeros((K, 1)), np.full((K, 1), 1.0))
+        self.ahead = Prediction(np.zeros((K, 1)), np.full((K, 1), 1.0))
 
     def propagate(self, rng, x):
         return x + 1.0 + Q * rng.standard_normal(x.shape)

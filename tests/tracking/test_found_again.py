@@ -7,7 +7,7 @@ import pytest
 from facetrack_cli.core.types import Frame
 from facetrack_cli.tracking.face import found_again
 from facetrack_cli.tracking.face.found_again import MOST, NEW, OTHER, SIDE, kept, likeness, look_of, sighted
-from facetrack_cli.tracking.face.still import Similarity
+from facetrack_cli.tracking.face.stabilized import Similarity
 from facetrack_cli.tracking.start.detectors import Found
 
 BOX = (40.0, 30.0, 60.0, 60.0)

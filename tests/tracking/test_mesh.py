@@ -1,4 +1,4 @@
-"""The landmark network, where its file can be had, and what senses the points of a still face, with it and without."""
+"""The landmark network, where its file is there, and the sensors of points with and without it."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -11,7 +11,7 @@ from facetrack_cli.tracking.face.descent import load_descent, seen_in
 from facetrack_cli.tracking.face.mesh import COUNT, CROPS, NAMES, Mesh
 from facetrack_cli.tracking.face.senses import Senses
 from facetrack_cli.tracking.face.sensors import FADES, NETWORK, REGRESSION
-from facetrack_cli.tracking.face.still import EYES
+from facetrack_cli.tracking.face.stabilized import EYES
 from facetrack_cli.tracking.start.detectors import Found
 from tests.support import moving_face as moving
 from tests.support.fake_mesh import IN_CLIP, FakeMesh, head_of
@@ -22,7 +22,7 @@ POSES = [IN_CLIP, Pose(120, 110, 60), Pose(180, 125, 130, 12), Pose(160, 120, 90
 
 
 def off(a, b):
-    """Distances, in those between the eyes of the still face."""
+    """Distances, in those between the eyes of the stabilized image."""
     return np.hypot(*(a - b).T) / EYES
 
 
@@ -43,7 +43,7 @@ def test_the_network_places_the_points_where_they_are(mesh_model, pose):
     found = Mesh(mesh_model).measure(frame, head)
     assert found.shape == (len(CROPS), COUNT, 2)
     at = found.mean(axis=0)
-    true = head.to_still(moving.truth(pose, 0))
+    true = head.to_stabilized(moving.truth(pose, 0))
     assert off(at[CORE], true).max() < 0.12
     assert off(at[CORE], load_descent().fit(head.read(frame).bgr).at).max() < 0.2, "and where the regression has them"
     # brows above eyes above nose, and the left of the image at the left
@@ -53,7 +53,7 @@ def test_the_network_places_the_points_where_they_are(mesh_model, pose):
     # the same face in another head: turned, smaller and beside it
     other = head._replace(centre=head.centre + 3, scale=0.93 * head.scale, angle=head.angle + 0.15)
     again = other.to_frame(Mesh(mesh_model).measure(frame, other).mean(axis=0))
-    assert np.median(off(head.to_still(again), at)) < 0.06
+    assert np.median(off(head.to_stabilized(again), at)) < 0.06
 
 
 def test_the_network_sees_no_face_where_there_is_none_and_one_in_each_thread(mesh_model):
@@ -151,7 +151,7 @@ def test_a_network_that_sees_no_face_places_nothing_and_the_regression_says_what
 
 @pytest.mark.parametrize("searched", [False, True])
 def test_the_bias_of_sensors_fades_where_the_points_of_the_start_were_searched(searched):
-    x0 = head_of(IN_CLIP).to_still(moving.truth(IN_CLIP, 0)) + 1.5
+    x0 = head_of(IN_CLIP).to_stabilized(moving.truth(IN_CLIP, 0)) + 1.5
     for mesh, least in ((None, REGRESSION), (FakeMesh([IN_CLIP]), NETWORK)):
         senses = senses_of(PARTS, mesh, searched=searched)
         found, _ = sensed(senses)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.tracking.face.mesh_points import MOVES, OFF, TREMBLES, UNSEEN, MeshPoints, led
-from facetrack_cli.tracking.face.still import EYES, MIDDLE, Similarity
+from facetrack_cli.tracking.face.stabilized import EYES, MIDDLE, Similarity
 
 REST = MIDDLE + 30 * np.random.default_rng(7).standard_normal((30, 2))
 VISIBLE = np.full(30, 4.0)

@@ -22,7 +22,7 @@ from facetrack_cli.tracking.face.sensors import (
     common_shift,
     joined,
 )
-from facetrack_cli.tracking.face.still import EYES, SIDE
+from facetrack_cli.tracking.face.stabilized import EYES, SIDE
 from facetrack_cli.tracking.models.motion import Measured
 
 PLACES = np.array([[80.0, 100.0], [64.0, 120.0], [96.0, 120.0]])

@@ -16,7 +16,7 @@ from facetrack_cli.tracking.calibration import Calibration, load_calibration
 from facetrack_cli.tracking.face.descent import CORNER, load_descent
 from facetrack_cli.tracking.face.mesh import NAMES, Mesh
 from facetrack_cli.tracking.face.senses import Senses
-from facetrack_cli.tracking.face.still import FACE, Similarity, change_between, slope
+from facetrack_cli.tracking.face.stabilized import FACE, Similarity, change_between, slope
 from facetrack_cli.tracking.face.target import FaceTarget
 from facetrack_cli.tracking.models.spaces import Context
 from facetrack_cli.tracking.start.detectors import detector, detector_of, placed_by
@@ -46,7 +46,7 @@ def particle_target(recipe: Recipe, key: str, given: ParticleFilter, start: Star
 
 
 def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, start: Start, name: str) -> FaceTarget:
-    """The head by its own filter, and the points by the recipe's, in the still face."""
+    """The head by its own filter, and the points by the recipe's, in the stabilized image."""
     begun = start.targets[name]
     box = begun.box or box_around(begun)
     side = math.sqrt(box[2] * box[3])
@@ -55,7 +55,7 @@ def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, sta
         pose = pose_of(begun, box)
     middle = np.array(centre(box)) + side * pose[2:]
     similarity = Similarity(middle, side * math.exp(pose[1]) / FACE, float(pose[0]))
-    at = {part: similarity.to_still(np.array(place)).tolist() for part, place in begun.points.items()}
+    at = {part: similarity.to_stabilized(np.array(place)).tolist() for part, place in begun.points.items()}
     windows = {part: (w / similarity.scale, h / similarity.scale) for part, (w, h) in begun.windows.items()}
     inside = TargetStart(None, {part: (x, y) for part, (x, y) in at.items()}, windows)
     judged = Confidence(lost_below=head.lost_below, patience=1)

@@ -33,7 +33,7 @@ from facetrack_cli.tracking.kernels.orientations import smoothed_channels
 
 KIND = Kind("facetrack-descent", 1, "mouth descent", "python tools/mouth_descent.py")
 DEFAULT = "mouth_descent.npz"
-LEFT, TOP, SIDE = 24, 46, 112  # of the still face, pixels: the part that is read
+LEFT, TOP, SIDE = 24, 46, 112  # of the stabilized image, pixels: the part that is read
 CORNER: Final = np.array([LEFT, TOP], np.float64)
 DIRECTIONS, GRID = 8, 5
 ODDS_SCALE: Final = 1.6
@@ -47,7 +47,7 @@ _AROUND: Final = (np.stack(np.meshgrid(*2 * [np.arange(GRID) - (GRID - 1) / 2]),
 
 
 class Placed(NamedTuple):
-    """Points `at` (K, 2) in a still face, pixels; `odds` (K,): log p(image | visible) - log p(image | covered)."""
+    """Points `at` (K, 2), in pixels; `odds` (K,): log p(image | visible) - log p(image | covered)."""
 
     at: Array
     odds: Array
@@ -59,7 +59,7 @@ class Placed(NamedTuple):
 
 
 class Descent(NamedTuple):
-    """`mean` (K, 2): the mean shape in the part of the still face that is read; `stages` (S, F + 1, 2 K): R_k.
+    """`mean` (K, 2): the mean shape in the part of the stabilized image that is read; `stages` (S, F + 1, 2 K): R_k.
 
     `scales` (S,): of the grid in each stage; `std` (K,): of the errors on people that were left out, pixels; `odds`
     (F / K + 1, J): of J points, the K `parts` first.
@@ -77,7 +77,7 @@ class Descent(NamedTuple):
         return self.points[: len(self.mean)]
 
     def fit(self, still: Image, around: Sequence[Array] = ()) -> Placed:
-        """The parts in a still face.
+        """The parts in a stabilized image.
 
         If they are hardly seen from the usual place of a face, they are sought around other middles (2,); the likeliest
         is taken, by the odds of being visible.
@@ -96,14 +96,14 @@ class Descent(NamedTuple):
         return Placed(at + shift, self.visible(seen, at))
 
     def descended(self, seen: NDArray[np.float32]) -> Array:
-        """x after the last stage (K, 2), in the channels of the part of the still face that is read."""
+        """x after the last stage (K, 2), in the channels of the part of the stabilized image that is read."""
         x = self.mean
         for scale, matrix in zip(self.scales.tolist(), self.stages, strict=True):
             x = x + (read(seen, x, scale) @ matrix).reshape(x.shape)
         return x
 
     def visible(self, seen: NDArray[np.float32], at: Array) -> Array:
-        """The log odds (J,) that the first J points are visible at (J, 2) in the still face with those channels."""
+        """The log odds (J,) that the first J points are visible at (J, 2), by the channels `seen`."""
         phi, odds = read(seen, at - CORNER, ODDS_SCALE)[:-1].reshape(len(at), -1), self.odds[:, : len(at)]
         return np.asarray(np.einsum("jf,fj->j", phi, odds[:-1]) + odds[-1])
 
@@ -139,7 +139,7 @@ def _made(stored: Stored) -> Descent:
 
 
 def seen_in(still: Image, shift: Array | None = None) -> NDArray[np.float32]:
-    """The channels of the part of a still face that is read, or of the part (2,) whole pixels beside it."""
+    """The channels of the part of a stabilized image that is read, or of the part (2,) whole pixels beside it."""
     if shift is None or not shift.any():
         return channels(still[TOP : TOP + SIDE, LEFT : LEFT + SIDE])
     x, y = (CORNER + shift + (SIDE - 1) / 2).tolist()

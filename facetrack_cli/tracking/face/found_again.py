@@ -16,7 +16,7 @@ import numpy as np
 
 from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Frame
-from facetrack_cli.tracking.face.still import BOX, FACE, Similarity, slope
+from facetrack_cli.tracking.face.stabilized import BOX, FACE, Similarity, slope
 from facetrack_cli.tracking.start.detectors import Found
 
 STAYS: Final = 0.5  # seconds that a face is seen before it is the target
@@ -39,7 +39,7 @@ class Sighting(NamedTuple):
 
 
 def look_of(still: Frame) -> Array:
-    """The look (SIDE^2,) of an upright face, from a still face."""
+    """The look (SIDE^2,) of an upright face, from a stabilized image."""
     left, top, width, height = (round(value) for value in BOX)
     grey = cv2.cvtColor(still.bgr[top : top + height, left : left + width], cv2.COLOR_BGR2GRAY)
     small = cv2.resize(grey, (SIDE, SIDE), interpolation=cv2.INTER_AREA).astype(np.float64).ravel()

@@ -19,7 +19,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import MESH, POINTS
 from facetrack_cli.core.types import Array, Frame
-from facetrack_cli.tracking.face.still import EYE_LINE, EYES, MIDDLE, Similarity
+from facetrack_cli.tracking.face.stabilized import EYE_LINE, EYES, MIDDLE, Similarity
 
 COUNT: Final = 468
 NAMES: Final = {
@@ -41,7 +41,7 @@ class Mesh:
         _net(path, get_ident())
 
     def measure(self, frame: Frame, head: Similarity, crops: tuple[tuple[float, float], ...] = CROPS) -> Array | None:
-        """The points (C, 468, 2) of the face in a head by each crop, pixels of the still face; None without a face."""
+        """The points (C, 468, 2) of a face by each crop, in pixels of the stabilized image; None without a face."""
         net, found = _net(self.path, get_ident()), []
         for side, below in crops:
             zoom = side * EYES / CROP

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.types import Array
-from facetrack_cli.tracking.face.still import EYES
+from facetrack_cli.tracking.face.stabilized import EYES
 from facetrack_cli.tracking.models.likelihoods.window_ncc import BOUNDS, BY_TOLD, visible_after
 from facetrack_cli.tracking.models.motion import Linear
 from facetrack_cli.tracking.smoothing import Belief

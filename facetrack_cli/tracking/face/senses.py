@@ -1,4 +1,4 @@
-"""What sees the points of a face in the still face: the regression or the network, and the detector of faces."""
+"""What sees the points of a face in the stabilized image: the regression or the network, and the detector of faces."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from typing import NamedTuple
 import numpy as np
 
 from facetrack_cli.core.types import Array, Frame, Point
-from facetrack_cli.tracking.face import still
+from facetrack_cli.tracking.face import stabilized
 from facetrack_cli.tracking.face.descent import Placed, load_descent, seen_in
 from facetrack_cli.tracking.face.mesh import NAMES, Mesh
 from facetrack_cli.tracking.face.mesh_points import MeshPoints
 from facetrack_cli.tracking.face.sensors import DETECTOR, FADES, NETWORK, REGRESSION, Sensor
-from facetrack_cli.tracking.face.still import Similarity
+from facetrack_cli.tracking.face.stabilized import Similarity
 from facetrack_cli.tracking.start.detectors import Detector, Found
 
 
 class Sensed(NamedTuple):
-    """What sensors say of the points in the still face: those with windows, and the network's `others` (J, 2)."""
+    """What sensors say of the points in the stabilized image: those with windows, and the network's `others` (J, 2)."""
 
     parts: Placed
     others: Placed | None
@@ -48,8 +48,8 @@ class Senses:
     others: tuple[str, ...] = ()
 
     def detected(self, seen: Frame) -> Found | None:
-        """The face that the detector sees in the still one."""
-        return None if self.detector is None else self.detector.measure(seen.bgr, still.BOX)
+        """The face that the detector sees in the stabilized image."""
+        return None if self.detector is None else self.detector.measure(seen.bgr, stabilized.BOX)
 
     def named(self, points: Mapping[str, Point]) -> Array:
         """The places (K, 2) of the parts; nan of those that are not there."""
@@ -64,7 +64,7 @@ class Senses:
         return Begun(sensor, second, None if others is None else MeshPoints.begin(others.at))
 
     def sensed(self, frame: Frame, similarity: Similarity, seen: Frame, around: Sequence[Array] = ()) -> Sensed:
-        """What sensors say of the points in the still face `seen`; nan, and 0, of parts that none of them knows.
+        """What sensors say of the points in the stabilized image `seen`; nan, and 0, of parts that none of them knows.
 
         `around` (2,) are where the middle of the parts may be, beside the usual place.
         """

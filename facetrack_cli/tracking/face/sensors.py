@@ -2,7 +2,7 @@
 
 A sensor, a regression, a network or a detector, says where the parts are with an error that has two shares. One stays
 for seconds, since it depends on the person, the expression and the light: the bias b. The other is new in each frame.
-With a_t the parts in frame t, in pixels of the still face,
+With a_t the parts in frame t, in pixels of the stabilized image,
 
     z_t = a_t + b_t + N(0, r^2 I),    b_t = k b_{t-1} + N(0, q I)
 
@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.types import Array, Mask
-from facetrack_cli.tracking.face.still import EYES, SIDE
+from facetrack_cli.tracking.face.stabilized import EYES, SIDE
 from facetrack_cli.tracking.models.motion import Measured
 
 DRIFT: Final = 0.001 * EYES  # standard deviation of b in a frame, pixels
@@ -39,7 +39,7 @@ _MANY: Final = 50.0  # looks over which it is learned how often a face is found
 
 
 class Sensor(NamedTuple):
-    """b (K, 2), its variance (K,) and r^2 (K,), in the still face; `least` is the least r, and `keep` is k."""
+    """b (K, 2), its variance (K,) and r^2 (K,), in the stabilized image; `least` is the least r, and `keep` is k."""
 
     bias: Array
     var: Array

@@ -14,7 +14,7 @@ from facetrack_cli.tracking.face.descent import Placed
 from facetrack_cli.tracking.face.found_again import Sighting
 from facetrack_cli.tracking.face.mesh_points import MeshPoints
 from facetrack_cli.tracking.face.sensors import Facing, Sensor
-from facetrack_cli.tracking.face.still import Similarity
+from facetrack_cli.tracking.face.stabilized import Similarity
 from facetrack_cli.tracking.models.motion import Measured
 from facetrack_cli.tracking.start.detectors import Found
 from facetrack_cli.tracking.target import State
@@ -25,7 +25,7 @@ _MOST: Final = np.array([math.radians(60), 0.7, 0.3, 0.3])
 
 @dataclass(frozen=True)
 class FaceState:
-    """The states of head and points, the last `points` as rows of the still face; what is known of their sensor.
+    """The states of head and points, the last `points` as rows of the stabilized image; what is known of their sensor.
 
     `second` is that of the detector; `others` are the points of the network, None before it has seen the face.
 

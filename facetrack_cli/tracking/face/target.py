@@ -1,13 +1,13 @@
 """A face: a head that carries points, and the points tracked inside of it (ours).
 
 The head is a box with a particle filter of its own. Its place and scale, and the roll of the face, are a similarity T_t
-that maps a still face to the frame (`still.py`), and the points' filter sees the frame through it: a face that hardly
-moves. What is left to track is expression, and what the head turns out of the plane. For a head at rest T is constant,
-and that filter is the published one (Patras & Pantic, FG 2004). The shape prior is that of the still face, so it is
-registered by the head: translation, scale and roll.
+that maps a stabilized image of the face to the frame (`stabilized.py`). The points' filter sees that image, in which
+the face hardly moves. What is left to track is expression, and what the head turns out of the plane. For a head at rest
+T is constant, and that filter is the published one (Patras & Pantic, FG 2004). The shape prior is that of the
+stabilized image, so it is registered by the head: translation, scale and roll.
 
-In each frame a sensor places the points in the still face: a regression (`descent.py`), or a network where its file is
-there (`mesh.py`). Windows are exact and may be lost; the sensor is less exact and has no memory. The points' filter
+In each frame a sensor places the points in the stabilized image: a regression (`descent.py`), or a network if its file
+is there (`mesh.py`). Windows are exact and may be lost. The sensor is less exact and has no memory. The points' filter
 joins both (`sensors.py`, `models/motion.py`). Further points of the network have no windows (`mesh_points.py`).
 
 A detector of faces measures the face's box every so many frames. Of a head that is lost, it is asked as often where in
@@ -30,13 +30,13 @@ from facetrack_cli.core.geometry import centre, corners, square
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, TargetStart
 from facetrack_cli.recipe.face import Head
 from facetrack_cli.tracking.calibration import Calibration
-from facetrack_cli.tracking.face import still
+from facetrack_cli.tracking.face import stabilized
 from facetrack_cli.tracking.face.found_again import STAYS, Sighting, kept, look_of, sighted
 from facetrack_cli.tracking.face.mesh_points import UNSEEN, MeshPoints
 from facetrack_cli.tracking.face.senses import Senses
 from facetrack_cli.tracking.face.sensors import Facing, apart, common_shift, joined
+from facetrack_cli.tracking.face.stabilized import EYES, FACE, Similarity
 from facetrack_cli.tracking.face.state import FaceState, View, shifted, sure_of, updated
-from facetrack_cli.tracking.face.still import EYES, FACE, Similarity
 from facetrack_cli.tracking.loop import Cover
 from facetrack_cli.tracking.models.likelihoods import window_ncc
 from facetrack_cli.tracking.models.motion import JumpingWalk
@@ -50,7 +50,7 @@ OFF: Final = 0.35  # distances between the eyes; a point that is farther away th
 LOOK: Final = 3  # frames from one look of the head's filter to the next, where the points are seen in between
 EASY: Final = 8.0  # log odds that the points are seen where they are
 DOUBT: Final = 8.0  # log odds, below which the detector looks at once
-STEADY: Final = 2.5  # pixels of the still face, which a face is at most from where it is expected, in between
+STEADY: Final = 2.5  # pixels of the stabilized image, which a face is at most from where it is expected, in between
 _FORGETS: Final = 0.95  # share of `sure` that is left after a frame in which the head is lost
 _FACES: Final = 4  # that are compared with the one that is lost
 # standard deviations of the pose in a frame, of that by a detected box, and of that by parts left and right
@@ -111,16 +111,16 @@ class FaceTarget:
         if len(at) > 1:
             spread = np.sum((rest - rest.mean(axis=0)) ** 2)
             scale = math.sqrt(float(np.sum((at - at.mean(axis=0)) ** 2)) / max(float(spread), 1e-9))
-            roll = still.change_between(at, rest)[0]
+            roll = stabilized.change_between(at, rest)[0]
         if given.box is not None and not given.points:
             scale = math.sqrt(given.box[2] * given.box[3]) / FACE
         shape = Similarity(np.zeros(2), scale, roll)
-        middle = at.mean(axis=0) - (rest.mean(axis=0) - still.MIDDLE) @ shape.matrix.T
+        middle = at.mean(axis=0) - (rest.mean(axis=0) - stabilized.MIDDLE) @ shape.matrix.T
         side = FACE * scale
         head, boxed = self.head.restart(rng, frame, first.head, TargetStart(square(middle, side)))
         pose = np.array([roll, 0.0, 0.0, 0.0])
         similarity = self._map(head.estimated.state, pose)
-        moved = {part: tuple(similarity.to_still(place).tolist()) for part, place in placed.items()}
+        moved = {part: tuple(similarity.to_stabilized(place).tolist()) for part, place in placed.items()}
         seen, there = similarity.read(frame), TargetStart(points=moved)
         features, rows = self.features.restart(rng, seen, first.features, there, absent, anew)
         found, at = self.senses.detected(seen), features.estimated.state
@@ -254,10 +254,10 @@ class FaceTarget:
         """With what the detector says of the face's box, and parts left and right, or else the eyes, of its roll."""
         z = view.upright
         pose, var, known = state.pose, state.pose_var + _POSE**2, np.asarray(np.isfinite(z).all(axis=1))
-        turns = [still.slope(z[pair]) - self._slope(pair) for pair in self._pairs if known[pair].all()]
+        turns = [stabilized.slope(z[pair]) - self._slope(pair) for pair in self._pairs if known[pair].all()]
         if view.sure <= 0:  # the points are not seen
             eyes = None if view.found is None or not self.senses.searched else view.found.eyes
-            turns = [] if eyes is None else [still.slope(np.array(eyes))]
+            turns = [] if eyes is None else [stabilized.slope(np.array(eyes))]
         if turns:
             pose, var = updated(pose, var, np.array([np.mean(turns), 0, 0, 0]), _BY_PAIRS)
         if view.due:
@@ -271,11 +271,11 @@ class FaceTarget:
         return replace(state, pose=pose, pose_var=var)
 
     def _moved(self, state: FaceState, old: Similarity) -> FaceState:
-        """With the points, which are in the still face of the `old` map, in that of the state's own."""
+        """With the points, which are in the stabilized image of the `old` map, in that of the state's own."""
         new, rows = self._map(state.head.estimated.state, state.pose), state.points.rows
 
         def moved(x: Array) -> Array:
-            return new.to_still(old.to_frame(x))
+            return new.to_stabilized(old.to_frame(x))
 
         origin = moved(np.zeros(2))
         sensor, second = (one._replace(bias=moved(one.bias) - origin) for one in (state.sensor, state.second))
@@ -293,7 +293,7 @@ class FaceTarget:
         return SCALE, ROLL, EVIDENCE
 
     def _result(self, state: FaceState, box: TargetResult, frame: Frame) -> TargetResult:
-        """Rows of the points, as last seen in the still face, of the box, and of the network's points."""
+        """Rows of the points, as last seen in the stabilized image, of the box, and of the network's points."""
         similarity, rows = self._map(state.head.estimated.state, state.pose), state.points.rows
         scale = similarity.scale
         cov = np.array([[rows.std_x**2, rows.cov_xy], [rows.cov_xy, rows.std_y**2]]).transpose(2, 0, 1)
@@ -337,7 +337,7 @@ class FaceTarget:
         return TargetResult(faces, cloud, (), box.notes, lambda: self.beliefs(state))
 
     def _rows(self, state: FaceState, at: Array, cov: Array, visible: Array, lost: Mask) -> dict[str, Any]:
-        """Columns of points in the still face: places (K, 2) and covariances (K, 2, 2) there, how visible, and lost."""
+        """Columns of points of the stabilized image: places (K, 2), covariances (K, 2, 2), visibility, lost or not."""
         similarity = self._map(state.head.estimated.state, state.pose)
         shown = state.facing.shown * sure_of(state.head)
         known = visible * shown
@@ -354,12 +354,13 @@ class FaceTarget:
         }  # fmt: skip
 
     def beliefs(self, state: FaceState) -> tuple[Belief, ...]:
-        """What is known of the points in the still face, of the head, and of the network's points."""
+        """What is known of the points in the stabilized image, of the head, and of the network's points."""
         found, names = [*self.features.beliefs(state.features), *self.head.beliefs(state.head)], self.senses.others
         if self.calibration is not None:
             found = list(map(self.calibration.believed, (self.features.parts, self.head.parts), found))
         if names:
-            unseen = MeshPoints.begin(np.full((len(names), 2), still.MIDDLE))._replace(visible=np.zeros(len(names)))
+            unseen = MeshPoints.begin(np.full((len(names), 2), stabilized.MIDDLE))
+            unseen = unseen._replace(visible=np.zeros(len(names)))
             others = (state.others or unseen).belief()
             # what returns to rest is never less known than its motion says
             found.append(others if self.calibration is None else self.calibration.believed(names, others, moves=True))
@@ -367,7 +368,7 @@ class FaceTarget:
 
     def _slope(self, pair: list[int]) -> float:
         """Of the line between two parts when the face is upright."""
-        return 0.0 if self.senses.searched else still.slope(self.features.x0[pair])
+        return 0.0 if self.senses.searched else stabilized.slope(self.features.x0[pair])
 
     @cached_property
     def _pairs(self) -> list[list[int]]:

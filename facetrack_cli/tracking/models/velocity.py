@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame
 from facetrack_cli.recipe import affine
-from facetrack_cli.tracking.filters import Ahead
+from facetrack_cli.tracking.filters import Prediction
 from facetrack_cli.tracking.kernels.least_squares import differences, gain, mapped
 from facetrack_cli.tracking.models.motion import AffineWalk
 from facetrack_cli.tracking.models.spaces import Context, Patches, patches_of
@@ -82,14 +82,16 @@ class PredictedWalk(AffineWalk):
         rows, products = differences(self.patches.read(frame, x, factor), chosen, patch)
         return Flow(state, patch, gain(x[chosen, 0] - state[0], products, velocity.components, RANK), rows)
 
-    def predict(self, flow: Flow, frame: Frame, error: Callable[[Rows], Array], expected: Callable[[], Rows]) -> Ahead:
+    def predict(
+        self, flow: Flow, frame: Frame, error: Callable[[Rows], Array], expected: Callable[[], Rows]
+    ) -> Prediction:
         """Where the target is expected; `error` is phi of patches (N, d) -> (N,), `expected` the model's patch (d,)."""
         factor = self.patches.factor(flow.state)
         shift = best = np.zeros_like(flow.state)
         patch = self.patches.read(frame, flow.state[None], factor)
         least = float(error(patch)[0])
         if (velocity := self.settings.velocity) is None:
-            return Ahead(flow.state, best, eta(self.settings.noise, least), least)
+            return Prediction(flow.state, best, eta(self.settings.noise, least), least)
         model = expected() if velocity.towards == "appearance" or velocity.search > 0 else flow.patch
         wanted = model if velocity.towards == "appearance" else flow.patch
         if velocity.search > 0:
@@ -107,7 +109,7 @@ class PredictedWalk(AffineWalk):
                 least, best = now, shift
             if settled:
                 break
-        return Ahead(flow.state, best, eta(self.settings.noise, least), least)
+        return Prediction(flow.state, best, eta(self.settings.noise, least), least)
 
     def _search(self, state: Array, frame: Frame, factor: int, expected: Rows, reach: float) -> Array:
         """(1, 6): the shift to the place within `reach` boxes of `state` that is most like the expected patch (d,)."""

@@ -12,12 +12,12 @@ import numpy as np
 
 from facetrack_cli.core.types import Array, Box, Frame, Image, Point
 from facetrack_cli.tracking.face.descent import CORNER, Placed, load_descent
-from facetrack_cli.tracking.face.still import EYE_LINE, FACE, MIDDLE, Similarity, change_between
+from facetrack_cli.tracking.face.stabilized import EYE_LINE, FACE, MIDDLE, Similarity, change_between
 
 # Fractions of a Haar box (x, y): the mean over 26 images, of 15 clips and two portraits; standard deviation 0.02.
 EYES_IN_BOX: Final = ((0.309, 0.388), (0.672, 0.388))
 MOUTH_Y: Final = 1.12  # how far the corners of the mouth are below the eyes, in distances between the eyes
-EYES_AT: Final = np.array([MIDDLE, EYE_LINE])  # the middle between the eyes in the still face
+EYES_AT: Final = np.array([MIDDLE, EYE_LINE])  # the middle between the eyes in the stabilized image
 ZOOMS: Final = (0.95, 1.1, 1.3)  # sizes of a face in the box of a cascade
 AGAIN: Final = 2  # times that a face is laid upright by its points, at most
 EYE_WIDTH: Final = 100  # pixels to which a face is brought before its eyes are searched
@@ -70,7 +70,7 @@ def _placed(frame: Frame, box: Box, eyes: tuple[Point, Point] | None, points: Ma
     size, (across, down) = math.sqrt(box[2] * box[3]) / FACE, (right - left).tolist()
 
     def seen(scale: float, angle: float, at: Array, still: Array) -> Placed:
-        """What is seen of the face of which the place `still` (2,) of the still face is `at` (2,) in the frame."""
+        """What is seen of a face whose place `still` (2,) in the stabilized image is `at` (2,) in the frame."""
         face = Similarity(np.zeros(2), scale, angle)
         face = face._replace(centre=at - face.to_frame(still))
         placed = descent.fit(face.read(frame).bgr)

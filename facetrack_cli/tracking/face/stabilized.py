@@ -1,4 +1,4 @@
-"""The still face: the frame as it is seen from the head, upright and always of one size."""
+"""The stabilized image: the frame as it is seen from the head, upright and always of one size."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from facetrack_cli.core.face_points import EYE_DISTANCE
 from facetrack_cli.core.types import Array, Frame
 
-SIDE: Final = 160  # sides of the still face, in pixels
+SIDE: Final = 160  # sides of the stabilized image, in pixels
 FACE: Final = 112.0  # sides of the face's box in it
 MIDDLE: Final = (SIDE - 1) / 2
 BOX: Final = (MIDDLE - (FACE - 1) / 2, MIDDLE - (FACE - 1) / 2, FACE, FACE)
@@ -20,7 +20,7 @@ EYE_LINE: Final = MIDDLE - 0.112 * FACE  # the row of the eyes
 
 
 class Similarity(NamedTuple):
-    """Maps the still face to the frame: its middle comes to `centre` (2,), turned by `angle`, times `scale`."""
+    """Maps the stabilized image to the frame: its middle comes to `centre` (2,), turned by `angle`, times `scale`."""
 
     centre: Array
     scale: float
@@ -33,15 +33,15 @@ class Similarity(NamedTuple):
         return np.array([[a, -b], [b, a]])
 
     def to_frame(self, x: Array) -> Array:
-        """Places (..., 2) of the still face in the frame."""
+        """Places (..., 2) of the stabilized image in the frame."""
         return np.asarray((x - MIDDLE) @ self.matrix.T + self.centre)
 
-    def to_still(self, x: Array) -> Array:
-        """Places (..., 2) of the frame in the still face."""
+    def to_stabilized(self, x: Array) -> Array:
+        """Places (..., 2) of the frame in the stabilized image."""
         return np.asarray((x - self.centre) @ np.linalg.inv(self.matrix).T + MIDDLE)
 
     def read(self, frame: Frame, side: int = SIDE) -> Frame:
-        """The still face, (side, side, 3), as the frame shows it; beyond the frame's border, the border's pixels."""
+        """The stabilized image, (side, side, 3), of a frame; beyond the frame's border, the border's pixels."""
         factor = 2 ** min(max(math.floor(math.log2(max(self.scale, 1.0))), 0), 8)
         far = 0.75 * side * self.scale + 2 * factor
         x, y = self.centre.tolist()
