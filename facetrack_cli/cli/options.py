@@ -58,7 +58,6 @@ class Number(click.FloatRange):
 FRAME = Whole(min=0)
 FIGURES = ("png", "svg", "pdf")  # those that report/figures/style.py renders
 TABLES = ("json", "csv", "md")
-_WORDS = "facetrack.words"
 Figures: TypeAlias = Callable[[], Iterable[tuple[str, bytes]]]
 
 
@@ -92,28 +91,7 @@ def verb(kind: type[Any], name: str | None = None) -> click.Command:
     def call(**values: Any) -> Any:
         return _filled(kind, values).run()
 
-    return _Verb(name, params=list(_parameters(kind)), callback=call, help=inspect.cleandoc(kind.__doc__ or ""))
-
-
-class _Verb(click.Command):
-    """A command that remembers its words."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        ctx.meta[_WORDS] = [*args]
-        return super().parse_args(ctx, args)
-
-
-def words_without(*fields: str) -> list[str]:
-    """The options of the command that runs as they were given, without arguments and the options of these fields."""
-    ctx = click.get_current_context()
-    given = {**(ctx.default_map or {}), **ctx.command.make_parser(ctx).parse_args([*ctx.meta[_WORDS]])[0]}
-    found = []
-    for one in ctx.command.params:
-        if isinstance(one, click.Option) and one.name in given and one.name not in fields:
-            name, value = max(one.opts, key=len), given[one.name]
-            values = value if one.multiple else [value]
-            found += [name if one.is_flag else f"{name}={value}" for value in values if value is not False]
-    return found
+    return click.Command(name, params=list(_parameters(kind)), callback=call, help=inspect.cleandoc(kind.__doc__ or ""))
 
 
 def given_beside(known: set[str]) -> str:

@@ -8,7 +8,7 @@ import contextlib
 import hashlib
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -96,14 +96,28 @@ def check_all(jobs: Sequence[Job]) -> tuple[list[Outcome], list[Job]]:
 
 
 def run_batch(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> Iterator[Outcome]:
-    """Run `jobs`, `workers` at a time; each is yielded as it ends. One that fails does not stop the others.
+    """Run `jobs`, `workers` at a time in processes of this machine; as `share`."""
 
-    Those that somebody else is tracking come last: they are waited for, and tracked if nobody does any more. Once
-    `stop` says so, those at work close their files and the rest are not begun.
+    def turn(jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
+        return _turn(jobs, min(workers, len(jobs)), stop, progress)
+
+    return share(jobs, turn, stop, progress)
+
+
+def share(
+    jobs: Sequence[Job],
+    turn: Callable[[Sequence[Job]], Iterator[tuple[Job, Outcome]]],
+    stop: Stop,
+    progress: Progress,
+) -> Iterator[Outcome]:
+    """Run `jobs` by `turn`; each outcome is yielded as it ends. A job that fails does not stop the others.
+
+    Clips that another facetrack is tracking come last: they are waited for, and tracked if nobody does any more. Once
+    `stop` says so, the clips at work close their files and the others are not begun.
     """
     left, busy, told = list(jobs), list[Job](), False
     while (left or busy) and not stop():
-        for job, outcome in _round(left, min(workers, len(left)), stop, progress):
+        for job, outcome in turn(left):
             if isinstance(outcome.error, BusyError):
                 busy.append(job)
             else:
@@ -116,14 +130,14 @@ def run_batch(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress)
         yield from decided
 
 
-def _round(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> Iterator[tuple[Job, Outcome]]:
+def _turn(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> Iterator[tuple[Job, Outcome]]:
     if workers <= 1:
         for i, job in enumerate(jobs, 1):
             if stop():
                 return
             share_threads(job.threads)
             progress.begin(f"[{i}/{len(jobs)}] {job.clip.name}", "frames", None)
-            yield job, _attempt(job, stop, progress.update, progress.looked)
+            yield job, attempt(job, stop, progress.update, progress.looked)
         return
     with Ahead(to_dict(jobs[0].recipe), cores()) as ahead:  # or each of the workers would compile them
         ahead.finish(stop)
@@ -133,10 +147,10 @@ def _round(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) ->
     def report(frames: int) -> None:
         progress.update(finished, len(jobs), frames / (time.monotonic() - began))
 
-    results = side_by_side(jobs, _attempt, workers, stop, report, threads=jobs[0].threads, tries=TRIES)
+    results = side_by_side(jobs, attempt, workers, stop, report, threads=jobs[0].threads, tries=TRIES)
     for i, result in results:
         finished += 1
-        yield jobs[i], _died(jobs[i], result) if isinstance(result, Exception) else result
+        yield jobs[i], died(jobs[i], result) if isinstance(result, Exception) else result
 
 
 def _waiting(busy: Sequence[Job]) -> str:
@@ -164,7 +178,7 @@ def _wait(busy: Sequence[Job], stop: Stop) -> tuple[list[Job], list[Job]]:
     return [], []
 
 
-def _died(job: Job, error: Exception) -> Outcome:
+def died(job: Job, error: Exception) -> Outcome:
     """What becomes of a clip whose process ended by itself."""
     frames = 0 if job.out is None else settle(job.out)
     with contextlib.suppress(FacetrackError):  # an earlier turn may have come farther
@@ -178,7 +192,8 @@ def _died(job: Job, error: Exception) -> Outcome:
     return Outcome(job.clip, error=said)
 
 
-def _attempt(job: Job, stop: Stop, report: Report, looked: Report = silent) -> Outcome:
+def attempt(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
+    """Run a job; its error is in the outcome, as one line."""
     with about(job.clip.name):
         try:
             outcome = run(job, stop, report, looked)

@@ -1,328 +1,307 @@
-"""Several clips on the workers of a Dask cluster, which carries command lines one way and exit codes back, no more.
+"""A batch on the workers of a Dask cluster: jobs go out, outcomes come back, results go straight to the folders.
 
-What is done is what the folders of the clips say: an answer is only a reason to look there. A clip that fails is tried
-again on another worker, unless it is the clip itself that is at fault.
+Dask finds a worker for each clip, replaces a worker that dies (its nanny does), and gives the clip to another one. What
+a killed worker leaves in a folder is taken up by the next run there, as after any kill.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
+import logging
+import math
+import os
+import pickle
+import re
 import secrets
+import socket
+import threading
 import time
-from collections import deque
+import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from facetrack_cli import __version__
-from facetrack_cli.core.claims import LOCK, Claim, holder
-from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, reason
-from facetrack_cli.core.files import absolute
+from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, UsageError, needed, reason
 from facetrack_cli.runs.again import previous
-from facetrack_cli.runs.failures import note_failure
-from facetrack_cli.runs.guard import GRACE_S, FailedError
-from facetrack_cli.runs.job import Job, Outcome, finished
+from facetrack_cli.runs.batch import attempt, died, share
+from facetrack_cli.runs.failures import line
+from facetrack_cli.runs.job import Job, Outcome
+from facetrack_cli.runs.pipeline import share_threads
 from facetrack_cli.runs.progress import Progress
-from facetrack_cli.runs.scheduler import ANSWER_S, LOOK_S, Scheduler
-from facetrack_cli.runs.signals import Stop
-from facetrack_cli.trajectory.killed import recover
-from facetrack_cli.trajectory.manifest import NAME, Manifest
+from facetrack_cli.runs.signals import Stop, StoppedError
+from facetrack_cli.trajectory.manifest import NAME
 
 if TYPE_CHECKING:
-    from distributed import Future
+    from distributed import Client, Future
 
-DISK_S = 5.0  # between two looks at the folders of clips that are out
-SILENT_S = 90.0  # without a sign of life, after which a clip is taken to hang
-UNSEEN_S = 60.0  # until what a worker wrote shows here too
+After: TypeAlias = Callable[[Outcome, Stop], tuple[object, Sequence[str]]]
+"""What is done with a clip that was tracked, as smoothing; it gives warnings, and can be pickled."""
+TRIES: Final = 3  # of a clip that is not itself at fault
+ANSWER_S = 30.0  # for a scheduler to answer
+PATIENCE_S = 1800.0  # for a scheduler that is gone to come back
+LOOK_S = 0.1  # between two looks at the clips that are out
+UNSEEN_S = 60.0  # until files that a worker wrote show here
 STOP_S = 30.0  # for clips that are told to end, to close their files
-TRIES = 3
+
+
+class _Try(NamedTuple):
+    """A job that is out: how often it has failed before, and the addresses of the workers on which it did."""
+
+    job: Job
+    failed: int = 0
+    workers: frozenset[str] = frozenset()
 
 
 def run_cluster(
-    jobs: Sequence[Job], where: str, options: Sequence[str], stop: Stop, progress: Progress
+    jobs: Sequence[Job], where: str, stop: Stop, progress: Progress, after: After | None = None
 ) -> Iterator[Outcome]:
-    """Run `jobs` on the cluster `where`; each is yielded as it ends. `options` are those of the command line for all.
+    """Run `jobs` on the cluster `where`, and then `after`; each outcome is yielded as it ends.
 
-    One that fails does not stop the others. Once `stop` says so, those at work close their files, as far as they can
-    within `STOP_S`, and the rest are not begun. Raises UsageError if no scheduler answers.
+    A job that fails does not stop the others. Once `stop` says so, the clips at work close their files, as far as they
+    can within `STOP_S`, and the others are not begun. Raises UsageError if no scheduler answers.
     """
-    began, ended, frames = time.monotonic(), 0, 0
-    progress.begin(f"{len(jobs)} clips", "clips", len(jobs))
-    with contextlib.closing(Scheduler(where, progress, stop)) as scheduler:
-        scheduler.connect(ANSWER_S)
-        for outcome in _Batch(jobs, options, scheduler, stop, progress.say).outcomes():
-            if outcome is None:
-                progress.update(ended, len(jobs), frames / (time.monotonic() - began))
+    with contextlib.closing(_Cluster(where, stop, progress, after)) as cluster:
+        cluster.connect(ANSWER_S)
+        yield from share(jobs, cluster.turn, stop, progress)
+
+
+class _Cluster:
+    def __init__(self, where: str, stop: Stop, progress: Progress, after: After | None) -> None:
+        self._where, self._stop, self._progress, self._after = where, stop, progress, after
+        self._batch, self._folder = secrets.token_hex(8), str(Path.cwd())
+        self._client: Any = None
+        self._unseen_s = UNSEEN_S
+
+    def connect(self, patience_s: float) -> None:
+        """Connect, or return early on a wish to stop. Raises UsageError if there is no answer for so long."""
+        deadline = time.monotonic() + patience_s
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is said in our lines
+        while not self._stop():
+            try:
+                self._client = _client(address_of(self._where), min(patience_s, ANSWER_S / 6))
+            except (OSError, UsageError) as e:  # of a file that is being written, too
+                if time.monotonic() > deadline:
+                    said = f"no scheduler of Dask answers at {address_of(self._where)} within {patience_s:.0f} s"
+                    remedy = "start one with `dask scheduler`, or take -j"
+                    raise UsageError(f"--cluster {self._where}: {said} ({reason(e)}); {remedy}") from e
+                time.sleep(LOOK_S)
             else:
-                ended, frames = ended + 1, frames + outcome.frames * (outcome.again is None)
-                yield outcome
-
-
-@dataclass(eq=False)
-class _Clip:
-    """A clip, and how far it has come."""
-
-    job: Job
-    smooth: bool
-    seen: tuple[int, int] | None = None  # its run.json that is not that of a finished run
-    tries: int = 0
-    workers: set[str] = field(default_factory=set)  # on which it failed
-    later: float = 0.0  # not to be sent before
-    key: str = ""
-    future: Future[None] | None = None
-    answered: float | None = None  # since when it is done, if that shows on the disk
-    left: tuple[int, int] | None = None  # the claim that was there before
-    beat: tuple[int, int] | None = None  # the last sign of life, and when it was seen
-    heard: float = 0.0
-    told: bool = False
-    suspect: bool = False  # it, or one beside it, ended workers
-    error: FacetrackError | None = None  # with which it is given up
-    log: Sequence[str] = ()
-
-    def __post_init__(self) -> None:
-        if self.job.overwrite:  # what is there is of an earlier run
-            self.seen = _stamp(self.folder / NAME)
-
-    @property
-    def folder(self) -> Path:
-        assert self.job.out is not None
-        return self.job.out
-
-    def finished(self) -> Manifest | None:
-        """What the disk says of it, once it is finished."""
-        stamp = _stamp(self.folder / NAME)
-        if stamp is None or stamp == self.seen:
-            return None
-        known = finished(replace(self.job, overwrite=False))
-        if known is None or known.smoothed < self.smooth:
-            self.seen = stamp
-            return None
-        return known
-
-    def silent_s(self) -> float:
-        """For how long it has given no sign of life; 0 for one that has not begun."""
-        beat, now = _stamp(self.folder / LOCK), time.monotonic()
-        if beat != self.beat:
-            self.beat, self.heard = beat, now
-        return now - self.heard if beat not in (None, self.left) else 0.0
-
-    def outcome(self, known: Manifest | None, error: Exception | None = None) -> Outcome:
-        """Its outcome of this batch, with what there is on the disk."""
-        if known is None:
-            return Outcome(self.job.clip, error=error)
-        found = Outcome.of(self.job, known)
-        found.error = error or found.error
-        found.again, found.stopped = None, known.stopped if error is None else None
-        found.frames_per_s = known.frames / known.seconds if known.seconds else 0.0
-        found.warnings = tuple(line for line in known.warnings if line != str(found.error))
-        return found
-
-
-class _Batch:
-    """Clips that wait, and clips that are out."""
-
-    def __init__(
-        self,
-        jobs: Sequence[Job],
-        options: Sequence[str],
-        scheduler: Scheduler,
-        stop: Stop,
-        say: Callable[[str], None],
-    ) -> None:
-        smooth = "--smooth" in options
-        self._waiting = deque(_Clip(job, smooth) for job in jobs)
-        self._out: list[_Clip] = []
-        self._options, self._scheduler, self._stop, self._say = options, scheduler, stop, say
-        self._id = secrets.token_hex(4)
-
-    def outcomes(self) -> Iterator[Outcome | None]:
-        """The outcome of each clip as it ends, and None in between."""
-        looked = time.monotonic()
-        while (self._waiting or self._out) and not self._stop():
-            if not self._scheduler.lives() and not self._return():
-                break
-            yield from self._send()
-            on_disk = time.monotonic() - looked >= DISK_S
-            looked = time.monotonic() if on_disk else looked
-            for clip in list(self._out):
-                found = self._answer(clip) or (self._look(clip) if on_disk else None)
-                if found is not None:
-                    yield found
-            yield None
-            time.sleep(LOOK_S)
-        yield from self._end()
-
-    def _send(self) -> Iterator[Outcome]:
-        """Send clips that wait, as many as there is room for; those that are finished have their outcome at once."""
-        room = self._scheduler.room() - len(self._out)
-        for _ in range(len(self._waiting)):
-            if room <= 0 or self._stop() or any(clip.suspect for clip in self._out):
+                threads = self._client.nthreads().values()
+                if not threads:
+                    self._progress.say(f"facetrack: the scheduler of {self._where} has no worker; waiting for one")
+                elif max(threads) > 1:
+                    said = "a worker tracks one clip at a time, whatever its threads; start workers with --nthreads 1"
+                    self._progress.say(f"facetrack: warning: {self._where}: {said}")
                 return
-            clip = self._waiting.popleft()
-            if (known := clip.finished()) is not None:
-                yield clip.outcome(known) if clip.key else Outcome.of(clip.job, known)
-            elif clip.later > time.monotonic() or self._is_held(clip) or self._is_not_alone(clip):
-                self._waiting.append(clip)
-            else:
-                clip.key = f"facetrack-{self._id}-{secrets.token_hex(8)}"
-                clip.left, clip.beat, clip.told = _stamp(clip.folder / LOCK), None, False
-                clip.future = self._scheduler.submit(clip.key, self._words(clip.job), clip.workers)
-                self._out.append(clip)
-                room -= 1
 
-    def _is_held(self, clip: _Clip) -> bool:
-        """Whether another process writes into its folder: another batch, or what a worker left that was just killed."""
-        if holder(clip.folder) is None:
-            return False
-        clip.later = time.monotonic() + DISK_S
-        return True
+    def turn(self, jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
+        """Run each of the jobs until it is decided what becomes of it."""
+        began, ended, frames, deadline = time.monotonic(), 0, 0, math.inf
+        self._progress.begin(f"{len(jobs)} clips", "clips", len(jobs))
+        out = {self._submit(one): one for one in map(_Try, jobs)}
+        while out and time.monotonic() < deadline:
+            if self._stop() and deadline == math.inf:
+                deadline = time.monotonic() + STOP_S
+                self._tell()
+            if self._client.status != "running":
+                if self._stop() or not self._return():
+                    break
+                out = {self._submit(one): one for one in out.values()}
+            for future in [future for future in out if future.done()]:
+                one = out.pop(future)
+                again, outcome = self._ended(one, future)
+                if again is not None:
+                    out[self._submit(again)] = again
+                elif outcome is not None:
+                    outcome = self._shown(one.job, outcome)
+                    ended, frames = ended + 1, frames + outcome.frames
+                    yield one.job, outcome
+            self._progress.update(ended, len(jobs), frames / (time.monotonic() - began))
+            time.sleep(LOOK_S)
+        for one in () if self._stop() else out.values():
+            gone = "not tracked, as the scheduler did not come back; the same command again goes on"
+            yield one.job, Outcome(one.job.clip, error=FacetrackError(f"{one.job.clip}: {gone}"))
 
-    def _is_not_alone(self, clip: _Clip) -> bool:
-        """Whether it would have others beside it, though it may end their worker."""
-        return clip.suspect and bool(self._out or not all(one.suspect for one in self._waiting))
+    def _submit(self, one: _Try) -> Future[tuple[Outcome | None, str]]:
+        """Send a job; not to the workers on which it failed, nor to their machines, if there are others."""
+        machines, prefer = {_host(worker) for worker in one.workers}, {}
+        if one.workers:
+            known = list(self._client.nthreads())
+            others = [worker for worker in known if _host(worker) not in machines]
+            others = others or [worker for worker in known if worker not in one.workers]
+            prefer = {"workers": others, "allow_other_workers": True} if others else {}
+        task = (__version__, self._folder, self._batch, pickle.dumps((one.job, self._after)))
+        return self._client.submit(_on_worker, *task, pure=False, **prefer)
 
-    def _words(self, job: Job) -> list[str]:
-        options = [word for word in self._options if job.fps is not None or not word.startswith("--fps=")]
-        clip = absolute(job.clip) if str(job.clip).startswith("@") else job.clip  # not a list here
-        return [*options, f"--out={job.out}", "--", str(clip)]
-
-    def _answer(self, clip: _Clip) -> Outcome | None:
-        """The outcome of a clip that is out, if it was answered and is settled; one to be sent again waits again."""
-        if clip.error is not None:
-            return self._given_up(clip)
-        future = clip.future
-        if future is None or future.status == "pending":
-            return self._shown(clip) if clip.answered is not None else None
-        clip.future, error = None, None
-        if future.status == "finished":
-            clip.answered = time.monotonic()
-            return self._shown(clip)
-        if future.status == "error":
-            with contextlib.suppress(Exception):  # the scheduler is gone, too
-                error = future.exception(timeout=ANSWER_S)
-        if error is None:  # lost or cancelled
-            self._again(clip)
-            return None
-        if (known := clip.finished()) is not None:
-            self._out.remove(clip)
-            return clip.outcome(known)
-        return self._failed(clip, error)
-
-    def _shown(self, clip: _Clip) -> Outcome | None:
-        """The outcome of a clip that is done, as soon as that shows here."""
-        assert clip.answered is not None
-        known = clip.finished()
-        if known is None and time.monotonic() - clip.answered < UNSEEN_S:
-            return None
-        self._out.remove(clip)
-        if known is not None:
-            return clip.outcome(known)
-        said = f"{clip.job.clip}: was tracked, but {clip.folder} does not show it here as the batch asks for it"
-        return Outcome(
-            clip.job.clip,
-            error=FacetrackError(f"{said}; all machines must see the same folders, recipe and files"),
-        )
-
-    def _look(self, clip: _Clip) -> Outcome | None:
-        """What the disk says of a clip without an answer: that it is finished, or that it hangs."""
-        if clip.future is None:
-            return None
-        if (known := clip.finished()) is not None:  # the worker may hang, or be gone
-            self._scheduler.tell([clip.key])
-            self._out.remove(clip)
-            return clip.outcome(known)
-        if clip.silent_s() < SILENT_S:
-            return None
-        if clip.told:
-            return self._failed(clip, TimeoutError(f"no sign of life for {2 * SILENT_S:.0f} s"))
-        clip.told, clip.beat = True, None  # time for its worker to end it, and to say so
-        self._scheduler.tell([clip.key], at_once=True)
-        return None
-
-    def _failed(self, clip: _Clip, error: BaseException | None) -> Outcome | None:
-        """Try a clip again, or give it up."""
+    def _ended(self, one: _Try, future: Future[Any]) -> tuple[_Try | None, Outcome | None]:
+        """The job as it is tried again, or its outcome; neither if it had not begun when the batch was stopped."""
         from distributed import KilledWorker
 
-        code, where = None, "a worker"
-        if isinstance(error, FailedError):
-            code, where = error.code, f"{error.host} ({error.worker})"
-            clip.workers.add(error.worker)
-            said = error.line()
-        elif isinstance(error, KilledWorker):  # Dask suspects all that the worker was to do
-            if not clip.suspect:
-                clip.suspect = True
-                self._again(clip)
-                return None
-            code, said = ExitCode.INPUT, "it ended worker after worker, as by taking all of the memory"
-        elif isinstance(error, ModuleNotFoundError):
-            said = f"{reason(error)}; install facetrack {__version__} there, as it is here"
-        else:
-            said = f"{type(error).__name__}: {error}"
-        if code == ExitCode.USAGE and self._is_held(clip):
-            self._again(clip)
-            return None
-        clip.tries += 1
-        if code != ExitCode.INPUT and clip.tries < TRIES:
-            self._say(f"facetrack: warning: {clip.job.clip}: failed on {where} and is tried again: {said}")
-            self._again(clip)
-            return None
-        if code != ExitCode.INPUT:
-            said = f"{said}; tried {clip.tries} times, at last on {where}"
-        clip.error = (InputError if code == ExitCode.INPUT else FacetrackError)(said)
-        clip.log, clip.future = error.lines if isinstance(error, FailedError) else (), None
-        clip.later = time.monotonic() + 2 * GRACE_S
-        return self._given_up(clip)
-
-    def _given_up(self, clip: _Clip) -> Outcome | None:
-        """The outcome of a clip that has failed, once its folder says so; what it left at work may still be there."""
-        assert clip.error is not None
+        job, worker, cost, outcome = one.job, "", 1, None
         try:
-            with Claim(clip.folder) as claim:
-                recover(clip.folder, claim)
-                if clip.job.batch:
-                    note_failure(clip.job, clip.error, clip.log)
-        except OutputError as e:  # the error of the clip is worth more
-            if isinstance(e, BusyError) and time.monotonic() < clip.later:
-                return None
-        self._out.remove(clip)
-        return clip.outcome(previous(clip.job), clip.error)
+            outcome, worker = future.result(timeout=ANSWER_S)
+            error = None if outcome is None else outcome.error
+        except KilledWorker as e:
+            # Dask suspects all clips that the workers had, so each is tried once more
+            worker, cost = e.last_worker.address, TRIES - 1
+            error = FacetrackError("it ended worker after worker, as by taking all of the memory")
+        except ModuleNotFoundError as e:
+            error = FacetrackError(f"{reason(e)}; install facetrack {__version__} on the workers, as it is here")
+        except Exception as e:
+            error = e if isinstance(e, FacetrackError) else FacetrackError(f"{type(e).__name__}: {e}")
+            if future.status in ("cancelled", "lost", "pending"):  # with the scheduler, or with the worker
+                return (None if self._stop() else one), None
+        if outcome is not None and outcome.files:
+            job = replace(job, overwrite=False)  # what is there is of this batch
+        if self._stop() or isinstance(error, InputError | BusyError):
+            return None, outcome
+        if error is None:  # the worker may have been told to leave
+            return (one._replace(job=job), None) if outcome is None or outcome.stopped else (None, outcome)
+        failed = one.failed + cost
+        if failed < TRIES:
+            self._progress.say(
+                f"facetrack: warning: {job.clip}: failed on {worker or 'a worker'} and is tried again: {error}"
+            )
+            return _Try(replace(job, retry_failed=True), failed, one.workers | {worker}), None
+        error = FacetrackError(f"{error}; tried {failed} times, at last on {worker or 'a worker'}")
+        if outcome is None:
+            return None, died(job, error)
+        outcome.error = error
+        return None, outcome
 
-    def _again(self, clip: _Clip) -> None:
-        """Let a clip that is out wait again, first of all."""
-        self._out.remove(clip)
-        clip.future, clip.answered = None, None
-        self._waiting.appendleft(clip)
+    def _shown(self, job: Job, outcome: Outcome) -> Outcome:
+        """The outcome, once what the worker wrote shows here."""
+        until = time.monotonic() + self._unseen_s
+        while outcome.files and not (outcome.files[0].parent / NAME).exists() and not self._stop():
+            if time.monotonic() > until:
+                self._unseen_s = 0.0
+                said = f"{job.clip}: was tracked, but {job.out} does not show it here"
+                return Outcome(job.clip, error=FacetrackError(f"{said}; all machines must see the same folders"))
+            time.sleep(LOOK_S)
+        return outcome
 
     def _return(self) -> bool:
-        """Wait for a scheduler that is gone, and send all again that is not finished; whether it came back."""
-        for clip in list(self._out):
-            self._again(clip)
-        return self._scheduler.connect_again()
+        """Wait for a scheduler that is gone; whether it came back."""
+        self._progress.say(f"facetrack: warning: the scheduler of {self._where} is gone; waiting for it")
+        self.close()
+        with contextlib.suppress(UsageError):
+            self.connect(PATIENCE_S)
+        if self._client is not None:
+            self._progress.say(f"facetrack: the scheduler of {self._where} is back")
+        return self._client is not None
 
-    def _end(self) -> Iterator[Outcome]:
-        """Tell clips that are out to end, and wait until they have; without a scheduler all of them have failed."""
-        if not self._stop():
-            for clip in (*self._out, *self._waiting):
-                known = clip.finished()
-                gone = FacetrackError(f"{clip.job.clip}: not tracked, as the scheduler did not come back")
-                yield clip.outcome(known, None if known else gone)
-            return
-        self._scheduler.tell([clip.key for clip in self._out])
-        began = time.monotonic()
-        while self._out and time.monotonic() - began < STOP_S and self._scheduler.lives():
-            time.sleep(LOOK_S)
-            for clip in list(self._out):
-                done = clip.future is None or clip.future.status != "pending"
-                if done and _stamp(clip.folder / NAME) not in (None, clip.seen):
-                    yield clip.outcome(previous(clip.job))
-                if done or (time.monotonic() - began > 1 and holder(clip.folder) is None):
-                    self._out.remove(clip)
+    def _tell(self) -> None:
+        """Let the workers end the clips of this batch; nobody waits for a worker that hangs."""
+        client, batch = self._client, self._batch
+
+        def say() -> None:
+            with contextlib.suppress(Exception):
+                client.run(_end, batch, on_error="ignore")
+
+        threading.Thread(target=say, daemon=True).start()
+
+    def close(self) -> None:
+        if self._client is not None:
+            with contextlib.suppress(Exception):
+                self._client.close(timeout=ANSWER_S)
+        self._client = None
 
 
-def _stamp(path: Path) -> tuple[int, int] | None:
-    """What tells a file from the one that it replaces, and from itself before it was written again."""
-    with contextlib.suppress(OSError):
-        found = path.stat()
-        return found.st_ino, found.st_mtime_ns
+# --- on a worker -----------------------------------------------------------------------------------------------------
+
+_ended_batches: set[str] = set()  # whose clips are to end
+_alone: Final = threading.Lock()  # the working directory is that of the process
+
+
+def _end(batch: str) -> None:
+    _ended_batches.add(batch)
+
+
+def _on_worker(version: str, folder: str, batch: str, sent: bytes) -> tuple[Outcome | None, str]:
+    """A task: the outcome of a job, None if it is not begun any more, and the address of the worker.
+
+    `sent` has the job and what is done after it. Raises FacetrackError if this machine cannot do it.
+    """
+    from distributed import get_worker
+
+    worker, host = get_worker(), socket.gethostname()
+
+    def asked() -> ExitCode | None:
+        leaving = worker.status.name in ("closing", "closed", "failed", "stopping")
+        return ExitCode.TERMINATED if leaving or batch in _ended_batches else None
+
+    stop = Stop(asked)
+    with _alone:
+        if stop():
+            return None, worker.address
+        if version != __version__:
+            said = f"facetrack {__version__} is installed on {host}, and {version} where the batch is"
+            raise FacetrackError(f"{said}; install the same version")
+        try:
+            os.chdir(folder)
+        except OSError as e:
+            raise FacetrackError(f"{folder}: {e.strerror} on {host}; all machines must see the same folders") from None
+        job, after = pickle.loads(sent)
+        share_threads(job.threads)
+        outcome = attempt(job, stop)
+        smoothed = outcome.again is not None and outcome.again.smoothed
+        if after is not None and outcome.error is None and not smoothed and not stop():
+            try:
+                outcome.warnings = (*outcome.warnings, *after(outcome, stop)[1])
+                outcome.again = outcome.again and previous(job)
+            except StoppedError:  # before it was smoothed
+                return None, worker.address
+            except Exception as e:
+                outcome.error = line(e)
+    return outcome, worker.address
+
+
+# --- the scheduler ---------------------------------------------------------------------------------------------------
+
+
+def check_cluster(where: str) -> int | None:
+    """N of local:N, the processes of this machine; None for a scheduler, whose workers do the clips.
+
+    Raises UsageError for a value of --cluster that names neither, and where the packages that it takes are missing.
+    """
+    if os.name != "posix":
+        raise UsageError("--cluster is for Linux and macOS; take -j")
+    if found := re.fullmatch(r"local:([1-9]\d{0,3})", where):
+        return int(found[1])
+    address_of(where)
+    with needed("workers of --cluster", "distributed", "cluster"):
+        import distributed  # noqa: F401
     return None
+
+
+def address_of(where: str) -> str:
+    """The address of a scheduler, which may stand in a file. UsageError for what is neither."""
+    forms = "give local:N, tcp://HOST:PORT, or the scheduler file of `dask scheduler --scheduler-file`"
+    if re.fullmatch(r"(tcp|tls)://[^\s/]+:\d{1,5}", where):
+        return where
+    if where.startswith("local") or "://" in where or re.fullmatch(r"[^/]*:\d+", where):
+        raise UsageError(f"--cluster {where}: names no scheduler; {forms}")
+    try:
+        found = json.loads(Path(where).read_bytes())["address"]
+        if not isinstance(found, str):
+            raise TypeError
+    except OSError as e:
+        raise UsageError(f"--cluster {where}: cannot be read: {e.strerror or e}; {forms}") from None
+    except (ValueError, TypeError, KeyError):
+        raise UsageError(f"--cluster {where}: is no scheduler file: it has no address; {forms}") from None
+    return found
+
+
+def _client(address: str, patience_s: float) -> Client:
+    from distributed import Client
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return Client(address, timeout=patience_s, set_as_default=False)
+
+
+def _host(worker: str) -> str:
+    return worker.rpartition(":")[0]

@@ -1,9 +1,8 @@
-"""Tasks in processes of their own, N at a time: with progress, a wish to stop, and none that takes another down."""
+"""Tasks in processes of their own, N at a time. A process that dies is replaced, and takes no other task down."""
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import faulthandler
 import multiprocessing
 import os
@@ -13,7 +12,8 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from multiprocessing.connection import Connection, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.context import BaseContext
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -23,14 +23,13 @@ from facetrack_cli.runs.pipeline import share_threads
 from facetrack_cli.runs.signals import Stop
 
 Work: TypeAlias = Callable[[Any, Stop, Callable[..., None]], Any]
-"""A function of a module: from a task, the wish to stop, and whom to report the frames done, to a result."""
-Ending: TypeAlias = ctypes.c_int  # the exit code of the wish to stop, 0 without one
-REPORT_S = 0.2  # between a worker's reports
-LOOK_S = 0.2  # between two looks at the signals
+"""A module's function of a task, the wish to stop, and a function to report the frames done; it gives the result."""
+REPORT_S = 0.2  # between two reports of a process
+LOOK_S = 0.2  # between two looks at the wish to stop
 
 
 class DiedError(FacetrackError):
-    """A process ended by itself, and its result is lost; the argument says how, `log` what it said last."""
+    """A process ended by itself, and its result is lost. The argument says how; `log` has its standard error."""
 
     def __init__(self, how: str, log: Sequence[str] = ()) -> None:
         super().__init__(how)
@@ -47,38 +46,57 @@ def side_by_side(
     threads: int = 1,
     tries: int = 1,
 ) -> Generator[tuple[int, Any], None, None]:
-    """Do `tasks`, `workers` at a time: the index and the result of each as it ends, or the exception that ended it.
+    """Do `tasks`, `workers` at a time; yield the index and the result of each as it ends, or the exception.
 
-    `report` hears how many frames are done in all, now and then. Once `stop` says so, those at work are told, and the
-    rest are not begun. Each process does one task after the other, and holds OpenCV to `threads` threads; one that
-    dies is replaced, and if a signal ended it, its task is tried `tries` times. One worker is this process.
+    `report` hears how many frames are done in all. Once `stop` says so, the tasks at work are told, and the others are
+    not begun. Each process does one task after another, and holds OpenCV to `threads` threads. If a signal ends a
+    process, its task is tried `tries` times. With one worker the tasks are done in this process.
     """
-    if workers == 1:
+    if workers == 1 or not tasks:
         yield from _here(tasks, work, stop, report)
         return
     waiting = deque((index, 1) for index in range(len(tasks)))
-    with contextlib.ExitStack() as logs:
-        pool = _Pool(work, threads, workers, Path(logs.enter_context(_log_folder())))
+    running: dict[Future[tuple[object, str]], tuple[int, int, _Process]] = {}
+    processes: set[_Process] = set()
+    with contextlib.ExitStack() as ended:
+        logs = ended.enter_context(tempfile.TemporaryDirectory(prefix="facetrack-", ignore_cleanup_errors=True))
+        with _starting():
+            context = worker_context()
+            # without locks: a process that is killed while it holds a lock would stop all others
+            ending, frames = context.RawValue("i", 0), context.RawArray("q", len(tasks))
         try:
-            while waiting or any(worker.busy for worker in pool.workers):
+            while waiting or running:
                 if stop():
                     waiting.clear()
-                    pool.ending.value = stop.code or ExitCode.INTERRUPTED
-                while waiting and (worker := pool.idle()) is not None:
+                    ending.value = stop.code or ExitCode.INTERRUPTED
+                while waiting and len(running) < workers:
                     index, turn = waiting.popleft()
-                    if not worker.give(index, turn, tasks[index]):  # it has died meanwhile
-                        pool.workers.remove(worker)
-                        waiting.appendleft((index, turn))
-                wait([worker.pipe for worker in pool.workers], timeout=LOOK_S)
-                for index, turn, result in pool.ended():
-                    killed = isinstance(result, DiedError) and pool.killed
-                    if killed and turn < tries and not stop():
-                        waiting.appendleft((index, turn + 1))
-                    else:
-                        yield index, result
-                report(pool.frames)
+                    idle = processes - {process for _, _, process in running.values()}
+                    while True:
+                        process = idle.pop() if idle else _Process(context, ending, frames, threads, Path(logs))
+                        processes.add(process)
+                        with _starting(), contextlib.suppress(BrokenProcessPool):  # it died while it had no task
+                            running[process.begin(work, index, tasks[index])] = index, turn, process
+                            break
+                        processes.remove(process)
+                for future in wait(running, LOOK_S, FIRST_COMPLETED).done:
+                    index, turn, process = running.pop(future)
+                    result: object = future.exception()
+                    if isinstance(result, BrokenProcessPool):
+                        processes.remove(process)
+                        result, killed = process.died()
+                        if killed and turn < tries and not stop():
+                            waiting.appendleft((index, turn + 1))
+                            continue
+                    elif result is None:
+                        result, said = future.result()
+                        sys.stderr.write(said)
+                    yield index, result
+                report(sum(frames))
         finally:
-            pool.end()
+            ending.value = ending.value or ExitCode.INTERRUPTED
+            for process in processes:
+                process.pool.shutdown()
 
 
 def _here(tasks: Sequence[Any], work: Work, stop: Stop, report: Callable[[int], None]) -> Iterator[tuple[int, Any]]:
@@ -101,148 +119,74 @@ def _result(work: Work, task: object, stop: Stop, report: Callable[..., None]) -
         return e
 
 
-class _Pool:
-    """The processes. `frames` are those done in all; `killed` is whether a signal ended the one that died last."""
+class _Process:
+    """A pool of one process: of a larger pool all tasks are lost when one process dies."""
 
-    def __init__(self, work: Work, threads: int, size: int, logs: Path) -> None:
-        with _starting():
-            self._context = worker_context()
-            # no lock: a worker that is killed while it holds one would stop all others
-            self.ending: Ending = self._context.RawValue("i", 0)
-        self._asked, self._size, self._logs = (work, self.ending, threads), size, logs
-        self.workers: list[_Worker] = []
-        self._done = self._made = 0
-        self.killed = False
+    def __init__(self, context: BaseContext, ending: Any, frames: Any, threads: int, logs: Path) -> None:
+        given = (ending, frames, threads, logs)
+        self.pool = ProcessPoolExecutor(1, mp_context=context, initializer=_begin, initargs=given)
+        self._logs = logs
+        self._process: Any = None
 
-    @property
-    def frames(self) -> int:
-        return self._done + sum(worker.frames for worker in self.workers)
+    def begin(self, work: Work, index: int, task: object) -> Future[tuple[object, str]]:
+        before = {*multiprocessing.active_children()} if self._process is None else set()
+        future = self.pool.submit(_do, work, index, task)
+        if self._process is None:
+            self._process = next(iter({*multiprocessing.active_children()} - before), None)
+        return future
 
-    def idle(self) -> _Worker | None:
-        """A process without a task; None if all have one."""
-        found = next((worker for worker in self.workers if not worker.busy), None)
-        if found is None and len(self.workers) < self._size:
-            self._made += 1
-            with _starting():
-                found = _Worker(self._context, self._logs / f"{self._made}", *self._asked)
-            self.workers.append(found)
-        return found
-
-    def ended(self) -> Iterator[tuple[int, int, Any]]:
-        """The tasks that are over: index, turn, result."""
-        for worker in list(self.workers):
-            over = worker.listen()
-            if worker.died:
-                self.workers.remove(worker)
-                self.killed = (worker.process.exitcode or 0) < 0
-            if over:
-                self._done, worker.frames = self._done + worker.frames, 0
-                yield worker.index, worker.turn, worker.result
-
-    def end(self) -> None:
-        """Let all end their tasks, and wait for them."""
-        self.ending.value = self.ending.value or ExitCode.INTERRUPTED
-        for worker in self.workers:
-            worker.pipe.close()
-        for worker in self.workers:
-            worker.process.join()
-
-
-class _Worker:
-    """A process, the pipe to it, and the task it is `busy` with: its index, its turn, its frames, its result."""
-
-    def __init__(self, context: BaseContext, log: Path, *asked: object) -> None:
-        self.index = self.turn = self.frames = 0
-        self.result: object = None
-        self.busy = self.died = False
-        self._log, self._shown = log, 0
-        self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, log, *asked))  # type: ignore[attr-defined]
-        self.process.start()
-        theirs.close()
-
-    def give(self, index: int, turn: int, task: object) -> bool:
-        """Begin a task; False if the process has ended."""
-        self.index, self.turn = index, turn
-        try:
-            self.pipe.send((task,))
-        except OSError:
-            self.listen()
-            return False
-        self.busy = True
-        return True
-
-    def listen(self) -> bool:
-        """Take in what the process says; whether its task is over."""
-        try:
-            while self.pipe.poll():
-                said = self.pipe.recv()
-                if isinstance(said, int):
-                    self.frames = said
-                    continue
-                self.busy, (self.result,) = False, said
-                self._relay()
-                return True
-        except (EOFError, OSError):
-            self.process.join()
-            self.pipe.close()
-            self.died, over, self.busy = True, self.busy, False
-            self.result = DiedError(f"its process ended with code {self.process.exitcode}", self._relay(silent=over))
-            return over
-        return False
-
-    def _relay(self, *, silent: bool = False) -> list[str]:
-        """Pass on what the process wrote to standard error, unless `silent`; its lines."""
+    def died(self) -> tuple[DiedError, bool]:
+        """How the process ended, and whether a signal ended it."""
+        self.pool.shutdown()
+        if self._process is None:  # it ended before it was looked at
+            return DiedError("its process ended as it began"), False
+        code, said = self._process.exitcode, ""
         with contextlib.suppress(OSError):
-            with self._log.open("rb") as file:
-                file.seek(self._shown)
-                new = file.read()
-            self._shown += len(new)
-            if new and not silent:
-                sys.stderr.write(new.decode(errors="replace"))
-            return new.decode(errors="replace").splitlines()
-        return []
+            said = (self._logs / f"{self._process.pid}").read_text(errors="replace")
+        return DiedError(f"its process ended with code {code}", said.splitlines()), (code or 0) < 0
 
 
-def _serve(pipe: Connection, log: Path, work: Work, ending: Ending, threads: int) -> None:
-    """What a process does: its tasks, and to stop when asked by a signal, by its parent, or by its parent's end."""
-    # Ctrl-C reaches every process of a terminal; the parent alone acts on it
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with contextlib.suppress(OSError), log.open("ab") as file:
+# --- in the processes ------------------------------------------------------------------------------------------------
+
+_ending: Any  # shared: the exit code of the wish to stop, 0 without one
+_frames: Any  # shared: the frames done of each task
+_log: Path
+_parent: int
+
+
+def _begin(ending: Any, frames: Any, threads: int, logs: Path) -> None:
+    global _ending, _frames, _log, _parent
+    _ending, _frames, _log, _parent = ending, frames, logs / f"{os.getpid()}", os.getppid()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal; the parent acts on it
+    with contextlib.suppress(OSError), _log.open("ab") as file:
         os.dup2(file.fileno(), 2)
         faulthandler.enable(2)
-    parent = os.getppid()
-    last = 0.0
+    share_threads(threads)
 
-    def send(said: object) -> None:
-        # when nobody listens any more, what there is to close is closed all the same
-        with contextlib.suppress(OSError):
-            pipe.send(said)
+
+def _do(work: Work, index: int, task: object) -> tuple[object, str]:
+    """The result of a task, and the lines that it wrote to standard error."""
+    last = 0.0
 
     def report(done: int, total: int | None = None) -> None:
         nonlocal last
-        now = time.monotonic()
-        if now - last >= REPORT_S:
-            last = now
-            send(done)
+        if (now := time.monotonic()) - last >= REPORT_S:
+            last, _frames[index] = now, done
 
     def asked() -> ExitCode | None:
-        if ending.value:
-            return ExitCode(ending.value)
-        return ExitCode.INTERRUPTED if os.getppid() != parent else None
+        """Whether the parent wishes an end, or is gone."""
+        if _ending.value:
+            return ExitCode(_ending.value)
+        return ExitCode.INTERRUPTED if os.getppid() != _parent else None
 
-    share_threads(threads)
-    with contextlib.suppress(EOFError, OSError):
-        while True:
-            (task,) = pipe.recv()
-            with Stop(asked).listening() as stop:
-                result = _result(work, task, stop, report)
-            sys.stderr.flush()
-            send((result,))
-
-
-def _log_folder() -> contextlib.AbstractContextManager[str]:
-    return tempfile.TemporaryDirectory(prefix="facetrack-", ignore_cleanup_errors=True)
+    with Stop(asked).listening() as stop:
+        result = _result(work, task, stop, report)
+    sys.stderr.flush()
+    said = ""
+    with contextlib.suppress(OSError):
+        said = _log.read_text(errors="replace")
+        os.truncate(_log, 0)
+    return result, said
 
 
 @contextlib.contextmanager

@@ -14,14 +14,6 @@ from pathlib import Path
 import psutil
 
 ROOT = Path(__file__).parents[2]
-HURRIED = """
-import sys
-from facetrack_cli.runs import cluster, scheduler
-cluster.DISK_S = scheduler.WORKERS_S = 0.3
-cluster.SILENT_S = 12.0  # a sign of life comes every 10 s
-from facetrack_cli.__main__ import main
-sys.exit(main())
-"""
 
 
 def until(true: Callable[[], object], seconds: float = 60.0) -> object:
@@ -42,7 +34,6 @@ class Dask:
         self.environment = os.environ | {
             "PYTHONPATH": str(ROOT),
             "MARK": self.mark,
-            "DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": "4s",
             "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
             "DASK_DISTRIBUTED__WORKER__LIFETIME__RESTART": "true",
             "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "false",
@@ -73,8 +64,8 @@ class Dask:
             )
 
     def run(self, *words: object, cwd: Path, wait: bool = True) -> subprocess.Popen[str]:
-        """`facetrack run` with little patience; it has ended unless not waited for."""
-        command = [sys.executable, "-c", HURRIED, "run", *map(str, words)]
+        """`facetrack run`; it has ended unless not waited for."""
+        command = [sys.executable, "-m", "facetrack_cli", "run", *map(str, words)]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
         process = subprocess.Popen(command, env=self.environment, cwd=cwd, **pipes)
         if wait:
@@ -90,16 +81,6 @@ class Dask:
             return one.status() != psutil.STATUS_ZOMBIE and one.environ().get("MARK") == self.mark
         except psutil.Error:
             return False
-
-    def kill(self) -> None:
-        """Kill all that is of Dask, and wait until all that is ours has noticed."""
-        for one in self.left():
-            try:
-                if not any("facetrack_cli" in word for word in one.cmdline()):
-                    one.kill()
-            except psutil.Error:
-                pass
-        until(lambda: not self.left())
 
     def __exit__(self, *_: object) -> None:
         for one in self.left():

@@ -16,10 +16,11 @@ from facetrack_cli.core.errors import ExitCode, FacetrackError, OutputError, Usa
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
-    from facetrack_cli.runs.job import Job, Outcome
+    from facetrack_cli.runs.job import Job, Outcome, Report
     from facetrack_cli.runs.plan import Split
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
+    from facetrack_cli.tracking.smoothed import MotionName
     from facetrack_cli.trajectory.writers import Format
 
     After: TypeAlias = Callable[[Outcome, Stop, Progress], None]
@@ -142,6 +143,7 @@ class Run:
 
     def run(self) -> int:
         from facetrack_cli.runs.batch import run_batch, variant_name
+        from facetrack_cli.runs.cluster import run_cluster
         from facetrack_cli.runs.inputs import expand
         from facetrack_cli.runs.job import Job, default_reason
         from facetrack_cli.runs.live import is_live
@@ -152,8 +154,7 @@ class Run:
         from facetrack_cli.trajectory.batch_file import write_batch
         from facetrack_cli.video.kinds import brings_rate
 
-        if self.cluster is not None:
-            self._check_cluster(self.cluster)
+        local = None if self.cluster is None else self._check_cluster(self.cluster)
         if self.live or any(is_live(one) for one in self.inputs):
             return self._live()
         with progress(self.quiet) as shown:
@@ -173,7 +174,7 @@ class Run:
             write_batch(Path(self.out), recipe.name, given, [folder.name for folder in places if folder])
         first, step = (1, 1) if split else self.shard or (1, 1)
         clips, places = given[first - 1 :: step], places[first - 1 :: step]
-        workers = self.jobs if split else max(1, min(self.jobs, len(clips)))
+        workers = self.jobs if split else max(1, min(local or self.jobs, len(clips)))
         with Stop().listening() as ending, progress(self.quiet) as shown:
             cache.tell(shown.hint)
             jobs = [
@@ -194,7 +195,7 @@ class Run:
                     retry_failed=self.retry_failed,
                     split=split,
                     why=default_reason(self.extent.box, clip) if self.config is None else "",
-                    threads=self.threads or max(1, cores() // workers),
+                    threads=self.threads or (1 if self.cluster else max(1, cores() // workers)),
                     **vars(self.extent) | ({"fps": None} if self.extent.fps and brings_rate(clip) else {}),
                 )
                 for clip, folder in zip(clips, places, strict=True)
@@ -202,9 +203,11 @@ class Run:
             after = self._smooth if self.smooth else None
             if split is not None:
                 code = pieces.run_split(jobs[0], workers, ending, shown, self.shard or (1, 1), _report)
-            elif self.cluster is not None:
-                code = _several(jobs, self._on_cluster(self.cluster), ending, shown, self._smooth_left)
-            elif several:
+            elif self.cluster is not None and local is None:
+                there = partial(_smoothed, motion=self.motion) if self.smooth else None
+                batch = partial(run_cluster, where=self.cluster, after=there)
+                code = _several(jobs, batch, ending, shown, self._smooth_left)
+            elif several or self.cluster is not None:
                 code = _several(jobs, partial(run_batch, workers=workers), ending, shown, after)
             else:  # whose error is the command's
                 code = _one(jobs[0], ending, shown, after)
@@ -239,8 +242,9 @@ class Run:
             follow(images_of(clip), recipe, init, lambda line: click.echo(line), stop)
         return stop.code or ExitCode.DONE
 
-    def _check_cluster(self, where: str) -> None:
-        from facetrack_cli.runs.scheduler import check_cluster
+    def _check_cluster(self, where: str) -> int | None:
+        """The processes of local:N; None if there is a scheduler."""
+        from facetrack_cli.runs.cluster import check_cluster
 
         if self.out == "-":
             raise UsageError("-o - streams one clip from this machine; name a folder, or leave --cluster out")
@@ -248,13 +252,7 @@ class Run:
             raise UsageError("--cluster has workers of its own, -j those of this machine; give one of them")
         if self.split is not None:
             raise UsageError("--split tracks its pieces with -j or --shard; leave --cluster out")
-        check_cluster(where)
-
-    def _on_cluster(self, where: str) -> Batch:
-        from facetrack_cli.runs.cluster import run_cluster
-
-        words = options.words_without("out", "threads", "jobs", "shard", "cluster", "retry_failed", "quiet")
-        return partial(run_cluster, where=where, options=[*words, f"--threads={self.threads or 1}"])
+        return check_cluster(where)
 
     def _smooth_left(self, outcome: Outcome, stop: Stop, shown: Progress) -> None:
         """Smooth what an earlier batch tracked, and did not smooth: workers smooth what they track."""
@@ -290,7 +288,6 @@ class Run:
 
     def _smooth(self, outcome: Outcome, stop: Stop, shown: Progress) -> None:
         """Smooth what a clip gave."""
-        from facetrack_cli.editor.smooth import save_smoothed
         from facetrack_cli.runs.signals import StoppedError
 
         if not outcome.files or outcome.error is not None:
@@ -298,13 +295,11 @@ class Run:
         folder = outcome.files[0].parent
         shown.begin(f"{outcome.clip.name}, smoothed")
         try:
-            files, notes = save_smoothed(
-                folder, motion=self.motion, overwrite=True, clip=outcome.clip, report=shown.update, stop=stop
-            )
+            files, notes = _smoothed(outcome, stop, self.motion, shown.update)
         except StoppedError:
             shown.say(f"{outcome.clip}: not smoothed; facetrack smooth {folder} --overwrite does it")
             return
-        for note in (one for one in notes if one not in outcome.warnings):
+        for note in notes:
             shown.say(f"facetrack: warning: {note}")
         shown.say(f"{outcome.clip}: smoothed: {', '.join(path.name for path in files)}")
 
@@ -322,6 +317,19 @@ class Run:
             raise OutputError("--out is empty; name a folder, or - for standard output")
         names = [""] if self.out and not several else folders(clips, recipe)
         return [Path(self.out or ".") / name for name in names], self.format or ("csv", "json")
+
+
+def _smoothed(
+    outcome: Outcome, stop: Stop, motion: MotionName, report: Report | None = None
+) -> tuple[list[Path], list[str]]:
+    """Smooth a clip that was tracked, also on a worker; its files, and warnings that were not given yet."""
+    from facetrack_cli.editor.smooth import save_smoothed
+    from facetrack_cli.runs.job import silent
+
+    files, notes = save_smoothed(
+        outcome.files[0].parent, motion=motion, overwrite=True, clip=outcome.clip, report=report or silent, stop=stop
+    )
+    return files, [note for note in notes if note not in outcome.warnings]
 
 
 def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode:
