@@ -40,7 +40,7 @@ from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import BOX
 from facetrack_cli.evaluation.experiments import calibrate
 from facetrack_cli.evaluation.experiments.compare import default_truth
-from facetrack_cli.evaluation.experiments.sheet import clip_name
+from facetrack_cli.evaluation.sheet import clip_name
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_video

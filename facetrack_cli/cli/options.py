@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from facetrack_cli.core.files import Folder
     from facetrack_cli.core.types import Box
     from facetrack_cli.editor.web.session import Session
-    from facetrack_cli.evaluation.experiments.compare_text import Comparison
+    from facetrack_cli.evaluation.experiments.compare import Comparison
     from facetrack_cli.evaluation.experiments.repeat import Repetition
     from facetrack_cli.evaluation.rows import Pair
     from facetrack_cli.runs.progress import Progress

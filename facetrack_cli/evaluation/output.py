@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from facetrack_cli.core.errors import flat
@@ -18,13 +17,12 @@ from facetrack_cli.evaluation.measure import HALVES, PERCENT
 from facetrack_cli.evaluation.points import HELD
 from facetrack_cli.evaluation.reliability import ReliabilityBin
 from facetrack_cli.evaluation.rows import NEAR_IOU
+from facetrack_cli.evaluation.sheet import MAX_WIDTH, NO_FIGURE, Sheet, trimmed
 from facetrack_cli.evaluation.summary import MEASURES, Evaluation, Measured
 
 CURVES: Final = ("success", "precision", "normalised_precision")
-WIDTH: Final = 200  # more than any table takes: lines are never cut
-MANY: Final = 12  # parts; of more, the tables of trust show all together alone
-MOST: Final = 20  # occlusions that are listed
-DASH: Final = "\N{EN DASH}"
+MAX_PARTS: Final = 12  # in tables of status, confidence, spread and jitter
+MAX_OCCLUSIONS: Final = 20  # in their table
 
 
 @dataclass(frozen=True)
@@ -84,126 +82,121 @@ def to_csv(evaluation: Evaluation, about: About) -> str:
 
 
 _TABLES: Final = {
-    "points": ("POINTS", "distance to the ground truth"),
-    "boxes": ("BOXES", "overlap with the ground truth"),
-    "lost": ("LOST", "status against the ground truth; covered: hidden or absent; gone: covered or not near"),
+    "points": ("Points", "distance to the ground truth"),
+    "boxes": ("Boxes", "overlap with the ground truth"),
+    "lost": ("Lost", "status against the ground truth; covered: hidden or absent; gone: covered or not near"),
     "confidence": (
-        "CONFIDENCE",
+        "Confidence",
         "how well it tells near rows from others (AUROC: 0.5 not at all, 1 always), and right ones by its value",
     ),
-    "coverage": ("SPREAD", "std_x, std_y against the error of visible rows"),
-    "jitter": ("JITTER", "how far visible rows are from the middle of those before and after"),
+    "coverage": ("Spread", "std_x, std_y against the error of visible rows"),
+    "jitter": ("Jitter", "how far visible rows are from the middle of those before and after"),
 }
 
 
 def to_text(evaluation: Evaluation, about: About, *, colour: bool = False) -> str:
     """All tables; with `colour`, with the escapes of a terminal."""
     console = Console(
-        width=WIDTH, force_terminal=colour, color_system="standard" if colour else None, markup=False, emoji=False
+        width=MAX_WIDTH, force_terminal=colour, color_system="standard" if colour else None, markup=False, emoji=False
     )
     with console.capture() as captured:
-        for block in _blocks(evaluation, about):
-            console.print(block, soft_wrap=isinstance(block, Text))
-    return "\n".join(line.rstrip() for line in captured.get().splitlines()) + "\n"
+        console.print(Text(flat(_compared(about)), "bold"))
+        for line in facts(evaluation):
+            console.print(Text(flat(line)))
+        for sheet in sheets(evaluation):
+            title, _, what = sheet.title.partition(": ")
+            console.print(Text.assemble("\n", (title.upper(), "bold"), ("  " + what, "dim")) if what else "")
+            console.print(sheet.table(ruled=False))
+            for note in sheet.notes:
+                console.print(note)
+        if evaluation.notes:
+            console.print(Text("\nNOTES", "bold"))
+            for note in evaluation.notes:
+                console.print(Text(flat(note)))
+    return trimmed(captured.get())
 
 
-def _blocks(found: Evaluation, about: About) -> Iterator[Text | Table]:
-    several = len({one.target for one in found.parts}) > 1
+def _compared(about: About) -> str:
+    shift = f", shifted by {about.shift:+d} frames" if about.shift else ""
+    ours = f"{about.trajectory}" + (f" (read as {about.results_read_as})" if about.results_read_as else "")
+    return f"{ours} against {about.truth} (read as {about.read_as}{shift})"
+
+
+def facts(found: Evaluation) -> Iterator[str]:
+    """Lines on what was compared, by which length errors are normalised, and what is near and right."""
+    frames = found.frames
+    rows = ", ".join(f"{n:,} {name}" for name, n in found.counts.items() if n or name == "visible")
+    count = f"{len(frames):,} frame{'s' if len(frames) != 1 else ''}"
+    yield f"{count}, {frames[0]} to {frames[-1]}; rows, one a frame and part: {rows}"
+    for target, text in found.units.items():
+        yield f"length{f' of {target}' if len(found.units) > 1 else ''}: {text}"
+    if found.all.points:
+        failed = f"it has failed above {100 * found.options.failure:g} % of it"
+        yield f"a point is near if its error is less than 1/6 of the length; {failed}"
+    if found.all.boxes:
+        yield f"a box is near if its IoU with the ground truth is more than {NEAR_IOU:g}"
+    if found.all.confidence:
+        yield "a row is right if its centre is off by less than 1/4 of the length, of a box 1/4 of its size"
+
+
+def sheets(found: Evaluation) -> Iterator[Sheet]:
+    """All tables. A title is a name and, of all but the second table of confidence, what the table shows.
+
+    Of more than MAX_PARTS parts the tables of status, confidence, spread and jitter show all parts together alone.
+    """
+    several = len({part.target for part in found.parts}) > 1
 
     def name(target: str, part: str) -> str:
         return flat(f"{target}/{part}" if several and part else part or target)
 
-    yield from _head(found, about)
     every = [*found.parts, *([found.all] if len(found.parts) > 1 else [])]
-    for group, words in _TABLES.items():
-        if group == "lost":
-            yield from _occlusions(found, name)
-        few = group in ("points", "boxes") or len(found.parts) <= MANY
+    for group, title in _TABLES.items():
+        if group == "lost" and found.all.occlusions is not None:
+            yield _occlusions(found, name)
+        few = group in ("points", "boxes") or len(found.parts) <= MAX_PARTS
         rows = [one for one in (every if few else every[-1:]) if getattr(one, group) is not None]
         if rows:
-            yield _title(*words)
-            yield _measured(group, rows, name)
+            values = [one.figures for one in rows]
+            shown = {
+                key: measure
+                for key, measure in MEASURES.items()
+                if key.startswith(f"{group}.") and measure.title and (not measure.rare or any(v[key] for v in values))
+            }
+            cells = [
+                tuple(NO_FIGURE if (v := each[key]) is None else measure.write(v) for key, measure in shown.items())
+                for each in values
+            ]
+            named = [(name(one.target, one.part), *own) for one, own in zip(rows, cells, strict=True)]
+            yield Sheet(": ".join(title), ("part", *(one.title for one in shown.values())), tuple(named))
         if group == "confidence" and found.all.confidence is not None and found.all.confidence.bins:
-            yield Text()
-            yield _calibration(found.all.confidence.bins)
-    if found.notes:
-        yield _title("NOTES")
-        yield from map(_line, found.notes)
+            yield _reliability(found.all.confidence.bins)
 
 
-def _line(text: str, style: str = "") -> Text:
-    return Text(flat(text), style)
-
-
-def _title(title: str, note: str = "") -> Text:
-    return Text.assemble("\n", (title, "bold"), (f"  {note}", "dim") if note else "")
-
-
-def _grid(heads: Sequence[str], left: int = 1) -> Table:
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
-    for at, head in enumerate(heads):
-        table.add_column(head, justify="left" if at < left else "right", no_wrap=True, vertical="bottom")
-    return table
-
-
-def _head(found: Evaluation, about: About) -> Iterator[Text]:
-    frames = found.frames
-    shift = f", shifted by {about.shift:+d} frames" if about.shift else ""
-    ours = f"{about.trajectory}" + (f" (read as {about.results_read_as})" if about.results_read_as else "")
-    yield _line(f"{ours} against {about.truth} (read as {about.read_as}{shift})", "bold")
-    rows = ", ".join(f"{n:,} {name}" for name, n in found.counts.items() if n or name == "visible")
-    count = f"{len(frames):,} frame{'s' if len(frames) != 1 else ''}"
-    yield _line(f"{count}, {frames[0]} to {frames[-1]}; rows, one a frame and part: {rows}")
-    for target, text in found.units.items():
-        yield _line(f"length{f' of {target}' if len(found.units) > 1 else ''}: {text}")
-    if found.all.points:
-        failed = f"it has failed above {100 * found.options.failure:g} % of it"
-        yield _line(f"a point is near if its error is less than 1/6 of the length; {failed}")
-    if found.all.boxes:
-        yield _line(f"a box is near if its IoU with the ground truth is more than {NEAR_IOU:g}")
-    if found.all.confidence:
-        yield _line("a row is right if its centre is off by less than 1/4 of the length, of a box 1/4 of its size")
-
-
-def _measured(group: str, rows: Sequence[Measured], name: Callable[[str, str], str]) -> Table:
-    """A row for each part and a column for each measure of a group."""
-    values = [one.figures for one in rows]
-    shown = {
-        key: one
-        for key, one in MEASURES.items()
-        if key.startswith(f"{group}.") and one.title and (not one.rare or any(each[key] for each in values))
-    }
-    table = _grid(["part", *(one.title for one in shown.values())])
-    for row, each in zip(rows, values, strict=True):
-        cells = (DASH if (value := each[key]) is None else one.write(value) for key, one in shown.items())
-        table.add_row(name(row.target, row.part), *cells, style=None if row.part else "bold")
-    return table
-
-
-def _occlusions(found: Evaluation, name: Callable[[str, str], str]) -> Iterator[Text | Table]:
-    whole, every = found.all.occlusions, found.occlusions
-    if whole is None:
-        return
+def _occlusions(found: Evaluation, name: Callable[[str, str], str]) -> Sheet:
+    whole = found.all.occlusions
+    assert whole is not None
     back = f"{whole.returned} of {whole.decided} come back" if whole.decided else "none can be decided"
     median = "" if whole.frames_median is None else f", the median after {HALVES(whole.frames_median)}"
-    yield _title("OCCLUSIONS", f"frames until all covered parts are near for {HELD} rows in a row; {back}{median}")
-    table = _grid(["frames", "parts", "back after"], left=2)
-    for one in every[:MOST]:
+    rows = []
+    for one in found.occlusions[:MAX_OCCLUSIONS]:
         known = one.frames_to_return is not None
         after = (str(one.frames_to_return) if known else "never") if one.decided else "cannot be decided"
         if known and not one.decided:
             after = "by hand"
-        parts = [name(one.target, part) for part in one.parts[:MANY]] + ["..."] * (len(one.parts) > MANY)
-        table.add_row(f"{one.first}-{one.last}", ", ".join(parts), after)
-    yield table
-    if len(every) > MOST:
-        yield _line(f"... and {len(every) - MOST} more; --json has them all")
+        parts = [name(one.target, part) for part in one.parts[:MAX_PARTS]] + ["..."] * (len(one.parts) > MAX_PARTS)
+        rows.append((f"{one.first}-{one.last}", ", ".join(parts), after))
+    more = len(found.occlusions) - MAX_OCCLUSIONS
+    return Sheet(
+        f"Occlusions: frames until all covered parts are near for {HELD} rows in a row; {back}{median}",
+        ("frames", "parts", "back after"),
+        tuple(rows),
+        (f"... and {more} more; --json has them all",) if more > 0 else (),
+        left=(0, 1),
+    )
 
 
-def _calibration(bins: Sequence[ReliabilityBin]) -> Table:
-    table = _grid(["confidence", *(f"{one.low:.1f}-{one.high:.1f}" for one in bins)])
-    table.add_row("rows", *(f"{one.rows:,.0f}" for one in bins))
-    for title, name in (("right, %", "right"), ("visible, %", "visible")):
-        shares = [getattr(one, name) for one in bins]
-        table.add_row(title, *(DASH if one is None else PERCENT(one) for one in shares))
-    return table
+def _reliability(bins: Sequence[ReliabilityBin]) -> Sheet:
+    rows = [("rows", *(f"{one.rows:,.0f}" for one in bins))]
+    for title, shares in (("right, %", [one.right for one in bins]), ("visible, %", [one.visible for one in bins])):
+        rows.append((title, *(NO_FIGURE if share is None else PERCENT(share) for share in shares)))
+    return Sheet("Rows by confidence", ("confidence", *(f"{one.low:.1f}-{one.high:.1f}" for one in bins)), tuple(rows))

@@ -14,6 +14,7 @@ from facetrack_cli import __version__
 from facetrack_cli.core.errors import InputError, needed
 from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.evaluation.match import match
+from facetrack_cli.evaluation.output import facts, sheets
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.summary import Options, evaluate
 from facetrack_cli.recipe.calibrated import calibrated
@@ -29,9 +30,9 @@ from facetrack_cli.trajectory.killed import settle
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory
 
-MOST_PARTS, MOST_SPANS = 100, 100  # rows of a table by part, and of the table of lost spans
+MAX_PARTS, MAX_SPANS = 100, 100  # rows of a table by part, and of the table of lost spans
 _VIDEO: Final = "annotated.mp4"
-_MOST_SVG: Final = 400_000  # bytes; a larger drawing becomes a PNG
+_MAX_SVG_BYTES: Final = 400_000  # a larger drawing becomes a PNG
 _WIDE, _NARROW = 10.0, 4.6  # inches
 _BINS: Final = 1000  # of the bar that shows when a part was lost
 # what HTML forbids, and lone surrogates, which names of files may hold and UTF-8 may not
@@ -82,7 +83,7 @@ def make_report(
     annotated = run / _VIDEO if (run / _VIDEO).is_file() else None
     found = key_images(table, header, shown, clip, annotated, report)
     mean = text.confidence_of(table)
-    longest = sorted(history.spans, key=lambda s: -s.seconds)[:MOST_SPANS]
+    longest = sorted(history.spans, key=lambda s: -s.seconds)[:MAX_SPANS]
     again = command(header, last, run)
     document: str = template.render(
         title=title,
@@ -95,7 +96,7 @@ def make_report(
         calibrated=calibrated(header.recipe),
         warnings=[*text.doubts(header, mean), *header.warnings, *found.notes],
         bars=lambda spans: _bars(spans, first, _BINS / (last - first + 1)),
-        events=sorted(sorted(table.events, key=lambda event: -event.probability)[:MOST_SPANS]),
+        events=sorted(sorted(table.events, key=lambda event: -event.probability)[:MAX_SPANS]),
         several=len(table.targets) > 1,
         spans=sorted(longest, key=lambda s: (s.first, s.name)),
         keys=keys,
@@ -148,7 +149,7 @@ def _template() -> Any:
     style = (folder / "report.css").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
     environment.globals |= {"style": Markup(style), "style_hash": f"sha256-{digest}", "version": __version__}
-    environment.globals |= {"bins": _BINS, "most_parts": MOST_PARTS, "most_spans": MOST_SPANS, "corrected": CORRECTED}
+    environment.globals |= {"bins": _BINS, "most_parts": MAX_PARTS, "most_spans": MAX_SPANS, "corrected": CORRECTED}
     return environment.get_template("report.html.j2")
 
 
@@ -159,8 +160,8 @@ def _measured(table: Trajectory, header: Header, truth: TruthFile) -> tuple[list
     pairs = match(table, theirs, partial=truth.partial, select=truth.target, note=notes.append)
     found = evaluate(pairs, notes, Options(size=header.source.size), reference=theirs.parts)
     read_as = str(theirs.header.get("read_as", truth.form)) + (f", {truth.shift:+d} frames" if truth.shift else "")
-    words = f"Read as {read_as}. {text.about(found)}"
-    return pairs, {"path": str(theirs.path), "about": words, "tables": text.measures(found), "notes": found.notes}
+    words = {"about": f"Read as {read_as}; {'; '.join(facts(found))}.", "tables": list(sheets(found))}
+    return pairs, {"path": str(theirs.path), **words, "notes": found.notes}
 
 
 def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Mapping[str, Image]:
@@ -169,7 +170,7 @@ def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Mapping[str, Imag
     width, height = figure.get_size_inches()
     size = (round(96 * width), round(96 * height))
     wide = Image(plots.render(figure, "svg"), size, "image/svg+xml")
-    if len(wide.data) > _MOST_SVG:
+    if len(wide.data) > _MAX_SVG_BYTES:
         wide = Image(plots.render(figure, "png", dpi=150), size, "image/png")
     narrow = plots.render(plots.page_figure(table, pairs, title=title, width=_NARROW), "png", dpi=180)
     return {"wide": wide, "narrow": Image(narrow, (442, 0), "image/png")}

@@ -1,16 +1,13 @@
-"""The report in words: the summary, what each key frame shows, and the measures (`facetrack eval` prints all)."""
+"""The report in words: the summary, and what each key frame shows."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final
 
 import numpy as np
 
 from facetrack_cli.core.numbers import clock as at_clock
-from facetrack_cli.evaluation.measure import Value
-from facetrack_cli.evaluation.rows import NEAR_IOU
-from facetrack_cli.evaluation.summary import Evaluation
 from facetrack_cli.recipe.calibrated import calibrated, fitted
 from facetrack_cli.report.events import Clock, Event, KeyFrame, RunHistory
 from facetrack_cli.runs.verdict import DOUBTFUL
@@ -177,87 +174,3 @@ def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) 
 
 def _are(those: Sequence[str], most: int = 8) -> str:
     return f"{names(those, most)} {'is' if len(those) == 1 else 'are'}"
-
-
-class Measures(NamedTuple):
-    caption: str
-    head: tuple[str, ...]
-    rows: Sequence[tuple[str, ...]]
-
-
-_Columns: TypeAlias = Sequence[tuple[str, str, int | None]]  # title, measure, decimals; None: a share
-_POINTS: Final = (
-    ("mean (px)", "points.mean_px", 2),
-    ("median (px)", "points.median_px", 2),
-    ("95 % below (px)", "points.p95_px", 2),
-    ("mean, normalised", "points.mean_normalised", 3),
-    ("failures", "points.failure_rate", None),
-    ("AUC", "points.auc", 3),
-)
-_BOXES: Final = (
-    ("success AUC", "boxes.success_auc", 3),
-    ("precision, 20 px", "boxes.precision_20", 3),
-    ("normalised precision AUC", "boxes.normalised_auc", 3),
-    ("AO", "boxes.ao", 3),
-    ("SR 0.5", "boxes.sr50", 3),
-    ("VOT accuracy", "boxes.vot_accuracy", 3),
-    ("good tracking rate", "boxes.good_rate", None),
-)
-_TRUST: Final = (
-    ("Called lost, and hidden or absent in the ground truth (precision)", "lost.precision", None),
-    ("Hidden or absent in the ground truth, and called lost (recall)", "lost.recall", None),
-    ("Called tracked, and near the ground truth", "lost.tracked_near", None),
-    ("Frames until a hidden part is called lost (median)", "lost.delay_lost", 1),
-    ("Parts that come back after an occlusion", "occlusions.recovered", None),
-    ("Frames until they are back (median)", "occlusions.frames_median", 1),
-    ("Mean error while hidden (px)", "points.hidden_mean_px", 2),
-    ("Confidence separates near from not near (area under ROC)", "confidence.auroc_near", 3),
-    ("Ground truth within the 50 % ellipse of the particles", "coverage.within_50", None),
-    ("Ground truth within the 90 % ellipse of the particles", "coverage.within_90", None),
-)
-
-
-def measures(evaluation: Evaluation) -> list[Measures]:
-    """Tables of the errors of points, of boxes, and of the tracker's status and confidence; none that is empty."""
-    whole = evaluation.all.figures
-    several = len({part.target for part in evaluation.parts}) > 1
-    rows = [(part.name if several else part.part, part.figures) for part in evaluation.parts]
-    if len(rows) > 1:
-        rows.insert(0, ("all", whole))
-    trust = [(what, _cell(whole[name], digits)) for what, name, digits in _TRUST if whole.get(name) is not None]
-    found = [
-        _by_part("Error of points while they are visible", _POINTS, rows),
-        _by_part("Overlap and place of boxes", _BOXES, rows),
-        Measures("How reliable the tracker's status and confidence are", ("all parts together", "value"), trust),
-    ]
-    return [table for table in found if table.rows]
-
-
-def about(evaluation: Evaluation) -> str:
-    """What was compared, in a sentence or two."""
-    rows = ", ".join(f"{n:,} {status}" for status, n in evaluation.counts.items() if n) or "none"
-    several, frames = len(evaluation.units) > 1, evaluation.frames
-    units = "; ".join(f"{text}{f' ({name})' if several else ''}" for name, text in evaluation.units.items())
-    shared = f"{count(len(frames), 'frame')} that the run and the ground truth share, {frames[0]} to {frames[-1]}"
-    found = [f"{shared}; rows of the ground truth: {rows}.", f"Normalised errors are divided by {units}."]
-    if evaluation.all.points is not None:
-        off = f"{100 * evaluation.options.failure:g}\u00a0%"
-        found.append(f"A point has failed if it is off by more than {off} of that, and is near if by less than 1/6.")
-    if evaluation.all.boxes is not None:
-        found.append(f"A box is near if it overlaps the ground truth by more than {NEAR_IOU:g}.")
-    return " ".join(found)
-
-
-def _by_part(caption: str, columns: _Columns, rows: Sequence[tuple[str, Mapping[str, Value]]]) -> Measures:
-    """A row for each part and a column for each measure, of those that are defined."""
-    shown = [one for one in columns if any(values.get(one[1]) is not None for _, values in rows)]
-    cells = [
-        (part, *(_cell(values.get(name), digits) for _, name, digits in shown))
-        for part, values in rows
-        if any(values.get(name) is not None for _, name, _ in shown)
-    ]
-    return Measures(caption, ("", *(title for title, _, _ in shown)), cells)
-
-
-def _cell(value: Value, digits: int | None) -> str:
-    return percent(value) if digits is None else number(value, digits)

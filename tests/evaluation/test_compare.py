@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.evaluation.experiments.compare import (
     CUMULATIVE_AT,
+    Comparison,
     Entry,
     Options,
     Score,
@@ -26,7 +27,6 @@ from facetrack_cli.evaluation.experiments.compare import (
     score_run,
     tail_overlap,
 )
-from facetrack_cli.evaluation.experiments.compare_text import Comparison
 from facetrack_cli.runs.seeds import labels, variant
 from facetrack_cli.trajectory.trajectory import joined, one_part
 

@@ -6,20 +6,21 @@ import sys
 
 import pytest
 
-from facetrack_cli.evaluation.experiments import sheet
-from facetrack_cli.evaluation.experiments.sheet import Sheet
+from facetrack_cli.evaluation import sheet
+from facetrack_cli.evaluation.sheet import Sheet
 
 GIVEN = Sheet(
     "a title",
     ("rank", "recipe", "mean\nerror, px ↓", "failed"),
     (("1", "sir", "12.34 ± 0.56", "0 of 10"),),
     ("A note. " * 9,),
+    left=(1,),
 )
 
 
 @pytest.mark.parametrize("width", [20, 45, 100])
 def test_a_table_loses_no_column_where_there_is_little_room(capsys, monkeypatch, width):
-    monkeypatch.setattr(sheet, "WIDE", width)
+    monkeypatch.setattr(sheet, "WIDTH", width)
     GIVEN.show()
     lines = capsys.readouterr().out.splitlines()
     assert lines[3].split() == ["rank", "recipe", "error,", "px", "↓", "failed"]

@@ -7,7 +7,7 @@ import pytest
 
 from facetrack_cli.core.errors import InputError, RecipeError, UsageError
 from facetrack_cli.core.yaml_tree import rewritten
-from facetrack_cli.evaluation.experiments import tune, tune_text
+from facetrack_cli.evaluation.experiments import tune
 from facetrack_cli.evaluation.experiments.tune import EVIDENCE, Range, Search, Setting, Tuning, read_range
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
@@ -98,7 +98,7 @@ def test_a_fold_chooses_without_its_own_clip():
 def test_the_recipe_as_it_is_is_kept_where_nothing_is_better():
     found = tuning([[[2, 2], [2, 2]], [[2, 2], [2, 2]]])
     assert found.best().values == () and found.gain == (0, 0)
-    assert "not larger than the spread" in tune_text.verdict(found)
+    assert "not larger than the spread" in tune.verdict(found)
 
 
 def test_the_gain_is_held_against_the_spread():
@@ -107,7 +107,7 @@ def test_the_gain_is_held_against_the_spread():
     clear = tuning([before, before - 2 + 0.1 * rng.standard_normal((4, 5))])
     gain, reach = clear.gain
     assert gain == pytest.approx(2, abs=0.2) and 0 < reach < 0.5
-    assert "is larger than the spread: on 4 of 4" in tune_text.verdict(clear)
+    assert "is larger than the spread: on 4 of 4" in tune.verdict(clear)
     uneven = before - np.array([[6], [0.5], [-0.2], [0.1]])  # one clip gains, the others hardly differ
     gains = tuning([before, uneven]).gain
     assert gains[1] > gains[0] > 0
@@ -119,23 +119,23 @@ def test_the_gain_is_held_against_the_spread():
 
 def test_one_seed_of_a_random_tracker_and_one_clip_prove_nothing():
     one_seed = tuning([[[5.0], [5.0]], [[1.0], [1.0]]])
-    assert one_seed.gain[1] == np.inf and "one seed tells nothing" in tune_text.verdict(one_seed)
+    assert one_seed.gain[1] == np.inf and "one seed tells nothing" in tune.verdict(one_seed)
     one_clip = tuning([[[5.0, 5.1]], [[1.0, 1.1]]])
-    said = tune_text.verdict(one_clip)
+    said = tune.verdict(one_clip)
     assert said.startswith("No clip was held out") and "flatters it" in said
-    assert tune_text.sheet(one_clip).heads[0] == "clip"
-    tune_text.as_json(one_seed), tune_text.as_json(one_clip)  # strict JSON has no infinity
+    assert tune.sheet(one_clip).heads[0] == "clip"
+    tune.as_json(one_seed), tune.as_json(one_clip)  # strict JSON has no infinity
 
 
 def test_the_table_says_how_far_folds_differ():
     found = tuning(
         [[[5, 5], [5, 5], [5, 5]], [[1, 1], [1, 1], [9, 9]], [[6, 6], [6, 6], [0, 0]]], values=["0.3", "0.05"]
     )
-    sheet = tune_text.sheet(found)
+    sheet = tune.sheet(found)
     assert [row[1] for row in sheet.rows] == ["0.05", "0.05", "0.3", ""]
     assert sheet.rows[0][2:] == ("5.00 ± 0.00", "6.00 ± 0.00", "-1.00")
     assert "motion.sigma: folds choose 0.05 to 0.3, 0.3 by all clips; 0.1 in the recipe as it is." in sheet.notes
-    assert sheet.notes[-1] == tune_text.verdict(found)
+    assert sheet.notes[-1] == tune.verdict(found)
 
 
 def test_evidence_is_the_mean_of_known_frames_summed_over_targets():
@@ -162,7 +162,7 @@ def test_rewriting_keeps_a_recipe_as_it_is(path):
 
 def test_the_recipe_that_is_written_is_the_best_one(tmp_path):
     found = tuning([[[5, 5], [5, 5]], [[1, 1], [1, 1]]], values=["0.0625"])
-    text = tune_text.tuned_recipe(found, ["filter.particles=50", "confidence.patience=5"])
+    text = tune.tuned_recipe(found, ["filter.particles=50", "confidence.patience=5"])
     assert text.startswith("# factorized, tuned: motion.sigma=0.0625, the best by points.mean_px on a.mp4, b.mp4.\n")
     assert "small templates on the mouth" in text and "  sigma: 0.0625\n" in text
     (tmp_path / "t.yaml").write_text(text, encoding="utf-8")

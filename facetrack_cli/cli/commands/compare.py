@@ -65,7 +65,7 @@ class Compare:
 
     def run(self) -> int:
         from facetrack_cli.evaluation.experiments import compare
-        from facetrack_cli.evaluation.experiments.compare_text import Comparison
+        from facetrack_cli.evaluation.experiments.compare import Comparison
         from facetrack_cli.report.figures.comparison import compare_figures
         from facetrack_cli.runs.batch import title
         from facetrack_cli.runs.seeds import labels, load_recipes, refuse_seed, variant

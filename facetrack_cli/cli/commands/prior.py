@@ -6,7 +6,6 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import Whole, argument, option, say, verb, write_figure
-from facetrack_cli.core.errors import flat
 
 
 @click.group()
@@ -91,6 +90,7 @@ class Show:
     overwrite: bool = options.OVERWRITE
 
     def run(self) -> None:
+        from facetrack_cli.evaluation.sheet import Sheet
         from facetrack_cli.report.figures.shape_prior import prior_figure
         from facetrack_cli.tracking.models.shape_prior import default_prior_path, load_prior, suggested_sigma
 
@@ -99,15 +99,18 @@ class Show:
         out = self.out or (path.with_suffix(".png") if self.file else Path(path.with_suffix(".png").name))
         sigma = suggested_sigma(prior)
         write_figure(out, lambda: prior_figure(prior, sigma, title=path.name), overwrite=self.overwrite, inputs=[path])
-        click.echo(flat(f"{path.name}: {len(prior.shapes)} shapes of {len(prior.parts)} parts"))
-        click.echo(flat(f"registered by {prior.stable}; unit: {prior.scale[0]} to {prior.scale[1]} in the first frame"))
-        click.echo(flat(f"suggested sigma: {sigma:.3f}"))
-        click.echo(flat(f"{'part':<14}{'x from':>8}{'to':>8}{'sd':>8}{'y from':>10}{'to':>8}{'sd':>8}"))
-        low, high, sd = prior.shapes.min(0), prior.shapes.max(0), prior.shapes.std(0)
-        for k, name in enumerate(prior.parts):
-            x, y = ((low[k, c], high[k, c], sd[k, c]) for c in (0, 1))
-            click.echo(flat(f"{name:<14}{x[0]:>8.3f}{x[1]:>8.3f}{x[2]:>8.3f}{y[0]:>10.3f}{y[1]:>8.3f}{y[2]:>8.3f}"))
-        click.echo(flat(f"figure: {out}"))
+        rows = []
+        for name, low, high, sd in zip(
+            prior.parts, prior.shapes.min(0), prior.shapes.max(0), prior.shapes.std(0), strict=True
+        ):
+            rows.append((name, *(f"{of[axis]:.3f}" for axis in (0, 1) for of in (low, high, sd))))
+        notes = (
+            f"registered by {prior.stable}; unit: {' to '.join(prior.scale)} in the first frame",
+            f"suggested sigma: {sigma:.3f}",
+            f"figure: {out}",
+        )
+        title = f"{path.name}: {len(prior.shapes)} shapes of {len(prior.parts)} parts"
+        Sheet(title, ("part", "x from", "to", "sd", "y from", "to", "sd"), tuple(rows), notes).show()
 
 
 command.add_command(verb(Fit, "fit"))

@@ -50,7 +50,7 @@ class Repeat:
 
     def run(self) -> int:
         from facetrack_cli.evaluation.experiments.repeat import Repetition, spreads
-        from facetrack_cli.evaluation.experiments.sheet import clip_name
+        from facetrack_cli.evaluation.sheet import clip_name
         from facetrack_cli.recipe.files import default_recipe
         from facetrack_cli.report.figures.comparison import repeat_figures
         from facetrack_cli.runs.batch import title

@@ -1,21 +1,14 @@
 """facetrack suggest: which recipe a clip asks for."""
 
-from __future__ import annotations
-
 import json
-import math
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FRAME, Extent, Whole, argument, flag, group, option, verb
 from facetrack_cli.core.errors import ExitCode, InputError
-
-if TYPE_CHECKING:
-    from facetrack_cli.evaluation.experiments.suggest import Trial
 
 
 class Suggest:
@@ -49,7 +42,16 @@ class Suggest:
     quiet: bool = options.QUIET
 
     def run(self) -> int:
-        from facetrack_cli.evaluation.experiments.suggest import ANY, FACE, NO_SKIN, as_json, is_grey, piece, suggest
+        from facetrack_cli.evaluation.experiments.suggest import (
+            ANY,
+            FACE,
+            NO_SKIN,
+            as_json,
+            is_grey,
+            piece,
+            sheet_of,
+            suggest,
+        )
         from facetrack_cli.recipe.load import load_recipe
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.seeds import labels, variant
@@ -83,7 +85,9 @@ class Suggest:
         if self.json:
             click.echo(json.dumps(as_json(str(self.clip), frames, trials, command), indent=2))
         else:
-            _print(trials, command, f"frames {frames[0].index} to {frames[-1].index}")
+            where = f"{self.clip.name}, frames {frames[0].index} to {frames[-1].index}"
+            sheet_of(where, trials).show()
+            click.echo(f"take: {command}")
         return ExitCode.DONE
 
     def _command(self, recipe: str) -> str:
@@ -98,16 +102,6 @@ class Suggest:
         if self.init_frame is not None:
             words += ["--init-frame", str(self.init_frame)]
         return shlex.join(words)
-
-
-def _print(trials: list[Trial], command: str, where: str) -> None:
-    width = max(len(one.recipe) for one in trials)
-    click.echo(f"{'recipe':{width}}  agreement  lost  confidence  evidence  ms a frame   ({where})")
-    for one in trials:
-        sure = "-" if math.isnan(one.confidence) else f"{one.confidence:.2f}"
-        figures = f"{one.agreement:9.2f}  {one.lost:4.0%}  {sure:>10}  {one.evidence:8.2f}  {one.ms:10.1f}"
-        click.echo(f"{one.recipe:{width}}  {figures}")
-    click.echo(f"take: {command}")
 
 
 command = verb(Suggest)

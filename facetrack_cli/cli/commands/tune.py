@@ -72,7 +72,7 @@ class Tune:
 
     def run(self) -> int:
         from facetrack_cli.core.files import check_new, write_new
-        from facetrack_cli.evaluation.experiments import tune, tune_text
+        from facetrack_cli.evaluation.experiments import tune
         from facetrack_cli.evaluation.experiments.compare import check_measure, default_truth
         from facetrack_cli.recipe.files import find_recipe
         from facetrack_cli.runs.progress import progress
@@ -119,14 +119,14 @@ class Tune:
                 shown.say(f"facetrack: warning: {line}")
             try:
                 if self.out is not None:
-                    text = tune_text.tuned_recipe(found, self.set)
+                    text = tune.tuned_recipe(found, self.set)
                     write_new(self.out, text.encode(), overwrite=self.overwrite)
                     shown.say(f"{recipe.name} -> {self.out}")
             finally:  # what took long is not lost for a full disk
                 if self.as_json:
-                    click.echo(tune_text.as_json(found), nl=False)
+                    click.echo(tune.as_json(found), nl=False)
                 else:
-                    tune_text.sheet(found).show()
+                    tune.sheet(found).show()
         return stopped.code or ExitCode.DONE
 
 

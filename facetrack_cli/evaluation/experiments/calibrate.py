@@ -17,10 +17,10 @@ from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import BOX, Mask
 from facetrack_cli.evaluation.experiments.calibration_fit import Fitted, Sample, bins_of, fit, joined
-from facetrack_cli.evaluation.experiments.sheet import NO_FIGURE, Sheet, clip_name
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.reliability import ConfidenceMeasures, mahalanobis_squared, reliability_bins
 from facetrack_cli.evaluation.rows import Pair, rows_of
+from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet, clip_name
 from facetrack_cli.evaluation.summary import units_of
 from facetrack_cli.recipe.model import ParticleFilter, ParticlesRecipe, Recipe
 from facetrack_cli.runs.seeds import Plan, Report, run_plans
@@ -84,7 +84,7 @@ def _sheet(title: str, one: Fitted) -> Sheet:
         f"90 %, with the spread as it is {100 * one.checked.within_90_raw:.0f} %.",
         f"The map is {one.name}. Log loss on clips left out: {losses}.",
     )
-    return Sheet(title, ("confidence", *heads), tuple(rows), notes, left=(0,))
+    return Sheet(title, ("confidence", *heads), tuple(rows), notes)
 
 
 def run(

@@ -20,9 +20,9 @@ import numpy as np
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.numbers import document
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.evaluation.experiments.sheet import NO_FIGURE, Sheet, clip_name, rounded
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.rows import places
+from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet, clip_name, rounded
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -162,7 +162,7 @@ class Repetition:
                 f"{errors.min():.1f} to {errors.max():.1f}" if errors.size else NO_FIGURE,
             )
             rows.append((name, *figures)[: len(heads)])
-        return Sheet(title, heads, tuple(rows), tuple(self.notes()), left=(0,))
+        return Sheet(title, heads, tuple(rows), tuple(self.notes()))
 
     def notes(self) -> list[str]:
         """What one must know to read the table, and who leaves."""

@@ -19,6 +19,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start, TargetStart
+from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet, rounded
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.start import Begin, completed, frames_of
 from facetrack_cli.tracking.build.build import tracker_for
@@ -31,8 +32,8 @@ ANY: Final = ("correlation_filter", "skin_ncc_robust")
 MARGIN: Final = 0.05  # of the score, by which another recipe must be better than the default, the first
 NO_SKIN: Final = "likelihood.skin=null"  # of skin_ncc_robust where a clip is grey
 FRAMES: Final = 100
-MOST_BYTES: Final = 512 << 20  # of the frames that are kept
-GREY: Final = 3.0  # mean difference of colour channels, in grey levels, below which a clip is grey
+MAX_BYTES: Final = 512 << 20  # of the frames that are kept
+MAX_GREY: Final = 3.0  # mean difference of colour channels, in grey levels, of a clip without colour
 
 
 @dataclass(frozen=True)
@@ -65,9 +66,9 @@ class _Track:
 
 
 def piece(begin: Begin, start: Start, most: int = FRAMES) -> list[Frame]:
-    """The first frames from a start on, as many as `MOST_BYTES` hold."""
+    """The first frames from a start on, as many as `MAX_BYTES` hold."""
     with begin.open(start.frame) as source:
-        most = max(2, min(most, MOST_BYTES // (3 * source.size[0] * source.size[1])))
+        most = max(2, min(most, MAX_BYTES // (3 * source.size[0] * source.size[1])))
         frames = list(islice(frames_of(source, start.frame, start.origin), most))
     if len(frames) < 2:
         raise InputError(f"{begin.clip}: a single frame says nothing about recipes; give a longer clip")
@@ -76,7 +77,7 @@ def piece(begin: Begin, start: Start, most: int = FRAMES) -> list[Frame]:
 
 def is_grey(frame: Frame) -> bool:
     image = frame.bgr.astype(np.int16)
-    return float(np.ptp(image, axis=2).mean()) < GREY
+    return float(np.ptp(image, axis=2).mean()) < MAX_GREY
 
 
 def suggest(
@@ -148,10 +149,18 @@ def _tracked(recipe: Recipe, start: Start, frames: Sequence[Frame]) -> _Track:
     return _Track(np.array(boxes), np.array(lost), confidence, nats / len(frames), points, seconds)
 
 
-def as_json(clip: str, frames: Sequence[Frame], trials: Sequence[Trial], command: str) -> dict[str, Any]:
-    """What --json prints; figures to four decimals, null where there is none."""
+def sheet_of(where: str, trials: Sequence[Trial]) -> Sheet:
+    """A row for each recipe, the best first."""
     rows = []
     for one in trials:
-        row = {**asdict(one), "score": one.score}
-        rows.append({k: v if isinstance(v, str) else round(v, 4) if np.isfinite(v) else None for k, v in row.items()})
-    return {"clip": clip, "first": frames[0].index, "frames": len(frames), "trials": rows, "command": command}
+        figures = f"{one.evidence:.2f}", f"{one.ms:.1f}"
+        confidence = NO_FIGURE if np.isnan(one.confidence) else f"{one.confidence:.2f}"
+        rows.append((one.recipe, f"{one.agreement:.2f}", f"{one.lost:.0%}", confidence, *figures))
+    return Sheet(where, ("recipe", "agreement", "lost", "confidence", "evidence", "ms a frame"), tuple(rows))
+
+
+def as_json(clip: str, frames: Sequence[Frame], trials: Sequence[Trial], command: str) -> dict[str, Any]:
+    """What --json prints; figures to four decimals, null where there is none."""
+    rows = [asdict(one) | {"score": one.score} for one in trials]
+    plain = [{k: v if isinstance(v, str) else rounded(v, 4) for k, v in row.items()} for row in rows]
+    return {"clip": clip, "first": frames[0].index, "frames": len(frames), "trials": plain, "command": command}
