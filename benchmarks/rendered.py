@@ -32,7 +32,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "sample_videos"))
+sys.path.insert(0, str(Path(__file__).parent.parent / "tools" / "samples"))
 
 import faces
 from clip_files import Clip, TruthRow, fastest, start_of, write_init, write_truth, write_video

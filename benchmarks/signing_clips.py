@@ -1,4 +1,4 @@
-"""Further clips of a signer, as sample_videos/signing.py draws them, with random scripts, for docs/results.md.
+"""Further clips of a signer, as tools/samples/signing.py draws them, with random scripts, for docs/results.md.
 
     python benchmarks/signing_clips.py OUT 1 2 3      OUT/signing_1.mp4 and so on, with init file and ground truth
 
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-SAMPLES = Path(__file__).parent.parent / "sample_videos"
+SAMPLES = Path(__file__).parent.parent / "tools" / "samples"
 sys.path.insert(0, str(SAMPLES))
 
 import signing  # noqa: E402

@@ -72,11 +72,12 @@ def mesh_model(tmp_path_factory):
 
 @pytest.fixture
 def sample_scripts(monkeypatch):
-    """The scripts in sample_videos/ can be imported, and are forgotten after the test: their names are short."""
+    """The scripts in tools/samples/ can be imported, and are forgotten after the test: their names are short."""
     pytest.importorskip("skimage", reason="needs the extra: pip install -e '.[samples]'")
-    monkeypatch.syspath_prepend(str(FOLDER))
+    scripts = str(FOLDER.parent / "tools" / "samples")
+    monkeypatch.syspath_prepend(scripts)
     before = set(sys.modules)
     yield
     for module in set(sys.modules) - before:
-        if str(FOLDER) in str(getattr(sys.modules[module], "__file__", "")):
+        if scripts in str(getattr(sys.modules[module], "__file__", "")):
             del sys.modules[module]

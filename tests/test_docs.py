@@ -181,7 +181,7 @@ def test_command_lines_that_do_not_parse_are_refused(wrong):
 def test_scripts_named_are_there():
     for page in PAGES:
         for block in blocks(page, "sh", "bash"):
-            for script in re.findall(r"python3? ((?:benchmarks|tools|sample_videos)/\S+\.py)", block):
+            for script in re.findall(r"python3? ((?:benchmarks|tools)/\S+\.py)", block):
                 assert (ROOT / script).exists(), f"{page.name}: {script}"
 
 

@@ -1,4 +1,4 @@
-"""Render the sample clips and the gallery again, with init files and ground truth: `python sample_videos/make.py`.
+"""Render the sample clips and the gallery again, with init files and ground truth: `python tools/samples/make.py`.
 
 Needs the `samples` extra (`pip install -e '.[samples]'`): the portraits are those that scikit-image and matplotlib
 carry.
@@ -31,6 +31,7 @@ from timeline import Array
 from warp import Moment, to_skin, to_skull
 from zoom import zoom
 
+SAMPLES = Path(__file__).parents[2] / "sample_videos"
 Truth = list[dict[str, tuple[float, float]]]
 
 
@@ -120,7 +121,7 @@ def main() -> None:
     names = [*CLIPS, GALLERY]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("clips", nargs="*", metavar="CLIP", help=f"of {', '.join(names)}; all unless named")
-    parser.add_argument("-o", "--out", type=Path, default=Path(__file__).parent, help="folder (default: this one)")
+    parser.add_argument("-o", "--out", type=Path, default=SAMPLES, help=f"folder [default: {SAMPLES}]")
     args = parser.parse_args()
     for name in args.clips or names:
         if name not in names:
