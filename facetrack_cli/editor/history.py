@@ -17,7 +17,7 @@ from facetrack_cli.tracking.start.init_file import TARGET
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory
 
-MOST_STEPS: Final = 1000  # that can be undone
+MAX_STEPS: Final = 1000  # that can be undone
 Tracks: TypeAlias = Mapping[str, Sequence[Track]]  # of each target
 
 
@@ -145,7 +145,7 @@ class Fixer:
             self._known[name] += [track for track in tracks if track not in self._known[name]]
         if became == self.corrections:
             return
-        self._past = [*self._past, self._step][-MOST_STEPS:]
+        self._past = [*self._past, self._step][-MAX_STEPS:]
         self._take(Step(became, {name: tuple(tracks) for name, tracks in found.items()}))
 
     def _take(self, step: Step) -> None:

@@ -1,15 +1,13 @@
 """A finished run, read from its folder: rows, recipe, start, and the clip that it was made from."""
 
-import contextlib
 import os
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, Final
 
 import numpy as np
 from pydantic import ValidationError
@@ -26,13 +24,12 @@ from facetrack_cli.tracking.start import check_start
 from facetrack_cli.trajectory.header import Header, corrections_record, read_header
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory
-from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, Format, Sink, footer_of, json_frames
+from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, Format, footer_of, json_frames
 from facetrack_cli.video.images import listing
 from facetrack_cli.video.kinds import brings_rate
 
 STATUS: Final = ("init", "tracked", "lost", "absent")
 _AGAIN: Final = "make the run again"
-_FRAME: Final = re.compile(rb'\{(?:"type":"frame",)?"frame":(\d{1,15}),')
 
 
 @dataclass(frozen=True)
@@ -100,15 +97,9 @@ def run_files(folder: Path) -> dict[Format, Path]:
 
 def read_files(files: Mapping[Format, Path]) -> Trajectory:
     """The rows of a run's JSON, or else its JSON lines; its other trajectories must hold the same. Raises InputError,
-    with the line, for what is not byte for byte as a run writes it, and for a file that differs.
+    with the line, for a file that is not byte for byte as a run writes it, and for a file that differs.
     """
     main = files["json"] if "json" in files else files["jsonl"]
-    last = None
-    with contextlib.suppress(OSError), main.open("rb") as file:  # what cannot be read is refused next
-        for line, frame, _ in _frames(file):
-            if last is not None and frame != last + 1:
-                raise InputError(f"{main}:{line}: frame {frame} follows frame {last}; {_AGAIN}")
-            last = frame
     rows = read_trajectory(main)
     if "lost_frames" not in rows.header or "init" not in rows.header:
         raise _not_ours(main)
@@ -119,75 +110,81 @@ def read_files(files: Mapping[Format, Path]) -> Trajectory:
     for form, path in files.items():
         try:
             if path != main:
-                with path.open("rb") as file:
-                    write_rows(form, _Compared(file, path, main.name), rows)
+                _check_same(form, path, rows)
         except OSError as e:
             raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable") from e
     return rows
 
 
-def _frames(file: BinaryIO) -> Iterator[tuple[int, int, bytes]]:
-    """(line, frame, text) of each line of a frame in JSON or JSON lines."""
-    for line, text in enumerate(file, 1):
-        if found := _FRAME.match(text):
-            yield line, int(found[1]), text
-
-
 def _check_main(rows: Trajectory) -> None:
-    """InputError if a row is missing, or a frame in their file is not, byte by byte, what is written for it."""
-    for one in rows.parts:
-        if len(one) < len(rows.frames):
-            missing = int(np.setdiff1d(rows.frames, one.frame)[0])
-            raise InputError(f"{_place(rows, missing)}: frame {missing} has no row of {one.name}; {_AGAIN}")
-    strange = ~np.isin(rows.status, STATUS)
-    if strange.any():
-        raise _not_ours(_place(rows, int(rows.frame[strange].min())))
-    texts = (text.encode(errors="backslashreplace") for text in json_frames(rows))
-    with rows.path.open("rb") as file:
-        for line, _, found in _frames(file):
-            expected = found[: found.index(b'"frame":')] + next(texts, b"") + b"}"
-            if found not in (expected + b"\n", expected + b",\n"):
-                raise _not_ours(f"{rows.path}:{line}")
-    if next(texts, None) is not None:
-        raise _not_ours(rows.path)
+    """InputError if a row is missing, or if the line of a frame is not, byte for byte, what a run writes for it."""
+    main, frames = rows.path, rows.frames
+    if (gaps := np.flatnonzero(np.diff(frames) != 1)).size:
+        after, before = frames[gaps[0] + 1], frames[gaps[0]]
+        raise InputError(f"{main}: frame {after} follows frame {before}; {_AGAIN}")
+    for part in rows.parts:
+        if len(part) < len(frames):
+            missing = np.setdiff1d(frames, part.frame)[0]
+            raise InputError(f"{main}: frame {missing} has no row of {part.name}; {_AGAIN}")
+    begins = "{" if main.suffix == ".json" else '{"type":"frame",'
+    with main.open("rb") as file:
+        lines = enumerate(file, 1)
+        for _, text in lines:  # the header: of JSON lines it is one line
+            if main.suffix == ".jsonl" or text == b'"frames": [\n':
+                break
+        for frame in json_frames(rows):
+            number, text = next(lines, (0, b""))
+            if text.rstrip(b",\n") != f"{begins}{frame}}}".encode(errors="backslashreplace"):
+                raise _not_ours(f"{main}:{number}" if number else main)
+    if not np.isin(rows.status, STATUS).all():
+        raise _not_ours(main)
 
 
-class _Compared:
-    """A sink that compares what would be written with a file beside the file `main`."""
+def _check_same(form: Format, path: Path, rows: Trajectory) -> None:
+    """InputError, with the line, if a file is not what a run writes in this format for these rows."""
+    line = 1
 
-    def __init__(self, file: BinaryIO, path: Path, main: str) -> None:
-        self._file, self._path, self._main, self._line, self._records = file, path, main, 1, 0
-
-    def write(self, record: str) -> None:
-        data = record.encode(errors="backslashreplace")
-        self._records += 1
-        if (found := self._file.read(len(data))) != data:
+    def compare(data: bytes) -> None:
+        nonlocal line
+        found = file.read(len(data)) if data else file.read(1)  # nothing is written at the end of a file
+        if found != data:
             same = next((i for i, (a, b) in enumerate(zip(found, data, strict=False)) if a != b), len(found))
-            raise self._differs(data.count(b"\n", 0, same))
-        self._line += data.count(b"\n")
+            remedy = f"remove it, {rows.path.name} says the same, or {_AGAIN}"
+            at = line + data.count(b"\n", 0, same)
+            raise InputError(f"{path}:{at}: differs from {rows.path.name}; {remedy}")
+        line += data.count(b"\n")
 
-    def finish(self, tail: Callable[[int], str]) -> None:
-        self.write(tail(self._records))
-        if self._file.read(1):
-            raise self._differs()
-
-    def _differs(self, more: int = 0) -> InputError:
-        remedy = f"remove it, {self._main} says the same, or {_AGAIN}"
-        return InputError(f"{self._path}:{self._line + more}: differs from {self._main}; {remedy}")
-
-
-def _place(rows: Trajectory, frame: int) -> str:
-    """The file of the rows, with the line on which a frame stands."""
-    with rows.path.open("rb") as file:
-        return ":".join(map(str, (rows.path, *(line for line, number, _ in _frames(file) if number == frame))))
+    with path.open("rb") as file:
+        write_rows(form, compare, rows)
+        compare(b"")
 
 
 def _not_ours(place: Path | str) -> InputError:
     return InputError(f"{place}: is not as facetrack run writes it, was it edited? {_AGAIN}")
 
 
-def write_rows(form: Format, sink: Sink, rows: Trajectory, corrections: Sequence[Correction] | None = None) -> None:
-    """Write a file of a run with these rows, and `corrections`, if given, in place of those in its header."""
+class _Sink:
+    """A sink that encodes each record and hands it to `write`."""
+
+    def __init__(self, write: Callable[[bytes], object]) -> None:
+        self._write, self._records = write, 0
+
+    def write(self, record: str) -> None:
+        self._records += 1
+        self._write(record.encode(errors="backslashreplace"))
+
+    def finish(self, tail: Callable[[int], str]) -> None:
+        if end := tail(self._records):
+            self._write(end.encode(errors="backslashreplace"))
+
+
+def write_rows(
+    form: Format,
+    write: Callable[[bytes], object],
+    rows: Trajectory,
+    corrections: Sequence[Correction] | None = None,
+) -> None:
+    """Write these rows as a run does, by calls of `write`. `corrections`, if given, replace those in the header."""
     ends = {*Footer._fields, "frames_tracked", "type"}
     head = {key: value for key, value in rows.header.items() if key not in ends}
     foot = {key: value for key, value in rows.header.items() if key in Footer._fields}
@@ -196,7 +193,7 @@ def write_rows(form: Format, sink: Sink, rows: Trajectory, corrections: Sequence
         init = {key: value for key, value in head["init"].items() if key != "corrections"}
         head["init"] = {**init, **corrections_record(corrections)}
         footer = footer._replace(lost_frames=footer_of(rows).lost_frames)
-    writer = WRITERS[form](sink, head)
+    writer = WRITERS[form](_Sink(write), head)
     writer.write(rows)
     writer.close(footer)
 
@@ -264,12 +261,10 @@ def _sought(main: Path, name: str, folders: Sequence[Path]) -> Path:
 
 
 def _check_rows(main: Path, run: Run) -> None:
-    """InputError if the corrections are not as a run has them, or the rows not what this recipe makes of this start."""
+    """InputError if the corrections are not in order, or the rows are not what this recipe makes of this start."""
     start, places = run.start, [(one.frame, one.target) for one in run.start.corrections]
-    frames = [frame for frame, _ in places]
     ours = all(one.target in start.targets and one.frame > start.frame for one in start.corrections)
-    empty = any(not (one.absent or one.given.box is not None or one.given.points) for one in start.corrections)
-    if not ours or empty or len({*places}) < len(places) or sorted(frames) != frames:
+    if not ours or places != sorted(set(places), key=lambda place: (place[0], places.index(place))):
         raise InputError(f"{main}: init.corrections is not as facetrack run writes it; {_AGAIN}")
     try:
         check_start(run.start, run.header.source.size, run.recipe.points)
@@ -283,6 +278,3 @@ def _check_rows(main: Path, run: Run) -> None:
         raise InputError(f"{main}: has rows of {there}, and its recipe follows {wanted}; {_AGAIN}")
     if run.first != run.start.frame:
         raise InputError(f"{main}: its rows begin with frame {run.first}, its start with {run.start.frame}; {_AGAIN}")
-    said, count = run.rows.header.get("frames_tracked"), run.last - run.first + 1
-    if isinstance(said, int) and said != count:
-        raise InputError(f"{main}: says it has {said} frames, and there are {count}; {_AGAIN}")

@@ -1,9 +1,7 @@
 """What is corrected into the run's folder: all files are written beside the old ones, and then replace them."""
 
 import contextlib
-from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO
 
 from facetrack_cli.core.claims import Claim
 from facetrack_cli.core.errors import InputError, OutputError
@@ -23,20 +21,6 @@ from facetrack_cli.trajectory.writers import footer_of
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
-
-
-class Plain:
-    """A sink into an open file."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file, self._records = file, 0
-
-    def write(self, record: str) -> None:
-        self._records += 1
-        self._file.write(record.encode(errors="backslashreplace"))
-
-    def finish(self, tail: Callable[[int], str]) -> None:
-        self._file.write(tail(self._records).encode(errors="backslashreplace"))
 
 
 def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Stop = never) -> list[str]:
@@ -67,7 +51,7 @@ def _save(fixer: Fixer, claim: Claim, video: bool, report: Report, stop: Stop) -
             at = path
             files.append(at)
             with beside(at).open("wb") as file:
-                write_rows(form, Plain(file), rows, fixer.corrections)
+                write_rows(form, file.write, rows, fixer.corrections)
         at = run.folder / CORRECTED
         files.append(at)
         beside(at).write_bytes(as_yaml(fixer.start, run.clip.name).encode())

@@ -11,7 +11,7 @@ from facetrack_cli.core.files import beside, check_folder, discard, make_folder,
 from facetrack_cli.core.sets import sweep
 from facetrack_cli.editor.retrack import Report, Stop, silent
 from facetrack_cli.editor.run_folder import open_run, read_files, run_files, write_rows
-from facetrack_cli.editor.save import Plain, repaint
+from facetrack_cli.editor.save import repaint
 from facetrack_cli.report.make import trajectory_of
 from facetrack_cli.runs.job import VIDEO
 from facetrack_cli.runs.posterior import POSTERIOR, read_posterior
@@ -79,7 +79,7 @@ def save_smoothed(
             for name, form, those in texts:
                 files.append(place / name)
                 with beside(place / name).open("wb") as file:
-                    write_rows(form, Plain(file), those)
+                    write_rows(form, file.write, those)
             gone = [folder / POSTERIOR] * (place.resolve() == folder.resolve())
             ended = known and known.model_copy(update={"smoothed": True, "files": stays})
             commit(place, files, ended, gone, claim=claim)

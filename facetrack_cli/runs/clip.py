@@ -18,7 +18,7 @@ from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import frames_of
 from facetrack_cli.runs.verdict import Watch
 from facetrack_cli.tracking.build.build import tracker_for
-from facetrack_cli.tracking.corrected import resumed_at, revived
+from facetrack_cli.tracking.corrected import restored, resumed_at
 from facetrack_cli.tracking.kernels.ahead import Ahead
 from facetrack_cli.tracking.loop import TrackState, track
 from facetrack_cli.tracking.smoothed import lagged
@@ -92,7 +92,7 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = silent, 
         tracker = tracker_for(job.recipe, start, source.size, source.fps)
         if begins is not None and resumed is None:
             tracker = resumed_at(tracker, job.frame(start.frame))
-        at.states = revived(tracker, at.states, job.frame)
+        at.states = restored(tracker, at.states, job.frame)
         try:
 
             def tracked(frames: Iterator[Frame]) -> Iterator[FrameResult]:

@@ -29,7 +29,7 @@ from facetrack_cli.trajectory.trajectory import DECIMALS, TargetResult, Trajecto
 STREAM: Final = 2**31  # keeps the streams of corrections apart from those of targets
 
 
-class Anew(NamedTuple):
+class RestartPolicy(NamedTuple):
     """How a target begins again: whether it is placed by `points`, and whether all of it is learned if nothing is said.
 
     `place` finds the visible points in a box given alone, `build` makes the target that learns from a frame.
@@ -63,7 +63,7 @@ class CorrectedTarget:
 
     target: Target
     corrections: Mapping[int, Correction]
-    anew: Anew
+    policy: RestartPolicy
 
     @property
     def name(self) -> str:
@@ -101,11 +101,11 @@ class CorrectedTarget:
         if state.learned is None:
             return replace(state, target=self.target)
         index, given = state.learned
-        return replace(state, target=self.anew.build(frame(index), given))
+        return replace(state, target=self.policy.build(frame(index), given))
 
     def resumed(self, first: Frame) -> Resumed:
         """The same from a correction on, of a run whose first frame is `first`."""
-        return Resumed(self.target, self.corrections, self.anew, first)
+        return Resumed(self.target, self.corrections, self.policy, first)
 
     def cover(self, state: State, *, ahead: bool) -> Cover | None:
         return None if state.inner is None else state.target.cover(state.inner, ahead=ahead)
@@ -113,26 +113,26 @@ class CorrectedTarget:
     def correct(self, state: State, frame: Frame, correction: Correction) -> tuple[State, TargetResult]:
         """The state after `frame`, in which a `complete` correction says where the target is."""
         given, absent = correction.given, correction.hidden(self.parts)
-        if set(absent) >= set(spoken(self.parts)):
+        if set(absent) >= set(correctable_parts(self.parts)):
             result = self._absent(frame)
             rows = replace(result.rows, by_hand=np.isin(self.parts, absent))
             return replace(state, inner=None), result._replace(rows=rows)
-        if self.anew.points and given.box is not None and not given.points:
-            given = self.anew.place(frame, correction)
-        by_hand = tuple(part for part in self.parts if part in given.points or not self.anew.points)
-        if self.anew.points:
+        if self.policy.points and given.box is not None and not given.points:
+            given = self.policy.place(frame, correction)
+        by_hand = tuple(part for part in self.parts if part in given.points or not self.policy.points)
+        if self.policy.points:
             # a part is compared by as much of the image as at the start
             given = TargetStart(points={**correction.kept, **given.points}, windows=self.windows)
         streams = state.streams
         key = (*streams.spawn_key, STREAM, frame.index)
         rng = np.random.default_rng(np.random.SeedSequence(streams.entropy, spawn_key=key))
-        if self.anew.learn if correction.learn is None else correction.learn:
-            target, learned = self.anew.build(frame, given), (frame.index, given)
+        if self.policy.learn if correction.learn is None else correction.learn:
+            target, learned = self.policy.build(frame, given), (frame.index, given)
             inner, result = target.begin(rng, frame)
         else:
             target, learned = self.target, None
             assert isinstance(target, Restarts)
-            anew = by_hand if correction.learn is None and self.anew.points else ()
+            anew = by_hand if correction.learn is None and self.policy.points else ()
             inner, result = target.restart(rng, frame, state.first, given, absent, anew)
         rows, sure = result.rows, np.isin(self.parts, by_hand)
         # what is kept is where the tracker was, though it may be learned again
@@ -150,7 +150,7 @@ class CorrectedTarget:
         return TargetResult(rows, np.zeros((0, k, 2)))
 
 
-def revived(tracker: Tracker, states: Sequence[Any], frame: Callable[[int], Frame]) -> list[Any]:
+def restored(tracker: Tracker, states: Sequence[Any], frame: Callable[[int], Frame]) -> list[Any]:
     """The states of a tracker, which were stored, as it goes on from them; `frame` gives a frame of the clip."""
     both = zip(tracker, states, strict=True) if states else ()
     return [one.complete(state, frame) if isinstance(one, CorrectedTarget) else state for one, state in both]
@@ -168,10 +168,10 @@ def is_complete(correction: Correction, parts: Sequence[str]) -> bool:
     given = correction.given
     if correction.absent is True or (given.box is not None and (not given.points or tuple(parts) == (BOX,))):
         return True
-    return {*given.points, *correction.kept, *correction.absent} >= set(spoken(parts))
+    return {*given.points, *correction.kept, *correction.absent} >= set(correctable_parts(parts))
 
 
-def spoken(parts: Sequence[str]) -> tuple[str, ...]:
+def correctable_parts(parts: Sequence[str]) -> tuple[str, ...]:
     """The parts that corrections speak of: of a face's points those before its box; others a network places."""
     return tuple(parts[: parts.index(BOX)] if BOX in parts else parts) or tuple(parts)
 
@@ -184,7 +184,7 @@ def completed(correction: Correction, rows: Trajectory) -> Correction:
     assert correction.absent is not True
     kept, absent = dict(correction.kept), list(correction.absent)
     for (_, part), x, y in zip(rows.names, rows.x.tolist(), rows.y.tolist(), strict=True):
-        if part not in (*correction.given.points, *kept, *absent) and part in spoken(parts):
+        if part not in (*correction.given.points, *kept, *absent) and part in correctable_parts(parts):
             if math.isnan(x) or math.isnan(y):
                 absent.append(part)
             else:
@@ -194,7 +194,7 @@ def completed(correction: Correction, rows: Trajectory) -> Correction:
 
 def all_or(absent: Sequence[str], parts: Sequence[str]) -> tuple[str, ...] | Literal[True]:
     """The absent ones of `parts`, as a correction has them: True for all."""
-    return True if set(absent) >= set(spoken(parts)) else tuple(absent)
+    return True if set(absent) >= set(correctable_parts(parts)) else tuple(absent)
 
 
 @dataclass(frozen=True)

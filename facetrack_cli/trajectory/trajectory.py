@@ -21,8 +21,8 @@ from facetrack_cli.trajectory.diagnostics import POSTERIOR, SURE, Diagnostics, o
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from facetrack_cli.trajectory.face_events import FaceEvent
-    from facetrack_cli.trajectory.measures import Measured
+    from facetrack_cli.trajectory.analysis.face_events import FaceEvent
+    from facetrack_cli.trajectory.analysis.measures import Measured
 
 Status: TypeAlias = Literal["init", "tracked", "lost", "absent"]
 SEEN: Final = ("", "visible", "init", "tracked")  # statuses, also of ground truth, of what can be seen
@@ -200,14 +200,14 @@ class Trajectory:
     @cached_property
     def measures(self) -> Mapping[str, Mapping[str, Measured]]:
         """Of each target what its face does, by the measure's name."""
-        from facetrack_cli.trajectory.measures import measures_of
+        from facetrack_cli.trajectory.analysis.measures import measures_of
 
         return {target: measures_of(self.of_target(target)) for target in self.targets}
 
     @cached_property
     def events(self) -> tuple[FaceEvent, ...]:
         """When mouths open and close, eyes blink and heads nod, in the order of time."""
-        from facetrack_cli.trajectory.face_events import events_of
+        from facetrack_cli.trajectory.analysis.face_events import events_of
 
         kinds = (kind for name, found in self.measures.items() for kind in events_of(name, found).values())
         return tuple(sorted(event for kind in kinds for event in kind))

@@ -576,7 +576,6 @@ def test_files_that_a_recipe_names_are_found_again_or_missed_in_one_line(tmp_pat
             lambda j: j["init"].update(corrections=[{"frame": 5}]),
             "init.corrections.0.target is not as facetrack run writes it",
         ),
-        (lambda j: j.update(frames_tracked=7), "says it has 7 frames, and there are 24"),
         (lambda j: j["init"]["targets"]["face"].pop("points"), "its start and its recipe do not go together"),
     ],
 )

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Start, TargetStart
+from facetrack_cli.editor.web import session as session_module
 from facetrack_cli.tracking.start import PARTS, read_init
 from tests.support.browser import until
 from tests.support.media import write_pictures, write_video
@@ -315,14 +316,14 @@ def test_slider_and_keys_show_the_right_frame(clips, pick, windows):
 
 
 def test_fast_dragging_requests_few_frames_and_ends_with_the_right_one(clips, pick, windows, monkeypatch):
-    session, url = pick(clips / "numbered.mp4")
-    go, jpeg = threading.Event(), session.images.jpeg
+    _, url = pick(clips / "numbered.mp4")
+    go, jpeg = threading.Event(), session_module.jpeg
 
-    def held(index, reduce):
+    def held(frames, index, reduce):
         assert index == 0 or go.wait(60), "only the first image arrives before `go`"
-        return jpeg(index, reduce)
+        return jpeg(frames, index, reduce)
 
-    monkeypatch.setattr(session.images, "jpeg", held)
+    monkeypatch.setattr(session_module, "jpeg", held)
     window = windows(url)
     box = window.here("frame-slider").bounding_box()
     middle = box["y"] + box["height"] / 2

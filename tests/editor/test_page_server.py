@@ -8,6 +8,7 @@ import threading
 from fractions import Fraction
 from importlib import resources
 from itertools import product
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -18,8 +19,8 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.editor.web import session as session_module
-from facetrack_cli.editor.web.frame import Draft, DraftTarget, FrameImages
-from facetrack_cli.editor.web.server import ADDRESS, HEADERS, MOST_BODY, MOST_READ, Server, assets, serving
+from facetrack_cli.editor.web.frame import Draft, DraftTarget
+from facetrack_cli.editor.web.server import ADDRESS, HEADERS, MAX_BODY_BYTES, MAX_REFUSED_BYTES, Server, assets, serving
 from facetrack_cli.editor.web.session import Answer, RefusedError, Route, Session
 from tests.support.page_client import Client, wait_for
 
@@ -38,11 +39,6 @@ class Frames:
         return Frame(index, index / 25, np.full((48, 64, 3), 10 * index, np.uint8))
 
 
-class Images(FrameImages):
-    def jpeg(self, index, reduce=1):
-        return LARGE if reduce == 8 else super().jpeg(index, reduce)
-
-
 class Proposer:
     def __call__(self, index):
         return {"frame": index}
@@ -57,7 +53,6 @@ class Plain(Session):
     def __init__(self):
         about = {"clip": "clip.mp4", "recipe": None, "requirements": [], "free": True, "saves_to": "clip.init.yaml"}
         super().__init__(Frames(), Proposer(), Draft(0, {}), about)
-        self.images = Images(self.frames)
         self.go = threading.Event()
         self.fails = None
 
@@ -79,6 +74,9 @@ class Plain(Session):
             Route("POST", "api/nan", lambda: {"x": math.nan}),
             Route("POST", "api/input", lambda: Answer(self.refuse(), 200)),
         )
+
+    def _frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1"):
+        return Answer(LARGE, kind="image/jpeg") if reduce == "8" else super()._frame(frame, reduce)
 
     def odd(self, one: int, other: int):
         return [one, other]
@@ -310,10 +308,10 @@ def test_what_the_page_gets_to_know_of_the_session(client):
 
 def test_a_body_that_is_too_large_is_refused(shared):
     _, server, client = shared
-    got = client.ask("PUT", "api/draft", b" " * (MOST_BODY + 1))
-    assert got.status == 413 and str(MOST_BODY) in got.json["error"]
+    got = client.ask("PUT", "api/draft", b" " * (MAX_BODY_BYTES + 1))
+    assert got.status == 413 and str(MAX_BODY_BYTES) in got.json["error"]
     assert client.get("api/state").status == 200, "the connection continues with the next request"
-    head = f"PUT /TOKEN/api/draft HTTP/1.1\r\nHost: localhost\r\nContent-Length: {MOST_READ + 1}\r\n\r\n"
+    head = f"PUT /TOKEN/api/draft HTTP/1.1\r\nHost: localhost\r\nContent-Length: {MAX_REFUSED_BYTES + 1}\r\n\r\n"
     assert raw(server, head.encode(), end=False).startswith(b"HTTP/1.1 413 "), "without waiting for all of it"
 
 

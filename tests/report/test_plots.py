@@ -16,7 +16,7 @@ from facetrack_cli.report.figures import lines as plot_lines
 from facetrack_cli.report.figures import style as plot_style
 from facetrack_cli.report.figures.lines import MANY, columns_for, lines_of, stacked
 from facetrack_cli.report.figures.style import numbers
-from facetrack_cli.trajectory.measures import MEASURES
+from facetrack_cli.trajectory.analysis.measures import MEASURES
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.support.face_shape import moving_face
 

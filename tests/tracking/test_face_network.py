@@ -14,7 +14,7 @@ from facetrack_cli.core.types import BOX, Correction, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build import targets
 from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.corrected import completed, is_complete, spoken
+from facetrack_cli.tracking.corrected import completed, correctable_parts, is_complete
 from facetrack_cli.tracking.face.mesh import NAMES
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.smoothed import lagged, smoothed_rows
@@ -135,7 +135,7 @@ def test_corrections_speak_of_the_parts_and_not_of_points_of_the_network(moved):
     _, results = moved
     rows = results[3].rows
     parts = [part for _, part in rows.names]
-    assert spoken(parts) == PARTS
+    assert correctable_parts(parts) == PARTS
     points = {part: (100.0, 90.0 + i) for i, part in enumerate(PARTS)}
     assert is_complete(Correction(3, "face", TargetStart(points=points)), parts)
     assert is_complete(Correction(3, "face", absent=PARTS), parts)

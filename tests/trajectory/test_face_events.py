@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import facetrack_cli as facetrack
-from facetrack_cli.trajectory.face_events import events_of
-from facetrack_cli.trajectory.measures import Measured
+from facetrack_cli.trajectory.analysis.face_events import events_of
+from facetrack_cli.trajectory.analysis.measures import Measured
 from tests.support.face_shape import moving_face
 from tests.support.samples import FOLDER
 

@@ -80,8 +80,8 @@ class Fix:
 
     def _apply(self, fixer: Fixer, file: Path, stop: Stop) -> int:
         """Take the corrections of --init or --import, and save; the exit code."""
-        from facetrack_cli.editor.annotated import annotated_corrections
         from facetrack_cli.editor.history import corrections_of, merged
+        from facetrack_cli.editor.import_annotations import imported_corrections
         from facetrack_cli.editor.save import save
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.signals import StoppedError
@@ -96,7 +96,7 @@ class Fix:
             )
         if self.imported is None:
             corrections = corrections_of(file, fixer.run)
-        elif not (corrections := annotated_corrections(file, fixer.run, fixer.rows)):
+        elif not (corrections := imported_corrections(file, fixer.run, fixer.rows)):
             say(f"facetrack: {file} is as the run has it; nothing was written")
             return ExitCode.DONE
         else:

@@ -18,7 +18,7 @@ from facetrack_cli.editor.web.frame import Draft, Json, Proposer
 from facetrack_cli.editor.web.pick_session import requirement
 from facetrack_cli.editor.web.session import Answer, RefusedError, Report, Route, Session
 from facetrack_cli.recipe.model import OpenCvRecipe
-from facetrack_cli.tracking.corrected import spoken
+from facetrack_cli.tracking.corrected import correctable_parts
 from facetrack_cli.tracking.start import PARTS
 from facetrack_cli.trajectory.diagnostics import outlines
 from facetrack_cli.trajectory.header import FrameNumber
@@ -26,8 +26,8 @@ from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import by_frame
 from facetrack_cli.video.seek import Frames
 
-MOST_ROWS: Final = 600
-MOST_DOUBTFUL: Final = 100
+MAX_ROWS: Final = 600
+MAX_DOUBTFUL: Final = 100
 DOUBT: Final = 0.5  # a confidence below this is worth a look
 
 
@@ -97,8 +97,8 @@ class FixSession(Session):
         """The rows of frames `first` to `last`, both included."""
         run = self.fixer.run
         first, last = max(first, run.first), min(last, run.last)
-        if last - first > MOST_ROWS:
-            raise RefusedError(400, f"{last - first + 1} frames are too many; at most {MOST_ROWS} are sent")
+        if last - first > MAX_ROWS:
+            raise RefusedError(400, f"{last - first + 1} frames are too many; at most {MAX_ROWS} are sent")
         parts = [(name, part) for name, parts in self._parts.items() for part in parts]
         return {"first": first, "parts": parts, "frames": cells(self.fixer.rows, first, last + 1)}
 
@@ -181,7 +181,7 @@ def _requirement(target: str, parts: tuple[str, ...]) -> Json:
     """What may be corrected of a target. With the box of points, all of them are placed again in the image."""
     if parts == (BOX,):
         return requirement(target, [], "needed")
-    parts = spoken(parts)
+    parts = correctable_parts(parts)
     return requirement(target, parts, "optional" if set(parts) <= set(PARTS) else "no")
 
 
@@ -219,11 +219,11 @@ def doubtful(rows: Trajectory, level: float = DOUBT) -> list[dict[str, Any]]:
         sure = one.confidence
         doubt = np.isfinite(sure) & (one.status != "absent") & ((one.status == "lost") | (sure < level))
         worst = [begin + int(np.argmin(sure[begin:end])) for begin, end in spans(doubt)]
-        found += sorted((float(sure[at]), at, column) for at in worst)[:MOST_DOUBTFUL]
+        found += sorted((float(sure[at]), at, column) for at in worst)[:MAX_DOUBTFUL]
     keys, first = ("frame", "target", "part", "confidence", "status"), int(rows.frame[0])
     values = [
         (first + at, *rows.names[column], sure, str(rows.parts[column].status[at]))
-        for sure, at, column in sorted(found)[:MOST_DOUBTFUL]
+        for sure, at, column in sorted(found)[:MAX_DOUBTFUL]
     ]
     return [dict(zip(keys, one, strict=True)) for one in values]
 

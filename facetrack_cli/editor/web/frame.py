@@ -1,11 +1,9 @@
-"""One frame on the page: the draft, which is what is being chosen in it, its images, and proposals."""
+"""One frame on the page: the draft (what the user chooses in it), its images, and the proposed faces."""
 
-import threading
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Final, Generic, Literal, TypeAlias, TypeVar
-from weakref import WeakValueDictionary
+from typing import Annotated, Any, Final, Literal, TypeAlias
 
 import cv2
 import numpy as np
@@ -22,16 +20,12 @@ from facetrack_cli.tracking.start.haar import NotHereError
 from facetrack_cli.tracking.start.init_file import NAME, TARGET
 from facetrack_cli.tracking.start.points import place
 from facetrack_cli.trajectory.header import FrameNumber, Pixels, Side
-from facetrack_cli.video.seek import Cache, Frames
+from facetrack_cli.video.seek import Frames
 
-CACHE_BYTES: Final = 64 << 20
-_QUALITY: Final = 90
-_Key = TypeVar("_Key", bound=Hashable)
-_Value = TypeVar("_Value")
-MOST_TARGETS: Final = 20
-MOST_POINTS: Final = 500
-MOST_KEPT: Final = 256  # frames whose proposals are kept
-MOST_FACES: Final = 12
+JPEG_QUALITY: Final = 90
+MAX_TARGETS: Final = 20
+MAX_POINTS: Final = 500
+MAX_FACES: Final = 12
 Json: TypeAlias = "dict[str, Any]"
 Name: TypeAlias = Annotated[str, Field(pattern=f"^(?:{NAME.pattern})$")]
 
@@ -42,8 +36,8 @@ class DraftTarget:
 
     __pydantic_config__ = ConfigDict(extra="forbid")
     box: tuple[Pixels, Pixels, Side, Side] | None = None
-    points: Annotated[Mapping[Name, tuple[Pixels, Pixels]], Field(max_length=MOST_POINTS)] = field(default_factory=dict)
-    absent: Annotated[tuple[Name, ...], Field(max_length=MOST_POINTS)] | Literal[True] = ()
+    points: Annotated[Mapping[Name, tuple[Pixels, Pixels]], Field(max_length=MAX_POINTS)] = field(default_factory=dict)
+    absent: Annotated[tuple[Name, ...], Field(max_length=MAX_POINTS)] | Literal[True] = ()
 
     @property
     def empty(self) -> bool:
@@ -61,7 +55,7 @@ class Draft:
 
     __pydantic_config__ = ConfigDict(extra="forbid")
     frame: FrameNumber
-    targets: Annotated[Mapping[Name, DraftTarget], Field(max_length=MOST_TARGETS)]
+    targets: Annotated[Mapping[Name, DraftTarget], Field(max_length=MAX_TARGETS)]
 
     @property
     def empty(self) -> bool:
@@ -81,61 +75,26 @@ def draft_of(frame: int, targets: Mapping[str, TargetStart]) -> Draft:
     return Draft(frame, {name: DraftTarget(one.box, dict(one.points)) for name, one in targets.items()})
 
 
-class OnceCache(Generic[_Key, _Value]):
-    """A thread-safe LRU cache that computes a value once, no error; `most` bounds the sum of the values' `size`."""
+def jpeg(frames: Frames, index: int, reduce: int = 1) -> bytes:
+    """A frame as JPEG. Its sides are divided by `reduce` and rounded up, and its pixels are area means.
 
-    def __init__(self, most: int, size: Callable[[_Value], int]) -> None:
-        self._kept: Cache[_Key, _Value] = Cache(most)
-        self._size, self._lock = size, threading.Lock()
-        self._locks: WeakValueDictionary[_Key, threading.Lock] = WeakValueDictionary()  # of keys in use
-
-    def get(self, key: _Key, compute: Callable[[], _Value]) -> _Value:
-        with self._lock:
-            lock = self._locks.setdefault(key, threading.Lock())
-        with lock:
-            value = self._kept.get(key)
-            if value is None:
-                value = compute()
-                self._kept.put(key, value, self._size(value))
-            return value
-
-    def kept(self, key: _Key) -> _Value | None:
-        """The value if it was computed and is still kept."""
-        return self._kept.get(key)
+    Raises what `Frames.read` raises. Nothing is kept here: the page keeps the images that it has received.
+    """
+    image = frames.read(index).bgr
+    if reduce > 1:
+        size = -(-image.shape[1] // reduce), -(-image.shape[0] // reduce)
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return _encode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
 
 
-class FrameImages:
-    """Encoded frames of a clip, each encoded once while it is kept. Thread-safe. Raises what `Frames.read` raises."""
-
-    def __init__(self, frames: Frames):
-        self._frames = frames
-        self._encoded: OnceCache[tuple[int, ...], bytes] = OnceCache(CACHE_BYTES, len)
-
-    def jpeg(self, index: int, reduce: int = 1) -> bytes:
-        """A frame as JPEG, its sides divided by `reduce`, by area means, and rounded up: it covers the whole frame."""
-
-        def encode() -> bytes:
-            image = self._frames.read(index).bgr
-            if reduce > 1:
-                size = -(-image.shape[1] // reduce), -(-image.shape[0] // reduce)
-                image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-            return _encode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, _QUALITY))
-
-        return self._encoded.get((index, reduce), encode)
-
-    def crop(self, index: int, x: int, y: int, w: int, h: int) -> bytes:
-        """The pixels x .. x+w-1, y .. y+h-1 of a frame, as far as it has them, as PNG. InputError if it has none."""
-        width, height = self._frames.size
-        left, top, right, bottom = max(x, 0), max(y, 0), min(x + w, width), min(y + h, height)
-        if left >= right or top >= bottom:
-            none = f"none of those of {w}x{h} from ({x}, {y}) on"
-            raise InputError(f"the frame has {width}x{height} pixels, and {none}; choose others")
-
-        def encode() -> bytes:
-            region = self._frames.read(index).bgr[top:bottom, left:right]
-            return _encode(".png", region, (cv2.IMWRITE_PNG_COMPRESSION, 1))
-
-        return self._encoded.get((index, left, top, right, bottom), encode)
+def crop(frames: Frames, index: int, x: int, y: int, w: int, h: int) -> bytes:
+    """The pixels x .. x+w-1, y .. y+h-1 of a frame, as far as it has them, as PNG. InputError if it has none."""
+    width, height = frames.size
+    left, top, right, bottom = max(x, 0), max(y, 0), min(x + w, width), min(y + h, height)
+    if left >= right or top >= bottom:
+        none = f"none of those of {w}x{h} from ({x}, {y}) on"
+        raise InputError(f"the frame has {width}x{height} pixels, and {none}; choose others")
+    return _encode(".png", frames.read(index).bgr[top:bottom, left:right], (cv2.IMWRITE_PNG_COMPRESSION, 1))
 
 
 def _encode(suffix: str, image: Image, options: tuple[int, int]) -> bytes:
@@ -146,22 +105,25 @@ def _encode(suffix: str, image: Image, options: tuple[int, int]) -> bytes:
 
 
 class Proposer:
-    """Proposes the faces of a frame once, in one thread, which keeps the cascades; `points` are the first target's."""
+    """Proposes the faces of a frame. One thread looks for them, since it keeps the cascades; a frame is searched once.
+
+    `points` are the points of the first target.
+    """
 
     def __init__(self, frames: Frames, recipe: Recipe | None, points: Sequence[str]) -> None:
         self._frames, self._recipe = frames, recipe
         self._points = [part for part in points if part in PARTS]
         self._by_hand = [part for part in points if part not in PARTS]
         self._worker = ThreadPoolExecutor(1, "proposals")
-        self._found: OnceCache[int, Json] = OnceCache(MOST_KEPT, lambda _: 1)
+        self._found: dict[int, Json] = {}
 
     def __call__(self, index: int) -> Json:
         """{"frame", "proposals": [{"label", "targets"}], "note"}. Raises InputError if there is no such frame."""
-        return self._found.get(index, lambda: self._worker.submit(self._find, index).result())
+        return self._worker.submit(self._find, index).result()
 
     def proposed(self, index: int) -> list[Draft]:
-        """What was proposed in a frame, if anything was."""
-        found = self._found.kept(index) or {"proposals": []}
+        """The drafts that were proposed for a frame; none if nobody asked for proposals there."""
+        found = self._found.get(index, {"proposals": []})
         targets = ({name: DraftTarget(**of) for name, of in one["targets"].items()} for one in found["proposals"])
         return [Draft(index, those) for those in targets]
 
@@ -174,23 +136,27 @@ class Proposer:
         return draft_of(frame.index, self._complete(frame, start)[0].targets)
 
     def _find(self, index: int) -> Json:
+        if index in self._found:
+            return self._found[index]
         frame = self._frames.read(index)
         notes, proposals = [], []
-        for number, found in enumerate(detector().find(frame)[:MOST_FACES], start=1):
+        for number, found in enumerate(detector().find(frame)[:MAX_FACES], start=1):
             placed = place(frame.bgr, found.box, found.eyes, found.points)
             points = {part: (round(placed[part][0], 2), round(placed[part][1], 2)) for part in self._points}
             visible = {part: at for part, at in points.items() if inside(at, frame.size)}
-            start, note = self._complete(
+            start, reason = self._complete(
                 frame, Start(index, {TARGET: TargetStart(found.box, visible)}, "the face found")
             )
             targets = {name: {"box": one.box, "points": one.points} for name, one in start.targets.items()}
             proposals.append({"label": f"face {number}", "targets": targets})
-            notes.append(note)
+            notes.append(reason)
         if not proposals:
             notes.append("no face is found in this frame; draw a box, or look at another frame")
         elif self._by_hand:
             notes.append(f"{', '.join(self._by_hand)}: only by hand")
-        return {"frame": index, "proposals": proposals, "note": "; ".join(dict.fromkeys(filter(None, notes))) or None}
+        note = "; ".join(dict.fromkeys(filter(None, notes))) or None
+        self._found[index] = {"frame": index, "proposals": proposals, "note": note}
+        return self._found[index]
 
     def _complete(self, frame: Frame, start: Start) -> tuple[Start, str]:
         """With the other targets that the recipe names, if they are found; else the first one alone, and why."""

@@ -8,7 +8,7 @@ from typing import ClassVar, Final, Literal
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Box, Start, TargetStart
-from facetrack_cli.editor.web.frame import MOST_POINTS, Draft, Json, Proposer, draft_of
+from facetrack_cli.editor.web.frame import MAX_POINTS, Draft, Json, Proposer, draft_of
 from facetrack_cli.editor.web.session import RefusedError, Session
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
@@ -197,7 +197,7 @@ def carried(start: Start, begun: Start | None) -> Start:
 def _check_complete(chosen: Mapping[str, TargetStart], required: Sequence[Json], *, free: bool) -> None:
     """RefusedError that names everything that is missing, by target."""
     if not chosen:
-        first = listed(_missing(TargetStart(), required[0]), MOST_POINTS)
+        first = listed(_missing(TargetStart(), required[0]), MAX_POINTS)
         raise RefusedError(422, f"nothing is chosen yet; choose {first}")
     by_name = dict.fromkeys(chosen, required[0]) if free else {one["target"]: one for one in required}
     unknown = [name for name in chosen if name not in by_name]
@@ -205,7 +205,7 @@ def _check_complete(chosen: Mapping[str, TargetStart], required: Sequence[Json],
         raise RefusedError(422, f"the recipe follows {', '.join(by_name)}, and no {', '.join(unknown)}; remove it")
     missing = {name: _missing(chosen.get(name, TargetStart()), one) for name, one in by_name.items()}
     if any(missing.values()):
-        open_ = "; ".join(f"{listed(parts, MOST_POINTS)} of {name}" for name, parts in missing.items() if parts)
+        open_ = "; ".join(f"{listed(parts, MAX_POINTS)} of {name}" for name, parts in missing.items() if parts)
         raise RefusedError(422, f"still to choose: {open_}")
 
 

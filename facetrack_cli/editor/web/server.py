@@ -28,8 +28,8 @@ from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.editor.web.session import Answer, RefusedError, Session, internal_error
 
 ADDRESS: Final = "127.0.0.1"
-MOST_BODY: Final = 256 * 1024  # bytes: the largest draft has fewer
-MOST_READ: Final = 4 * 1024 * 1024  # of a body that is refused, so that its sender receives the answer
+MAX_BODY_BYTES: Final = 256 * 1024  # bytes: the largest draft has fewer
+MAX_REFUSED_BYTES: Final = 4 * 1024 * 1024  # of a body that is refused, so that its sender receives the answer
 IDLE_S: Final = 60.0  # until a connection without requests is closed
 POLL_S: Final = 0.1
 KINDS: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
@@ -161,7 +161,7 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         # the body is always read, or the rest of it would be taken for the next request
         self._length = self._body_length()
-        readable = self._length is not None and self._length <= MOST_READ
+        readable = self._length is not None and self._length <= MAX_REFUSED_BYTES
         self.close_connection = self.close_connection or not readable
         self._data = self.rfile.read(self._length) if readable else b""
         if readable and len(self._data) != self._length:
@@ -235,8 +235,8 @@ class _Handler(BaseHTTPRequestHandler):
     def _body(self) -> dict[str, Any]:
         if self._length is None:
             raise RefusedError(411, "the length of the body must be given, once")
-        if self._length > MOST_BODY:
-            raise RefusedError(413, f"{self._length} bytes are too many; at most {MOST_BODY} are accepted")
+        if self._length > MAX_BODY_BYTES:
+            raise RefusedError(413, f"{self._length} bytes are too many; at most {MAX_BODY_BYTES} are accepted")
         return _BODY.validate_json(self._data or b"{}")
 
     def _send(self, answer: Answer) -> None:

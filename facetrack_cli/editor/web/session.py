@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, TypeAli
 from pydantic import Field, StrictInt
 
 from facetrack_cli.core.errors import FacetrackError
-from facetrack_cli.editor.web.frame import Draft, FrameImages, Json, Proposer
+from facetrack_cli.editor.web.frame import Draft, Json, Proposer, crop, jpeg
 from facetrack_cli.runs.signals import StoppedError
 from facetrack_cli.video.seek import Frames
 
@@ -59,7 +59,7 @@ class Session(ABC):
     def __init__(
         self, frames: Frames, proposer: Proposer, draft: Draft, about: Json, *, first: int = 0, last: int | None = None
     ) -> None:
-        self.frames, self.images, self.draft = frames, FrameImages(frames), draft
+        self.frames, self.draft = frames, draft
         self.first, self.last = first, last
         self.lock = threading.RLock()
         self.stopping = threading.Event()  # a job looks at it regularly
@@ -233,11 +233,11 @@ class Session(ABC):
 
     def _frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
         self._check_frame(frame)
-        return Answer(self.images.jpeg(frame, int(reduce)), kind="image/jpeg")
+        return Answer(jpeg(self.frames, frame, int(reduce)), kind="image/jpeg")
 
     def _crop(self, frame: int, x: int, y: int, w: CropSide, h: CropSide) -> Answer:
         self._check_frame(frame)
-        return Answer(self.images.crop(frame, x, y, w, h), kind="image/png")
+        return Answer(crop(self.frames, frame, x, y, w, h), kind="image/png")
 
     def _proposals(self, frame: int) -> Json:
         self._check_frame(frame)

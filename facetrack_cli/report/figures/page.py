@@ -19,8 +19,8 @@ from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.diagnostics import adaptation, known, panels
 from facetrack_cli.report.figures.lines import MANY, Line, Panel, Pen, columns_for, lines_of, quantiles, stacked
 from facetrack_cli.report.figures.style import Axes, Figure
+from facetrack_cli.trajectory.analysis.measures import MEASURES, Measured
 from facetrack_cli.trajectory.header import said
-from facetrack_cli.trajectory.measures import MEASURES, Measured
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 BINS = 1000  # about the pixels across a panel

@@ -10,7 +10,7 @@ from facetrack_cli.recipe.load import in_frames
 from facetrack_cli.recipe.model import OpenCvRecipe, Recipe, above
 from facetrack_cli.tracking import opencv
 from facetrack_cli.tracking.build.targets import box_with, face_target, particle_target
-from facetrack_cli.tracking.corrected import Anew, CorrectedTarget, is_complete, spoken
+from facetrack_cli.tracking.corrected import CorrectedTarget, RestartPolicy, correctable_parts, is_complete
 from facetrack_cli.tracking.loop import Target, Tracker
 from facetrack_cli.tracking.models.likelihoods.recognition import find_gallery
 from facetrack_cli.tracking.start.box import box_start
@@ -78,7 +78,7 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
         still = () if is_complete(one, target.parts) else absent - {*one.given.points, *one.kept}
         absent = {*one.hidden(target.parts), *still}
         _check(one, target, start, origin, points=points)
-        if absent >= set(spoken(target.parts)):
+        if absent >= set(correctable_parts(target.parts)):
             continue
         if one.learn and points and absent:
             raise InputError(f"{origin}: {', '.join(sorted(absent))} cannot be learned while absent; leave learn out")
@@ -90,7 +90,7 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
     def place(frame: Frame, one: Correction) -> TargetStart:
         assert one.given.box is not None
         said_in = f"{start.origin}: the correction of {one.target} at frame {frame.index}"
-        seen = [part for part in spoken(target.parts) if part not in one.hidden(target.parts)]
+        seen = [part for part in correctable_parts(target.parts) if part not in one.hidden(target.parts)]
         return box_start(frame, one.given.box, seen, by=detector_of(start), clip=said_in).targets[FACE]
 
     def build(frame: Frame, given: TargetStart) -> Target:
@@ -99,20 +99,20 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
         known = replace(start, frame=frame.index, targets={**start.targets, target.name: given})
         return _target(recipe, known, target.name)
 
-    return CorrectedTarget(target, {one.frame: one for one in corrections}, Anew(points, learns, place, build))
+    return CorrectedTarget(target, {one.frame: one for one in corrections}, RestartPolicy(points, learns, place, build))
 
 
 def _check(one: Correction, target: Target, start: Start, origin: str, *, points: bool) -> None:
     """InputError if it speaks of parts that nobody knows, or lacks the box of what is followed as a box."""
     named = [*one.given.points, *one.kept, *(() if one.absent is True else one.absent)]
-    known = {*spoken(target.parts), *start.targets[one.target].points}
+    known = {*correctable_parts(target.parts), *start.targets[one.target].points}
     if unknown := ", ".join(part for part in named if part not in known):
-        these = f"these are {', '.join(spoken(target.parts))}: correct the name"
+        these = f"these are {', '.join(correctable_parts(target.parts))}: correct the name"
         raise InputError(f"{origin}: has {unknown}, which is no part that is followed; {these}")
     hidden = one.hidden(target.parts)
     if not points and not hidden and one.given.box is None:
         raise InputError(f"{origin}: has no box, which the recipe follows; add one, as in box: [x, y, w, h]")
-    strange = [part for part in spoken(target.parts) if part not in PARTS and part not in hidden]
+    strange = [part for part in correctable_parts(target.parts) if part not in PARTS and part not in hidden]
     if points and one.given.box is not None and not one.given.points and strange:
         raise InputError(f"{origin}: no cascade can place {', '.join(strange)} in its box; give points: in place of it")
     if not points and one.given.box is not None:

@@ -30,7 +30,7 @@ BOX_COLUMNS = ("frame", "x", "y", "w", "h")
 LTWH = "left,top,width,height"
 REGION = f"{LTWH} or x1,y1,...,x4,y4"
 UNKNOWN, INIT, FAILURE = 0, 1, 2
-MOST_LINES = 10**7  # four days of video
+MAX_LINES = 10**7  # four days of video
 _MOT = f"frame,id,{LTWH}"
 MOT_COLUMNS = {6: _MOT, 7: f"{_MOT},conf", 9: f"{_MOT},flag,class,visibility", 10: f"{_MOT},conf,x,y,z"}
 
@@ -171,7 +171,7 @@ def write_vot(one: Trajectory) -> str:
     first, last = int(one.frame[0]), int(one.frame[-1])
     if first < 0:
         raise InputError(f"{one.name}: frame {first} is before the clip's first; VOT text begins at frame 0")
-    if last >= MOST_LINES:
+    if last >= MAX_LINES:
         raise InputError(f"{one.name}: frame {last} is too far on for VOT text, which has a line a frame")
     lines = ["0"] * (last + 1)
     corners = np.full((len(one), 8), np.nan) if one.corners is None else one.corners.reshape(-1, 8)

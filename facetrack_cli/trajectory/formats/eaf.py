@@ -19,9 +19,9 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX
-from facetrack_cli.trajectory.face_events import events_of
-from facetrack_cli.trajectory.formats.head_motion import head_motion, kinds_of
-from facetrack_cli.trajectory.measures import measures_of
+from facetrack_cli.trajectory.analysis.face_events import events_of
+from facetrack_cli.trajectory.analysis.head_motion import head_motion, kinds_of
+from facetrack_cli.trajectory.analysis.measures import measures_of
 from facetrack_cli.trajectory.trajectory import Trajectory, aligned
 
 XSI = "http://www.w3.org/2001/XMLSchema-instance"

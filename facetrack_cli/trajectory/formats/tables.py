@@ -16,8 +16,8 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.face_points import POINTS
 from facetrack_cli.core.types import BOX, Whole
-from facetrack_cli.trajectory.head_pose import SHAPE, head_pose
-from facetrack_cli.trajectory.measures import MEASURES, Measured
+from facetrack_cli.trajectory.analysis.head_pose import SHAPE, head_pose
+from facetrack_cli.trajectory.analysis.measures import MEASURES, Measured
 from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, Trajectory, aligned
 
 WIDE = ("x", "y", "w", "h", "confidence", "status")

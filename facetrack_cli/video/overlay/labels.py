@@ -13,9 +13,9 @@ from facetrack_cli.video.overlay.marks import LOST, WHITE, Colour, Font, readabl
 
 Rect = tuple[float, float, float, float]  # x0, y0, x1, y1
 _STAYS = 12  # frames at one place, at least
-_LEAST = 12  # pixels high, or nothing could be seen
-_MOST = 4  # targets with images, one a corner
-_MOST_BOXES = 60  # boxes in the frame; with more there is no room for names of parts
+_MIN_HEIGHT = 12  # pixels high, or nothing could be seen
+_MAX_TARGETS = 4  # targets with images, one a corner
+_MAX_BOXES = 60  # boxes in the frame; with more there is no room for names of parts
 _DECIDED = 0.5  # an identity less probable than that is doubtful
 _DOUBTFUL: Colour = (190, 190, 190)
 _PLATE = 0.65  # opacity of the dark ground below the name of a target
@@ -56,7 +56,7 @@ class Insets:
         taken: list[Rect] = []
         places: dict[str, tuple[int, int]] = {}
         for one in shown:
-            scaled = self._scaled(one) if len(taken) < _MOST else []
+            scaled = self._scaled(one) if len(taken) < _MAX_TARGETS else []
             if not scaled:
                 continue
             size = sum(p.shape[1] + self._line for _, p in scaled) + self._line, scaled[0][1].shape[0] + 2 * self._line
@@ -74,7 +74,7 @@ class Insets:
         fine = [(name, p) for name, p in one.pictures if p.ndim == 2 and min(p.shape) > 0 and p.dtype == np.uint8]
         wide = sum(p.shape[1] / p.shape[0] for _, p in fine)
         height = min(self._height, int(0.4 * self._size[0] / wide)) if fine else 0
-        if height < _LEAST:
+        if height < _MIN_HEIGHT:
             return []
         found = []
         for name, picture in fine:
@@ -184,7 +184,7 @@ class Labels:
         full = [(0, 0, self._size[0], self._top), *boxes, *tags]
         sides: dict[tuple[str, str], int] = {}
         for shape in shapes:
-            if shape.parts and len(full) <= _MOST_BOXES:
+            if shape.parts and len(full) <= _MAX_BOXES:
                 self._parts(image, shape, full, sides)
         self._sides = sides
 

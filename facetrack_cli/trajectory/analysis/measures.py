@@ -19,7 +19,7 @@ import numpy as np
 
 from facetrack_cli.core.face_points import EYE_DISTANCE
 from facetrack_cli.core.types import BOX, Array, Whole
-from facetrack_cli.trajectory.head_pose import SHAPE, head_pose, rotation_of, with_eyes
+from facetrack_cli.trajectory.analysis.head_pose import SHAPE, head_pose, rotation_of, with_eyes
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned, joined
 
 LENGTH, DEGREES = "eye distances", "degrees"

@@ -20,9 +20,9 @@ import numpy as np
 
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array
-from facetrack_cli.trajectory.measures import Measured
+from facetrack_cli.trajectory.analysis.measures import Measured
 
-GAIN, APART, GAP_S, REST_S, FEWEST = 0.5, 3.0, 0.25, 1.0, 3  # the last are frames at either level
+GAIN, APART, GAP_S, REST_S, MIN_FRAMES = 0.5, 3.0, 0.25, 1.0, 3  # the last are frames at either level
 # the events of a kind; the measure that tells it, or the one in its place; the sign of its change; its longest, in s
 KINDS: Final = {
     "mouth": (("mouth_opens", "mouth_closes"), "lips_apart", "mouth_opening", 1, math.inf),
@@ -62,7 +62,7 @@ def events_of(target: str, measures: Mapping[str, Measured]) -> dict[str, list[F
 def _away(one: Measured, sign: int, longest: float) -> Iterator[tuple[int, int, int, float, float, float]]:
     """First and last row away from rest, the next one; probabilities before, in, after, nan where nothing is known."""
     rows = np.flatnonzero(np.isfinite(one.value + one.time_s))
-    if len(rows) < 2 * FEWEST:
+    if len(rows) < 2 * MIN_FRAMES:
         return
     value, time_s, short = sign * one.value[rows], one.time_s[rows], math.isfinite(longest)
     if short:
@@ -88,7 +88,7 @@ def _away(one: Measured, sign: int, longest: float) -> Iterator[tuple[int, int, 
 def _threshold(value: Array, noise: float, spread: float) -> float:
     """Midway between the two levels of a measure; nan if it has only one."""
     x, n = np.sort(value - value.mean()), len(value)
-    k = np.arange(FEWEST, n - FEWEST + 1)  # values below the cut
+    k = np.arange(MIN_FRAMES, n - MIN_FRAMES + 1)  # values below the cut
     share, sums, squares = k / n, np.cumsum(x)[k - 1], np.cumsum(x**2)[k - 1]
     low, high = sums / k, -sums / (n - k)
     variances = squares / k - low**2, (np.sum(x**2) - squares) / (n - k) - high**2, x.var()

@@ -43,11 +43,11 @@ SPREAD: Final[Mapping[str, tuple[float, float, float]]] = {
     "lip_upper": (0.5, 2.3, 2.2),
     "lip_lower": (0.6, 3.5, 2.1),
 }
-LEAST: Final = 4  # points; three have two poses that fit exactly
+MIN_POINTS: Final = 4  # points; three have two poses that fit exactly
 FLAT: Final = 0.1  # least depth of the points that are seen, as a share of their extent
 STEPS: Final = 30
 HARDLY: Final = 2.0  # difference in cost below which the mirrored pose is as good: a factor of e in likelihood
-MOST: Final = 60.0  # degrees: of a pose with a larger spread nothing is said
+MAX_SPREAD_DEG: Final = 60.0  # degrees: of a pose with a larger spread nothing is said
 PIXEL: Final = 0.5  # standard deviation of a point that has none, and the least of any
 
 
@@ -130,7 +130,7 @@ def fit_pose(
         found = euler(best.rotation)
         inverse = np.linalg.inv(_spins(found))[:, None]
         spread_ = np.degrees(np.degrees(inverse @ best.cov[..., :3, :3] @ inverse.swapaxes(2, 3)))
-        told = np.diagonal(spread_[:, 0], axis1=1, axis2=2).max(axis=1) < MOST**2
+        told = np.diagonal(spread_[:, 0], axis1=1, axis2=2).max(axis=1) < MAX_SPREAD_DEG**2
         ambiguous[rows] &= told
         rows, best = rows[told], _Fit(*(values[told] for values in best))
         angles[rows], covariance[rows] = np.degrees(found[told]), spread_[told]
@@ -260,12 +260,12 @@ def _angle_between(one: Array, other: Array) -> Array:
 
 def _deep(shape: Array, seen: Mask) -> Mask:
     """(T,) whether enough points are seen, and not all of them in a plane."""
-    if shape.shape[0] < LEAST:
+    if shape.shape[0] < MIN_POINTS:
         return np.zeros(len(seen), bool)
     weight = seen[..., None].astype(np.float64)
     middle = (weight * shape).sum(axis=1) / np.maximum(weight.sum(axis=1), 1)
     extents = np.linalg.svd(weight * (shape - middle[:, None]), compute_uv=False)
-    found: Mask = (seen.sum(axis=1) >= LEAST) & (extents[:, 2] > FLAT * extents[:, 0])
+    found: Mask = (seen.sum(axis=1) >= MIN_POINTS) & (extents[:, 2] > FLAT * extents[:, 0])
     return found
 
 

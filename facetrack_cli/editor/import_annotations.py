@@ -17,7 +17,7 @@ from facetrack_cli.trajectory.trajectory import DECIMALS, Trajectory
 MOVED: Final = 0.05  # pixels: CVAT keeps two decimals
 
 
-def annotated_corrections(path: Path, run: Run, rows: Trajectory) -> tuple[Correction, ...]:
+def imported_corrections(path: Path, run: Run, rows: Trajectory) -> tuple[Correction, ...]:
     """The corrections that the keyframes of an annotation tool's file make of `rows` of a run; () for none.
 
     A part that is visible has a place by hand where that is farther than MOVED from its row, where its row is lost or

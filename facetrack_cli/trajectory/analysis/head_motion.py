@@ -29,7 +29,7 @@ LIGHT_S = 0.04  # smoothing of swings: a nod of 6 Hz keeps a third of its height
 GAP_S = 0.25  # a pause between rows that ends a stretch
 NOISE, KEPT = 4.0, 0.5  # deviations of noise that a threshold stands above; what of it stays from frame to frame
 SWING, SWINGS, SWING_S, ACROSS = 0.03, 3, (0.05, 0.6), 1.5
-STILL_S, LEAST_S = 1.0, 0.2
+STILL_S, MIN_SPAN_S = 1.0, 0.2
 POINTS_TO_FACE = 2.0
 """The size of a target of points, in largest distances between two: nose and mouth, or eyes and mouth, span about half
 a face, so that the thresholds mean about the same for points and for a face's box."""
@@ -165,7 +165,7 @@ def _stretches(pose: Pose) -> Iterator[Whole]:
         return
     broken = (np.diff(known) > 1) | (np.diff(pose.time_s[known]) > GAP_S) | pose.begins[known[1:]]
     for rows in np.split(known, 1 + np.flatnonzero(broken)):
-        if len(rows) > 2 and pose.time_s[rows[-1]] - pose.time_s[rows[0]] >= LEAST_S:
+        if len(rows) > 2 and pose.time_s[rows[-1]] - pose.time_s[rows[0]] >= MIN_SPAN_S:
             yield rows
 
 
@@ -210,7 +210,7 @@ def _moving(signal: Array, dt: float, rate: Rate, labels: tuple[str, str]) -> It
         for begin, end in spans(sign * speed > rate.last):
             fast = np.max(sign * speed[begin:end]) > begin_above
             change = abs(smooth[end - 1] - smooth[begin])
-            if fast and (end - begin) * dt >= LEAST_S and change >= rate.change:
+            if fast and (end - begin) * dt >= MIN_SPAN_S and change >= rate.change:
                 yield begin, end, label
 
 
@@ -235,7 +235,7 @@ def _swinging(x: Array, y: Array, dt: float) -> Iterator[tuple[int, int, str]]:
     after = 0
     for begin, end, label in sorted(found):
         # the last swing of one may still be going on in the first of the other
-        if (end - max(begin, after)) * dt >= LEAST_S:
+        if (end - max(begin, after)) * dt >= MIN_SPAN_S:
             yield max(begin, after), end, label
             after = end
 

@@ -9,7 +9,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.types import Correction, TargetStart
-from facetrack_cli.editor.annotated import annotated_corrections
+from facetrack_cli.editor.import_annotations import imported_corrections
 from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.trajectory.header import CORRECTED
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -45,7 +45,7 @@ def runs(made, tmp_path):
 
 def found(run, file):
     opened = open_run(run)
-    return annotated_corrections(file, opened, opened.rows)
+    return imported_corrections(file, opened, opened.rows)
 
 
 def in_cvat(run, change):
