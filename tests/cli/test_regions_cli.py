@@ -14,8 +14,8 @@ from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.trajectory.reader import read_trajectory
 from tests.support.media import write_pictures
+from tests.support.moving_head import START, clip, truth
 from tests.support.terminal import refusal
-from tests.tracking.test_regions import START, clip, truth
 
 ALL = "contour_histogram_correlation"
 BOX = ",".join(f"{side:g}" for side in START)

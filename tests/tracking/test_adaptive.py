@@ -27,7 +27,7 @@ from facetrack_cli.evaluation.goldens.goldens import find_goldens, read_golden
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.seeds import Plan, run_plans
 from facetrack_cli.runs.start import Begin
-from facetrack_cli.tracking.identity.gallery import NONE, Gallery, load_gallery
+from facetrack_cli.tracking.identity.gallery import Gallery, load_gallery
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -103,22 +103,6 @@ def test_the_scale_follows_the_truth(adaptive: dict[str, Against]) -> None:
     assert lamp.overlap.mean(axis=1).min() > 0.75  # .830
 
 
-def test_a_fixed_template_falls_behind_where_the_face_comes_near_quickly(adaptive: dict[str, Against]) -> None:
-    fixed = run("zoom", "fixed_template", seeds=(0,))
-    assert fixed.error.max() > 0.3 and adaptive["zoom"].error.max() < 0.25  # .39 and .16
-    assert fixed.overlap.mean() < adaptive["zoom"].overlap.mean() - 0.04  # .80 and .90 in the mean
-    assert (fixed.particles == 100).all()
-
-
-def test_fewer_particles_than_a_fixed_number_do_as_well(adaptive: dict[str, Against]) -> None:
-    for clip, one in adaptive.items():
-        fixed = run(clip, "adaptive_noise")
-        assert (fixed.particles == 100).all()
-        assert one.particles.mean() < 85 and np.ptp(one.particles) > 10  # 78, 66
-        assert one.overlap.mean() > fixed.overlap.mean() - 0.07  # .904 for .926 in the mean, .889 for .906
-        assert not np.isin("lost", one.tables[0].parts[0].status)
-
-
 # --- who it is -----------------------------------------------------------------------------------------------------
 
 
@@ -148,19 +132,6 @@ def without(name: str, folder: Path) -> Path:
         counts=tuple(gallery.counts[i] for i in kept),
     ).save(path)
     return path
-
-
-def test_a_stranger_is_called_by_somebody_elses_name_unless_it_may_be_none_of_them(tmp_path: Path) -> None:
-    gallery = f"recognition.gallery={without('hopper', tmp_path)}"
-    called = run("zoom", "adaptive_recognition", gallery, seeds=(0,), stop=30).tables[0]
-    assert called.identity[-1] in ("collins", "ines", "marta", "otto", "viktor") and called.identity_prob[-1] > 0.9
-    may = "recognition.none=true"
-    nobody = run("zoom", "adaptive_recognition", gallery, may, seeds=(0,), stop=30).tables[0]
-    assert nobody.recognised(nobody.target, NONE) is not None and nobody.identity[-1] == NONE
-    for clip, name in SHOWN.items():
-        known = f"recognition.gallery={PEOPLE}"
-        face = run(clip, "adaptive_recognition", known, may, seeds=(0,), stop=30).tables[0]
-        assert face.identity[-1] == name and face.identity_prob[-1] > 0.9, "who is there is not taken for nobody"
 
 
 def test_the_gallery_beside_the_clips_is_what_gallery_fit_makes_of_the_pictures(tmp_path: Path) -> None:

@@ -37,25 +37,6 @@ def test_a_box_at_the_start_is_itself():
     np.testing.assert_array_equal(corners, [(100, 50), (140, 50), (140, 110), (100, 110)])
 
 
-@pytest.mark.parametrize("degrees", [-170, -90, -30, 0, 5, 90, 135])
-@pytest.mark.parametrize("scale", [0.5, 1.0, 2.2])
-def test_a_turned_and_scaled_box(degrees, scale):
-    c, s = scale * math.cos(math.radians(degrees)), scale * math.sin(math.radians(degrees))
-    windows, angle, corners = shown(10, 20, c, -s, s, c)
-    assert windows == pytest.approx((41 * scale, 61 * scale)) and angle == pytest.approx(degrees)
-    right, down = corners[1] - corners[0], corners[3] - corners[0]
-    # clockwise on the screen, where y points down
-    assert right == pytest.approx((40 * c, 40 * s)) and down == pytest.approx((-60 * s, 60 * c))
-    assert corners.mean(axis=0) == pytest.approx((10, 20))
-
-
-def test_a_sheared_box_is_a_parallelogram():
-    windows, angle, corners = shown(0, 0, 1, 0.5, 0, 1)
-    assert windows == pytest.approx((41, 61 * math.hypot(0.5, 1)))
-    np.testing.assert_allclose(corners, [(-35, -30), (5, -30), (35, 30), (-5, 30)])
-    assert angle == pytest.approx(math.degrees(math.atan2(-0.5, 2)))
-
-
 @given(STATES)
 def test_corners_equal_the_plain_twin_and_the_angle_is_the_nearest_rotation(state):
     windows, angle, corners = shown(*state)
@@ -111,27 +92,6 @@ def test_the_transition_is_the_density_of_the_samples(walk):
     assert np.abs(log_p[:, 0, 0] - expected).mean() < 0.03
     # minus the entropy of a Gaussian
     assert log_p.mean() == pytest.approx(-0.5 * np.linalg.slogdet(2 * np.pi * np.e * cov)[1], abs=0.03)
-
-
-def test_every_pair_of_particle_and_parent_is_scored():
-    rng = np.random.default_rng(1)
-    x, parents = rng.normal(size=(4, 1, 6)), rng.normal(size=(7, 1, 6))
-    table = WALK.log_transition(x, parents)
-    assert table.shape == (4, 7, 1)
-    np.testing.assert_allclose(table[2, 5], WALK.log_transition(x[2:3], parents[5:6])[0, 0])
-
-
-def test_scale_turn_and_shape_have_noise_of_their_own():
-    upright = np.repeat(np.array([[[0.0, 0, 1, 0, 0, 1]]]), 20_000, axis=0)
-    a1, a2, a3, a4 = WALK.propagate(np.random.default_rng(0), upright)[:, 0, 2:].T
-    # rotation of the scale and the turn: (a1 + a4) / 2 and (a3 - a2) / 2; each of four numbers has a half of it
-    for number, sigma in ((a1 + a4, 0.04), (a3 - a2, 0.03), (a1 - a4, 0.01), (a2 + a3, 0.01)):
-        assert number.std() == pytest.approx(math.sqrt(2) * sigma, rel=0.03)
-    upright_only = affine_walk(2.0, 0.04, 0.0, turn=0.0).propagate(np.random.default_rng(0), upright)[:, 0, 2:]
-    np.testing.assert_array_equal(upright_only[:, 1:3], 0)
-    np.testing.assert_allclose(upright_only[:, 0], upright_only[:, 3])
-    even = affine_walk(2.0, 0.04).propagate(np.random.default_rng(0), upright)[:, 0, 2:]
-    np.testing.assert_allclose(even.std(axis=0), 0.04, rtol=0.03)
 
 
 def test_the_scale_stays_within_its_bounds_however_far_it_is_shifted():

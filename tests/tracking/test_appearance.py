@@ -10,14 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Frame
 from facetrack_cli.tracking.kernels import mixture as kernel
 from facetrack_cli.tracking.kernels.compiled import exact
 from facetrack_cli.tracking.kernels.mixture import _exp2
 from facetrack_cli.tracking.models.likelihoods.appearance import OUTLIER_RANGE, Mixture
 from facetrack_cli.tracking.models.spaces import Patches
 from tests.support.parts import appearance, changed, components
-from tests.support.samples import read_boxes
 from tests.tracking.test_patches import frame, smooth, state, states
 from tests.twins import appearance as naive
 
@@ -215,18 +213,6 @@ def test_learning_is_blind_to_what_is_not_seen():
     assert MODEL.learn(learned, frame(np.full((120, 160), 40)), state(60, 60)) is learned
 
 
-def test_the_error_is_1_where_the_model_is_right():
-    rng = np.random.default_rng(5)
-    learned = mixture(rng, 5000)
-    learned = replace(learned, mu=np.repeat(learned.mu[:1], 3, axis=0))
-    which = (rng.random(5000) > np.cumsum(learned.m, axis=0)).sum(axis=0).clip(0, 2)
-    y = learned.mu[0] + rng.normal(size=5000) * learned.sigma[which, np.arange(5000)]
-    assert MODEL.error(replace(learned, m=np.eye(3, dtype=np.float32)[which].T), y[None].astype(np.float32)) == (
-        pytest.approx(1, abs=0.08)
-    )
-    assert MODEL.error(learned, learned.mu[:1]) == pytest.approx(0, abs=1e-6)
-
-
 def moved(rows):
     """What is wrong with a hypothesis, in each of the ways that it can be."""
     dx, dy, scale, angle, shear = rows
@@ -252,26 +238,6 @@ def test_the_peak_is_at_the_truth_whatever_is_wrong(model, axis, reach):
     assert np.all(np.diff(score[15:]) < 0)
 
 
-@pytest.mark.parametrize(("clip", "model"), [("map", MODEL), ("turning", FIXED), ("textured", LAPLACE)])
-def test_the_true_box_of_a_sample_clip_beats_those_that_are_off(clip, model):
-    clip = read_boxes(clip)
-    cx, cy, w, h = clip.boxes[0]
-    model = replace(model, patches=Patches((w, h)))
-    f = [Frame(k, k / 25, picture) for k, picture in enumerate(clip.pictures[:2])]
-    learned = model.init(f[0], state(cx, cy))
-    x, y, w1, _ = clip.boxes[1]
-    s = w1 / w
-    rows = [(x, y, s, 0, 0, s)]
-    for off in (0.06, 0.1):
-        rows += [(x + off * w, y, s, 0, 0, s), (x - off * w, y, s, 0, 0, s), (x, y + off * h, s, 0, 0, s),
-                 (x, y - off * h, s, 0, 0, s), (x, y, s * (1 + off), 0, 0, s * (1 + off)),
-                 (x, y, s * (1 - off), 0, 0, s * (1 - off)), (x, y, s, -off, off, s),
-                 (x, y, s, 2 * off, 0, s)]  # fmt: skip
-    score = model.score(learned, f[1], states(*rows))[:, 0]
-    assert score.argmax() == 0
-    assert model.distances(learned, f[1], states(*rows))[:, 0].argmin() == 0
-
-
 def test_outliers_cost_little_and_teach_nothing_to_s():
     rng = np.random.default_rng(7)
     whole = smooth(12)
@@ -289,28 +255,6 @@ def test_outliers_cost_little_and_teach_nothing_to_s():
         kept[name] = np.mean(np.square(learned.mu[S] - learned.mu[F]))
     assert lost["robust"] < 0.6 * lost["plain"]
     assert kept["robust"] < kept["plain"]
-
-
-def test_what_cannot_be_seen_scores_as_badly_as_nothing():
-    f = frame(smooth(13))
-    for model in (MODEL, FIXED, LAPLACE):
-        learned = model.init(f, TRUTH)
-        x = states((80, 60), (-200, 60), (80, 9e9), (80, 60, 0, 0, 0, 0), (80, 60, 1e-9, 0, 0, 1e-9), (np.nan, 1))
-        score = model.score(learned, f, x)[:, 0]
-        assert np.isfinite(score).all()
-        assert score[1:] == pytest.approx(score[1], rel=1e-6)
-        assert score[0] > score[1]
-        assert model.distances(learned, f, x)[:, 0] == pytest.approx([0, 1, 1, 1, 1, 1], abs=1e-5)
-        flat = model.score(learned, frame(np.full((120, 160), 77)), x)[:, 0]
-        assert flat == pytest.approx(score[1], rel=1e-6)
-
-
-def test_the_score_falls_as_the_face_leaves_the_picture():
-    f = frame(smooth(14))
-    learned = MODEL.init(f, state(21, 60))
-    score = MODEL.score(learned, f, states(*[(v, 60) for v in (21, 15, 9, 3, -3, -9)]))[:, 0]
-    assert np.isfinite(score).all()
-    assert score.argmax() == 0
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,12 @@
 """The correlation filter in the whole engine: a textured patch over a textured ground, whose ground truth is known."""
 
-from itertools import pairwise
-
 import cv2
 import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.tracking.build.build import build_tracker, tracker_for
+from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.models.spaces import VISIBLE
 from tests.support.results import parts_of
@@ -146,15 +144,6 @@ def test_the_peak_alone_goes_with_the_target():
     assert np.abs(off(results, places)).max() < 0.25
 
 
-@pytest.mark.parametrize("at", [(2.0, 60.0), (158.0, 60.0), (80.0, 1.0), (80.0, 118.0)])
-def test_half_a_box_outside_at_the_start(at):
-    inward = np.sign(np.array([80.0, 60.0]) - at) * (np.abs(np.array([80.0, 60.0]) - at) > 40)
-    places = [(*(np.array(at) + 1.2 * n * inward),) for n in range(20)]
-    results = run(clip(places), start(places[0]))
-    assert_finite(results)
-    assert np.abs(off(results, places))[:10].max() < 0.5
-
-
 @pytest.mark.parametrize("by", [(4.0, 0.0), (-4.0, 1.0), (0.0, -4.0)])
 def test_a_target_that_leaves_the_frame_is_lost(by):
     places = [(80 + by[0] * n, 60 + by[1] * n) for n in range(45)]
@@ -162,13 +151,6 @@ def test_a_target_that_leaves_the_frame_is_lost(by):
     assert_finite(results)
     assert np.abs(off(results, places))[:10].max() < 0.25
     assert statuses(results)[-5:] == ["lost"] * 5
-
-
-@pytest.mark.parametrize("level", [0, 127, 255])
-@pytest.mark.parametrize("colour", [0.3, 0.0])
-def test_flat_frames_are_survived(level, colour):
-    frames = [Frame(n, n / 25, np.full((HEIGHT, WIDTH, 3), level, np.uint8)) for n in range(12)]
-    assert_finite(run(frames, start((60, 55)), **{"likelihood.colour": colour}))
 
 
 @pytest.mark.parametrize("learn", ["memory", "temporal"])
@@ -260,46 +242,3 @@ def test_p_visible_is_part_of_the_state():
         assert parts_of(result)[0].confidence <= seen[-1] + 1e-9
     assert min(seen[:11]) > 0.9
     assert max(seen[13:]) < 0.5
-
-
-def test_equal_seeds_give_equal_bytes():
-    places = path(15)
-    frames = clip(places)
-    one, two, other = (
-        np.array([(b.x, b.y, b.w, b.h, b.confidence, b.ess) for b in boxes(run(frames, start(places[0]), seed))])
-        for seed in (3, 3, 4)
-    )
-    assert one.tobytes() == two.tobytes()
-    assert one.tobytes() != other.tobytes()
-
-
-def test_two_targets_exclude_each_other():
-    """Two that look the same and pass each other closely stay two."""
-    ground, patch = texture(HEIGHT, WIDTH, 200, 3.0), texture(24, 24, 7)
-    places = [[(40 + 1.5 * n, 40.0), (120 - 1.5 * n, 75.0)] for n in range(40)]
-    frames = [frame(n, paste(paste(ground, patch, *a), patch, *b)) for n, (a, b) in enumerate(places)]
-    both = {name: start(at, (24, 24)).targets["thing"] for name, at in zip("ab", places[0], strict=True)}
-    results = run(frames, Start(0, both, "clip.init.yaml"), exclusion={"strength": 0.9})
-    for target in range(2):
-        for found, at in zip(boxes(results, target), places, strict=True):
-            assert np.hypot(found.x - at[target][0], found.y - at[target][1]) < 6
-
-
-def test_a_large_target_in_a_large_frame_is_followed():
-    size, frame_size = (300, 300), (1280, 720)
-    places = [(500 + 12.0 * n, 330 + 3.0 * n) for n in range(8)]
-    frames, begin = clip(places, size, frame_size=frame_size, blur=12.0), start(places[0], size)
-    tracker = tracker_for(load_recipe("correlation_filter"), begin, frame_size, 25)
-    results = list(track(tracker, iter(frames), 0))
-    assert_followed(results, places)
-
-
-def test_a_frame_that_is_tracked_twice_gives_the_same_both_times():
-    places = path(6)
-    frames, [target] = clip(places), build_tracker(load_recipe("correlation_filter"), start(places[0]))
-    states = [target.begin(np.random.default_rng(0), frames[0])[0]]
-    for n in range(1, 6):
-        states.append(target.advance(np.random.default_rng(n), states[-1], frames[n])[0])
-    for n, (before, after) in enumerate(pairwise(states), 1):
-        again, _ = target.advance(np.random.default_rng(n), before, frames[n])
-        np.testing.assert_array_equal(again.particles.x, after.particles.x)

@@ -5,9 +5,6 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.shipped import shipped_folder
-from facetrack_cli.core.types import Frame
-from facetrack_cli.tracking.face import descent
 from facetrack_cli.tracking.face.descent import LEFT, TOP, channels, load_descent, read
 from facetrack_cli.tracking.face.stabilized import EYES, Similarity, change_between
 from tests.support.samples import TrackClip
@@ -119,17 +116,6 @@ def test_equal_faces_give_equal_points():
         cv2.setNumThreads(threads)
 
 
-def test_what_is_saved_is_read_back_and_equal_ones_give_equal_bytes(tmp_path):
-    model, path = load_descent(), tmp_path / "own.npz"
-    model.save(path)
-    again = load_descent(path)
-    assert again.points == model.points and again.parts == PARTS
-    for name in ("mean", "stages", "scales", "std", "odds"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(model, name), err_msg=name)
-    again.save(tmp_path / "more.npz")
-    assert path.read_bytes() == (tmp_path / "more.npz").read_bytes()
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -153,25 +139,3 @@ def test_arrays_that_do_not_fit_are_refused_in_a_line(tmp_path, change, said):
     with pytest.raises(InputError, match=said) as refused:
         load_descent(path)
     assert str(path) in str(refused.value) and "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.9, 0.999])
-def test_a_file_that_is_cut_is_refused(tmp_path, share):
-    whole = (shipped_folder() / descent.DEFAULT).read_bytes()
-    path = tmp_path / "cut.npz"
-    path.write_bytes(whole[: int(share * len(whole))])
-    with pytest.raises(InputError, match=r"cut\.npz: .*make one with `python tools/mouth_descent\.py`"):
-        load_descent(path)
-
-
-def test_what_is_another_file_or_none_is_refused(tmp_path):
-    for path in (tmp_path / "none.npz", shipped_folder() / "mouth_prior.npz"):
-        with pytest.raises(InputError, match="mouth descent"):
-            load_descent(path)
-
-
-def test_a_still_face_of_any_frame_is_read(tmp_path):
-    """Beyond the border, and far smaller than it is read."""
-    frame = Frame(0, 0.0, np.full((20, 30, 3), 90, np.uint8))
-    for where in (Similarity(np.array([-40.0, 300.0]), 3.0, 1.0), Similarity(np.array([15.0, 10.0]), 0.05)):
-        assert np.isfinite(load_descent().fit(where.read(frame).bgr).at).all()

@@ -131,13 +131,6 @@ def test_a_tiny_face_at_the_border_and_a_flat_frame_are_survived():
     assert all(np.isfinite(np.stack([row.x, row.y, row.w, row.confidence])).all() for row in rows)
 
 
-def test_equal_input_gives_equal_rows():
-    poses = [Pose(110 + t, 110) for t in range(12)]
-    first, again = (run(moving.clip(poses), moving.start(poses[0])) for _ in range(2))
-    assert all(np.array_equal(a.x, b.x) and np.array_equal(a.confidence, b.confidence)
-               for a, b in zip(first, again, strict=True))  # fmt: skip
-
-
 @pytest.mark.parametrize("learn", [None, False, True])
 def test_a_correction_puts_the_whole_face_right(learn):
     poses = [Pose(90, 110)] * 10 + [Pose(190, 120)] * 15

@@ -10,7 +10,6 @@ from facetrack_cli.recipe.filters import Kld
 from facetrack_cli.recipe.sections import Length
 from facetrack_cli.tracking import filters
 from facetrack_cli.tracking.filters import Prediction
-from facetrack_cli.tracking.models.motion import RandomWalk
 from facetrack_cli.tracking.models.spaces import estimate
 from facetrack_cli.tracking.resampling import distinct, effective_sample_size, normalise, tempered, uniform
 from tests.support.parts import adaptive, auxiliary, factorized, sir
@@ -20,6 +19,9 @@ from tests.tracking.test_filters import APART, FRAMES, K, LinearGaussian, Q, R, 
 @pytest.mark.parametrize(
     ("step", "most"),
     [
+        (sir(), 0.1),
+        (auxiliary(), 0.22),
+        (factorized("none"), 0.075),
         (factorized("none", look_ahead="none"), 0.035),
         (factorized("none", look_ahead="mean"), 0.06),
         (factorized("none", look_ahead="none", resample_below=0.5), 0.035),
@@ -30,19 +32,9 @@ from tests.tracking.test_filters import APART, FRAMES, K, LinearGaussian, Q, R, 
         (sir(regularise=0.5), 0.12),
         (sir(temper=0.3, moves=2), 0.09),
     ],
-    ids=["none", "mean", "not always", "regularised", "annealed", "auxiliary mean", "sir", "sir kernel", "sir moves"],
 )
-def test_every_option_agrees_with_kalman(step, most):
+def test_every_filter_agrees_with_kalman(step, most):
     assert rmse(step, 3000, covariance=APART, seeds=4) < most
-
-
-def test_without_a_look_ahead_equal_evaluations_give_a_smaller_error():
-    """The random look-ahead of section 2.1 divides by a random likelihood; twice the particles cost as much."""
-    plain, published = (
-        rmse(factorized("none", look_ahead=kind), n, covariance=APART, seeds=12)
-        for kind, n in (("none", 200), ("draw", 100))
-    )
-    assert plain < 0.8 * published
 
 
 def test_both_ratios_are_the_transition_times_the_prior():
@@ -50,9 +42,9 @@ def test_both_ratios_are_the_transition_times_the_prior():
     start = np.eye(K) + 0.7
     ys = simulate(3, start)[:1]
     exact, cov = kalman(ys, start, tied=True)
-    runs = [run(factorized("both", look_ahead="none"), ys, start, 1500, seed, tied=True) for seed in range(6)]
-    assert np.abs(np.mean([means for means, _ in runs], axis=0) - exact).max() < 0.05
-    assert np.abs(np.mean([covs for _, covs in runs], axis=0) - cov).max() < 0.08
+    runs = [run(factorized("both", look_ahead="none"), ys, start, 1000, seed, tied=True) for seed in range(4)]
+    assert np.abs(np.mean([means for means, _ in runs], axis=0) - exact).max() < 0.08
+    assert np.abs(np.mean([covs for _, covs in runs], axis=0) - cov).max() < 0.1
 
 
 # --- tempering -----------------------------------------------------------------------------------------------------
@@ -69,11 +61,6 @@ def test_the_power_keeps_the_share_effective(seed, n, scale, share):
     # the largest such power
     more = effective_sample_size(normalise(np.minimum(power * 1.001, 1) * log_l))
     assert np.all(more[below] < share * n * (1 + 1e-6) + 1e-9)
-
-
-def test_no_power_is_above_the_most():
-    log_l = np.array([[0.0], [1.0]])
-    assert tempered(np.zeros((2, 1)), log_l, 0.5, np.array([0.25])) == pytest.approx([0.25])
 
 
 def test_a_tempered_step_has_the_posterior_of_the_tempered_likelihood():
@@ -186,25 +173,6 @@ def test_kld_takes_as_many_particles_as_a_plain_count_asks_for():
     assert filters.kld_number(settings, np.zeros((50, 1, 2)), 2.0) == 5
 
 
-def test_fewer_particles_serve_a_narrow_prediction():
-    settings = sir(kld=Kld(bin=Length(0.5, px=True)))
-    n = 5000
-    rng = np.random.default_rng(0)
-    one = RandomWalk(np.array([0.2]))
-
-    class Walk(LinearGaussian):
-        def propagate(self, rng, x):
-            return one.propagate(rng, x)
-
-        def log_likelihood(self, x, parents):
-            return -0.5 * np.sum((x - 1.0) ** 2, axis=2)
-
-    wide, _ = settings(rng, Particles(10 * rng.standard_normal((n, 1, 2)), uniform(n)), Walk(np.zeros((1, 2))))
-    narrow, _ = settings(rng, Particles(np.zeros((n, 1, 2)), uniform(n)), Walk(np.zeros((1, 2))))
-    assert len(narrow.x) < 500 < 2000 < len(wide.x) <= n
-    assert narrow.log_w.shape == (len(narrow.x),)
-
-
 # --- spread --------------------------------------------------------------------------------------------------------
 
 
@@ -309,37 +277,3 @@ def test_the_evidence_is_that_of_the_kalman_filter(step):
             total += info.evidence
         found.append(total)
     assert np.mean(found) == pytest.approx(exact, abs=0.35)
-
-
-def test_the_evidence_is_greatest_for_the_noise_that_made_the_track():
-    """Of five widths of the motion the true one, or its neighbour, has the greatest evidence."""
-
-    class Walk(LinearGaussian):
-        width: float = 1.0
-
-        def propagate(self, rng, x):
-            return x + self.width * rng.standard_normal(x.shape)
-
-    best = []
-    for seed in range(6):
-        ys = simulate(seed, APART)
-        sums = []
-        for width in (0.25, 0.5, 1.0, 2.0, 4.0):
-            rng, n = np.random.default_rng(seed), 500
-            particles, total = Particles(np.zeros((n, K, 1)), uniform(n)), 0.0
-            for y in ys:
-                model = Walk(y)
-                model.width = width
-                particles, info = factorized("none", look_ahead="none")(rng, particles, model)
-                total += info.evidence
-            sums.append(total)
-        best.append(int(np.argmax(sums)))
-    assert np.mean(np.array(best) == 2) >= 0.8 and set(best) <= {1, 2, 3}
-
-
-def test_options_leave_their_arguments_alone():
-    x = np.random.default_rng(0).normal(size=(50, K, 1))
-    particles = Particles(x.copy(), uniform(50))
-    for step in (sir(temper=0.5, moves=1), sir(regularise=1.0), factorized("none", look_ahead="none", regularise=1.0)):
-        step(np.random.default_rng(1), particles, LinearGaussian(np.zeros((K, 1))))
-        np.testing.assert_array_equal(particles.x, x)

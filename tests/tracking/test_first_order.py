@@ -6,7 +6,7 @@ import pytest
 from facetrack_cli.core.types import Particles
 from facetrack_cli.tracking.models.likelihoods.product import Product
 from facetrack_cli.tracking.models.motion import FirstOrder
-from facetrack_cli.tracking.models.spaces import BoxSpace, estimate, evenly
+from facetrack_cli.tracking.models.spaces import BoxSpace, evenly
 from facetrack_cli.tracking.resampling import uniform
 from tests.support.parts import auxiliary, factorized, sir
 
@@ -25,18 +25,6 @@ def whole(block, scale):
     return out
 
 
-def test_draws_have_the_mean_and_covariance_of_the_dynamics():
-    rng = np.random.default_rng(0)
-    state = np.array([50.0, 40.0, 1.2, 3.0, -2.0, 0.05])
-    drawn = MOTION.propagate(rng, np.tile(state, (60_000, 1, 1)))[:, 0]
-    spread = whole(B @ B.T, SCALE_B @ SCALE_B.T)
-    error = (drawn.mean(axis=0) - whole(A, SCALE_A) @ state) / np.sqrt(np.diag(spread) / len(drawn))
-    assert np.abs(error).max() < 4.5
-    scatter = np.cov(drawn.T)
-    units = np.sqrt(np.outer(np.diag(spread), np.diag(spread)))
-    assert np.abs((scatter - spread) / units).max() < 0.03
-
-
 def test_one_source_of_noise_moves_place_and_speed_together():
     constant_velocity = FirstOrder((A, np.array([[0.7], [0.7]])), (SCALE_A, np.zeros((2, 1))), 0.1, 10.0)
     x = np.tile(BoxSpace((31, 41)).at((10, 20, 31, 41)), (50, 1, 1))
@@ -44,21 +32,6 @@ def test_one_source_of_noise_moves_place_and_speed_together():
     np.testing.assert_allclose(moved[:, :2] - x[:, 0, :2], moved[:, 3:5])
     assert moved[:, 0].std() > 0.3 and np.all(moved[:, 5] == 0)
     np.testing.assert_allclose(moved[:, 2], 0.95)
-
-
-def test_without_noise_the_dynamics_are_the_matrix():
-    still = FirstOrder((A, np.zeros((2, 1))), (SCALE_A, np.zeros((2, 1))), 0.01, 100.0)
-    x = np.random.default_rng(2).normal(1.0, 0.1, (5, 1, 6))
-    np.testing.assert_allclose(still.propagate(np.random.default_rng(0), x), x @ whole(A, SCALE_A).T)
-
-
-def test_what_is_expected_is_the_mean_of_the_draws():
-    model = FirstOrder((np.array([[1, 1], [0, 0.5]]), np.array([[2.0], [1.0]])),
-                       (np.array([[1, 0], [0, 0]]), np.array([[0.1], [0]])), 0.01, 100.0)  # fmt: skip
-    x = np.array([[[10.0, 20.0, 1.0, 3.0, -4.0, 0.0]]])
-    np.testing.assert_array_equal(model.expect(x), [[[13, 16, 1, 1.5, -2, 0]]])
-    drawn = model.propagate(np.random.default_rng(0), x.repeat(40_000, axis=0)).mean(axis=0)
-    np.testing.assert_allclose(drawn, model.expect(x)[0], atol=0.05)
 
 
 def test_scale_stops_at_its_bounds():
@@ -97,45 +70,6 @@ def test_density_of_fewer_sources_than_numbers_is_that_on_their_line():
     three[..., [0, 3]] += [6.0, 8.0]
     ratio = motion.log_transition(two, parent) - motion.log_transition(three, parent)
     assert ratio[0, 0, 0] == pytest.approx((2.0**2 - 0.2**2) / 2)
-
-
-class Seen:
-    """The dynamics with places observed under Gaussian noise of variance r."""
-
-    def __init__(self, at, r):
-        self.at, self.r = at, r
-
-    def propagate(self, rng, x):
-        return MOTION.propagate(rng, x)
-
-    def log_likelihood(self, x, parents):
-        return -0.5 * np.sum((x[..., :2] - self.at) ** 2, axis=2) / self.r
-
-    def log_prior(self, x):
-        return np.zeros(len(x))
-
-
-def test_the_bootstrap_filter_agrees_with_a_kalman_filter():
-    rng = np.random.default_rng(6)
-    a, q, r = whole(A, SCALE_A), whole(B @ B.T, SCALE_B @ SCALE_B.T), 4.0
-    h = np.eye(2, 6)
-    truth = BoxSpace((21, 21)).at((20, 20, 21, 21))[0]
-    mean, cov = truth.copy(), np.zeros((6, 6))
-    particles = Particles(np.tile(truth, (20_000, 1, 1)), uniform(20_000))
-    off, spread = [], []
-    for _ in range(25):
-        truth = a @ truth + rng.multivariate_normal(np.zeros(6), q, method="eigh")
-        seen = h @ truth + rng.normal(0, np.sqrt(r), 2)
-        mean, cov = a @ mean, a @ cov @ a.T + q
-        gain = cov @ h.T @ np.linalg.inv(h @ cov @ h.T + r * np.eye(2))
-        mean, cov = mean + gain @ (seen - h @ mean), cov - gain @ h @ cov
-        particles, info = sir()(rng, particles, Seen(seen, r))
-        found = estimate(particles, info.ess)
-        # in standard deviations of the posterior, speeds included
-        off.append((found.state[0, [0, 1, 3, 4]] - mean[[0, 1, 3, 4]]) / np.sqrt(np.diag(cov)[[0, 1, 3, 4]]))
-        spread.append(found.cov[0] / cov[:2, :2].diagonal().mean())
-    assert np.sqrt(np.mean(np.square(off))) < 0.05
-    assert np.abs(np.mean(spread, axis=0) - np.eye(2)).max() < 0.05
 
 
 class Family:

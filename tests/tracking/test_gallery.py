@@ -1,17 +1,13 @@
 """The gallery: eq. 14 to 16 against plain twins and the normal density, made-up people, calibration, files."""
 
 import dataclasses
-import io
-import zipfile
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facetrack_cli.core import files
-from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.core.npz import Kind
+from facetrack_cli.core.errors import InputError
 from facetrack_cli.tracking.identity.fit import Samples, equal_errors, fit_gallery, fit_logistic, off_the_mark, stand_in
 from facetrack_cli.tracking.identity.gallery import NONE, Gallery, load_gallery, logistic
 from facetrack_cli.tracking.identity.subspaces import LEAST_RHO, Moments, Subspace, common_basis, fit_subspace, folds_by
@@ -87,14 +83,6 @@ def test_densities_of_differences_are_those_of_each(s):
     np.testing.assert_allclose(space.log_densities(y, faces), expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize("s", [0, 1, 2])
-def test_density_integrates_to_one(s):
-    space = some_subspace(np.random.default_rng(s), 2, s)
-    at = np.linspace(-12.0, 12.0, 481)
-    grid = np.stack(np.meshgrid(at, at), -1).reshape(-1, 2) + space.mean
-    assert np.exp(space.log_density(grid)).sum() * (at[1] - at[0]) ** 2 == pytest.approx(1.0, abs=1e-4)
-
-
 def test_components_of_a_known_model_are_found():
     rng = np.random.default_rng(0)
     true = np.array([9.0, 4.0])
@@ -138,19 +126,6 @@ def test_a_basis_changes_nothing():
     y = rng.normal(size=(4, 40))
     for a, b in zip((plain.whole, *plain.without), (reduced.whole, *reduced.without), strict=True):
         np.testing.assert_allclose(a.log_density(y), b.log_density(y), rtol=1e-4)
-
-
-def test_a_basis_of_the_largest_directions_changes_little():
-    rng = np.random.default_rng(8)
-    x = rng.normal(size=(60, 40)) * np.r_[np.linspace(6, 2, 10), np.full(30, 0.4)]
-    folds = folds_by(np.arange(60) // 6)
-    basis = common_basis(x, 15)
-    np.testing.assert_allclose(basis @ basis.T, np.eye(15), atol=1e-9)
-    plain, reduced = fit_subspace(x, folds).whole, fit_subspace(x, folds, basis=basis).whole
-    assert len(plain.values) == len(reduced.values) < 12
-    np.testing.assert_allclose(reduced.values, plain.values, rtol=0.01)
-    # what the basis has no direction for still counts as left over
-    assert reduced.rho == pytest.approx(plain.rho, rel=0.03)
 
 
 @pytest.mark.parametrize(
@@ -352,25 +327,6 @@ def test_a_frontal_face_is_told_from_patches_off_the_mark():
     assert dataclasses.replace(gallery, most_frontal=0.2).log_scores(x.astype(np.float32))[0].max() <= 0.2
 
 
-@settings(max_examples=30)
-@given(st.sampled_from(["zeros", "noise", "spike", "checks"]), st.booleans(), st.integers(0, 99))
-def test_wild_patches_have_scores(gallery, kind, none, seed):
-    y = np.zeros((2, D))
-    if kind == "noise":
-        y = normalised(np.random.default_rng(seed).normal(size=(2, D)))
-    elif kind == "spike":
-        y[:, seed % D] = 1.0
-        y = normalised(y)
-    elif kind == "checks":
-        y = normalised(np.indices(SHAPE).sum(0).reshape(1, -1) % 2 + np.zeros((2, 1)))
-    p_f, log_n = gallery.log_scores(y.astype(np.float32), none=none)
-    assert np.isfinite(log_n).all() and ((p_f >= 0) & (p_f <= 1)).all()
-    assert kind != "zeros" or not p_f.any()
-    for space in (gallery.frontal, gallery.intra, gallery.extra):
-        assert np.isfinite(space.log_density(y)).all()
-    assert gallery.log_scores(np.zeros((0, D), np.float32), none=none)[1].shape == (0, 4 + none)
-
-
 def test_a_gallery_of_single_pictures():
     x, names = people(4, 6)
     first = np.arange(len(x)) % 6 == 0
@@ -396,17 +352,6 @@ def test_people_who_are_hardly_told_apart_are_told():
     mixed = [f"person {k % 4}" for k in range(24)]  # one face under four names
     [note] = fit_gallery(x, mixed, SHAPE).notes
     assert "hardly told apart" in note and "% of either error" in note
-
-
-@pytest.mark.parametrize("number", [2, 3])
-@pytest.mark.parametrize("single", [True, False])
-def test_few_persons_are_told_apart(number, single):
-    x, names = people(number, 9)
-    known = np.arange(len(x)) % 9 < 4
-    pictures = np.cumsum(np.arange(len(x)) % 9 == 0) if single else np.arange(len(x))
-    gallery = fit_gallery(x[known], np.array(names)[known].tolist(), SHAPE, images=pictures[known])
-    _, log_n = gallery.log_scores(x[~known].astype(np.float32))
-    assert (np.array(gallery.names)[log_n.argmax(1)] == np.array(names)[~known]).mean() > 0.9
 
 
 def test_one_person_is_no_gallery():
@@ -450,12 +395,6 @@ def test_a_gallery_is_what_was_saved(gallery, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["again.npz", "faces.npz"]
 
 
-def test_equal_pictures_give_equal_galleries(tmp_path):
-    for name in "ab":
-        fit_gallery(*people(), SHAPE).save(tmp_path / name)
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-
-
 def refused(path):
     with pytest.raises(InputError) as caught:
         load_gallery(path)
@@ -468,29 +407,6 @@ def arrays_of(gallery, path):
     gallery.save(path)
     with np.load(path) as file:
         return dict(file)
-
-
-@given(data=st.data())
-def test_damaged_files_are_refused_or_harmless(gallery, tmp_path_factory, data):
-    folder = tmp_path_factory.getbasetemp()
-    whole = folder / "whole.npz"
-    if not whole.exists():
-        gallery.save(whole)
-    content = bytearray(whole.read_bytes())
-    if data.draw(st.booleans()):
-        content = content[: data.draw(st.integers(0, len(content) - 1))]
-    else:
-        # headers and the directory at the end are what matters
-        last = len(content) - 1
-        place = st.one_of(st.integers(0, 400), st.integers(0, last), st.integers(last - 2500, last))
-        for at, value in data.draw(st.lists(st.tuples(place, st.integers(0, 255)), min_size=1, max_size=4)):
-            content[at] = value
-    path = folder / "damaged.npz"
-    path.write_bytes(content)
-    try:
-        load_gallery(path)
-    except InputError as e:
-        assert str(e).startswith(str(path)) and "\n" not in str(e)
 
 
 DAMAGE = {
@@ -527,48 +443,3 @@ def test_arrays_that_do_not_fit_are_refused(gallery, tmp_path, case):
     with np.errstate(invalid="ignore"):
         np.savez(path, **(arrays | {key: change(arrays[key])}))
     assert said in refused(path)
-
-
-def test_other_files_are_refused(gallery, tmp_path):
-    path = tmp_path / "faces.npz"
-    assert "no such gallery" in refused(path)
-    assert "cannot be read" in refused(tmp_path)
-    arrays = arrays_of(gallery, path)
-    for changed, said in (
-        ({"version": np.array(2)}, "format version 2, and this facetrack reads version 1"),
-        ({"format": np.array("facetrack-shape-prior")}, "is not a gallery"),
-        ({"faces": np.array([{}])}, "no .npz of plain arrays"),
-    ):
-        np.savez(path, **(arrays | changed))
-        assert said in refused(path)
-    for key in set(arrays) - {"format", "version", "proportion"}:
-        np.savez(path, **{name: array for name, array in arrays.items() if name != key})
-        assert f"lacks an array: {key}" in refused(path).replace(" is not a file in the archive", "")
-    with path.open("wb") as file:
-        np.save(file, np.zeros(3))
-    assert "bare array" in refused(path)
-    other = io.BytesIO()
-    with zipfile.ZipFile(other, "w") as archive:
-        archive.writestr("format.npy", "no array")
-    for content in (b"", b"no gallery\n", other.getvalue()):
-        path.write_bytes(content)
-        refused(path)
-
-
-def test_where_nothing_can_be_written(gallery, tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="cannot be written"):
-        gallery.save(tmp_path / "file" / "faces.npz")
-
-
-def test_a_file_that_was_there_survives_a_failure(tmp_path, monkeypatch):
-    path = tmp_path / "faces.npz"
-    path.write_text("kept")
-
-    def full(path):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(files, "publish", full)
-    with pytest.raises(OutputError, match="No space left"):
-        Kind("f", 1, "thing", "make").write(path, {"a": np.zeros(3)})
-    assert path.read_text() == "kept" and len(list(tmp_path.iterdir())) == 1

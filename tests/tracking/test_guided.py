@@ -234,16 +234,6 @@ def test_p_visible_is_that_of_the_chain(share):
     assert seen[6] > 0.9
 
 
-def test_hidden_targets_come_back_where_steps_differ_too():
-    particles, rng = states(200), np.random.default_rng(0)
-    for _ in range(5):
-        particles, _ = guided(200, 0.7)(rng, particles, Modes(WALK, (50, 40, 0), (3, 3, 0.05), -50.0, flat=-50.0))
-        assert visible(particles) < 1e-15
-        assert np.isfinite(particles.x).all()
-    particles, _ = guided(200, 0.7)(rng, particles, Modes(WALK, (50, 40, 0), (3, 3, 0.05), 5.0, flat=5.0))
-    assert visible(particles) == pytest.approx(chain(0.0, 5.0), abs=0.05)
-
-
 def test_a_likelihood_of_zero_ends_no_track():
     particles, _ = guided(50, 0.7)(
         np.random.default_rng(0), states(50), Modes(WALK, (50, 40, 0), (3, 3, 0.05), 0.0, flat=-1e6)

@@ -1,7 +1,5 @@
 """The colour histogram: its peak is at the ground truth, it tells left from right, and says if there are no colours."""
 
-from functools import cache
-
 import cv2
 import numpy as np
 import pytest
@@ -116,15 +114,6 @@ def test_every_colour_goes_to_its_bin(bins):
     assert len(pairs) == len(set(theirs)) == len(set(ours.ravel().tolist()))
 
 
-def test_hue_saturation_and_value_are_those_of_the_formula():
-    bgr = np.random.default_rng(3).integers(0, 256, (1, 3000, 3), dtype=np.uint8)
-    seen = cv2.cvtColor(bgr, cv2.COLOR_BGR2HSV)[0].astype(float)
-    exact = np.array([naive.hsv(*map(int, pixel)) for pixel in bgr[0]])
-    off = np.abs(seen - exact)
-    off[:, 0] = np.minimum(off[:, 0], 180 - off[:, 0])
-    assert off.max() < 1
-
-
 @given(
     seed=st.integers(0, 1000),
     n=st.integers(1, 6),
@@ -184,12 +173,6 @@ def test_peak_is_at_the_truth(scale, max_size):
     assert likelihood.distances(learned, now, boxes([(40.0, 150.0)]))[0, 0] > 0.95
 
 
-def test_the_first_frame_matches_itself():
-    picture = scene()
-    likelihood, learned = learned_at_truth(picture)
-    assert likelihood.distances(learned, frame(picture), boxes([TRUTH]))[0, 0] < 1e-3
-
-
 def test_sub_regions_tell_a_target_from_its_mirror_image():
     picture, mirrored = scene(), scene(mirrored=True)
     d = {}
@@ -198,20 +181,6 @@ def test_sub_regions_tell_a_target_from_its_mirror_image():
         d[regions] = likelihood.distances(learned, frame(mirrored), boxes([TRUTH]))[0, 0]
     assert d[1, 1] < 0.1
     assert d[3, 3] > 0.6
-
-
-@pytest.mark.parametrize("gain", [0.7, 1.3])
-def test_the_light_changes_next_to_nothing(gain):
-    picture = scene()
-    likelihood, learned = learned_at_truth(picture)
-    relit = frame(np.clip(picture * gain, 0, 255).round().astype(np.uint8))
-    assert likelihood.distances(learned, relit, boxes([TRUTH]))[0, 0] < 0.2
-    # a histogram that holds brightness would not know it again
-    grey = frame(cv2.cvtColor(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR))
-    by_value = histogram(SIZE, value_bins=16)
-    as_grey = by_value.init(grey, boxes([TRUTH])[0])
-    darker = frame(np.clip(grey.bgr * gain, 0, 255).round().astype(np.uint8))
-    assert by_value.distances(as_grey, darker, boxes([TRUTH]))[0, 0] > 0.5
 
 
 def test_what_lies_outside_matches_nothing_and_the_reference_is_of_what_lies_inside():
@@ -275,65 +244,6 @@ def test_some_colour_in_a_grey_box_will_do():
     assert likelihood.distances(learned, frame(picture), boxes([TRUTH]))[0, 0] < 1e-3
 
 
-def test_value_bins_follow_a_grey_target():
-    picture = grey_scene(2)
-    likelihood, learned = learned_at_truth(picture, value_bins=8)
-    offsets = [(dx, dy) for dx in range(-24, 25, 3) for dy in range(-24, 25, 3)]
-    moved = frame(np.roll(picture, (9, 14), axis=(0, 1)))
-    score = likelihood.score(learned, moved, boxes([(TRUTH[0] + 14 + dx, TRUTH[1] + 9 + dy) for dx, dy in offsets]))
-    assert offsets[int(np.argmax(score))] == (0, 0)
-
-
 def test_a_box_outside_the_picture_cannot_be_learned():
     with pytest.raises(InputError, match="frame 0: the box lies outside the image"):
         histogram(SIZE).init(frame(scene()), boxes([(-100.0, 20.0)])[0])
-
-
-@cache
-def known(max_size):
-    picture = scene()
-    return picture, *learned_at_truth(picture, max_size=max_size)
-
-
-wild = st.one_of(st.floats(-1e3, 1e3), st.floats(allow_nan=True, allow_infinity=True))
-
-
-@given(
-    x=st.lists(st.tuples(wild, wild, wild), min_size=1, max_size=30),
-    max_size=st.sampled_from([None, 20]),
-    level=st.sampled_from([None, 0, 128, 255]),
-)
-def test_any_box_in_any_picture_has_a_finite_likelihood(x, max_size, level):
-    picture, likelihood, learned = known(max_size)
-    bgr = picture if level is None else np.full((37, 51, 3), level, np.uint8)
-    score = likelihood.score(learned, frame(bgr), boxes(x))
-    assert score.shape == (len(x), 1)
-    assert np.all((score >= -20) & (score <= 0))
-    for row, value in zip(x, score[:, 0], strict=True):
-        alone = likelihood.score(learned, frame(bgr), boxes([row]))
-        assert alone[0, 0] == value
-        if not np.isfinite(row).all() or row[2] <= 0:
-            assert value == -20
-
-
-def test_large_boxes_are_read_from_a_reduced_picture_to_the_same_effect():
-    picture = scene()
-    large = cv2.resize(picture, None, fx=4, fy=4, interpolation=cv2.INTER_NEAREST)
-    size = (4 * SIZE[0], 4 * SIZE[1])
-    at = np.array([[4 * TRUTH[0] + 1.5, 4 * TRUTH[1] + 1.5, 1, 0, 0, 0]])
-    reduced, whole = histogram(size, max_size=64), histogram(SIZE)
-    seen, expected = reduced.init(frame(large), at), whole.init(frame(picture), boxes([TRUTH])[0])
-    assert (seen.factor, expected.factor) == (4, 1)
-    np.testing.assert_array_equal(seen.root, expected.root)
-    steps = np.array([(0, 0), (5.2, -3.1), (-9.4, 12.7), (60, 40)])
-    there = np.zeros((4, 1, 6))
-    there[:, 0] = at
-    there[:, 0, :2] += 4 * steps
-    a = reduced.score(seen, frame(large), there)
-    b = whole.score(expected, frame(picture), boxes(np.array(TRUTH) + steps))
-    np.testing.assert_allclose(a, b, atol=1e-5)
-
-
-def test_learning_changes_nothing():
-    picture, likelihood, learned = known(None)
-    assert likelihood.learn(learned, frame(picture), boxes([TRUTH])[0], None) is learned

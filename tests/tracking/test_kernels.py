@@ -27,18 +27,6 @@ def test_window_is_bilinear_and_replicates_the_border(x, y, w, h, as_float):
     np.testing.assert_array_equal(seen[:, w], 0.0)
 
 
-def test_window_at_whole_pixels_is_the_crop():
-    image = picture(2)
-    seen = windows.read_window(windows.flat(image), 10.0, 11.0, 5, 7)[:, :5]
-    np.testing.assert_array_equal(seen, image[8:15, 8:13])
-
-
-def test_window_that_touches_the_last_pixel_is_the_crop():
-    image = picture(3)
-    seen = windows.read_window(windows.flat(image), 28.0, 21.0, 5, 5)[:, :5]
-    np.testing.assert_array_equal(seen, image[19:24, 26:31])
-
-
 def distances(image, templates, x, robust="l1", scale=0.2, origin=(0, 0), factor=1):
     """The kernel on a list of templates (h, w, 3) for parts 1, 2, ... of x (N, K, 2)."""
     rows, sides = [], []
@@ -85,12 +73,6 @@ def test_a_reduced_picture_with_an_origin_is_read_at_the_right_place():
     seen = distances(np.ascontiguousarray(blocks[4:16, 5:19]), [template], x, origin=(15, 12), factor=3)
     # the mean of block i stands for pixel 3 i + 1
     assert seen[0, 0] == pytest.approx(naive.colour_ratio_distance(blocks, template, 39.5 / 3, 10.0), rel=1e-4)
-
-
-def test_a_black_window_has_a_finite_distance():
-    image = np.zeros((20, 20, 3), np.uint8)
-    seen = distances(image, [np.full((5, 5, 3), 90.0)], np.array([[[0.0, 0.0], [9.0, 9.0]]]))
-    assert seen[0, 0] == pytest.approx(1.0)
 
 
 def naive_inverse(weights, points):

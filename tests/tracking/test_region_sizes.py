@@ -1,10 +1,7 @@
 """Regions in large images, which are read reduced: the same scene has the same likelihood there, and in its place."""
 
-import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame
 from tests.support.parts import contour, correlation, histogram
@@ -87,40 +84,3 @@ def test_the_peak_is_at_the_truth_in_pictures_of_any_size(name, zoom, reduce):
     mean = weight @ off / weight.sum()
     assert np.abs(mean).max() < 0.3
     assert weight[np.abs(off).max(axis=1) > 2.9].max() < 0.2
-
-
-# blocks around the box that a frame knows already: from less than what the likelihood reads to about as much
-KNOWN = {"contour": (7.4, 12.5), "histogram": (-3.0, 0.5), "correlation": (0.0, 0.8)}
-
-
-@pytest.mark.parametrize("name", MODELS)
-@given(
-    box=st.tuples(st.floats(60, 350), st.floats(60, 250), st.one_of(st.floats(0.05, 0.4), st.floats(0.4, 1.5))),
-    share=st.tuples(*4 * [st.floats(0, 1)]),
-)
-def test_what_was_asked_of_a_frame_before_does_not_matter(name, box, share):
-    """Frames keep what they have reduced, and take it again where it is enough."""
-    model = MODELS[name](4, 36)
-    x = states([box])
-    results = []
-    for ask in (False, True):
-        before, now = (Frame(i, 0.0, picture) for i, picture in enumerate(NOISE))
-        learned = model.init(before, states([(200.0, 150.0, 1.0)])[0])
-        if ask:
-            w, h = (4 * side * box[2] / 2 for side in SIZE)
-            least, most = KNOWN[name]
-            # a frame widens what it is asked for by six blocks all around
-            more = 4.0 * (least + (most - least) * np.array(share) - 6.0)
-            extent = box[0] - w - more[0], box[1] - h - more[1], box[0] + w + more[2], box[1] + h + more[3]
-            for frame in (before, now):
-                (frame.reduced if name == "histogram" else frame.grey)(4, extent)
-        results.append(model.score(learned, now, x, x))
-    np.testing.assert_allclose(*results, rtol=1e-5)
-
-
-def _noise(seed):
-    small = np.random.default_rng(seed).integers(0, 256, (20, 27, 3), dtype=np.uint8)
-    return cv2.resize(small, None, fx=16, fy=16, interpolation=cv2.INTER_CUBIC)
-
-
-NOISE = _noise(0), _noise(1)

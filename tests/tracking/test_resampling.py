@@ -45,13 +45,6 @@ def test_a_particle_of_weight_zero_is_never_drawn(name, u):
 
 
 @pytest.mark.parametrize("name", SCHEMES)
-def test_one_particle_that_holds_all_weight(name):
-    log_w = np.full(9, -np.inf)
-    log_w[5] = 0.0
-    assert np.all(SCHEMES[name](np.random.default_rng(0), log_w, 20) == 5)
-
-
-@pytest.mark.parametrize("name", SCHEMES)
 def test_expected_counts_are_the_weights(name):
     rng = np.random.default_rng(1)
     w = np.array([0.05, 0.3, 0.02, 0.43, 0.2])

@@ -72,16 +72,6 @@ def test_the_scale_at_which_it_is_looked_for_comes_on_top(scale):
     assert log_scale(one, response) == pytest.approx(math.log(1.04), abs=1.01 * math.log(STEP))
 
 
-@pytest.mark.parametrize("rate", [0.0, 0.3, 1.0])
-def test_learning_moves_what_is_known_by_its_rate(rate):
-    one = trainer(count=9)
-    first, second = (one.read(frame(texture(120, 160, seed)), CENTRE, 1.0) for seed in (0, 1))
-    known, other = one.learn(None, first, 1.0), one.learn(None, second, 1.0)
-    after = one.learn(known, second, rate)
-    for a, b, found in zip(known, other, after, strict=True):
-        np.testing.assert_allclose(found, (1 - rate) * a + rate * b, rtol=1e-5, atol=1e-6)
-
-
 def test_the_response_is_dssts_equation_6():
     one = trainer(count=9)
     x, z = (one.read(frame(texture(120, 160, seed)), CENTRE, 1.0) for seed in (0, 1))
@@ -94,14 +84,6 @@ def test_the_response_is_dssts_equation_6():
     exact = np.fft.ifft(np.sum(a.conj() * whole[1], axis=1) / (b + 0.01)).real
     found = one.respond(one.learn(None, x, 1.0), z)
     np.testing.assert_allclose(found, np.roll(exact, 4), atol=1e-3)
-
-
-@pytest.mark.parametrize("level", [0, 128, 255])
-@pytest.mark.parametrize("centre", [(80, 60), (-300, 60), (80, 1000)])
-def test_flat_frames_and_places_far_outside_are_survived(level, centre):
-    one = trainer()
-    x = one.read(frame(np.full((120, 160), level, np.uint8)), np.array(centre, float), 1.0)
-    np.testing.assert_array_equal(one.respond(one.learn(None, x, 1.0), x), 0.0)
 
 
 SIDE = 160
@@ -148,14 +130,6 @@ def test_colours_that_become_alike_say_nothing_any_more():
     for _ in range(60):
         known = model.learn(known, square(GREEN, GREEN), 1.0)
     assert known.tells < 0.2
-
-
-def test_nothing_is_learned_at_a_rate_of_nothing():
-    model = ColourModel((0.2, 0.2))
-    known = model.learn(None, square(RED, GREEN), 1.0)
-    after = model.learn(known, square(GREEN, RED), 0.0)
-    np.testing.assert_array_equal(after.target, known.target)
-    np.testing.assert_array_equal(after.around, known.around)
 
 
 @pytest.mark.parametrize("box", [(0.02, 0.02), (0.2, 0.02), (0.9, 0.1), (1.5, 1.5), (0.05, 0.6)])

@@ -13,7 +13,6 @@ from facetrack_cli.tracking.face.sensors import (
     FADES,
     MISLED,
     MOST,
-    NETWORK,
     REGRESSION,
     SLIP,
     SURE,
@@ -43,18 +42,6 @@ def fed(sensor, offset, frames, rng, noise=1.0, visible=VISIBLE, cov=EXACT, ever
         z = z if t % every == 0 else np.full((3, 2), np.nan)
         sensor = sensor.learned(z, PLACES + np.sqrt(0.2) * rng.standard_normal((3, 2)), cov, visible)
     return sensor
-
-
-def test_what_a_sensor_has_differently_in_every_frame_becomes_its_bias():
-    rng = np.random.default_rng(0)
-    first = begun(PLACES, PLACES, 2.0)
-    np.testing.assert_array_equal(first.bias, 0)
-    after = fed(first, AWAY, 600, rng)
-    assert np.abs(after.bias - AWAY).max() < 0.4
-    said = after.measured(PLACES + AWAY, VISIBLE)
-    assert np.abs(said.z - PLACES).max() < 0.4, "it is taken off"
-    # it is known as exactly as the drift allows: the filter's variance is that of a random walk seen with noise r
-    assert (after.var < 0.2 * first.var).all() and (after.var > DRIFT**2).all()
 
 
 @pytest.mark.parametrize("keep", [1.0, FADES])
@@ -117,13 +104,6 @@ def test_it_is_not_misled_by_what_says_nothing_of_the_part(how):
     assert (after.var > before.var).all(), "meanwhile it is less known"
 
 
-def test_where_the_filter_is_not_sure_less_is_learned():
-    first = begun(PLACES, PLACES, 2.0)
-    z, vague = PLACES + 2.0, 100 * EXACT
-    sure, unsure = (first.learned(z, PLACES, cov, VISIBLE).bias for cov in (EXACT, vague))
-    assert (np.abs(unsure) < 0.5 * np.abs(sure)).all() and (unsure > 0).all()
-
-
 def test_what_it_says_of_a_part_depends_on_how_visible_that_is():
     one = begun(PLACES, PLACES, 2.0)
     seen, hidden = (one.measured(PLACES, np.array([1.0, 1.0, v])) for v in (1.0, 0.0))
@@ -143,12 +123,6 @@ def test_a_part_that_the_sensor_does_not_know_has_no_bias_and_is_not_measured():
     assert said.sure[1] == 0 and np.isfinite(said.z).all()
     after = one.learned(z, PLACES, EXACT, VISIBLE)
     assert np.isfinite([*after.bias.ravel(), *after.var, *after.noise]).all() and after.noise[1] == one.noise[1]
-
-
-def test_a_network_may_be_far_more_exact_than_a_regression():
-    rng = np.random.default_rng(4)
-    exact, rough = (fed(begun(PLACES, PLACES, 2.0, least), 0.0, 600, rng, 0.1) for least in (NETWORK, REGRESSION))
-    assert (exact.noise < 0.1 * rough.noise).all() and (exact.noise >= NETWORK**2).all()
 
 
 # --- two sensors ----------------------------------------------------------------------------------------------------
@@ -213,18 +187,3 @@ def test_facing_is_the_exact_chain_of_two_states(looks, unseen):
             one = one.looked(found=found)
         assert one.shown == pytest.approx(p[0])
         assert one.found == pytest.approx((yes, no))
-
-
-def test_how_often_a_face_is_found_says_what_it_means_when_it_is_not():
-    often = seldom = Facing()
-    for i in range(60):
-        often, seldom = often.looked(found=True).predicted(), seldom.looked(found=i % 2 == 0).predicted()
-    assert often.looked(found=False).shown < seldom.looked(found=False).shown
-    for _ in range(4):
-        often = often.looked(found=False).predicted()
-    assert often.shown < 0.3
-    assert often.looked(found=True).looked(found=True).shown > 0.8
-    never = Facing().unseen()
-    for _ in range(30):
-        never = never.looked(found=False).predicted()
-    assert never.shown > 0.5, "a face that the detector never saw is not taken for one that turned away"

@@ -4,7 +4,6 @@ import cv2
 import numpy as np
 import pytest
 
-from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build.build import build_tracker
@@ -101,34 +100,6 @@ def test_hands_that_meet_the_face_do_not_take_it_and_go_on_their_way():
     assert np.abs(np.array(lost) - HEAD[0]).mean() < 20
 
 
-@pytest.mark.parametrize("config", ["head_hands", "head_hands_cloud"])
-def test_the_same_seed_gives_the_same_track_and_another_does_not(config):
-    clip = frames(swing(6))
-    a, b, c = (places(run(config, clip, start(*ALL), seed)) for seed in (3, 3, 4))
-    np.testing.assert_array_equal(a, b)
-    assert np.all(np.abs(a - c)[1:].max(axis=(0, 2)) > 0)
-
-
-def test_a_target_less_is_followed_too():
-    found = places(
-        run("head_hands", frames(swing(10)), start("head", "left_hand"), overrides=["targets.right_hand=null"])
-    )
-    assert found.shape == (10, 2, 4)
-
-
-def test_a_start_without_a_target_is_refused():
-    with pytest.raises(InputError, match="has no right_hand"):
-        build_tracker(load_recipe("head_hands"), start("head", "left_hand"))
-
-
-@pytest.mark.parametrize("level", [0, 128])
-def test_flat_pictures_go_on_and_say_lost(level):
-    flat = [Frame(i, i / 25, np.full((200, 260, 3), level, np.uint8)) for i in range(1, 8)]
-    results = run("head_hands", [*frames([(HEAD, LEFT, RIGHT)]), *flat], start(*ALL))
-    assert np.isfinite(places(results)).all()
-    assert all(p.status == "lost" for p in rows_of(results[-1].rows))
-
-
 def test_a_pixel_weighs_what_its_colour_says_and_the_floor_elsewhere():
     frame = Frame(0, 0.0, picture(LEFT))
     model = skin_cloud((28.0, 28.0), box(LEFT), floor=0.02)
@@ -138,18 +109,6 @@ def test_a_pixel_weighs_what_its_colour_says_and_the_floor_elsewhere():
     assert found[0] > 0.8 and found[1:].tolist() == pytest.approx([0.02] * 3)
     on, off = model.distances(learned, frame, x[:2])[:, 0]
     assert on < 0.4 and off > 0.9
-
-
-def test_a_large_target_is_read_from_a_reduced_picture():
-    """At four times the size in pixels, the same particles say the same to within what pixels at the border differ."""
-    small = picture(LEFT)
-    large = cv2.resize(small, None, fx=4, fy=4, interpolation=cv2.INTER_NEAREST)
-    x = np.random.default_rng(0).uniform((30, 110), (90, 170), (500, 1, 2))
-    model = skin_cloud((28.0, 28.0), box(LEFT), max_size=32)
-    big = skin_cloud((112.0, 112.0), tuple(4 * v for v in box(LEFT)), max_size=32)
-    a, b = (m.score(m.init(Frame(0, 0.0, p), None), Frame(0, 0.0, p), y, y)
-            for m, p, y in ((model, small, x), (big, large, 4 * x + 1.5)))  # fmt: skip
-    assert np.mean(np.abs(np.exp(a) - np.exp(b)) > 0.1) < 0.02
 
 
 def clouds(results, target):
@@ -205,13 +164,3 @@ def test_distances_look_at_the_middle_of_a_box_of_the_targets_shape():
         for size in ((110.0, 55.0), (55.0, 110.0), (130.0, 65.0))
     )
     assert wide < 0.05 < larger and high > 0.3
-
-
-def test_least_share_arrives():
-    dark = Frame(0, 0.0, picture(HEAD, skin=(30, 36, 52)))
-    (said,) = skin_cloud((44.0, 56.0), box(HEAD)).init(dark, None).notes
-    assert said.startswith("Kovac")
-    # none of it passes as skin, so that only what does not need to can be learned without a word
-    usual = Frame(0, 0.0, picture(HEAD))
-    assert not skin_cloud((44.0, 56.0), box(HEAD)).init(usual, None).notes
-    assert skin_cloud((44.0, 56.0), box(HEAD), least_share=1.0).init(usual, None).notes

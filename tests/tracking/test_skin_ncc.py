@@ -1,7 +1,5 @@
 """Faces by skin and template: rho and the score are those of the formulas, and nothing wild breaks them."""
 
-import dataclasses
-
 import cv2
 import numpy as np
 import pytest
@@ -9,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Particles
 from facetrack_cli.recipe.skin import SkinNcc
 from facetrack_cli.tracking.kernels import skin as kernel
 from facetrack_cli.tracking.models.likelihoods import ncc as matching
@@ -65,17 +62,6 @@ def test_skin_is_learned_from_the_box():
     np.testing.assert_array_equal(larger.table, learn_skin(frame(scene()), (72.0, 48.0, 60.0, 72.0)).table)
 
 
-def test_rho_is_the_same_at_every_resolution():
-    small, large = scene(), np.repeat(np.repeat(scene(), 3, axis=0), 3, axis=1)
-    likelihood, known = learned(small, ncc=None)
-    places = np.random.default_rng(0).normal(TRUTH, 15, (20, 2))
-    wide = dataclasses.replace(likelihood, size=(3 * SIZE[0], 3 * SIZE[1]))
-    np.testing.assert_allclose(
-        likelihood.rho(known, frame(small), states(places)),
-        wide.rho(known, frame(large), states(3 * places + 1)), atol=1e-9,
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("cost", COSTS)
 @pytest.mark.parametrize("mean", ["keep", "remove"])
 @pytest.mark.parametrize("cues", ["both", "skin", "ncc"])
@@ -112,39 +98,6 @@ def test_beyond_the_picture_there_is_neither_skin_nor_pattern():
     np.testing.assert_allclose(here, there, atol=1e-6)
 
 
-@given(
-    shape=st.sampled_from([(1, 1), (3, 50), (90, 120)]),
-    level=st.one_of(st.none(), st.sampled_from([0, 90, 255])),
-    options=st.tuples(st.sampled_from(COSTS), st.sampled_from(["keep", "remove"]), st.sampled_from([None, 16])),
-    start=st.tuples(st.floats(-15, 15), st.floats(-15, 15), st.sampled_from([1.0, 0.3])),
-    number=st.sampled_from([np.nan, np.inf, -np.inf, 1e300, -1e18, 1e9, 1e-6, 0.0, -1.0, 50.0]),
-    axis=st.integers(0, 2),
-)
-def test_nothing_wild_is_an_error_or_no_number(shape, level, options, start, number, axis):
-    rng = np.random.default_rng(1)
-    bgr = rng.integers(0, 256, (*shape, 3), np.uint8) if level is None else np.full((*shape, 3), level, np.uint8)
-    (cost, mean, max_size), size = options, (33.3, 40.7)
-    likelihood = skin_ncc(
-        size,
-        skin=skin_cue(max_size=max_size),
-        ncc=pattern(mean, exponent=1.5, adapt=0.1, adapt_above=0.0, max_size=max_size),
-        cost=cost,
-    )
-    try:
-        known = likelihood.init(frame(bgr), states(start)[0])
-    except InputError:
-        assert max(size[0] / 2 * start[2] + start[0], size[1] / 2 * start[2] + start[1]) < 60
-        return
-    x = states(rng.normal((60, 45, 1), (40, 40, 0.3), (40, 3)))
-    x[3:9, 0, axis] = number
-    for given_ in (x, x[3:4]):
-        score, distances = (f(known, frame(bgr), given_) for f in (likelihood.score, likelihood.distances))
-        assert score.shape == distances.shape == (len(given_), 1)
-        assert np.isfinite(score).all()
-        assert ((distances >= 0) & (distances <= 1)).all()
-        known = likelihood.learn(known, frame(bgr), given_[0], Particles(given_, np.zeros(len(given_))))
-
-
 def test_a_start_outside_of_the_picture_is_refused():
     for cues in ({}, {"skin": None}, {"ncc": None}):
         for place in ((-30, 50), (50, 1000), (np.nan, 50)):
@@ -165,37 +118,6 @@ def test_what_the_start_lacks_is_told():
     flat = np.full((170, 260, 3), (120, 150, 205), np.uint8)
     assert any("pattern" in note for note in learned(flat)[1].notes)
     assert learned(flat, skin=None, ncc=pattern("remove"))[1].k == 0
-
-
-def test_distances_are_zero_at_the_start_and_one_on_the_ground():
-    for cues in ({}, {"skin": None}, {"ncc": None}):
-        likelihood, known = learned(scene(), **cues)
-        near, off, far = likelihood.distances(known, frame(scene()), states([TRUTH, (107, 84), (210, 60)]))[:, 0]
-        assert near == pytest.approx(0, abs=1e-6)
-        assert near < off < far
-        assert far > 0.7
-    # the mean of both
-    one, other = (learned(scene(), **cues) for cues in ({"skin": None}, {"ncc": None}))
-    both = learned(scene())
-    x = states([(95, 80), (120, 85), (30, 30)])
-    alone = [given_[0].distances(given_[1], frame(scene()), x) for given_ in (one, other)]
-    np.testing.assert_allclose(both[0].distances(both[1], frame(scene()), x), np.mean(alone, axis=0))
-
-
-@pytest.mark.parametrize("max_size", [None, 24])
-def test_what_was_asked_of_a_frame_before_does_not_matter(max_size):
-    likelihood, known = learned(scene(), skin=skin_cue(max_size=max_size), ncc=pattern(max_size=max_size))
-    x = states(np.random.default_rng(0).normal(TRUTH, 8, (50, 2)))
-    asked = frame(scene())
-    for factor in (1, 2):
-        asked.reduced(factor, (0, 0, 259, 169))
-        asked.grey(factor, (0, 0, 259, 169))
-    np.testing.assert_array_equal(likelihood.score(known, asked, x), likelihood.score(known, frame(scene()), x))
-
-
-def test_least_share_decides_what_teaches_the_colour():
-    assert learned(scene())[1].notes == ()
-    assert "Kovac" in learned(scene(), skin=skin_cue(least_share=1.0))[1].notes[0]
 
 
 def test_the_longer_side_decides_how_far_the_picture_is_reduced():

@@ -11,6 +11,7 @@ from facetrack_cli.tracking.smoothing import Belief
 
 STAY = np.array([[1.0, 0.0], [0.0, 0.0]])
 PLACE = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[2.0], [1.0]])  # one source of noise for place and speed
+TWO_SOURCES = np.array([[1.0, 0.9], [0.0, 0.8]]), np.array([[2.0, 0.5], [0.3, 1.0]])
 SIZE = np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([[0.02], [0.0]])
 VISIBLE = VisibleWalk(
     correlation_filter.VisibleWalk(type="visible_walk", sigma="2px", scale=0.02, hide=1e-6),
@@ -184,10 +185,18 @@ WALK = affine.AffineWalk(type="affine_walk", sigma="3px", deform=0.02, turn=0.03
     ("motion", "state"),
     [
         *MOTIONS.values(),
+        (FirstOrder(TWO_SOURCES, SIZE, 0.01, 100.0), MOTIONS["first_order"][1]),
         (AffineWalk(WALK, 3.0, (0.01, 100.0)), np.array([[10.0, 20.0, 1.0, 0.1, -0.1, 1.0]])),
     ],
 )
-def test_linear_motions_are_those_that_particles_are_drawn_by(motion, state):
+def test_draws_of_every_motion_are_those_of_its_linear_form_and_each_pair_is_scored(motion, state):
+    rng, pairs = np.random.default_rng(1), np.repeat(state[None], 7, axis=0)
+    x, parents = motion.propagate(rng, pairs[:4]), motion.propagate(rng, pairs)
+    parents.flags.writeable = False
+    table = motion.log_transition(x, parents)
+    assert table.shape == (4, 7, len(state)) and motion.propagate(rng, parents[:0]).shape == (0, *state.shape)
+    np.testing.assert_allclose(table[2, 5], motion.log_transition(x[2:3], parents[5:6])[0, 0])
+    assert motion.propagate(rng, parents).shape == parents.shape
     linear = motion.linear(state)
     d = linear.matrix.shape[-1]
     drawn = motion.propagate(np.random.default_rng(6), np.repeat(state[None], 60_000, axis=0))[..., :d]

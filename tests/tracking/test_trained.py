@@ -9,7 +9,6 @@ from facetrack_cli.tracking.models.correlation_filter.trained import UPSAMPLED, 
 from tests.twins import cells as naive
 
 G, C = 8, 2
-MIDDLE = UPSAMPLED * G
 BOX = (3.0, 2.0)
 
 
@@ -68,12 +67,6 @@ def test_enough_steps_solve_the_normal_equations(seed, box):
     np.testing.assert_allclose(inverse(known.filters, G), exact, atol=2e-3 * np.abs(exact).max())
 
 
-def test_the_first_steps_are_nearly_enough():
-    one, x = trainer(), channels(0)
-    exact = dense([x], [1.0], one.wall.astype(float), wanted())
-    np.testing.assert_allclose(inverse(one.begin(spectrum(x)).filters, G), exact, atol=0.02 * np.abs(exact).max())
-
-
 def test_a_memory_of_many_windows_is_their_weighted_sum():
     one, rate = trainer(steps=60), 0.1
     windows = [channels(seed) for seed in range(12)]
@@ -90,23 +83,6 @@ def test_a_memory_of_many_windows_is_their_weighted_sum():
     np.testing.assert_allclose(naive.complexes(known.target), right, atol=1e-4 * np.abs(right).max())
     exact = dense(windows, weights, one.wall.astype(float), wanted())
     np.testing.assert_allclose(inverse(known.filters, G), exact, atol=0.01 * np.abs(exact).max())
-
-
-def test_a_rate_of_nothing_leaves_the_memory_as_it_is():
-    one = trainer()
-    known = one.begin(spectrum(channels(0)))
-    after = one.learn(known, spectrum(channels(1)), 0.0)
-    np.testing.assert_array_equal(after.matrices, known.matrices)
-    np.testing.assert_array_equal(after.target, known.target)
-
-
-def test_what_was_known_is_not_changed_by_learning():
-    one = trainer()
-    known = one.begin(spectrum(channels(0)))
-    copies = [np.array(part) for part in known]
-    one.learn(known, spectrum(channels(1)), 0.5)
-    for part, copy in zip(known, copies, strict=True):
-        np.testing.assert_array_equal(part, copy)
 
 
 @pytest.mark.parametrize(("temporal", "least"), [(None, 0.8), (16.0, 0.1)])

@@ -74,14 +74,6 @@ def test_the_scale_stays_within_its_limits(limits, drawn):
     assert (np.isin(s, limits).sum() > 0) == drawn
 
 
-@pytest.mark.parametrize("n", [0, 1, 2, 7])
-def test_any_number_moves_and_parents_stay(n):
-    x = state(PARENTS[1], n)
-    copy = x.copy()
-    assert WALK.propagate(np.random.default_rng(0), x).shape == (n, 1, 6)
-    np.testing.assert_array_equal(x, copy)
-
-
 def crowd(seed=3, n=30):
     rng = np.random.default_rng(seed)
     x = np.array([PARENTS[k % 3] for k in range(n)])[:, None]

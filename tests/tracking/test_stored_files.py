@@ -1,0 +1,119 @@
+"""The contract of stored arrays: a shape prior, a gallery and a regression are read back, or refused in one line."""
+
+import io
+import zipfile
+from functools import cache
+
+import numpy as np
+import pytest
+
+from facetrack_cli.core import files
+from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.tracking.face.descent import DEFAULT, load_descent
+from facetrack_cli.tracking.identity.gallery import load_gallery
+from facetrack_cli.tracking.models.shape_prior import default_prior_path, load_prior
+from tests.support.samples import FOLDER
+
+LOADED = {
+    "shape prior": (load_prior, default_prior_path()),
+    "gallery": (load_gallery, FOLDER / "people.npz"),
+    "mouth descent": (load_descent, default_prior_path().with_name(DEFAULT)),
+}
+KINDS = pytest.mark.parametrize("kind", LOADED)
+OPTIONAL = {"format", "version", "proportion"}  # of the first two the message says more
+
+
+@cache
+def stored(kind):
+    """The object in a file, and its arrays."""
+    load, path = LOADED[kind]
+    with np.load(path) as file:
+        return load(path), dict(file)
+
+
+def refused(kind, path):
+    with pytest.raises(InputError) as caught:
+        LOADED[kind][0](path)
+    message = str(caught.value)
+    assert message.startswith(str(path)) and "\n" not in message
+    return message
+
+
+@KINDS
+def test_what_is_written_is_read_back_and_equal_objects_give_equal_bytes(kind, tmp_path):
+    one, arrays = stored(kind)
+    one.save(tmp_path / "a.npz")
+    LOADED[kind][0](tmp_path / "a.npz").save(tmp_path / "b.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    with np.load(tmp_path / "a.npz") as file:
+        for name, values in file.items():
+            np.testing.assert_array_equal(values, arrays[name])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "b.npz"]
+
+
+@KINDS
+def test_a_file_of_another_kind_or_without_an_array_is_refused(kind, tmp_path):
+    path = tmp_path / "x.npz"
+    assert f"no such {kind}" in refused(kind, path)
+    assert "cannot be read" in refused(kind, tmp_path)
+    arrays = stored(kind)[1]
+    name = next(name for name, one in arrays.items() if name not in OPTIONAL and one.dtype.kind == "f" and one.ndim)
+    for changed, said in (
+        ({"version": np.array(2)}, "format version 2, and this facetrack reads version 1"),
+        ({"version": np.array([])}, "is not a usable"),
+        ({"format": np.array("other")}, f"is not a {kind}"),
+        ({name: np.array([{}])}, "no .npz of plain arrays"),
+        ({name: np.array(["x"])}, f"{name} is of"),
+        ({name: np.full_like(arrays[name], np.nan)}, "not finite"),
+    ):
+        np.savez(path, **(arrays | changed))
+        assert said in refused(kind, path)
+    for key in set(arrays) - OPTIONAL:
+        np.savez(path, **{name: array for name, array in arrays.items() if name != key})
+        assert f"lacks an array: {key}" in refused(kind, path).replace(" is not a file in the archive", "")
+
+
+@KINDS
+def test_damaged_bytes_are_refused_or_do_no_harm(kind, tmp_path):
+    path = tmp_path / "x.npz"
+    stored(kind)[0].save(path)
+    whole, rng = path.read_bytes(), np.random.default_rng(0)
+    other, bare = io.BytesIO(), io.BytesIO()
+    with zipfile.ZipFile(other, "w") as archive:
+        archive.writestr("format.npy", "no array")
+    np.save(bare, np.zeros(3))
+    for content in (b"", b"text\n", whole[: len(whole) // 2], whole[:100], other.getvalue(), bare.getvalue()):
+        path.write_bytes(content)
+        refused(kind, path)
+    for turn in range(60):
+        damaged = bytearray(whole)
+        first = 0 if turn % 3 else len(whole) - 1500  # the directory of the archive is at its end
+        for at in rng.integers(first, len(whole), 3):
+            damaged[at] = rng.integers(256)
+        path = tmp_path / f"{turn}.npz"  # a regression is read once
+        path.write_bytes(bytes(damaged))
+        try:
+            LOADED[kind][0](path)
+        except InputError as error:
+            assert str(error).startswith(str(path)) and "\n" not in str(error)
+        path.unlink()
+
+
+@KINDS
+def test_what_cannot_be_written_leaves_what_was_there(kind, tmp_path, monkeypatch):
+    one, _ = stored(kind)
+    with pytest.raises(OutputError, match="cannot be written"):
+        one.save(tmp_path / "no" / "x.npz")
+    (tmp_path / "folder.npz").mkdir()
+    with pytest.raises(OutputError, match="is a folder, where a file is to be"):
+        one.save(tmp_path / "folder.npz")
+    path = tmp_path / "x.npz"
+    path.write_text("kept")
+
+    def full(path):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files, "publish", full)
+    with pytest.raises(OutputError, match="No space left"):
+        one.save(path)
+    assert path.read_text() == "kept" and sorted(p.name for p in tmp_path.iterdir()) == ["folder.npz", "x.npz"]
