@@ -25,7 +25,7 @@ from facetrack_cli.runs.pipeline import share_threads
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, cores, side_by_side
-from facetrack_cli.tracking.kernels.ahead import Ahead
+from facetrack_cli.tracking.kernels.precompile import Precompiler
 from facetrack_cli.trajectory.header import is_there
 from facetrack_cli.trajectory.killed import settle
 
@@ -139,8 +139,8 @@ def _turn(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> 
             progress.begin(f"[{i}/{len(jobs)}] {job.clip.name}", "frames", None)
             yield job, attempt(job, stop, progress.update, progress.looked)
         return
-    with Ahead(to_dict(jobs[0].recipe), cores()) as ahead:  # or each of the workers would compile them
-        ahead.finish(stop)
+    with Precompiler(to_dict(jobs[0].recipe), cores()) as compiler:  # or each of the workers would compile them
+        compiler.finish(stop)
     began, finished = time.monotonic(), 0
     progress.begin(f"{len(jobs)} clips", "clips", len(jobs))
 

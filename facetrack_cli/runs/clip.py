@@ -19,7 +19,7 @@ from facetrack_cli.runs.start import frames_of
 from facetrack_cli.runs.verdict import Watch
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.corrected import restored, resumed_at
-from facetrack_cli.tracking.kernels.ahead import Ahead
+from facetrack_cli.tracking.kernels.precompile import Precompiler
 from facetrack_cli.tracking.loop import TrackState, track
 from facetrack_cli.tracking.smoothed import lagged
 from facetrack_cli.trajectory.trajectory import FrameResult
@@ -68,9 +68,9 @@ def track_clip(job: Job, outputs: Outputs, stop: Stop, report: Report = silent, 
         report(done.frames, source.frames_hint and source.frames_hint + before)
 
     try:
-        with Ahead(to_dict(job.recipe), job.threads) as ahead:
+        with Precompiler(to_dict(job.recipe), job.threads) as compiler:
             start = job.find(job.recipe, stopped=stop, looked=looked)
-            ahead.finish(stop)
+            compiler.finish(stop)
     except InputError:
         if not stop():
             raise

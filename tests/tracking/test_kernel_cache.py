@@ -1,21 +1,48 @@
-"""Where compiled kernels go on an installation that its user cannot write."""
+"""Compiled kernels: where they are kept, what damaged files do, and which are compiled before they are called."""
 
+import json
 import os
 import stat
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
 import pytest
 
 from facetrack_cli.tracking.kernels import cache as kernel_cache
+from facetrack_cli.tracking.kernels import precompile
 
 posix = pytest.mark.skipif(os.name != "posix", reason="owners and modes of POSIX")
+CLIPS = Path(__file__).parents[2] / "sample_videos"
+# these recipes together call all declared kernels
+RECIPES = {
+    "face": "expressions", "factorized": "expressions", "adaptive": "expressions",
+    "contour_histogram_correlation": "expressions", "skin_ncc": "expressions", "head_hands": "signing",
+}  # fmt: skip
+_RUN = """
+import json, sys
+from facetrack_cli.__main__ import main
+from facetrack_cli.tracking.kernels import precompile as kernels
+for recipe, clip in json.loads(sys.argv[1]).items():
+    done = ["-o", f"{sys.argv[2]}/{recipe}", "--no-video", "--stop", "12", "--threads", "1", "-q"]
+    assert main(["run", clip, "--config", recipe, *done]) == 0
+print(json.dumps({name: [list(map(str, one)) for one in kernels.kernel(name).signatures] for name in kernels.KERNELS}))
+"""
+
+
+def python(script, *arguments, **environment):
+    command = [sys.executable, "-c", script, *arguments]
+    return subprocess.run(command, env={**os.environ, **environment}, capture_output=True, text=True, check=True)
+
+
+# --- the folder ----------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
 def place(tmp_path, monkeypatch):
     """A user without NUMBA_CACHE_DIR, whose home and temporary folder are in `tmp_path`."""
-    # set first, so that what provide_cache sets is taken back
+    # set first, so that monkeypatch takes back what provide_cache sets
     monkeypatch.setenv("NUMBA_CACHE_DIR", "")
     monkeypatch.delenv("NUMBA_CACHE_DIR")
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
@@ -37,32 +64,24 @@ def test_nothing_is_set_where_numba_finds_a_place(place, monkeypatch):
 
 
 @posix
-def test_else_a_folder_of_the_users_own(place, monkeypatch):
+@pytest.mark.parametrize("planted", ["", "open to all", "link", "file"])
+def test_a_user_without_a_home_has_a_folder_that_nobody_else_can_have_filled(place, monkeypatch, planted):
     unwritable(monkeypatch, "__pycache__", "home")
-    kernel_cache.provide_cache()
-    folder = Path(os.environ.pop("NUMBA_CACHE_DIR"))
-    assert folder == place / f"facetrack-kernels-{os.getuid()}"
-    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-    kernel_cache.provide_cache()
-    assert os.environ["NUMBA_CACHE_DIR"] == str(folder), "it is found again"
-
-
-@posix
-@pytest.mark.parametrize("how", ["open to all", "link", "file"])
-def test_a_folder_that_others_may_have_filled_is_not_used(place, monkeypatch, how):
-    unwritable(monkeypatch, "__pycache__", "home")
-    planted = place / f"facetrack-kernels-{os.getuid()}"
-    if how == "open to all":
-        planted.mkdir()
-        planted.chmod(0o777)
-    elif how == "link":
+    folder = place / f"facetrack-kernels-{os.getuid()}"
+    if planted == "open to all":
+        folder.mkdir()
+        folder.chmod(0o777)
+    elif planted == "link":
         (place / "elsewhere").mkdir(mode=0o700)
-        planted.symlink_to(place / "elsewhere")
-    else:
-        planted.write_text("")
+        folder.symlink_to(place / "elsewhere")
+    elif planted == "file":
+        folder.write_text("")
     kernel_cache.provide_cache()
-    used = Path(os.environ["NUMBA_CACHE_DIR"])
-    assert used != planted and used.is_dir() and stat.S_IMODE(used.stat().st_mode) == 0o700
+    used = Path(os.environ.pop("NUMBA_CACHE_DIR"))
+    assert stat.S_IMODE(used.stat().st_mode) == 0o700
+    kernel_cache.provide_cache()
+    found_again = os.environ["NUMBA_CACHE_DIR"] == str(used)
+    assert (used == folder, found_again) == ((False, False) if planted else (True, True))
 
 
 def test_whether_a_folder_can_be_written(tmp_path):
@@ -70,3 +89,104 @@ def test_whether_a_folder_can_be_written(tmp_path):
     assert kernel_cache._writable(str(tmp_path))
     assert kernel_cache._writable(str(tmp_path / "not" / "yet"))
     assert not kernel_cache._writable(str(tmp_path / "file" / "below"))
+
+
+# --- the files -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory):
+    """A module of two kernels and their own cache: (call both, the cache's folder)."""
+    folder = tmp_path_factory.mktemp("kernels")
+    (folder / "two.py").write_text(
+        "from facetrack_cli.tracking.kernels.compiled import exact\n"
+        "@exact\ndef add(a, b):\n    return a + b\n@exact\ndef less(a, b):\n    return a - b\n"
+    )
+    script = (
+        "from facetrack_cli.tracking.kernels import cache; cache.tell(print); import two\n"
+        "print(two.add(1, two.less(2, 1)), sum(sum(one.stats.cache_hits.values()) for one in (two.add, two.less)))"
+    )
+
+    def run():
+        path = os.pathsep.join([str(folder), str(Path.cwd())])
+        return python(script, PYTHONPATH=path, NUMBA_CACHE_DIR=str(folder / "cache"))
+
+    return run, folder / "cache"
+
+
+def test_the_user_is_told_once_that_kernels_are_compiled(package):
+    run, _ = package
+    told, result = run().stdout.splitlines()
+    assert told.startswith("compiling kernels, once: ") and result == "2 0"
+    assert run().stdout == "2 2\n"
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+@pytest.mark.parametrize("left", ["nothing", "half", "zeros"])
+def test_files_that_power_loss_cuts_are_compiled_anew_with_one_warning(package, suffix, left):
+    run, folder = package
+    run()
+    for file in folder.rglob(f"*{suffix}"):
+        data = file.read_bytes()
+        file.write_bytes({"nothing": b"", "half": data[: len(data) // 2], "zeros": bytes(len(data))}[left])
+    healed = run()
+    assert healed.stdout.splitlines()[-1] == "2 0"
+    assert healed.stderr.count("\n") == healed.stderr.count("facetrack: warning: compiled kernels in ") == 1
+    again = run()
+    assert (again.stdout, again.stderr) == ("2 2\n", "")
+
+
+# --- before they are called ----------------------------------------------------------------------------------------
+
+
+def test_recipes_call_what_is_declared_with_one_signature_each(tmp_path):
+    given = json.dumps({recipe: str(CLIPS / f"{clip}.mp4") for recipe, clip in RECIPES.items()})
+    found = json.loads(python(_RUN, given, str(tmp_path)).stdout)
+    assert found == {name: [list(map(str, precompile.signature(name)))] for name in precompile.KERNELS}
+
+
+@pytest.fixture
+def compiled(monkeypatch):
+    """The names that are compiled in this process; the recipe `{"sums": {}}` has two kernels, both missing."""
+    names = []
+
+    def kernel(name):
+        names.append(name)
+        raise ValueError
+
+    monkeypatch.setattr(precompile, "KERNELS", {"_add": ("i8 i8", "sums"), "_less": ("i8 i8", "other sums")})
+    monkeypatch.setattr(precompile, "_is_cached", lambda name: False)
+    monkeypatch.setattr(precompile, "kernel", kernel)
+    return names
+
+
+@pytest.mark.parametrize("second", ["fails", "never begins"])
+def test_this_process_compiles_what_the_second_one_does_not(compiled, monkeypatch, second):
+    if second == "never begins":
+        monkeypatch.setattr(sys, "executable", "/nowhere/python")
+    else:
+        monkeypatch.setattr(precompile, "_SECOND", "import no_such")
+    with precompile.Precompiler({"sums": {}}, 2) as compiler:
+        compiler.finish()
+    assert compiled == ["_add", "_less"]
+
+
+def test_nothing_is_compiled_that_the_settings_do_not_call_nor_after_a_stop(compiled):
+    for settings, stopped in (({"head": {"others": {"type": "sums"}}}, False), ({"sums": {}}, True)):
+        with precompile.Precompiler(settings, 1) as compiler:
+            compiler.finish(lambda stopped=stopped: stopped)
+    assert compiled == []
+    with precompile.Precompiler({"head": {"sums": None, "other": {"sums": {}}}}, 1) as compiler:
+        compiler.finish()
+    assert compiled == ["_add", "_less"]
+
+
+def test_the_second_process_leaves_kernels_for_the_first(tmp_path):
+    order = json.dumps([sys.path, ["histogram.crop"]])
+    done = python(precompile._SECOND.format(precompile.__name__), order, NUMBA_CACHE_DIR=str(tmp_path))
+    assert (done.stdout, done.stderr) == ("", "")
+    script = (
+        "from facetrack_cli.tracking.kernels import precompile\n"
+        "print(*(precompile._is_cached(name) for name in ('histogram.crop', 'histogram.edges')))"
+    )
+    assert python(script, NUMBA_CACHE_DIR=str(tmp_path)).stdout == "True False\n"

@@ -1,13 +1,6 @@
-"""How kernels are compiled, a decorator for each kind of arithmetic, and the bilinear reading that they share.
-
-numba trusts the files of compiled kernels: what power loss leaves of one is run, or ends the program. So each is
-brought to the disk before it gets its name, and ends with its checksum.
-"""
+"""How kernels are compiled and cached, a decorator for each kind of arithmetic, and the bilinear reading they share."""
 
 import contextlib
-import hashlib
-import os
-import sys
 from typing import Any
 
 import numpy as np
@@ -15,67 +8,39 @@ from numba import njit
 from numba.core import caching
 from numba.core.runtime.nrt import rtsys
 
+from facetrack_cli.core.log import warn
 from facetrack_cli.tracking.kernels.cache import compiling
 
 
-class Checked(caching.IndexDataCacheFile):
-    """The files of one kernel. Damaged ones are passed over, so that it is compiled anew, with one warning for all."""
+class KernelCache(caching.FunctionCache):
+    """numba's cache of one kernel, which compiles a kernel anew where its files are damaged.
+
+    numba writes a file under another name first, so that a kill or a full disk damages none. Power loss may: numba then
+    raises whatever the bytes make of it, in each run.
+    """
 
     warned = False
 
-    def load(self, key: Any) -> Any:
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        rtsys.initialize(
+            target_context
+        )  # enough to load; numba's own method makes the compiler ready, which takes 0.3 s
         found = None
         try:
-            found = super().load(key)
-        except Exception as error:  # whatever the bytes that are left make of it
-            if not Checked.warned:
-                Checked.warned = True
-                what = f"compiled kernels in {self._cache_path} are damaged ({type(error).__name__}): compiled anew"
-                with contextlib.suppress(OSError, ValueError):
-                    sys.stderr.write(f"facetrack: warning: {what}\n")
+            with self._guard_against_spurious_io_errors():
+                found = self._load_overload(sig, target_context)
+        except Exception as error:
+            if not KernelCache.warned:
+                KernelCache.warned = True
+                warn(f"compiled kernels in {self._cache_path} are damaged ({type(error).__name__}): compiled anew")
             with contextlib.suppress(OSError):
                 self.flush()
         if found is None:
             compiling()
         return found
 
-    def _load_data(self, name: str) -> Any:
-        with open(self._data_path(name), "rb") as file:  # noqa: PTH123
-            data = file.read()
-        if hashlib.sha256(data[:-32]).digest() != data[-32:]:
-            raise ValueError("checksum")
-        return super()._load_data(name)  # what unpickles it stops at its end
-
-    def _dump(self, obj: Any) -> bytes:
-        data: bytes = super()._dump(obj)
-        return data + hashlib.sha256(data).digest()
-
-    @contextlib.contextmanager
-    def _open_for_write(self, filepath: str) -> Any:
-        with super()._open_for_write(filepath) as file:
-            yield file
-            file.flush()
-            with contextlib.suppress(OSError):
-                os.fsync(file.fileno())
-
-
-_SUMS: Any = {"contract", "reassoc", "nsz"}
-_KERNEL: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # nobody calls them but Python
-
-
-class Kept(caching.FunctionCache):
-    """The cache of one kernel. Loading needs numba's allocator alone: the compiler, half a second, is not made ready.
-
-    A compilation makes itself ready.
-    """
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        rtsys.initialize(target_context)
-        with self._guard_against_spurious_io_errors():
-            return self._load_overload(sig, target_context)
-
     def holds(self, kernel: Any, sig: Any) -> bool:
-        """Whether `kernel` need not be compiled for `sig`. What is damaged is seen, and said, when it is loaded."""
+        """Whether `kernel` need not be compiled for `sig`. `load_overload` reports damaged files."""
         try:
             known = self._cache_file._load_index()
             return sig in kernel.overloads or self._index_key(sig, kernel.targetctx.codegen()) in known
@@ -83,20 +48,24 @@ class Kept(caching.FunctionCache):
             return True
 
 
-def _kept(kernel: Any) -> Any:
+_SUMS: Any = {"contract", "reassoc", "nsz"}
+_KERNEL: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # only Python calls them
+
+
+def _cached(function: Any, **more: Any) -> Any:
+    kernel = njit(cache=True, **_KERNEL, **more)(function)
     if isinstance(cache := getattr(kernel, "_cache", None), caching.FunctionCache):  # not with NUMBA_DISABLE_JIT
-        cache.__class__ = Kept
-        cache._cache_file.__class__ = Checked
+        cache.__class__ = KernelCache
     return kernel
 
 
 def exact(function: Any) -> Any:
-    return _kept(njit(cache=True, **_KERNEL)(function))
+    return _cached(function)
 
 
 def fast(function: Any) -> Any:
     """As `exact`, but sums may be reordered, which lets them vectorise; NaN and infinity keep their meaning."""
-    return _kept(njit(cache=True, fastmath=_SUMS, **_KERNEL)(function))
+    return _cached(function, fastmath=_SUMS)
 
 
 # parts of other kernels, exact and fast ones: typed once, not wherever they are called, which compiles in half the time

@@ -1,24 +1,21 @@
-"""The kernels of a recipe compiled before they are called, in this process and a second one beside it.
+"""The kernels of a recipe, compiled before they are called, in this process and in a second process beside it.
 
-Their one signature is declared here, and which settings call them. numba holds the interpreter's lock while it
-compiles: a thread gains little. What is wrong here costs time alone: a kernel is compiled when it is called, if nobody
-has compiled it before; if the second process fails, this one does its share.
+This file declares the one signature of each kernel, and the settings that call it. numba holds the interpreter's lock
+while it compiles, so threads gain little. An error here costs time alone: the first call compiles a kernel that is
+missing.
 """
 
 import contextlib
 import json
 import subprocess
 import sys
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 from facetrack_cli.tracking.kernels.cache import compiling
 
-PATIENCE_S = 30.0  # for the last kernel of the second process, the dearest of which takes 3 s
 _FILTERS = "filter=auxiliary filter=factorized filter=guided filter=independent filter=sir"
 _CELLS, _LOOKS, _NCC = "likelihood=correlation_filter", "likelihood=appearance", "ncc"
 _COLOURS = "likelihood=colour_ratio"
@@ -66,7 +63,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "mixture.greys": ("f4:1", _LOOKS),
     "windows.extent": ("f8:3 f8", f"{_COLOURS} likelihood=skin"),
 }
-_SERVE = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from {0} import serve; serve()"
+_SECOND = "import json, sys; sys.path[:], names = json.loads(sys.argv[1]); from {0} import *; compile_kernels(names)"
 
 
 def kernel(name: str) -> Any:
@@ -75,109 +72,82 @@ def kernel(name: str) -> Any:
 
 
 def signature(name: str) -> tuple[Any, ...]:
-    """numba's types of what a kernel takes."""
+    """numba's types of the arguments of a kernel."""
     from numba import types
 
     def of(word: str) -> Any:
         word, _, many = word.partition("x")
         word, _, axes = word.partition(":")
-        one = getattr(types, word)
+        kind = getattr(types, word)
         if axes:
-            one = types.Array(one, int(axes[0]), "C", readonly=axes.endswith("r"))
-        return types.UniTuple(one, int(many)) if many else one
+            kind = types.Array(kind, int(axes[0]), "C", readonly=axes.endswith("r"))
+        return types.UniTuple(kind, int(many)) if many else kind
 
     return tuple(map(of, KERNELS[name][0].split()))
 
 
 def of_recipe(settings: Mapping[str, Any]) -> list[str]:
     """The names of the kernels that a recipe calls, given as `to_dict` does; the dearest first."""
-    said = set(_said("", settings))
-    return [name for name, (_, by) in KERNELS.items() if not said.isdisjoint(by.split())]
+    found = set(_settings("", settings))
+    return [name for name, (_, by) in KERNELS.items() if not found.isdisjoint(by.split())]
 
 
-def _said(key: str, settings: Any) -> Iterator[str]:
+def _settings(key: str, settings: Any) -> Iterator[str]:
     if isinstance(settings, Mapping):
         yield f"{key}={settings['type']}" if "type" in settings else key
         for below, more in settings.items():
-            yield from _said(below, more)
+            yield from _settings(below, more)
 
 
-class Ahead:
-    """What an earlier run has not left of a recipe's kernels, being compiled while the `with` block lasts.
+class Precompiler:
+    """Compiles the kernels of a recipe that the cache lacks, while the `with` block lasts.
 
-    `processes`: how many there may be, this one too; the second one begins at once, this one with `finish`.
+    `processes`: how many there may be, this one included. The second process begins at once, this one with `finish`.
     """
 
     def __init__(self, settings: Mapping[str, Any], processes: int) -> None:
-        self._left = deque(name for name in of_recipe(settings) if not _is_kept(name))
-        self._process: subprocess.Popen[str] | None = None
-        self._feeder = Thread(target=self._feed, name="compile", daemon=True)
-        if self._left:
+        missing = [name for name in of_recipe(settings) if not _is_cached(name)]
+        # each process begins with the dear half of its own, then helps the other one from the cheap end: they meet in
+        # the middle, and find in the cache what the other one has compiled
+        mine, others = missing[::2], missing[1::2]
+        self._names = [*mine, *reversed(others)]
+        self._process: subprocess.Popen[bytes] | None = None
+        if missing:
             compiling()
-        # what embeds Python, or is frozen, is no interpreter that could be started
-        if len(self._left) > 1 and processes > 1 and Path(sys.executable or "").stem.startswith("python"):
-            command = [sys.executable, "-c", _SERVE.format(__name__), json.dumps(sys.path)]
+        # a program that embeds Python, or is frozen, has no interpreter to start
+        if others and processes > 1 and Path(sys.executable or "").stem.startswith("python"):
+            order = json.dumps([sys.path, [*others, *reversed(mine)]])
+            nowhere = subprocess.DEVNULL
             with contextlib.suppress(OSError):
-                pipe = subprocess.PIPE
-                self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True)
-                self._feeder.start()
+                self._process = subprocess.Popen(
+                    [sys.executable, "-c", _SECOND.format(__name__), order],
+                    stdin=nowhere,
+                    stdout=nowhere,
+                    stderr=nowhere,
+                )
 
-    def __enter__(self) -> "Ahead":
+    def __enter__(self) -> "Precompiler":
         return self
 
     def finish(self, stopped: Callable[[], bool] = lambda: False) -> None:
-        """Compile what is left, until all is there or `stopped`."""
-        waited = 0.0
-        while not stopped():
-            if self._left:
-                with contextlib.suppress(IndexError):  # it is taken meanwhile
-                    _compile(self._left.popleft())
-            elif self._feeder.is_alive() and waited < PATIENCE_S:
-                self._feeder.join(0.05)
-                waited += 0.05
-            else:
-                return
+        """Compile or load all kernels, until all are there or `stopped`."""
+        compile_kernels(self._names, stopped)
 
     def __exit__(self, *_: object) -> None:
-        self._left.clear()
         if self._process is not None:
             self._process.kill()
-            self._feeder.join()
-            with self._process:  # closes its pipes, waits for it
-                pass
-
-    def _feed(self) -> None:
-        """Hand one kernel after the other to the second process; one that it dies of is left to this one."""
-        assert self._process is not None and self._process.stdin and self._process.stdout
-        while self._left:
-            try:
-                name = self._left.popleft()
-            except IndexError:
-                return
-            answer = ""
-            with contextlib.suppress(OSError, ValueError):
-                self._process.stdin.write(f"{name}\n")
-                self._process.stdin.flush()
-                answer = self._process.stdout.readline()
-            if not answer:
-                self._left.append(name)
-                return
+            self._process.wait()
 
 
-def serve() -> None:
-    """The second process: compile what standard input names, answer each, and end with the first process."""
-    for line in sys.stdin:
-        _compile(line.strip())
-        sys.stdout.write("\n")
-        sys.stdout.flush()
+def compile_kernels(names: list[str], stopped: Callable[[], bool] = lambda: False) -> None:
+    for name in names:
+        if stopped():
+            return
+        with contextlib.suppress(Exception):  # the call of the kernel raises it again
+            kernel(name).compile(signature(name))
 
 
-def _compile(name: str) -> None:
-    with contextlib.suppress(Exception):  # where it is called it is said
-        kernel(name).compile(signature(name))
-
-
-def _is_kept(name: str) -> bool:
-    """Whether a kernel was compiled before; also of what is no kernel, as where numba is switched off."""
+def _is_cached(name: str) -> bool:
+    """Whether an earlier run has compiled a kernel; also True where numba is switched off."""
     cache: Any = getattr(kernel(name), "_cache", None)
     return not hasattr(cache, "holds") or bool(cache.holds(kernel(name), signature(name)))
