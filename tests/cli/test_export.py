@@ -286,7 +286,7 @@ def test_otb_says_which_frame_is_line_1(track):
         (["--to", "dlc", "--box", "points"], 2, "dlc has no boxes"),
         (["--to", "eaf", "--drop-lost"], 2, "--drop-lost is not for eaf"),
         (["--to", "eaf"], 3, "trajectory.csv: does not name its video"),
-        (["--to", "coco"], 3, "trajectory.csv: does not say how large its frames are"),
+        (["--to", "coco"], 3, "trajectory.csv: does not say how large and how fast its frames are"),
         (["--to", "eaf", "--media", "nowhere.mp4"], 3, "nowhere.mp4: no such file; correct --media"),
         (["--to", "mot", "-o", ""], 2, "--out is empty"),
         (["--to", "parquet", "-o", "-"], 2, "parquet is not text"),

@@ -142,39 +142,43 @@ class Export:
         import numpy as np
 
         from facetrack_cli.trajectory.formats import boxes, cvat, eaf, keypoints, labelstudio, openface, tables
-        from facetrack_cli.trajectory.header import clip_of, said
+        from facetrack_cli.trajectory.header import said
         from facetrack_cli.trajectory.select import enclose
 
         if not np.isfinite(table.x).any():
             raise InputError("no row has a place, x and y; there is nothing to export")
-        if self.to in ("csv-wide", "parquet"):
-            return tables.write_wide(table) if self.to == "csv-wide" else tables.write_parquet(table)
-        if self.to in ("pose", "measures"):
-            return tables.write_pose(table) if self.to == "pose" else tables.write_measures(table)
-        if self.to == "openface":
-            return openface.write_openface(table, self._size(table))
-        if self.to == "cvat":
-            clip = self.media or clip_of(table)
-            return cvat.write_cvat(table, self._size(table), "" if clip is None else clip.name)
-        if self.to == "labelstudio":
-            return labelstudio.write_labelstudio(table, *self._video(table))
-        if self.to == "dlc":
-            recipe = said(table, "recipe", "name")
-            return keypoints.write_dlc(table, f"facetrack-{recipe}" if recipe else "facetrack")
-        if self.to == "eaf":
-            clip = self._clip(table)
-            return eaf.write_eaf(table, clip, path.parent if path else Path.cwd(), written=datetime.now())
-        if self.to == "coco":
-            size, file_name = self._frames(table)
-            return keypoints.write_coco(table, size, file_name, around=self.box or "windows")
         if self.to in ONE_TARGET and len(table.targets) > 1:
             raise UsageError(f"{self.to} holds one target; choose with --target among {', '.join(table.targets)}")
-        chosen = [enclose(table.of_target(target), self.box or "windows") for target in table.targets]
+        around, recipe = self.box or "windows", said(table, "recipe", "name")
+        if self.to == "eaf":
+            folder = path.parent if path else Path.cwd()
+            return eaf.write_eaf(table, self._playable(table), folder, written=datetime.now())
+        clip, size, fps = self._media(table) if self.to in OF_MEDIA else (None, None, 0.0)
+        name = "" if clip is None else clip.name
+        writers: dict[str, Callable[[], str | bytes]] = {
+            "csv-wide": lambda: tables.write_wide(table),
+            "parquet": lambda: tables.write_parquet(table),
+            "pose": lambda: tables.write_pose(table),
+            "measures": lambda: tables.write_measures(table),
+            "openface": lambda: openface.write_openface(table, size),
+            "cvat": lambda: cvat.write_cvat(table, size, name),
+            "dlc": lambda: keypoints.write_dlc(table, f"facetrack-{recipe}" if recipe else "facetrack"),
+        }
+        if self.to in writers:
+            return writers[self.to]()
+        if self.to in ("coco", "labelstudio"):
+            if clip is None or not size or (self.to == "labelstudio" and not fps > 0):
+                why = "does not say how large and how fast its frames are, only a trajectory.json does"
+                raise InputError(f"{why}; name the clip: --media")
+            if self.to == "labelstudio":
+                return labelstudio.write_labelstudio(table, size, fps, name)
+            return keypoints.write_coco(table, size, self._image_names(clip, table), around=around)
+        chosen = [enclose(table.of_target(target), around) for target in table.targets]
         if self.to == "mot":
             return boxes.write_mot(chosen)
-        return {"otb": boxes.write_otb, "got10k": boxes.write_got10k, "vot": boxes.write_vot}[self.to](chosen[0])
+        return boxes.write_vot(chosen[0]) if self.to == "vot" else boxes.write_otb(chosen[0])
 
-    def _clip(self, table: Trajectory) -> Path:
+    def _playable(self, table: Trajectory) -> Path:
         """The video that an .eaf links to. It need not be there: ELAN asks for a file that it does not find."""
         from facetrack_cli.trajectory.header import clip_of, is_there
 
@@ -189,54 +193,32 @@ class Export:
             say(f"facetrack: warning: {clip} is not there; ELAN will ask for it, or give it with --media")
         return clip
 
-    def _size(self, table: Trajectory) -> tuple[int, int] | None:
-        """Width and height of the frames, if anything says."""
-        from facetrack_cli.trajectory.header import frame_size_of
+    def _media(self, table: Trajectory) -> tuple[Path | None, tuple[int, int] | None, float]:
+        """The clip, the size of its frames and its frames per second (0), as far as --media or the header says them."""
+        from facetrack_cli.trajectory.header import clip_of, frame_size_of, said
         from facetrack_cli.video.source import open_source
 
-        size = frame_size_of(table)
+        size, fps = frame_size_of(table), said(table, "source", "fps")
         if self.media is None:
-            return size
+            return clip_of(table), size, float(fps) if isinstance(fps, int | float) else 0.0
         with open_source(self.media) as opened:
-            found = opened.size
-        if size and size != found:
-            its, ours = (f"{width}x{height}" for width, height in (found, size))
-            raise InputError(f"{self.media}: is {its}, but the track is of a clip of {ours}; correct --media")
-        return found
+            if size and size != opened.size:
+                its, ours = (f"{width}x{height}" for width, height in (opened.size, size))
+                raise InputError(f"{self.media}: is {its}, but the track is of a clip of {ours}; correct --media")
+            return self.media, opened.size, float(opened.fps)
 
-    def _video(self, table: Trajectory) -> tuple[tuple[int, int], float, str]:
-        """The size of the frames, frames per second, and the name of the clip."""
-        from facetrack_cli.trajectory.header import clip_of, said
-        from facetrack_cli.video.source import open_source
-
-        clip, size, fps = self.media or clip_of(table), self._size(table), said(table, "source", "fps")
-        if self.media is not None:
-            with open_source(self.media) as opened:
-                fps = float(opened.fps)
-        if clip is None or not size or not isinstance(fps, int | float) or not fps > 0:
-            why = "does not say how large and how fast its frames are, only a trajectory.json does"
-            raise InputError(f"{why}; name the clip: --media")
-        return size, float(fps), clip.name
-
-    def _frames(self, table: Trajectory) -> tuple[tuple[int, int], Callable[[int], str]]:
-        """The size of the frames, and the names of their images."""
-        from facetrack_cli.trajectory.header import clip_of, is_there
+    def _image_names(self, clip: Path, table: Trajectory) -> Callable[[int], str]:
+        """The name of each frame's image: of a folder its file's name, of a video a name by the frame's number."""
+        from facetrack_cli.trajectory.header import is_there
         from facetrack_cli.video import images
 
-        clip = self.media or clip_of(table)
-        size = self._size(table)
-        if not size or clip is None:
-            raise InputError(
-                "does not say how large its frames are, only a trajectory.json does; name the clip: --media"
-            )
         files = images.listing(clip) if is_there(clip) else None
-        last = int(table.frames[-1])
-        if files is not None and last >= len(files):
-            raise InputError(
-                f"{clip}: has {len(files)} images, and the track a frame {last}; name its folder with --media"
-            )
-        names = [file.name for file in files] if files is not None else None
-        return size, lambda frame: names[frame] if names is not None else f"{clip.stem}/{frame:06d}.png"
+        if files is None:
+            return lambda frame: f"{clip.stem}/{frame:06d}.png"
+        if (last := int(table.frames[-1])) >= len(files):
+            there = f"has {len(files)} images, and the track a frame {last}"
+            raise InputError(f"{clip}: {there}; name its folder with --media")
+        return lambda frame: files[frame].name
 
 
 command = verb(Export)

@@ -14,8 +14,6 @@ COCO (cocodataset.org/#format-data): a target of one part called `box` is a plai
 In DeepLabCut's CSV whole numbers are pixel centres too; a part `box` is the centre of a box, whose size has no room.
 """
 
-import csv
-import io
 import math
 from collections.abc import Callable
 from itertools import pairwise
@@ -26,6 +24,7 @@ import numpy as np
 from facetrack_cli.core.face_points import LINES
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import BOX
+from facetrack_cli.trajectory.formats.tables import csv_text
 from facetrack_cli.trajectory.select import Around, enclose
 from facetrack_cli.trajectory.trajectory import DECIMALS, SEEN, Trajectory, aligned
 
@@ -88,13 +87,11 @@ def write_dlc(table: Trajectory, scorer: str = "facetrack") -> str:
     for at, (name, values) in enumerate(columns.items()):
         written = np.char.mod(f"%.{DECIMALS[name]}f", values)
         cells[:, at::3] = np.where(known & np.isfinite(values), written, "")
-    heads = [["scorer", *[scorer] * cells.shape[1]]]
+    head = ["scorer", *[scorer] * cells.shape[1]]
+    rows: list[list[Any]] = []
     if len(table.targets) > 1:
-        heads.append(["individuals", *(one.target for one in table.parts for _ in range(3))])
-    heads.append(["bodyparts", *(one.part for one in table.parts for _ in range(3))])
-    heads.append(["coords", *["x", "y", "likelihood"] * len(table.parts)])
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerows(heads)
-    writer.writerows([frame, *row] for frame, row in zip(frames.tolist(), cells.tolist(), strict=True))
-    return text.getvalue()
+        rows.append(["individuals", *(one.target for one in table.parts for _ in range(3))])
+    rows.append(["bodyparts", *(one.part for one in table.parts for _ in range(3))])
+    rows.append(["coords", *["x", "y", "likelihood"] * len(table.parts)])
+    rows += ([frame, *row] for frame, row in zip(frames.tolist(), cells.tolist(), strict=True))
+    return csv_text(head, rows)

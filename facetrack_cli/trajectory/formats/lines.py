@@ -72,8 +72,13 @@ class Lines:
     @classmethod
     def with_frame(cls, path: Path) -> Lines:
         """Those of a file whose lines name their frame: blank ones are passed over."""
-        texts = [text.strip() for text in read_text(path).split("\n")]
-        return cls(path, list(filter(None, texts)), [place for place, text in enumerate(texts, 1) if text])
+        return cls.numbered(path, read_text(path).split("\n"))
+
+    @classmethod
+    def numbered(cls, path: Path, texts: Sequence[str], first: int = 1) -> Lines:
+        """These lines without the blank ones; `first` is the place of the first one in the file."""
+        found = [(text.strip(), place) for place, text in enumerate(texts, first) if text.strip()]
+        return cls(path, [text for text, _ in found], [place for _, place in found])
 
     def __len__(self) -> int:
         return len(self.texts)

@@ -18,7 +18,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array
-from facetrack_cli.trajectory.formats.lines import read_text
+from facetrack_cli.trajectory.formats.lines import Lines, read_text
 from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS
 from facetrack_cli.trajectory.trajectory import Trajectory, build
 
@@ -65,25 +65,14 @@ def _points(path: Path) -> Array:
     head = _HEAD.match(text)
     if head is None:
         raise InputError(f'{path}:1: a .pts file begins with the lines "version: 1", "n_points: 68" and "{{"')
-    found: list[list[float]] = []
-    closed = False
-    for number, line in enumerate(text[head.end() :].split("\n"), text.count("\n", 0, head.end()) + 1):
-        place, line = f"{path}:{number}", line.strip()
-        if not line:
-            continue
-        if closed:
-            raise InputError(f"{place}: {line[:40]!r} after the closing brace; keep the points between the braces")
-        if closed := line == "}":
-            continue
-        try:
-            x, y = map(float, line.split())
-        except ValueError:
-            raise InputError(f"{place}: {line[:40]!r} is no point; a line holds x and y with a blank between") from None
-        if (x == x) != (y == y):
-            raise InputError(f"{place}: nan in half a point; give both numbers, or nan nan")
-        if x == x and max(abs(x), abs(y)) > MAX_PIXELS:
-            raise InputError(f"{place}: the point is farther out than any image; correct it")
-        found.append([x, y])
-    if not closed or len(found) != int(head[1]) or not found:
-        raise InputError(f"{path}: {len(found)} points, but n_points says {head[1]}; was the file cut short?")
-    return np.array(found, dtype=np.float64)
+    body, brace, rest = text[head.end() :].partition("}")
+    first = text.count("\n", 0, head.end()) + 1
+    lines = Lines.numbered(path, body.split("\n"), first)
+    found = lines.numbers(2, "x y")
+    with np.errstate(invalid="ignore"):
+        lines.refuse(np.isnan(found).sum(axis=1) == 1, "nan in half a point; give both numbers, or nan nan")
+        lines.refuse((np.abs(found) > MAX_PIXELS).any(axis=1), "the point is farther out than any image; correct it")
+    if not brace or rest.strip() or len(found) != int(head[1]) or not len(found):
+        there = f"{len(found)} points between the braces, and n_points says {head[1]}"
+        raise InputError(f"{path}: {there}; was the file cut short?")
+    return found
