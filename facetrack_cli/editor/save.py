@@ -1,7 +1,10 @@
 """What is corrected into the run's folder: all files are written beside the old ones, and then replace them."""
 
 import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
+from typing import TypeAlias
 
 from facetrack_cli.core.claims import Claim
 from facetrack_cli.core.errors import InputError, OutputError
@@ -11,16 +14,19 @@ from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.retrack import Report, Stop, silent
 from facetrack_cli.editor.run_folder import Run, stamp, write_rows
 from facetrack_cli.runs.clip import past_end
+from facetrack_cli.runs.job import VIDEO
 from facetrack_cli.runs.signals import StoppedError, never
 from facetrack_cli.tracking.start import write_init
 from facetrack_cli.tracking.start.init_file import as_yaml
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
-from facetrack_cli.trajectory.manifest import commit, outdated, read_manifest
+from facetrack_cli.trajectory.manifest import Manifest, commit, outdated, read_manifest
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
 from facetrack_cli.trajectory.writers import footer_of
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
+
+Write: TypeAlias = Callable[[Callable[[bytes], object]], object]  # writes a file by calls of what it is given
 
 
 def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Stop = never) -> list[str]:
@@ -28,48 +34,62 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     Raises OutputError or InputError if something cannot be written, StoppedError once `stop` says so; the folder is
     then as it was.
     """
-    run = fixer.run
+    run, rows, folder = fixer.run, fixer.rows, fixer.run.folder
     if not fixer.changed:
         forget(run)
-        return [f"{run.folder}: nothing was corrected, all is as it was"]
-    with Claim(run.folder) as claim:
-        return _save(fixer, claim, video, report, stop)
-
-
-def _save(fixer: Fixer, claim: Claim, video: bool, report: Report, stop: Stop) -> list[str]:
-    run, rows = fixer.run, fixer.rows
-    _check(run)
-    files: list[Path] = []
-    notes: list[str] = []
-    at = run.folder
-    try:
-        sweep(run.folder)
-        if run.video is not None and video:
-            files.append(run.video)
-            notes += repaint(run, run.video, rows, report, stop)
-        for form, (path, _) in run.files.items():
-            at = path
-            files.append(at)
-            with beside(at).open("wb") as file:
-                write_rows(form, file.write, rows, fixer.corrections)
-        at = run.folder / CORRECTED
-        files.append(at)
-        beside(at).write_bytes(as_yaml(fixer.start, run.clip.name).encode())
-        _check(run)
-        known = read_manifest(run.folder)
-        ended = known and known.model_copy(update={"lost_frames": footer_of(rows).lost_frames})
-        commit(run.folder, files, ended, [run.folder / UNSAVED], claim=claim)
-    except BaseException as e:
-        for path in files:
-            discard(path)
-        if not isinstance(e, OSError):
-            raise
-        remedy = "free some space" if e.errno in FULL else "make it writable"
-        raise OutputError(f"{at}: cannot be written: {e.strerror or e}; {remedy}, and save again") from e
-    notes += past_end(fixer.corrections, run.last, str(run.folder / CORRECTED))
+        return [f"{folder}: nothing was corrected, all is as it was"]
+    files: dict[Path, Write] = {
+        path: partial(write_rows, form, rows=rows, corrections=fixer.corrections)
+        for form, (path, _) in run.files.items()
+    }
+    files[folder / CORRECTED] = lambda write: write(as_yaml(fixer.start, run.clip.name).encode())
+    known = read_manifest(folder)
+    ended = known and known.model_copy(update={"lost_frames": footer_of(rows).lost_frames})
+    paint = partial(repaint, run, rows=rows, report=report, stop=stop) if video and run.video is not None else None
+    written, notes = replace_files(folder, files, ended, [folder / UNSAVED], paint, lambda: _check(run))
+    notes += past_end(fixer.corrections, run.last, str(folder / CORRECTED))
     if run.video is not None and not video:
         notes.append(f"{run.video}: left as it was, it shows the track of before")
-    return [*(f"{path}: written" for path in files), *notes, *outdated(run.folder)]
+    return [*(f"{path}: written" for path in written), *notes, *outdated(folder)]
+
+
+def replace_files(
+    folder: Path,
+    files: Mapping[Path, Write],
+    ended: Manifest | None,
+    gone: Sequence[Path] = (),
+    paint: Callable[[Path], Sequence[str]] | None = None,
+    check: Callable[[], None] = lambda: None,
+) -> tuple[list[Path], list[str]]:
+    """Write all files of a run's `folder`, then let them replace the old ones together; the files, and warnings.
+
+    Each value of `files` writes one file by calls of `write(data)`. `paint` draws the video beside its path. `check`
+    raises, at the beginning and before anything is replaced, if the folder has changed. `ended` is the new run.json,
+    `gone` are files to remove. OutputError for a file that cannot be written; the folder is then as it was.
+    """
+    written: list[Path] = []
+    notes: list[str] = []
+    try:
+        with Claim(folder) as claim:
+            check()
+            sweep(folder)
+            if paint is not None:
+                written.append(folder / VIDEO)
+                notes += paint(folder / VIDEO)
+            for path, write in files.items():
+                written.append(path)
+                with beside(path).open("wb") as file:
+                    write(file.write)
+            check()
+            commit(folder, written, ended, gone, claim=claim)
+    except OSError as e:
+        remedy = "free some space" if e.errno in FULL else "make it writable"
+        at = written[-1] if written else folder
+        raise OutputError(f"{at}: cannot be written: {e.strerror or e}; {remedy}, and save again") from e
+    finally:
+        for path in written:
+            discard(path)
+    return written, notes
 
 
 def _check(run: Run) -> None:

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-from facetrack_cli.core.claims import Claim
 from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.core.files import beside, check_folder, discard, make_folder, remove_folders
-from facetrack_cli.core.sets import sweep
+from facetrack_cli.core.files import check_folder, make_folder, remove_folders
 from facetrack_cli.editor.retrack import Report, Stop, silent
 from facetrack_cli.editor.run_folder import open_run, read_files, run_files, write_rows
-from facetrack_cli.editor.save import repaint
+from facetrack_cli.editor.save import repaint, replace_files
 from facetrack_cli.report.make import trajectory_of
 from facetrack_cli.runs.job import VIDEO
 from facetrack_cli.runs.posterior import POSTERIOR, read_posterior
 from facetrack_cli.runs.signals import never
 from facetrack_cli.tracking.smoothed import MotionName, smoothed_rows
-from facetrack_cli.trajectory.manifest import FILTERED, OWNED, commit, outdated, read_manifest
+from facetrack_cli.trajectory.manifest import FILTERED, OWNED, outdated, read_manifest
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
-from facetrack_cli.trajectory.writers import Format
 
 
 def smooth(run: str | Path, *, motion: MotionName = "recipe") -> Trajectory:
@@ -54,43 +52,30 @@ def save_smoothed(
     """
     rows, place = _read(folder), folder if to is None else to
     drawn = video and (folder / VIDEO).is_file()
-    forms = list(run_files(folder))
-    if place.resolve() == folder.resolve():
-        if not overwrite:
-            raise OutputError(f"{folder}: has the filter's rows, which --overwrite replaces; or name a folder with -o")
-    else:
+    in_place = place.resolve() == folder.resolve()
+    if not in_place:
         check_folder(place, OWNED, overwrite=overwrite, inputs=[])
+    elif not overwrite:
+        raise OutputError(f"{folder}: has the filter's rows, which --overwrite replaces; or name a folder with -o")
     run = open_run(folder, clip) if drawn else None
-    after, notes = _smoothed(folder, rows, motion), tuple[str, ...]()
+    after = _smoothed(folder, rows, motion)
+    files = {
+        place / f"trajectory.{form}": partial(write_rows, form, rows=after, corrections=None)
+        for form in run_files(folder)
+    }
+    known = read_manifest(folder)
+    stays = dict(known.files) if known is not None and in_place else {}
+    if in_place:
+        files[place / FILTERED] = partial(write_rows, "csv", rows=rows)
+        stays.pop(POSTERIOR, None)  # smoothed rows are not smoothed again
+    ended = known and known.model_copy(update={"smoothed": True, "files": stays})
+    paint = None if run is None else partial(repaint, run, rows=after, report=report, stop=stop)
     made = make_folder(place)
-    files: list[Path] = []
     try:
-        with Claim(place) as claim:
-            sweep(place)
-            if run is not None:
-                files.append(place / VIDEO)
-                notes = repaint(run, place / VIDEO, after, report, stop)
-            texts: list[tuple[str, Format, Trajectory]] = [(f"trajectory.{form}", form, after) for form in forms]
-            known = read_manifest(folder)
-            stays = dict(known.files) if known is not None and place.resolve() == folder.resolve() else {}
-            if place.resolve() == folder.resolve():
-                texts.append((FILTERED, "csv", rows))
-                stays.pop(POSTERIOR, None)  # what is smoothed is not smoothed again
-            for name, form, those in texts:
-                files.append(place / name)
-                with beside(place / name).open("wb") as file:
-                    write_rows(form, file.write, those)
-            gone = [folder / POSTERIOR] * (place.resolve() == folder.resolve())
-            ended = known and known.model_copy(update={"smoothed": True, "files": stays})
-            commit(place, files, ended, gone, claim=claim)
-    except OSError as e:
-        remedy = "free some space, or make it writable"
-        raise OutputError(f"{e.filename or files[-1]}: cannot be written: {e.strerror or e}; {remedy}") from e
+        written, notes = replace_files(place, files, ended, [folder / POSTERIOR] if in_place else [], paint)
     finally:
-        for path in files:
-            discard(path)
         remove_folders(made)
-    return files, (*notes, *outdated(place))
+    return written, (*notes, *outdated(place))
 
 
 def _read(folder: Path) -> Trajectory:
