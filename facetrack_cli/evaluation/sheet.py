@@ -55,13 +55,13 @@ class Sheet:
             look = {"box": None, "padding": (0, 2, 0, 0), "header_style": "dim"}
         table = Table(pad_edge=False, show_edge=False, **look)  # type: ignore[arg-type]
         rows = [[_broken(cell) if i in self.left else cell for i, cell in enumerate(row)] for row in self.rows]
+        tall = max(head.count("\n") for head in self.heads)
         for i, (head, *column) in enumerate(zip(self.heads, *rows, strict=True)):
             left = i in self.left
             longest = max(len(line) for cell in (head, *column) for line in cell.split("\n"))
             table.add_column(
-                Text(head),
+                Text("\n" * (tall - head.count("\n")) + head),
                 justify="left" if left else "right",
-                vertical="bottom",
                 no_wrap=not left,
                 overflow="fold",
                 min_width=min(longest, MIN_NAME) if left else longest,

@@ -129,6 +129,13 @@ def test_a_likelihood_that_is_off_fails_and_is_told(
     assert deviation["runs"][1] < deviation["band"][0]
 
 
+def test_a_run_that_does_not_repeat_fails(facetrack: Runner, clips: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, rng = ColourRatio.distances, np.random.default_rng()
+    monkeypatch.setattr(ColourRatio, "distances", lambda s, a, f, x: asked(s, a, f, x) + rng.normal(0, 1e-6))
+    code, out, _ = facetrack("regress", clips)
+    assert code == ExitCode.REGRESSION and "two runs with seed 0 differ: the tracker does not repeat" in out
+
+
 def test_a_changed_recipe_is_told_and_compared_all_the_same(facetrack: Runner, clips: Path) -> None:
     code, out, _ = facetrack("regress", clips, "--set", "motion.sigma=0.25")
     assert code == ExitCode.REGRESSION

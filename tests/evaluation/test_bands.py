@@ -38,7 +38,7 @@ def run(seed, frames=101, **change):
 
 
 RECORDED = [run(seed) for seed in range(1000, 1040)]
-STATISTICS = bands.choose(RECORDED, {})
+STATISTICS = bands.select_statistics(RECORDED, {})
 VALUES = bands.measure(RECORDED, STATISTICS, {})
 BANDS = bands.bands_of(STATISTICS, VALUES)
 
@@ -70,7 +70,7 @@ def test_a_statistic_is_the_mean_of_its_quantity():
 def test_sizes_that_change_are_measured_and_what_is_never_told_is_not():
     t = np.arange(60)
     boxes = [one_part("face", "box", t, x=t + s, y=t, w=20 + t / 10, h=np.full(60, 5.0)) for s in (0.0, 0.1)]
-    assert {s.quantity for s in bands.choose(boxes, {})} == {"x", "y", "w", "step", "lost"}
+    assert {s.quantity for s in bands.select_statistics(boxes, {})} == {"x", "y", "w", "step", "lost"}
 
 
 @pytest.mark.parametrize(

@@ -99,7 +99,7 @@ class Compare:
             if not any(entry.scores for entry in entries):
                 shown.say(f"facetrack: {stopped.reason} before a run was complete; nothing was written")
                 return stopped.code or ExitCode.FAULT
-            measure = self.rank_by or compare.PRIMARY[compare.kind_of(entries)]
+            measure = self.rank_by or compare.USUAL[compare.kind_of(entries)][0]
             found = Comparison(clip, file, self.seeds, tuple(entries), measure, results.jobs, stopped.code is None)
             publish(found, lambda: compare_figures(found))
             failed = sum(entry.error is not None for entry in entries)

@@ -28,6 +28,7 @@ from facetrack_cli.core.types import Array, Start, Whole
 from facetrack_cli.evaluation import summary
 from facetrack_cli.evaluation.boxes import share_up_to
 from facetrack_cli.evaluation.match import match
+from facetrack_cli.evaluation.measure import PERCENT, Measure
 from facetrack_cli.evaluation.rows import Pair, Rows, column
 from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet, clip_name, rounded
 from facetrack_cli.evaluation.summary import MEASURES, Evaluation, evaluate, scalars
@@ -43,15 +44,9 @@ TAIL: Final = 0.1  # of the rows with a true box: those that tell whether the ta
 TAIL_IOU: Final = 0.1
 ERRORS: Final = 2.0  # standard errors to either side
 CUMULATIVE_AT: Final = np.linspace(0, 0.25, 101)  # error in units of the normalising length
-PRIMARY: Final = {"boxes": "boxes.success_auc", "points": "points.mean_normalised"}
-# what a measure is called in the table, its factor and its decimals
-TITLES: Final = {
-    "boxes.success_auc": ("success\nAUC", 1, 3),
-    "boxes.precision_20": ("precision\nat 20 px", 1, 3),
-    "boxes.good_rate": ("good\ntracking", 1, 3),
-    "points.mean_normalised": ("normalised\nerror, %", 100, 2),
-    "points.mean_px": ("mean\nerror, px", 1, 2),
-    "points.median_px": ("median\nerror, px", 1, 2),
+USUAL: Final = {  # the measures in the table
+    "boxes": ("boxes.success_auc", "boxes.precision_20", "boxes.good_rate"),
+    "points": ("points.mean_normalised", "points.mean_px", "points.median_px"),
 }
 TRUTH_NAMES: Final = ("groundtruth.csv", "groundtruth_rect.txt", "groundtruth.txt")
 
@@ -374,8 +369,7 @@ class Comparison:
     @property
     def measures(self) -> tuple[str, ...]:
         """Those in the table, the one that ranks first."""
-        usual = [name for name in TITLES if name.startswith(kind_of(self.entries))]
-        return tuple(dict.fromkeys([self.measure, *usual]))
+        return tuple(dict.fromkeys([self.measure, *USUAL[kind_of(self.entries)]]))
 
     def sheet(self) -> Sheet:
         """Recipes in their order; those that could not run at the end, and why below."""
@@ -391,13 +385,19 @@ class Comparison:
         entry, rate = place.entry, place.entry.frames_per_s
         if not entry.scores:
             return (place.text, entry.label, "not run", *(NO_FIGURE,) * (len(self.measures) + 2))
+        speed = (NO_FIGURE, NO_FIGURE)
+        if rate is not None:
+            times = fastest / rate
+            speed = (
+                f"{rate:,.{0 if rate >= 10 else 1}f}",
+                f"\N{MULTIPLICATION SIGN}{times:,.{0 if times >= 10 else 2}f}",
+            )
         return (
             place.text,
             entry.label,
-            *(_value(entry, name) for name in self.measures),
+            *(figure(MEASURES[name], entry.values(name), spread=not entry.deterministic) for name in self.measures),
             f"{entry.failures} of {len(entry.scores)}",
-            NO_FIGURE if rate is None else f"{rate:,.0f}" if rate >= 10 else f"{rate:.1f}",
-            NO_FIGURE if rate is None else _times(fastest / rate),
+            *speed,
         )
 
     def notes(self) -> list[str]:
@@ -433,14 +433,17 @@ class Comparison:
         """A row a recipe and seed with every figure; a recipe that did not run has one row, which says why."""
         measured = [name for name in MEASURES if any(name in s.figures for e in self.entries for s in e.scores)]
         out = io.StringIO()
-        writer = csv.writer(out, lineterminator="\n")
-        writer.writerow(["recipe", "seed", "failed", "frames_per_s", *measured, "error"])
+        writer = csv.DictWriter(
+            out, ["recipe", "seed", "failed", "frames_per_s", *measured, "error"], lineterminator="\n"
+        )
+        writer.writeheader()
         for entry in self.entries:
             for score in entry.scores:
-                figures = [_plain(score.figures.get(name)) for name in measured]
-                writer.writerow([entry.label, score.seed, int(score.failed), f"{score.frames_per_s:.2f}", *figures, ""])
+                own = {"recipe": entry.label, "seed": score.seed, "failed": int(score.failed)}
+                figures = {name: f"{value:.6f}".rstrip("0").rstrip(".") for name, value in score.figures.items()}
+                writer.writerow({**own, "frames_per_s": f"{score.frames_per_s:.2f}", **figures})
             if entry.error:
-                writer.writerow([entry.label, "", "", "", *("" for _ in measured), entry.error])
+                writer.writerow({"recipe": entry.label, "error": entry.error})
         return out.getvalue()
 
     def json(self) -> str:
@@ -471,36 +474,27 @@ class Comparison:
             "mean": {n: rounded(m, 6) for n in MEASURES if (m := entry.mean(n)) is not None},
             "std": {n: rounded(s, 6) for n in MEASURES if (s := entry.spread(n)) is not None},
             "runs": [
-                {
-                    "seed": score.seed,
-                    "failed": score.failed,
-                    "frames_per_s": rounded(score.frames_per_s, 2),
-                    **{name: rounded(value, 6) for name, value in score.figures.items()},
-                }
-                for score in entry.scores
+                {"seed": one.seed, "failed": one.failed, "frames_per_s": rounded(one.frames_per_s, 2)}
+                | {name: rounded(value, 6) for name, value in one.figures.items()}
+                for one in entry.scores
             ],
             "recipe": to_dict(entry.recipe) if entry.recipe is not None else None,
         }
 
 
 def _head(measure: str) -> str:
-    title = TITLES.get(measure, (measure.replace(".", ".\n"), 1, 3))[0]
-    arrow = "\N{DOWNWARDS ARROW}" if less_is_better(measure) else "\N{UPWARDS ARROW}"
-    return f"{title} {arrow}"
+    way = "\N{DOWNWARDS ARROW}" if less_is_better(measure) else "\N{UPWARDS ARROW}"
+    return f"{MEASURES[measure].title.strip() or measure} {way}"
 
 
-def _times(ratio: float) -> str:
-    return f"\N{MULTIPLICATION SIGN}{ratio:.2f}" if ratio < 9.95 else f"\N{MULTIPLICATION SIGN}{ratio:,.0f}"
+def figure(measure: Measure, values: Array, *, spread: bool) -> str:
+    """The mean of values (n,), with their standard deviation if `spread`; shares in percent to two decimals."""
 
+    def write(value: float) -> str:
+        return f"{100 * value:.2f}" if measure.write is PERCENT else measure.write(value)
 
-def _value(entry: Entry, measure: str) -> str:
-    _, factor, decimals = TITLES.get(measure, ("", 1, 3))
-    mean, spread = entry.mean(measure), entry.spread(measure)
-    if mean is None:
+    if not values.size:
         return NO_FIGURE
-    text = f"{factor * mean:.{decimals}f}"
-    return text if spread is None or entry.deterministic else f"{text} ± {factor * spread:.{decimals}f}"
-
-
-def _plain(value: float | None) -> str:
-    return "" if value is None else f"{value:.6f}".rstrip("0").rstrip(".")
+    return (
+        f"{write(values.mean())} ± {write(values.std(ddof=1))}" if spread and values.size > 1 else write(values.mean())
+    )

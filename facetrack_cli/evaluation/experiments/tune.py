@@ -26,7 +26,9 @@ from facetrack_cli.core.errors import FacetrackError, InputError, RecipeError, U
 from facetrack_cli.core.numbers import document
 from facetrack_cli.core.types import Array
 from facetrack_cli.core.yaml_tree import rewritten
+from facetrack_cli.evaluation import summary
 from facetrack_cli.evaluation.experiments import compare
+from facetrack_cli.evaluation.measure import PX, Measure
 from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet, clip_name, rounded
 from facetrack_cli.recipe.files import read_recipe
 from facetrack_cli.recipe.model import Recipe, to_dict
@@ -38,7 +40,7 @@ from facetrack_cli.trajectory import diagnostics
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 EVIDENCE: Final = diagnostics.EVIDENCE.name  # the measure of --by evidence
-_TITLES: Final = {**compare.TITLES, EVIDENCE: ("evidence,\nnats a frame", 1, 2)}
+MEASURES: Final = {**summary.MEASURES, EVIDENCE: Measure("evidence,\nnats a frame", PX, "more")}
 DIGITS: Final = 4  # significant digits of a number that is tried
 _NUMBER = r"-?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _SPAN: Final = re.compile(rf"({_NUMBER}) ?(?:px)?\.\.({_NUMBER}) ?(px)?(:log)?")
@@ -163,7 +165,7 @@ def usual_measure(cases: Sequence[Case]) -> str:
 
 
 def less_is_better(measure: str) -> bool:
-    return measure != EVIDENCE and compare.less_is_better(measure)
+    return MEASURES[measure].better == "less"
 
 
 def evidence(trajectory: Trajectory) -> float:
@@ -350,34 +352,35 @@ def _scores(
 
 def sheet(found: Tuning) -> Sheet:
     """A row for each held-out clip; the last note says whether the gain is larger than the spread."""
-    title, factor, decimals = _TITLES.get(found.measure, (found.measure, 1, 3))
+    write = partial(compare.figure, MEASURES[found.measure], spread=True)
     only = len(found.clips) == 1
-
-    def figure(values: Array) -> str:
-        text = f"{factor * values.mean():.{decimals}f}"
-        return text if len(values) < 2 else f"{text} ± {factor * values.std(ddof=1):.{decimals}f}"
-
     rows: list[tuple[str, ...]] = [
         (
             clip_name(fold.clip),
             ", ".join(fold.setting.values) or "as it is",
-            figure(fold.before),
-            figure(fold.after),
-            f"{factor * fold.gain.mean():+.{decimals}f}",
+            write(fold.before),
+            write(fold.after),
+            _signed(found, float(fold.gain.mean())),
         )
         for fold in found.folds
     ]
-    mean = f"{factor * found.gain[0]:+.{decimals}f}"
-    rows.append(("mean", "", *(f"{factor * _mean(found, after):.{decimals}f}" for after in (False, True)), mean))
-    heads = "clip" if only else "held-out clip", "chosen on it" if only else "chosen on\nthe others"
-    keys = ", ".join(one.key for one in found.ranges)
-    return Sheet(
-        f"{found.recipe.name}: {keys} by {' '.join(title.split())} on {len(found.clips)} clip{'s' * (not only)}",
-        (*heads, "recipe\nas it is", "tuned", "gain"),
-        tuple(rows),
-        tuple(notes(found)),
-        left=(0, 1),
-    )
+    means = [
+        np.mean([getattr(fold, name).mean() for fold in found.folds], keepdims=True) for name in ("before", "after")
+    ]
+    rows.append(("mean", "", *map(write, means), _signed(found, found.gain[0])))
+    heads = ("clip", "chosen on it") if only else ("held-out clip", "chosen on\nthe others")
+    keys, clips = ", ".join(one.key for one in found.ranges), f"{len(found.clips)} clip{'s' * (not only)}"
+    title = f"{found.recipe.name}: {keys} by {found.measure} on {clips}"
+    return Sheet(title, (*heads, "recipe\nas it is", "tuned", "gain"), tuple(rows), tuple(notes(found)), left=(0, 1))
+
+
+def _plain(found: Tuning, value: float) -> str:
+    return compare.figure(MEASURES[found.measure], np.array([value]), spread=False)
+
+
+def _signed(found: Tuning, gain: float) -> str:
+    text = _plain(found, gain)
+    return text if text.startswith("-") else f"+{text}"
 
 
 def notes(found: Tuning) -> list[str]:
@@ -413,10 +416,9 @@ def notes(found: Tuning) -> list[str]:
 def verdict(found: Tuning) -> str:
     """Whether the gain is larger than the spread, in a sentence."""
     gain, reach = found.gain
-    _, factor, decimals = _TITLES.get(found.measure, ("", 1, 3))
-    said = f"{factor * gain:+.{decimals}f} ± {factor * reach:.{decimals}f} (2 standard errors)"
     if not math.isfinite(reach):
-        return f"The gain is {factor * gain:+.{decimals}f}; one seed tells nothing of its spread, give --seeds."
+        return f"The gain is {_signed(found, gain)}; one seed tells nothing of its spread, give --seeds."
+    said = f"{_signed(found, gain)} ± {_plain(found, reach)} (2 standard errors)"
     larger = gain > reach
     if len(found.clips) == 1:
         over = "larger" if larger else "not larger"
@@ -476,10 +478,6 @@ def tuned_recipe(found: Tuning, overrides: Sequence[str]) -> str:
     clips = ", ".join(clip_name(clip) for clip in found.clips)
     text = rewritten(read_recipe(found.recipe.path), [*overrides, *best])
     return f"# {found.recipe.name}, tuned: {what} on {clips}.\n{text}"
-
-
-def _mean(found: Tuning, after: bool) -> float:
-    return float(sum((one.after if after else one.before).mean() for one in found.folds)) / len(found.folds)
 
 
 def _named(found: Tuning, one: Setting) -> dict[str, str]:

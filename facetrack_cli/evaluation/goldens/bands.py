@@ -144,7 +144,7 @@ def names(tables: Sequence[Trajectory]) -> dict[str, str]:
 # --- measuring -----------------------------------------------------------------------------------------------------
 
 
-def choose(tables: Sequence[Trajectory], named: Mapping[str, str]) -> list[Statistic]:
+def select_statistics(tables: Sequence[Trajectory], named: Mapping[str, str]) -> list[Statistic]:
     """The statistics that runs of this clip have: quantities that the tracker gives, and that are not fixed."""
     found = []
     for name, q in QUANTITIES.items():

@@ -9,6 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple, TypeAlias
 
+import numpy as np
+
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.evaluation.goldens.bands import Deviation, judge, last_names, measure, names
 from facetrack_cli.evaluation.goldens.goldens import (
@@ -183,7 +185,7 @@ def check(
         recipe = given.get(golden.recipe_name) or load_recipe(golden.recipe_from(folder), overrides, installed=False)
         recipe = _recognising(recipe, folder, golden, gallery)
         _check_runs_here(recipe)
-        seeds = tuple(range(first_seed, first_seed + golden.tested))
+        seeds = (*range(first_seed, first_seed + golden.tested), first_seed)  # the first seed must repeat its run
         return Plan(path.stem, clip, recipe, golden.start.start_from(str(path)), seeds, golden.stop)
 
     jobs = []
@@ -194,6 +196,7 @@ def check(
 
 
 def _compare(path: Path, golden: Golden, plan: Plan, runs: Sequence[SeedRun]) -> Checked:
+    *runs, again = runs
     tables = [run.trajectory for run in runs]
     seconds = sum(len(run.trajectory.frames) / run.frames_per_s for run in runs)
     changed = differences(completed(golden.settings), to_dict(plan.recipe))
@@ -204,6 +207,9 @@ def _compare(path: Path, golden: Golden, plan: Plan, runs: Sequence[SeedRun]) ->
     result = partial(Checked, path, golden.clip.file, golden.recipe_name, seconds=seconds, seeds=len(runs))
     if shape := _other_shape(golden, tables[0]):
         return result("fails", shape, tuple(notes))
+    columns = [(getattr(tables[0], name), getattr(again.trajectory, name)) for name in ("x", "y", "confidence")]
+    if not all(np.array_equal(*both, equal_nan=True) for both in columns):
+        return result("fails", f"two runs with seed {again.seed} differ: the tracker does not repeat", tuple(notes))
     who = _identities(golden.names, tables)
     statistics = [band.statistic for band in golden.bands]
     farthest, left = judge(golden.bands, measure(tables, statistics, golden.names))

@@ -121,7 +121,7 @@ def record(
     if gallery is not None:  # a path from the clip's folder, wherever it was recorded from
         settings = {**settings, "recognition": {**settings["recognition"], "gallery": beside(clip.parent, gallery)}}
     named = bands.names(tables)
-    statistics = bands.choose(tables, named)
+    statistics = bands.select_statistics(tables, named)
     recorded = bands.measure(tables, statistics, named)
     if bands.deterministic(recorded):
         recorded = recorded[:1]
