@@ -38,7 +38,7 @@ if __name__ != "__main__":  # a program that imports us keeps its own handlers
     for _one, _handler in _before.items():
         signal.signal(_one, _handler)
 
-_LONGEST = 1000  # characters of an error
+_MAX_MESSAGE = 1000  # characters of an error
 _STREAM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 
 
@@ -123,8 +123,8 @@ def _is_of_stdout(error: Exception) -> bool:
 
 
 def _say(message: str, excerpt: str = "") -> None:
-    if len(message) > _LONGEST:  # it quotes what a file says; the place stands first, the remedy last
-        message = f"{message[: _LONGEST // 2]} ... {message[-_LONGEST // 2 :]}"
+    if len(message) > _MAX_MESSAGE:  # it quotes what a file says; the place stands first, the remedy last
+        message = f"{message[: _MAX_MESSAGE // 2]} ... {message[-_MAX_MESSAGE // 2 :]}"
     with contextlib.suppress(OSError):  # a full disk under the log must not change the exit code
         click.echo(log_line(f"facetrack: {message}", **({"excerpt": excerpt} if excerpt else {})), err=True)
         if excerpt and not as_json():

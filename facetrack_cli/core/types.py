@@ -22,7 +22,7 @@ Box: TypeAlias = tuple[float, float, float, float]  # left, top, width, height
 Extent: TypeAlias = tuple[float, float, float, float]  # x from, y from, x to, y to
 Point: TypeAlias = tuple[float, float]
 BOX = "box"  # the one part of a target that is tracked as a box
-MOST_REMEMBERED = 8  # a step asks for the particles twice, and for a few single states in between
+MAX_REMEMBERED = 8  # a step asks for the particles twice, and for a few single states in between
 
 
 @dataclass(slots=True)
@@ -85,7 +85,7 @@ class Frame:
 
     def remember(self, key: Hashable, of: Array, values: NDArray[np.float32]) -> None:
         """Keep `values` for `remembered`, with the last few others, and `of`, whose id may be part of the key."""
-        if len(self._patches) >= MOST_REMEMBERED:
+        if len(self._patches) >= MAX_REMEMBERED:
             del self._patches[next(iter(self._patches))]
         self._patches[key] = of, values
 

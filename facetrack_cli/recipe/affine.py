@@ -18,8 +18,8 @@ from facetrack_cli.recipe.times import SHARE
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import ParticleFilter
 
-MOST_POINTS = 100_000_000  # particles times points of a template: some gigabytes
-MOST_COMPARED = 2_000  # particles that are compared with each other: memory grows with their square
+MAX_COMPARED_POINTS = 100_000_000  # particles times points of a template: some gigabytes
+MAX_COMPARED_PARTICLES = 2_000  # particles that are compared with each other: memory grows with their square
 Points: TypeAlias = Annotated[int, Field(ge=6, le=128)]
 Deviation: TypeAlias = Annotated[float, Field(ge=1e-3, le=100)]
 
@@ -29,7 +29,6 @@ class Affine(Scaled):
 
     engine = "facetrack_cli.tracking.models.spaces:place_box"
     type: Literal["affine"]
-    """A box that moves, turns, stretches and shears."""
     estimate: Literal["map", "mean"] = "map"
     """The particle of the greatest weight, thus likelihood, which the paper calls MAP, or the mean of them all."""
     scale: Annotated[tuple[Factor, Factor], Field(strict=False)] = (0.2, 5.0)
@@ -78,7 +77,6 @@ class AffineWalk(Motion):
     engine = "facetrack_cli.tracking.models.velocity:affine_walk"
     goes_with = ("affine",)
     type: Literal["affine_walk"]
-    """Noise on the parameters of an affine map, around a predicted place."""
     sigma: Length
     """r_0 u_0 of the place: standard deviation along x and y."""
     deform: Annotated[float, Field(ge=0, le=1)]
@@ -101,7 +99,7 @@ class AffineWalk(Motion):
             return
         n, where = whole.filter.most(whole)
         samples = self.velocity.samples
-        if min(n, samples or n) > MOST_COMPARED:
+        if min(n, samples or n) > MAX_COMPARED_PARTICLES:
             remedy = "give velocity.samples, as in samples: 32"
             message = f"motion.velocity compares every two of up to {n:,} particles; {remedy}"
             yield Refusal(where if samples is None else ("motion", "velocity", "samples"), message)
@@ -130,8 +128,8 @@ class PatchLikelihood(Likelihood):
 
     def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
         (n, where), (columns, rows) = whole.filter.most(whole), self.template
-        if n * columns * rows > MOST_POINTS:
-            most = f"no more than {MOST_POINTS:,} points fit into memory"
+        if n * columns * rows > MAX_COMPARED_POINTS:
+            most = f"no more than {MAX_COMPARED_POINTS:,} points fit into memory"
             yield Refusal(where, f"{n:,} particles of {columns}x{rows} points each; {most}")
 
 
@@ -141,7 +139,6 @@ class Appearance(PatchLikelihood):
     engine = "facetrack_cli.tracking.models.likelihoods.appearance:Appearance.build"
     goes_with = ("affine",)
     type: Literal["appearance"]
-    """What the face looked like in the last frame, all along, and at the start."""
     mixing: Components
     """m_i in the first frame, in proportion; 0 leaves a component out, and f alone is a fixed template."""
     sigma: Components

@@ -22,7 +22,6 @@ class Box(Scaled):
 
     engine = "facetrack_cli.tracking.models.spaces:place_box"
     type: Literal["box"]
-    """A box that moves, changes its size, and may be hidden."""
     scale: Annotated[tuple[Factor, Factor], Field(strict=False)] = (0.15, 6.0)
     """The least and the largest size of the box, as factors of its size at the start."""
 
@@ -33,7 +32,6 @@ class VisibleWalk(Motion):
     engine = "facetrack_cli.tracking.models.motion:visible_walk"
     goes_with = ("box",)
     type: Literal["visible_walk"]
-    """A walk with velocity, and a chain of two states, visible and hidden."""
     sigma: Length
     """Standard deviation of a step along x and along y, beside the velocity."""
     hidden: Length = Length(0.1)
@@ -75,7 +73,6 @@ class CorrelationFilter(Likelihood):
     engine = "facetrack_cli.tracking.models.likelihoods.correlation_filter:CorrelationFilter.build"
     goes_with = ("box",)
     type: Literal["correlation_filter"]
-    """The response of a correlation filter that is learned from frame to frame."""
     window: Annotated[float, Field(ge=2, le=10)] = 5.0
     """Side of the square window that is looked at, in mean sides of the box (BACF takes 5)."""
     cells: Annotated[int, Field(ge=16, le=80, multiple_of=2)] = 40
@@ -114,7 +111,6 @@ class Guided(Filter):
     engine = "facetrack_cli.tracking.filters:guided"
     goes_with = ("box",)
     type: Literal["guided"]
-    """Proposes from the modes of the likelihood and from the transition."""
     particles: Annotated[int, Field(ge=4, le=2_000)]
     """Number of particles."""
     guided: Annotated[float, Field(ge=0, lt=1)] = 0.7
@@ -127,6 +123,5 @@ class Peak(Filter):
     engine = "facetrack_cli.tracking.filters:peak"
     goes_with = ("box",)
     type: Literal["peak"]
-    """The highest peak, without particles."""
     particles: Literal[1] = 1
     """There is one."""

@@ -14,18 +14,21 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.json_schema import GenerateJsonSchema
 
-from facetrack_cli.recipe.sections import Length
+from facetrack_cli.recipe.sections import Length, type_of
 
 
 class Described(GenerateJsonSchema):
-    """Fields without a description of their own get their docstrings, and lengths are written as in recipes."""
+    """Fields get the docstrings below them, `type` by default that of its class; lengths are written as in recipes."""
 
     def encode_default(self, dft: Any) -> Any:
         return super().encode_default(dft.written() if isinstance(dft, Length) else dft)
 
     def model_schema(self, schema: Any) -> dict[str, Any]:
         found = super().model_schema(schema)
-        said = {name: text for one in reversed(schema["cls"].__mro__) for name, text in _docstrings(one)}
+        cls = schema["cls"]
+        said = {name: text for base in reversed(cls.__mro__) for name, text in _docstrings(base)}
+        if type_of(cls):
+            said.setdefault("type", (inspect.getdoc(cls) or "").partition("\n\n")[0])
         for name, field in found.get("properties", {}).items():
             if name in said:
                 field.setdefault("description", said[name])

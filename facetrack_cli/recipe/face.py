@@ -80,7 +80,6 @@ class JumpingWalk(Motion):
     engine = "facetrack_cli.tracking.models.motion:jumping_walk"
     goes_with = ("points",)
     type: Literal["jumping_walk"]
-    """Each part stays nearly where it was, and now and then moves far in one frame, as a mouth that opens."""
     sigma: LengthPerPart
     """Standard deviation of a part's usual step, along x and along y."""
     jump: LengthPerPart
@@ -108,7 +107,6 @@ class WindowNcc(Likelihood):
     engine = "facetrack_cli.tracking.models.likelihoods.window_ncc:WindowNcc"
     goes_with = ("points",)
     type: Literal["window_ncc"]
-    """Correlation of windows with templates; new templates are learned where a part looks different."""
     sharpness: Annotated[float, Field(gt=0, le=1000)] = 30.0
     """The log-likelihood of a visible part is this times its correlation."""
     templates: Annotated[int, Field(ge=1, le=20)] = 4
@@ -128,7 +126,6 @@ class StudentT(Prior):
     engine = "facetrack_cli.tracking.models.shape_prior:build_student"
     goes_with = ("points",)
     type: Literal["student_t"]
-    """Student t density, smooth and wide, where `parzen` is a sum of narrow kernels."""
     file: Annotated[str, Field(min_length=1)]
     """The training shapes, as for `parzen`."""
     freedom: Annotated[float, Field(gt=0, le=1000)] = 4.0

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from facetrack_cli.recipe.affine import MOST_COMPARED, AffineWalk
+from facetrack_cli.recipe.affine import MAX_COMPARED_PARTICLES, AffineWalk
 from facetrack_cli.recipe.sections import Filter, Length, Refusal, Section, Steps
 
 if TYPE_CHECKING:
@@ -69,7 +69,6 @@ class Sir(Kept):
     engine = "facetrack_cli.tracking.filters:sir"
     goes_with = ("points", "region", "cloud", "affine")
     type: Literal["sir"]
-    """Sampling/importance resampling over the joint state."""
     kld: Kld | None = None
     """Beyond the papers: as many particles as the spread of the prediction asks for; null: `particles`."""
 
@@ -88,7 +87,6 @@ class Auxiliary(Resampled):
     engine = "facetrack_cli.tracking.filters:auxiliary"
     goes_with = ("points", "region", "cloud", "affine")
     type: Literal["auxiliary"]
-    """Auxiliary particle filter over the joint state."""
     look_ahead: Literal["draw", "mean"] = "draw"
     """What a particle is picked by: the likelihood at a draw of its transition, as published, or at its mean."""
 
@@ -113,7 +111,6 @@ class Factorized(LooksAhead):
     engine = "facetrack_cli.tracking.filters:factorized"
     goes_with = ("points",)  # it resamples parts apart, and the other targets are one part
     type: Literal["factorized"]
-    """The product of the parts' posteriors as proposal, then reweighted."""
     reweight: Literal["prior", "transition", "both"] = "prior"
     """By the shape prior (eq. 11), by the particles of the last frame (eq. 7), or, beyond the paper, by both."""
     from_prior: Annotated[float, Field(ge=0, lt=1)] = 0.0
@@ -121,8 +118,8 @@ class Factorized(LooksAhead):
 
     def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
         by_prior, add = self.reweight == "prior", "needs a prior; add a prior section, or write"
-        if not by_prior and self.particles > MOST_COMPARED:
-            most = f"give {MOST_COMPARED:,} at most, not {self.particles:,}"
+        if not by_prior and self.particles > MAX_COMPARED_PARTICLES:
+            most = f"give {MAX_COMPARED_PARTICLES:,} at most, not {self.particles:,}"
             yield Refusal(("filter", "particles"), f"reweight: {self.reweight} compares every two particles; {most}")
         elif self.reweight != "transition" and whole.prior is None:
             yield Refusal(("filter", "reweight"), f"filter.reweight: {self.reweight} {add} reweight: transition")
@@ -143,7 +140,6 @@ class Independent(LooksAhead):
     reweight: ClassVar[str] = "none"
     from_prior: ClassVar[float] = 0.0
     type: Literal["independent"]
-    """An auxiliary particle filter for each part on its own."""
 
     def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
         if whole.prior is not None:
@@ -157,7 +153,6 @@ class Adaptive(Tempered):
     engine = "facetrack_cli.tracking.filters:adaptive"
     goes_with = ("affine",)
     type: Literal["adaptive"]
-    """Particles around the one place that is predicted."""
     particles: Annotated[int, Field(ge=1)]
     """J_0."""
     adapt: bool = True

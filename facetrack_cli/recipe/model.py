@@ -17,7 +17,7 @@ from facetrack_cli.recipe.skin import Exclusion, SkinCloud
 from facetrack_cli.recipe.times import FRAMES
 
 S = TypeVar("S", bound=Kind)
-MOST_HYPOTHESES = 5_000_000  # particles times parts: some gigabytes
+MAX_HYPOTHESES = 5_000_000  # particles times parts: some gigabytes
 TargetName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 
 
@@ -82,8 +82,8 @@ class ParticleFilter(Section):
             yield Refusal(("confidence", "calibration"), message)
         if self.head is not None and not self.points:
             yield Refusal(("head",), "head carries points of a face; remove it, or follow points")
-        if self.hypotheses > MOST_HYPOTHESES:
-            message = f"particles times parts is {self.hypotheses:,}; no more than {MOST_HYPOTHESES:,} fit into memory"
+        if self.hypotheses > MAX_HYPOTHESES:
+            message = f"particles times parts is {self.hypotheses:,}; no more than {MAX_HYPOTHESES:,} fit into memory"
             yield Refusal(("filter", "particles"), message)
 
     def _mismatch(self, key: str, given: Component) -> Refusal:
@@ -181,7 +181,6 @@ class OpenCvRecipe(Recipe):
     """One of OpenCV's own trackers of a box, to compare with."""
 
     type: Literal["opencv"]
-    """One of OpenCV's own trackers, which follows a box."""
     tracker: Literal["mil", "csrt", "kcf", "mosse"]
     """Which one; all but `mil` need opencv-contrib-python-headless in place of opencv-python-headless."""
 
@@ -194,7 +193,6 @@ class ParticleRecipe(ParticleFilter, Recipe):
     """A particle filter: what is tracked, how it moves, how it looks, and which filter."""
 
     type: Literal["particle_filter"] = "particle_filter"
-    """A particle filter; may be left out."""
     exclusion: Exclusion | None = None
     """How targets exclude each other where there are several; null: each is followed independently."""
 
@@ -207,7 +205,6 @@ class ParticlesRecipe(Recipe):
     """Several targets, each followed by a particle filter of its own, with or without mutual exclusion."""
 
     type: Literal["particle_filters"]
-    """Several particle filters, one for each target."""
     targets: Annotated[
         dict[TargetName, ParticleFilter | None],
         Field(min_length=1, max_length=20, json_schema_extra={"additionalProperties": False}),
@@ -241,8 +238,8 @@ class ParticlesRecipe(Recipe):
             if name not in names:
                 yield Refusal(("exclusion", "first", i), f'there is no target "{name}"; {known}')
         hypotheses = sum(one.hypotheses for one in self.filters.values())
-        if hypotheses > MOST_HYPOTHESES:
-            message = f"the targets have {hypotheses:,} particles; no more than {MOST_HYPOTHESES:,} fit into memory"
+        if hypotheses > MAX_HYPOTHESES:
+            message = f"the targets have {hypotheses:,} particles; no more than {MAX_HYPOTHESES:,} fit into memory"
             yield Refusal(("targets",), message)
 
 

@@ -34,7 +34,6 @@ class Points(Target):
 
     engine = "facetrack_cli.tracking.models.spaces:place_points"
     type: Literal["points"]
-    """Points, each tracked by the image around it."""
     parts: Annotated[tuple[PartName, ...], Field(strict=False, min_length=1, max_length=100)]
     """The names of the points, in the order of the state; left and right as seen in the frame."""
     windows: WindowPerPart
@@ -65,7 +64,6 @@ class RandomWalk(Motion):
     engine = "facetrack_cli.tracking.models.motion:random_walk"
     goes_with = ("points", "region", "cloud")
     type: Literal["random_walk"]
-    """Each part stays where it was, up to noise."""
     sigma: LengthPerPart
     """Standard deviation of a part's step from frame to frame, along x and along y."""
     scale: Annotated[float, Field(ge=0, le=1)] = 0.0
@@ -84,7 +82,6 @@ class ColourRatio(Likelihood):
     engine = "facetrack_cli.tracking.models.likelihoods.colour_ratio:ColourRatio.build"
     goes_with = ("points",)
     type: Literal["colour_ratio"]
-    """Difference of colours that does not change with the intensity of the light."""
     robust: Literal["l1", "huber", "tukey", "geman_mcclure"] = "l1"
     """rho of eq. 9, the robust function of a colour difference; the paper takes l1."""
     norm: Literal["channel", "pixel"] = "channel"
@@ -111,7 +108,6 @@ class Parzen(Prior):
     engine = "facetrack_cli.tracking.models.shape_prior:build"
     goes_with = ("points",)
     type: Literal["parzen"]
-    """Parzen density over training shapes."""
     file: Annotated[str, Field(min_length=1)]
     """The training shapes, as `facetrack prior fit` writes them; sought beside the recipe, then among the shipped."""
     sigma: Annotated[float, Field(ge=0.005)]  # of narrower kernels, float32 exponents are wrong by 0.001 and more

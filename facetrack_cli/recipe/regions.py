@@ -11,7 +11,7 @@ from pydantic import Field
 
 from facetrack_cli.recipe.sections import Component, Length, LengthOrNone, Likelihood, Motion, Refusal, Section, Target
 
-MOST_SEARCH, MOST_SEARCH_PX = 10.0, 10_000.0  # beyond most frames; every step of it takes time
+MAX_SEARCH_SIZES, MAX_SEARCH_PX = 10.0, 10_000.0  # beyond most frames; every step of it takes time
 Count: TypeAlias = Annotated[int, Field(ge=1, le=64)]
 Factor: TypeAlias = Annotated[float, Field(gt=0, le=100)]
 Entry: TypeAlias = Annotated[float, Field(ge=-1e6, le=1e6)]  # or powers of A overflow, stable or not
@@ -38,7 +38,6 @@ class Region(Scaled):
 
     engine = "facetrack_cli.tracking.models.spaces:place_box"
     type: Literal["region"]
-    """A box that moves and changes its size."""
     scale: Annotated[tuple[Factor, Factor], Field(strict=False)] = (0.25, 4.0)
     """The least and the largest size of the box, as factors of its size at the start."""
 
@@ -87,7 +86,6 @@ class FirstOrder(Motion):
     engine = "facetrack_cli.tracking.models.motion:first_order"
     goes_with = ("region", "cloud")
     type: Literal["first_order"]
-    """Linear dynamics of place, scale and their speeds."""
     position: PositionDynamics
     """Of x and of y."""
     scale: ScaleDynamics
@@ -114,9 +112,9 @@ class Contour(Component):
     """Beyond the paper: how many normals count as independent is estimated from their autocorrelation, or all do."""
 
     def mistakes(self) -> Iterable[Refusal]:
-        most = MOST_SEARCH_PX if self.search.px else MOST_SEARCH
+        most = MAX_SEARCH_PX if self.search.px else MAX_SEARCH_SIZES
         if self.search.value > most:
-            reach = f"{MOST_SEARCH:g}, in units of the target's size, or {MOST_SEARCH_PX:g}px"
+            reach = f"{MAX_SEARCH_SIZES:g}, in units of the target's size, or {MAX_SEARCH_PX:g}px"
             yield Refusal(("search",), f"likelihood.contour.search must be at most {reach}")
 
 
@@ -174,7 +172,6 @@ class Product(Likelihood):
     engine = "facetrack_cli.tracking.models.likelihoods.product:Product.build"
     goes_with = ("region",)
     type: Literal["product"]
-    """The product of what is given of contour, histogram and correlation."""
     contour: Contour | None = None
     """Edges along the normals of the ellipse in the box (eq. 11)."""
     histogram: Histogram | None = None

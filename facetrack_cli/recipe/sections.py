@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 Steps: TypeAlias = tuple[str | int, ...]
 T = TypeVar("T")
-SHORTEST, LONGEST = 1e-6, 1e6  # lengths; no frame needs more, and squares would overflow
+MIN_LENGTH, MAX_LENGTH = 1e-6, 1e6  # lengths; no frame needs more, and squares would overflow
 # the modules beside this one that hold sections, in the order in which types are listed
 FAMILIES = ("points", "regions", "skin", "affine", "filters", "correlation_filter", "face")
 GROUP = "facetrack.sections"  # the entry points by which other packages bring sections of their own
@@ -214,7 +214,7 @@ class Length:
 
     value: float
     px: bool = False
-    least: ClassVar[float] = SHORTEST
+    least: ClassVar[float] = MIN_LENGTH
 
     def pixels(self, size: float) -> float:
         """In pixels, for a target that was `size` pixels large at the start."""
@@ -236,7 +236,7 @@ class Length:
             length = cls(float(given.removesuffix("px")), px=True)
         elif isinstance(given, int | float) and not isinstance(given, bool) and abs(given) < 1e300:
             length = cls(float(given))
-        if not SHORTEST <= length.value <= LONGEST:  # also nan
+        if not MIN_LENGTH <= length.value <= MAX_LENGTH:  # also nan
             units = "a number in units of the target's size, or pixels as in 12px"
             bound = "a length above 0" if cls.least else "0 or a length"
             hint = f"must be {bound} (and no more than a million): {units}"
@@ -254,7 +254,7 @@ class Length:
         cls, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
         said = "In units of the target's size at the start."
-        units = {"type": "number", "minimum": cls.least, "maximum": LONGEST, "description": said}
+        units = {"type": "number", "minimum": cls.least, "maximum": MAX_LENGTH, "description": said}
         pixels = {"type": "string", "pattern": f"^{NUMBER} ?px$", "description": "In pixels, as in 12px."}
         return {"title": cls.__name__, "anyOf": [units, pixels]}
 

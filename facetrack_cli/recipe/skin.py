@@ -50,7 +50,6 @@ class SkinNcc(Likelihood):
     engine = "facetrack_cli.tracking.models.likelihoods.skin_ncc:SkinNcc.build"
     goes_with = ("region",)
     type: Literal["skin_ncc"]
-    """A face by what is given of skin and ncc, or by both together."""
     skin: Skin | None = None
     """Skin in a rectangle of two regions (rho, eq. 9)."""
     ncc: Pattern | None = None
@@ -75,7 +74,6 @@ class SkinCloud(Likelihood):
     engine = "facetrack_cli.tracking.models.likelihoods.skin_cloud:SkinCloud.build"
     goes_with = ("cloud",)
     type: Literal["skin"]
-    """The probability that a pixel is skin."""
     learn_from: str | None = None
     """The target whose box in the first frame teaches the colour of skin; null: the target itself."""
     least_share: Share = LEAST_SHARE
@@ -92,7 +90,6 @@ class Cloud(Target):
     engine = "facetrack_cli.tracking.models.spaces:place_box"
     relearns = False  # colours are learned in the first frame alone
     type: Literal["cloud"]
-    """A cloud in which each particle is a pixel."""
 
 
 class Exclusion(Section):

@@ -18,7 +18,7 @@ from pydantic_core import PydanticCustomError, core_schema
 if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 
-SHORTEST_S, LONGEST_S = 1e-6, 1e6
+MIN_S, MAX_S = 1e-6, 1e6
 UNITS = {"s": 1.0, "ms": 1e-3}
 NUMBER = r"([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?"  # without a sign
 FPS = "fps"  # of a validation's context: frames per second by which times become numbers
@@ -44,7 +44,7 @@ class Time:
         """From what stands in a recipe; None for what is no time."""
         found = re.fullmatch(f"({NUMBER}) ?(s|ms)", given)
         time = cls(float(found[1]), found[5]) if found else None
-        return time if time is not None and SHORTEST_S <= time.seconds <= LONGEST_S else None
+        return time if time is not None and MIN_S <= time.seconds <= MAX_S else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.core.types import MOST_REMEMBERED, Frame
+from facetrack_cli.core.types import MAX_REMEMBERED, Frame
 from facetrack_cli.tracking.models.spaces import Patches, scale_of
 from tests.twins import appearance as naive
 
@@ -133,10 +133,10 @@ def test_the_frame_remembers_the_last_patches():
     assert patches.read(f, states((70, 60)), 1) is single
     assert patches.read(f, states((71, 60)), 1) is not single
     # arrays that are gone give their id to others: each must be read again
-    for k in range(3 * MOST_REMEMBERED):
+    for k in range(3 * MAX_REMEMBERED):
         y = patches.read(f, states((70 + k, 60), (60, 50)), 1)
         np.testing.assert_array_equal(y, patches.read(frame(smooth(9)), states((70 + k, 60), (60, 50)), 1))
-    assert len(f._patches) <= MOST_REMEMBERED
+    assert len(f._patches) <= MAX_REMEMBERED
 
 
 def test_scale_is_that_of_a_similarity_and_1_at_the_start():

@@ -10,7 +10,7 @@ from facetrack_cli.core.types import Frame
 from facetrack_cli.tracking.start import search as module
 from facetrack_cli.tracking.start import search_start
 from facetrack_cli.tracking.start.detectors import Found
-from facetrack_cli.tracking.start.search import BOUND, OFTEN, STEP, WAIT
+from facetrack_cli.tracking.start.search import MAX_STEP_FRAMES, MIN_FRAMES, SEARCHED_FRAMES, WAIT_FRAMES
 from tests.support import moving_face as moving
 from tests.support.moving_face import PARTS, Pose
 
@@ -60,7 +60,7 @@ def test_a_late_face_is_waited_for_and_the_search_ends_soon():
         return [(50, 30, 40)] * (t >= 35)
 
     assert search(found, 200).frame == 35
-    assert seen[-1] == 35 + WAIT - 1
+    assert seen[-1] == 35 + WAIT_FRAMES - 1
 
 
 def test_the_largest_face_that_stays_is_taken():
@@ -111,7 +111,7 @@ def test_noise_of_points_averages_out_in_the_box(placing):
     start = placing(lambda t, part: np.array([0.5, 0.6]) + off[t, PARTS.index(part)])
     assert start.frame == 0, "of ten frames"
     for k, part in enumerate(PARTS):
-        mean = np.array([0.5, 0.6]) + off[:WAIT, k].mean(axis=0)
+        mean = np.array([0.5, 0.6]) + off[:WAIT_FRAMES, k].mean(axis=0)
         assert in_box(start, part) == pytest.approx(mean, abs=5e-4), "and it is rounded to 0.01 pixels"
 
 
@@ -145,7 +145,7 @@ def test_a_clip_of_a_few_frames_is_enough():
     assert search(lambda t: [(60, 40, 40)], 1).frame == 0
     assert search(lambda t: [(60, 40, 40)] * (t == 2), 3).frame == 2
     with pytest.raises(InputError, match="no face found in frames 0 to 19"):
-        search(lambda t: [(60, 40, 40)] * (t < OFTEN - 1), 20)
+        search(lambda t: [(60, 40, 40)] * (t < MIN_FRAMES - 1), 20)
 
 
 def test_a_face_that_comes_late_is_found_and_few_frames_are_looked_at():
@@ -157,8 +157,8 @@ def test_a_face_that_comes_late_is_found_and_few_frames_are_looked_at():
 
     frames = (Frame(i, i / 25, one.bgr) for i, one in enumerate(noise(40) * 60))
     start = search_start(frames, detector=Fake(found), clip="a.mp4")
-    assert 1500 <= start.frame < 1500 + STEP and start.targets["face"].box == (60, 30, 40, 40)
-    assert len(seen) < BOUND + 120 and seen[:BOUND] == list(range(BOUND))
+    assert 1500 <= start.frame < 1500 + MAX_STEP_FRAMES and start.targets["face"].box == (60, 30, 40, 40)
+    assert len(seen) < SEARCHED_FRAMES + 120 and seen[:SEARCHED_FRAMES] == list(range(SEARCHED_FRAMES))
     again = (Frame(i, i / 25, one.bgr) for i, one in enumerate(noise(40) * 60))
     assert search_start(again, detector=Fake(found)).frame == start.frame
 
@@ -173,13 +173,15 @@ def test_of_images_that_are_all_kept_the_first_alone_are_searched():
 
     with pytest.raises(InputError, match="no face found in frames 0 to 249"):
         search_start(frames(), detector=Fake(lambda t: [(60, 30, 40)] * (t > 300)), whole=False)
-    assert len(pulled) == BOUND
+    assert len(pulled) == SEARCHED_FRAMES
 
 
 def test_what_is_seen_once_late_is_no_face():
     frames = (Frame(i, i / 25, one.bgr) for i, one in enumerate(noise(20) * 30))
     with pytest.raises(InputError, match="no face found in frames 0 to 599; give its box"):
-        search_start(frames, detector=Fake(lambda t: [(60, 30, 40)] * (t % 40 == 0 and t > BOUND)), clip="a.mp4")
+        search_start(
+            frames, detector=Fake(lambda t: [(60, 30, 40)] * (t % 40 == 0 and t > SEARCHED_FRAMES)), clip="a.mp4"
+        )
     short = (Frame(i, i / 25, one.bgr) for i, one in enumerate(noise(20) * 13))
     with pytest.raises(InputError, match="no face found"):  # the last frame alone shows something
         search_start(short, detector=Fake(lambda t: [(60, 30, 40)] * (t == 259)))

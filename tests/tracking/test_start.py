@@ -21,7 +21,7 @@ from facetrack_cli.tracking.start import PARTS, box_start, check_start, find_ini
 from facetrack_cli.tracking.start.haar import find_faces
 from facetrack_cli.tracking.start.points import mean_eyes, place
 from facetrack_cli.tracking.start.preview import draw_start
-from facetrack_cli.tracking.start.search import WAIT
+from facetrack_cli.tracking.start.search import WAIT_FRAMES
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
 CLIPS = Path(os.environ.get("FACETRACK_CLIPS", "clips"))
@@ -407,7 +407,7 @@ def test_starts_at_the_first_frame_with_a_face_and_looks_no_further(face):
             yield Frame(index, index / 25, frame.bgr if index >= 33 else NOBODY)
 
     assert search_start(frames(), ["nose"]).frame == 33
-    assert seen == list(range(30, 33 + WAIT))
+    assert seen == list(range(30, 33 + WAIT_FRAMES))
     assert list(search_start([frame], ["nose"]).targets["face"].points) == ["nose"]
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from facetrack_cli.tracking.identity.gallery import Gallery
 
 
-LEAST_SIDE, MOST_SIDE = 6, 128  # of a template, as in recipes
+MIN_SIDE, MAX_SIDE = 6, 128  # of a template, as in recipes
 
 
 @click.group()
@@ -39,8 +39,8 @@ def command() -> None:
 def _template(value: str) -> tuple[int, int]:
     """(rows, columns) of COLUMNSxROWS."""
     found = re.fullmatch(r"(\d{1,4})[xX](\d{1,4})", value.strip())
-    if not found or not all(LEAST_SIDE <= int(side) <= MOST_SIDE for side in found.groups()):
-        sides = f"{LEAST_SIDE} to {MOST_SIDE}"
+    if not found or not all(MIN_SIDE <= int(side) <= MAX_SIDE for side in found.groups()):
+        sides = f"{MIN_SIDE} to {MAX_SIDE}"
         raise click.BadParameter(f"{value!r}: give columns and rows from {sides}, as in 26x30 (26 wide, 30 high)")
     return int(found[2]), int(found[1])
 

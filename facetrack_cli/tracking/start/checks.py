@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
     from facetrack_cli.tracking.loop import Tracker
 
-LEAST_WINDOW: Final = 3.0  # pixels; windows are not made smaller
-LEAST_BOX: Final = 6  # pixels of a side; in less there is nothing to see
+MIN_WINDOW_PX: Final = 3.0  # pixels; windows are not made smaller
+MIN_BOX_PX: Final = 6  # pixels of a side; in less there is nothing to see
 
 
 def box_of(start: Start, name: str) -> Box:
@@ -31,8 +31,8 @@ def box_of(start: Start, name: str) -> Box:
 
 def check_size(origin: str, name: str, box: Box) -> Box:
     """A target's box, which `origin` gave; InputError if it is too small to see anything in it."""
-    if min(box[2:]) < LEAST_BOX:
-        least = f"{LEAST_BOX}x{LEAST_BOX} pixels"
+    if min(box[2:]) < MIN_BOX_PX:
+        least = f"{MIN_BOX_PX}x{MIN_BOX_PX} pixels"
         raise InputError(f"{origin}: the box of {name} is smaller than {least}; give a larger one")
     return box
 
@@ -51,7 +51,7 @@ def check_windows(recipe: Recipe, tracker: Tracker, size: tuple[int, int], origi
         for part, (w, h) in target.windows.items():
             if recipe.points and part == BOX:
                 continue  # a face may fill the frame
-            if max(w / size[0], h / size[1]) > 1 and max(w, h) > LEAST_WINDOW:
+            if max(w / size[0], h / size[1]) > 1 and max(w, h) > MIN_WINDOW_PX:
                 larger = f"larger than the frame of {size[0]}x{size[1]}; make it smaller"
                 if not recipe.points:
                     raise InputError(f"{origin}: the box of {target.name}, {w:g}x{h:g} pixels, is {larger}")

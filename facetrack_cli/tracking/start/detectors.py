@@ -18,12 +18,12 @@ from facetrack_cli.core.errors import UsageError
 from facetrack_cli.core.geometry import overlap
 from facetrack_cli.core.types import Box, Frame, Image, Point, Start, factor_for
 from facetrack_cli.recipe.face import DETECTORS
-from facetrack_cli.tracking.start.haar import LONGEST, face_in, find_faces, nearest
+from facetrack_cli.tracking.start.haar import MAX_SEARCHED_PX, face_in, find_faces, nearest
 from facetrack_cli.tracking.start.points import EYES_IN_BOX, MOUTH_Y, place
 
 MODEL: Final = "face_detection_yunet_2023mar.onnx"
-SMALL: Final = 67  # pixels of the face's box to which a measured image is reduced
-SAME: Final = 0.3  # overlap with the face that is expected
+MEASURED_PX: Final = 67  # pixels of the face's box to which a measured image is reduced
+MIN_OVERLAP: Final = 0.3  # overlap with the face that is expected
 
 
 class Found(NamedTuple):
@@ -76,19 +76,19 @@ class YuNet:
         self._model = str(model)
 
     def find(self, frame: Frame) -> list[Found]:
-        factor = factor_for(max(frame.size), LONGEST)
+        factor = factor_for(max(frame.size), MAX_SEARCHED_PX)
         image, _, _ = frame.reduced(factor, (0.0, 0.0, frame.size[0] - 1.0, frame.size[1] - 1.0))
         rows = sorted(self._detect(image), key=lambda row: -row[2] * row[3] * row[14])
         return [self._found(factor * (row[4:14].reshape(5, 2) + 0.5) - 0.5) for row in rows]
 
     def measure(self, image: Image, box: Box) -> Found | None:
         # on faces of 60 to 70 pixels it is faster and more exact than on larger ones
-        k = SMALL / box[2]
+        k = MEASURED_PX / box[2]
         small = cv2.resize(image, None, fx=k, fy=k, interpolation=cv2.INTER_AREA)
         rows = self._detect(np.asarray(small, np.uint8))
         found = [self._found((row[4:14].reshape(5, 2) + 0.5) / k - 0.5) for row in rows]
         best = max(found, key=lambda one: overlap(one.box, box), default=None)
-        return None if best is None or overlap(best.box, box) < SAME else best
+        return None if best is None or overlap(best.box, box) < MIN_OVERLAP else best
 
     def place(self, image: Image, box: Box) -> Mapping[str, Point]:
         (x, y, w, h), side = box, max(box[2:])

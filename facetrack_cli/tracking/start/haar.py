@@ -17,9 +17,9 @@ from facetrack_cli.tracking.start.points import cascade
 
 PARTS: Final = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 """What can be placed; left and right as seen in the image."""
-LONGEST, SHORTEST = 640, 320  # bounds in pixels of the longer side of the image that is searched
-SMALLEST: Final = 0.06  # of the image's shorter side: smaller faces have no features to track
-CONTRAST: Final = 16.0  # standard deviation of grey in a face: 28 to 68 in usual clips, 12 if hardly visible
+MAX_SEARCHED_PX, MIN_SEARCHED_PX = 640, 320  # bounds in pixels of the longer side of the image that is searched
+MIN_FACE_SHARE: Final = 0.06  # of the image's shorter side: smaller faces have no features to track
+MIN_CONTRAST: Final = 16.0  # standard deviation of grey in a face: 28 to 68 in usual clips, 12 if hardly visible
 
 
 class NotHereError(InputError):
@@ -37,12 +37,12 @@ def find_faces(image: Image) -> list[Box]:
     """Boxes of the frontal faces in an image (BGR), the largest first, in whole pixels."""
     grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     height, width = grey.shape
-    zoom = float(np.clip(1.0, SHORTEST / max(width, height), LONGEST / max(width, height)))
+    zoom = float(np.clip(1.0, MIN_SEARCHED_PX / max(width, height), MAX_SEARCHED_PX / max(width, height)))
     if zoom != 1:
         size = max(round(width * zoom), 1), max(round(height * zoom), 1)
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA if zoom < 1 else cv2.INTER_LINEAR)
     seen = np.asarray(grey, np.uint8)
-    smallest = max(20, round(SMALLEST * min(seen.shape)))
+    smallest = max(20, round(MIN_FACE_SHARE * min(seen.shape)))
     faces = []
     for box in _detect("frontalface_alt2", seen, 3, smallest, max(seen.shape)):
         confirmed = sum(_confirmed(name, seen, box) for name in ("frontalface_default", "frontalface_alt"))
@@ -79,7 +79,7 @@ def face_in(image: Image, box: Box) -> Box | None:
     x, y, w, h = box
     left, top = max(int(x - 0.4 * w), 0), max(int(y - 0.4 * h), 0)
     patch = image[top : int(y + 1.4 * h) + 1, left : int(x + 1.4 * w) + 1]
-    zoom = min(1.0 if min(w, h) >= 40 else 80 / min(w, h), LONGEST / max(patch.shape[:2]), 200 / min(w, h))
+    zoom = min(1.0 if min(w, h) >= 40 else 80 / min(w, h), MAX_SEARCHED_PX / max(patch.shape[:2]), 200 / min(w, h))
     size = max(round(patch.shape[1] * zoom), 1), max(round(patch.shape[0] * zoom), 1)
     grey = cv2.cvtColor(cv2.resize(patch, size, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2GRAY)
     smallest = max(20, round(0.45 * min(w, h) * zoom))

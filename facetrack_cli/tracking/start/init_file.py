@@ -45,7 +45,7 @@ TARGET: Final = "face"
 KEYS: Final = tuple(TargetRecord.model_fields)
 OF_FILES: Final = ("frame", "placed_by", "corrections")
 OF_CORRECTIONS: Final = tuple(key for key in CorrectedTarget.model_fields if key not in KEYS)
-MOST_TARGETS: Final = 100
+MAX_TARGETS: Final = 100
 NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
 MAX_BYTES: Final = 10**6  # some thousand corrections, which take seconds to read
 _FORMS: Final = {
@@ -100,23 +100,16 @@ def write_init(to: Path | TextIO, start: Start, *, clip: str = "", overwrite: bo
 
 
 def as_json(start: Start) -> str:
-    """As JSON: a line a part of the start, and a line a target of a correction."""
+    """As JSON, with the keys of the YAML form."""
     by = placed_by(start)
-    members = [f'"frame": {start.frame}', *([f'"placed_by": "{by}"'] if by else [])]
+    whole: dict[str, Any] = {"frame": start.frame, **({"placed_by": by} if by else {})}
     for name, target in start.targets.items():
-        keys = [] if target.box is None else [f'"box": {_flow(target.box)}']
-        for key, pairs in (("points", target.points), ("windows", target.windows)):
-            if pairs:
-                rows = ",\n".join(f'      "{part}": {_flow(pair)}' for part, pair in pairs.items())
-                keys.append(f'"{key}": {{\n{rows}\n    }}')
-        members.append(f'"{name}": {{\n    ' + ",\n    ".join(keys) + "\n  }")
-    if start.corrections:
-        entries = []
-        for frame, group in groupby(start.corrections, key=lambda one: one.frame):
-            targets = "".join(f',\n     "{one.target}": {json.dumps(corrected(one))}' for one in group)
-            entries.append(f'    {{"frame": {frame}{targets}}}')
-        members.append('"corrections": [\n' + ",\n".join(entries) + "\n  ]")
-    return "{\n  " + ",\n  ".join(members) + "\n}\n"
+        keys = {"box": target.box, "points": dict(target.points), "windows": dict(target.windows)}
+        whole[name] = {key: value for key, value in keys.items() if value}
+    entries = groupby(start.corrections, key=lambda one: one.frame)
+    if corrections := [{"frame": frame, **{one.target: corrected(one) for one in group}} for frame, group in entries]:
+        whole["corrections"] = corrections
+    return json.dumps(whole, indent=2) + "\n"
 
 
 def as_yaml(start: Start, clip: str = "") -> str:
@@ -226,8 +219,8 @@ def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
             form = f"keys are {', '.join(KEYS)}" if alone else "a target holds box: and points:, below its name"
             meant = f'did you mean "{near[0]}"?' if near else form
             _refuse(node, f'unknown key "{key}"; {meant}', at_key=True)
-    if len(keys) > MOST_TARGETS:
-        _refuse(root, f"{len(keys)} targets, and at most {MOST_TARGETS} are followed at a time; split the file")
+    if len(keys) > MAX_TARGETS:
+        _refuse(root, f"{len(keys)} targets, and at most {MAX_TARGETS} are followed at a time; split the file")
     targets = {}
     for name, node in ({TARGET: Node(root.span, keys)} if alone else keys).items():
         target = _read(TargetRecord, node, name)

@@ -9,7 +9,7 @@ import numpy as np
 from facetrack_cli.core.files import write_new
 from facetrack_cli.core.types import Array, Frame, Image, Point, Start
 
-LONGER_SIDE: Final = 900  # pixels, about: what is shown is enlarged by a whole factor to come near it
+SHOWN_PX: Final = 900  # pixels, about: what is shown is enlarged by a whole factor to come near it
 BOX, PART, RULER = (255, 200, 0), (0, 255, 255), (255, 255, 255)
 
 
@@ -53,8 +53,8 @@ class _View:
         self.x0, self.y0 = np.clip((low - around).astype(int), 0, np.array(frame.size) - 1).tolist()
         self.x1, self.y1 = np.clip((high + around).astype(int) + 1, (self.x0 + 1, self.y0 + 1), frame.size).tolist()
         shown = frame.bgr[self.y0 : self.y1, self.x0 : self.x1]
-        self.zoom = max(1, round(LONGER_SIDE / max(shown.shape[:2])))
-        self.unit = max(1.0, max(shown.shape[:2]) * self.zoom / LONGER_SIDE)
+        self.zoom = max(1, round(SHOWN_PX / max(shown.shape[:2])))
+        self.unit = max(1.0, max(shown.shape[:2]) * self.zoom / SHOWN_PX)
         # a pixel covers zoom x zoom pixels
         self.image: Image = np.repeat(np.repeat(shown, self.zoom, axis=0), self.zoom, axis=1)
 

@@ -21,18 +21,18 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import inside, overlap
 from facetrack_cli.core.types import Box, Frame, Image, Point, Start, TargetStart
 from facetrack_cli.tracking.start.detectors import Detector, Found, Haar
-from facetrack_cli.tracking.start.haar import CONTRAST, PARTS, NotHereError, check_parts
+from facetrack_cli.tracking.start.haar import MIN_CONTRAST, PARTS, NotHereError, check_parts
 from facetrack_cli.tracking.start.points import place, shows_features
 
-BOUND: Final = 250  # frames that are all searched: ten seconds of most clips
-STEP: Final = 50  # frames from one look to the next later on, at most; before, 2 % of those gone by
-OFTEN: Final = 5  # frames in which a face is found, at least
-WAIT: Final = 10  # frames for rivals from the first that a candidate is found in
-PAUSE: Final = 4  # frames in which a candidate may be missed
-STILL: Final = 2.5  # grey levels; a face that changes by less from frame to frame may be a picture
-SMALL: Final = 24  # pixels of a side of the patch in which that is seen
-ALIKE: Final = 0.02  # sizes of the box; a part that is farther off has moved, nearer it is noise
-NEAR: Final = 0.3  # overlap with where it was last found
+SEARCHED_FRAMES: Final = 250  # frames that are all searched: ten seconds of most clips
+MAX_STEP_FRAMES: Final = 50  # frames from one look to the next later on, at most; before, 2 % of those gone by
+MIN_FRAMES: Final = 5  # frames in which a face is found, at least
+WAIT_FRAMES: Final = 10  # frames for rivals from the first that a candidate is found in
+MAX_GAP_FRAMES: Final = 4  # frames in which a candidate may be missed
+MIN_CHANGE: Final = 2.5  # grey levels; a face that changes by less from frame to frame may be a picture
+PATCH_PX: Final = 24  # pixels of a side of the patch in which that is seen
+SAME_PLACE: Final = 0.02  # sizes of the box; a part that is farther off has moved, nearer it is noise
+MIN_OVERLAP: Final = 0.3  # overlap with where it was last found
 Faces: TypeAlias = Literal["one", "all"]
 
 
@@ -71,7 +71,7 @@ class _Candidate:
         """Take in one more frame, in which it is found."""
         x, y, w, h = (round(side) for side in self.boxes[0][1])
         seen = cv2.cvtColor(frame.bgr[max(y, 0) : y + h, max(x, 0) : x + w], cv2.COLOR_BGR2GRAY)
-        patch = np.asarray(cv2.resize(seen, (SMALL, SMALL), interpolation=cv2.INTER_AREA), np.uint8)
+        patch = np.asarray(cv2.resize(seen, (PATCH_PX, PATCH_PX), interpolation=cv2.INTER_AREA), np.uint8)
         if self.patch is None:
             self.patch = patch
         # less by what all has changed, as light does
@@ -88,17 +88,16 @@ def search_start(
     *,
     detector: Detector | None = None,
     faces: Faces = "one",
-    bound: int = BOUND,
+    bound: int = SEARCHED_FRAMES,
     whole: bool = True,
     clip: str = "the clip",
     complete: Callable[[Frame, Start], Start] = lambda frame, start: start,
 ) -> Start:
     """The start at the first face that stays: its box, and the parts placed in it (pixels, to 0.01).
 
-    Every one of the first `bound` frames is searched. If nobody is there, and `whole`, the rest of the clip is looked
-    at in steps that grow to `STEP` frames, and where a detector finds something every frame is searched again for a
-    while. With `faces` "all", those that are there at the same time are targets `face`, `face_2`, and so on, by their
-    size.
+    Each of the first `bound` frames is searched. If they show nobody, and `whole`, the search goes on in steps that
+    grow to `MAX_STEP_FRAMES`; where a detector finds a face there, each of the next frames is searched again. With
+    `faces` "all", faces that are there at the same time are targets `face`, `face_2`, and so on, by their size.
     `complete` adds what else the frame must show, or raises NotHereError.
     InputError, naming the `clip`, if no frame shows all that.
     """
@@ -109,12 +108,12 @@ def search_start(
     last = looked = first.frames[-1] if first.frames else 0
     for frame in coming if whole and not found else ():
         last = frame.index
-        if last - looked < min(max(last // STEP, 1), STEP):
+        if last - looked < min(max(last // MAX_STEP_FRAMES, 1), MAX_STEP_FRAMES):
             continue
         looked = last
         if finder.find(frame):
             search = _Search(parts, finder, complete)
-            found = search.through(chain([frame], islice(coming, WAIT + PAUSE)), bound=WAIT)
+            found = search.through(chain([frame], islice(coming, WAIT_FRAMES + MAX_GAP_FRAMES)), bound=WAIT_FRAMES)
             first.lacking, last = first.lacking or search.lacking, search.frames[-1]
             looked = last
         if found:
@@ -141,10 +140,10 @@ class _Search:
 
     def look(self, frame: Frame) -> None:
         self.frames.append(frame.index)
-        open_ = [one for one in self.candidates if len(self.frames) - self._place(one.last) <= PAUSE]
+        open_ = [one for one in self.candidates if len(self.frames) - self._place(one.last) <= MAX_GAP_FRAMES]
         for face in self.detector.find(frame):
             mine = max(open_, key=lambda one: overlap(one.boxes[-1][1], face.box), default=None)
-            if mine is None or overlap(mine.boxes[-1][1], face.box) < NEAR:
+            if mine is None or overlap(mine.boxes[-1][1], face.box) < MIN_OVERLAP:
                 mine = _Candidate([])
                 self.candidates.append(mine)
             else:
@@ -174,19 +173,19 @@ class _Search:
 
     def faces(self, *, ended: bool = False) -> list[_Candidate]:
         """Those that are faces, the best first; none as long as it is too early to say."""
-        enough = min(OFTEN, 1 + len(self.frames) // 4) if ended else OFTEN
+        enough = min(MIN_FRAMES, 1 + len(self.frames) // 4) if ended else MIN_FRAMES
         able = [one for one in self.candidates if one.begins and one.features and len(one.boxes) >= enough]
-        lit = [one for one in able if max(one.contrast) >= CONTRAST]
+        lit = [one for one in able if max(one.contrast) >= MIN_CONTRAST]
         able = lit or (able if ended else [])
         waited = max((len(self.frames) - self._place(one.first) for one in able), default=0)
-        if not able or (waited < WAIT and not ended):
+        if not able or (waited < WAIT_FRAMES and not ended):
             return []
-        return sorted(able, key=lambda one: (one.change < STILL, -one.worth, one.boxes[0][1]))
+        return sorted(able, key=lambda one: (one.change < MIN_CHANGE, -one.worth, one.boxes[0][1]))
 
     def start(self, chosen: Sequence[_Candidate], rivals: Sequence[_Candidate]) -> Start:
         """Where the chosen ones begin: the first frame in which the best one is well lit."""
         best = chosen[0]
-        lit = {frame for (frame, _), value in zip(best.boxes, best.contrast, strict=True) if value >= CONTRAST}
+        lit = {frame for (frame, _), value in zip(best.boxes, best.contrast, strict=True) if value >= MIN_CONTRAST}
         at = min(lit & set(best.begins) or set(best.begins))
         start, others = best.begins[at], [one for one in chosen[1:] if at in one.begins]
         targets = {}
@@ -213,7 +212,7 @@ class _Search:
         # (T, K, 2); a recipe of boxes has no parts
         at_parts = np.array([[p[part] for part in self.parts] for p in one.points]).reshape(len(boxes), -1, 2)
         each = (at_parts - boxes[:, None, :2]) / boxes[:, None, 2:]
-        weight = np.exp(-0.5 * np.sum((each - each[now]) ** 2, axis=2) / ALIKE**2)
+        weight = np.exp(-0.5 * np.sum((each - each[now]) ** 2, axis=2) / SAME_PLACE**2)
         mean = np.sum(weight[..., None] * each, axis=0) / weight.sum(axis=0)[:, None]
         # to 0.01 px, as in an init file: a run from that file begins in the same place
         placed = (boxes[now, :2] + mean * boxes[now, 2:]).round(2).tolist()

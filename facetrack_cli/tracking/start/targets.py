@@ -17,18 +17,18 @@ from facetrack_cli.core.geometry import common_area
 from facetrack_cli.core.types import Array, Box, Frame, Start, TargetStart, factor_for
 from facetrack_cli.tracking.kernels.skin import skin_map
 from facetrack_cli.tracking.models.skin_colour import SkinModel, learn_skin
-from facetrack_cli.tracking.start.checks import LEAST_BOX, check_size
+from facetrack_cli.tracking.start.checks import MIN_BOX_PX, check_size
 from facetrack_cli.tracking.start.haar import NotHereError
 from facetrack_cli.tracking.start.init_file import TARGET
 
-LONGEST: Final = 400  # pixels of the longer side, at most, of the image that is searched for hands
-LEAST_P: Final = 0.2  # of a region's pixels, smoothed over a tenth of the face
+MAX_SEARCHED_PX: Final = 400  # pixels of the longer side, at most, of the image that is searched for hands
+MIN_SKIN: Final = 0.2  # of a region's pixels, smoothed over a tenth of the face
 # no hand is sought there: the face's box, widened to ears, hair and chin, and the neck; in sizes of the box
 FACE: Final = (-0.3, -0.6, 1.3, 1.25)  # left, top, right, bottom
 NECK: Final = (0.0, 1.25, 1.0, 1.6)
-LEAST, MOST = 0.12, 5.0  # skin of a hand, with its arm, over that of the face
-NEAR: Final = 0.3  # of the smaller box's area: a region that shares as much with a known target is that target
-ARM: Final = 5.0  # sizes of the face's box: hands are no farther from the face's middle
+MIN_HAND, MAX_HAND = 0.12, 5.0  # skin of a hand, with its arm, over that of the face
+SHARED: Final = 0.3  # of the smaller box's area: a region that shares as much with a known target is that target
+MAX_REACH: Final = 5.0  # sizes of the face's box: hands are no farther from the face's middle
 
 
 def name_targets(
@@ -62,7 +62,7 @@ def name_targets(
         assert frame is not None
         taken = [one.box for name, one in given.items() if name != first and one.box is not None]
         try:
-            found = hand_regions(frame, head, learn_skin(frame, head), len(missing), taken, LEAST_BOX)
+            found = hand_regions(frame, head, learn_skin(frame, head), len(missing), taken, MIN_BOX_PX)
         except InputError as e:
             raise InputError(f"{clip}: {first}, {e}") from None
         if len(found) < len(missing):
@@ -84,7 +84,7 @@ def hand_regions(
     region, such as a bare arm, the box is where most skin is. Regions out of an arm's reach, of another size than a
     hand's, over a box of `taken`, or with a side of less than `least` pixels do not count: there may be fewer.
     """
-    factor = factor_for(max(frame.size), LONGEST)
+    factor = factor_for(max(frame.size), MAX_SEARCHED_PX)
     image, _, _ = frame.reduced(factor, (0.0, 0.0, frame.size[0] - 1.0, frame.size[1] - 1.0))
     height, width = image.shape[:2]
     w, h = face[2] / factor, face[3] / factor
@@ -95,24 +95,24 @@ def hand_regions(
     its_skin = float(_cut(p, left, top, left + w, top + h).sum())
     for x0, y0, x1, y1 in (FACE, NECK):
         _cut(p, left + x0 * w, top + y0 * h, left + x1 * w, top + y1 * h)[...] = 0
-    _, labels, stats, _ = cv2.connectedComponentsWithStats((p >= LEAST_P).astype(np.uint8), connectivity=4)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats((p >= MIN_SKIN).astype(np.uint8), connectivity=4)
     most = min(max(round(w), 2), width), min(max(round(h), 2), height)
     found = []
     for k in range(1, len(stats)):
         x, y, across, down = stats[k, :4].tolist()
         part = np.s_[y : y + down, x : x + across]
         region = np.where(labels[part] == k, p[part], 0.0)
-        if LEAST * its_skin <= region.sum() <= MOST * its_skin:
+        if MIN_HAND * its_skin <= region.sum() <= MAX_HAND * its_skin:
             skin, (dx, dy, across, down) = _most_skin(region, most)
             middle = x + dx + across / 2, y + dy + down / 2
-            if math.dist(middle, (left + w / 2, top + h / 2)) <= ARM * max(w, h):
+            if math.dist(middle, (left + w / 2, top + h / 2)) <= MAX_REACH * max(w, h):
                 found.append((-skin, (x + dx, y + dy, across, down)))
     free: list[Box] = []
     # by the skin in the box, or a large ceiling of nearly skin colour would come before the hands
     for _, (x, y, w, h) in sorted(found):
         box = float(x * factor), float(y * factor), float(w * factor), float(h * factor)
         shared = (common_area(box, one) / min(box[2] * box[3], one[2] * one[3]) for one in taken)
-        if min(box[2:]) >= least and all(share < NEAR for share in shared):
+        if min(box[2:]) >= least and all(share < SHARED for share in shared):
             free.append(box)
     return sorted(free[:count])
 
