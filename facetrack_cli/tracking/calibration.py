@@ -34,7 +34,7 @@ from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.trajectory.trajectory import SPREAD, Trajectory
 
 FORMAT: Final = "facetrack-calibration"
-LARGEST: Final = 20.0
+MAX_SPREAD_FACTOR: Final = 20.0
 """What a spread is multiplied by at most; divided by no more."""
 Feature: TypeAlias = Literal["confidence", "log_odds", "spread", "ess", "lost"]
 RISES: Final[Mapping[Feature, int]] = {"confidence": 1, "log_odds": 1, "spread": -1, "ess": 0, "lost": -1}
@@ -128,7 +128,7 @@ class Calibration(_Stored):
     recipe: str
     right: Literal["error of the centre below 1/4 of the size"] = "error of the centre below 1/4 of the size"
     maps: dict[PartKind, Map]
-    spread: dict[PartKind, Annotated[float, Field(gt=0, le=LARGEST)]]
+    spread: dict[PartKind, Annotated[float, Field(gt=0, le=MAX_SPREAD_FACTOR)]]
     checked: dict[PartKind, Checked]
     clips: list[str]
     seeds: int

@@ -63,7 +63,7 @@ class FrameModel(Protocol):
 
 
 # in place of log 0, so that a ratio of two zeros is 1 and not a NaN: where nothing is likely, nothing is preferred
-LEAST = -1e30
+MIN_LOG = -1e30
 Stepped: TypeAlias = tuple[Particles, Info]
 Step: TypeAlias = Callable[[Generator, Particles, FrameModel], Stepped]
 
@@ -147,7 +147,7 @@ def factorized(
     else:
         mean, all_ = settings.look_ahead == "mean", np.broadcast_to(np.arange(n)[:, None], (n, k))
         mu = _move(rng, particles.x, model, particles.x, jumps, all_, mean=mean)
-        log_lambda = np.maximum(model.log_likelihood(mu, particles.x), LEAST)
+        log_lambda = np.maximum(model.log_likelihood(mu, particles.x), MIN_LOG)
         first, log_first = summed(particles.log_w[:, None] + log_lambda)
         chosen = resample(rng, first, n)
         base, evidence = -log_lambda.take(chosen * k + columns), float(log_first.sum())
@@ -282,7 +282,7 @@ def guided(settings: correlation_filter.Guided, rng: Generator, particles: Parti
     log_visible = log_visible + model.log_likelihood(x, x)[:, 0]
     total = np.logaddexp(log_visible, log_hidden)
     x[:, 0, -1] = np.exp(log_visible - total)
-    log_ratio = np.maximum(total - log_q, LEAST)
+    log_ratio = np.maximum(total - log_q, MIN_LOG)
     log_w, log_sum = summed(log_ratio)
     evidence = float(log_sum) - math.log(n)
     return Particles(x, log_w), Info(np.full(1, float(effective_sample_size(log_w))), evidence)
@@ -364,7 +364,7 @@ def _moved(
 
 def _log_parts(model: FrameModel, x: Array, parents: Array) -> Array:
     """(N, K): log p(y | x) of each part."""
-    return np.maximum(model.log_likelihood(x, parents), LEAST)
+    return np.maximum(model.log_likelihood(x, parents), MIN_LOG)
 
 
 def _log_whole(model: FrameModel, x: Array, parents: Array) -> Array:
@@ -375,4 +375,4 @@ def _log_whole(model: FrameModel, x: Array, parents: Array) -> Array:
 def _log_observation(model: FrameModel, x: Array, parents: Array) -> Array:
     """(N,): log p(y|s)p(s) of whole particles, what the filters over the joint state take for the observation."""
     observed = model.log_likelihood(x, parents).sum(axis=1) + model.log_prior(x)
-    return np.asarray(np.maximum(observed, LEAST))
+    return np.asarray(np.maximum(observed, MIN_LOG))

@@ -18,7 +18,7 @@ from facetrack_cli.core.types import BOX, Box, Frame
 from facetrack_cli.recipe.model import OpenCvRecipe
 from facetrack_cli.trajectory.trajectory import Status, TargetResult, one_part
 
-LEAST: Final = 6  # pixels: MIL looks for ever for features in a box of 4x4
+MIN_SIDE: Final = 6  # pixels: MIL looks for ever for features in a box of 4x4
 State: TypeAlias = "tuple[Any, tuple[int, int, int, int]]"  # OpenCV's tracker, and the last box
 
 
@@ -81,8 +81,8 @@ class OpenCvTarget:
         # corner and size each on their own: a square stays one
         x, y, w, h = (round(side) for side in self.box)
         left, top, right, bottom = max(x, 0), max(y, 0), min(x + w, width - 1), min(y + h, height - 1)
-        if right - left < LEAST or bottom - top < LEAST:
-            small = f"covers less than {LEAST}x{LEAST} pixels of the image"
+        if right - left < MIN_SIDE or bottom - top < MIN_SIDE:
+            small = f"covers less than {MIN_SIDE}x{MIN_SIDE} pixels of the image"
             raise InputError(f"{self.origin}: the box of {self.name} {small}; give a larger one")
         return left, top, right - left, bottom - top
 

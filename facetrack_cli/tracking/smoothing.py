@@ -29,7 +29,7 @@ from facetrack_cli.tracking.models.motion import Linear
 # of expectation and maximisation; more make errors larger again, which last from frame to frame
 ROUNDS = 5
 TAIL: Final = 1.0  # degrees of freedom of steps in `steadied`
-_LEAST: Final = 1e-9  # of a variance: what is less is rounding
+_MIN_VARIANCE: Final = 1e-9  # of a variance: what is less is rounding
 
 
 class Belief(NamedTuple):
@@ -67,7 +67,7 @@ def belief(particles: Particles, motion: Linear, cov: Array, doubt: Mask) -> Bel
     spread = np.einsum("n,nkd,nke->kde", w, x - mean, x - mean)
     ours, theirs = (np.trace(one[:, :2, :2], axis1=1, axis2=2) for one in (spread, cov))
     # the estimate's counts how few particles it stands on; without particles that differ there is nothing to count
-    more = np.divide(theirs, ours, out=np.ones(len(ours)), where=ours > _LEAST)
+    more = np.divide(theirs, ours, out=np.ones(len(ours)), where=ours > _MIN_VARIANCE)
     return Belief(mean, spread * more[:, None, None], motion, doubt)
 
 
@@ -174,7 +174,7 @@ def steadied(at: Array, shown: Mask) -> Array:
     bends = np.where(joined[1:] & joined[:-1], np.sum((at[2:] - 2 * at[1:-1] + at[:-2]) ** 2, axis=2), np.nan)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of parts that are never seen thrice
-        noise = np.nan_to_num(np.nanmedian(bends, axis=0)) / (6 * 2 * math.log(2)) + _LEAST
+        noise = np.nan_to_num(np.nanmedian(bends, axis=0)) / (6 * 2 * math.log(2)) + _MIN_VARIANCE
     step, wide, smooth = noise.copy(), np.ones(joined.shape), at
     for _ in range(ROUNDS):
         var, smooth = np.empty(shown.shape), at.copy()
@@ -194,7 +194,7 @@ def steadied(at: Array, shown: Mask) -> Array:
             var[t] += gain**2 * (var[t + 1] - ahead)
         moved += 0.5 * np.sum((smooth[1:] - smooth[:-1]) ** 2, axis=2)
         wide = np.where(joined, (TAIL + 2 * moved / step) / (TAIL + 2), 1.0)
-        step = np.sum(moved / wide, axis=0, where=joined) / np.maximum(joined.sum(axis=0), 1) + _LEAST
+        step = np.sum(moved / wide, axis=0, where=joined) / np.maximum(joined.sum(axis=0), 1) + _MIN_VARIANCE
     return smooth
 
 
@@ -214,7 +214,7 @@ def _observations(one: Chain) -> _Told:
         # a frame that made the belief no narrower than the prediction says next to nothing
         least = 1e-3 * np.trace(before, axis1=1, axis2=2)[:, None] / before.shape[1]
         r = vectors / np.maximum(values, least)[:, None] @ _turned(vectors)
-        exact = np.trace(one.cov[t], axis1=1, axis2=2) <= _LEAST
+        exact = np.trace(one.cov[t], axis1=1, axis2=2) <= _MIN_VARIANCE
         use = one.linked[t] & ~exact
         z = one.mean[t] + np.einsum("kde,kef,kf->kd", r, before, one.mean[t] - ahead)
         at[t, use], noise[t, use] = z[use], r[use]
@@ -239,7 +239,7 @@ def _inverse(cov: Array) -> Array:
     scale = np.sqrt(np.maximum(np.diagonal(cov, axis1=-2, axis2=-1), 0.0))
     scale = np.where(scale > 1e-12, scale, 1.0)
     both = scale[..., None] * scale[..., None, :]
-    return np.asarray(np.linalg.pinv(cov / both, rcond=_LEAST, hermitian=True) / both)
+    return np.asarray(np.linalg.pinv(cov / both, rcond=_MIN_VARIANCE, hermitian=True) / both)
 
 
 def _turned(matrix: Array) -> Array:

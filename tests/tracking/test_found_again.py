@@ -6,7 +6,7 @@ import pytest
 
 from facetrack_cli.core.types import Frame
 from facetrack_cli.tracking.face import found_again
-from facetrack_cli.tracking.face.found_again import MOST, NEW, OTHER, SIDE, kept, likeness, look_of, sighted
+from facetrack_cli.tracking.face.found_again import MAX_LOOKS, NEW, OTHER, SIDE, kept, likeness, look_of, sighted
 from facetrack_cli.tracking.face.stabilized import Similarity
 from facetrack_cli.tracking.start.detectors import Found
 
@@ -65,7 +65,7 @@ def test_looks_are_kept_where_they_are_new_and_that_of_the_start_stays():
     assert looks is OWN
     for seed in range(2, 12):
         looks = kept(looks, look(BOX, seed))
-    assert len(looks) == MOST and looks[0] is OWN[0]
+    assert len(looks) == MAX_LOOKS and looks[0] is OWN[0]
     assert looks[-1] @ look(BOX, 11) == pytest.approx(1)
 
 

@@ -67,7 +67,7 @@ def test_noise_has_full_rank_and_dynamics_are_stable_whatever_the_track():
     for track in (ramp, walk, rng.standard_normal(300), np.sin(np.arange(300.0) / 9), np.zeros(30)):
         one = fit_dynamics([track])
         assert np.abs(np.linalg.eigvals(one.A)).max() <= 1 + 1e-12
-        assert one.B[0, 1] == 0 and np.linalg.cond(one.B) < 25 and one.B[0, 0] >= motion_fit.LEAST
+        assert one.B[0, 1] == 0 and np.linalg.cond(one.B) < 25 and one.B[0, 0] >= motion_fit.MIN_SIGMA
     assert fit_dynamics([ramp]).clipped
 
 

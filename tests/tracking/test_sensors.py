@@ -11,8 +11,8 @@ from facetrack_cli.tracking.face.sensors import (
     BLIND,
     DRIFT,
     FADES,
+    MAX_NOISE,
     MISLED,
-    MOST,
     REGRESSION,
     SLIP,
     SURE,
@@ -66,7 +66,7 @@ def test_the_bias_is_the_kalman_filter_of_an_offset_that_drifts_and_may_fade(kee
             gain = predicted / (predicted + r2[k] + 0.2)
             mean[k] = mean[k] + gain * off
             var[k] = (1 - gain) * predicted
-            r2[k] = np.clip(r2[k] + 0.02 * (off @ off / 2 - r2[k]), REGRESSION**2, MOST**2)
+            r2[k] = np.clip(r2[k] + 0.02 * (off @ off / 2 - r2[k]), REGRESSION**2, MAX_NOISE**2)
         one = one.learned(z, PLACES, EXACT, VISIBLE)
     np.testing.assert_allclose(one.bias, mean)
     np.testing.assert_allclose(one.var, var)
@@ -82,7 +82,8 @@ def test_a_bias_of_a_start_that_a_sensor_placed_fades_while_nothing_is_measured_
 
 
 @pytest.mark.parametrize(
-    ("noise", "least", "most"), [(0.0, REGRESSION, REGRESSION), (1.2 * REGRESSION, REGRESSION, MOST), (8.0, MOST, MOST)]
+    ("noise", "least", "most"),
+    [(0.0, REGRESSION, REGRESSION), (1.2 * REGRESSION, REGRESSION, MAX_NOISE), (8.0, MAX_NOISE, MAX_NOISE)],
 )
 def test_the_noise_follows_how_far_measurements_are_off_within_its_bounds(noise, least, most):
     after = fed(begun(PLACES, PLACES, 0.07 * EYES), 0.0, 600, np.random.default_rng(2), noise)
@@ -118,7 +119,7 @@ def test_a_part_that_the_sensor_does_not_know_has_no_bias_and_is_not_measured():
     z[1] = np.nan
     one = begun(z, PLACES - 1.0, 3.0)
     np.testing.assert_allclose(one.bias, [[1, 1], [0, 0], [1, 1]])
-    assert one.var[1] == pytest.approx(MOST**2) and one.var[0] == pytest.approx(9.0)
+    assert one.var[1] == pytest.approx(MAX_NOISE**2) and one.var[0] == pytest.approx(9.0)
     said = one.measured(z, VISIBLE)
     assert said.sure[1] == 0 and np.isfinite(said.z).all()
     after = one.learned(z, PLACES, EXACT, VISIBLE)

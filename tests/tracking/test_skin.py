@@ -13,8 +13,8 @@ from facetrack_cli.core.types import Frame
 from facetrack_cli.recipe.skin import LEAST_SHARE
 from facetrack_cli.tracking.kernels import skin as kernel
 from facetrack_cli.tracking.models.skin_colour import (
-    LEAST_CONTRAST,
-    LEAST_VARIANCE,
+    MIN_CONTRAST,
+    MIN_VARIANCE,
     kovac,
     learn_skin,
     note,
@@ -132,7 +132,7 @@ def test_the_gaussian_is_that_of_the_pixels_that_pass():
     colours = np.array([naive.rounded(*map(int, pixel))[1:] for pixel in passed])
     np.testing.assert_allclose(model.mean, colours.mean(axis=0))
     ours, exact = np.linalg.eigvalsh(model.cov), np.linalg.eigvalsh(np.cov(colours.T, bias=True))
-    np.testing.assert_allclose(ours, np.maximum(exact, LEAST_VARIANCE))
+    np.testing.assert_allclose(ours, np.maximum(exact, MIN_VARIANCE))
 
     near = [(cb, cr) for cb in range(90, 130, 7) for cr in range(120, 170, 7)]
     expected = [255 * naive.probability(colour, model.mean, model.cov) for colour in near]
@@ -186,7 +186,7 @@ def test_a_warm_wall_in_the_corners_does_not_pass_for_a_dark_face():
 def test_a_wall_of_the_faces_own_colour_is_told_to_the_user():
     model = learn_skin(portrait(USUAL, USUAL), FACE)
     assert not model.fallback
-    assert abs(model.contrast) < LEAST_CONTRAST
+    assert abs(model.contrast) < MIN_CONTRAST
     assert (
         note(model) == "what surrounds the face has nearly the same colour, so skin colour will hardly tell them apart"
     )
@@ -237,7 +237,7 @@ def test_any_box_of_any_picture_gives_a_model_or_says_that_it_is_not_in_the_pict
         what = "23x17" if outside else "have a colour"
         assert "frame 3" in str(error) and what in str(error)
         return
-    assert np.isfinite(model.mean).all() and np.linalg.eigvalsh(model.cov).min() >= LEAST_VARIANCE - 1e-6
+    assert np.isfinite(model.mean).all() and np.linalg.eigvalsh(model.cov).min() >= MIN_VARIANCE - 1e-6
     assert model.table.max() > 200 and 0 <= model.share <= 1 and -1 <= model.contrast <= 1
 
 

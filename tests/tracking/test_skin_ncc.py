@@ -10,7 +10,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.recipe.skin import SkinNcc
 from facetrack_cli.tracking.kernels import skin as kernel
 from facetrack_cli.tracking.models.likelihoods import ncc as matching
-from facetrack_cli.tracking.models.likelihoods.skin_ncc import LEAST_NCC
+from facetrack_cli.tracking.models.likelihoods.skin_ncc import MIN_NCC
 from facetrack_cli.tracking.models.skin_colour import learn_skin
 from tests.support.parts import pattern, skin_cue, skin_ncc
 from tests.support.skin_faces import SIZE, TRUTH, frame, learned, scene, states
@@ -73,7 +73,7 @@ def test_score_is_equation_11(cost, mean, cues, k):
     f = frame(scene())
     rho = likelihood.rho(known, f, x) if skin else 0.0
     match = matching.correlate(known.template, f, x)[0 if mean == "keep" else 1] if ncc else 1.0
-    good, divisor = np.maximum(match, 0) ** 2, np.maximum(match, LEAST_NCC) ** 2
+    good, divisor = np.maximum(match, 0) ** 2, np.maximum(match, MIN_NCC) ** 2
     v = {"printed": rho / divisor, "shifted": (1 + rho) / divisor, "product": rho * good}[cost]
     if cues == "ncc":
         v = good

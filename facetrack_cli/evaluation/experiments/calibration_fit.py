@@ -23,7 +23,7 @@ from facetrack_cli.evaluation.reliability import (
     calibration_error,
     reliability_bins,
 )
-from facetrack_cli.tracking.calibration import LARGEST, RISES, Checked, Feature, Isotonic, Logistic, Map
+from facetrack_cli.tracking.calibration import MAX_SPREAD_FACTOR, RISES, Checked, Feature, Isotonic, Logistic, Map
 
 ALIKE: Final = 20
 LEVELS: Final = 20  # quantiles of a score that isotonic regression tells apart
@@ -82,7 +82,7 @@ class Sample:
         order = np.argsort(far)
         reached = np.cumsum(weight[order]) / weight.sum()
         at = far[order][min(int(np.searchsorted(reached, 0.9)), len(far) - 1)]
-        return _short(float(np.clip(np.sqrt(at / ELLIPSE_90), 1 / LARGEST, LARGEST)))
+        return _short(float(np.clip(np.sqrt(at / ELLIPSE_90), 1 / MAX_SPREAD_FACTOR, MAX_SPREAD_FACTOR)))
 
     def within(self, ellipse: float, by: Array | float = 1.0) -> float:
         """Share of the right and visible rows within an ellipse, whose axes are multiplied by `by` (R,)."""

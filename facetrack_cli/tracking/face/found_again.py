@@ -23,7 +23,7 @@ STAYS: Final = 0.5  # seconds that a face is seen before it is the target
 SAME: Final = 0.6  # sizes of a face within which it is the same one at the next look
 NEW: Final = 0.6  # correlation below which a look is kept as another one
 OTHER: Final = 0.2  # below which a face is somebody else
-MOST: Final = 6  # looks that are kept
+MAX_LOOKS: Final = 6  # looks that are kept
 SIDE: Final = 16  # pixels of a look
 
 
@@ -56,7 +56,7 @@ def kept(looks: tuple[Array, ...], look: Array) -> tuple[Array, ...]:
     """Looks with a further one, if it is unlike all others; that of the start stays."""
     if likeness(looks, look) >= NEW:
         return looks
-    return (*looks, look) if len(looks) < MOST else (looks[0], *looks[2:], look)
+    return (*looks, look) if len(looks) < MAX_LOOKS else (looks[0], *looks[2:], look)
 
 
 def sighted(before: Sighting | None, faces: list[Found], frame: Frame, looks: tuple[Array, ...]) -> Sighting | None:

@@ -26,7 +26,7 @@ KEEP: Final = 0.5
 UNSEEN: Final = -1.0  # log odds where the network sees no face
 MEMORY: Final = 100.0  # frames over which s and r are learned, and four times that for the place at rest
 MOVES, TREMBLES = 0.05 * EYES, 0.015 * EYES  # s and r at first, pixels
-LEAST_MOVES, LEAST_TREMBLES, MOST_TREMBLES = 0.02 * EYES, 0.005 * EYES, 0.05 * EYES
+MIN_MOVES, MIN_TREMBLES, MAX_TREMBLES = 0.02 * EYES, 0.005 * EYES, 0.05 * EYES
 OFF: Final = 0.03 * EYES  # by how much the network itself is off for long
 
 
@@ -81,8 +81,8 @@ class MeshPoints(NamedTuple):
         jitter = np.sum((z - 2 * self.before[1] + self.before[0]) ** 2, axis=1) / 12  # noise of z, where it is smooth
         # what moves is no noise
         jitter = np.minimum(jitter, 4 * self.trembles)
-        trembles = np.clip(self.trembles + rate * (jitter - self.trembles), LEAST_TREMBLES**2, MOST_TREMBLES**2)
-        moves = np.maximum(self.moves + rate * (0.5 * np.sum(off**2, axis=1) - self.moves), LEAST_MOVES**2)
+        trembles = np.clip(self.trembles + rate * (jitter - self.trembles), MIN_TREMBLES**2, MAX_TREMBLES**2)
+        moves = np.maximum(self.moves + rate * (0.5 * np.sum(off**2, axis=1) - self.moves), MIN_MOVES**2)
         rest = self.rest + (rate / 4)[:, None] * off
         return MeshPoints(rest, off, (1 - gain) * var, moves, trembles, v, moved, np.stack([self.before[1], z]))
 

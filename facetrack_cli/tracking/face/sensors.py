@@ -24,12 +24,12 @@ from facetrack_cli.tracking.models.motion import Measured
 
 DRIFT: Final = 0.001 * EYES  # standard deviation of b in a frame, pixels
 REGRESSION, NETWORK, DETECTOR = 0.05 * EYES, 0.01 * EYES, 0.05 * EYES  # the least r of a sensor
-MOST: Final = 0.1 * EYES  # and the greatest
+MAX_NOISE: Final = 0.1 * EYES  # and the greatest
 FADES: Final = 0.98  # k of a start that a sensor has placed
 MISLED: Final = 0.1 * EYES  # r in a face of which a part is hidden: a sensor places all parts together
 LEARNS: Final = 0.02  # share of a measurement in r^2
 SLIP: Final = 0.1 * EYES  # standard deviation of what a head moves in a frame and its box does not
-FAR: Final = 9.0  # of squared distances, in variances
+MAX_SQUARED_DISTANCE: Final = 9.0  # of squared distances, in variances
 SURE: Final = 0.97  # probability that a sensor says something of a part that is visible
 BLIND: Final = 0.1  # ... of a part that is hidden
 _HIDE, _SHOW = 0.01, 0.05  # probabilities a frame
@@ -52,7 +52,7 @@ class Sensor(NamedTuple):
         """After a first measurement z (K, 2) of parts at x0 (K, 2), nan where there is none; `std`: r at first."""
         known = _known(z)
         r2 = np.full(len(x0), std**2)
-        return cls(np.where(known[:, None], z - x0, 0.0), np.where(known, r2, MOST**2), r2, least, keep)
+        return cls(np.where(known[:, None], z - x0, 0.0), np.where(known, r2, MAX_NOISE**2), r2, least, keep)
 
     def measured(self, z: Array, visible: Array) -> Measured:
         """What z (K, 2) says of parts that are visible with a probability (K,)."""
@@ -68,11 +68,11 @@ class Sensor(NamedTuple):
         off = z - before - state
         squared = 0.5 * np.sum(off**2, axis=1)
         total = var + self.noise + spread
-        use = np.where(np.isfinite(squared) & (squared < FAR * total), visible * visible.min(), 0.0)
+        use = np.where(np.isfinite(squared) & (squared < MAX_SQUARED_DISTANCE * total), visible * visible.min(), 0.0)
         gain = use * var / total
         noise = self.noise + LEARNS * use * (np.nan_to_num(squared) - self.noise)
         bias = before + gain[:, None] * np.nan_to_num(off)
-        return self._replace(bias=bias, var=(1 - gain) * var, noise=np.clip(noise, self.least**2, MOST**2))
+        return self._replace(bias=bias, var=(1 - gain) * var, noise=np.clip(noise, self.least**2, MAX_NOISE**2))
 
     @property
     def _ahead(self) -> Array:
@@ -91,7 +91,9 @@ def joined(one: Measured, other: Measured) -> Measured:
 
 def apart(one: Measured, other: Measured) -> Mask:
     """(K,): of which parts two sensors cannot both be right."""
-    return np.asarray((other.sure > 0) & (np.sum((one.z - other.z) ** 2, axis=1) > FAR * (one.var + other.var)))
+    return np.asarray(
+        (other.sure > 0) & (np.sum((one.z - other.z) ** 2, axis=1) > MAX_SQUARED_DISTANCE * (one.var + other.var))
+    )
 
 
 def common_shift(measured: Measured, state: Array) -> Array:

@@ -20,7 +20,7 @@ from facetrack_cli.tracking.start.detectors import Found
 from facetrack_cli.tracking.target import State
 from facetrack_cli.trajectory.trajectory import TargetResult
 
-_MOST: Final = np.array([math.radians(60), 0.7, 0.3, 0.3])
+_MAX_POSE: Final = np.array([math.radians(60), 0.7, 0.3, 0.3])
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class View(NamedTuple):
 def updated(pose: Array, var: Array, off: Array, std: Array) -> tuple[Array, Array]:
     """A pose (4,) and its variances, measured to be `off` with standard deviations."""
     gain = var / (var + std**2)
-    return np.clip(pose + gain * off, -_MOST, _MOST), (1 - gain) * var
+    return np.clip(pose + gain * off, -_MAX_POSE, _MAX_POSE), (1 - gain) * var
 
 
 def shifted(features: State, to: Callable[[Array], Array]) -> State:

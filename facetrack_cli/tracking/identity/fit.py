@@ -23,7 +23,7 @@ from facetrack_cli.tracking.identity.subspaces import Fitted, Moments, Reals, fi
 Indices: TypeAlias = NDArray[np.intp]
 # of a patch: right, down (shares of its sides), degrees, size
 _OFF = ((0.3, 0, 0, 1), (-0.3, 0, 0, 1), (0, 0.3, 0, 1), (0, -0.3, 0, 1), (0, 0, 40, 1), (0, 0, -40, 1), (0, 0, 0, 0.6))
-MOST_ERRORS = 0.25  # beyond them the user is warned; half is chance
+MAX_ERRORS = 0.25  # beyond them the user is warned; half is chance
 _CHANGES = "how {} with light, expression and pose cannot be learned from it"
 
 
@@ -118,7 +118,7 @@ def _notes(names: Sequence[str], counts: Sequence[int], errors: float) -> tuple[
     if single:
         each, their = (" each", "their faces change") if len(single) > 1 else ("", "this face changes")
         found.append(f"{', '.join(single)}: one image{each}: {_CHANGES.format(their)}; add further images")
-    if errors > MOST_ERRORS:
+    if errors > MAX_ERRORS:
         share = f"{100 * errors:.0f} % of either error for somebody who is not among those learned from"
         remedy = "look whether each is in one folder alone, and add people and images"
         found.append(f"by these images people are hardly told apart: {share}; {remedy}")

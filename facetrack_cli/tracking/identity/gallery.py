@@ -34,7 +34,7 @@ from facetrack_cli.tracking.identity.subspaces import Rows, Subspace
 from facetrack_cli.tracking.resampling import logsumexp
 
 NONE: Final = "none"  # what the posterior calls nobody of the gallery
-MOST_FRONTAL: Final = 0.5
+MAX_FRONTAL: Final = 0.5
 KIND: Final = Kind("facetrack-gallery", 1, "gallery", "facetrack gallery fit")
 _SPACES = ("frontal", "intra", "extra")
 _FIELDS: Final = {"mean": "<f4", "vectors": "<f4", "values": "<f8", "rho": "<f8"}
@@ -59,7 +59,7 @@ class Gallery:
     threshold: float
     errors: float
     counts: tuple[int, ...]
-    most_frontal: float = MOST_FRONTAL
+    most_frontal: float = MAX_FRONTAL
     notes: tuple[str, ...] = ()
     proportion: float | None = None
 

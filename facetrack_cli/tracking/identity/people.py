@@ -31,7 +31,7 @@ from facetrack_cli.video.source import open_source
 
 SHIFT, STRETCH, TURN = 0.03, 0.05, 3.0  # most of a copy: of the box's sides, of its size, degrees
 NEGATIVES: Final = 6  # counter-examples that are cut around each face; more where faces are few
-LEAST_NEGATIVES: Final = 240
+MIN_NEGATIVES: Final = 240
 PASSED_OVER: Final = frozenset((*INIT_SUFFIXES, ".csv", ".txt", ".md", ".npz"))  # what may lie beside images
 Warn: TypeAlias = Callable[[str], None]
 Look: TypeAlias = "tuple[Frame | None, Box | None]"  # what cannot be read, or shows no face, is None
@@ -244,7 +244,7 @@ def read_faces(
     `advance` is called with the number of images and frames looked at so far. Raises InputError for an init file that
     does not fit, and for a person of whom nothing is left.
     """
-    around = max(NEGATIVES, math.ceil(LEAST_NEGATIVES / count(people, reading)))
+    around = max(NEGATIVES, math.ceil(MIN_NEGATIVES / count(people, reading)))
     used, skipped = ({person.name: 0 for person in people} for _ in range(2))
     persons: list[str] = []
     images: list[int] = []

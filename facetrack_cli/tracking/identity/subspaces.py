@@ -11,7 +11,7 @@ The eigenvalues that are left are less than what a new image leaves over, by far
 clips. So rho is what maximises the density of images held out: the mean of err^2 / (d - s) of each, reconstructed from
 those of other people. Where nothing is held out, rho is as printed.
 
-Of many rows only their moments are kept, in the coordinates of a basis (`Moments`): of up to MOST_DIRECTIONS rows it
+Of many rows only their moments are kept, in the coordinates of a basis (`Moments`): of up to MAX_DIRECTIONS rows it
 spans all, of more the largest directions. Of the other directions the lengths of the rows tell the variance.
 """
 
@@ -29,11 +29,11 @@ from facetrack_cli.core.types import Array, Mask
 
 Rows: TypeAlias = NDArray[np.float32]
 Reals: TypeAlias = NDArray[np.floating[Any]]
-LEAST_RHO = 1e-3  # of the variance of a patch: noise of a camera, about one grey level
+MIN_RHO = 1e-3  # of the variance of a patch: noise of a camera, about one grey level
 FOLDS = 10
 ENERGY = 0.9  # share of the variance that a subspace keeps
-MOST_DIRECTIONS = 256  # of a basis; of ten people's patches what is beyond holds about 1 % of the variance
-MOST_ROWS = 1500  # from which a basis is found
+MAX_DIRECTIONS = 256  # of a basis; of ten people's patches what is beyond holds about 1 % of the variance
+MAX_ROWS = 1500  # from which a basis is found
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,15 +117,15 @@ class Moments:
         return Moments(count, self.total - other.total, self.products - other.products, square)
 
 
-def common_basis(x: Array, most: int = MOST_DIRECTIONS) -> Array | None:
+def common_basis(x: Array, most: int = MAX_DIRECTIONS) -> Array | None:
     """Orthonormal rows (r, d), r at most `most`: the largest directions of rows x (n, d); None for all directions."""
     n, d = x.shape
     if d <= most:
         return None
     if n <= most:
         return np.asarray(np.linalg.svd(x, full_matrices=False)[2])
-    if min(n, d) > MOST_ROWS:
-        x = x[np.linspace(0, n - 1, MOST_ROWS).astype(int)]
+    if min(n, d) > MAX_ROWS:
+        x = x[np.linspace(0, n - 1, MAX_ROWS).astype(int)]
     if d <= len(x):
         return np.ascontiguousarray(np.linalg.eigh(x.T @ x)[1][:, : -most - 1 : -1].T)
     largest = np.linalg.eigh(x @ x.T)[1][:, : -most - 1 : -1]
@@ -158,7 +158,7 @@ def fit_moments(
     rho = whole.remaining
     if held:
         rho = max(rho, sum(part.errors(rows) for part, rows in held) / sum(rows.count for _, rows in held))
-    rho = max(rho, LEAST_RHO)
+    rho = max(rho, MIN_RHO)
     return Fitted(whole.subspace(rho, basis), tuple(part.subspace(rho, basis) for part in parts))
 
 

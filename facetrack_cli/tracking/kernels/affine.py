@@ -6,7 +6,7 @@ import numpy as np
 
 from facetrack_cli.tracking.kernels.compiled import between, exact, fast, inline, join, look_up
 
-LEAST_VARIANCE = 0.25  # of grey levels squared; below it a patch is flat
+MIN_VARIANCE = 0.25  # of grey levels squared; below it a patch is flat
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _BITS, _MASK = np.uint32(8), np.uint32(0xFF)
 
@@ -74,7 +74,7 @@ def _normalise(row, seen, count, out):
         row[k] = (row[k] - mean) * seen[k]
         squares += row[k] * row[k]
     variance = squares / np.float32(max(count, 1))
-    shown = 2 * count >= len(row) and variance >= LEAST_VARIANCE
+    shown = 2 * count >= len(row) and variance >= MIN_VARIANCE
     scale = _ONE / np.float32(math.sqrt(variance))
     for k in range(len(out)):
         out[k] = row[k] * scale if shown else _ZERO

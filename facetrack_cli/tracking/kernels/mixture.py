@@ -11,9 +11,9 @@ from facetrack_cli.tracking.kernels.compiled import fast, inline
 
 # pixels whose sums are multiplied before one logarithm: 32 lanes in float64, of 15 factors up to 4 each
 _LANES, _TOGETHER = 32, 15 * 32
-_LEAST = np.float32(-126.0)
+_MIN_EXPONENT = np.float32(-126.0)
 _ONE, _ZERO, _NEVER = np.float32(1.0), np.float32(0.0), np.float32(-1e30)
-_LEAST_WEIGHT = 1e-30  # below it a weight counts as 0
+_MIN_WEIGHT = 1e-30  # below it a weight counts as 0
 _HALF, _BIAS, _BITS = np.float32(0.5), np.int32(127), np.int32(23)
 # of 2^f on [-0.5, 0.5], by least relative error: 1e-7
 _C1, _C2, _C3 = np.float32(0.693147004), np.float32(0.240222424), np.float32(0.0555073395)
@@ -23,7 +23,7 @@ _C4, _C5 = np.float32(0.00967151392), np.float32(0.00132647157)
 @inline
 def _exp2(x):
     """2^x of x up to 0, float32, to a relative error of 4e-7; at least 2^-126."""
-    x = x if x > _LEAST else _LEAST
+    x = x if x > _MIN_EXPONENT else _MIN_EXPONENT
     # towards 0 after half is taken off: the nearest whole number
     whole = np.int32(x - _HALF)
     f = x - np.float32(whole)
@@ -150,7 +150,7 @@ def update(y, m, mu, sigma, moments, rate, log, outlier, laplace, alpha, least_s
         w_on, s_on, f_on = w > 0.0, s > 0.0, f > 0.0
         gain = alpha * own_s[k]
         w, s, f = alpha * own_w[k] + keep * w, gain + keep * s, alpha * own_f[k] + keep * f
-        known, some = seen & s_on, s > _LEAST_WEIGHT
+        known, some = seen & s_on, s > _MIN_WEIGHT
         # with alpha = 1 and nothing owned no moment is left: S stays
         whole = s if some else (old_s[k] if s_on else 1.0)
         mean = (gain * value + keep * first[k] if some else first[k]) / whole
@@ -165,7 +165,7 @@ def update(y, m, mu, sigma, moments, rate, log, outlier, laplace, alpha, least_s
             (s if s > least_mixing else least_mixing) if s_on else 0.0,
             (f if f > least_mixing else least_mixing) if f_on else 0.0,
         )
-        total, learns = w + s + f, seen & (w + s + f > _LEAST_WEIGHT)
+        total, learns = w + s + f, seen & (w + s + f > _MIN_WEIGHT)
         new_w[k] = np.float32(w / total) if learns else old_w[k]
         new_s[k] = np.float32(s / total) if learns else old_s[k]
         new_f[k] = np.float32(f / total) if learns else old_f[k]

@@ -23,7 +23,7 @@ Array: TypeAlias = NDArray[np.float64]
 LANES = 16  # shapes are padded to a multiple of this, so that sums and maxima run in independent lanes
 PADDING = np.float32(-1e38)  # the bias of a shape that is none
 _FARTHEST = 1e30  # float32 holds 3e38
-_LEAST = np.float32(-80.0)  # exp of it is nothing beside the largest weight, 1
+_MIN_EXPONENT = np.float32(-80.0)  # exp of it is nothing beside the largest weight, 1
 _LOG2E, _LN2_HI, _LN2_LO = np.float32(1.4426950408889634), np.float32(0.693359375), np.float32(-2.12194440e-4)
 _ROUND = np.float32(12582912.0)  # 1.5 * 2**23: adding it leaves the nearest whole number in the low bits
 _NOTHING: Array = np.empty(0)
@@ -39,7 +39,7 @@ def _exp_below(v, top, bits, scale):
     libm's exp, called one by one, would take most of the prior's time. The polynomial is that of Cephes' expf.
     """
     for j in range(v.shape[0]):
-        a = v[j] - top if v[j] - top > _LEAST else _LEAST
+        a = v[j] - top if v[j] - top > _MIN_EXPONENT else _MIN_EXPONENT
         t = a * _LOG2E + _ROUND
         n = t - _ROUND
         r = (a - n * _LN2_HI) - n * _LN2_LO

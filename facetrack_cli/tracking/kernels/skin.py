@@ -11,8 +11,8 @@ from facetrack_cli.tracking.kernels.compiled import box_sum, exact, part
 SHIFT, HALF, MIDDLE = np.int32(14), np.int32(1 << 13), np.int32((128 << 14) + (1 << 13))
 R_TO_Y, G_TO_Y, B_TO_Y = np.int32(4899), np.int32(9617), np.int32(1868)
 TO_CR, TO_CB = np.int32(11682), np.int32(9241)
-EIGHT, MOST = np.int32(8), np.int32(255)
-LARGEST = 1e6  # half a side of a box, pixels
+EIGHT, MAX_LEVEL = np.int32(8), np.int32(255)
+MAX_HALF_SIDE = 1e6  # half a side of a box, pixels
 
 
 @part
@@ -20,8 +20,8 @@ def _code(b, g, r):
     """256 Cb + Cr of one pixel. No colour has either below 0; pure blue and pure red would have 256."""
     b, g, r = np.int32(b), np.int32(g), np.int32(r)
     y = (r * R_TO_Y + g * G_TO_Y + b * B_TO_Y + HALF) >> SHIFT
-    cb = min(((b - y) * TO_CB + MIDDLE) >> SHIFT, MOST)
-    cr = min(((r - y) * TO_CR + MIDDLE) >> SHIFT, MOST)
+    cb = min(((b - y) * TO_CB + MIDDLE) >> SHIFT, MAX_LEVEL)
+    cr = min(((r - y) * TO_CR + MIDDLE) >> SHIFT, MAX_LEVEL)
     return (cb << EIGHT) + cr
 
 
@@ -75,7 +75,12 @@ def nested(x, width, height, factor, left, top):
         cx = (x[p, 0, 0] - left - 0.5 * (factor - 1)) / factor
         cy = (x[p, 0, 1] - top - 0.5 * (factor - 1)) / factor
         # comparisons with nan are false
-        if min(w, h) >= 0.5 and max(w, h) <= LARGEST and abs(cx) <= 10.0 * LARGEST and abs(cy) <= 10.0 * LARGEST:
+        if (
+            min(w, h) >= 0.5
+            and max(w, h) <= MAX_HALF_SIDE
+            and abs(cx) <= 10.0 * MAX_HALF_SIDE
+            and abs(cy) <= 10.0 * MAX_HALF_SIDE
+        ):
             inner[p, 0], inner[p, 1], inner[p, 2], inner[p, 3] = cx - w, cy - h, cx + w, cy + h
             w, h, area[p] = longer * w, longer * h, 4.0 * w * h
             outer[p, 0], outer[p, 1], outer[p, 2], outer[p, 3] = cx - w, cy - h, cx + w, cy + h
@@ -106,5 +111,5 @@ def at_points(bgr, table, xy):
         if u >= 0.0 and u < width and v >= 0.0 and v < height:
             pixel = bgr[math.floor(v), math.floor(u)]
             code = _code(pixel[0], pixel[1], pixel[2])
-            out[n] = table[code >> EIGHT, code & MOST] / 255.0
+            out[n] = table[code >> EIGHT, code & MAX_LEVEL] / 255.0
     return out

@@ -5,7 +5,7 @@ Odobez et al. 2003, section 3.2, leaves A and B open ("learned"). Here, for c = 
     v_k = d v_{k-1} + e_k,    x_k = x_{k-1} + v_k + u_k,    e ~ N(0, w s^2), u ~ N(0, (1 - w) s^2)
 
 so that A = [[1, d], [0, d]] and B B^T = s^2 [[1, w], [w, w]]. The value has no place that it prefers, hence the 1, an
-eigenvalue on the unit circle; the other one is d, within [0, MOST_SPEED]. u is what steps have beside a steady speed.
+eigenvalue on the unit circle; the other one is d, within [0, MAX_SPEED]. u is what steps have beside a steady speed.
 Without it, as of an AR(2) model of x, both numbers would have one source of noise, and a density on a line alone. With
 0 < w < 1, B is lower triangular and of full rank.
 
@@ -30,13 +30,13 @@ from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
 
-MOST_SPEED: Final = 0.99  # d; nearer to 1 speeds would add up for seconds
-LEAST: Final = 1e-3  # of s and of a walk's sigma: a tracker whose noise is 0 follows nothing
-LEAST_STEPS: Final = 10
-GAP: Final = 25  # frames without an annotation, after which a track begins anew
-LONGEST: Final = 500  # frames of a piece of a track, since all pieces are filtered side by side
+MAX_SPEED: Final = 0.99  # d; nearer to 1 speeds would add up for seconds
+MIN_SIGMA: Final = 1e-3  # of s and of a walk's sigma: a tracker whose noise is 0 follows nothing
+MIN_STEPS: Final = 10
+MAX_GAP_FRAMES: Final = 25  # frames without an annotation, after which a track begins anew
+MAX_PIECE_FRAMES: Final = 500  # frames of a piece of a track, since all pieces are filtered side by side
 # d, log(w / (1 - w)) and log10 r, and how they are searched
-_BOUNDS: Final = np.array([(0.0, MOST_SPEED), (-4.6, 4.6), (-4.0, 1.0)])  # w from 0.01 to 0.99
+_BOUNDS: Final = np.array([(0.0, MAX_SPEED), (-4.6, 4.6), (-4.0, 1.0)])  # w from 0.01 to 0.99
 _GRID, _ZOOMS, _NARROW = 9, 9, 0.45
 
 
@@ -60,7 +60,7 @@ class Dynamics(NamedTuple):
     @property
     def clipped(self) -> bool:
         """Whether the data ask for a speed that hardly fades."""
-        return self.speed > MOST_SPEED - 1e-3
+        return self.speed > MAX_SPEED - 1e-3
 
 
 class BoxMotion(NamedTuple):
@@ -101,7 +101,7 @@ def fit_dynamics(pieces: Sequence[Array]) -> Dynamics:
     for i, piece in enumerate(pieces):
         y[: len(piece), i] = piece - piece[0]
     if not np.nansum(np.diff(y, axis=0) ** 2) > 0:
-        return Dynamics(0.0, 0.5, LEAST, 0.0)
+        return Dynamics(0.0, 0.5, MIN_SIGMA, 0.0)
     low, high = _BOUNDS.T
     for _ in range(_ZOOMS):
         axes = np.linspace(low, high, _GRID, axis=1)
@@ -113,7 +113,7 @@ def fit_dynamics(pieces: Sequence[Array]) -> Dynamics:
         low, high = centre - reach, centre + reach
     speed, share, ratio = (float(one[0]) for one in _natural(grid[at : at + 1]))
     step = float(np.sqrt(scale[at]))
-    return Dynamics(speed, share, max(step, LEAST), step * float(np.sqrt(ratio)))
+    return Dynamics(speed, share, max(step, MIN_SIGMA), step * float(np.sqrt(ratio)))
 
 
 def _natural(grid: Array) -> tuple[Array, Array, Array]:
@@ -156,7 +156,7 @@ def walk_sigma(pieces: Sequence[Array]) -> float:
     pairs = np.concatenate([one[1:] * one[:-1] for one in steps])
     every, pairs = (one[np.isfinite(one)] for one in (np.concatenate(steps), pairs))
     jitter = min(float(pairs.mean()), 0.0) if len(pairs) else 0.0
-    return float(np.sqrt(max(float((every**2).mean()) + 2 * jitter, LEAST**2)))
+    return float(np.sqrt(max(float((every**2).mean()) + 2 * jitter, MIN_SIGMA**2)))
 
 
 def _is_box(part: Trajectory) -> bool:
@@ -170,14 +170,14 @@ def _seen(part: Trajectory, *columns: Array) -> Array:
 
 
 def _pieces(rows: Array) -> list[Array]:
-    """(n, 1 + C) rows as pieces (T, C), a row a frame, nan where there is none; cut at gaps and at LONGEST."""
+    """(n, 1 + C) rows as pieces (T, C), a row a frame, nan where there is none; cut at gaps and at MAX_PIECE_FRAMES."""
     found = []
     frame = rows[:, 0].astype(np.int64)
-    begins = np.flatnonzero(np.diff(frame, prepend=-GAP - 2) > GAP)
+    begins = np.flatnonzero(np.diff(frame, prepend=-MAX_GAP_FRAMES - 2) > MAX_GAP_FRAMES)
     for these in np.split(rows, begins[1:]):
         at = (these[:, 0] - these[0, 0]).astype(np.int64)
-        for first in range(0, int(at[-1]) + 1, LONGEST):
-            mine = (at >= first) & (at < first + LONGEST)
+        for first in range(0, int(at[-1]) + 1, MAX_PIECE_FRAMES):
+            mine = (at >= first) & (at < first + MAX_PIECE_FRAMES)
             if mine.sum() > 1:
                 whole = np.full((int(at[mine][-1] - at[mine][0]) + 1, rows.shape[1] - 1), np.nan)
                 whole[at[mine] - at[mine][0]] = these[mine, 1:]
@@ -228,9 +228,9 @@ def _all_have(seen: dict[str, Array], frame: float) -> bool:
 def _enough(pieces: Sequence[Array], named: str) -> int:
     """The number of steps from a frame to the next one; InputError if they are too few to learn from."""
     steps = sum(int(np.isfinite(np.diff(piece[:, 0])).sum()) for piece in pieces)
-    if steps < LEAST_STEPS:
+    if steps < MIN_STEPS:
         raise InputError(
-            f"{named}: there are {steps} steps between successive visible frames; annotate at least {LEAST_STEPS}"
+            f"{named}: there are {steps} steps between successive visible frames; annotate at least {MIN_STEPS}"
         )
     return steps
 
@@ -254,9 +254,9 @@ def as_yaml(found: BoxMotion | PointMotion) -> str:
     ]
     for name, one in both.items():
         if one.clipped:
-            notes.append(f"# The speed of the {name} hardly fades; the eigenvalue of A is clipped to {MOST_SPEED}.\n")
-        if one.step <= LEAST:
-            notes.append(f"# The {name} moves less than the least noise, {LEAST}, which is taken.\n")
+            notes.append(f"# The speed of the {name} hardly fades; the eigenvalue of A is clipped to {MAX_SPEED}.\n")
+        if one.step <= MIN_SIGMA:
+            notes.append(f"# The {name} moves less than the least noise, {MIN_SIGMA}, which is taken.\n")
     return "".join([head, "motion:\n  type: first_order\n", *lines, *notes])
 
 

@@ -41,8 +41,8 @@ from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned
 
 KIND = Kind("facetrack-shape-prior", 1, "shape prior", "facetrack prior fit")
 DEFAULT = "mouth_prior.npz"
-LEAST_DISTANCE = 0.01  # mouth widths; a shape nearer than this to one that is kept adds nothing
-NARROWEST = 0.05  # mouth widths; a narrower kernel would punish a tracker's own noise
+MIN_DISTANCE = 0.01  # mouth widths; a shape nearer than this to one that is kept adds nothing
+MIN_SIGMA = 0.05  # mouth widths; a narrower kernel would punish a tracker's own noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,7 @@ def build(settings: Parzen, context: Context) -> BoundPrior:
 
 def build_student(settings: StudentT, context: Context) -> StudentPrior:
     """The Student t prior of a recipe, from the same files as `build`."""
-    return StudentPrior(build(Parzen(type="parzen", file=settings.file, sigma=NARROWEST), context), settings.freedom)
+    return StudentPrior(build(Parzen(type="parzen", file=settings.file, sigma=MIN_SIGMA), context), settings.freedom)
 
 
 class BoundPrior:
@@ -200,7 +200,7 @@ class StudentPrior:
     """Student t density over the parts as seen from the stable one, with the shapes' second moments about rest (ours).
 
     With q (2 (K - 1),) the displacements of the other parts since the first frame, relative to the stable part, in
-    units of L0, C = E[h h^T] + NARROWEST^2 I over training shapes h, and n = `freedom`,
+    units of L0, C = E[h h^T] + MIN_SIGMA^2 I over training shapes h, and n = `freedom`,
 
         log_density(s) = -(n + 2 (K - 1)) / 2 log(1 + q^T C^-1 q / n)
 
@@ -211,7 +211,7 @@ class StudentPrior:
         self.first, self.length, self.freedom = bound.first, bound.length, freedom
         self._stable, self._moving = bound._stable, bound._moving
         h = bound._shapes[:, self._moving].reshape(len(bound._shapes), -1)
-        self.cov = h.T @ h / len(h) + NARROWEST**2 * np.eye(h.shape[1])
+        self.cov = h.T @ h / len(h) + MIN_SIGMA**2 * np.eye(h.shape[1])
         self._inverse = np.linalg.inv(self.cov)
 
     def log_density(self, x: Array) -> Array:
@@ -279,7 +279,7 @@ def suggested_sigma(prior: ShapePrior) -> float:
     """A kernel's standard deviation, in mouth widths: the mean distance of a shape to its nearest neighbour."""
     flat = prior.shapes.reshape(len(prior.shapes), -1)
     nearest = [np.partition(((flat - one) ** 2).sum(1), 1)[1] for one in flat if len(flat) > 1]
-    return max(float(np.sqrt(nearest).mean()), NARROWEST) if nearest else NARROWEST
+    return max(float(np.sqrt(nearest).mean()), MIN_SIGMA) if nearest else MIN_SIGMA
 
 
 def _parts_of(trajectory: Trajectory) -> tuple[str, ...]:
@@ -327,7 +327,7 @@ def _spread_out(flat: Array, most: int) -> list[int]:
     nearest = ((flat - flat[0]) ** 2).sum(1)
     while len(chosen) < most:
         index = int(nearest.argmax())
-        if nearest[index] < LEAST_DISTANCE**2:
+        if nearest[index] < MIN_DISTANCE**2:
             break
         chosen.append(index)
         nearest = np.minimum(nearest, ((flat - flat[index]) ** 2).sum(1))

@@ -23,10 +23,10 @@ from facetrack_cli.recipe.skin import LEAST_SHARE
 from facetrack_cli.tracking.kernels import skin as kernel
 
 # of (Cb, Cr) in any direction, in levels squared: less loses faces as the light changes, more lets in what is near
-LEAST_VARIANCE = 9.0
+MIN_VARIANCE = 9.0
 # grey clips have chroma of 1 or 2 after lossy codecs, faces of 5 to 40 nearly everywhere
-LEAST_CHROMA, LEAST_COLOURED = 4.0, 0.05
-LEAST_CONTRAST = 0.1  # where less, boxes at some distance score better than the face itself
+MIN_CHROMA, MIN_COLOURED = 4.0, 0.05
+MIN_CONTRAST = 0.1  # where less, boxes at some distance score better than the face itself
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,15 +68,15 @@ def learn_skin(frame: Frame, box: Box, *, least_share: float = LEAST_SHARE) -> S
     fallback = share < least_share or not passed.any()
     colours = cv2.cvtColor(region, cv2.COLOR_BGR2YCrCb)[..., [2, 1]].astype(np.float64)
     sample = colours[ellipse if fallback else passed]
-    coloured = float((np.abs(sample - 128).max(axis=1) >= LEAST_CHROMA).mean())
-    if coloured < LEAST_COLOURED:
+    coloured = float((np.abs(sample - 128).max(axis=1) >= MIN_CHROMA).mean())
+    if coloured < MIN_COLOURED:
         share_of_box = f"only {coloured:.0%} of the face's box have a colour, so skin cannot be known by it"
         remedy = "take a recipe that does without, as ncc or contour_correlation"
         raise InputError(f"frame {frame.index}: {share_of_box}; {remedy}")
     mean = sample.mean(axis=0)
     off = sample - mean
     spread, axes = np.linalg.eigh(off.T @ off / len(sample))
-    cov = (axes * np.maximum(spread, LEAST_VARIANCE)) @ axes.T
+    cov = (axes * np.maximum(spread, MIN_VARIANCE)) @ axes.T
     d = np.stack(np.meshgrid(np.arange(256.0) - mean[0], np.arange(256.0) - mean[1], indexing="ij"), axis=-1)
     squared = np.einsum("...i,ij,...j", d, np.linalg.inv(cov), d)
     table = np.asarray(np.rint(255 * np.exp(-squared / 2)), np.uint8)
@@ -89,7 +89,7 @@ def note(model: SkinModel) -> str | None:
     if model.fallback:
         little = f"Kovac's rules find skin in only {model.share:.0%} of the face"
         said.append(f"{little}, so its colour was learned from all that its box shows")
-    if model.contrast < LEAST_CONTRAST:
+    if model.contrast < MIN_CONTRAST:
         said.append("what surrounds the face has nearly the same colour, so skin colour will hardly tell them apart")
     return "; ".join(said) or None
 

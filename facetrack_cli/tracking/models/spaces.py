@@ -19,7 +19,7 @@ from facetrack_cli.tracking.start.checks import box_of, check_size, size_of_box
 from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostic
 
 VISIBLE = 5  # the coordinate of a box that may be hidden that is P(visible)
-MOST_FACTOR = 256  # a face of 13 times 256 pixels or more is read with gaps
+MAX_FACTOR = 256  # a face of 13 times 256 pixels or more is read with gaps
 
 
 class Estimate(NamedTuple):
@@ -313,7 +313,7 @@ class Patches:
         _, _, a1, a2, a3, a4 = state[0].tolist()
         rows, cols = self.shape
         step = min(self.size[0] / cols * math.hypot(a1, a3), self.size[1] / rows * math.hypot(a2, a4))
-        return factor_for(min(step, 2.0 * MOST_FACTOR), 2.0) if step > 2.0 else 1
+        return factor_for(min(step, 2.0 * MAX_FACTOR), 2.0) if step > 2.0 else 1
 
     def read(self, frame: Frame, x: Array, factor: int) -> NDArray[np.float32]:
         """Patches (N, d) of x (N, 1, 6), flattened by rows, from the frame in grey reduced by `factor`; read-only.

@@ -9,7 +9,7 @@ from facetrack_cli.core.types import Array
 from facetrack_cli.tracking.models.correlation_filter.features import Single
 from facetrack_cli.tracking.models.correlation_filter.trained import UPSAMPLED
 
-LEAST: Final = 0.02  # standard deviation of what is not the target, in terms of the mean of its peaks
+MIN_OTHER_STD: Final = 0.02  # standard deviation of what is not the target, in terms of the mean of its peaks
 _MEMORY: Final = 50.0  # frames over which it is learned how high peaks are
 _SIGMA: Final = (0.1, 0.2)  # the least and the largest standard deviation of peaks, in terms of their mean
 _FREEDOM: Final = 3.0  # degrees of freedom of both densities
@@ -81,7 +81,7 @@ class Usual(NamedTuple):
 
 def evidence(seen: Heights, other: Heights, height: float, bound: float) -> float:
     """log p(height | the target) - log p(height | something else), of peaks of either, within a bound."""
-    spread = max(other.std, LEAST * seen.mean, 1e-9)
+    spread = max(other.std, MIN_OTHER_STD * seen.mean, 1e-9)
     ratio = log_student(seen.z(height)) - math.log(seen.spread)
     ratio -= log_student(max(height - other.mean, 0.0) / spread) - math.log(spread)
     return min(max(ratio, -bound), bound)

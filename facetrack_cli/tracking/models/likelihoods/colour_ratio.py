@@ -25,7 +25,7 @@ from facetrack_cli.tracking.kernels import windows
 from facetrack_cli.tracking.models.spaces import Context
 
 CHANNELS = 3
-LEAST_MEAN = 1.0  # dividing by the mean of a darker window would only blow up its noise
+MIN_MEAN = 1.0  # dividing by the mean of a darker window would only blow up its noise
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class ColourRatio:
             image, left, top = frame.reduced(g.factor, extent)
             template = g.ratios, g.offsets, g.sides, g.parts
             at = x, left, top, g.factor
-            windows.colour_ratio_distances(windows.flat(image), *template, *at, LEAST_MEAN, robust, scale, out)
+            windows.colour_ratio_distances(windows.flat(image), *template, *at, MIN_MEAN, robust, scale, out)
         return out if self.settings.norm == "channel" else CHANNELS * out
 
     def learn(self, learned: Templates, frame: Frame, state: Array, particles: Particles) -> Templates:
@@ -127,6 +127,6 @@ class ColourRatio:
             x, y = x0[k].tolist()
             at = (x - left - (factor - 1) / 2) / factor, (y - top - (factor - 1) / 2) / factor
             o = windows.read_window(flat, *at, w, h)
-            means[k] = max(float(o[:, :w].mean()), LEAST_MEAN)
+            means[k] = max(float(o[:, :w].mean()), MIN_MEAN)
             np.divide(o.ravel(), np.float32(means[k]), out=ratios[first : first + o.size])
         return replace(layout, ratios=ratios)

@@ -26,7 +26,7 @@ from facetrack_cli.tracking.kernels import contour
 from facetrack_cli.tracking.models.likelihoods.independent import averaged, effective_share
 from facetrack_cli.tracking.models.spaces import Context
 
-_FAR = 1e9  # pixels; no frame is as large
+_MAX_PIXELS = 1e9  # pixels; no frame is as large
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Contour:
 
     def _nearest(self, learned: Outline, frame: Frame, x: Array, reach: float) -> Array:
         """How far the nearest edge lies on each normal, (N, L), in pixels; inf without one within `reach`."""
-        boxes = np.clip(np.nan_to_num(x[:, 0, :3]), -_FAR, _FAR)
+        boxes = np.clip(np.nan_to_num(x[:, 0, :3]), -_MAX_PIXELS, _MAX_PIXELS)
         # an edge at the very end of a normal is seen by two values beyond it, and each value by a pixel around it
         around = np.maximum(boxes[:, 2:], 0.0) * np.array(self.size) / 2 + (reach + 5.0 * learned.factor)
         low, high = (boxes[:, :2] - around).min(axis=0).tolist(), (boxes[:, :2] + around).max(axis=0).tolist()

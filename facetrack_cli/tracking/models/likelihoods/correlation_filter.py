@@ -64,15 +64,15 @@ _PRIOR = 10.0  # frames that these count for
 _LOW = 2.0  # standard deviations below the mean; a target with a lower peak is learned slower
 _SLOWER = 0.3  # by this factor at most
 _KEPT = 0.2  # weight of the first frames' response in R
-_LEAST = 1e-3  # of R / Rm and of S / Sm, whose logarithms are taken
+_MIN_RATIO = 1e-3  # of R / Rm and of S / Sm, whose logarithms are taken
 _SCALE_STD = 0.03
 _OFF = 0.25  # mean sides of the box; a peak further off the middle of the window is looked at once more
 _LEARNS = 0.05  # P(visible) below which nothing is learned
 _SIGHTED = 3.0  # log of how much likelier a detector sees a face there if it is the target
 _LATTICE = 0.4  # distance of two windows of re-detection, in sides of the window
 _SIZES = (1.0, 0.7, 1.0, 1.4)  # of what returns, in terms of its last size, one after another
-_MOST = 64  # windows of the lattice along a side of the frame, of a target that is tiny
-_AROUND = 64  # windows at most that the first frame is compared with
+_MAX_LATTICE = 64  # windows of the lattice along a side of the frame, of a target that is tiny
+_MAX_COMPARED = 64  # windows at most that the first frame is compared with
 _SOON = 25  # frames within which what returns has its last size
 _SPEED = 0.5  # mean sides of the box a frame, by which re-detection widens
 
@@ -156,7 +156,7 @@ class CorrelationFilter:
         filters = self._trainer.begin(x)
         top = float(self._trainer.respond(filters.filters, x).max())
         others = [0.0]
-        for place in self._lattice(frame, centre, scale)[:_AROUND]:
+        for place in self._lattice(frame, centre, scale)[:_MAX_COMPARED]:
             if float(np.abs(place - centre).max()) > 0.5 * self._side(scale):
                 there, _ = features.read(frame, place, self._side(scale))
                 others.append(float(self._trainer.respond(filters.filters, there).max()))
@@ -182,7 +182,7 @@ class CorrelationFilter:
             found = peaks(view.response, 0.5, one.modes)
         heights = view.heights(found[0])
         log_l: Any = evidence(learned.heights.now, learned.heights.others, heights.now, one.evidence) + learned.told
-        log_l = log_l + one.sharpness * np.log(np.maximum(found[:, 2] / found[0, 2], _LEAST))
+        log_l = log_l + one.sharpness * np.log(np.maximum(found[:, 2] / found[0, 2], _MIN_RATIO))
         modes = [self._modes(view, scale, found, log_l)]
         log_s, std = self._scale_at(learned, frame, modes[0].mean[0, :2], scale)
         modes[0].mean[:, 2] += log_s
@@ -297,7 +297,7 @@ class CorrelationFilter:
     def _lattice(self, frame: Frame, near: Array, scale: float) -> Array:
         """Middles (M, 2) of windows all over the frame, the nearest to a place (2,) first."""
         step = _LATTICE * self._side(scale)
-        across, down = (np.arange(min(max(round(n / step), 1), _MOST)) for n in frame.size)
+        across, down = (np.arange(min(max(round(n / step), 1), _MAX_LATTICE)) for n in frame.size)
         x, y = np.meshgrid((across + 0.5) / len(across) * frame.size[0], (down + 0.5) / len(down) * frame.size[1])
         places = np.column_stack([x.ravel(), y.ravel()])
         return places[np.argsort(np.hypot(*(places - near).T), kind="stable")]

@@ -26,8 +26,8 @@ from facetrack_cli.recipe import regions
 from facetrack_cli.tracking.kernels import histogram as kernel
 from facetrack_cli.tracking.models.spaces import Context
 
-LEAST_COLOURED = 0.05  # of a face half and more, of grey clips after lossy codecs less than 0.001
-MOST_CELLS = 2**24  # of an integral histogram: 64 MB
+MIN_COLOURED = 0.05  # of a face half and more, of grey clips after lossy codecs less than 0.001
+MAX_CELLS = 2**24  # of an integral histogram: 64 MB
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class Histogram:
         codes = kernel.code(_hsv(region), learned.coloured, learned.colourless, *self._least())
         # what each way takes, in units of one pixel counted directly; both give the same to the last bit
         bins = learned.root.shape[1]
-        integral = codes.size * bins <= MOST_CELLS and codes.size * (2 + bins // kernel.LANES) < pixels
+        integral = codes.size * bins <= MAX_CELLS and codes.size * (2 + bins // kernel.LANES) < pixels
         match = (kernel.match_integral if integral else kernel.match_direct)(codes, ex, ey, area, learned.root)
         return np.asarray(np.clip(1.0 - match, 0.0, 1.0)[:, None])
 
@@ -129,12 +129,12 @@ class Histogram:
         least = self.settings.least_saturation * 255, self.settings.least_value * 255
         (saturated, light), whole = ([one[..., i + 1] >= least[i] for i in (0, 1)] for one in (hsv, _hsv(frame.bgr)))
         share, dark = float(np.mean(saturated & light)), float(np.mean(~light))
-        if share >= LEAST_COLOURED:
+        if share >= MIN_COLOURED:
             return
-        grey = np.mean(whole[0] & whole[1]) < LEAST_COLOURED
+        grey = np.mean(whole[0] & whole[1]) < MIN_COLOURED
         what = "this clip is grey, or too dark" if grey else "the box shows no colours"
         remedy = "use the recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8"
-        if np.mean(saturated & ~light) >= LEAST_COLOURED and dark > 0.5:
+        if np.mean(saturated & ~light) >= MIN_COLOURED and dark > 0.5:
             remedy += ", or a lower likelihood.histogram.least_value"
         bounds = f"saturation at least {self.settings.least_saturation:g}, value at least {self.settings.least_value:g}"
         hues = f"{share:.1%} of the box's pixels have a hue ({bounds}), {dark:.0%} are too dark"

@@ -16,7 +16,7 @@ import numpy as np
 from facetrack_cli.core.types import Array
 
 MEMORY: Final = 25  # frames over which shares are averaged: one alone is known to a quarter or so
-_LEAST: Final = 1e-9
+_MIN_ENERGY: Final = 1e-9
 
 
 def effective_share(terms: Array, *, ring: bool = False) -> float:
@@ -24,7 +24,7 @@ def effective_share(terms: Array, *, ring: bool = False) -> float:
     field = np.atleast_2d(np.asarray(terms, np.float64))
     off = field - field.mean()
     n, energy = off.size, float(np.sum(off * off))
-    if n < 4 or energy < _LEAST * n:
+    if n < 4 or energy < _MIN_ENERGY * n:
         return 1.0
     shape = off.shape if ring else tuple(2 * side if side > 1 else 1 for side in off.shape)
     power = np.abs(np.fft.rfft2(off, shape)) ** 2
@@ -35,7 +35,7 @@ def effective_share(terms: Array, *, ring: bool = False) -> float:
     sums, counts = np.bincount(far, rho.ravel()), np.bincount(far)
     chance = np.flatnonzero(sums <= counts / np.sqrt(n))
     total = float(np.sum(sums[: chance[0]] if chance.size else sums))
-    return float(np.clip(1 / max(total, _LEAST), 1 / n, 1.0))
+    return float(np.clip(1 / max(total, _MIN_ENERGY), 1 / n, 1.0))
 
 
 def averaged(share: float, frames: int, new: float) -> float:

@@ -28,7 +28,7 @@ from facetrack_cli.core.types import Array, Frame, Image, Mask, factor_for
 from facetrack_cli.recipe.skin import Pattern
 from facetrack_cli.tracking.kernels import ncc as kernel
 
-LEAST_VARIANCE = 0.25  # grey levels squared: what varies less than by rounding is no pattern
+MIN_VARIANCE = 0.25  # grey levels squared: what varies less than by rounding is no pattern
 DENSE = 10.0  # what one pixel of a dense correlation takes, in points read directly
 
 
@@ -117,7 +117,7 @@ def _view(template: Template, frame: Frame, x: Array) -> _View:
 
 def _ratio(cross: Array, energy: Array, seen: Mask) -> Array:
     # of a template or a patch without a pattern the energy is next to nothing
-    good = seen & (energy >= LEAST_VARIANCE**2)
+    good = seen & (energy >= MIN_VARIANCE**2)
     return np.clip(np.where(good, cross, 0.0) / np.sqrt(np.where(good, energy, 1.0)), -1.0, 1.0)
 
 

@@ -31,8 +31,8 @@ from facetrack_cli.tracking.resampling import logsumexp, normalise
 from facetrack_cli.trajectory.diagnostics import ENTROPY, POSTERIOR
 
 # of a box's proportions against the gallery's: up to 1.2 all of 24 runs named the right one, at 1.25 22, at 1.5 16
-MOST_STRETCH = 1.2
-_LEAST_WEIGHT = 1e-9  # of the largest weight: particles below it say nothing of the identity
+MAX_STRETCH = 1.2
+_MIN_WEIGHT = 1e-9  # of the largest weight: particles below it say nothing of the identity
 _NEVER = -1e30  # in place of log 0, when a posterior has nothing left for an identity
 
 
@@ -79,7 +79,7 @@ class Recognition:
     def init(self, frame: Frame, x0: Array) -> Recognised:
         """Every identity is as likely. Raises InputError as the appearance does."""
         n, (w, h), wanted, notes = len(self.names), self.appearance.patches.size, self.gallery.proportion, []
-        if wanted is not None and not 1 / MOST_STRETCH <= w / h / wanted <= MOST_STRETCH:
+        if wanted is not None and not 1 / MAX_STRETCH <= w / h / wanted <= MAX_STRETCH:
             box = f"the box of {w:.0f}x{h:.0f} pixels is {w / h:.2f} times as wide as high"
             remedy = "the name may be wrong; begin with a box of their proportions"
             notes.append(f"{box}, and those of the gallery are {wanted:.2f} times: {remedy}")
@@ -93,7 +93,7 @@ class Recognition:
     def learn(self, learned: Recognised, frame: Frame, state: Array, particles: Particles) -> Recognised:
         """The appearance at the estimate `state` (1, 6), and the posterior by the weights of the particles."""
         joint = self._log_joint(learned, frame, particles.x)
-        heavy = particles.log_w > particles.log_w.max() + math.log(_LEAST_WEIGHT)
+        heavy = particles.log_w > particles.log_w.max() + math.log(_MIN_WEIGHT)
         joint, log_w = joint[heavy], particles.log_w[heavy]
         each = joint - logsumexp(joint, axis=1)[:, None]
         log_beta = normalise(np.maximum(logsumexp(log_w[:, None] + each, axis=0), _NEVER))

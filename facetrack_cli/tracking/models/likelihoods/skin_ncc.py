@@ -35,9 +35,9 @@ from facetrack_cli.tracking.models.likelihoods import ncc as matching
 from facetrack_cli.tracking.models.skin_colour import learn_skin, note
 from facetrack_cli.tracking.models.spaces import Context
 
-LEAST_NCC = 0.01  # what divides is at least this: a match of zero or below is as bad as can be, not of the other sign
-LEAST_RHO = 0.05  # a start with hardly more skin within than around cannot scale a distance
-MOST_EXACT = 2**23  # pixels whose sum, each up to 255, an int32 holds
+MIN_NCC = 0.01  # what divides is at least this: a match of zero or below is as bad as can be, not of the other sign
+MIN_RHO = 0.05  # a start with hardly more skin within than around cannot scale a distance
+MAX_EXACT_PIXELS = 2**23  # pixels whose sum, each up to 255, an int32 holds
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class SkinNcc:
             notes.append(note(model))
         if ncc is not None:
             template = matching.learn_template(frame, self.size, x0, ncc.max_size)
-            if template.first.var() < matching.LEAST_VARIANCE:
+            if template.first.var() < matching.MIN_VARIANCE:
                 notes.append("the face's box is of one grey level throughout, so that no pattern can be matched")
         learned = Learned(table, template, 0.0, 0.0, tuple(one for one in notes if one))
         rho = 0.0 if skin is None else float(self.rho(learned, frame, x0[None])[0])
@@ -93,7 +93,7 @@ class SkinNcc:
         """
         found = []
         if self.settings.skin is not None:
-            found.append(1.0 - np.clip(-self.rho(learned, frame, x) / max(-learned.rho, LEAST_RHO), 0.0, 1.0))
+            found.append(1.0 - np.clip(-self.rho(learned, frame, x) / max(-learned.rho, MIN_RHO), 0.0, 1.0))
         if learned.template is not None:
             found.append(1.0 - np.maximum(matching.correlate(learned.template, frame, x)[1], 0.0))
         return np.asarray(np.mean(found, axis=0)[:, None])
@@ -117,7 +117,7 @@ class SkinNcc:
         x0, y0 = min(int(extent[0] - left) // factor, width - 1), min(int(extent[1] - top) // factor, height - 1)
         x1, y1 = int(extent[2] - left) // factor + 2, int(extent[3] - top) // factor + 2
         shown = kernel.skin_map(image[y0:y1, x0:x1], learned.table)
-        integral = cv2.integral(shown, sdepth=cv2.CV_32S if shown.size <= MOST_EXACT else cv2.CV_64F)
+        integral = cv2.integral(shown, sdepth=cv2.CV_32S if shown.size <= MAX_EXACT_PIXELS else cv2.CV_64F)
         inner, outer, area = kernel.nested(x, w, h, factor, left + x0 * factor, top + y0 * factor)
         sums = kernel.differences(integral, inner, outer)
         rho = (sums[:, 1] - 2.0 * sums[:, 0]) / np.where(area > 0.0, 255.0 * area, 1.0)
@@ -133,4 +133,4 @@ class SkinNcc:
         match = matching.correlate(learned.template, frame, x)[0 if ncc.mean == "keep" else 1]
         if self.settings.skin is None or cost == "product":
             return np.asarray(rho * np.maximum(match, 0.0) ** ncc.exponent)
-        return np.asarray(shifted / np.maximum(match, LEAST_NCC) ** ncc.exponent)
+        return np.asarray(shifted / np.maximum(match, MIN_NCC) ** ncc.exponent)

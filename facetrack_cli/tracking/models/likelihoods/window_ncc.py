@@ -47,7 +47,7 @@ UNLIKE: Final = 2.0  # below what a sensor usually says of a part, which then ma
 HIDE, SHOW = 0.01, 0.1  # probabilities a frame
 BOUNDS: Final = (0.001, 0.98)  # of v
 FLOOR: Final = 0.5  # 1 - r of a hidden part
-FAR: Final = 0.55  # of the reach: from there on a window shows what is beside the part
+MAX_OFF: Final = 0.55  # of the reach: from there on a window shows what is beside the part
 USED: Final = 0.02  # rate at which it is learned how often a template matches best
 
 
@@ -185,7 +185,7 @@ class WindowNcc:
     def _beside(self, learned: Learned, state: Array) -> Array:
         """r at 16 places around the parts at `state` (K, 2) -> (K, 16)."""
         turns = np.arange(16) * (2 * np.pi / 16)
-        ring = (FAR + 0.4 * (np.arange(16) % 2))[:, None] * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+        ring = (MAX_OFF + 0.4 * (np.arange(16) % 2))[:, None] * np.stack([np.cos(turns), np.sin(turns)], axis=1)
         return self.correlation(learned, state + self.reach * ring[:, None]).T
 
     def _window(self, frame: Frame, k: int, at: Array) -> Channels:
