@@ -155,12 +155,7 @@ class ParticleTarget:
         return x
 
     def advance(
-        self,
-        rng: Generator,
-        state: State,
-        frame: Frame,
-        covers: Sequence[Cover] = (),
-        measured: Measured | None = None,
+        self, rng: Generator, state: State, frame: Frame, covers: Sequence[Cover] = (), measured: Measured | None = None
     ) -> tuple[State, TargetResult]:
         """As a `Target` does; `measured` is what a sensor says of the parts of a target that moves by a JumpingWalk."""
         if self._prepares is not None:

@@ -169,36 +169,6 @@ def test_the_moments_at_the_start_give_back_what_they_were_made_of():
     assert (after.sigma[S] > 0.4).all()
 
 
-def test_floors_of_the_weights_leave_s_where_it_is():
-    rng = np.random.default_rng(3)
-    learned = mixture(rng, 50)
-    # far from S and at W, so that S owns nothing: its weight falls to the floor, and its moments with it
-    y = learned.mu[S] + 30 * learned.sigma[S]
-    learned = replace(learned, mu=np.stack([y, learned.mu[S], learned.mu[F]]))
-    before = learned
-    for _ in range(300):
-        learned = taught(learned, y, least_mixing=0.02)
-    assert learned.m[S] == pytest.approx(0.02, rel=0.05)
-    np.testing.assert_allclose(learned.mu[S], before.mu[S], rtol=1e-4, atol=1e-4)
-    np.testing.assert_allclose(learned.sigma[S], before.sigma[S], rtol=1e-3)
-
-
-def test_w_follows_f_stays_and_s_comes_slowly():
-    first, second = frame(smooth(1)), frame(0.75 * smooth(1) + 0.25 * smooth(2))
-    learned = MODEL.init(first, TRUTH)
-    old, new = (PATCHES.read(f, TRUTH, 1)[0] for f in (first, second))
-    along = []
-    for _ in range(60):
-        learned = MODEL.learn(learned, second, TRUTH)
-        np.testing.assert_array_equal(learned.mu[W], new)
-        np.testing.assert_array_equal(learned.mu[F], old)
-        np.testing.assert_array_equal(learned.sigma[[W, F]], MODEL.init(first, TRUTH).sigma[[W, F]])
-        along.append(float((learned.mu[S] - old) @ (new - old) / np.sum((new - old) ** 2)))
-    assert 0 < along[0] < 0.2
-    assert np.all(np.diff(along) > 0)
-    assert along[-1] > 0.9
-
-
 def test_learning_is_blind_to_what_is_not_seen():
     f = frame(smooth(1))
     learned = MODEL.init(f, state(25, 60))
@@ -238,25 +208,6 @@ def test_the_peak_is_at_the_truth_whatever_is_wrong(model, axis, reach):
     assert np.all(np.diff(score[15:]) < 0)
 
 
-def test_outliers_cost_little_and_teach_nothing_to_s():
-    rng = np.random.default_rng(7)
-    whole = smooth(12)
-    covered = whole.copy()
-    covered[70:90] = rng.integers(0, 256, (20, 160))
-    robust = changed(MODEL, outlier=0.1)
-    lost, kept = {}, {}
-    for name, model in (("plain", MODEL), ("robust", robust)):
-        learned = model.init(frame(whole), TRUTH)
-        truth, ground = model.score(learned, frame(covered), states((80, 60), (25, 60)))[:, 0]
-        lost[name] = model.score(learned, frame(whole), TRUTH[None])[0, 0] - truth
-        assert truth > ground
-        for _ in range(10):
-            learned = model.learn(learned, frame(covered), TRUTH)
-        kept[name] = np.mean(np.square(learned.mu[S] - learned.mu[F]))
-    assert lost["robust"] < 0.6 * lost["plain"]
-    assert kept["robust"] < kept["plain"]
-
-
 @pytest.mark.parametrize(
     ("place", "picture", "words"),
     [
@@ -271,17 +222,6 @@ def test_nothing_to_see_at_the_start_is_one_clear_line(place, picture, words):
     assert str(refused.value).startswith(words)
     assert str(refused.value).endswith("or begin elsewhere with --init-frame")
     assert "\n" not in str(refused.value)
-
-
-def test_a_fixed_template_stays_as_it_was():
-    f = frame(smooth(15))
-    learned = FIXED.init(f, TRUTH)
-    for k in range(20):
-        learned = FIXED.learn(learned, frame(smooth(k)), TRUTH)
-    start = FIXED.init(f, TRUTH)
-    np.testing.assert_array_equal(learned.m, start.m)
-    x = states((80, 60), (82, 61), (70, 50))
-    np.testing.assert_array_equal(FIXED.score(learned, f, x), FIXED.score(start, f, x))
 
 
 def test_a_component_that_is_left_out_needs_no_sigma():

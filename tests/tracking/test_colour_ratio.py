@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from facetrack_cli.core.types import Frame
+from tests.support.images import frame
 from tests.support.parts import colour_ratio
 from tests.twins import windows as naive
 
@@ -18,10 +18,6 @@ def texture(height=120, width=160, seed=0, blur=2.0, scale=1):
     if scale > 1:
         picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
     return np.clip(picture, 0, 255).round().astype(np.uint8)
-
-
-def frame(bgr):
-    return Frame(0, 0.0, bgr)
 
 
 X0 = np.array([[60.3, 50.8], [100.0, 70.0]])

@@ -10,6 +10,7 @@ from facetrack_cli.core.types import Frame, Particles
 from facetrack_cli.tracking.kernels import patches
 from facetrack_cli.tracking.kernels.affine import boxes_extent
 from facetrack_cli.tracking.models.likelihoods.correlation import OUTSIDE
+from tests.support.images import grey, states
 from tests.support.parts import correlation
 from tests.twins import patches as naive_patches
 
@@ -24,21 +25,11 @@ def texture(seed=0, width=WIDTH, height=HEIGHT, blur=2.5):
     return 128 + smooth * (40 / smooth.std())
 
 
-def frame(grey):
-    return Frame(0, 0.0, cv2.cvtColor(np.clip(grey, 0, 255).round().astype(np.uint8), cv2.COLOR_GRAY2BGR))
-
-
 def moved(grey, dx, dy, scale=1.0, centre=(80.0, 60.0)):
     """The image scaled about `centre`, then moved."""
     matrix = np.array([[scale, 0, centre[0] * (1 - scale) + dx], [0, scale, centre[1] * (1 - scale) + dy]])
     size = grey.shape[1], grey.shape[0]
     return cv2.warpAffine(grey, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
-
-
-def states(boxes):
-    """(N, 1, 6) from rows of (cx, cy, s); the speeds do not matter, so they are wild."""
-    boxes = np.atleast_2d(np.asarray(boxes, float))
-    return np.concatenate([boxes, np.full((len(boxes), 3), 1e6)], axis=1)[:, None]
 
 
 def scored(likelihood, before, now, x, parents):
@@ -107,7 +98,7 @@ def test_extent_is_that_of_its_twin(boxes):
 
 @pytest.mark.parametrize("kind", DISTANCES)
 def test_likelihood_is_the_formula_of_the_paper(kind):
-    before, now = frame(texture(0)), frame(texture(0) * 0.9 + 20)
+    before, now = grey(texture(0)), grey(texture(0) * 0.9 + 20)
     likelihood = correlation(SIZE, kind, grid=(5, 4), sigma=60.0, saturation=15.0)
     x, parent = [[70.3, 50.2, 1.1], [20.0, 30.0, 0.5], [150.0, 60.0, 1.0]], [71.0, 49.0, 1.05]
     factor = 8
@@ -128,7 +119,7 @@ def test_peak_is_at_the_true_scale(kind):
     still = texture()
     scales = np.arange(0.8, 1.21, 0.02)
     x = np.column_stack([np.full(len(scales), 80.0), np.full(len(scales), 60.0), scales])
-    log_p = scored(correlation(SIZE, distance=kind), frame(still), frame(moved(still, 0, 0, 1.1)), x, [80, 60, 1])
+    log_p = scored(correlation(SIZE, distance=kind), grey(still), grey(moved(still, 0, 0, 1.1)), x, [80, 60, 1])
     assert scales[np.argmax(log_p)] == pytest.approx(1.1, abs=0.021)
 
 
@@ -142,7 +133,7 @@ def test_a_particle_on_the_ground_follows_the_ground(kind):
     likelihood = correlation((30.0, 30.0), distance=kind)
     for parent, motion in (((45.0, 60.0), (4, 0)), ((120.0, 60.0), (-2, 1))):
         near = around(parent, reach=7.0, step=1.0)
-        log_p = scored(likelihood, frame(before), frame(now), near, [*parent, 1.0])
+        log_p = scored(likelihood, grey(before), grey(now), near, [*parent, 1.0])
         np.testing.assert_array_equal(near[np.argmax(log_p), :2], np.add(parent, motion))
         # equally well, whatever it is: no object is known
         assert log_p.max() > -0.5
@@ -157,12 +148,12 @@ def test_leaving_the_picture_never_pays(kind):
     likelihood = correlation(SIZE, distance=kind)
     for parent in ([80, 60, 1], [300, 60, 1], [80, -200, 1]):
         x = [*parent[:2], 1.0] if parent != [80, 60, 1] else [500.0, 60.0, 1.0]
-        outside = scored(likelihood, frame(still), frame(now), x, parent)
+        outside = scored(likelihood, grey(still), grey(now), x, parent)
         # true motion, and missing it by 2 pixels, which is 5 % of the box
-        inside = scored(likelihood, frame(still), frame(now), [[83, 58, 1], [85, 58, 1], [83, 56, 1]], [80, 60, 1])
+        inside = scored(likelihood, grey(still), grey(now), [[83, 58, 1], [85, 58, 1], [83, 56, 1]], [80, 60, 1])
         assert outside < inside.min() - 2
     # on flat ground too, and the further out the worse
-    flat = frame(np.full((HEIGHT, WIDTH), 90.0))
+    flat = grey(np.full((HEIGHT, WIDTH), 90.0))
     out = np.column_stack([np.arange(80.0, 220.0, 4.0), np.full(35, 60.0), np.ones(35)])
     log_p = scored(likelihood, flat, flat, out, [80, 60, 1])
     assert (np.diff(log_p) <= 0).all()
@@ -175,7 +166,7 @@ wild = st.one_of(st.floats(allow_nan=True, allow_infinity=True), st.floats(-300,
 
 @pytest.mark.parametrize("kind", DISTANCES)
 def test_no_motion_is_a_perfect_match_and_each_frame_takes_the_place_of_the_one_before(kind):
-    frames = [frame(texture(0)), frame(texture(1)), frame(moved(texture(1), 2, 0))]
+    frames = [grey(texture(0)), grey(texture(1)), grey(moved(texture(1), 2, 0))]
     likelihood = correlation(SIZE, distance=kind)
     x = states([[80.3, 60.1, 1.0], [75.2, 61.7, 0.83]])
     learned = likelihood.init(frames[0], x[0])
@@ -190,7 +181,7 @@ def test_no_motion_is_a_perfect_match_and_each_frame_takes_the_place_of_the_one_
 
 
 def test_the_picture_is_reduced_as_far_as_the_grid_allows():
-    f = frame(texture())
+    f = grey(texture())
     for size, grid, factor in [
         ((16, 16), (16, 16), 1), ((31, 90), (16, 16), 1), ((32, 90), (16, 16), 2), ((64, 64), (16, 16), 4),
         ((5, 5), (16, 16), 1), ((64, 64), (8, 32), 2), ((2000, 2000), (16, 16), 64),
@@ -202,7 +193,7 @@ def test_the_picture_is_reduced_as_far_as_the_grid_allows():
 def test_a_parent_is_looked_up_wherever_it_was(grid):
     """Each frame is cut around the boxes that lie in it."""
     still = texture(0, 500, 400)
-    before, now = frame(still), frame(moved(still, 2, 1))
+    before, now = grey(still), grey(moved(still, 2, 1))
     likelihood = correlation((64.0, 64.0), grid=grid)
     x, parent = [[420.0, 330.0, 1.0]], [60.0, 50.0, 1.4]
     cut = scored(likelihood, before, now, x, parent)
@@ -214,7 +205,7 @@ def test_a_parent_is_looked_up_wherever_it_was(grid):
 
 def test_children_of_parents_that_differ_in_one_coordinate_are_told_apart():
     """Each parent is read once for all its children, which follow each other."""
-    before, now = frame(texture(0)), frame(texture(1))
+    before, now = grey(texture(0)), grey(texture(1))
     likelihood = correlation(SIZE)
     parents = states([[80, 60, 1], [80, 60, 1], [84, 60, 1], [84, 64, 1], [84, 64, 1.2], [80, 60, 1]])
     x = np.repeat(states([81, 61, 1.1]), len(parents), axis=0)

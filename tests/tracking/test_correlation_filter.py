@@ -104,25 +104,6 @@ def test_small_targets_and_long_ones_are_followed(size):
     assert_followed(run(clip(places, size), start(places[0], size)), places)
 
 
-@pytest.mark.parametrize(
-    "overrides",
-    [
-        {"likelihood.learn": "temporal"},
-        {"likelihood.scales": None},
-        {"likelihood.colour": 0},
-        {"likelihood.colour": 0.6},
-        {"likelihood.cells": 16},
-        {"likelihood.detect": 0},
-        {"likelihood.modes": 1},
-        {"filter.particles": 20},
-    ],
-    ids=str,
-)
-def test_it_follows_with_other_settings_too(overrides):
-    places = [(60 + 1.0 * n, 55 + 0.5 * n) for n in range(25)]
-    assert_followed(run(clip(places), start(places[0]), **overrides), places)
-
-
 @pytest.mark.parametrize(("key", "values"), [
     ("likelihood.window", (2, 10)), ("likelihood.sharpness", (0.01, 100)), ("likelihood.peak", (0.01, 1)),
     ("likelihood.evidence", (0, 20)), ("likelihood.hidden_rate", (0, 1)), ("likelihood.components", (2, 34)),

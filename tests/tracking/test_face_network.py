@@ -17,7 +17,7 @@ from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.corrected import completed, correctable_parts, is_complete
 from facetrack_cli.tracking.face.mesh import NAMES
 from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.smoothed import lagged, smoothed_rows
+from facetrack_cli.tracking.smoothed import smoothed_rows
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import successive
 from tests.support import moving_face as moving
@@ -195,15 +195,6 @@ def test_smoothed_points_of_parts_and_network_are_nearer_and_quieter(moved, moti
         assert off[shown].mean() < errors(before, mesh, POSES, parts)[shown].mean()
     box = np.stack([[one.x[5], one.y[5], one.w[5]] for one in smooth])
     assert np.isfinite(box).all() and np.abs(box[:, 0] - [pose.x for pose in POSES]).max() < 8
-
-
-def test_a_lag_smooths_points_of_the_network_too(moved):
-    mesh, results = moved
-    after = list(lagged(iter(results), 8))
-    assert [one.rows.names for one in after] == [one.rows.names for one in results]
-    before, at = (places(each, FEATURES) for each in (results, after))
-    assert jitter(at) < jitter(before)
-    assert errors(at, mesh, POSES, FEATURES).mean() < errors(before, mesh, POSES, FEATURES).mean()
 
 
 def test_a_run_of_a_clip_that_is_smoothed(file, tmp_path, monkeypatch):

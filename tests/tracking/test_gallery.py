@@ -410,7 +410,6 @@ def arrays_of(gallery, path):
 
 
 DAMAGE = {
-    "nan": ("faces", lambda a: a * np.nan, "not finite"),
     "infinite": ("intra_mean", lambda a: a + np.inf, "not finite"),
     "negative": ("extra_values", lambda a: -a, "not above 0"),
     "no rho": ("frontal_rho", lambda a: a * 0, "not above 0"),
@@ -431,7 +430,6 @@ DAMAGE = {
     "above 1": ("most_frontal", lambda a: a * 0 + 1.5, "probability"),
     "threshold": ("threshold", lambda a: a * np.nan, "not finite"),
     "huge": ("faces", lambda a: a * 1e6, "unit variance"),
-    "text": ("intra_mean", lambda a: a.astype(str), "intra_mean is of"),
 }
 
 

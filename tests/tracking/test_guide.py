@@ -98,19 +98,6 @@ def test_b_equals_the_plain_twin(seed, count, d, components, decay):
     np.testing.assert_allclose(step, expected @ (patch - wanted), atol=1e-3 * (1 + np.abs(expected).max() * d))
 
 
-def test_q_is_how_many_directions_count():
-    flow = flow_of()
-    for q in (1, 5, 20):
-        b = gain(np.eye(100, 6), (flow.rows @ flow.rows.T).astype(float), q, RANK)
-        one = flow_of(changed(GUIDE, velocity=Velocity(components=q)))
-        assert np.linalg.matrix_rank(one.gain @ one.rows, tol=1e-9) == min(q, 6) == np.linalg.matrix_rank(b, tol=1e-9)
-    # the larger of two directions alone
-    x, rows = np.zeros((2, 6)), np.array([[3, 0], [0, 2]], np.float32)
-    x[0, 0] = x[1, 1] = 1
-    np.testing.assert_allclose((gain(x, (rows @ rows.T).astype(float), 1, RANK) @ rows)[:2], [[1 / 3, 0], [0, 0]])
-    np.testing.assert_allclose((gain(x, (rows @ rows.T).astype(float), 2, RANK) @ rows)[:2], [[1 / 3, 0], [0, 1 / 2]])
-
-
 def test_directions_that_hardly_differ_are_rounding():
     x = np.ones((2, 6))
     for small, kept in ((RANK * 0.5, False), (RANK * 2, True)):

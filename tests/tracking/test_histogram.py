@@ -7,26 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Frame
 from facetrack_cli.tracking.kernels import histogram as kernel
+from tests.support.images import frame, states
 from tests.support.parts import histogram
 from tests.twins import histogram as naive
 
 SIZE = (48.0, 60.0)
 TRUTH = (101.3, 83.6)
-
-
-def frame(bgr, index=0):
-    return Frame(index, 0.0, bgr)
-
-
-def boxes(places):
-    """(N, 1, 6) of rows (cx, cy) or (cx, cy, s)."""
-    x = np.zeros((len(places), 1, 6))
-    x[..., 2] = 1.0
-    for row, place in zip(x, places, strict=True):
-        row[0, : len(place)] = place
-    return x
 
 
 def colours(hues, saturation=180, value=180):
@@ -52,7 +39,7 @@ def scene(centre=TRUTH, scale=1.0, mirrored=False, height=200, width=260):
 
 def learned_at_truth(picture, **options):
     likelihood = histogram(SIZE, **options)
-    return likelihood, likelihood.init(frame(picture), boxes([TRUTH])[0])
+    return likelihood, likelihood.init(frame(picture), states([TRUTH])[0])
 
 
 def noisy(seed, height=30, width=37):
@@ -77,7 +64,7 @@ def test_distance_agrees_with_the_formula(seed, x, regions, bins, factor):
     likelihood = histogram(
         size, hue_bins=bins[0], saturation_bins=bins[1], regions=regions, value_bins=bins[2], max_size=16 // factor
     )
-    learned = likelihood.init(frame(picture), boxes([x0])[0])
+    learned = likelihood.init(frame(picture), states([x0])[0])
     assert learned.factor == factor
 
     small = frame(picture).reduced(factor, (0, 0, 99, 99))[0]
@@ -93,9 +80,9 @@ def test_distance_agrees_with_the_formula(seed, x, regions, bins, factor):
     first, _ = there(x0)
     reference = {key: n / sum(first.values()) for key, n in first.items()}
     expected = [naive.squared_distance(*there(box), reference) for box in x]
-    seen = likelihood.score(learned, frame(picture), boxes(x), boxes(x))
+    seen = likelihood.score(learned, frame(picture), states(x), states(x))
     np.testing.assert_allclose(seen[:, 0], -20 * np.array(expected), atol=2e-5)
-    d = likelihood.distances(learned, frame(picture), boxes(x))[:, 0]
+    d = likelihood.distances(learned, frame(picture), states(x))[:, 0]
     np.testing.assert_allclose(d**2, expected, atol=2e-6)
 
 
@@ -105,7 +92,7 @@ def test_every_colour_goes_to_its_bin(bins):
     numbers = {"hue_bins": bins[0], "saturation_bins": bins[1], "value_bins": bins[2]}
     likelihood = histogram((64.0, 64.0), regions=(1, 1), least_saturation=0.3, **numbers)
     learned = likelihood.init(frame(np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)),
-                              boxes([(31.5, 31.5)])[0])  # fmt: skip
+                              states([(31.5, 31.5)])[0])  # fmt: skip
     hues, rest = np.arange(0, 180, 3), np.array([0, 1, 50, 51, 52, 76, 77, 84, 85, 86, 127, 128, 200, 254, 255])
     hsv = np.stack(np.meshgrid(hues, rest, rest, indexing="ij"), axis=-1).astype(np.uint8)
     ours = kernel.code(hsv.reshape(len(hues), -1, 3), learned.coloured, learned.colourless, *likelihood._least())
@@ -147,7 +134,7 @@ def test_both_ways_to_count_agree_to_the_last_bit_and_with_the_twin(seed, n, bin
 def test_it_takes_the_cheaper_way(n, chosen, monkeypatch):
     picture = scene()
     likelihood, learned = learned_at_truth(picture)
-    x = boxes(np.array(TRUTH) + np.random.default_rng(0).normal(0, 5, (n, 2)))
+    x = states(np.array(TRUTH) + np.random.default_rng(0).normal(0, 5, (n, 2)))
     expected = likelihood.score(learned, frame(picture), x)
     used = []
     for name in ("match_direct", "match_integral"):
@@ -164,13 +151,13 @@ def test_peak_is_at_the_truth(scale, max_size):
     moved = (130.4, 97.7)
     now = frame(scene(moved, scale))
     offsets = [(dx, dy, f) for dx in range(-24, 25, 3) for dy in range(-24, 25, 3) for f in (0.8, 0.9, 1, 1.12, 1.25)]
-    x = boxes([(moved[0] + dx, moved[1] + dy, scale * f) for dx, dy, f in offsets])
+    x = states([(moved[0] + dx, moved[1] + dy, scale * f) for dx, dy, f in offsets])
     score = likelihood.score(learned, now, x)[:, 0]
     assert offsets[int(np.argmax(score))] == (0, 0, 1)
     d = likelihood.distances(learned, now, x)[:, 0]
     # a reduced image mixes the colours along the edges
     assert d.min() < (0.12 if max_size is None else 0.3)
-    assert likelihood.distances(learned, now, boxes([(40.0, 150.0)]))[0, 0] > 0.95
+    assert likelihood.distances(learned, now, states([(40.0, 150.0)]))[0, 0] > 0.95
 
 
 def test_sub_regions_tell_a_target_from_its_mirror_image():
@@ -178,7 +165,7 @@ def test_sub_regions_tell_a_target_from_its_mirror_image():
     d = {}
     for regions in ((1, 1), (3, 3)):
         likelihood, learned = learned_at_truth(picture, regions=regions)
-        d[regions] = likelihood.distances(learned, frame(mirrored), boxes([TRUTH]))[0, 0]
+        d[regions] = likelihood.distances(learned, frame(mirrored), states([TRUTH]))[0, 0]
     assert d[1, 1] < 0.1
     assert d[3, 3] > 0.6
 
@@ -203,7 +190,7 @@ def test_pale_and_dark_pixels_have_no_hue_unless_as_printed():
     d = {}
     for value_bins in (0, 1, 8):
         likelihood, learned = learned_at_truth(picture, value_bins=value_bins)
-        d[value_bins] = likelihood.distances(learned, frame(other), boxes([TRUTH]))[0, 0]
+        d[value_bins] = likelihood.distances(learned, frame(other), states([TRUTH]))[0, 0]
     assert d[0] > 0.4
     assert d[1] == d[8] == pytest.approx(0, abs=1e-3)
 
@@ -219,7 +206,7 @@ def grey_scene(noise=0):
 @pytest.mark.parametrize("noise", [0, 2])
 def test_a_grey_clip_is_refused(value_bins, noise):
     with pytest.raises(InputError) as raised:
-        histogram(SIZE, value_bins=value_bins).init(frame(grey_scene(noise), 7), boxes([TRUTH])[0])
+        histogram(SIZE, value_bins=value_bins).init(frame(grey_scene(noise), 7), states([TRUTH])[0])
     message = str(raised.value)
     assert message.startswith("frame 7: this clip is grey, or too dark, so a colour histogram cannot know it: 0.")
     assert message.endswith("recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8")
@@ -234,16 +221,16 @@ def test_a_grey_box_in_a_clip_with_colours_and_a_dark_box_are_told_apart():
     with pytest.raises(InputError, match=r"100% are too dark.*, or a lower likelihood.histogram.least_value$"):
         learned_at_truth(scene() // 5)
     likelihood, learned = learned_at_truth(scene() // 5, least_value=0.05)
-    assert likelihood.distances(learned, frame(scene() // 5), boxes([TRUTH]))[0, 0] < 1e-3
+    assert likelihood.distances(learned, frame(scene() // 5), states([TRUTH]))[0, 0] < 1e-3
 
 
 def test_some_colour_in_a_grey_box_will_do():
     picture = grey_scene()
     picture[80:90] = scene()[80:90]
     likelihood, learned = learned_at_truth(picture)
-    assert likelihood.distances(learned, frame(picture), boxes([TRUTH]))[0, 0] < 1e-3
+    assert likelihood.distances(learned, frame(picture), states([TRUTH]))[0, 0] < 1e-3
 
 
 def test_a_box_outside_the_picture_cannot_be_learned():
     with pytest.raises(InputError, match="frame 0: the box lies outside the image"):
-        histogram(SIZE).init(frame(scene()), boxes([(-100.0, 20.0)])[0])
+        histogram(SIZE).init(frame(scene()), states([(-100.0, 20.0)])[0])

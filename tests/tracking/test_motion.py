@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.geometry import size_of_points
-from facetrack_cli.core.types import Particles
 from facetrack_cli.tracking.models.motion import JumpingWalk, Measured, RandomWalk
-from facetrack_cli.tracking.models.spaces import estimate
 
 SIGMA = np.array([0.5, 2.0, 4.0])
 
@@ -24,13 +22,6 @@ def test_density_integrates_to_one_and_is_the_gaussian():
     np.testing.assert_allclose(np.exp(log_p).sum(axis=(0, 1)) * step**2, 1.0, atol=1e-3)
     one = walk.log_transition(np.array([[[3.0, 1.0]] * 3]), np.zeros((1, 3, 2)))[0, 0]
     np.testing.assert_allclose(one, -10 / (2 * SIGMA**2) - np.log(2 * np.pi * SIGMA**2))
-
-
-def test_estimate_is_the_weighted_mean_and_covariance():
-    x = np.array([[[0.0, 0.0]], [[4.0, 2.0]]])
-    found = estimate(Particles(x, np.log([0.25, 0.75])), np.full(1, np.inf))
-    np.testing.assert_allclose(found.state, [[3.0, 1.5]])
-    np.testing.assert_allclose(found.cov, [[[3.0, 1.5], [1.5, 0.75]]])
 
 
 def test_size_of_points_is_the_largest_distance():
@@ -122,34 +113,6 @@ def test_draws_given_a_sensor_are_of_the_posterior(part):
         below = p.reshape(side, side).sum(axis=axis).cumsum()  # axis 0 is y
         drawn = np.searchsorted(np.sort(draws[:, axis]), AXIS + STEP / 2) / len(draws)
         assert np.abs(below - drawn).max() < 0.01
-
-
-def test_one_step_of_many_particles_is_the_exact_posterior():
-    """Drawn given z and weighted by p(z | parent), as the filter does: the posterior over a cloud of parents."""
-    rng, z = np.random.default_rng(2), np.array([[6.0, 1.0], [2.0, 0.0], [-2.0, 5.0]])
-    measured = MEASURED._replace(z=z)
-    parents = PARENT + 1.5 * rng.standard_normal((60_000, 3, 2))
-    log_w = JUMPS.log_measured(parents, measured)
-    w = np.exp(log_w - log_w.max(axis=0))
-    w /= w.sum(axis=0)
-    found = np.einsum("nk,nkd->kd", w, JUMPS.propagate_given(rng, parents, measured))
-    for part in range(3):
-        mean = REST[part] + 0.9 * (PARENT[part] - REST[part])
-        spread = 0.81 * 1.5**2  # of where the parents lead
-        p = 0.7 * normal(GRID[:, 0] - mean, spread + JUMPS.sigma[part] ** 2)
-        p += 0.3 * normal(GRID[:, 0] - mean, spread + JUMPS.jump[part] ** 2)
-        p *= sensed(z[part], GRID[:, 0], measured, part)
-        np.testing.assert_allclose(found[part], p @ GRID[:, 0] / p.sum(), atol=0.06)
-
-
-def test_a_sensor_that_says_nothing_changes_nothing():
-    silent = Measured(np.zeros((3, 2)), np.ones(3), np.zeros(3), 6400.0)
-    x = PARENT + np.random.default_rng(3).normal(0, 5, (20_000, 3, 2))
-    log_w = JUMPS.log_measured(x, silent)
-    np.testing.assert_allclose(log_w, log_w[0, 0], atol=1e-2)
-    off = JUMPS.propagate_given(np.random.default_rng(4), x, silent) - JUMPS.expect(x)
-    var = 0.7 * JUMPS.sigma**2 + 0.3 * JUMPS.jump**2
-    np.testing.assert_allclose(off.var(axis=0), var[:, None].repeat(2, axis=1), rtol=0.06)
 
 
 @pytest.mark.parametrize("jumps", [0.0, 1.0])

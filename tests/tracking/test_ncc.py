@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from facetrack_cli.core.types import Particles
 from facetrack_cli.tracking.kernels import ncc as kernel
 from facetrack_cli.tracking.models.likelihoods import ncc as matching
+from tests.support.images import frame, grey, smooth, states
 from tests.support.parts import pattern
-from tests.support.skin_faces import SIZE, TRUTH, frame, grey, learned, scene, smooth, states
+from tests.support.skin_faces import SIZE, TRUTH, learned, scene
 from tests.twins import ncc as naive
 
 unit = st.floats(-12, 40, width=32)
@@ -40,19 +41,6 @@ def test_kernels_do_what_their_twins_do(picture, template, boxes):
         assert level[n] == pytest.approx(naive.area_sum(values, *edges) / area, abs=1e-6)
         assert square[n] == pytest.approx(naive.area_sum(values, *edges, power=2) / area, abs=1e-4)
         np.testing.assert_allclose(kernel.read_patch(values, u, v, s, th, tw), there, atol=1e-3)
-
-
-@given(
-    seed=st.integers(0, 99),
-    shape=st.tuples(st.integers(1, 5), st.integers(1, 5)),
-    share=st.tuples(st.floats(0, 1), st.floats(0, 1)),
-    corner=st.tuples(st.integers(-5, 5), st.integers(-5, 5)),
-)
-def test_sums_are_read_off_bilinearly(seed, shape, share, corner):
-    values = np.random.default_rng(seed).normal(0, 100, shape).astype(np.float32)
-    at = [share[0] * (shape[1] - 1), share[1] * (shape[0] - 1)]
-    found = kernel.bilinear(values, np.array([np.add(at, corner)]), *corner)
-    assert found[0] == pytest.approx(naive.pixel(values, *at), abs=1e-3)
 
 
 @given(
@@ -240,11 +228,3 @@ def test_what_is_left_over_beside_the_last_block_is_not_seen():
     for x in (states((256 + SIZE[0] / 2 + off, 80.0)) for off in (-0.4, 1.6)):
         for found in matching.correlate(template, frame(bgr), x):
             assert found[0] == 0
-
-
-def test_an_adapted_template_matches_itself():
-    template = matching.learn_template(frame(scene()), SIZE, states(TRUTH)[0], None)
-    faint = dataclasses.replace(template, now=(0.4 * template.first + 30).astype(np.float32))
-    keep, remove = matching.correlate(faint, frame(scene()), states(TRUTH))
-    assert remove[0] == pytest.approx(1, abs=1e-5)
-    assert keep[0] == pytest.approx(naive.ncc(faint.now, template.first), abs=1e-5)

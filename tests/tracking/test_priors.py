@@ -301,28 +301,13 @@ GOOD = {
 }
 
 
-def a_nan():
-    shapes = np.zeros((3, 5, 2))
-    shapes[1, 2, 0] = np.nan
-    return shapes
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"format": np.array("other")}, "not a shape prior"),
-        ({"format": None}, "not a shape prior"),
-        ({"version": np.array(2)}, "version 2"),
-        ({"version": np.array([])}, "not a usable"),
-        ({"version": None}, "version"),
-        ({"shapes": None}, "lacks|not a file"),
-        ({"shapes": a_nan()}, "not finite"),
         ({"shapes": np.zeros((3, 4, 2))}, r"\(3, 4, 2\)"),
         ({"shapes": np.zeros((0, 5, 2))}, r"\(0, 5, 2\)"),
         ({"shapes": np.full((3, 5, 2), 300.0)}, "pixels"),
         ({"shapes": np.full((3, 5, 2), 0.1)}, "moves"),
-        ({"shapes": np.array(["x"])}, "not a usable"),
-        ({"shapes": np.array([{}, []], dtype=object)}, "plain arrays"),
         ({"stable": np.array("ear")}, "ear"),
         ({"scale": np.array(["nose", "nose"])}, "two different"),
         ({"scale": np.array(["nose"])}, "scale"),
@@ -499,7 +484,7 @@ def test_figure_shows_every_part_in_its_colour():
         assert (np.abs(picture.astype(int) - rgb).max(-1) <= 2).sum() > 60, colour
 
 
-@pytest.mark.parametrize(("names", "shapes"), [(("a", "b"), 1), (("nose", "$x$", "_y", "été"), 2), (range(70), 30)])
+@pytest.mark.parametrize(("names", "shapes"), [(("a", "b"), 1), (("nose", "$x$", "_y", "été"), 2)])
 def test_priors_of_any_parts_are_drawn(names, shapes):
     names = tuple(map(str, names))
     moves = np.random.default_rng(0).normal(size=(shapes, len(names), 2))

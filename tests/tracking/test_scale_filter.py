@@ -64,14 +64,6 @@ def test_a_target_read_reduced_has_its_peak_at_its_scale_too():
     assert log_scale(one, response) == pytest.approx(math.log(1.06), abs=1.01 * math.log(STEP))
 
 
-@pytest.mark.parametrize("scale", [0.7, 1.5])
-def test_the_scale_at_which_it_is_looked_for_comes_on_top(scale):
-    one, grey = trainer(), texture(120, 160)
-    known = one.learn(None, one.read(frame(grey), CENTRE, 1.0), 1.0)
-    response = one.respond(known, one.read(frame(zoomed(grey, 1.04 * scale)), CENTRE, scale))
-    assert log_scale(one, response) == pytest.approx(math.log(1.04), abs=1.01 * math.log(STEP))
-
-
 def test_the_response_is_dssts_equation_6():
     one = trainer(count=9)
     x, z = (one.read(frame(texture(120, 160, seed)), CENTRE, 1.0) for seed in (0, 1))
@@ -122,14 +114,6 @@ def test_where_colours_are_alike_they_say_nothing(noise):
     model = ColourModel((0.2, 0.2))
     known = model.learn(None, square(GREEN, GREEN, noise), 1.0)
     assert model.respond(known, square(GREEN, GREEN, noise, 1), 64) is None
-
-
-def test_colours_that_become_alike_say_nothing_any_more():
-    model = ColourModel((0.2, 0.2))
-    known = model.learn(None, square(RED, GREEN), 1.0)
-    for _ in range(60):
-        known = model.learn(known, square(GREEN, GREEN), 1.0)
-    assert known.tells < 0.2
 
 
 @pytest.mark.parametrize("box", [(0.02, 0.02), (0.2, 0.02), (0.9, 0.1), (1.5, 1.5), (0.05, 0.6)])

@@ -12,13 +12,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.recipe.skin import LEAST_SHARE
 from facetrack_cli.tracking.kernels import skin as kernel
-from facetrack_cli.tracking.models.skin_colour import (
-    MIN_CONTRAST,
-    MIN_VARIANCE,
-    kovac,
-    learn_skin,
-    note,
-)
+from facetrack_cli.tracking.models.skin_colour import MIN_CONTRAST, MIN_VARIANCE, kovac, learn_skin, note
 from tests.twins import skin as naive
 
 FACE = (50.0, 40.0, 60.0, 70.0)

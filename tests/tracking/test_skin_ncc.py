@@ -12,8 +12,9 @@ from facetrack_cli.tracking.kernels import skin as kernel
 from facetrack_cli.tracking.models.likelihoods import ncc as matching
 from facetrack_cli.tracking.models.likelihoods.skin_ncc import MIN_NCC
 from facetrack_cli.tracking.models.skin_colour import learn_skin
+from tests.support.images import frame, states
 from tests.support.parts import pattern, skin_cue, skin_ncc
-from tests.support.skin_faces import SIZE, TRUTH, frame, learned, scene, states
+from tests.support.skin_faces import SIZE, TRUTH, learned, scene
 from tests.twins import ncc as naive
 
 COSTS = ["printed", "shifted", "product"]

@@ -103,8 +103,7 @@ def test_lengths_scale_with_the_target_and_windows_of_the_init_file_win():
     large = {part: (4 * x, 4 * y) for part, (x, y) in small.items()}
     [a] = build_tracker(load_recipe("factorized"), Start(0, {"face": TargetStart(points=small)}, "x"))
     [b] = build_tracker(
-        load_recipe("factorized"),
-        Start(0, {"face": TargetStart(points=large, windows={"nose": (31.0, 17.0)})}, "x"),
+        load_recipe("factorized"), Start(0, {"face": TargetStart(points=large, windows={"nose": (31.0, 17.0)})}, "x")
     )
     np.testing.assert_allclose(b.motion.sigma, 4 * a.motion.sigma)
     np.testing.assert_allclose(b.likelihood.windows[1:], 4 * a.likelihood.windows[1:])

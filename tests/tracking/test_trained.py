@@ -120,13 +120,6 @@ def test_the_response_is_the_correlation_with_the_filters():
     np.testing.assert_allclose(found, np.fft.ifft2(few).real, atol=1e-4)
 
 
-def test_filters_hold_to_the_box():
-    """w is large outside: there filters are small."""
-    one, x = trainer(16, box=(6.0, 6.0)), channels(7, 16, 4)
-    energy = np.sum(inverse(one.begin(spectrum(x)).filters, 16) ** 2, axis=0)
-    assert energy[5:11, 5:11].sum() > 0.8 * energy.sum()
-
-
 @pytest.mark.parametrize("inertia", [0.01, 1.0])
 def test_enough_steps_of_admm_solve_the_normal_equations_too(inertia, monkeypatch):
     """STRCF, eq. 4, with w^2 and mu in terms of the number of cells."""
@@ -154,25 +147,6 @@ def test_inertia_keeps_the_temporal_filter_near_the_last_one():
     assert off[-1] < 0.2 * off[0]
 
 
-@pytest.mark.parametrize("rate", [0.0, 0.05, 1.0])
-def test_what_is_seen_with_less_certainty_moves_the_temporal_filter_less(rate):
-    one = trainer(temporal=16.0)
-    known = one.begin(spectrum(channels(8)))
-    less, more = (one.learn(known, spectrum(channels(9)), of).filters - known.filters for of in (rate, 2 * rate + 0.1))
-    assert np.linalg.norm(less) <= np.linalg.norm(more)
-
-
-def test_the_temporal_filter_learns_what_it_sees_again_and_again():
-    one, second = trainer(temporal=1.0), spectrum(channels(9))
-    known = one.begin(spectrum(channels(8)))
-    before = one.respond(known.filters, second)[G, G]
-    for _ in range(20):
-        known = one.learn(known, second, 1.0)
-    after = one.respond(known.filters, second)
-    assert after[G, G] > before
-    assert tuple(off_middle(after)) == (0, 0)
-
-
 @pytest.mark.parametrize("temporal", [None, 16.0])
 def test_a_window_of_zeros_gives_finite_filters(temporal):
     one, nothing = trainer(temporal=temporal), np.zeros((2, C, G * (G // 2 + 1)), np.float32)
@@ -185,13 +159,6 @@ def bumps(*tops, size=24):
     """Gaussians (x, y, height) of standard deviation 2 samples."""
     y, x = np.mgrid[:size, :size]
     return sum(h * np.exp(-((x - u) ** 2 + (y - v) ** 2) / 8) for u, v, h in tops).astype(np.float32)
-
-
-@pytest.mark.parametrize("at", [(11.0, 12.0), (11.3, 12.4), (10.52, 13.49), (7.9, 15.2)])
-def test_the_vertex_of_a_gaussian_is_found(at):
-    [(column, row, height)] = peaks(bumps((*at, 0.7)), 0.5, 3)
-    assert (column, row) == pytest.approx(at, abs=0.05)
-    assert height == pytest.approx(0.7, rel=0.02)
 
 
 @pytest.mark.parametrize("at", [(11.0, 12.0), (11.3, 12.45), (10.52, 13.4)])

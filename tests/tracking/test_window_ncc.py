@@ -6,10 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from facetrack_cli.core.types import Frame, Particles
+from facetrack_cli.core.types import Particles
 from facetrack_cli.recipe import face
 from facetrack_cli.tracking.models.likelihoods import window_ncc
 from facetrack_cli.tracking.models.likelihoods.window_ncc import NEW_BELOW, YOUNG, WindowNcc
+from tests.support.images import frame
 from tests.support.parts import section
 from tests.support.samples import TrackClip
 from tests.twins import window_ncc as naive
@@ -28,10 +29,6 @@ def texture(seed=0, size=(90, 120)):
     noise = np.random.default_rng(seed).uniform(0, 255, (*size, 3))
     smooth = cv2.GaussianBlur(noise, (0, 0), 2.0)
     return np.clip(128 + (smooth - smooth.mean()) * 35 / smooth.std(), 0, 255).round().astype(np.uint8)
-
-
-def frame(image):
-    return Frame(0, 0.0, image)
 
 
 def around(x0, spread=0.3, n=50, seed=0):
@@ -257,18 +254,6 @@ def test_a_part_that_something_covers_hides_and_comes_back():
         back.append(learned.visible[0])
     assert back[-1] > 0.9
     assert len(learned.templates[0].windows) == 1, "what covered it was not learned"
-
-
-def test_a_sensor_alone_says_of_a_changed_look_that_it_is_the_part():
-    """A mouth that opens matches nothing; that the sensor sees a mouth decides."""
-    opened = with_patch(texture(0), texture(1))
-    seen, unseen = [], []
-    for says, found in ((4.0, seen), (-4.0, unseen)):
-        model, learned, x = one_part(texture(0))
-        for _ in range(4):
-            learned = step(model, learned, opened, x, says=says)
-            found.append(learned.visible[0])
-    assert min(seen) > 0.9 and unseen[-1] < 0.05
 
 
 def test_v_is_the_chain_of_two_states_with_the_evidence_that_is_written():

@@ -3,20 +3,6 @@
 import math
 
 
-def hsv(b, g, r):
-    """Hue in steps of 2 degrees, 0..179, saturation and value 0..255, of one pixel, not rounded."""
-    most, least = max(b, g, r), min(b, g, r)
-    if most == least:
-        return 0.0, 0.0, float(most)
-    if most == r:
-        hue = (g - b) / (most - least)
-    elif most == g:
-        hue = 2 + (b - r) / (most - least)
-    else:
-        hue = 4 + (r - g) / (most - least)
-    return hue * 30 % 180, 255 * (most - least) / most, float(most)
-
-
 def bin_of(h, s, v, hue_bins, saturation_bins, value_bins, least_saturation, least_value):
     """The bin of a pixel: a pair of hue and saturation bins, or the value bin of a pixel without a hue."""
     if value_bins > 0 and (s < 255 * least_saturation or v < 255 * least_value):

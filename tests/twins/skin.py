@@ -3,12 +3,6 @@
 import math
 
 
-def y_cb_cr(b, g, r):
-    """Luma and chroma of ITU-R BT.601, full range, not rounded."""
-    y = 0.299 * r + 0.587 * g + 0.114 * b
-    return y, 128 + 0.564 * (b - y), 128 + 0.713 * (r - y)
-
-
 def rounded(b, g, r):
     """The same in 8 bits, as OpenCV rounds: 14 bits after the point, luma rounded before chroma is made of it."""
 

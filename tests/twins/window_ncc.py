@@ -13,10 +13,7 @@ def channels(image, x, y, w, h):
         for j in range(w):
             row, column = y + i - h // 2, x + j - w // 2
             b, g, r = (float(v) for v in image[min(max(row, 0), height - 1), min(max(column, 0), width - 1)])
-            found[i, j] = (
-                math.log(0.114 * b + 0.587 * g + 0.299 * r + 16),
-                2 * math.log((r + 8) / (g + 8)),
-            )
+            found[i, j] = (math.log(0.114 * b + 0.587 * g + 0.299 * r + 16), 2 * math.log((r + 8) / (g + 8)))
     return found
 
 

@@ -44,14 +44,7 @@ from facetrack_cli.tracking.guides import Guides
 from facetrack_cli.tracking.kernels.cells import read_cubic
 from facetrack_cli.tracking.models.correlation_filter.colour import ColourModel, Colours
 from facetrack_cli.tracking.models.correlation_filter.features import Features, Single
-from facetrack_cli.tracking.models.correlation_filter.heights import (
-    Heights,
-    Peaks,
-    Usual,
-    View,
-    evidence,
-    log_student,
-)
+from facetrack_cli.tracking.models.correlation_filter.heights import Heights, Peaks, Usual, View, evidence, log_student
 from facetrack_cli.tracking.models.correlation_filter.scale import ScaleTrainer, TrainedScale
 from facetrack_cli.tracking.models.correlation_filter.trained import UPSAMPLED, Trained, Trainer, peaks
 from facetrack_cli.tracking.models.spaces import VISIBLE, Context

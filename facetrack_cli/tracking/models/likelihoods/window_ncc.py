@@ -175,11 +175,7 @@ class WindowNcc:
         kept = list(range(len(windows)))
         if len(kept) == most:
             kept.remove(1 + int(np.argmin(used[1:])))
-        found = (
-            (*(windows[i] for i in kept), window),
-            (*(used[i] for i in kept), 0.5),
-            (*(age[i] for i in kept), 0),
-        )
+        found = ((*(windows[i] for i in kept), window), (*(used[i] for i in kept), 0.5), (*(age[i] for i in kept), 0))
         return Templates(*found)
 
     def _beside(self, learned: Learned, state: Array) -> Array:
