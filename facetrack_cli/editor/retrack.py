@@ -22,7 +22,7 @@ from facetrack_cli.recipe.model import ParticlesRecipe
 from facetrack_cli.runs.signals import StoppedError, never
 from facetrack_cli.tracking.build.build import build_tracker, tracker_for
 from facetrack_cli.tracking.corrected import CorrectedTarget
-from facetrack_cli.tracking.loop import Cover, Target, stream
+from facetrack_cli.tracking.loop import Footprint, Target, stream
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successive
 from facetrack_cli.trajectory.writers import as_written
@@ -141,7 +141,7 @@ class Tracking:
             frame = self._frame(index)
             now = [one for one in live if one.task.first <= index < one.task.stop]
             for one in sorted(now, key=lambda one: one.place):
-                one.step(frame, [] if self._alone else self._covers(one, now, rows, index))
+                one.step(frame, [] if self._alone else self._footprints(one, now, rows, index))
             report(done, total)
         return [one.track(self._store) for one in live]
 
@@ -157,30 +157,30 @@ class Tracking:
             raise InputError(f"{self._run.clip}: frame {index} {times}; name the run's clip with --clip")
         return frame
 
-    def _covers(self, one: _Live, now: Sequence[_Live], rows: Trajectory, index: int) -> list[Cover]:
+    def _footprints(self, one: _Live, now: Sequence[_Live], rows: Trajectory, index: int) -> list[Footprint]:
         """What the other targets explain, by state or recorded row: those before it in this frame, those after it in
         the last.
         """
-        found: list[Cover | None] = []
+        found: list[Footprint | None] = []
         running = {other.task.target: other for other in now}
         for place, name in enumerate(self._run.rows.targets):
             ahead, other = place > one.place, running.get(name)
             if place == one.place:
                 continue
             if other is not None and (other.begun or not ahead):
-                found.append(other.target.cover(other.state, ahead=ahead))
+                found.append(other.target.footprint(other.state, ahead=ahead))
             else:
-                found.append(recorded_cover(rows, max(index - ahead, self._run.first), name))
-        return [cover for cover in found if cover is not None]
+                found.append(recorded_footprint(rows, max(index - ahead, self._run.first), name))
+        return [one for one in found if one is not None]
 
 
-def recorded_cover(rows: Trajectory, frame: int, name: str) -> Cover | None:
+def recorded_footprint(rows: Trajectory, frame: int, name: str) -> Footprint | None:
     """What a target explains by its row; None of points, and where it is absent."""
     parts = rows.of_target(name)
     at = parts[0].row(frame)
     assert at is not None
     x, y, w, h = (float(getattr(parts[0], key)[at]) for key in "xywh")
-    return None if len(parts) > 1 or math.isnan(x) else Cover(np.array([x, y]), np.array([w, h]) / 2)
+    return None if len(parts) > 1 or math.isnan(x) else Footprint(np.array([x, y]), np.array([w, h]) / 2)
 
 
 class _Live:
@@ -199,9 +199,9 @@ class _Live:
         self._collected = Collector()
         self._rng = stream(run.recipe.seed, self.place)
 
-    def step(self, frame: Frame, covers: Sequence[Cover]) -> None:
+    def step(self, frame: Frame, footprints: Sequence[Footprint]) -> None:
         if self.begun:
-            self.state, result = self.target.advance(self._rng, self.state, frame, covers)
+            self.state, result = self.target.advance(self._rng, self.state, frame, footprints)
         else:
             self.state, result = self.target.begin(self._rng, frame)
             self.begun = True

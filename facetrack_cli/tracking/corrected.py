@@ -22,7 +22,7 @@ from numpy.random import Generator
 
 from facetrack_cli.core.snapshot import STORED
 from facetrack_cli.core.types import BOX, Correction, Frame, TargetStart
-from facetrack_cli.tracking.loop import Cover, Target, Tracker
+from facetrack_cli.tracking.loop import Footprint, Target, Tracker
 from facetrack_cli.tracking.roles import Restarts
 from facetrack_cli.trajectory.trajectory import DECIMALS, TargetResult, Trajectory, build
 
@@ -84,7 +84,7 @@ class CorrectedTarget:
         return State(inner, streams, self.target, inner), result
 
     def advance(
-        self, rng: Generator, state: State, frame: Frame, covers: Sequence[Cover]
+        self, rng: Generator, state: State, frame: Frame, footprints: Sequence[Footprint]
     ) -> tuple[State, TargetResult]:
         correction = self.corrections.get(frame.index)
         if correction is not None and is_complete(correction, self.parts):
@@ -92,7 +92,7 @@ class CorrectedTarget:
         if state.inner is None:
             after, result = state, self._absent(frame)
         else:
-            inner, result = state.target.advance(state.rng or rng, state.inner, frame, covers)
+            inner, result = state.target.advance(state.rng or rng, state.inner, frame, footprints)
             after = replace(state, inner=inner)
         return (after, result) if correction is None else self.correct(state, frame, completed(correction, result.rows))
 
@@ -107,8 +107,8 @@ class CorrectedTarget:
         """The same from a correction on, of a run whose first frame is `first`."""
         return Resumed(self.target, self.corrections, self.policy, first)
 
-    def cover(self, state: State, *, ahead: bool) -> Cover | None:
-        return None if state.inner is None else state.target.cover(state.inner, ahead=ahead)
+    def footprint(self, state: State, *, ahead: bool) -> Footprint | None:
+        return None if state.inner is None else state.target.footprint(state.inner, ahead=ahead)
 
     def correct(self, state: State, frame: Frame, correction: Correction) -> tuple[State, TargetResult]:
         """The state after `frame`, in which a `complete` correction says where the target is."""

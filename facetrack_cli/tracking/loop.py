@@ -13,7 +13,7 @@ from facetrack_cli.recipe.skin import Exclusion
 from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
 
 
-class Cover(NamedTuple):
+class Footprint(NamedTuple):
     """What a target explains: an upright ellipse of `centre` (2,) and `half` axes (2,), in pixels."""
 
     centre: Array
@@ -25,8 +25,8 @@ class Target(Protocol):
 
     Results have a row of each of `parts`; `windows` are width and height in pixels of what a part is compared by, if
     there is such a window. `begin` and `advance` return state and result after the first frame, and after one more, of
-    which the other targets explain `covers`. `cover` is what of the frame the target explains, or, `ahead`, is expected
-    to explain of the next one; None if it does not say.
+    which the other targets explain `footprints`. `footprint` is the part of the frame that the target explains, or,
+    `ahead`, the part of the next frame that it is expected to explain; None if it does not say.
     """
 
     @property
@@ -37,9 +37,9 @@ class Target(Protocol):
     def windows(self) -> Mapping[str, tuple[float, float]]: ...
     def begin(self, rng: Generator, frame: Frame) -> tuple[Any, TargetResult]: ...
     def advance(
-        self, rng: Generator, state: Any, frame: Frame, covers: Sequence[Cover]
+        self, rng: Generator, state: Any, frame: Frame, footprints: Sequence[Footprint]
     ) -> tuple[Any, TargetResult]: ...
-    def cover(self, state: Any, *, ahead: bool) -> Cover | None: ...
+    def footprint(self, state: Any, *, ahead: bool) -> Footprint | None: ...
 
 
 Tracker: TypeAlias = tuple[Target, ...]
@@ -75,9 +75,9 @@ def track(
         results: list[TargetResult] = []
         if at.states:
             for i, (target, rng) in enumerate(zip(tracker, at.rngs, strict=True)):
-                covers = [other.cover(at.states[j], ahead=j > i) for j, other in enumerate(tracker) if j != i]
+                footprints = [other.footprint(at.states[j], ahead=j > i) for j, other in enumerate(tracker) if j != i]
                 at.states[i], result = target.advance(
-                    rng, at.states[i], frame, [one for one in covers if one is not None]
+                    rng, at.states[i], frame, [one for one in footprints if one is not None]
                 )
                 results.append(result)
         else:
@@ -89,7 +89,7 @@ def track(
         yield FrameResult(frame, tuple(results))
 
 
-def log_weights(settings: Exclusion, x: Array, covers: Sequence[Cover]) -> Array:
+def log_weights(settings: Exclusion, x: Array, footprints: Sequence[Footprint]) -> Array:
     """(N, K): what mutual exclusion adds to log p(y | x) of x (N, K, D) (Gianni, Collet & Dalle 2007).
 
     Particles are penalised when the objects are close, so that two filters do not track the same skin (Gonzalez &
@@ -101,8 +101,8 @@ def log_weights(settings: Exclusion, x: Array, covers: Sequence[Cover]) -> Array
     whole ellipse is penalised and little outside of it. Where all particles are penalised alike, none is.
     """
     total = np.zeros(x.shape[:2])
-    for cover in covers:
-        half = np.maximum(cover.half, 1.0)  # of a cloud that has shrunk to a point, a pixel is left
-        squared = np.sum(((x[..., :2] - cover.centre) / (half * settings.reach)) ** 2, axis=2)
+    for footprint in footprints:
+        half = np.maximum(footprint.half, 1.0)  # of a cloud that has shrunk to a point, a pixel is left
+        squared = np.sum(((x[..., :2] - footprint.centre) / (half * settings.reach)) ** 2, axis=2)
         total += np.log1p(-min(settings.strength, 1 - 1e-12) * np.exp(-0.5 * np.minimum(squared, 1e6) ** 2))
     return total

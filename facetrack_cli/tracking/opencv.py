@@ -62,7 +62,9 @@ class OpenCvTarget:
             raise InputError(f"{self.origin}: {cannot}; {remedy}") from None
         return (tracker, box), self._result(frame, box, "init")
 
-    def advance(self, rng: Generator, state: State, frame: Frame, covers: object = ()) -> tuple[State, TargetResult]:
+    def advance(
+        self, rng: Generator, state: State, frame: Frame, footprints: object = ()
+    ) -> tuple[State, TargetResult]:
         tracker, last = state
         try:
             found, box = tracker.update(frame.bgr)
@@ -72,7 +74,7 @@ class OpenCvTarget:
             return state, self._result(frame, last, "lost")
         return (tracker, box), self._result(frame, box, "tracked")
 
-    def cover(self, state: State, *, ahead: bool) -> None:
+    def footprint(self, state: State, *, ahead: bool) -> None:
         """OpenCV's trackers know nothing of each other."""
 
     def _whole(self, frame: Frame) -> tuple[int, int, int, int]:

@@ -18,7 +18,7 @@ from facetrack_cli.tracking.calibration import Calibration
 from facetrack_cli.tracking.confidence import Judgement
 from facetrack_cli.tracking.filters import Prediction, Step
 from facetrack_cli.tracking.guides import Arrived, Guides
-from facetrack_cli.tracking.loop import Cover, log_weights
+from facetrack_cli.tracking.loop import Footprint, log_weights
 from facetrack_cli.tracking.models.motion import JumpingWalk, Measured, VisibleWalk
 from facetrack_cli.tracking.models.shape_prior import BoundPrior, StudentPrior
 from facetrack_cli.tracking.models.spaces import CloudSpace, Estimate, PointSpace, Space, VisibleBoxSpace, evenly
@@ -155,13 +155,18 @@ class ParticleTarget:
         return x
 
     def advance(
-        self, rng: Generator, state: State, frame: Frame, covers: Sequence[Cover] = (), measured: Measured | None = None
+        self,
+        rng: Generator,
+        state: State,
+        frame: Frame,
+        footprints: Sequence[Footprint] = (),
+        measured: Measured | None = None,
     ) -> tuple[State, TargetResult]:
         """As a `Target` does; `measured` is what a sensor says of the parts of a target that moves by a JumpingWalk."""
         if self._prepares is not None:
             expected = self.motion.expect(state.estimated.state[None])[0]
             state = replace(state, learned=self._prepares.look(state.learned, frame, expected))
-        bound = Bound(self, state, frame, covers, measured)
+        bound = Bound(self, state, frame, footprints, measured)
         particles, info = self.step(rng, state.particles, bound)
         if state.absent is not None:
             particles = particles._replace(x=self.follow(particles.x, state.absent))
@@ -223,12 +228,12 @@ class ParticleTarget:
     def _diagnose(self, learned: Any) -> Mapping[str, Any]:
         return {} if self._reports is None else self._reports.diagnose(learned)
 
-    def cover(self, state: State, *, ahead: bool) -> Cover | None:
+    def footprint(self, state: State, *, ahead: bool) -> Footprint | None:
         if len(self.parts) > 1:
             return None  # points between which nobody knows what there is
         mean = state.estimated.state
         centre = self.motion.expect(mean[None])[0] if ahead else mean
-        return Cover(centre[0, :2], self.space.windows(state.estimated)[0] / 2)
+        return Footprint(centre[0, :2], self.space.windows(state.estimated)[0] / 2)
 
     @cached_property
     def _names(self) -> tuple[tuple[str, str], ...]:
@@ -306,7 +311,7 @@ class Bound:
     target: ParticleTarget
     state: State
     frame: Frame
-    covers: Sequence[Cover] = ()
+    footprints: Sequence[Footprint] = ()
     measured: Measured | None = None
 
     @cached_property
@@ -348,7 +353,7 @@ class Bound:
             log_p = log_p + self.target.motion.log_measured(parents, self.measured)
         log_p = self._of_present(log_p)
         exclusion = self.target.exclusion
-        return log_p if exclusion is None else log_p + log_weights(exclusion, x, self.covers)
+        return log_p if exclusion is None else log_p + log_weights(exclusion, x, self.footprints)
 
     def log_prior(self, x: Array) -> Array:
         if self.target.prior is None:

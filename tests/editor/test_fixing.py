@@ -243,18 +243,18 @@ def test_targets_that_keep_off_each_other_see_those_that_are_recorded(fixed, mon
     seen = []
 
     class Spy(type(one.fixer._tracking)):
-        def _covers(self, live, now, rows, index):
-            seen.append((index, covers := super()._covers(live, now, rows, index)))
-            return covers
+        def _footprints(self, live, now, rows, index):
+            seen.append((index, footprints := super()._footprints(live, now, rows, index)))
+            return footprints
 
     one.fixer._tracking.__class__ = Spy
     one.fixer.put([box("left_hand", 10, 95, 120, 40, 46)])
-    index, covers = seen[5]
+    index, footprints = seen[5]
     head, hand = (now(one.fixer, f, t)[0] for f, t in ((15, "head"), (14, "right_hand")))
     assert index == 15
     # the head comes before the hand, and is where it is; the other hand comes after, and is where it was
-    for cover, row in zip(covers, (head, hand), strict=True):
-        assert cover.centre.tolist() == [row.x, row.y] and cover.half.tolist() == [row.w / 2, row.h / 2]
+    for footprint, row in zip(footprints, (head, hand), strict=True):
+        assert footprint.centre.tolist() == [row.x, row.y] and footprint.half.tolist() == [row.w / 2, row.h / 2]
     seen.clear()
     one.fixer.put([Correction(12, "right_hand", absent=True)])
     one.fixer.put([box("left_hand", 14, 95, 120, 40, 46)])

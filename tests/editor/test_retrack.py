@@ -8,7 +8,7 @@ import pytest
 
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor.history import corrections_of
-from facetrack_cli.editor.retrack import Task, frames_of, recorded_cover
+from facetrack_cli.editor.retrack import Task, frames_of, recorded_footprint
 from facetrack_cli.trajectory.header import CORRECTED
 from tests.editor.test_fixing_odd import fixing, nose, put, run, signing
 from tests.support.samples import FOLDER
@@ -62,9 +62,9 @@ def test_targets_that_are_tracked_together_see_each_other_as_they_are_now(hands,
         seen = {}
 
         class Spy(type(fixer._tracking)):
-            def _covers(self, live, now, rows, index):
-                seen[index, live.task.target] = covers = super()._covers(live, now, rows, index)
-                return covers
+            def _footprints(self, live, now, rows, index):
+                seen[index, live.task.target] = footprints = super()._footprints(live, now, rows, index)
+                return footprints
 
         monkeypatch.setattr(fixer._tracking, "__class__", Spy)
         left, right = (95.0, 120.0, 40.0, 46.0), (180.0, 110.0, 44.0, 50.0)
@@ -90,8 +90,8 @@ def test_targets_that_are_tracked_together_see_each_other_as_they_are_now(hands,
 def test_what_is_recorded_of_points_and_of_what_is_gone_covers_nothing(hands, tmp_path):
     run(CLIP, "-o", tmp_path / "out", "--stop", "4")
     with fixing(tmp_path / "out") as fixer:
-        assert recorded_cover(fixer.rows, 2, "face") is None
+        assert recorded_footprint(fixer.rows, 2, "face") is None
     with fixing(hands) as fixer:
-        assert np.isfinite(recorded_cover(fixer.rows, 5, "head").centre).all()
+        assert np.isfinite(recorded_footprint(fixer.rows, 5, "head").centre).all()
         fixer.put([Correction(4, "head", absent=True)])
-        assert recorded_cover(fixer.rows, 5, "head") is None
+        assert recorded_footprint(fixer.rows, 5, "head") is None

@@ -222,9 +222,9 @@ def test_a_target_that_is_gone_covers_nothing():
     )
     frame = Clip("textured", 1).frames[0]
     state, _ = target.begin(np.random.default_rng(0), frame)
-    assert target.cover(state, ahead=False) is not None
+    assert target.footprint(state, ahead=False) is not None
     state, _ = target.advance(np.random.default_rng(0), state, replace_index(frame, 3), ())
-    assert target.cover(state, ahead=False) is None
+    assert target.footprint(state, ahead=False) is None
 
 
 def replace_index(frame, index):

@@ -6,14 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.recipe.skin import Exclusion
-from facetrack_cli.tracking.loop import Cover, log_weights
+from facetrack_cli.tracking.loop import Footprint, log_weights
 
-HEAD = Cover(np.array([50.0, 40.0]), np.array([10.0, 20.0]))
+HEAD = Footprint(np.array([50.0, 40.0]), np.array([10.0, 20.0]))
 number = st.floats(-1e7, 1e7)
 
 
-def at(exclusion, *places, covers=(HEAD,)):
-    return log_weights(exclusion, np.array(places, float)[:, None], covers)[:, 0]
+def at(exclusion, *places, footprints=(HEAD,)):
+    return log_weights(exclusion, np.array(places, float)[:, None], footprints)[:, 0]
 
 
 def test_in_the_middle_of_another_target_the_strength_is_lost_and_far_from_it_nothing():
@@ -34,14 +34,14 @@ def test_what_is_inside_is_forbidden_nearly_evenly_and_what_is_outside_nearly_fr
 
 
 def test_several_targets_add_up():
-    other = Cover(np.array([58.0, 40.0]), np.array([10.0, 20.0]))
-    both = at(Exclusion(strength=0.5, reach=1.0), (54, 40), covers=(HEAD, other))
+    other = Footprint(np.array([58.0, 40.0]), np.array([10.0, 20.0]))
+    both = at(Exclusion(strength=0.5, reach=1.0), (54, 40), footprints=(HEAD, other))
     assert both == pytest.approx(2 * at(Exclusion(strength=0.5, reach=1.0), (54, 40)))
 
 
 def test_a_target_shrunk_to_a_point_still_forbids_its_pixel():
-    point = Cover(np.array([5.0, 5.0]), np.zeros(2))
-    there, beside = np.exp(at(Exclusion(strength=0.9, reach=1.0), (5, 5), (8, 5), covers=(point,)))
+    point = Footprint(np.array([5.0, 5.0]), np.zeros(2))
+    there, beside = np.exp(at(Exclusion(strength=0.9, reach=1.0), (5, 5), (8, 5), footprints=(point,)))
     assert there == pytest.approx(0.1) and beside == pytest.approx(1.0)
 
 
@@ -53,7 +53,7 @@ def test_weights_are_finite_and_between_what_is_left_and_all(strength, reach, x,
 
 
 def test_no_other_target_changes_nothing():
-    assert at(Exclusion(strength=0.9, reach=1.0), (1, 2), (50, 40), covers=()).tolist() == [0, 0]
+    assert at(Exclusion(strength=0.9, reach=1.0), (1, 2), (50, 40), footprints=()).tolist() == [0, 0]
 
 
 def test_what_is_wholly_forbidden_is_still_a_number():

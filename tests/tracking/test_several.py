@@ -9,7 +9,7 @@ from facetrack_cli.core.types import Frame, Info, Particles, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.skin import Exclusion, SkinCloud
 from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.loop import Cover, track
+from facetrack_cli.tracking.loop import Footprint, track
 from facetrack_cli.tracking.models.motion import FirstOrder
 from facetrack_cli.tracking.models.spaces import BoxSpace, CloudSpace, evenly
 from facetrack_cli.tracking.target import ParticleTarget, State
@@ -33,13 +33,13 @@ class Turn:
     def begin(self, rng, frame):
         return 0, self._result()
 
-    def advance(self, rng, state, frame, covers):
+    def advance(self, rng, state, frame, footprints):
         assert state == frame.index - 1
-        self.told.append((self.name, [tuple(cover) for cover in covers], rng.random()))
+        self.told.append((self.name, [tuple(footprint) for footprint in footprints], rng.random()))
         return frame.index, self._result()
 
-    def cover(self, state, *, ahead):
-        return Cover(self.name, state + 0.5 * ahead)
+    def footprint(self, state, *, ahead):
+        return Footprint(self.name, state + 0.5 * ahead)
 
     def _result(self):
         return target(self.name, [])
@@ -52,8 +52,8 @@ def turns(*names, seed=0):
 
 
 def test_who_came_before_is_known_and_the_others_are_expected():
-    covers = [(name, seen) for name, seen, _ in turns("a", "b", "c")]
-    assert covers == [
+    footprints = [(name, seen) for name, seen, _ in turns("a", "b", "c")]
+    assert footprints == [
         ("a", [("b", 0.5), ("c", 0.5)]), ("b", [("a", 1), ("c", 0.5)]), ("c", [("a", 1), ("b", 1)]),
         ("a", [("b", 1.5), ("c", 1.5)]), ("b", [("a", 2), ("c", 1.5)]), ("c", [("a", 2), ("b", 2)]),
     ]  # fmt: skip
@@ -94,7 +94,7 @@ def state_of(target):
 @pytest.mark.parametrize(("space", "half"), [(BoxSpace((12.0, 8.0)), (9.0, 6.0)), (CloudSpace(), (4.0, 2.0))])
 def test_what_a_target_covers_is_its_box_where_it_is_or_will_be(space, half):
     one = moving(space)
-    now, next_ = (one.cover(state_of(one), ahead=ahead) for ahead in (False, True))
+    now, next_ = (one.footprint(state_of(one), ahead=ahead) for ahead in (False, True))
     np.testing.assert_allclose([now.centre, next_.centre], [(10, 20), (13, 18)])
     np.testing.assert_allclose([now.half, next_.half], [half, half])
 

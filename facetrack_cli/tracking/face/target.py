@@ -37,7 +37,7 @@ from facetrack_cli.tracking.face.senses import Senses
 from facetrack_cli.tracking.face.sensors import Facing, apart, common_shift, joined
 from facetrack_cli.tracking.face.stabilized import EYES, FACE, Similarity
 from facetrack_cli.tracking.face.state import FaceState, View, shifted, sure_of, updated
-from facetrack_cli.tracking.loop import Cover
+from facetrack_cli.tracking.loop import Footprint
 from facetrack_cli.tracking.models.likelihoods import window_ncc
 from facetrack_cli.tracking.models.motion import JumpingWalk
 from facetrack_cli.tracking.roles import Names
@@ -130,7 +130,7 @@ class FaceTarget:
         return state, self._result(state, boxed, frame)
 
     def advance(
-        self, rng: Generator, state: FaceState, frame: Frame, covers: Sequence[Cover] = ()
+        self, rng: Generator, state: FaceState, frame: Frame, footprints: Sequence[Footprint] = ()
     ) -> tuple[FaceState, TargetResult]:
         state, detections = replace(state, frames=state.frames + 1), self.settings.detections
         due, shown = False, sure_of(state.head) >= self.settings.lost_below
@@ -150,7 +150,7 @@ class FaceTarget:
                 return self._returned(rng, state, seen, frame)
         told = 0.0 if state.sighting is not None else state.facing.odds(state.sure)
         before = replace(state.head, learned=state.head.learned._replace(told=told))
-        head, box = self.head.advance(rng, before, frame, covers)
+        head, box = self.head.advance(rng, before, frame, footprints)
         if sure_of(head) < self.settings.lost_below:
             state = replace(state, head=head, facing=state.facing.predicted(), sure=_FORGETS * state.sure)
             return state, self._result(state, box, frame)
@@ -285,8 +285,8 @@ class FaceTarget:
         features = shifted(state.features, moved)
         return replace(state, features=features, points=points, sensor=sensor, second=second, others=others)
 
-    def cover(self, state: FaceState, *, ahead: bool) -> Cover | None:
-        return self.head.cover(state.head, ahead=ahead)
+    def footprint(self, state: FaceState, *, ahead: bool) -> Footprint | None:
+        return self.head.footprint(state.head, ahead=ahead)
 
     @property
     def diagnostics(self) -> tuple[Any, ...]:
