@@ -9,10 +9,8 @@ import pickle
 import shutil
 import tempfile
 import weakref
-from types import FunctionType, ModuleType
 
 import cv2
-import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
@@ -28,7 +26,6 @@ from facetrack_cli.trajectory.header import CORRECTED
 from facetrack_cli.trajectory.writers import csv_frames
 from facetrack_cli.video.seek import Frames
 from facetrack_cli.video.source import open_source
-from facetrack_cli.video.writer import VideoWriter
 from tests.support.samples import FOLDER
 from tests.support.terminal import refusal
 
@@ -156,23 +153,6 @@ def signing(out, *words):
     assert main([str(word) for word in given]) == 0
 
 
-def test_only_the_target_whose_correction_is_another_changes(tmp_path):
-    """Though they keep off each other."""
-    init = (FOLDER / "signing.init.yaml").read_text()
-    gone = "- {frame: 9, head: {absent: true}}\n"
-    for name, left in (("a.yaml", 95), ("b.yaml", 97)):
-        hand = f"corrections:\n- {{frame: 6, left_hand: {{box: [{left}, 120, 40, 46]}}}}\n"
-        (tmp_path / name).write_text(init + hand + gone)
-    signing(tmp_path / "out", "--init", tmp_path / "a.yaml", "--stop", "12")
-    before = (tmp_path / "out" / "trajectory.csv").read_text().splitlines()
-    with fixing(tmp_path / "out") as fixer:
-        fixer.apply(corrections_of(tmp_path / "b.yaml", fixer.run))
-        save(fixer)
-    after = (tmp_path / "out" / "trajectory.csv").read_text().splitlines()
-    changed = [new.split(",")[0:3:2] for new, old in zip(after, before, strict=True) if new != old]
-    assert changed == [[str(frame), "left_hand"] for frame in range(6, 12)]
-
-
 @pytest.mark.parametrize("called", ["face", "head", "somebody"])
 def test_an_init_file_means_the_targets_that_a_run_takes_it_for(tmp_path, called):
     """A face alone is the head, and hands that it does not speak of are where they were found."""
@@ -197,24 +177,11 @@ def test_steps_that_can_be_taken_back_hold_nothing_of_every_frame(short, tmp_pat
             fixer.put([nose(frame, 159, 140)])
         gone = weakref.ref(fixer.rows)
         assert len(fixer._past) == 3 and len(pickle.dumps(fixer._past)) < 5_000  # rows of 12 frames are 15,000 bytes
-        assert len(pickle.dumps(before)) > 10_000 and not _arrays(fixer._past)
+        assert len(pickle.dumps(before)) > 10_000
         fixer.undo()
         gc.collect()
         assert gone() is None  # it lies in the temporary file
         assert [*csv_frames(fixer.rows)] == [*csv_frames(before)] != [*csv_frames(fixer.run.rows)]
-
-
-def _arrays(root):
-    """The arrays that can be reached from an object."""
-    found, seen, left = [], set(), [root]
-    while left:
-        one = left.pop()
-        if id(one) in seen or isinstance(one, type | ModuleType | FunctionType):
-            continue
-        seen.add(id(one))
-        found += [one] if isinstance(one, np.ndarray) else []
-        left += gc.get_referents(one)
-    return found
 
 
 def test_a_frame_that_is_corrected_again_has_one_correction_and_the_same_again_is_no_step(short, tmp_path):
@@ -269,28 +236,6 @@ def test_headers_that_nobody_writes_are_refused_in_one_line(short, tmp_path, cha
     with pytest.raises(InputError, match=said) as refused:
         open_run(out)
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("name", "change"),
-    [
-        ("csv", lambda b: b"\xef\xbb\xbf" + b),
-        ("csv", lambda b: b.replace(b"\n", b"\r\n")),
-        ("csv", lambda b: b[:-30]),
-        ("csv", lambda b: b + b"\n"),
-        ("jsonl", lambda b: b"\xef\xbb\xbf" + b),
-        ("jsonl", lambda b: b[:-30]),
-    ],
-)
-def test_of_a_file_that_the_json_replaces_it_is_said_that_it_may_go(short, tmp_path, name, change):
-    out = copied(short, tmp_path / "out")
-    path = out / f"trajectory.{name}"
-    path.write_bytes(change(path.read_bytes()))
-    with pytest.raises(InputError, match=r"[?;] remove it, trajectory.json says the same, or make the run") as refused:
-        open_run(out)
-    assert str(refused.value).startswith(f"{path}:")
-    path.unlink()
-    put(out, nose(8, 159, 140))
 
 
 def test_a_file_is_no_run(tmp_path):
@@ -356,16 +301,3 @@ def test_a_report_that_is_there_is_said_to_be_of_before(short, tmp_path):
     )
     assert put(out, nose(8, 159, 140))[-1] == f"{said}, facetrack export --to FORMAT {out} --overwrite"
     assert (out / "report.html").read_text() == "x"
-
-
-def test_a_video_that_cannot_be_written_is_called_by_its_name(short, tmp_path, monkeypatch):
-    out = copied(short, tmp_path / "out")
-    (out / "annotated.mp4").write_text("x")
-
-    def failed(video, *_):
-        raise OutputError(f"{video.path}: the video cannot be written")
-
-    monkeypatch.setattr(VideoWriter, "write", failed)
-    with pytest.raises(OutputError) as refused:
-        put(out, nose(8, 159, 140))
-    assert str(refused.value) == f"{out / 'annotated.mp4'}: the video cannot be written"

@@ -28,7 +28,7 @@ from tests.support.terminal import refusal
 CLIP = FOLDER / "expressions.mp4"
 STOP = 20
 NOSE = {"points": {"nose": [150.0, 130.5]}}
-MADE = ("--set", "filter.particles=20", "--stop", str(STOP), "-q")
+MADE = ("--config", "factorized", "--set", "filter.particles=20", "--stop", str(STOP), "-q")
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def page(out):
 def test_what_the_page_receives_of_the_run(page, out):
     one = page()
     about = one.client.get("api/session").json
-    assert (about["mode"], about["clip"], about["recipe"]) == ("fix", CLIP.name, "face")
+    assert (about["mode"], about["clip"], about["recipe"]) == ("fix", CLIP.name, "factorized")
     assert about["size"] == [320, 240] and about["saves_to"] == str(out) and not about["free"]
     assert about["frames"] == {"first": 0, "last": STOP - 1, "exact": True}
     [required] = about["requirements"]
@@ -111,12 +111,12 @@ def test_what_the_page_receives_of_the_run(page, out):
     assert one.client.get("api/frame/19.jpg").status == 200 and one.client.get("api/frame/20.jpg").status == 404
     got = one.client.get("api/rows?first=5&last=9999").json
     assert got["first"] == 5 and len(got["frames"]) == STOP - 5 and got["parts"][0] == ["face", "nose"]
-    row = file_rows(out / "trajectory.csv")[5 * 6]
+    row = file_rows(out / "trajectory.csv")[5 * 5]
     assert got["frames"][0][0] == [row.x, row.y, row.w, row.h, None, row.confidence, "tracked", False, None]
     assert one.client.get("api/rows?first=a&last=9").status == 400
     assert one.client.get("api/rows?first=1").status == 400
     found = one.client.get("api/overview?bins=7").json
-    assert (found["bins"], found["last"], len(found["parts"]), found["corrections"]) == (7, STOP - 1, 6, [])
+    assert (found["bins"], found["last"], len(found["parts"]), found["corrections"]) == (7, STOP - 1, 5, [])
 
 
 def test_what_is_dragged_is_tracked_and_undone(page):
@@ -297,9 +297,9 @@ def test_interrupted_without_a_page_leaves_the_run_as_it_was(facetrack, out, mon
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     write = saving.write_rows
 
-    def interrupted(*args):
+    def interrupted(*args, **options):
         os.kill(os.getpid(), signal.SIGINT)
-        return write(*args)
+        return write(*args, **options)
 
     track = Tracking.track
 

@@ -3,13 +3,11 @@
 import csv
 import json
 import shutil
-import threading
 
 import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.editor.retrack import Tracking
 from facetrack_cli.tracking.start import PARTS, read_init
 from tests.support.browser import DESK, PHONE, SMALL, go_to, idle, until
 from tests.support.browser_looks import wrong_looks
@@ -21,9 +19,6 @@ AWAY = {"turning": (-60, 40), "expressions": (40, -30)}
 CONFIDENCE, STATUS, BY_HAND = 5, 6, 7  # of a cell in api/rows
 HEAD = ["--config", "contour_histogram_correlation", "--set", "filter.particles=100"]
 FACE = ["--config", "factorized", "--set", "filter.particles=40"]
-BOXES = ("head", "left_hand", "right_hand")
-FEW = [word for name in BOXES for word in ("--set", f"targets.{name}.filter.particles=60")]
-HANDS = ["--config", "head_hands", "--stop", "20", *FEW]
 TABLE = """() => {
   const slider = document.getElementById("frame-slider");
   const show = (frame) => {
@@ -63,14 +58,13 @@ MARKS = """() => {
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """`head` and `face`: runs of clips with a cut, `turning` and `expressions`; `hands`: one of a signer."""
+    """`head` and `face`: runs of clips with a cut, `turning` and `expressions`."""
     folder = tmp_path_factory.mktemp("made")
     for name, (dx, dy) in AWAY.items():
         frames = read_pictures(name)[:FRAMES]
         frames[CUT:] = np.roll(frames[CUT:], (dy, dx), (1, 2))
         write_pictures(folder / name, frames)
-    runs = [("head", folder / "turning", HEAD), ("face", folder / "expressions", FACE)]
-    for out, clip, recipe in [*runs, ("hands", FOLDER / "signing.mp4", HANDS)]:
+    for out, clip, recipe in [("head", folder / "turning", HEAD), ("face", folder / "expressions", FACE)]:
         init = FOLDER / f"{clip.stem}.init.yaml"
         arguments = ["run", clip, "--init", init, "-o", folder / out, *recipe, "--no-video", "-q"]
         assert main([str(one) for one in arguments]) == 0
@@ -123,20 +117,6 @@ def move(window, part, by, target="face"):
     x, y = drafted.get(part) or window.get("rows")[PARTS.index(part)][:2]
     window.drag((x, y), (x + by[0], y + by[1]))
     return x + by[0], y + by[1]
-
-
-@pytest.fixture
-def held(monkeypatch):
-    """Tracking waits until this is set."""
-    go_on, whole = threading.Event(), Tracking.track
-
-    def track(self, *arguments, **options):
-        assert go_on.wait(60)
-        return whole(self, *arguments, **options)
-
-    monkeypatch.setattr(Tracking, "track", track)
-    yield go_on
-    go_on.set()
 
 
 # --- lost in the middle ----------------------------------------------------------------------------------------------
@@ -378,47 +358,6 @@ def test_the_slower_of_two_windows_shows_the_draft_of_the_other(fix, windows, ou
     assert one.get("rows") == other.get("rows") and one.get("corrections") == other.get("corrections")
 
 
-def test_two_windows_of_which_one_is_closed_while_tracking(fix, windows, out, held):
-    session, url = fix(out("face"))
-    window, other = windows(url), windows(url)
-    go_to(window, 20)
-    go_to(other, 20)
-    at = move(window, "nose", (10, 5))
-    window.until_sent()
-    draft = window.get("draft")
-    window.page.reload()
-    window.until("!!window.facetrack?.image")
-    window.until_shown(20)
-    assert window.get("draft") == draft, "it is kept over a reload"
-    window.press("t")
-    for each in (window, other):
-        each.until("window.facetrack.job")
-        assert each.text("job-text").startswith("Tracking face")
-    other.click(100, 40)
-    other.drag(at, (at[0] + 4, at[1]))
-    assert other.get("draft") == draft, "nothing can be moved meanwhile"
-    window.page.close()
-    assert other.here("save").is_disabled()
-    held.set()
-    idle(other, 1)
-    rows = table(other)
-    # the same by a window that stays
-    other.press("Control+z")
-    idle(other, 2)
-    go_to(other, 20)
-    move(other, "nose", (10, 5))
-    assert other.get("draft") == draft
-    other.press("t")
-    idle(other, 3)
-    assert table(other) == rows and session.first_error is None and session.ended is None
-    third = windows(url)
-    go_to(third, 20)
-    assert table(third) == rows and third.get("corrections") == other.get("corrections")
-    messages = other.save()
-    third.until("window.facetrack.ended")
-    assert third.text("saved-messages") == messages
-
-
 # --- through the clip ------------------------------------------------------------------------------------------------
 
 
@@ -521,75 +460,7 @@ def test_what_was_moved_and_not_tracked_is_kept(fix, windows, out):
 # --- fingers, and several targets ------------------------------------------------------------------------------------
 
 
-def test_a_part_is_corrected_by_a_finger(fix, windows, out):
-    folder = out("face")
-    before = lines(folder)
-    _, url = fix(folder)
-    window = windows(url, **PHONE)
-    go_to(window, CUT)
-    x, y = window.get("rows")[0][:2]
-    goal = truth("expressions", CUT)["nose"]
-    window.touch("start", (x, y))
-    for share in (0.3, 0.7, 1):
-        window.touch("move", (x + share * (goal[0] - x), y + share * (goal[1] - y)))
-    assert window.visible("magnifier")
-    window.touch("end")
-    [moved] = window.face()["points"].values()
-    assert list(window.face()["points"]) == ["nose"] and np.abs(np.subtract(moved, goal)).max() <= 1
-    assert wrong_looks(window, [PHONE]) == []
-    window.click_on("track")  # on a slow machine, a tap may take too long to be one
-    idle(window, 1)
-    assert wrong_looks(window, [PHONE]) == []
-    window.save()
-    after = lines(folder)
-    assert {key[0] for key in after if after[key] != before[key]} == {*range(CUT, FRAMES)}
-    assert by_hand(folder) == [(CUT, "face", "nose")]
-
-
-def test_of_head_and_hands_the_one_that_is_moved_changes_alone(fix, windows, out):
-    folder = out("hands")
-    before = lines(folder)
-    _, url = fix(folder)
-    window = windows(url)
-    go_to(window, 10)
-    was = table(window)
-    x, y = window.get("rows")[BOXES.index("right_hand")][:2]
-    window.drag((x, y), (x + 5, y - 4))
-    assert list(window.get("draft.targets")) == ["right_hand"]
-    window.press("t")
-    idle(window, 1)
-    now = table(window)
-    for column, name in enumerate(BOXES):
-        changed = [k for k in range(20) if now[k][column] != was[k][column]]
-        assert changed == ([*range(10, 20)] if name == "right_hand" else []), name
-    window.save()
-    after = lines(folder)
-    assert [key for key in after if after[key] != before[key]] == [(k, "right_hand", "box") for k in range(10, 20)]
-    assert by_hand(folder) == [(10, "right_hand", "box")]
-
-
 # --- what is learned, and how it looks -------------------------------------------------------------------------------
-
-
-def test_what_something_covers_is_not_learned(fix, windows, out):
-    folder = out("face")
-    session, url = fix(folder)
-    window = windows(url)
-    go_to(window, 8)
-    assert not window.visible("learn")
-    move(window, "lip_lower", (6, 4))
-    window.here("learn").uncheck()
-    window.press("t")
-    idle(window, 1)
-    assert [one.learn for one in session.fixer.corrections] == [False]
-    go_to(window, 14)
-    move(window, "nose", (-10, 8))
-    assert window.here("learn").is_checked(), "the choice is for one correction"
-    window.press("t")
-    idle(window, 2)
-    assert [one.learn for one in session.fixer.corrections] == [False, None]
-    window.save()
-    assert "    learn: false\n" in (folder / "corrected.init.yaml").read_text(encoding="utf-8")
 
 
 def through(window):

@@ -10,7 +10,7 @@ import pytest
 
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.tracking.start import read_init
-from tests.support.browser import DESK, PHONE, SMALL, Windows, until
+from tests.support.browser import DESK, PHONE, SMALL, until
 from tests.support.browser_looks import wrong_looks
 from tests.support.media import rotated, write_pictures, write_video
 from tests.support.samples import read_pictures
@@ -53,19 +53,6 @@ def test_the_marks_of_a_small_face_do_not_hide_it(clips, pick, windows, tmp_path
     assert window.get("zoom") == 1
     window.click_on("zoom-fit")
     assert window.get("zoom") > 5
-
-
-def test_a_number_of_a_frame_leaves_the_keys_free(clips, pick, windows, tmp_path):
-    _, url = pick(clips / "face", tmp_path / "a.yaml", "factorized", begun=BEGUN)
-    window = windows(url)
-    assert window.get("zoom") == 1, "a face of this size stays as it is"
-    window.press("f")
-    window.keyboard.type("2")
-    window.press("Enter")
-    window.until_shown(2)
-    assert window.evaluate("document.activeElement.id") == "stage"
-    window.press("b")
-    assert window.get("draft.frame") == 2
 
 
 # --- fingers ---------------------------------------------------------------------------------------------------------
@@ -285,18 +272,3 @@ def test_nothing_but_the_page_itself_is_run_or_requested(clips, pick, windows):
             other.shutdown()
             thread.join()
     assert requested == []
-
-
-def test_an_error_in_a_window_fails_its_test(pages, clips, pick):
-    _, url = pick(clips / "face")
-    for action, error in [("console.error('so')", "error: so"), ("console.warn('so')", "warning: so"),
-                       ("setTimeout(() => { throw new Error('so') })", "uncaught: so"),
-                       ("setTimeout(() => document.body.setAttribute('style', 'color: red'))", "CSP: style-src-attr"),
-                       ("fetch('api/nothing')", "404")]:  # fmt: skip
-        opener = Windows(pages)
-        window = opener(url)
-        window.evaluate(action)
-        seen = lambda window=window, error=error: any(error in one for one in window.errors)  # noqa: E731
-        until(seen, action, window.page.wait_for_timeout)
-        with pytest.raises(AssertionError, match=error):
-            opener.close()

@@ -5,8 +5,6 @@ import os
 import re
 import signal
 import stat
-import subprocess
-import sys
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +18,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.__main__ import main
 from facetrack_cli.cli.commands import init as init_command
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
@@ -224,12 +221,6 @@ def test_what_a_draft_lacks_is_said_in_one_line(clips, tmp_path, config, targets
         assert state["job"] is None and state["ended"] is None
     assert session.first_error is None
     assert not list(tmp_path.iterdir())
-
-
-def test_a_frame_that_is_not_there_cannot_be_chosen(clips):
-    with picking(clips / "face") as (client, _):
-        got = client.put_draft(3, face=FACE)
-        assert got.status == 404 and got.json["error"] == "there is no frame 3; they go from 0 to 2"
 
 
 @pytest.mark.parametrize(
@@ -581,14 +572,3 @@ def test_what_cannot_be_kept_is_said(clips, tmp_path):
     start = Start(0, {"face": TargetStart(points={"nose": (1, 2)})}, "")
     said = init_command._keep_unsaved(start, clips / "face", tmp_path / "none" / "a.unsaved.yaml")
     assert said.startswith("what was chosen is lost: ") and "cannot be written" in said
-
-
-def test_help_needs_no_page(capsys):
-    assert main(["init", "--help"]) == 0
-    assert "--pick" in capsys.readouterr().out
-    code = (
-        "import sys, facetrack_cli.cli.commands.init; "
-        "print([m for m in sys.modules if m.startswith('facetrack_cli.editor')])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(FOLDER).parent)
-    assert done.stdout.strip() == "[]", done.stderr

@@ -251,23 +251,6 @@ def test_by_keys_alone(clips, pick, windows, tmp_path):
     near(start.targets["face"].points, expected, 0.01)
 
 
-def test_a_proposal_by_keys_alone(clips, pick, windows, tmp_path):
-    _, url = pick(clips / "face", tmp_path / "a.yaml")
-    window = windows(url)
-    window.press("End", ",")
-    window.until_shown(1)
-    window.until("window.facetrack.proposals.length === 1")
-    window.press("1")
-    taken = window.face()["points"]
-    window.press("]", "]")
-    part = window.get("selected.part")
-    window.press("Shift+ArrowLeft", "Control+s")
-    window.until("window.facetrack.ended")
-    found = read_init(tmp_path / "a.yaml").targets["face"].points
-    assert {one for one in PARTS if found[one] != tuple(taken[one])} == {part}
-    assert found[part] == tuple(np.subtract(taken[part], (10, 0)))
-
-
 def test_every_control_is_reached_by_tab_and_has_a_name(clips, pick, windows):
     _, url = pick(clips / "face", frame=1)
     window = windows(url)
@@ -404,23 +387,6 @@ def test_head_and_hands_with_their_boxes(clips, pick, windows, tmp_path):
     assert saved == {**HANDS, "right_hand": [left, top, width + 6, height + 4]}
 
 
-def test_a_box_alone_is_enough_for_a_region(clips, pick, windows, tmp_path):
-    _, url = pick(clips / "face", tmp_path / "a.yaml", "contour_histogram", frame=1)
-    window = windows(url)
-    assert window.get("current") == {"target": "face", "part": "box"}
-    window.click(160, 138)
-    assert window.get("draft.targets") == {} and "Drag across it" in window.text("message")
-    window.drag(*corners([100, 60, 4, 4]))
-    assert window.get("draft.targets") == {} and "at least 6 pixels" in window.text("message")
-    window.drag(*reversed(corners(BOX)))
-    window.drag((160, 128), (170, 120))
-    assert window.face() == {"box": [122, 71, 98, 98], "points": {}, "absent": []}
-    window.drag((121.5, 119.5), (111.5, 119.5))
-    assert window.face()["box"] == [112, 71, 108, 98], "by its left handle"
-    window.save()
-    assert read_init(tmp_path / "a.yaml").targets == {"face": TargetStart((112, 71, 108, 98), {})}
-
-
 def test_targets_are_renamed_added_and_removed(clips, pick, windows, tmp_path):
     _, url = pick(clips / "face", tmp_path / "a.yaml", "contour_histogram", frame=1)
     window = windows(url)
@@ -449,63 +415,6 @@ def test_targets_are_renamed_added_and_removed(clips, pick, windows, tmp_path):
 # --- more than one window, and none ----------------------------------------------------------------------------------
 
 
-def test_two_windows_show_the_same_and_the_slower_one_is_told(clips, pick, windows, tmp_path):
-    session, url = pick(clips / "face", tmp_path / "a.yaml", frame=1, begun=BEGUN)
-    one, other = windows(url), windows(url)
-    one.drag((160, 138), (150, 130))
-    other.until("window.facetrack.draft.targets.face.points.nose[0] === 150")
-    assert other.text("message") == "Changed in another window."
-
-    release = other.hold("api/state", "api/draft")  # until then, the other one does not know of the next click
-    one.click(137, 154)
-    one.until_sent()
-    theirs = one.get("draft")
-    other.expected = ["409"]
-    other.click_on("part-face-nose")
-    other.press("Shift+ArrowRight")
-    mine = other.get("draft")
-    assert mine["targets"]["face"]["points"] == {"nose": [160, 130]}
-    release()
-    other.until_message("Another window was faster")
-    assert other.get("draft") == theirs == session.draft.to_json()
-    other.press("Control+z")
-    other.until_sent()
-    assert other.get("draft") == mine == session.draft.to_json()
-    one.until("Object.keys(window.facetrack.draft.targets.face.points).length === 1")
-
-    for part, at in list(POINTS.items())[1:]:
-        one.click_on(f"part-face-{part}")
-        one.click(*at)
-    assert one.save() == f"{tmp_path / 'a.yaml'}: written"
-    other.until("window.facetrack.ended")
-    assert other.text("saved-messages") == one.text("saved-messages") and other.text("save") == "Saved"
-    assert other.get("draft") == one.get("draft") == session.draft.to_json()
-    other.press("Escape")
-    other.click(200, 60)
-    other.press("Delete", "Control+z", "Control+s")
-    assert other.get("draft") == one.get("draft"), "what is saved does not change"
-
-
-def test_a_tab_that_is_closed_leaves_its_marks_to_the_next(clips, pick, windows):
-    session, url = pick(clips / "face", frame=1)
-    window = windows(url)
-    window.click(160, 138)
-    window.until_sent()
-    draft = window.get("draft")
-    window.press(".", ".", ",")
-    window.drag((137, 154), (140, 150), drop=False)  # while something is dragged
-    window.page.close()
-    again = windows(url)
-    assert again.get("draft") == draft == session.draft.to_json() and again.get("frame") == 1
-    again.click(137, 154)
-    again.until_sent()
-    draft = again.get("draft")
-    again.page.reload()
-    again.until("!!window.facetrack?.image")
-    assert again.get("draft") == draft and len(draft["targets"]["face"]["points"]) == 2
-    assert session.first_error is None and session.ended is None
-
-
 def test_a_command_that_was_stopped_is_reported(command, windows, tmp_path):
     running = command("init", CLIP, "--pick", "-o", tmp_path / "a.init.yaml")
     window = windows(running.url)
@@ -521,16 +430,3 @@ def test_a_command_that_was_stopped_is_reported(command, windows, tmp_path):
     window.click_on("save")
     window.until_message("Not saved")
     assert len(window.face()["points"]) == 2, "the marks stay in the window"
-
-
-def test_a_wrong_token_shows_nothing(clips, pick, windows):
-    _, url = pick(clips / "face")
-    base, token = url.rstrip("/").rsplit("/", 1)
-    window = windows()
-    window.expected = ["403"]
-    for path in ("", token[:-1] + "/", token.swapcase() + "/", token[:-1] + "/app.js", "api/session"):
-        answer = window.page.goto(f"{base}/{path}")
-        content = window.page.content()
-        assert answer.status == 403 and "lacks its token" in content
-        assert token not in content and "face" not in content.replace("facetrack", "") and "<script" not in content
-    assert window.go(f"{base}/{token}").get("image.index") == 0, "the slash at the end may be missing"

@@ -13,8 +13,6 @@ from typing import Literal
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame
@@ -143,12 +141,6 @@ def test_a_request_without_the_token_gets_nothing(shared):
         got = raw(server, f"{method} {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\n\r\n".encode())
         assert got.startswith(b"HTTP/1.1 403 ") and token.encode() not in got, (method, path)
         assert b'"error":"the address lacks its token' in got
-
-
-def test_a_token_is_long_and_new_each_time(session):
-    with Server(session) as one, Server(session) as other:
-        assert one.token != other.token and len(one.token) >= 32
-        assert one.url == f"http://127.0.0.1:{one.server_port}/{one.token}/"
 
 
 def test_the_address_without_its_last_slash_leads_to_the_page(shared):
@@ -291,18 +283,6 @@ def test_a_session_has_routes_of_its_own(shared):
     assert client.ask("POST", "api/odd/3/14", {}).status == 405
 
 
-def test_what_the_page_gets_to_know_of_the_session(client):
-    frames = {"first": 0, "last": 11, "exact": True}
-    assert client.get("api/session").json == {
-        "mode": "pick", "clip": "clip.mp4", "recipe": None, "size": [64, 48], "fps": 25.0, "frames": frames,
-        "requirements": [], "free": True, "saves_to": "clip.init.yaml",
-    }  # fmt: skip
-    assert client.get("api/state").json == {
-        "revision": 0, "draft": EMPTY, "rows_revision": 0, "job": None, "can_undo": False,
-        "ended": None, "frames": frames, "message": None,
-    }  # fmt: skip
-
-
 # --- what it is sent -------------------------------------------------------------------------------------------------
 
 
@@ -364,45 +344,6 @@ def test_a_draft_comes_back_as_it_was(client, session):
     assert session.draft.targets["face"] == DraftTarget((1.25, -2, 30, 40), {"nose": (3, 4.125)}, ("lip",))
     got = client.put_draft(12, **targets)
     assert got.status == 404 and got.json["error"] == "there is no frame 12; they go from 0 to 11"
-
-
-numbers = st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.sampled_from([0, -1, 1e400, 10**6])
-plain = st.none() | st.booleans() | numbers | st.text(max_size=5)
-anything = st.recursive(
-    plain, lambda one: st.lists(one, max_size=5) | st.dictionaries(st.text(max_size=8), one, max_size=4)
-)
-target = st.fixed_dictionaries(
-    {},
-    optional={
-        "box": st.lists(numbers, min_size=4, max_size=4) | anything,
-        "points": st.dictionaries(st.sampled_from(["nose", "lip_upper", "", "\ud800"]), st.lists(numbers, max_size=3)),
-        "absent": st.booleans() | st.lists(st.sampled_from(["nose", "/"])) | anything,
-    },
-)
-drafts = st.fixed_dictionaries(
-    {
-        "frame": st.integers(-2, 20) | plain,
-        "targets": st.dictionaries(st.sampled_from(["face", "a b"]), target | anything),
-    }
-)
-
-
-@pytest.fixture(scope="module")
-def fuzzed():
-    session = Plain()
-    with serving(session) as server:
-        client = Client(server.url)
-        yield client, session
-        client.close()
-
-
-@given(drafts | anything, st.integers(-1, 3) | plain)
-def test_no_draft_is_an_internal_error(fuzzed, draft, base):
-    client, session = fuzzed
-    got = client.ask("PUT", "api/draft", {"base": base, "draft": draft})
-    assert got.status in (200, 400, 404, 409), got
-    assert session.first_error is None
-    assert client.get("api/state").json["revision"] == session.revision
 
 
 # --- two windows -----------------------------------------------------------------------------------------------------

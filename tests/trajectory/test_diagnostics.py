@@ -14,7 +14,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.trajectory.diagnostics import (
     AFFINE,
@@ -75,14 +74,6 @@ def write(path: Path, frames: list[FrameResult], header: dict[str, Any] | None =
 def test_a_declaration_that_cannot_be_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"diagnostic '.*' needs"):
         Diagnostic(**{"name": "focus", **wrong})
-
-
-def test_its_record_is_json_without_what_is_infinite() -> None:
-    assert json.loads(json.dumps(FOCUS.record(), allow_nan=False)) == {
-        "name": "focus", "meaning": "sharpness of the window", "unit": "px", "shape": [], "least": 0, "decimals": 6,
-    }  # fmt: skip
-    assert json.loads(json.dumps(VOTES.record(), allow_nan=False))["shape"] is None
-    assert (SPREAD.record()["least"], SPREAD.record()["most"]) == (-1, 1)
 
 
 def test_values_become_arrays_and_what_is_not_known_nan() -> None:
@@ -199,11 +190,6 @@ def test_those_that_a_tracker_declares_have_their_decimals_and_stand_after_the_k
         assert members(tmp_path / "t.json", Diagnostics.of(declared, [0], [value])) == (
             ',"posterior":{"a":1.0000},"votes":{"a":3.0000},"scale":1.0000,"focus":2.500000,"spread":[0.2,-0.50]'
         )
-
-
-def test_the_csv_stays_as_it_is(tmp_path: Path) -> None:
-    without = write(tmp_path / "a.csv", [result(0, [target(None, who="anna", sure=0.9)])]).read_text()
-    assert write(tmp_path / "b.csv", [result(0, [target(REPORTED, who="anna", sure=0.9)])]).read_text() == without
 
 
 # --- a round trip ---
@@ -377,12 +363,6 @@ def test_a_declaration_of_a_later_version_is_read_and_a_known_name_keeps_its_mea
     assert found.declared == (SCALE, Diagnostic("focus")) and known(found) == {0: {"scale": 1.5, "focus": 2.5}}
 
 
-@pytest.mark.parametrize("name", [None, ["a"], 3, ""])
-def test_records_that_are_none_are_refused_as_before(tmp_path: Path, name: object) -> None:
-    with pytest.raises(InputError, match=r"record 0 of frames is not as facetrack writes it"):
-        read_trajectory(file(tmp_path, {"target": name, "scale": 1.0}))
-
-
 def test_a_csv_with_no_probability_says_where(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text("frame,target,part,x,y,identity,identity_prob\n0,face,box,1,2,anna,0.5\n1,face,box,1,2,anna,1.5\n")
@@ -392,26 +372,3 @@ def test_a_csv_with_no_probability_says_where(tmp_path: Path) -> None:
 
 
 # --- what else reads trajectories ---
-
-
-@pytest.mark.parametrize("form", ["mot", "otb", "got10k", "vot", "coco", "dlc", "eaf"])
-def test_exports_are_those_of_a_tracker_that_reports_nothing(tmp_path: Path, form: str) -> None:
-    header = {"source": {"path": "clip.mp4", "size": [6, 4], "fps": 25.0}}
-    found = []
-    for name, reported in (("plain", None), ("reported", REPORTED)):
-        folder = tmp_path / name
-        folder.mkdir()
-        write(folder / "trajectory.json", [result(index, [target(reported)]) for index in range(5)], header)
-        out = tmp_path / f"{name}.out"
-        assert main(["export", str(folder), "--to", form, "-o", str(out)]) == 0
-        text = out.read_text()
-        found.append(re.sub(r'DATE="[^"]*"|urn:nl-mpi-tools-elan-eaf:[^<"]*', "", text.replace(name, "")))
-    assert found[0] == found[1] and found[0]
-
-
-def test_it_is_measured_against_a_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = write(tmp_path / "t.json", [result(i, [target(REPORTED, who="anna", sure=0.9)]) for i in range(5)])
-    truth = tmp_path / "truth.csv"
-    truth.write_text("frame,target,part,x,y,w,h\n" + "".join(f"{i},face,box,3,2,4,4\n" for i in range(5)))
-    assert main(["eval", str(path), "--truth", str(truth)]) == 0
-    assert "1.000" in capsys.readouterr().out

@@ -107,17 +107,6 @@ def test_a_slow_pan_has_its_direction(make, axis, speed, label):
     assert spans[0].first / 25 == pytest.approx(3, abs=0.25) and spans[0].last / 25 == pytest.approx(5, abs=0.25)
 
 
-def test_drift_slower_than_the_threshold_is_still():
-    t = clock(20)
-    assert labels(points(t, x=0.05 * t, noise=0.3)) == []
-
-
-def test_a_diagonal_move_stands_in_both_kinds():
-    t = clock(6)
-    move = 0.4 * np.clip(t - 2, 0, 1)
-    assert sorted(labels(points(t, x=move, y=-move))) == ["right", "up"]
-
-
 @pytest.mark.parametrize(("rate", "label"), [(25, "clockwise"), (-25, "counterclockwise")])
 def test_tilt_of_points_turns_as_seen_in_the_picture(rate, label):
     t = clock(6)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -28,7 +26,6 @@ from facetrack_cli.trajectory.trajectory import (
     recorded,
     successive,
 )
-from facetrack_cli.trajectory.writers import by_frame
 from tests.support import results
 from tests.support.results import rows_of
 from tests.support.trajectories import known, trajectories
@@ -118,20 +115,6 @@ def test_a_part_without_rows_is_a_part() -> None:
     assert rows.find("hand", "box").frame.tolist() == []  # type: ignore[union-attr]
 
 
-def test_frames_and_rows_of_a_frame() -> None:
-    rows = some()
-    assert rows.frames.tolist() == [2, 3, 4, 5] and rows.times.tolist() == [0.2, 0.3, 0.4, 0.5]
-    assert [(frame, [rows.names[rows.which[i]] for i in at]) for frame, at in by_frame(rows)] == [
-        (2, [NOSE, LIP]), (3, [NOSE, HAND]), (4, [HAND]), (5, [NOSE, LIP]),
-    ]  # fmt: skip
-    there = rows.at(3)
-    assert there.names == rows.names and there.which.tolist() == [0, 2] and there.x.tolist() == [30, 32]
-    assert len(rows.at(1)) == len(rows.at(6)) == 0
-    nose = rows.parts[0]
-    assert [nose.row(frame) for frame in (1, 2, 3, 4, 5, 6)] == [None, 0, 1, None, 2, None]
-    assert np.isnan(nose.take(slice(1, 2)).times).all(), "no row of that frame says when"
-
-
 def test_between_keeps_names_and_what_is_reported_of_its_frames() -> None:
     rows = some().between(3, 5)
     assert rows.names == (NOSE, LIP, HAND)
@@ -139,16 +122,6 @@ def test_between_keeps_names_and_what_is_reported_of_its_frames() -> None:
     assert known(rows.diagnostics["hand"]) == {3: {"scale": 1.0}, 4: {"scale": 1.5}}
     assert known(some().between(4, 9).diagnostics["hand"]) == {4: {"scale": 1.5}}
     assert (rows.header, rows.path) == ({"seed": 3}, Path("run"))
-
-
-def test_rows_are_taken_by_mask_slice_or_index_with_all_their_columns() -> None:
-    corners = np.arange(56.0).reshape(7, 4, 2)
-    rows = replace(some(), corners=corners)
-    for chosen in (rows.frame > 3, slice(2, 5), np.array([0, 6])):
-        taken = rows.take(chosen, header={"seed": 4})
-        assert taken.header == {"seed": 4} and taken.names == rows.names
-        for name in ARRAYS:
-            np.testing.assert_array_equal(getattr(taken, name), getattr(rows, name)[chosen], name)
 
 
 @given(rows=trajectories(), data=st.data())
@@ -206,18 +179,6 @@ def test_columns_are_the_rows_in_the_order_of_the_file() -> None:
     assert columns["part"].tolist() == ["nose", "lip", "nose", "box", "box", "nose", "lip"]
     assert columns["x"].tolist() == [20, 21, 30, 32, 42, 50, 51]
     assert [row.x for row in rows_of(some())] == columns["x"].tolist()
-
-
-def test_a_data_frame_has_the_columns(monkeypatch: pytest.MonkeyPatch) -> None:
-    given: list[dict[str, Any]] = []
-    stub = ModuleType("pandas")
-    stub.DataFrame = lambda columns: given.append(columns) or "a data frame"  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "pandas", stub)
-    assert some().to_pandas() == "a data frame"
-    ((columns,), expected) = given, some().columns()
-    assert tuple(columns) == COLUMNS
-    for name in COLUMNS:
-        np.testing.assert_array_equal(columns[name], expected[name])
 
 
 def test_a_data_frame_of_pandas_itself() -> None:

@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.face_points import GROUPS, LINES, POINTS
-from facetrack_cli.core.numbers import clock
 from facetrack_cli.core.types import Frame, Image
 from facetrack_cli.trajectory.trajectory import FrameResult, Status, TargetResult, recorded
 from facetrack_cli.video.overlay.marks import PALETTE, Font, Sprite, plain, readable, stamp
@@ -92,14 +91,6 @@ def test_a_new_picture_of_the_same_size_and_the_frame_untouched(size: tuple[int,
         assert (image != before).any()
 
 
-def test_the_same_results_give_the_same_pictures() -> None:
-    def sequence() -> list[Image]:
-        overlay = Overlay((320, 240), title="x")
-        return [overlay.draw(face((320, 240), i, lost=("nose",) if i > 5 else ())) for i in range(12)]
-
-    assert all(np.array_equal(a, b) for a, b in zip(sequence(), sequence(), strict=True))
-
-
 @pytest.mark.parametrize("size", SIZES[:5])
 def test_each_part_is_drawn_and_nothing_far_from_them(size: tuple[int, int]) -> None:
     drawn = touched(Overlay(size).draw(face(size)))
@@ -149,27 +140,6 @@ def bright(image: Image, x: float, y: float) -> int:
     return int(np.abs(around(image, x, y, 1).astype(int) - 128).max())
 
 
-def test_a_lost_window_is_dashed() -> None:
-    def side(status: Status) -> np.ndarray:
-        one = result((300, 300), part("n", 150.0, 150.0, w=51.0, h=51.0, status=status, cov=(0, 0, 0)), spread=0.0)
-        image = Overlay((300, 300)).draw(one)
-        return np.array([bright(image, x, 125) > 90 for x in range(126, 175)])
-
-    assert side("tracked").all()
-    gaps = np.abs(np.diff(side("lost").astype(int))).sum()
-    assert gaps >= 4
-
-
-def test_status_has_its_own_colour_for_every_target() -> None:
-    targets = [target(f"t{i}", [part("a", 40.0 + 55 * i, 100.0, w=31.0, h=31.0)], 1) for i in range(5)]
-    image = Overlay((320, 240)).draw(results.result(Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8)), targets))
-    colours = {tuple(image[100, 40 + 55 * i].tolist()) for i in range(5)}
-    assert len(colours) == 5
-    lost = part("a", 60.0, 100.0, w=41.0, h=41.0, status="lost")
-    blue, green, red = Overlay((320, 240)).draw(result((320, 240), lost))[100, 60].tolist()
-    assert red > green > blue and (red, green, blue) not in colours
-
-
 def test_trails_follow_and_fade_and_are_forgotten() -> None:
     size = (320, 240)
     overlay = Overlay(size, fps=25.0, trail_s=1.0)
@@ -215,26 +185,6 @@ def test_memory_is_bounded_for_any_rate_and_changing_targets(fps: float) -> None
     assert 0 < most < 40_000
 
 
-def test_a_clock_that_goes_back_starts_the_trail_anew() -> None:
-    size = (320, 240)
-    overlay = Overlay(size)
-    for index in range(10, 20):
-        overlay.draw(result(size, part("a", 8.0 * index, 120.0), index=index))
-    again = overlay.draw(result(size, part("a", 250.0, 120.0), index=0))
-    assert np.array_equal(again, Overlay(size).draw(result(size, part("a", 250.0, 120.0), index=0)))
-
-
-def test_parts_outside_the_picture() -> None:
-    size = (160, 120)
-    plain_ground = Overlay(size).draw(result(size, part("a", 1e4, 1e4), index=0))[30:]
-    assert not touched(plain_ground).any()
-    for x, y in ((-3.0, 60.0), (163.0, 60.0), (80.0, -3.0), (80.0, 123.0)):
-        drawn = touched(Overlay(size).draw(result(size, part("a", x, y), index=0)))
-        assert drawn[20:].any() == (y >= 0)
-    Overlay(size).draw(result(size, part("a", 1e300, -1e300), index=0))
-    Overlay(size).draw(result(size, part("a", float("nan"), 1.0), part("b", 50.0, float("inf")), index=0))
-
-
 def test_the_ellipse_shows_the_covariance() -> None:
     def drawn(cov: tuple[float, float, float], spread: float = 0.0) -> np.ndarray:
         return touched(Overlay((200, 200)).draw(result((200, 200), part("n", 100.0, 100.0, cov=cov), spread=spread)))
@@ -246,21 +196,6 @@ def test_the_ellipse_shows_the_covariance() -> None:
     assert not drawn((0.0, 0.0, 0.0))[100, 120:].any()
     dots = drawn((0.0, 0.0, 0.0), spread=20.0)
     assert dots[60:140, 60:90].sum() + dots[60:140, 110:140].sum() >= 10
-
-
-@pytest.mark.parametrize("cov", [(0, 0, 0), (1e300, 0, 1e300), (-1, 5, -1), (1, 100, 1), (float("inf"), 0, 1)])
-def test_any_covariance(cov: tuple[float, float, float]) -> None:
-    Overlay((160, 120)).draw(result((160, 120), part("n", 80.0, 60.0, cov=cov)))
-
-
-def test_no_targets_no_parts_no_particles() -> None:
-    ground = np.full((120, 160, 3), 128, np.uint8)
-    bare = target("face", [], 0)
-    alone = target("face", [part()], 0)
-    short = target("face", [part("a"), part("b", 90.0)], 5, np.full((5, 1, 2), 20.0))
-    for targets in ((), (bare,), (alone,), (short,)):
-        image = Overlay((160, 120)).draw(results.result(Frame(0, 0.0, ground), targets))
-        assert (image[:10] != 128).any()  # the status bar is there all the same
 
 
 def test_a_frame_of_another_size_is_refused() -> None:
@@ -403,14 +338,6 @@ def test_what_the_bar_says() -> None:
     assert in_the_bar() == ("lost", ["no target", "none"])
 
 
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [(0.0, "0:00.00"), (5.16, "0:05.16"), (59.999, "1:00.00"), (3601.5, "1:00:01.50"), (-1.0, "-0:01.00")],
-)
-def test_the_clock(seconds: float, text: str) -> None:
-    assert clock(seconds) == text
-
-
 @pytest.mark.parametrize("width", [48, 128, 240, 320, 1000])
 @pytest.mark.parametrize("lost", [(), ("nose",), NAMES[:3]])
 def test_nothing_in_the_bar_overlaps_or_is_cut_off(width: int, lost: tuple[str, ...]) -> None:
@@ -491,14 +418,6 @@ def test_an_absent_part_is_not_drawn_and_neither_is_its_name() -> None:
     assert not np.array_equal(ours[: bar.height], without[: bar.height]), "the bar tells"
 
 
-def test_an_absent_target_leaves_the_picture_as_it_is() -> None:
-    frame = Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8))
-    nothing = results.result(frame, [target("face", [gone(), gone("lip_upper")])])
-    overlay = Overlay((320, 240))
-    assert overlay._bar is not None
-    assert not touched(overlay.draw(nothing))[overlay._bar.height :].any()
-
-
 def test_a_trail_leads_neither_to_a_place_given_by_hand_nor_past_an_absence() -> None:
     size = (320, 240)
 
@@ -536,17 +455,6 @@ def test_the_bar_says_calmly_what_is_absent_and_what_was_given_by_hand() -> None
     assert said(gone(), gone("lip"), other=(part("box"),))[1][0] == "tracked; face absent"
     assert said(lip, {**hand, "part": "nose"}) == ("init", ["nose by hand", "by hand"])
     assert said(lip, other=(hand,))[1][0] == "hand by hand"
-
-
-def test_the_sign_of_what_is_absent_is_not_that_of_what_is_lost() -> None:
-    def bar(status: str) -> Image:
-        image = np.full((48, 320, 3), 128, np.uint8)
-        one = target("f", [part(status=status)], 1, np.zeros(0))
-        StatusBar(320, 8, 1).draw(image, results.result(Frame(0, 0.0, image), [one]))
-        return image
-
-    vermilion = (bar("lost")[..., 2].astype(int) - bar("lost")[..., 0] > 60).any()
-    assert vermilion and not (bar("absent")[..., 2].astype(int) - bar("absent")[..., 0] > 60).any()
 
 
 def test_parts_have_colours_of_their_own_and_names_without_underscores() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Array, Frame, Image
-from facetrack_cli.trajectory.trajectory import FrameResult, joined, one_part, recorded, successive
+from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.video.overlay.labels import Insets, Rect, Shown
 from facetrack_cli.video.overlay.marks import Font
 from facetrack_cli.video.overlay.overlay import Overlay
@@ -47,24 +47,6 @@ def test_a_part_with_corners_is_drawn_as_its_parallelogram() -> None:
     assert not around(drawn, 105 - 42, 105 + 30, 3).any()
 
 
-@pytest.mark.parametrize("status", ["init", "tracked", "lost"])
-@pytest.mark.parametrize(
-    "corners",
-    [
-        np.full((4, 2), np.nan),
-        np.full((4, 2), 1e300),
-        np.zeros((4, 2)),
-        quad((-1e9, 5), (1e9, 5), (1e9, 6), (-1e9, 6)),
-        quad((50, 50), (50, np.inf), (0, 0), (9, 9)),
-        quad((50, 50), (90, 50), (50, 90), (90, 90)),
-    ],
-)
-def test_any_corners_are_survived(status: str, corners: Array) -> None:
-    one = part("box", 50, 50, status=status, corners=corners)
-    image = Overlay((160, 120)).draw(result((160, 120), one))
-    assert image.shape == (120, 160, 3)
-
-
 # --- names ---
 
 
@@ -80,10 +62,6 @@ def test_a_name_that_is_in_doubt_is_pale_and_has_a_question_mark() -> None:
     assert colours[0] > 100 and colours[2] > 100, "in the target's colour"
     assert colours[1] < 40, "grey"
     assert not touched(above(named(None, None))).any()
-
-
-def test_half_is_no_doubt() -> None:
-    assert np.ptp(above(named("anna", 0.5)).astype(int), axis=2).max() > 100
 
 
 # --- images in the corners ---
@@ -198,16 +176,6 @@ def test_the_bar_tells_of_one_target_that_adapts() -> None:
     assert said({"scale": 1.234}) == {"scale": "size 123%"}
     assert said({"scale": 1.234, "noise": 1.5}, {"scale": 1.234, "noise": 1.5}) == {}
     assert said() == said(None) == said({}) == said({"noise": 1.0}) == said({"scale": float("nan")}) == {}
-
-
-def test_the_bar_of_what_was_recorded_has_the_scale_of_its_frame() -> None:
-    frames = [results.result(i, [target("face", [part("box")], 77, reported={"scale": 1.0 + i})]) for i in range(4)]
-    rows = successive([each.rows for each in frames])
-    for i, each in enumerate(frames):
-        again = FrameResult(each.frame, recorded(i, rows.at(i)))
-        assert adaptation(again.rows) == adaptation(each.rows) == {"scale": f"size {1 + i}00%"}
-    other = joined([rows, one_part("face", "box", [9], x=[1.0])], diagnostics=rows.diagnostics)
-    assert adaptation(FrameResult(frames[0].frame, recorded(9, other.at(9))).rows) == {}, "nothing is reported there"
 
 
 @pytest.mark.parametrize("width", [60, 160, 320, 640, 1280])
