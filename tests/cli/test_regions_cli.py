@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Frame, Start, TargetStart
-from facetrack_cli.recipe.load import check_recipe, load_recipe
+from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.report.events import Clock, history_of
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
@@ -125,49 +125,6 @@ def test_a_batch_says_of_which_clip_it_speaks(facetrack, clips):
 
 
 # --- what a recipe may say -------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("override", "said"),
-    [
-        ("motion.position.A=[[1, 1e300], [0, 1]]", "motion.position.A[1][2] must be at most 1000000, not 1e+300"),
-        ("motion.scale.A=[[1e200, 1e200], [1e200, 1e200]]", "motion.scale.A[1][1] must be at most 1000000"),
-        ("motion.position.A=[[1, 1]]", "motion.position.A must have 2 items, not 1"),
-        ("motion.position.A=[]", "motion.position.A must have 2 items, not 0"),
-        ("motion.position.A=[[1], [0, 1]]", "motion.position.A[1] must have 2 items, not 1"),
-        ("motion.position.A=[[1, 1], [0, 1], [0, 0]]", "motion.position.A must have at most 2 items, not 3"),
-        ("motion.position.B=[[0.1, 0, 0], [0.1, 0, 0]]", "motion.position.B[1] must have at most 2 items, not 3"),
-        ("motion.scale.B=[[1e300], [0]]", "motion.scale.B[1][1] must be at most 1000000"),
-        ("target.scale=[0.5]", "target.scale must have 2 items, not 1"),
-        ("target.type=null", "target.type cannot be empty (null); it is one of: points, region"),
-        ("likelihood.type={a: b}", "likelihood.type cannot be a mapping; it is one of: colour_ratio, product"),
-        (
-            "filter.type=factorized",
-            '--set filter.type=factorized: filter type "factorized" does not go with target type',
-        ),
-        (
-            "target={type: points, parts: [nose], windows: 9px}",
-            'motion type "first_order" does not go with target type "points"',
-        ),
-        ("likelihood.contour.search=11", "likelihood.contour.search must be at most 10, in units of the target's"),
-        ("likelihood.contour.search=10001px", "or 10000px"),
-        ("likelihood.histogram.lambda_h=1e300", "likelihood.histogram.lambda_h must be at most 1000000"),
-        ("likelihood.histogram.regions=[3]", "likelihood.histogram.regions must have 2 items, not 1"),
-        ("likelihood.correlation.sigma=1e-300", "likelihood.correlation.sigma must be at least 0.001, not 1e-300"),
-        ("likelihood.correlation.grid=[16]", "likelihood.correlation.grid must have 2 items, not 1"),
-        ("likelihood.correlation.grid=[16, 16, 1]", "likelihood.correlation.grid must have at most 2 items, not 3"),
-    ],
-)
-def test_a_wrong_value_is_told_once_with_its_key(facetrack, override, said):
-    assert said in refused(run(facetrack, "--set", override), 2)
-
-
-def test_every_list_that_is_too_short_is_told_once():
-    said = [str(problem) for problem in check_recipe(ALL, ["motion.position.A=[[1], []]"])]
-    assert [line.rpartition("motion.position.")[2] for line in said] == [
-        "A[1] must have 2 items, not 1",
-        "A[2] must have 2 items, not 0",
-    ]
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from facetrack_cli.cli.app import cli
-from facetrack_cli.recipe.files import shipped_folder, shipped_recipes
-from facetrack_cli.recipe.load import check_recipe, load_recipe
+from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import json_schema
 from facetrack_cli.tracking.start import read_init
 from tests.support.media import write_pictures
@@ -24,7 +23,6 @@ from tests.support.terminal import refusal
 ALL = ["head", "left_hand", "right_hand"]
 HEAD, LEFT, RIGHT = "[135, 44, 50, 50]", "[82, 138, 48, 57]", "[188, 131, 50, 60]"
 FEW = [f"--set=targets.{name}.filter.particles=200" for name in ALL]
-RECIPE = (shipped_folder() / "head_hands.yaml").read_text()
 
 
 @pytest.fixture(scope="module")
@@ -153,73 +151,12 @@ def test_a_face_is_looked_for_until_hands_show_too(facetrack):
 
 
 @pytest.mark.parametrize(
-    ("override", "said"),
-    [
-        ("targets.Foot=null", '"Foot" cannot be one of targets; a name has small letters'),
-        ("targets.head=null", 'there is no target "head" to learn from; there are left_hand, right_hand'),
-        ("exclusion.first=[foot]", 'there is no target "foot"; there are head, left_hand, right_hand'),
-        ("targets.left_hand.likelihood.learn_from=foot", 'there is no target "foot" to learn from'),
-        ("exclusion.strength=2", "exclusion.strength must be at most 1, not 2"),
-        ("targets.left_hand.motion.scale=0.1", "a target of type cloud has none: remove it"),
-        ("targets.left_hand.particles=1", 'unknown key "particles" in "targets.left_hand"'),
-        ("targets={}", "targets must have at least 1 items, not 0"),
-    ],
-)
-def test_a_wrong_value_is_told_once_with_its_key(facetrack, override, said):
-    assert said in refusal(facetrack("run", "IN/sign", "--config", "head_hands", "--set", override), 2)
-
-
-@pytest.mark.parametrize(
     "overrides",
     [["exclusion=null"], ["exclusion={strength: 1, reach: 10, first: [head, head]}"], ["targets.foot=null"]],
 )
 def test_what_a_recipe_may_leave_out(facetrack, overrides):
     options = [word for override in overrides for word in ("--set", override)]
     assert run(facetrack, *options, "--stop", 3, "-o", "o")[0] == 0
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "marked", "said"),
-    [
-        ("type: particle_filters\n", "", "targets", '"targets" is a key of several particle filters'),
-        ("type: particle_filters\n", "type: particle_filter\n", "particle_filter", "write type: particle_filters"),
-        ("  left_hand:\n", "  left_hand:\n    colour: red\n", "colour", 'unknown key "colour" in "targets.left_hand"'),
-        ("type: region}", "type: region, foo: 1}", "foo", 'unknown key "foo" in "targets.head.target"'),
-        ("inner: 1.0}", "iner: 1.0}", "iner", 'unknown key "iner" in "targets.head.likelihood.skin"; did you mean'),
-        ("reach: 1.0", "reech: 1.0", "reech", 'unknown key "reech" in "exclusion"; did you mean "reach"?'),
-        ("  right_hand:\n", "  left_hand:\n", "left_hand", 'the key "left_hand" is repeated'),
-        ("  right_hand:\n", "  Right Hand:\n", "Right Hand", '"Right Hand" cannot be one of targets; a name has'),
-        ("  right_hand:\n", f"  {'a' * 70}:\n", "a" * 70, "cannot be one of targets; give 60 characters at most"),
-        ("  left_hand:\n", "  left_hand: &hand\n", "&", "is an anchor; remove it, and write out what refers to it"),
-    ],
-)
-def test_a_wrong_recipe_is_told_where_it_is_wrong(tmp_path, old, new, marked, said):
-    file = tmp_path / "mine.yaml"
-    assert RECIPE.count(old) == 1
-    file.write_text(RECIPE.replace(old, new))
-    problem = check_recipe(str(file))[0]
-    text = file.read_text().splitlines()[problem.span.line]
-    assert text[problem.span.column : problem.span.end] == marked
-    assert said in str(problem)
-
-
-def many(tmp_path, count, particles):
-    """A recipe of a head and `count` - 1 hands with so many particles each."""
-    head, _, rest = RECIPE.partition("  left_hand:\n")
-    hand = rest.partition("  right_hand:\n")[0].partition("    filter:")[0]
-    hands = [f"  hand_{i}:\n{hand}    filter: {{type: sir, particles: {particles}}}\n" for i in range(count - 1)]
-    file = tmp_path / "many.yaml"
-    file.write_text(head + "".join(hands))
-    return str(file)
-
-
-def test_all_targets_together_have_room_in_memory(tmp_path):
-    assert check_recipe(many(tmp_path, 5, 1_000_000)) == []
-    [problem] = check_recipe(many(tmp_path, 6, 1_000_000))
-    assert "the targets have 5,001,500 particles; no more than 5,000,000 fit into memory" in str(problem)
-    assert check_recipe(many(tmp_path, 20, 10)) == []
-    [problem] = check_recipe(many(tmp_path, 30, 10))
-    assert "targets must have at most 20 items, not 30" in str(problem)
 
 
 def test_the_schema_knows_which_names_targets_may_have():
@@ -310,10 +247,3 @@ def test_init_refuses_before_it_writes(clips, tmp_path):
         done = CliRunner().invoke(cli, [str(word) for word in given])
         assert done.exit_code != 0 and said in str(done.exception)
         assert list(tmp_path.iterdir()) == []
-
-
-def test_every_shipped_recipe_is_good():
-    names = [path.stem for path in shipped_recipes()]
-    assert {"skin", "skin_ncc", "skin_ncc_robust", "ncc", "head_hands", "head_hands_cloud"} <= set(names)
-    done = CliRunner().invoke(cli, ["recipes", "check", *names])
-    assert done.exit_code == 0 and done.output.count(": good") == len(names)

@@ -1,0 +1,148 @@
+"""What no recipe may say: values, and what does not go together, each refused once, with its key and a remedy."""
+
+import pytest
+
+from facetrack_cli.core.errors import RecipeError
+from facetrack_cli.recipe.files import shipped_folder
+from facetrack_cli.recipe.load import check_recipe, load_recipe
+from facetrack_cli.recipe.sections import LengthOrNone
+
+REGION, HANDS = "contour_histogram_correlation", "head_hands"
+DYNAMICS = "{A: [[1, 0], [0, 0]], B: [[0.1], [0]]}"
+GREEDY = "give velocity.samples, as in samples: 32"
+WRONG = [
+    ("factorized", "prior=null", "prior needs a prior; add a prior section"),
+    ("factorized", "prior=null filter.reweight=transition filter.from_prior=0.1", "from_prior above 0 needs a prior"),
+    ("factorized", "filter.reweight=transition filter.from_prior=0.1", "from_prior above 0 goes with reweight: prior"),
+    ("factorized", "prior.sigma=0.001", "prior.sigma must be at least 0.005, not 0.001"),
+    ("auxiliary_prior", "filter.type=independent", "makes no use of a prior"),
+    ("sir", f"motion={{type: first_order, position: {DYNAMICS}, scale: {DYNAMICS}}}",
+     'motion type "first_order" does not go with target type "points"; write random_walk'),
+    ("sir", "likelihood={type: product, correlation: {sigma: 9}}",
+     'likelihood type "product" does not go with target type "points"; write colour_ratio'),
+    ("sir", "filter={type: adaptive, particles: 10}", 'type "adaptive" does not go with target type "points"'),
+    # regions
+    (REGION, "target.scale=[1.5, 2]", "with 1, the size at the start, between them"),
+    (REGION, "target.scale=[0, 2]", "target.scale[1] must be greater than 0"),
+    (REGION, "target.scale=[0.5]", "target.scale must have 2 items, not 1"),
+    (REGION, "target.type=null", "target.type cannot be empty (null); it is one of: points, region"),
+    (REGION, "target={type: points, parts: [nose], windows: 9px}",
+     'motion type "first_order" does not go with target type "points"'),
+    (REGION, "motion={type: random_walk, sigma: {nose: 0.1, default: 0.2}}", '"nose" in motion.sigma is no part'),
+    (REGION, "motion.position.A=[[1, 1e300], [0, 1]]", "motion.position.A[1][2] must be at most 1000000, not 1e+300"),
+    (REGION, "motion.position.A=[[1], [0, 1]]", "motion.position.A[1] must have 2 items, not 1"),
+    (REGION, "motion.position.A=[[1, 1], [0, 1], [0, 0]]", "motion.position.A must have at most 2 items, not 3"),
+    (REGION, "motion.position.A=[[1, 1], [0, 1.1]]", "makes the state grow 1.1-fold each frame"),
+    (REGION, "motion.scale.A=[[0, -2], [2, 0]]", "makes the state grow 2-fold each frame"),
+    (REGION, "motion.position.B=[[0.1, 0], [0.1]]", "need the same number of sources of noise"),
+    (REGION, "motion.position.B=[[-1], [0]]", "must be 0 or a length"),
+    (REGION, "motion.position.B=[[], []]", "at least 1 items"),
+    (REGION, "motion.scale.B=[[-1], [0]]", "must be at least 0"),
+    (REGION, "filter={type: factorized, particles: 9}", "write sir or auxiliary"),
+    (REGION, "prior={type: parzen, file: mouth_prior.npz, sigma: 0.1}", "write null"),
+    (REGION, "recognition={}", 'does not go with target type "region"; remove it, or follow an affine target'),
+    (REGION, "likelihood.type={a: b}", "likelihood.type cannot be a mapping; it is one of: colour_ratio, product"),
+    (REGION, "likelihood={type: product}", "likelihood has no factor; add contour, histogram or correlation"),
+    (REGION, "likelihood.contours={}", 'unknown key "contours" in "likelihood"; did you mean "contour"?'),
+    (REGION, "likelihood.contour.sigma=0", "must be a length above 0"),
+    (REGION, "likelihood.contour.search=11", "likelihood.contour.search must be at most 10, in units of the target's"),
+    (REGION, "likelihood.contour.search=10001px", "or 10000px"),
+    (REGION, "likelihood.histogram.bins=3", 'unknown key "bins" in "likelihood.histogram"'),
+    (REGION, "likelihood.correlation={sigma: 9, saturation: 5}", "saturation has no meaning for distance: l2"),
+    (REGION, "likelihood.correlation={sigma: 9, distance: saturated_l1}", "saturated_l1 needs saturation"),
+    (REGION, "likelihood.correlation.sigma=1e-300", "likelihood.correlation.sigma must be at least 0.001, not 1e-300"),
+    # affine targets
+    ("adaptive", "motion.noise=null", "adapt follows motion.noise, which is null; add noise: {}, or write adapt: fal"),
+    ("adaptive", "motion.noise.most=0.2", "motion.noise.most is below least"),
+    ("adaptive", "motion={type: random_walk, sigma: 0.1}", 'target type "affine"; write affine_walk'),
+    ("adaptive", "likelihood.mixing.w=0 likelihood.mixing.s=0 likelihood.mixing.f=0", "mixing is all 0"),
+    ("adaptive", "likelihood.sigma.s=0", "likelihood.sigma.s must be at least 0.001"),
+    ("adaptive", "likelihood.template=[5,30]", "likelihood.template[1] must be at least 6, not 5"),
+    ("adaptive", "filter.particles=500000", "particles of 26x30 points each"),
+    ("adaptive", "filter.particles=5000 motion.velocity.samples=null", GREEDY),
+    ("adaptive", "filter.particles=3000 motion.velocity.samples=2500", GREEDY),
+    # several targets
+    (HANDS, "targets.Foot=null", '"Foot" cannot be one of targets; a name has small letters'),
+    (HANDS, "targets.head=null", 'there is no target "head" to learn from; there are left_hand, right_hand'),
+    (HANDS, "exclusion.first=[foot]", 'there is no target "foot"; there are head, left_hand, right_hand'),
+    (HANDS, "targets.left_hand.likelihood.learn_from=foot", 'there is no target "foot" to learn from'),
+    (HANDS, "exclusion.strength=2", "exclusion.strength must be at most 1, not 2"),
+    (HANDS, "targets.left_hand.motion.scale=0.1", "a target of type cloud has none: remove it"),
+    (HANDS, "targets.left_hand.particles=1", 'unknown key "particles" in "targets.left_hand"'),
+    (HANDS, "targets={}", "targets must have at least 1 items, not 0"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "overrides", "said"), WRONG)
+def test_what_cannot_be_is_refused(name, overrides, said):
+    assigned = [overrides] if "{" in overrides or "[" in overrides else overrides.split()
+    with pytest.raises(RecipeError) as caught:
+        load_recipe(name, assigned)
+    message = str(caught.value)
+    assert said in message and "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides"),
+    [
+        ("auxiliary_prior", ["filter.type=sir"]),
+        ("contour", ["motion.position.B=[[0, 3px], [0.0, 0]]"]),
+        ("adaptive", ["filter.particles=20000", "motion.velocity.samples=32"]),
+        ("adaptive", ["filter.particles=900", "motion.velocity.samples=null"]),
+        ("fixed_template", ["filter.particles=100000"]),
+    ],
+)
+def test_what_is_close_to_it_is_taken(name, overrides):
+    assert check_recipe(name, overrides) == []
+
+
+def test_no_noise_is_a_length_of_dynamics():
+    none = LengthOrNone(0.0)
+    noise = load_recipe("contour", ["motion.position.B=[[0, 3px], [0.0, 0]]"]).motion.position.B
+    assert noise == ((none, LengthOrNone(3.0, px=True)), (none, none))
+
+
+def test_every_list_that_is_too_short_is_told_once():
+    said = [str(problem) for problem in check_recipe(REGION, ["motion.position.A=[[1], []]"])]
+    assert [line.rpartition("motion.position.")[2] for line in said] == [
+        "A[1] must have 2 items, not 1",
+        "A[2] must have 2 items, not 0",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "marked", "said"),
+    [
+        ("type: particle_filters\n", "", "targets", '"targets" is a key of several particle filters'),
+        ("type: particle_filters\n", "type: particle_filter\n", "particle_filter", "write type: particle_filters"),
+        ("  left_hand:\n", "  left_hand:\n    colour: red\n", "colour", 'unknown key "colour" in "targets.left_hand"'),
+        ("inner: 1.0}", "iner: 1.0}", "iner", 'unknown key "iner" in "targets.head.likelihood.skin"; did you mean'),
+        ("  right_hand:\n", "  left_hand:\n", "left_hand", 'the key "left_hand" is repeated'),
+        ("  right_hand:\n", "  Right Hand:\n", "Right Hand", '"Right Hand" cannot be one of targets; a name has'),
+        ("  right_hand:\n", f"  {'a' * 70}:\n", "a" * 70, "cannot be one of targets; give 60 characters at most"),
+    ],
+)
+def test_a_wrong_recipe_of_several_targets_is_told_where_it_is_wrong(tmp_path, old, new, marked, said):
+    recipe, file = (shipped_folder() / f"{HANDS}.yaml").read_text(), tmp_path / "mine.yaml"
+    assert recipe.count(old) == 1
+    file.write_text(recipe.replace(old, new))
+    problem = check_recipe(str(file))[0]
+    text = file.read_text().splitlines()[problem.span.line]
+    assert text[problem.span.column : problem.span.end] == marked
+    assert said in str(problem)
+
+
+def test_all_targets_together_have_room_in_memory(tmp_path):
+    head, _, rest = (shipped_folder() / f"{HANDS}.yaml").read_text().partition("  left_hand:\n")
+    hand = rest.partition("  right_hand:\n")[0].partition("    filter:")[0]
+
+    def problems(count, particles):
+        filter_ = f"    filter: {{type: sir, particles: {particles}}}\n"
+        (tmp_path / "many.yaml").write_text(head + "".join(f"  hand_{i}:\n{hand}{filter_}" for i in range(count - 1)))
+        return list(map(str, check_recipe(str(tmp_path / "many.yaml"))))
+
+    assert problems(5, 1_000_000) == [] == problems(20, 10)
+    [problem] = problems(6, 1_000_000)
+    assert "the targets have 5,001,500 particles; no more than 5,000,000 fit into memory" in problem
+    [problem] = problems(30, 10)
+    assert "targets must have at most 20 items, not 30" in problem
