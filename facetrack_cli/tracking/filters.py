@@ -169,9 +169,9 @@ def factorized(
 
 
 def _parents(settings: filters.Kept, rng: Generator, particles: Particles, columns: int) -> tuple[Whole, Array]:
-    """(N, C) which particle each one of a column moves from, and (N, C) log weights that go with it, 0 if picked anew.
+    """Indices (N, C) of the parents of each column, and their log weights (N, C), 0 after resampling.
 
-    Particles that are left as they are keep their weights, times N.
+    Particles that are not resampled keep their weights, times N.
     """
     n = len(particles.x)
     if settings.resample_below < 1 and effective_sample_size(particles.log_w) >= settings.resample_below * n:
@@ -343,7 +343,7 @@ def _observed(
 def _moved(
     rng: Generator, model: FrameModel, observe: _Observe, x: Array, parents: Array, log_l: Array, power: Array
 ) -> tuple[Array, Array]:
-    """x (N, K, D) and log likelihoods (N, C) after a Metropolis move that leaves p(x | parents) L(x)^power as it is.
+    """x (N, K, D) and log likelihoods (N, C) after a Metropolis move that keeps p(x | parents) L(x)^power invariant.
 
     The noise of the motion, which is normal, is turned into fresh noise (preconditioned Crank-Nicolson; Cotter et al.,
     Statistical Science 2013), so that no density of the motion is needed, which may have none.

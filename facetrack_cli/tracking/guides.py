@@ -14,7 +14,7 @@ from facetrack_cli.tracking.resampling import logsumexp, normalise, systematic
 class Guides(NamedTuple):
     """Where the likelihood proposes to look: J Gaussians of place and log scale, in pixels and nats.
 
-    `mean`, `std` (J, 3), `log_w` (J,); `anew` (J,) are those that re-detection found, far from the last place.
+    `mean`, `std` (J, 3), `log_w` (J,); `anew` (J,): whether re-detection found the mode, far from the last place.
     """
 
     mean: Array
@@ -23,7 +23,7 @@ class Guides(NamedTuple):
     anew: Mask
 
     def after(self, mean: Array, std: Array) -> Guides:
-        """These times a Gaussian prior (3,), but for those found anew: where a posterior has its modes."""
+        """These modes times a Gaussian prior (3,); modes of re-detection stay as they are."""
         precision = 1 / self.std**2 + 1 / std**2
         both = (self.mean / self.std**2 + mean / std**2) / precision
         anew = self.anew[:, None]
@@ -32,7 +32,7 @@ class Guides(NamedTuple):
         return Guides(np.where(anew, self.mean, both), np.where(anew, self.std, precision**-0.5), log_w, self.anew)
 
     def draw(self, rng: Generator, n: int) -> Array:
-        """(n, 3), n even: pairs on opposite sides of a mean, so that what is symmetric has no error of its mean."""
+        """(n, 3), n even: antithetic pairs, so that a symmetric density has no error of its mean."""
         if not n:
             return np.empty((0, 3))
         which = systematic(rng, normalise(self.log_w), n // 2)
@@ -46,7 +46,7 @@ class Guides(NamedTuple):
         return logsumexp(each + normalise(self.log_w), axis=1)
 
     def elsewhere(self, spread: Array) -> Guides | None:
-        """Those found anew, equally likely, with the standard deviations `spread` (3,); None if there are none."""
+        """The modes of re-detection, equally likely, with standard deviations `spread` (3,); None without any."""
         n = int(self.anew.sum())
         if not n:
             return None

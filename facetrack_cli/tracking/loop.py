@@ -1,4 +1,4 @@
-"""The loop over frames: bind, step, estimate, judge; a result a frame. `build.py` puts the targets together."""
+"""The loop over frames: each target steps, and each frame gives one result. `build.py` makes the targets."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -52,7 +52,7 @@ def stream(seed: int, place: int) -> Generator:
 
 @dataclass
 class TrackState:
-    """Where a track stands after a frame: the state of each target, none before the first frame, and random numbers."""
+    """The state of a track after a frame: a state and a generator for each target; no states before the first frame."""
 
     states: list[Any] = field(default_factory=list)
     rngs: list[Generator] = field(default_factory=list)
@@ -61,13 +61,13 @@ class TrackState:
 def track(
     tracker: Tracker, frames: Iterator[Frame], seed: int, *, clip: str = "", at: TrackState | None = None
 ) -> Iterator[FrameResult]:
-    """Track over `frames`, the first of which is the one that the tracker's start belongs to.
+    """Track over `frames`. The tracker's start belongs to the first frame.
 
-    Targets advance in their order: those before are known where they are in this frame, the others where they are
-    expected. Equal input gives equal results, bit for bit, also of a target that no other one excludes, whatever comes
-    after it. Raises InputError, which names the `clip`, if the first frame does not show what a target needs.
+    Targets advance in their order. A target sees the covers of earlier targets in this frame, and the expected covers
+    of later targets. Equal input gives equal results, bit for bit. The results of a target without exclusion do not
+    depend on other targets. Raises InputError, which names the `clip`, if the first frame lacks what a target needs.
 
-    `at` is kept up to date; one that stands after a frame already is gone on from, with the next of the `frames`.
+    `at` is kept up to date. If it holds states already, tracking resumes from them with the next of the `frames`.
     """
     at = TrackState() if at is None else at
     at.rngs = at.rngs or [stream(seed, place) for place in range(len(tracker))]

@@ -1,6 +1,6 @@
 """OpenCV's own trackers of a box, to compare with: MIL, CSRT, KCF and MOSSE, with their default parameters.
 
-Where one reports that it has lost the target, the part is `lost` and the box stays; MIL and CSRT hardly ever do.
+A tracker that reports its target as lost makes the part `lost`, and the box stays. MIL and CSRT hardly ever report it.
 """
 
 import ctypes
@@ -70,7 +70,7 @@ class OpenCvTarget:
             found, box = tracker.update(frame.bgr)
         except cv2.error:  # as MIL does where no place is left to look at
             found, box = False, last
-        if not found or box[2] < 1 or box[3] < 1:  # one that has lost its target reports an empty box
+        if not found or box[2] < 1 or box[3] < 1:  # a tracker that has lost its target reports an empty box
             return state, self._result(frame, last, "lost")
         return (tracker, box), self._result(frame, box, "tracked")
 

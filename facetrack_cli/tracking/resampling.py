@@ -98,7 +98,7 @@ def multinomial(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
 
 
 def residual(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
-    """floor(M * w) copies of each, and the remainder drawn systematically from what is left over."""
+    """floor(M * w) copies of each particle, and the rest drawn systematically from the remainders."""
     if log_w.ndim > 1:
         return np.stack([residual(rng, column, m) for column in log_w.T], axis=1)
     w = np.exp(log_w)

@@ -16,7 +16,7 @@ Names: TypeAlias = Sequence[str]
 
 
 class Likelihood(Measures, Protocol):
-    """An observation model; what it has learned of a clip so far is a value that it returns and is given back.
+    """An observation model. What it learns of a clip is a value: it returns the value and is given it back.
 
     `init`: from the first frame with the parts at x0 (K, D); its `notes`, if any, are lines for the user. `score`:
     (N, K), log p(y | x) of each part, x and parents (N, K, D). `learn`: after a frame with the estimate (K, D).
@@ -36,9 +36,9 @@ class Reports(Protocol):
     def diagnose(self, learned: Any) -> Mapping[str, Any]: ...
 
 
-@runtime_checkable  # is asked once a target: it is slow
+@runtime_checkable  # isinstance is slow: it is asked once per target
 class ScoresPatches(Protocol):
-    """A likelihood that says how far patches are from what is known, for the velocity prediction."""
+    """A likelihood that scores patches by their distance from the appearance, for the velocity prediction."""
 
     def error(self, learned: Any, patches: Any) -> Array: ...  # (N,): phi(y, a_t) of patches y (N, d)
     def expected(self, learned: Any) -> Any: ...  # (d,): the mean patch

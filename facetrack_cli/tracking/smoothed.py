@@ -38,26 +38,24 @@ def lagged(results: Iterable[FrameResult], lag: int) -> Iterator[FrameResult]:
 
     They are those of `smoothed_rows` of all frames up to then, where no part takes longer than `lag` frames to be lost.
     """
-    kept, waiting = deque[FrameResult](), 0
+    kept = deque[FrameResult]()
     before: list[tuple[Belief, ...]] = []
     for result in results:
         kept.append(result)
-        waiting += 1
-        if waiting > lag:
+        if len(kept) - bool(before) > lag:  # the frame before stays until the next one is done
             done, before = _next(kept, before)
-            waiting -= 1
             yield done
-    while waiting:
+    while len(kept) > bool(before):
         done, before = _next(kept, before)
-        waiting -= 1
         yield done
 
 
 def _next(
     kept: deque[FrameResult], before: Sequence[tuple[Belief, ...]]
 ) -> tuple[FrameResult, list[tuple[Belief, ...]]]:
-    """The first of `kept`, smoothed, or the second where there is a frame `before`, whose beliefs these are, and what
-    the next one is to be given so. The frame before is dropped.
+    """The next frame of `kept`, smoothed, and its beliefs.
+
+    It is the first of `kept`, or the second if the first has the beliefs `before`; then the first is dropped.
     """
     at = 1 if before else 0
     now, targets, after = kept[at], [], []
@@ -79,7 +77,7 @@ class _Target:
     def __init__(
         self, rows: Trajectory, beliefs: Beliefs, carried: Sequence[Belief] = (), *, lag: bool = False
     ) -> None:
-        """`carried` are the beliefs of the first frame in place of its own, where those before it were lost."""
+        """`carried` replaces the beliefs of the first frame, if parts were lost in the frames before it."""
         self.all, k, t, self.lag = rows, len(rows.names), len(beliefs), lag
         table = {name: getattr(rows, name).reshape(k, t).T for name in (*_SMOOTHED, "status", "by_hand")}
         self.of = table

@@ -111,7 +111,7 @@ class ParticleTarget:
         return state, result._replace(notes=getattr(learned, "notes", ()))
 
     def _begun(self, rng: Generator, frame: Frame, state: State, status: Status) -> tuple[State, TargetResult]:
-        """The state with what is reported and predicted where particles begin."""
+        """The state with its diagnostics and its flow, where particles begin."""
         flow = None if self._predicts is None else self._predicts.begin(rng, frame, state.estimated.state)
         state = replace(state, reported=self._diagnose(state.learned), flow=flow)
         return state, self._result(state, frame, Info(np.full(len(self.parts), float(self.particles))), status)

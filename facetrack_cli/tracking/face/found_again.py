@@ -48,7 +48,7 @@ def look_of(still: Frame) -> Array:
 
 
 def likeness(looks: tuple[Array, ...], look: Array) -> float:
-    """The highest correlation of a look with those that are known."""
+    """The highest correlation of a look with the known looks."""
     return max(float(one @ look) for one in looks)
 
 

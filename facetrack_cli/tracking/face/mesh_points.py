@@ -64,7 +64,7 @@ class MeshPoints(NamedTuple):
         return (self.var + OFF**2)[:, None, None] * np.eye(2)
 
     def mapped(self, to: Callable[[Array], Array]) -> MeshPoints:
-        """In another stabilized image, whose places are those of this one by a similarity."""
+        """In another stabilized image; the similarity `to` maps places of this image to it."""
         rest, moved = to(self.rest), to(self.moved)
         return self._replace(rest=rest, moved=moved, off=to(self.at) - moved, before=to(self.before))
 

@@ -36,7 +36,7 @@ class Begun(NamedTuple):
 
 @dataclass(frozen=True)
 class Senses:
-    """Those of a face of which `parts` have windows, and `others` have none.
+    """The sensors of a face. Its `parts` have windows, its `others` have none.
 
     `detector` may be None. `searched`: whether it has placed the points itself.
     """
@@ -52,7 +52,7 @@ class Senses:
         return None if self.detector is None else self.detector.measure(seen.bgr, stabilized.BOX)
 
     def named(self, points: Mapping[str, Point]) -> Array:
-        """The places (K, 2) of the parts; nan of those that are not there."""
+        """The places (K, 2) of the parts; nan for a part that is missing."""
         return np.array([points.get(part, (math.nan, math.nan)) for part in self.parts])
 
     def begin(self, frame: Frame, similarity: Similarity, seen: Frame, found: Found | None, x0: Array) -> Begun:

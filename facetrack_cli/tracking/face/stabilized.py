@@ -1,4 +1,4 @@
-"""The stabilized image: the frame as it is seen from the head, upright and always of one size."""
+"""The stabilized image: the frame seen from the head, in which the face is upright and has a fixed size."""
 
 from __future__ import annotations
 

@@ -262,7 +262,7 @@ class FaceTarget:
             pose, var = updated(pose, var, np.array([np.mean(turns), 0, 0, 0]), _BY_PAIRS)
         if view.due:
             state = replace(state, facing=state.facing.looked(found=view.found is not None))
-        # a box drawn by hand may be another one than the detector's
+        # a box drawn by hand may differ from the detector's box
         if view.found is not None and self.senses.searched:
             box = view.found.box
             # how the detected face lies in the head's box, along the axes of the frame

@@ -50,7 +50,7 @@ class Item(NamedTuple):
 
 
 class Person(NamedTuple):
-    """A person by the name of the folder, without spaces around it, and what is in it, in natural order."""
+    """A person: the name of the folder without spaces around it, and the folder's items in natural order."""
 
     name: str
     folder: Path
@@ -194,7 +194,7 @@ def _spread(path: Path, reading: Reading) -> list[int]:
 
 
 def _read_start(item: Item, path: Path, reading: Reading) -> Start:
-    """The one face of an init file, checked as far as it can be without the image."""
+    """The single face of an init file, with the checks that need no image."""
     start = read_init(path)
     if len(start.targets) > 1:
         has = f"has {len(start.targets)} targets, {', '.join(start.targets)}"
@@ -282,7 +282,7 @@ def read_faces(
 
 
 def _cut(frame: Frame, box: Box, reading: Reading, number: int, around: int) -> tuple[Rows, Rows]:
-    """The patches of the face in the box and of its copies, and those of so many places `around` it."""
+    """Patches of the face in the box and of its copies, and patches of `around` places beside it."""
     patches, copies = Patches(size=(box[2], box[3]), shape=reading.shape), reading.jitter
     [x] = AffineSpace(box[2:]).at(box)
     ways = near(number * copies, copies), off(number * around, around)

@@ -91,7 +91,7 @@ class Subspace:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A subspace of all rows, and those of all rows but a fold: `without[k]` has not seen the rows of fold k."""
+    """The subspace of all rows, and one subspace per fold: `without[k]` has not seen the rows of fold k."""
 
     whole: Subspace
     without: tuple[Subspace, ...]
@@ -151,7 +151,7 @@ def fit_subspace(
 def fit_moments(
     all_rows: Moments, without: Sequence[Moments], d: int, *, energy: float = ENERGY, centred: bool, basis: Array | None
 ) -> Fitted:
-    """As `fit_subspace`, of the moments of all rows of d numbers and of those `without` each fold."""
+    """As `fit_subspace`, from the moments of all rows of d numbers and of the rows `without` each fold."""
     whole = _Components.of(all_rows, energy, centred, d)
     parts = [_Components.of(m, energy, centred, d) if 0 < m.count < all_rows.count else whole for m in without]
     held = [(part, all_rows - moments) for part, moments in zip(parts, without, strict=True) if part is not whole]
@@ -203,7 +203,7 @@ class _Components:
         return max(float(length - kept), 0.0) / max(self.d - len(self.values), 1)
 
     def subspace(self, rho: float, basis: Array | None) -> Subspace:
-        # a principal direction varies no less than those that were left out
+        # a principal direction varies at least as much as the directions left out
         values = np.maximum(self.values, rho)
         mean, vectors = (self.mean, self.vectors) if basis is None else (self.mean @ basis, self.vectors @ basis)
         # the sign of an eigenvector is arbitrary: its largest entry is positive

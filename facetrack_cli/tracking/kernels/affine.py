@@ -24,7 +24,7 @@ def boxes_extent(x, w, h, width, height):
             b2, b3, b4 = x[n, 3], x[n, 4], x[n, 5]
         u, v = 0.5 * (w * abs(b1) + h * abs(b2)), 0.5 * (w * abs(b3) + h * abs(b4))
         left, top, right, bottom = x[n, 0] - u, x[n, 1] - v, x[n, 0] + u, x[n, 1] + v
-        # comparisons leave out what is not a number
+        # comparisons leave out nan
         x0, y0 = left if left < x0 else x0, top if top < y0 else y0
         x1, y1 = right if right > x1 else x1, bottom if bottom > y1 else y1
     return max(x0, 0.0), max(y0, 0.0), min(x1, width - 1.0), min(y1, height - 1.0)

@@ -54,7 +54,7 @@ def _edges(place, least, nearest, o, i, outer, inner):
         inner_after[k] = _contrast(i0[k], i1[k], i2[k], i3[k])
         a0, a1, a2 = outer_before[k], outer_here[k], outer_after[k]
         b0, b1, b2 = inner_before[k], inner_here[k], inner_after[k]
-        # what is nan fails all of these
+        # nan fails all these comparisons
         a = place + _top(a0, a1, a2) if (a1 > least) & (a1 > a0) & (a1 >= a2) else _INF
         b = place + _top(b0, b1, b2) if (b1 > least) & (b1 >= b0) & (b1 > b2) else _INF
         nearest[k] = nearest[k] if nearest[k] < _INF else min(a, b)

@@ -52,7 +52,7 @@ def _exponent(y, component, k, laplace):
 @inline
 def _sum(a, b, c):
     """(top, share): 2^a + 2^b + 2^c is share 2^top, and top the largest of the three."""
-    # `max` would look for what is not a number, at twice the time
+    # `max` would check for nan, in twice the time
     high, low = a if a > b else b, b if a > b else a
     top, middle = high if high > c else c, c if high > c else high
     return top, _ONE + _exp2(middle - top) + _exp2(low - top)

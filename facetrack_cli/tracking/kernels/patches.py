@@ -112,7 +112,7 @@ def patch_distances(
     line = np.zeros(max(now.shape[1], before.shape[1]), np.float32)
     most, there = np.float32(saturation), (0, 0, 0, 0)
     for p in range(x.shape[0]):
-        # the children of one parent follow each other, as it was resampled: it is read once
+        # resampling puts the children of a parent side by side: the parent is read once
         same = p > 0 and parents[p, 0] == parents[p - 1, 0] and parents[p, 1] == parents[p - 1, 1]
         if not (same and parents[p, 2] == parents[p - 1, 2]):
             there = _read(before, before_view, factor, parents[p], size, columns, across, lines, down, line, b)

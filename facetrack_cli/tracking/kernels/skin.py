@@ -107,7 +107,7 @@ def at_points(bgr, table, xy):
     out = np.zeros(xy.shape[0])
     for n in range(xy.shape[0]):
         u, v = xy[n, 0] + 0.5, xy[n, 1] + 0.5
-        # what is nan is not within either
+        # nan is not within the image either
         if u >= 0.0 and u < width and v >= 0.0 and v < height:
             pixel = bgr[math.floor(v), math.floor(u)]
             code = _code(pixel[0], pixel[1], pixel[2])

@@ -114,23 +114,8 @@ def colour_ratio_distances(
     """
     largest = 3 * max(((w + 1) * (h + 1) for w, h in sides.tolist()), default=0)  # NumPy takes ten times as long
     pixels, buffer = np.zeros(largest + 3, np.float32), np.empty(largest, np.float32)
-    _distances(
-        image,
-        ratios,
-        offsets,
-        sides,
-        parts,
-        x,
-        origin_x,
-        origin_y,
-        factor,
-        least_mean,
-        robust,
-        scale,
-        pixels,
-        buffer,
-        out,
-    )
+    templates, place = (ratios, offsets, sides, parts), (x, origin_x, origin_y, factor)
+    _distances(image, *templates, *place, least_mean, robust, scale, pixels, buffer, out)
 
 
 @fast

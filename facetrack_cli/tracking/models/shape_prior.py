@@ -223,7 +223,7 @@ class StudentPrior:
 
 
 class FileReport(NamedTuple):
-    """What one file gave: frames in it, and those of them in which every part is seen."""
+    """What a file gave: its frames, and the number of frames in which every part is seen."""
 
     path: Path
     frames: int

@@ -115,7 +115,7 @@ class VisibleBoxSpace(BoxSpace):
             return normalise(particles.log_w + np.log(shown if visible >= 0.5 else 1 - shown))
 
     def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
-        """The mean of those that count; and P(visible)."""
+        """The mean of the particles that count, and P(visible)."""
         log_w = self.counted(particles)
         found = super().estimate(Particles(particles.x, log_w), effective_sample_size(log_w)[None], best=best)
         found.state[0, VISIBLE] = float(np.sum(np.exp(particles.log_w) * particles.x[:, 0, VISIBLE]))
@@ -133,7 +133,7 @@ class CloudSpace(Space):
     """Each particle is a pixel (Gianni et al. 2007): state (1, 2) = (x, y); its box has four deviations a side."""
 
     def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
-        """The covariance is that of the pixels themselves, which are the target and not what is known of its place."""
+        """The covariance of the pixels themselves: they are the target, not hypotheses of its place."""
         return estimate(particles, np.full_like(ess, np.inf), best=best)
 
     def windows(self, estimated: Estimate) -> Array:
@@ -346,7 +346,7 @@ class Patches:
 
 
 def patches_of(context: Context) -> Patches:
-    """How the likelihood of a target reads patches, which must be one that does."""
+    """How the likelihood of a target reads patches. Raises TypeError for a likelihood that reads none."""
     likelihood = context.settings.likelihood
     if not isinstance(likelihood, affine.PatchLikelihood):
         raise TypeError(f"the likelihood {likelihood.type} does not compare patches")

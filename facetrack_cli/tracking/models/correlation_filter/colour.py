@@ -1,4 +1,4 @@
-"""Per-pixel colours of the target and of what is around it (Bertinetto et al. 2016, Staple, section 3.4).
+"""Per-pixel colours of the target and of its surroundings (Bertinetto et al. 2016, Staple, section 3.4).
 
 A pixel's colour u is the target's with probability P(O | u) / (P(O | u) + P(B | u)), by histograms of the target's box
 and of the rest of the window (eq. 23 to 26 there); the score of a place is its mean over the box there.

@@ -70,6 +70,11 @@ class Usual(NamedTuple):
     others: Heights
     elsewhere: Heights
 
+    @property
+    def ratio(self) -> float:
+        """How high peaks of the filter of now usually are, over peaks of the first frames' filter."""
+        return self.now.mean / max(self.first.mean, 1e-9)
+
     def learn(self, peaks: Peaks, visible: float) -> Usual:
         """After a frame in which the target is visible with this probability."""
         elsewhere = self.elsewhere

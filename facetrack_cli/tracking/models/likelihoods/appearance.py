@@ -159,7 +159,7 @@ class Appearance:
         return np.asarray((learned.m * learned.mu).sum(axis=0))
 
     def insets(self, learned: Mixture) -> tuple[tuple[str, Image], ...]:
-        """S and W as grey images, those that take part, as the paper's figure 3 shows them."""
+        """S and W as grey images, as in the paper's figure 3; a component of weight 0 is left out."""
         shown = [(name, i) for name, i in (("stable", 1), ("recent", 0)) if self.settings.mixing.each[i] > 0] or [
             ("first", 2)
         ]

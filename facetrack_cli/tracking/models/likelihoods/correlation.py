@@ -59,7 +59,7 @@ class Previous:
 
 @dataclass(frozen=True)
 class Correlation:
-    """`size`: width and height of what is compared at scale 1, in pixels: the settings' `region` of the box."""
+    """`size`: width and height of the compared region at scale 1, in pixels: `region` times the box."""
 
     settings: regions.Correlation
     size: tuple[float, float]

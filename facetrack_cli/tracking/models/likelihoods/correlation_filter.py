@@ -234,9 +234,7 @@ class CorrelationFilter:
 
     def _both(self, learned: Learned, view: View) -> Single:
         """What both filters respond to, as high as R usually is."""
-        usual, usual_first = learned.heights[:2]
-        ratio = usual.mean / max(usual_first.mean, 1e-9)
-        return np.float32(0.5) * (view.now + np.float32(ratio) * view.first)
+        return np.float32(0.5) * (view.now + np.float32(learned.heights.ratio) * view.first)
 
     def _modes(self, view: View, scale: float, found: Array, log_l: Array, *, anew: bool = False) -> Guides:
         """The peaks `found` (J, 3) of a response as Gaussians of place and log scale, which is left open."""

@@ -44,7 +44,7 @@ class Product:
         return tuple(f.learn(known, frame, state, particles) for f, known in zip(self.factors, learned, strict=True))
 
     def distances(self, learned: tuple[Any, ...], frame: Frame, x: Array) -> Array:
-        """(N, K): the mean of those of p_o, from 0, a perfect match, to about 1. Raises ValueError without any."""
+        """(N, K): the mean over the factors of p_o, from 0, a perfect match, to about 1. ValueError without p_o."""
         both = zip(self.factors, learned, strict=True)
         found = [factor.distances(known, frame, x) for factor, known in both if hasattr(factor, "distances")]
         if not found:

@@ -73,7 +73,7 @@ class Recognition:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """The identities: persons, and nobody where that is asked for."""
+        """The identities: the persons, and "none" if the settings ask for it."""
         return (*self.gallery.names, NONE) if self.settings.none else self.gallery.names
 
     def init(self, frame: Frame, x0: Array) -> Recognised:

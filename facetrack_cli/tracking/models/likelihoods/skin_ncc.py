@@ -112,7 +112,7 @@ class SkinNcc:
         reach = math.sqrt(2.0) * w, math.sqrt(2.0) * h
         extent = boxes_extent(np.ascontiguousarray(x[:, 0, :3]), *reach, *frame.size)
         image, left, top = frame.reduced(factor, extent)
-        # of the whole frame, or of what another asked for, no more than the boxes cover
+        # the frame may return a larger part: no more of it than the boxes cover
         height, width = image.shape[:2]
         x0, y0 = min(int(extent[0] - left) // factor, width - 1), min(int(extent[1] - top) // factor, height - 1)
         x1, y1 = int(extent[2] - left) // factor + 2, int(extent[3] - top) // factor + 2

@@ -136,7 +136,7 @@ class WindowNcc:
 
     def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
         """g where a part is visible, b always, and new templates."""
-        if learned.maps is None:  # of a track that begins again nobody has looked at the frame
+        if learned.maps is None:  # a track that begins again has no maps of the frame yet
             learned = self.look(learned, frame, state)
         windows = [_unit(self._window(frame, k, at)) for k, at in enumerate(state)]
         visible, r = self.presence(learned, windows), self.correlation(learned, state[None])[0]
@@ -208,7 +208,7 @@ def visible_after(before: Array, evidence: Array) -> Array:
 
 
 def _read(frame: Frame, centre: Array, w: int, h: int) -> Channels:
-    """The channels (h, w, 2) of a region around `centre` (2,), read bilinearly; outside, those of the border.
+    """The channels (h, w, 2) of a region around `centre` (2,), read bilinearly; outside the frame, its border.
 
     A centre outside is taken to the border.
     """
