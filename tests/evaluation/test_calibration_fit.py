@@ -78,15 +78,6 @@ def test_scores_that_six_digits_cannot_tell_apart_are_one_knot():
     assert [knot[0] for knot in found.knots] == [0.5]
 
 
-def test_newton_stops_where_the_slope_is_zero():
-    rng = np.random.default_rng(3)
-    x = np.column_stack([np.ones(300), rng.normal(size=(300, 3))])
-    y, weight = rng.random(300), rng.uniform(0.1, 2, 300)
-    beta = fitting.newton(x, y, weight)
-    slope = x.T @ (weight * (y - logistic(x @ beta))) - fitting.RIDGE * np.append(0, beta[1:])
-    np.testing.assert_allclose(slope, 0, atol=1e-8)
-
-
 @given(st.integers(0, 10_000), st.integers(1, 6), st.integers(2, 4))
 def test_no_map_falls_with_confidence_or_rises_with_spread(random, rows, clips):
     drawn = sample(lambda known: np.full(len(known["ess"]), 0.5), rows, clips, random)

@@ -89,12 +89,6 @@ def test_boxes_are_no_truth_of_points() -> None:
         pairs(ours, truth(range(9)))
 
 
-def test_truth_without_names_and_no_boxes() -> None:
-    point = one_part("head", "nose", range(50), x=np.arange(50), y=np.arange(50))
-    with pytest.raises(InputError, match=r"no part of run\.csv has w and h"):
-        pairs(table(point), truth(range(50)))
-
-
 def test_names_are_paired_and_the_rest_is_noted() -> None:
     nose, lip, eye = (box(range(50), "face", part) for part in ("nose", "lip", "eye"))
     notes: list[str] = []

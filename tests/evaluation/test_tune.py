@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import InputError, RecipeError, UsageError
-from facetrack_cli.core.yaml_tree import rewritten
 from facetrack_cli.evaluation.experiments import tune
 from facetrack_cli.evaluation.experiments.tune import EVIDENCE, Range, Search, Setting, Tuning, read_range
-from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.trajectory.diagnostics import EVIDENCE as DECLARED
@@ -149,15 +147,6 @@ def test_evidence_is_the_mean_of_known_frames_summed_over_targets():
         with pytest.raises(InputError, match="reports no evidence"):
             tune.evidence(table(Path("a.csv"), rows, diagnostics=lacking))
     assert not tune.less_is_better(EVIDENCE)
-
-
-@pytest.mark.parametrize("path", shipped_recipes(), ids=lambda path: path.stem)
-def test_rewriting_keeps_a_recipe_as_it_is(path):
-    text = path.read_text(encoding="utf-8")
-    assert rewritten(text, []) == text
-    described = rewritten(text, ["description=other"])
-    assert len(described.splitlines()) == len(text.splitlines())
-    assert {*described.splitlines()} - {*text.splitlines()} == {"description: other"}
 
 
 def test_the_recipe_that_is_written_is_the_best_one(tmp_path):

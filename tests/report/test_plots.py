@@ -14,7 +14,7 @@ from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report.figures import lines as plot_lines
 from facetrack_cli.report.figures import style as plot_style
-from facetrack_cli.report.figures.lines import MANY, columns_for, lines_of, stacked
+from facetrack_cli.report.figures.lines import MANY, columns_for, lines_of
 from facetrack_cli.report.figures.style import numbers
 from facetrack_cli.trajectory.analysis.measures import MEASURES
 from facetrack_cli.trajectory.trajectory import joined, one_part
@@ -144,13 +144,6 @@ def test_limits_hold_the_data_but_for_what_is_far_out():
     assert plot_style.limits([np.array([np.nan])]) is None
     low, high = plot_style.limits([np.full(9, 7.0)])
     assert low < 7 < high
-
-
-def test_share_of_parts_is_of_those_that_have_the_frame():
-    frame, held = stacked(
-        [(np.array([0, 1, 2]), np.array([1, 0, 1], bool)), (np.array([2, 3]), np.array([0, 1], bool))]
-    )
-    assert frame.tolist() == [0, 1, 2, 3] and np.nanmean(held, axis=0).tolist() == [1, 0, 0.5, 1]
 
 
 def test_ticks_of_time_follow_the_frames_times():

@@ -105,13 +105,6 @@ def test_no_panel_of_what_is_not_reported() -> None:
     assert "particles" not in panels(plots.page_figure(steady)), "a fixed number stands behind the sample size"
 
 
-def test_the_mean_number_of_particles_is_said() -> None:
-    figure = plots.page_figure(table(reported()))
-    assert notes(figure, "particles") == "mean 91; dashed: J0 = 100"
-    two = plots.page_figure(table(reported(target="left"), reported(target="right")))
-    assert notes(two, "particles").startswith("mean left 91, right 91")
-
-
 def test_posterior_has_a_line_each_and_their_names() -> None:
     figure = plots.page_figure(table(reported()))
     axes = panels(figure)["posterior"]

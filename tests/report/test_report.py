@@ -6,7 +6,6 @@ import base64
 import hashlib
 import json
 import re
-import sys
 from collections import Counter
 from html.parser import HTMLParser
 from pathlib import Path
@@ -20,7 +19,6 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.report import frames as report_frames
 from facetrack_cli.report import make as report
-from facetrack_cli.report.figures import style as plot_style
 from facetrack_cli.report.frames import MOST_BYTES, _jpeg, key_images
 from facetrack_cli.report.make import Image, make_report
 from facetrack_cli.trajectory.header import read_header
@@ -314,14 +312,6 @@ def test_a_clip_that_changed_is_passed_over_with_a_warning(tmp_path, capsys, no_
     page = (run / "report.html").read_bytes()
     assert seen(page) == {frame: frame for frame in KEYS}
     assert "is 32x24" in Reader(page).text
-
-
-def test_without_matplotlib_one_line_says_what_to_install(tmp_path, capsys, monkeypatch):
-    run = write_run(tmp_path / "run", tmp_path / "gone.mp4")
-    plot_style.need_matplotlib.cache_clear()
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.setitem(sys.modules, "matplotlib.font_manager", None)
-    assert "pip install 'facetrack[plot]'" in refused(capsys, run, code=ExitCode.USAGE)
 
 
 def test_an_interrupt_leaves_nothing(tmp_path, capsys, monkeypatch, no_plot):

@@ -93,13 +93,6 @@ def test_pictures_have_the_name_and_the_parallelogram(tmp_path: Path) -> None:
     assert np.abs(lean - name).mean() > 2 * np.abs(upright - name).mean(), "half a pixel aside, a box is a box"
 
 
-def test_the_scale_stands_in_the_plots_and_not_on_the_pictures(tmp_path: Path) -> None:
-    run = write_run(tmp_path / "run", tmp_path / "clip.mp4", size=(640, 480))
-    write_video(tmp_path / "clip.mp4", frames=[np.full((480, 640, 3), 90, np.uint8)] * 12)
-    plain = jpeg_of(with_more(run))
-    assert jpeg_of(with_more(run, scale=1.5, noise=2.0)) == plain
-
-
 def test_corners_follow_the_affine_map() -> None:
     def outline(*affine: float) -> Array:
         (found,) = corners(np.array([affine]), np.array([(10.0, 20.0)]), np.array([(4.0, 6.0)]))
