@@ -357,8 +357,7 @@ def test_interrupted_it_keeps_the_corrections_and_goes_on_with_them(command, out
 
 
 def test_the_page_ends_with_its_session(page, monkeypatch):
-    monkeypatch.setattr(session_module, "LINGER_S", 0.0)
-    monkeypatch.setattr(session_module, "LAST_S", 0.0)
+    monkeypatch.setattr(session_module, "LINGER_S", 0.3)
     session, said = page().session, []
     worker = threading.Thread(target=run_page, args=(session, lambda: False, said.append))
     worker.start()

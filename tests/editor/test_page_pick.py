@@ -72,7 +72,7 @@ def picking(clip, out=None, config=None, **more):
 @pytest.fixture(autouse=True)
 def hurry(monkeypatch):
     """The server stops as soon as a client was told of the end."""
-    monkeypatch.setattr(session_module, "LINGER_S", 0.0)
+    monkeypatch.setattr(session_module, "LINGER_S", 0.3)
 
 
 # --- what is required ------------------------------------------------------------------------------------------------

@@ -13,8 +13,7 @@ from facetrack_cli.editor.web.frame import Draft, Json, Proposer, crop, jpeg
 from facetrack_cli.runs.signals import StoppedError
 from facetrack_cli.video.seek import Frames
 
-LINGER_S: Final = 2.0  # after a client was first told of the end
-LAST_S: Final = 5.0  # after the end, if no client asks
+LINGER_S: Final = 3.0  # the server goes on so long after the end: each page asks for the state once a second
 CropSide: TypeAlias = Annotated[int, Field(ge=1, le=1024)]
 Report: TypeAlias = Callable[[int, "int | None"], None]  # done, and in all if that is known
 
@@ -72,7 +71,7 @@ class Session(ABC):
         self._job: Json | None = None
         self._worker: threading.Thread | None = None
         self._saving = False
-        self._ended_at = self._seen_at = 0.0
+        self._ended_at = 0.0
 
     @abstractmethod
     def save(self, draft: Draft) -> None:
@@ -129,7 +128,7 @@ class Session(ABC):
     def routes(self) -> Sequence[Route]:
         return (
             Route("GET", "api/session", self.about),
-            Route("GET", "api/state", self.polled_state),
+            Route("GET", "api/state", self.state),
             Route("PUT", "api/draft", self._put_draft),
             Route("GET", "api/frame/{frame}.jpg", self._frame),
             Route("GET", "api/crop/{frame}.png", self._crop),
@@ -155,19 +154,10 @@ class Session(ABC):
                 "message": self.message,
             }
 
-    def polled_state(self) -> Json:
-        """The state; remembers that a client was told of the end."""
-        with self.lock:
-            if self.ended is not None:
-                self._seen_at = time.monotonic()
-            return self.state()
-
     def over(self) -> bool:
         """Whether the server may stop: the session has ended, and the pages had time to learn of it."""
         with self.lock:
-            now = time.monotonic()
-            seen = self._seen_at > 0 and now - self._seen_at >= LINGER_S
-            return self.ended is not None and (seen or now - self._ended_at >= LAST_S)
+            return self.ended is not None and time.monotonic() - self._ended_at >= LINGER_S
 
     def close(self) -> None:
         """Stop the job, and wait for it."""

@@ -4,7 +4,8 @@ Frames and pixels of the table are counted from 0 whatever the file's own counti
 """
 
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -48,11 +49,12 @@ def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0) -> Traje
     path = Path(path)
     if abs(shift) > MAX_FRAME:
         raise UsageError(f"--shift {shift}: no clip has so many frames; correct it")
-    try:
-        found, known = recognise(path) if form == "auto" else (path, form)
-        table = _READERS[known](found, shift=shift)
-    except InputError as e:
-        raise InputError(f"{e}{_rather(path, form)}") from None
+    with _looking_at(path):
+        try:
+            found, known = recognise(path) if form == "auto" else (path, form)
+            table = _READERS[known](found, shift=shift)
+        except InputError as e:
+            raise InputError(f"{e}{_rather(path, form)}") from None
     return replace(table, header={**table.header, "shift": shift})
 
 
@@ -61,19 +63,28 @@ def read_results(path: Path, form: str = "auto") -> Trajectory:
 
     Status is init, tracked or lost where the file says so, else "". `header["read_as"]` is there for those of others.
     """
-    shape = form
-    if form == "auto":
-        try:
-            shape = "facetrack" if path.is_dir() and not any(path.glob("*.pts")) else recognise(path)[1]
-        except InputError:
-            shape = "facetrack"  # whose reader says what a trajectory is
-    if shape == "facetrack":
-        return read_trajectory(path)
-    # the seventh column of MOT results is a confidence, also where all are 0 or 1
-    table = _READERS[shape](path, **({"results": True} if shape == "mot" else {}))
+    with _looking_at(path):
+        shape = form
+        if form == "auto":
+            try:
+                shape = "facetrack" if path.is_dir() and not any(path.glob("*.pts")) else recognise(path)[1]
+            except InputError:
+                shape = "facetrack"  # whose reader says what a trajectory is
+        if shape == "facetrack":
+            return read_trajectory(path)
+        # the seventh column of MOT results is a confidence, also where all are 0 or 1
+        table = _READERS[shape](path, **({"results": True} if shape == "mot" else {}))
     read_as = str(table.header["read_as"]).replace("--truth-format", "--format")
     status = np.where(np.isin(table.status, ("visible", "hidden", "absent")), "", table.status)
     return replace(table, status=status, header={**table.header, "read_as": read_as})
+
+
+@contextmanager
+def _looking_at(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as e:
+        raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable, or name another") from None
 
 
 def _rather(path: Path, form: str) -> str:
