@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from reference import MESH
+from reference import HANDS, MESH
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Array, Frame, Image, Mask, Start, TargetStart
@@ -60,7 +60,7 @@ class Rows(NamedTuple):
 
 def clip_in(path: Path) -> Path:
     """The video or the images of a clip."""
-    if not path.is_dir() or not any((path / name).exists() for name in ("groundtruth.csv", MESH)):
+    if not path.is_dir() or not any((path / name).exists() for name in ("groundtruth.csv", MESH, HANDS)):
         return path
     videos = [one for one in sorted(path.iterdir()) if one.is_file() and one.suffix not in (".csv", ".txt")]
     return videos[0] if videos else path / "img"

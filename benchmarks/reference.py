@@ -9,6 +9,7 @@ from typing import Final
 from facetrack_cli.tracking.face import descent
 
 MESH: Final = "mesh.csv"
+HANDS: Final = "hands.csv"
 SHIPPED: Final = descent.DEFAULT
 
 

@@ -1,0 +1,196 @@
+"""Does tracking of real clips stay as accurate as it was? .ci/run asks, where the clips are.
+
+    python benchmarks/real_clips.py ../shared/clips                       # check; exit code 1 if a measure is too low
+    python benchmarks/real_clips.py ../shared/clips --record --seeds 6    # write real_clips.csv anew
+
+A clip is a folder with a video or img/, and its reference: groundtruth.csv (boxes), mesh.csv (points of a face by
+MediaPipe, in units of the distance between the eyes) or hands.csv (boxes of hands by MediaPipe). A check tracks each
+clip once, with seed 0. It fails where a measure lies below its limit in real_clips.csv: the mean of the recorded
+seeds, less four standard deviations, or less .03 if that is more. It fails where a clip of the folder is not read to
+its end without a warning.
+
+    auc       of a box that begins as the first true box: success AUC, as OTB has it
+    within    share of frames of the reference with nose and corners of the mouth within .2 of the reference
+    opening   correlation of the distance between the lips with that of the reference
+    hands     share of the reference's hands that the row of that name follows: its centre lies in the box of the
+              reference, enlarged by half. The run begins in the first frame in which the reference has both hands
+    on hand   share of rows of hands, not lost, that follow either hand, in frames in which the reference has one
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from boxes import clip_in
+from reference import HANDS, MESH, points_in
+
+from facetrack_cli import track_video
+from facetrack_cli.core.types import Box, Start, TargetStart
+from facetrack_cli.evaluation.boxes import measure_boxes
+from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.video.source import open_source
+
+LIMITS: Final = Path(__file__).with_suffix(".csv")
+CORNERS: Final = ("nose", "mouth_left", "mouth_right")
+LIPS: Final = ("lip_upper", "lip_lower")
+MIN_TOLERANCE: Final = 0.03
+MIN_VARIATION: Final = 0.03  # of the lips' distance, in distances between the eyes: less says nothing of `opening`
+
+
+class Case(NamedTuple):
+    """A clip by its folder, and a recipe."""
+
+    clip: str
+    recipe: str
+
+
+BOXES: Final = ("david", "girl", "jumping", "albert_brooks", "alek_wek_1", "alek_wek_4")
+WORDS: Final = ("again", "brother", "help", "no", "sister", "yes")  # of the other four clips no hand is followed
+VIDEOS: Final = (".avi", ".mkv", ".mp4", ".mpg", ".webm")
+CASES: Final = (
+    *(Case(clip, "correlation_filter") for clip in BOXES),
+    Case("jumping", "adaptive_robust"),
+    *(Case(f"people/person{i}", "face") for i in range(1, 9)),
+    *(Case(f"signers/{word}", "head_hands") for word in WORDS),
+)
+
+
+def measure(folder: Path, case: Case, seed: int) -> dict[str, float]:
+    cv2.setNumThreads(1)
+    clip = folder / case.clip
+    truth = read_truth(clip / "groundtruth.csv") if (clip / "groundtruth.csv").exists() else None
+    start = None
+    if truth is not None:
+        left, top, width, height = truth.boxes[0].tolist()
+        start = Start(int(truth.frame[0]), {"face": TargetStart((left, top, width, height))}, "the truth")
+    hands = hands_in(clip / HANDS) if (clip / HANDS).exists() else {}
+    first = min((frame for frame, seen in hands.items() if len(seen) == 2), default=0)
+    ours = track_video(clip_in(clip), case.recipe, init=start, seed=seed, start=first)
+    if truth is not None:
+        true = truth.take(np.isin(truth.frame, ours.frame))
+        mine = ours.take(np.isin(ours.frame, truth.frame))
+        return {"auc": float(measure_boxes(mine.boxes, true.boxes).success_auc or 0.0)}
+    return signer(hands, ours) if hands else face(points_in(clip / MESH), ours)
+
+
+def face(true: Mapping[int, Mapping[str, tuple[float, float, float]]], ours: Trajectory) -> dict[str, float]:
+    near, lips, true_lips = [], [], []
+    parts = {one.part: one for one in ours.parts}
+    for frame, known in true.items():
+        rows = {name: one.row(frame) for name, one in parts.items()}
+        at = {name: np.array([parts[name].x[i], parts[name].y[i]]) for name, i in rows.items() if i is not None}
+        unit = known["nose"][2]
+        near.append(all(name in at and math.dist(at[name], known[name][:2]) <= 0.2 * unit for name in CORNERS))
+        if all(rows[name] is not None and parts[name].status[rows[name]] != "lost" for name in LIPS):
+            lips.append(math.dist(*(at[name] for name in LIPS)) / unit)
+            true_lips.append(math.dist(*(known[name][:2] for name in LIPS)) / unit)
+    found = {"within": float(np.mean(near))}
+    if np.std(true_lips) >= MIN_VARIATION:
+        found["opening"] = float(np.corrcoef(lips, true_lips)[0, 1])
+    return found
+
+
+def signer(true: Mapping[int, Mapping[str, Box]], ours: Trajectory) -> dict[str, float]:
+    named, on = [], []
+    for name in ("left_hand", "right_hand"):
+        part = ours.find(name, "box")
+        for frame, hands in true.items():
+            row = None if part is None else part.row(frame)
+            held = part is not None and row is not None and part.status[row] not in ("lost", "absent")
+            x, y = (part.x[row].item(), part.y[row].item()) if part is not None and held else (np.nan, np.nan)
+            if name in hands:
+                named.append(inside(x, y, hands[name]))
+            if held:
+                on.append(any(inside(x, y, box) for box in hands.values()))
+    return {"hands": float(np.mean(named)), "on hand": float(np.mean(on)) if on else 0.0}
+
+
+def hands_in(path: Path) -> dict[int, dict[str, Box]]:
+    """By frame and hand the boxes of a table with columns frame, hand, x, y, w, h."""
+    found: dict[int, dict[str, Box]] = {}
+    with path.open(encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            box = float(row["x"]), float(row["y"]), float(row["w"]), float(row["h"])
+            found.setdefault(int(row["frame"]), {})[row["hand"]] = box
+    return found
+
+
+def inside(x: float, y: float, box: Box) -> bool:
+    """Whether a point lies in a box enlarged by half."""
+    left, top, width, height = box
+    return abs(x - left - width / 2) <= 0.75 * width and abs(y - top - height / 2) <= 0.75 * height
+
+
+def check_whole(clip: Path) -> str:
+    """What is wrong with the reading of a clip, which is whole; "" if nothing is."""
+    with open_source(clip) as source:
+        count = sum(1 for _ in source)
+    # a container without a count of frames has an estimate by its duration
+    if source.complete and not source.warnings and abs((source.frames_hint or 0) - count) <= 1:
+        return ""
+    return f"{clip}: {count} frames read of {source.frames_hint}; warnings: {source.warnings}"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--record", action="store_true")
+    parser.add_argument("--seeds", type=int, default=6, help="to record from [default: 6, from 1 on]")
+    parser.add_argument("-j", dest="jobs", type=int, default=2)
+    given = parser.parse_args()
+    if not given.folder.is_dir():
+        print(f"{given.folder}: no such folder; the accuracy on real clips is not checked")
+        return 0
+    seeds = range(1, 1 + given.seeds) if given.record else range(1)
+    with ProcessPoolExecutor(given.jobs) as pool:
+        runs = [[pool.submit(measure, given.folder, case, seed) for seed in seeds] for case in CASES]
+        if given.record:
+            record([[run.result() for run in of_case] for of_case in runs])
+            return 0
+        clips = [path for path in sorted(given.folder.rglob("*")) if path.suffix in VIDEOS or path.name == "img"]
+        damaged = [said for said in pool.map(check_whole, clips) if said]
+        low = compare([of_case[0].result() for of_case in runs])
+    print(*damaged, *low, sep="\n")
+    print(f"{len(clips)} clips read, {len(damaged)} not whole; {len(CASES)} tracked, {len(low)} measures too low")
+    return 1 if damaged or low else 0
+
+
+def record(runs: Sequence[Sequence[Mapping[str, float]]]) -> None:
+    with LIMITS.open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(["clip", "recipe", "measure", "mean", "std", "limit"])
+        for case, of_case in zip(CASES, runs, strict=True):
+            for name in of_case[0]:
+                values = np.array([found[name] for found in of_case])
+                limit = values.mean() - max(4 * values.std(ddof=1), MIN_TOLERANCE)
+                table.writerow([*case, name, *(f"{value:.3f}" for value in (values.mean(), values.std(ddof=1), limit))])
+
+
+def compare(found: Sequence[Mapping[str, float]]) -> list[str]:
+    """Prints all measures; returns a line for each that lies below its limit."""
+    low = []
+    measured = dict(zip(CASES, found, strict=True))
+    with LIMITS.open(encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            case = Case(row["clip"], row["recipe"])
+            value = measured[case][row["measure"]]
+            line = (
+                f"{row['clip']} {row['recipe']}: {row['measure']} {value:.3f} (recorded {row['mean']} ± {row['std']})"
+            )
+            print(line)
+            if not value >= float(row["limit"]):
+                low.append(f"TOO LOW {line}, limit {row['limit']}")
+    return low
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
