@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli.app import cli
-from facetrack_cli.core.errors import ExitCode, InputError
+from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
@@ -119,14 +119,6 @@ def test_the_man_page_reads_without_a_complaint():
         assert (done.returncode, done.stderr) == (0, "") and "facetrack run [OPTIONS] INPUT..." in done.stdout
 
 
-def test_every_command_and_option_is_in_the_reference():
-    text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
-    for name, command in load_tool().commands():
-        assert f"\n## {name}\n" in text
-        for option in command.params:
-            assert all(word in text for word in option.opts if word.startswith("-")), (name, option.opts)
-
-
 def links():
     for page in PAGES:
         text = FENCE.sub("", page.read_text(encoding="utf-8"))
@@ -144,9 +136,8 @@ def test_links_and_images_are_there():
 
 
 def test_command_lines_are_found():
-    found = list(
-        command_lines("find . | xargs -0 facetrack run -j 2 && a/facetrack init x.mp4 -o - > y\nls facetracks")
-    )
+    text = "find . | xargs -0 facetrack run -j 2 && a/facetrack init x.mp4 -o - > y\nls facetracks"
+    found = list(command_lines(text))
     assert found == [(["run", "-j", "2"], True), (["init", "x.mp4", "-o", "-"], False)]
     assert len(shell_lines()) > 40
 
@@ -170,12 +161,6 @@ def test_command_lines_parse():
         for name, own in map(variant, (configs,) if isinstance(configs, str) else configs):
             if name.removesuffix(".yaml") in recipes:
                 load_recipe(name, [text for text in (*params.get("set", ()), *own) if text != "KEY=VALUE"])
-
-
-@pytest.mark.parametrize("wrong", [["run", "a.mp4", "--colour"], ["rnu"], ["run"], ["recipes", "shwo", "sir"]])
-def test_command_lines_that_do_not_parse_are_refused(wrong):
-    with pytest.raises(click.UsageError):
-        parse(wrong)
 
 
 def test_scripts_named_are_there():
@@ -206,22 +191,16 @@ def test_examples_of_recipes_and_init_files_are_valid(tmp_path):
     assert recipes >= 3 and inits >= 3
 
 
-ANNOTATED = [
-    "factorized",
-    "contour_histogram_correlation_robust",
-    "skin_ncc_robust",
-    "adaptive_recognition",
-    "head_hands",
-]
+BOXES = ["contour_histogram_correlation_robust", "skin_ncc_robust", "adaptive_recognition", "head_hands"]
+ANNOTATED = ["factorized", *BOXES]
 
 
 @pytest.mark.parametrize(("place", "shipped"), list(enumerate(ANNOTATED)))
 def test_the_annotated_recipes_are_the_shipped_ones(tmp_path, place, shipped):
     path = tmp_path / "example.yaml"
     path.write_text(blocks(ROOT / "docs" / "recipes.md", "yaml")[place], encoding="utf-8")
-    assert load_recipe(str(path)).model_dump(exclude={"description"}) == load_recipe(shipped).model_dump(
-        exclude={"description"}
-    )
+    written, own = (load_recipe(name).model_dump(exclude={"description"}) for name in (str(path), shipped))
+    assert written == own
 
 
 def keys_of(settings, before=""):
@@ -236,7 +215,7 @@ def keys_of(settings, before=""):
 OPTIONS = "resampling|temper|moves|resample_below|regularise|kld|look_ahead"
 
 
-@pytest.mark.parametrize("shipped", ANNOTATED[1:])
+@pytest.mark.parametrize("shipped", BOXES)
 def test_the_annotated_recipes_of_boxes_have_every_key(shipped):
     written = YAML(typ="safe").load(blocks(ROOT / "docs" / "recipes.md", "yaml")[ANNOTATED.index(shipped)])
     said = re.compile(rf"type|seed|(.*\.)?(prior|recognition|exclusion|head|filter\.({OPTIONS})(\..*)?)")
@@ -316,9 +295,3 @@ def test_benchmarks_are_documented_with_clips_that_their_recipes_fit(monkeypatch
         assert configs, name
         for clip, config in itertools.product(expanded(clips), configs):
             assert tracker_on(clip, config), name
-
-
-def test_clips_that_a_recipe_does_not_fit_are_told(monkeypatch):
-    monkeypatch.chdir(ROOT)
-    with pytest.raises(InputError, match="no point for nose"):
-        [tracker_on(clip, "factorized") for clip in expanded(["sample_videos/*.mp4"])]

@@ -64,18 +64,8 @@ def _recipe(rng: Random, bench: Bench, case: Case) -> list[str]:
 
 
 def _override(rng: Random, bench: Bench, case: Case) -> list[str]:
-    key = rng.choice(
-        (
-            "filter.particles",
-            "motion.sigma",
-            "likelihood.sigma",
-            "confidence.calibration",
-            "prior.file",
-            "seed",
-            "x.y",
-            "",
-        )
-    )
+    keys = "filter.particles motion.sigma likelihood.sigma confidence.calibration prior.file seed x.y "
+    key = rng.choice(keys.split(" "))
     given = f"{key}={rng.choice(hostile.NUMBERS + hostile.WORDS)}".replace("\x00", "")
     return ["recipes", "check", rng.choice(list(RECIPES)), "--set", given]
 
@@ -83,9 +73,7 @@ def _override(rng: Random, bench: Bench, case: Case) -> list[str]:
 def _trajectory(rng: Random, bench: Bench, case: Case) -> list[str]:
     kind = rng.choice(("csv", "json", "jsonl"))
     of = rng.choice(("run", "run", "box", "box2"))
-    text = bench.text(
-        f"{of}/trajectory.{'jsonl' if of == 'run' and kind == 'jsonl' else 'json' if kind == 'jsonl' else kind}"
-    )
+    text = bench.text(f"{of}/trajectory.{'json' if kind == 'jsonl' and of != 'run' else kind}")
     if kind == "json" and rng.random() < 0.5:
         content = hostile.tree(rng, bench.tree(f"{of}/trajectory.json"))
     else:
@@ -213,10 +201,8 @@ def _image(rng: Random, bench: Bench, case: Case) -> list[str]:
 
 def _video(rng: Random, bench: Bench, case: Case) -> list[str]:
     """Tiny files that are no video; damaged ones have a corpus of their own."""
-    name = case.put(
-        f"clip.{rng.choice(('mp4', 'avi', 'mkv', 'png', 'txt', 'npz', ''))}",
-        hostile.data(rng, b"\0\0\0\x20ftypisom" * 9),
-    )
+    suffix = rng.choice(("mp4", "avi", "mkv", "png", "txt", "npz", ""))
+    name = case.put(f"clip.{suffix}", hostile.data(rng, b"\0\0\0\x20ftypisom" * 9))
     return rng.choice((["run", name, *BOX, *RUN], ["init", name, "-o", "out.yaml"]))
 
 
@@ -246,19 +232,8 @@ def _place(rng: Random, bench: Bench, case: Case) -> list[str]:
         path.write_text("x")
         path.chmod(0)
     elif how == 5:
-        name = rng.choice(
-            (
-                "x" * 300 + ".csv",
-                "x/" * 3000 + "x.csv",
-                "",
-                " ",
-                "\udcff.csv",
-                "x\ny.csv",
-                "\x1b[31m.csv",
-                "~",
-                "/proc/self/mem",
-            )
-        )
+        long = ("x" * 300 + ".csv", "x/" * 3000 + "x.csv")
+        name = rng.choice((*long, "", " ", "\udcff.csv", "x\ny.csv", "\x1b[31m.csv", "~", "/proc/self/mem"))
         case.named = ()
     elif how == 6:
         name = "x/y/z" + path.suffix
@@ -361,40 +336,12 @@ def _arguments(rng: Random, bench: Bench, case: Case) -> list[str]:
 
 def _value(rng: Random, one: click.Option) -> str:
     if one.name == "out":  # within the case's folder
-        places = (
-            "",
-            "-",
-            "/dev/null",
-            "/dev/full",
-            ".",
-            "out",
-            "a/b/c",
-            "x" * 300,
-            "x/" * 3000,
-            "x.png",
-            "x.npz",
-            "x.yaml",
-            "\udcff",
-            "x\ny",
-            "\x1b[31m",
-        )
-        return rng.choice(places)
+        odd = ("", "-", "/dev/null", "/dev/full", ".", "x" * 300, "x/" * 3000, "\udcff", "x\ny", "\x1b[31m")
+        return rng.choice((*odd, "out", "a/b/c", "x.png", "x.npz", "x.yaml"))
     if one.name in _WORK:
         return rng.choice(("0", "-1", "nan", "", "1.5", "x", "9" * 400, "2"))
-    numbers = (
-        *hostile.NUMBERS,
-        "1e9",
-        "0.1",
-        "1/0",
-        "1/3000",
-        "3",
-        "-1,-1,5,5",
-        "1,2,3,4",
-        "0,0,0,0",
-        "1,2,nan,4",
-        "1,2,3",
-    )
-    return rng.choice((*numbers, *hostile.WORDS)).replace("\x00", "")
+    numbers = ("1e9", "0.1", "1/0", "1/3000", "3", "-1,-1,5,5", "1,2,3,4", "0,0,0,0", "1,2,nan,4", "1,2,3")
+    return rng.choice((*numbers, *hostile.NUMBERS, *hostile.WORDS)).replace("\x00", "")
 
 
 def _nothing(rng: Random, bench: Bench, case: Case) -> list[str]:

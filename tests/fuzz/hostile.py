@@ -7,78 +7,23 @@ import io
 import json
 import re
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from random import Random
 from typing import Any
 
 import numpy as np
 
 NUMBERS = (
-    *("nan", "inf", "-inf", "1e308", "-1e308", "1e400", "-0", "0", "0.0", "-1", "1e-320", "0.5", "1000000"),
-    *(str(2**31), str(2**63), str(10**40), "9" * 5000, "1_000", "0x10", "010", "１２", "٣", "1,5", "1e", "--1", "+5"),
-    *(
-        "",
-        "true",
-        "no",
-        "null",
-        "[]",
-        "{}",
-        "[[[1]]]",
-        "'1'",
-        "*a",
-        "&a 1",
-        "!!int x",
-        "!!python/name:os.system x",
-        "~",
-    ),
-)
+    "nan", "inf", "-inf", "1e308", "-1e308", "1e400", "-0", "0", "0.0", "-1", "1e-320", "0.5", "1000000", "1_000",
+    "0x10", "010", "１２", "٣", "1,5", "1e", "--1", "+5", "", "true", "no", "null", "[]", "{}", "[[[1]]]", "'1'", "*a",
+    "&a 1", "~", "!!int x", "!!python/name:os.system x", str(2**31), str(2**63), str(10**40), "9" * 5000,
+)  # fmt: skip
 WORDS = (
-    *(
-        "",
-        " ",
-        "-",
-        "--help",
-        "\u202egnp.exe",
-        "\u200b",
-        "n\u0303ose",
-        "\x1b[31mred",
-        "\x07",
-        "\x00",
-        "\ufeff",
-        "\u2028",
-    ),
-    *(
-        "a" * 10_000,
-        "../../../etc/passwd",
-        "/",
-        "%s%n",
-        "{0}",
-        "$(id)",
-        "`",
-        "'",
-        '"',
-        "💥" * 50,
-        "nan",
-        "null",
-        "a/b",
-        "a:b",
-    ),
-    *(
-        "\\ud800",
-        "\\u0000",
-        "type",
-        "frame",
-        "box",
-        "nose",
-        "NOSE",
-        "=1+1",
-        "<script>alert(1)</script>",
-        "|",
-        ">",
-        "%",
-        "@",
-    ),
-)
+    "", " ", "-", "--help", "\u202egnp.exe", "\u200b", "n\u0303ose", "\x1b[31mred", "\x07", "\x00", "\ufeff", "\u2028",
+    "a" * 10_000, "../../../etc/passwd", "/", "%s%n", "{0}", "$(id)", "`", "'", '"', "💥" * 50, "nan", "null", "a/b",
+    "a:b", "\\ud800", "\\u0000", "type", "frame", "box", "nose", "NOSE", "=1+1", "<script>alert(1)</script>", "|", ">",
+    "%", "@",
+)  # fmt: skip
 VALUES: tuple[Any, ...] = (
     *(None, True, False, 0, -1, 1, 0.5, 1e308, -1e308, float("nan"), float("inf"), 2**31, 2**63, 10**40, 1e-320, ""),
     *("x", "nan", "0.1", "\x1b[2J", "\ud800", "a" * 10_000, [], {}, [[]], [None], {"": {}}, [1, 2, 3], [0.1] * 1000),
@@ -88,68 +33,47 @@ VALUES: tuple[Any, ...] = (
 def data(rng: Random, whole: bytes) -> bytes:
     """Bytes damaged once to three times."""
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
-        whole = rng.choice(_BYTES)(rng, whole)
+        whole = _damaged(rng, whole)
     return whole
 
 
-def _span(rng: Random, whole: bytes) -> tuple[int, int]:
-    begin = rng.randrange(len(whole) + 1)
-    return begin, min(len(whole), begin + rng.choice((1, 2, 7, 64, 1000, len(whole) // 3 + 1)))
-
-
-def _flipped(rng: Random, whole: bytes) -> bytes:
-    found = bytearray(whole)
-    for _ in range(min(len(found), rng.choice((1, 1, 3, 30)))):
-        found[rng.randrange(len(found))] ^= 1 << rng.randrange(8)
-    return bytes(found)
-
-
-def _cut(rng: Random, whole: bytes) -> bytes:
-    return whole[: rng.randrange(len(whole) + 1)]
-
-
-def _deleted(rng: Random, whole: bytes) -> bytes:
-    a, b = _span(rng, whole)
-    return whole[:a] + whole[b:]
-
-
-def _repeated(rng: Random, whole: bytes) -> bytes:
-    a, b = _span(rng, whole)
-    return whole[:b] + whole[a:b] * rng.choice((1, 2, 50)) + whole[b:]
-
-
-def _zeroed(rng: Random, whole: bytes) -> bytes:
-    a, b = _span(rng, whole)
-    return whole[:a] + rng.choice((b"\0", b"\xff")) * (b - a) + whole[b:]
-
-
-def _inserted(rng: Random, whole: bytes) -> bytes:
-    at = rng.randrange(len(whole) + 1)
-    return (
-        whole[:at] + rng.choice((b"\0", b"\xff\xfe", b"\xed\xa0\x80", b"\r", b"\n\n", rng.randbytes(40))) + whole[at:]
-    )
-
-
-def _recoded(rng: Random, whole: bytes) -> bytes:
-    how = rng.choice(("bom", "utf-16", "utf-32", "latin", "crlf", "cr"))
-    if how == "bom":
-        return b"\xef\xbb\xbf" + whole
-    if how in ("crlf", "cr"):
-        return whole.replace(b"\n", b"\r\n" if how == "crlf" else b"\r")
+def _damaged(rng: Random, whole: bytes) -> bytes:
+    how = rng.choice(("flip", "flip", "cut", "cut", "delete", "repeat", "fill", "insert", "recode", "replace"))
+    a = rng.randrange(len(whole) + 1)
+    b = min(len(whole), a + rng.choice((1, 2, 7, 64, 1000, len(whole) // 3 + 1)))
+    if how == "flip":
+        found = bytearray(whole)
+        for _ in range(min(len(found), rng.choice((1, 1, 3, 30)))):
+            found[rng.randrange(len(found))] ^= 1 << rng.randrange(8)
+        return bytes(found)
+    if how == "cut":
+        return whole[:a]
+    if how == "delete":
+        return whole[:a] + whole[b:]
+    if how == "repeat":
+        return whole[:b] + whole[a:b] * rng.choice((1, 2, 50)) + whole[b:]
+    if how == "fill":
+        return whole[:a] + rng.choice((b"\0", b"\xff")) * (b - a) + whole[b:]
+    if how == "insert":
+        new = rng.choice((b"\0", b"\xff\xfe", b"\xed\xa0\x80", b"\r", b"\n\n", rng.randbytes(40)))
+        return whole[:a] + new + whole[a:]
+    if how == "replace":
+        others = (
+            b"",
+            b"\n",
+            b"\0" * 1000,
+            b"{}",
+            b"[]",
+            b"null",
+            b"---\n",
+            b"PK\x03\x04",
+            b"%PDF-1.7\n",
+            b"\x89PNG\r\n",
+        )
+        return rng.choice(others)
     text = whole.decode("utf-8", "replace")
-    return text.encode("latin-1", "replace") + b"\xe9" if how == "latin" else text.encode(how, "replace")
-
-
-def _replaced(rng: Random, _: bytes) -> bytes:
-    """Something else altogether."""
-    return rng.choice(
-        (b"", b"\n", b"\0" * 1000, b"{}", b"[]", b"null", b"---\n", b"PK\x03\x04", b"%PDF-1.7\n", b"\x89PNG\r\n")
-    )
-
-
-_BYTES: tuple[Callable[[Random, bytes], bytes], ...] = (
-    *(_flipped, _flipped, _cut, _cut, _deleted, _repeated, _zeroed, _inserted, _recoded, _replaced),
-)
+    recoded = (text.encode("utf-16"), text.encode("utf-32"), text.encode("latin-1", "replace") + b"\xe9")
+    return rng.choice((b"\xef\xbb\xbf" + whole, whole.replace(b"\n", b"\r\n"), whole.replace(b"\n", b"\r"), *recoded))
 
 
 def text(rng: Random, whole: str) -> bytes:
@@ -158,7 +82,11 @@ def text(rng: Random, whole: str) -> bytes:
         how = rng.choice(("number", "number", "number", "word", "line", "line", "bytes"))
         if how == "bytes":
             return data(rng, whole.encode("utf-8", "surrogatepass"))
-        whole = {"number": _number, "word": _word, "line": _line}[how](rng, whole)
+        if how == "line":
+            whole = _line(rng, whole)
+        else:
+            pattern, values = (r"-?\d+(\.\d+)?", NUMBERS) if how == "number" else (r"[A-Za-z_]{2,}", WORDS)
+            whole = _at(rng, pattern, whole, values)
     return whole.encode("utf-8", "surrogatepass")
 
 
@@ -166,17 +94,9 @@ def _at(rng: Random, pattern: str, whole: str, values: tuple[str, ...]) -> str:
     found = list(re.finditer(pattern, whole))
     if not found:
         return whole
-    # what stands first counts most: headers, and the first frames
+    # places at the start are chosen more often: headers, and the first frames
     one = found[min(rng.randrange(len(found)), rng.randrange(len(found)))]
     return whole[: one.start()] + rng.choice(values) + whole[one.end() :]
-
-
-def _number(rng: Random, whole: str) -> str:
-    return _at(rng, r"-?\d+(\.\d+)?", whole, NUMBERS)
-
-
-def _word(rng: Random, whole: str) -> str:
-    return _at(rng, r"[A-Za-z_]{2,}", whole, WORDS)
 
 
 def _line(rng: Random, whole: str) -> str:
@@ -192,9 +112,8 @@ def _line(rng: Random, whole: str) -> str:
     elif how == "cell":
         lines[a] = rng.choice((lines[a].replace(",", ""), lines[a].rstrip("\n") + ",1,2\n", lines[a].replace(",", ";")))
     elif how == "indent":
-        lines[a] = (
-            rng.choice(("\t", " ", "- ", "? ", "  : ", "[", "{", "&a ", "<<: *a\n", "%YAML 9.9\n", "...\n")) + lines[a]
-        )
+        before = ("\t", " ", "- ", "? ", "  : ", "[", "{", "&a ", "<<: *a\n", "%YAML 9.9\n", "...\n")
+        lines[a] = rng.choice(before) + lines[a]
     elif how == "quote":
         lines[a] = rng.choice(('"', "'")) + lines[a]
     else:
@@ -256,16 +175,14 @@ def arrays(rng: Random, whole: dict[str, np.ndarray]) -> bytes:
             return data(rng, npz(found))
         if how == "values" and one.size and one.dtype.kind in "fiu":
             changed = one.astype(float) if rng.random() < 0.3 else one.copy()
-            value = rng.choice(
-                (np.nan, np.inf, -1.0, 0.0, 1e30, -1e30) if changed.dtype.kind == "f" else (-1, 0, 1, 100)
-            )
+            floats = changed.dtype.kind == "f"
+            value = rng.choice((np.nan, np.inf, -1.0, 0.0, 1e30, -1e30) if floats else (-1, 0, 1, 100))
             flat = changed.reshape(-1)
             flat[rng.randrange(flat.size) :: rng.choice((1, 2, flat.size))] = np.asarray(value).astype(flat.dtype)
             found[name] = changed
         elif how == "shape":
-            found[name] = rng.choice(
-                (one[..., None], one.reshape(-1), one[:0] if one.ndim else one[None], np.stack([one] * 2))
-            )
+            shapes = (one[..., None], one.reshape(-1), one[:0] if one.ndim else one[None], np.stack([one] * 2))
+            found[name] = rng.choice(shapes)
         elif how == "cut" and one.ndim:
             found[name] = one[: len(one) // 2]
         elif how == "dtype":
