@@ -24,8 +24,7 @@ from facetrack_cli.runs.join import PIECES, folder_of
 from facetrack_cli.runs.plan import FILE, Piece, Plan, cut_by_corrections, cut_by_length, read_plan
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.tracking.start.detectors import detector
-from facetrack_cli.tracking.start.haar import check_parts
+from facetrack_cli.tracking.start.detectors import check_parts, detector
 from facetrack_cli.video.source import FolderSource
 from facetrack_cli.video.stamps import Stamps, read_stamps
 

@@ -21,7 +21,7 @@ from facetrack_cli.tracking.identity.people import (
     read_faces,
 )
 from facetrack_cli.tracking.models.spaces import Patches
-from facetrack_cli.tracking.start.haar import find_faces
+from facetrack_cli.tracking.start.detectors import find_faces
 from tests.support.gallery_faces import face_of, people_folder
 from tests.support.media import write_video
 

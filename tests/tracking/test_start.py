@@ -18,10 +18,9 @@ from facetrack_cli.core.errors import InputError, OutputError, UsageError
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.tracking.start import PARTS, box_start, check_start, find_init, read_init, search_start, write_init
-from facetrack_cli.tracking.start.haar import find_faces
+from facetrack_cli.tracking.start.detectors import find_faces
 from facetrack_cli.tracking.start.points import mean_eyes, place
 from facetrack_cli.tracking.start.preview import draw_start
-from facetrack_cli.tracking.start.search import WAIT_FRAMES
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
 CLIPS = Path(os.environ.get("FACETRACK_CLIPS", "clips"))
@@ -85,17 +84,15 @@ def test_a_single_target_may_stand_at_the_top_level(tmp_path):
     assert dict(start.targets) == {"face": TargetStart((1, 2, 3, 4))}
 
 
+def test_json_may_be_indented_by_tabs(tmp_path):
+    text = json.dumps({"frame": 2, "face": {"points": {"nose": [1.5, 2e1]}}}, indent="\t")
+    assert read_init(write(tmp_path, text, "clip.init.json")).targets["face"].points == {"nose": (1.5, 20.0)}
+
+
 def test_several_targets_keep_their_order(tmp_path):
     start = read_init(write(tmp_path, "frame: 0\nleft_hand: {box: [1, 2, 3, 4]}\nhead: {points: {a: [1, 2]}}\n"))
     assert list(start.targets) == ["left_hand", "head"]
     assert start.targets["head"] == TargetStart(None, {"a": (1, 2)})
-
-
-@pytest.mark.parametrize("indent", [None, 1, "\t"])
-def test_reads_json_however_it_is_laid_out(tmp_path, indent):
-    text = json.dumps({"frame": 2, "face": {"points": {"nose": [1.5, 2e1]}}}, indent=indent)
-    start = read_init(write(tmp_path, text, "clip.init.json"))
-    assert start.targets["face"].points == {"nose": (1.5, 20.0)}
 
 
 HEAD = "frame: 0\nface:\n  "
@@ -111,9 +108,6 @@ MISTAKES = {
     "frame in a target": ("face: {frame: 0, box: [1, 2, 3, 4]}\n", 1, '"frame" is missing'),
     "no frame": ("box: [1, 2, 3, 4]\n", 1, '"frame" is missing'),
     "negative frame": ("frame: -1\nbox: [1, 2, 3, 4]\n", 1, "frame must be a whole number, from 0"),
-    "half a frame": ("frame: 1.5\nbox: [1, 2, 3, 4]\n", 1, "frame must be a whole number"),
-    "frame as text": ('frame: "1"\nbox: [1, 2, 3, 4]\n', 1, "frame must be a whole number"),
-    "frame true": ("frame: true\nbox: [1, 2, 3, 4]\n", 1, "frame must be a whole number"),
     "no value for frame": ("frame:\nbox: [1, 2, 3, 4]\n", 1, "frame must be a whole number"),
     "huge frame": ("frame: 99999999999\nbox: [1, 2, 3, 4]\n", 1, "frame must be a whole number, from 0 to 1000000000"),
     "unknown detector": (
@@ -127,25 +121,12 @@ MISTAKES = {
     "nothing in the target": (HEAD + "windows: {nose: [1, 2]}\n", 3, "neither a box nor points of face"),
     "target without value": ("frame: 0\nface:\n", 2, "a target holds box: and points:"),
     "NaN": (HEAD + "box: [1, 2, .nan, 4]\n", 3, "not a finite number"),
-    "infinity": (HEAD + "points: {nose: [1, -.inf]}\n", 3, "not a finite number"),
-    "too large to be finite": (HEAD + "points: {nose: [1, 1e999]}\n", 3, "not a finite number"),
     "beyond any image": (HEAD + "points: {nose: [1, -1e7]}\n", 3, "face: points.nose[2] must be at least -1000000"),
-    "zero width": (HEAD + "box: [1, 2, 0, 4]\n", 3, "face: box[3] must be greater than 0, not 0"),
     "negative height": (HEAD + "box: [1, 2, 3, -4]\n", 3, "face: box[4] must be greater than 0, not -4"),
-    "window without area": (
-        HEAD + "points: {nose: [1, 2]}\n  windows: {nose: [0, 5]}\n",
-        4,
-        "windows.nose[1] must be greater than 0",
-    ),
     "three numbers of a box": (
         HEAD + "box: [1, 2, 3]\n",
         3,
         "box must have 4 items, not 3; write box: [left, top, width, height]",
-    ),
-    "three of a point": (
-        HEAD + "points: {nose: [1, 2, 3]}\n",
-        3,
-        "points.nose must have at most 2 items, not 3; write points: {nose: [x, y]}",
     ),
     "box as text": (HEAD + "box: 1,2,3,4\n", 3, 'box must be a list, not the text "1,2,3,4"'),
     "point as a number": (HEAD + "points: {nose: 3}\n", 3, "points.nose must be a list, not 3"),
@@ -154,8 +135,6 @@ MISTAKES = {
         3,
         'face: points.nose[2] must be a number, not the text "x"',
     ),
-    "truth for a number": (HEAD + "points: {nose: [true, 2]}\n", 3, "face: points.nose[1] must be a number, not true"),
-    "null for a number": (HEAD + "points: {nose: [1, null]}\n", 3, "nothing is given here"),
     "null for a box": (HEAD + "box:\n  points: {nose: [1, 2]}\n", 3, "nothing is given here"),
     "nothing for a number": (HEAD + "points: {nose: [1, ]}\n", 3, "points.nose must have 2 items, not 1"),
     "points as a list": (
@@ -166,17 +145,8 @@ MISTAKES = {
     "no points": (HEAD + "points: {}\n", 3, "nothing is given here"),
     "part with a strange name": (HEAD + 'points: {"the nose": [1, 2]}\n', 3, '"the nose" cannot name a part'),
     "window of no point": (HEAD + "points: {nose: [1, 2]}\n  windows: {nase: [5, 5]}\n", 4, 'did you mean "nose"'),
-    "repeated key": (HEAD + "points:\n    nose: [1, 2]\n    nose: [3, 4]\n", 5, "repeated"),
-    "alias": (HEAD + "box: &b [1, 2, 3, 4]\nhand:\n  box: *b\n", 3, "anchor"),
-    "two documents": ("frame: 0\nbox: [1, 2, 3, 4]\n---\nframe: 1\n", 3, "second document"),
-    "a tag": (HEAD + "box: !!python/tuple [1, 2, 3, 4]\n", 3, "tag"),
     "no mapping": ("- 1\n- 2\n", 1, "an init file is a mapping of keys; write frame: 0"),
-    "a word": ("hello\n", 1, "an init file is a mapping of keys"),
-    "no YAML": (HEAD + "box: [1, 2\n", 4, "not valid YAML"),
     "empty": ("", 1, "empty"),
-    "only a comment": ("# nothing yet\n", 1, "empty"),
-    "binary": (b"\x89PNG\r\n\x1a\n\x00\x00\xff", 1, "not UTF-8"),
-    "NUL": (b"frame: 0\x00\n", 1, "control character"),
 }
 
 
@@ -195,13 +165,6 @@ def test_a_mistake_is_one_line_with_its_place(tmp_path, text, line, said):
 def test_no_file_to_read(tmp_path, name, said):
     with pytest.raises(InputError, match=said):
         read_init(tmp_path / name)
-
-
-def test_a_billion_laughs_are_refused_quickly(tmp_path):
-    rows = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
-    rows += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12)]
-    with pytest.raises(InputError, match="anchor"):
-        read_init(write(tmp_path, "\n".join(rows)))
 
 
 numbers = st.floats(-1e6, 1e6, allow_nan=False)
@@ -336,19 +299,6 @@ def test_points_are_found_in_a_box_that_says_neither_the_size_nor_the_tilt_of_a_
 # --- Haar ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_flat_face_has_mean_proportions():
-    box = (30.0, 20.0, 96.0, 96.0)
-    (left, y), (right, _) = mean_eyes(box)
-    points = place(np.full((160, 160, 3), 128, np.uint8), box, mean_eyes(box))
-    u = {part: ((at[0] - (left + right) / 2) / (right - left), (at[1] - y) / (right - left))
-         for part, at in points.items()}  # fmt: skip
-    assert u["mouth_left"] == pytest.approx((-0.39, 1.0), abs=0.04)
-    assert u["mouth_right"] == pytest.approx((0.39, 1.0), abs=0.04)
-    assert u["nose"] == pytest.approx((0, 0.57), abs=0.04)
-    assert abs(u["lip_upper"][0]) < 0.04 and abs(u["lip_lower"][0]) < 0.04
-    assert 0.8 < u["lip_upper"][1] < 1.0 < u["lip_lower"][1] < 1.3
-
-
 @pytest.mark.parametrize("clip", ["expressions", "occlusion"])
 def test_points_are_close_to_the_truth(clip):
     errors = []
@@ -382,33 +332,6 @@ def test_finds_the_face_however_it_is_shown(face, change):
     assert start.frame == 5 and start.origin == "haar"
     assert np.mean(errors_in_mouth_widths(start, points)) < 0.12
     check_start(start, (image.shape[1], image.shape[0]), PARTS)
-
-
-def test_points_turn_with_the_face(face):
-    frame, _ = face
-    height, width = frame.bgr.shape[:2]
-    tilts = []
-    for turn in (-9, 9):
-        matrix = cv2.getRotationMatrix2D((width / 2, height / 2), -turn, 1)
-        image = cv2.warpAffine(frame.bgr, matrix, (width, height), borderMode=cv2.BORDER_REPLICATE)
-        points = search_start([Frame(0, 0, image)]).targets["face"].points
-        across = np.subtract(points["mouth_right"], points["mouth_left"])
-        tilts.append(np.degrees(np.arctan2(across[1], across[0])))
-    assert tilts[1] - tilts[0] == pytest.approx(18, abs=6)
-
-
-def test_starts_at_the_first_frame_with_a_face_and_looks_no_further(face):
-    frame, _ = face
-    seen = []
-
-    def frames():
-        for index in range(30, 60):
-            seen.append(index)
-            yield Frame(index, index / 25, frame.bgr if index >= 33 else NOBODY)
-
-    assert search_start(frames(), ["nose"]).frame == 33
-    assert seen == list(range(30, 33 + WAIT_FRAMES))
-    assert list(search_start([frame], ["nose"]).targets["face"].points) == ["nose"]
 
 
 def test_prefers_a_later_frame_to_a_face_in_the_dark(face):

@@ -8,7 +8,7 @@ import pytest
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.tracking.start import name_targets, read_init, search_start
-from facetrack_cli.tracking.start.haar import NotHereError
+from facetrack_cli.tracking.start.detectors import NotHereError
 from facetrack_cli.video.source import open_source
 from tests.tracking.test_skin_cloud import HEAD, LEFT, RIGHT, box, picture
 

@@ -13,11 +13,10 @@ from facetrack_cli.tracking.build.targets import box_with, face_target, particle
 from facetrack_cli.tracking.corrected import CorrectedTarget, RestartPolicy, correctable_parts, is_complete
 from facetrack_cli.tracking.loop import Target, Tracker
 from facetrack_cli.tracking.models.likelihoods.recognition import find_gallery
-from facetrack_cli.tracking.start.box import box_start
 from facetrack_cli.tracking.start.checks import box_of, check_size, check_start, check_windows
-from facetrack_cli.tracking.start.detectors import detector_of
-from facetrack_cli.tracking.start.haar import PARTS
+from facetrack_cli.tracking.start.detectors import PARTS, detector_of
 from facetrack_cli.tracking.start.init_file import TARGET as FACE
+from facetrack_cli.tracking.start.search import box_start
 
 
 def build_tracker(recipe: Recipe, start: Start, fps: float | Fraction = 25) -> Tracker:

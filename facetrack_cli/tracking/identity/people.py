@@ -23,7 +23,7 @@ from facetrack_cli.tracking.identity.gallery import name_problem
 from facetrack_cli.tracking.identity.subspaces import Rows
 from facetrack_cli.tracking.models.spaces import AffineSpace, Patches
 from facetrack_cli.tracking.start.checks import check_size, check_start
-from facetrack_cli.tracking.start.haar import find_faces
+from facetrack_cli.tracking.start.detectors import find_faces
 from facetrack_cli.tracking.start.init_file import SUFFIXES as INIT_SUFFIXES
 from facetrack_cli.tracking.start.init_file import default_path, find_init, read_init
 from facetrack_cli.video import images

@@ -12,16 +12,25 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
+from math import isfinite
 from typing import Final, Literal, TypeAlias
 
 import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.geometry import inside, overlap
+from facetrack_cli.core.geometry import centre, inside, overlap
 from facetrack_cli.core.types import Box, Frame, Image, Point, Start, TargetStart
-from facetrack_cli.tracking.start.detectors import Detector, Found, Haar
-from facetrack_cli.tracking.start.haar import MIN_CONTRAST, PARTS, NotHereError, check_parts
+from facetrack_cli.tracking.start.detectors import (
+    MIN_CONTRAST,
+    PARTS,
+    Detector,
+    Found,
+    Haar,
+    NotHereError,
+    check_parts,
+    detector,
+)
 from facetrack_cli.tracking.start.points import place, shows_features
 
 SEARCHED_FRAMES: Final = 250  # frames that are all searched: ten seconds of most clips
@@ -33,6 +42,7 @@ MIN_CHANGE: Final = 2.5  # grey levels; a face that changes by less from frame t
 PATCH_PX: Final = 24  # pixels of a side of the patch in which that is seen
 SAME_PLACE: Final = 0.02  # sizes of the box; a part that is farther off has moved, nearer it is noise
 MIN_OVERLAP: Final = 0.3  # overlap with where it was last found
+_ALL_OF_IT: Final = "draw it from the brows to the chin"
 Faces: TypeAlias = Literal["one", "all"]
 
 
@@ -230,3 +240,34 @@ class _Search:
         doubtful = max(self.candidates, key=lambda one: len(one.boxes), default=None)
         but = "" if doubtful is None else f" (something {doubtful.said()}, which is no face)"
         return InputError(f"{clip}: no face found in {searched}{but}; {remedy}")
+
+
+def box_start(
+    frame: Frame, box: Box, parts: Sequence[str] = PARTS, *, by: str | None = None, clip: str = "the clip"
+) -> Start:
+    """The start in a frame where the face's box (left, top, width, height; pixels) is known.
+
+    The parts are placed in the face that a detector sees in the box, else in the box. `by`: as for `detector`.
+    InputError for a wrong box.
+    """
+    check_parts(parts)
+    size = f"the frame of {frame.size[0]}x{frame.size[1]} pixels"
+    if not all(map(isfinite, box)) or min(box[2:]) <= 0:
+        wrong = "has no area; give left, top, width and height in pixels"
+    elif min(box[2:]) < 2:
+        wrong = f"is smaller than 2 pixels; {_ALL_OF_IT}"
+    elif max(box[2] / frame.size[0], box[3] / frame.size[1]) > 2:
+        wrong = f"is far larger than {size}; {_ALL_OF_IT}"
+    elif not inside(centre(box), frame.size):
+        wrong = f"is not in {size}; give left, top, width and height in pixels of the frame"
+    else:
+        look = detector(by)
+        points = look.place(frame.bgr, box)
+        outside = [part for part in parts if not inside(points[part], frame.size)]
+        if not outside:
+            # to 0.01 px, as in an init file: a run from that file begins in the same place
+            placed = {part: (round(points[part][0], 2), round(points[part][1], 2)) for part in parts}
+            target = TargetStart(box=box, points=placed)
+            return Start(frame.index, {"face": target}, "--box", detector=look.name, placed=True)
+        wrong = f"would put {', '.join(outside)} outside the frame; {_ALL_OF_IT}, or give the points with --init FILE"
+    raise InputError(f"{clip}: the box {','.join(f'{value:g}' for value in box)} {wrong}")

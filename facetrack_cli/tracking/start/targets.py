@@ -18,7 +18,7 @@ from facetrack_cli.core.types import Array, Box, Frame, Start, TargetStart, fact
 from facetrack_cli.tracking.kernels.skin import skin_map
 from facetrack_cli.tracking.models.skin_colour import SkinModel, learn_skin
 from facetrack_cli.tracking.start.checks import MIN_BOX_PX, check_size
-from facetrack_cli.tracking.start.haar import NotHereError
+from facetrack_cli.tracking.start.detectors import NotHereError
 from facetrack_cli.tracking.start.init_file import TARGET
 
 MAX_SEARCHED_PX: Final = 400  # pixels of the longer side, at most, of the image that is searched for hands
