@@ -40,7 +40,7 @@ from facetrack_cli.evaluation.summary import evaluate
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.clip import track_clip
 from facetrack_cli.runs.job import Job
-from facetrack_cli.runs.outputs import Memory
+from facetrack_cli.runs.recording import Memory
 from facetrack_cli.runs.seeds import variant
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import truth_start

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from facetrack_cli.core.types import Frame, Start, TargetStart
     from facetrack_cli.editor.smooth import smooth
     from facetrack_cli.recipe.load import load_recipe
+    from facetrack_cli.run_folder.recovery import read_run as read_trajectory
     from facetrack_cli.runs.api import draw, track_frames, track_video
     from facetrack_cli.trajectory.formats.read import read_truth
-    from facetrack_cli.trajectory.reader import read_trajectory
     from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
     from facetrack_cli.video.overlay.overlay import Overlay
 
@@ -53,9 +53,9 @@ _PLACES = {
     "core.types": ("Frame", "Start", "TargetStart"),
     "editor.smooth": ("smooth",),
     "recipe.load": ("load_recipe",),
+    "run_folder.recovery": ("read_run",),
     "runs.api": ("draw", "track_frames", "track_video"),
     "trajectory.formats.read": ("read_truth",),
-    "trajectory.reader": ("read_trajectory",),
     "trajectory.trajectory": ("FrameResult", "Trajectory"),
     "video.overlay.overlay": ("Overlay",),
 }
@@ -63,9 +63,10 @@ _PLACES = {
 
 def __getattr__(name: str) -> Any:
     """The public names, imported when they are first used: numba and OpenCV take half a second."""
+    own_name = "read_run" if name == "read_trajectory" else name
     for module, names in _PLACES.items():
-        if name in names:
-            return getattr(import_module(f"facetrack_cli.{module}"), name)
+        if own_name in names:
+            return getattr(import_module(f"facetrack_cli.{module}"), own_name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

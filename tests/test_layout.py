@@ -1,4 +1,4 @@
-"""The ten rooms of the package, and which of them each one may import. CONTRIBUTING.md draws the same map."""
+"""The eleven rooms of the package, and which of them each one may import. CONTRIBUTING.md draws the same map."""
 
 import ast
 import sys
@@ -15,11 +15,12 @@ ROOMS = {
     "trajectory": "core",
     "video": "core trajectory",
     "tracking": "core recipe video trajectory",
-    "runs": "core recipe video trajectory tracking",
-    "evaluation": "core recipe video trajectory tracking runs",
-    "report": "core recipe video trajectory tracking runs evaluation",
-    "editor": "core recipe video trajectory tracking runs evaluation report",
-    "cli": "core recipe video trajectory tracking runs evaluation report editor",
+    "run_folder": "core recipe video trajectory tracking",
+    "runs": "core recipe video trajectory tracking run_folder",
+    "evaluation": "core recipe video trajectory tracking run_folder runs",
+    "report": "core recipe video trajectory tracking run_folder runs evaluation",
+    "editor": "core recipe video trajectory tracking run_folder runs evaluation report",
+    "cli": "core recipe video trajectory tracking run_folder runs evaluation report editor",
 }
 NO_FILE_IS_LONGER = 600
 

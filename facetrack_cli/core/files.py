@@ -1,6 +1,6 @@
 """Writing results: files that appear, or are replaced, when they are whole; streams; the folder of a command's results.
 
-Every file is written under a temporary name `beside` its own, brought to the disk and then renamed. A symbolic link
+Every file is written under its temporary path, brought to the disk and then renamed. A symbolic link
 stays one: the file that it leads to is replaced. On a full disk `FileSink` keeps the records that fit: the end of the
 file is written over the last of them, in space that the file already has, so a finished file is always valid.
 """
@@ -35,7 +35,7 @@ def cannot_write(path: Path, error: OSError, remedy: str = "choose another place
     return OutputError(f"{path}: {full if error.errno in FULL else f'cannot be written: {reason(error)}; {remedy}'}")
 
 
-def beside(path: Path, process: int | None = None) -> Path:
+def temporary_path(path: Path, process: int | None = None) -> Path:
     """The temporary name under which this process, or the one of that number, writes what will replace `path`."""
     whole = Path(os.path.realpath(path))
     return whole.with_name(f".{whole.stem}-{os.getpid() if process is None else process}.part{whole.suffix}")
@@ -56,23 +56,23 @@ def sync(path: Path) -> None:
 
 
 def publish(path: Path) -> None:
-    """Rename the file `beside` a path to it, both on the disk. Raises OSError."""
-    sync(beside(path))
-    beside(path).replace(os.path.realpath(path))
+    """Rename the temporary file of a path to it, both on the disk. Raises OSError."""
+    sync(temporary_path(path))
+    temporary_path(path).replace(os.path.realpath(path))
     sync(Path(os.path.realpath(path)).parent)
 
 
 def discard(path: Path) -> None:
-    """Remove the file `beside` a path, if there is one."""
+    """Remove the temporary file of a path, if there is one."""
     with contextlib.suppress(OSError):
-        beside(path).unlink(missing_ok=True)
+        temporary_path(path).unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
     """A file that replaces `path` when the block ends without an error. OSError."""
     try:
-        with beside(path).open("wb") as file:
+        with temporary_path(path).open("wb") as file:
             yield file
         publish(path)
     finally:
@@ -85,15 +85,14 @@ def _bytes(text: str) -> bytes:
 
 
 class Place(NamedTuple):
-    """A place between two records of a file: the bytes and the records before it, and the SHA-256 of those bytes."""
+    """A place between two records of a file: the bytes and the records before it."""
 
     bytes: int
     records: int
-    sha256: str
 
 
 class FileSink:
-    """Records into the file `beside` a path, each of them at once: a process that is killed loses none.
+    """Records into the temporary file of a path, each of them at once: a process that is killed loses none.
 
     Raises OutputError when the file cannot be written; `finish` may still be called then, and keeps what fits.
     """
@@ -107,10 +106,9 @@ class FileSink:
         self._written = self._records = 0  # bytes in the file, and records
         self._ends: deque[int] = deque()  # where the last records end
         self._full = False
-        self._sum = hashlib.sha256()
 
     def _open(self) -> BinaryIO:
-        return beside(self.path).open("wb", buffering=0)
+        return temporary_path(self.path).open("wb", buffering=0)
 
     def write(self, record: str) -> None:
         data = _bytes(record)
@@ -122,24 +120,15 @@ class FileSink:
 
     def place(self) -> Place:
         """Where the next record begins."""
-        return Place(self._written, self._records, self._sum.hexdigest())
+        return Place(self._written, self._records)
 
-    def go_on(self, file: Path, place: Place) -> bool:
-        """Begin with what a file holds up to a place; False, and nothing changes, if it holds something else.
-
-        Raises OutputError.
-        """
-        with contextlib.suppress(FileNotFoundError), file.open("rb") as before:
-            found = hashlib.sha256()
-            if copy_bytes(before, self._file, place.bytes, found.update) == place.bytes and (
-                found.hexdigest() == place.sha256
-            ):
-                self._sum, self._written, self._records = found, place.bytes, place.records
-                self._ends.append(place.bytes)
-                return True
-        self._file.seek(0)
-        self._file.truncate()
-        return False
+    def go_on(self, file: Path, place: Place) -> None:
+        """Begin with the contents of a file up to a place. Raises OSError."""
+        with file.open("rb") as before:
+            if copy_bytes(before, self._file, place.bytes) < place.bytes:
+                raise OSError(errno.EIO, f"{file} is too short")
+        self._written, self._records = place
+        self._ends.append(place.bytes)
 
     def sync(self) -> None:
         """Bring what is written to the disk. Raises OSError."""
@@ -172,7 +161,6 @@ class FileSink:
         try:
             while view:
                 n = self._file.write(view)
-                self._sum.update(view[:n])
                 self._written += n
                 view = view[n:]
         except OSError as e:
@@ -189,6 +177,20 @@ class FileSink:
                 self._file.truncate(place + len(end))
                 return
         self._file.truncate(0)
+
+
+class OpenFile:
+    """Records into an open file. Raises OSError."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self._records = file, 0
+
+    def write(self, record: str) -> None:
+        self._records += 1
+        self._file.write(_bytes(record))
+
+    def finish(self, tail: Callable[[int], str]) -> None:
+        self._file.write(_bytes(tail(self._records)))
 
 
 class StreamSink:
@@ -266,11 +268,10 @@ def digest(files: Iterable[Path], *, names: bool = False, stopped: Callable[[], 
     return found.hexdigest()
 
 
-def copy_bytes(file: BinaryIO, to: BinaryIO, most: int, also: Callable[[bytes], None] = lambda block: None) -> int:
-    """Copy so many bytes, or what there is; how many these are. OSError."""
+def copy_bytes(file: BinaryIO, to: BinaryIO, most: int) -> int:
+    """Copy so many bytes, or all if there are fewer; their number. OSError."""
     left = most
     while left and (block := file.read(min(left, 1 << 20))):
-        also(block)
         to.write(block)
         left -= len(block)
     return most - left

@@ -5,27 +5,19 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
+import shutil
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Final, NamedTuple, TypeVar
+from typing import IO, Any, BinaryIO, TypeVar
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile, ZipInfo
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import (
-    MOST,
-    MOST_ROWS,
-    beside,
-    cannot_write,
-    check_readable,
-    copy_bytes,
-    discard,
-    write_new,
-)
+from facetrack_cli.core.files import MOST, MOST_ROWS, cannot_write, check_readable, temporary_path, write_new
 
 T = TypeVar("T")
 
@@ -39,11 +31,15 @@ class Kind:
     what: str
     command: str
 
+    @property
+    def head(self) -> dict[str, Any]:
+        """The arrays that a file begins with."""
+        return {"format": np.array(self.format), "version": np.array(self.version, "<i8")}
+
     def write(self, path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Equal arrays give equal bytes; a file that is there is replaced. Raises OutputError."""
-        whole: dict[str, Any] = {"format": np.array(self.format), "version": np.array(self.version, "<i8"), **arrays}
         buffer = io.BytesIO()
-        np.savez(buffer, **whole)
+        np.savez(buffer, **{**self.head, **arrays})
         write_new(path, buffer.getvalue(), overwrite=True)
 
     def read(self, path: Path, make: Callable[[Stored], T]) -> T:
@@ -119,85 +115,26 @@ class Stored:
         return found
 
 
-class Written(NamedTuple):
-    """Where a file of blocks stands: its bytes, its blocks, and what its directory will say of each array."""
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], blocks: Sequence[Path] = ()) -> None:
+    """Write arrays, and then all arrays of the files `blocks`, into the temporary file of a path. OutputError.
 
-    bytes: int
-    blocks: int
-    members: tuple[tuple[str | int, ...], ...]
-
-
-_MEMBER: Final = (
-    *("filename", "compress_type", "create_system", "create_version", "extract_version", "flag_bits"),
-    *("internal_attr", "external_attr", "volume", "CRC", "header_offset", "compress_size", "file_size"),
-)
-
-
-class Blocks:
-    """A file of a kind that is written `beside` its path, a block of arrays at a time.
-
-    Raises OutputError when it cannot be written.
+    Equal arrays give equal bytes.
     """
+    try:
+        with ZipFile(temporary_path(path), "w", ZIP_DEFLATED, compresslevel=1) as archive:
 
-    def __init__(
-        self, kind: Kind, path: Path, arrays: Mapping[str, NDArray[Any]], after: tuple[Path, Written] | None = None
-    ) -> None:
-        """With these `arrays` first; or `after` what another file holds up to a place."""
-        self.path, self._blocks = path, 0
-        try:
-            self._file = beside(path).open("w+b")
-            if after is not None:
-                with after[0].open("rb") as before:
-                    copied = copy_bytes(before, self._file, after[1].bytes)
-                if copied < after[1].bytes:
-                    raise OSError(errno.EIO, f"{after[0]} is too short")
-            self._zip = ZipFile(self._file, "w", ZIP_DEFLATED, compresslevel=1)
-        except OSError as e:
-            raise cannot_write(path, e) from e
-        if after is not None:
-            self._blocks = after[1].blocks
-            for values in after[1].members:
-                member = ZipInfo(str(values[0]))
-                for name, value in zip(_MEMBER, values, strict=True):
-                    setattr(member, name, value)
-                self._zip.filelist.append(member)
-                self._zip.NameToInfo[member.filename] = member
-            return
-        self._add({"format": np.array(kind.format), "version": np.array(kind.version, "<i8"), **arrays})
-
-    def add(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """One more block; of the first, an array is named `0/name`."""
-        self._add({f"{self._blocks}/{name}": one for name, one in arrays.items()})
-        self._blocks += 1
-
-    def _add(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        try:
-            for name, one in arrays.items():
-                info = ZipInfo(f"{name}.npy")  # of 1980: equal arrays give equal bytes
+            def member(name: str) -> IO[bytes]:
+                info = ZipInfo(name)  # of 1980
                 info.compress_type = ZIP_DEFLATED
-                with self._zip.open(info, "w") as member:
-                    np.lib.format.write_array(member, one, allow_pickle=False)
-        except OSError as e:
-            raise cannot_write(self.path, e) from e
+                return archive.open(info, "w")
 
-    def place(self) -> Written:
-        """Where the next block begins; up to there the file is with the system. OSError."""
-        self._file.flush()
-        members = tuple(tuple(getattr(one, name) for name in _MEMBER) for one in self._zip.filelist)
-        return Written(self._file.tell(), self._blocks, members)
-
-    def close(self) -> None:
-        try:
-            self._zip.close()
-            self._file.close()
-        except OSError as e:
-            self.discard()
-            raise cannot_write(self.path, e) from e
-
-    def discard(self) -> None:
-        """Close and remove the temporary file, if it is still there."""
-        with contextlib.suppress(OSError, ValueError):
-            self._zip.close()
-        with contextlib.suppress(OSError):
-            self._file.close()
-        discard(self.path)
+            for name, one in arrays.items():
+                with member(f"{name}.npy") as file:
+                    np.lib.format.write_array(file, one, allow_pickle=False)
+            for block in blocks:
+                with ZipFile(block) as before:
+                    for name in before.namelist():
+                        with before.open(name) as old, member(name) as file:
+                            shutil.copyfileobj(old, file)
+    except (OSError, BadZipFile) as e:
+        raise cannot_write(path, e if isinstance(e, OSError) else OSError(errno.EIO, str(e))) from e

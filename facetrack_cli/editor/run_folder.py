@@ -17,14 +17,14 @@ from facetrack_cli.core.types import Correction, Start
 from facetrack_cli.recipe.files import shipped_folder, shipped_recipes
 from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe
 from facetrack_cli.report.make import trajectory_of
-from facetrack_cli.runs.again import swapped
-from facetrack_cli.runs.job import VIDEO
+from facetrack_cli.run_folder.fingerprint import other_clip
+from facetrack_cli.run_folder.manifest import VIDEO
+from facetrack_cli.run_folder.recovery import read_run
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.start import check_start
 from facetrack_cli.trajectory.header import Header, corrections_record, read_header
-from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory
-from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, Format, footer_of, json_frames
+from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Ending, Format, ending_of, json_frames
 from facetrack_cli.video.images import listing
 from facetrack_cli.video.kinds import brings_rate
 
@@ -81,7 +81,7 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     path = Path(header.source.path) if clip is None else clip
     if clip is None and not _is_there(path):
         raise InputError(f"{path}: is not there, and the run in {folder} is of it; name the clip with --clip")
-    if (other := swapped(rows, path)) is not None:
+    if (other := other_clip(rows, path)) is not None:
         raise InputError(f"{other}; name its clip with --clip")
     recipe = _recipe(main, rows.header["recipe"], [Path(), folder, folder.parent, path.parent])
     fps = None if brings_rate(path) else Fraction(header.source.fps).limit_denominator(1001)
@@ -100,7 +100,7 @@ def read_files(files: Mapping[Format, Path]) -> Trajectory:
     with the line, for a file that is not byte for byte as a run writes it, and for a file that differs.
     """
     main = files["json"] if "json" in files else files["jsonl"]
-    rows = read_trajectory(main)
+    rows = read_run(main)
     if "lost_frames" not in rows.header or "init" not in rows.header:
         raise _not_ours(main)
     if "smoothed" in rows.header:
@@ -185,17 +185,17 @@ def write_rows(
     corrections: Sequence[Correction] | None = None,
 ) -> None:
     """Write these rows as a run does, by calls of `write`. `corrections`, if given, replace those in the header."""
-    ends = {*Footer._fields, "frames_tracked", "type"}
+    ends = {*FOOTER, "frames_tracked", "type"}
     head = {key: value for key, value in rows.header.items() if key not in ends}
-    foot = {key: value for key, value in rows.header.items() if key in Footer._fields}
-    footer = Footer(**{**foot, "warnings": tuple(foot.get("warnings", ()))})
+    foot = {key: value for key, value in rows.header.items() if key in FOOTER}
+    ending = Ending(**{**foot, "warnings": tuple(foot.get("warnings", ()))})
     if corrections is not None:
         init = {key: value for key, value in head["init"].items() if key != "corrections"}
         head["init"] = {**init, **corrections_record(corrections)}
-        footer = footer._replace(lost_frames=footer_of(rows).lost_frames)
+        ending.lost_frames = ending_of(rows).lost_frames
     writer = WRITERS[form](_Sink(write), head)
     writer.write(rows)
-    writer.close(footer)
+    writer.close(ending)
 
 
 def check_writable(run: Run) -> None:

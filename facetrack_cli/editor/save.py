@@ -2,26 +2,25 @@
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
-from facetrack_cli.core.claims import Claim
 from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.core.files import FULL, beside, discard
-from facetrack_cli.core.sets import sweep
+from facetrack_cli.core.files import FULL, discard, temporary_path
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.retrack import Report, Stop, silent
 from facetrack_cli.editor.run_folder import Run, stamp, write_rows
+from facetrack_cli.run_folder.lock import FolderLock, sweep
+from facetrack_cli.run_folder.manifest import VIDEO, Manifest, commit, outdated, read_manifest
 from facetrack_cli.runs.clip import past_end
-from facetrack_cli.runs.job import VIDEO
 from facetrack_cli.runs.signals import StoppedError, never
 from facetrack_cli.tracking.start import write_init
 from facetrack_cli.tracking.start.init_file import as_yaml
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
-from facetrack_cli.trajectory.manifest import Manifest, commit, outdated, read_manifest
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
-from facetrack_cli.trajectory.writers import footer_of
+from facetrack_cli.trajectory.writers import ending_of
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
@@ -44,7 +43,7 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     }
     files[folder / CORRECTED] = lambda write: write(as_yaml(fixer.start, run.clip.name).encode())
     known = read_manifest(folder)
-    ended = known and known.model_copy(update={"lost_frames": footer_of(rows).lost_frames})
+    ended = known and replace(known, lost_frames=ending_of(rows).lost_frames)
     paint = partial(repaint, run, rows=rows, report=report, stop=stop) if video and run.video is not None else None
     written, notes = replace_files(folder, files, ended, [folder / UNSAVED], paint, lambda: _check(run))
     notes += past_end(fixer.corrections, run.last, str(folder / CORRECTED))
@@ -63,14 +62,14 @@ def replace_files(
 ) -> tuple[list[Path], list[str]]:
     """Write all files of a run's `folder`, then let them replace the old ones together; the files, and warnings.
 
-    Each value of `files` writes one file by calls of `write(data)`. `paint` draws the video beside its path. `check`
+    Each value of `files` writes one file by calls of `write(data)`. `paint` draws the video into the temporary file of its path. `check`
     raises, at the beginning and before anything is replaced, if the folder has changed. `ended` is the new run.json,
     `gone` are files to remove. OutputError for a file that cannot be written; the folder is then as it was.
     """
     written: list[Path] = []
     notes: list[str] = []
     try:
-        with Claim(folder) as claim:
+        with FolderLock(folder) as lock:
             check()
             sweep(folder)
             if paint is not None:
@@ -78,10 +77,10 @@ def replace_files(
                 notes += paint(folder / VIDEO)
             for path, write in files.items():
                 written.append(path)
-                with beside(path).open("wb") as file:
+                with temporary_path(path).open("wb") as file:
                     write(file.write)
             check()
-            commit(folder, written, ended, gone, claim=claim)
+            commit(lock, folder, written, ended, gone)
     except OSError as e:
         remedy = "free some space" if e.errno in FULL else "make it writable"
         at = written[-1] if written else folder
@@ -102,7 +101,7 @@ def _check(run: Run) -> None:
 
 
 def repaint(run: Run, path: Path, rows: Trajectory, report: Report, stop: Stop) -> tuple[str, ...]:
-    """Write the annotated video `beside` its path, without particles, which rows do not have; its warnings. Raises
+    """Write the annotated video into the temporary file of its path, without particles, which rows do not have; its warnings. Raises
     StoppedError once `stop` says so, InputError if the clip lacks frames of the run; nothing is written then.
     """
     total, done = run.last - run.first + 1, 0

@@ -12,11 +12,10 @@ from facetrack_cli.editor.retrack import Report, Stop, silent
 from facetrack_cli.editor.run_folder import open_run, read_files, run_files, write_rows
 from facetrack_cli.editor.save import repaint, replace_files
 from facetrack_cli.report.make import trajectory_of
-from facetrack_cli.runs.job import VIDEO
-from facetrack_cli.runs.posterior import POSTERIOR, read_posterior
+from facetrack_cli.run_folder.manifest import FILTERED, OWNED, POSTERIOR, VIDEO, outdated, read_manifest
+from facetrack_cli.runs.posterior import read_posterior
 from facetrack_cli.runs.signals import never
 from facetrack_cli.tracking.smoothed import MotionName, smoothed_rows
-from facetrack_cli.trajectory.manifest import FILTERED, OWNED, outdated, read_manifest
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
 
@@ -68,7 +67,7 @@ def save_smoothed(
     if in_place:
         files[place / FILTERED] = partial(write_rows, "csv", rows=rows)
         stays.pop(POSTERIOR, None)  # smoothed rows are not smoothed again
-    ended = known and known.model_copy(update={"smoothed": True, "files": stays})
+    ended = known and replace(known, smoothed=True, files=stays)
     paint = None if run is None else partial(repaint, run, rows=after, report=report, stop=stop)
     made = make_folder(place)
     try:

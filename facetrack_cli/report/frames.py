@@ -15,9 +15,9 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.core.types import Image as Pixels
 from facetrack_cli.report.events import Clock
-from facetrack_cli.runs.again import swapped
+from facetrack_cli.run_folder.fingerprint import other_clip
+from facetrack_cli.run_folder.manifest import check_belongs
 from facetrack_cli.trajectory.header import Header
-from facetrack_cli.trajectory.manifest import check_belongs
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
 from facetrack_cli.video.kinds import brings_rate
 from facetrack_cli.video.overlay.overlay import Overlay
@@ -89,7 +89,7 @@ class _Maker:
     def read(self, path: Path, wanted: Sequence[int], report: Report, *, annotated: bool = False) -> KeyImages:
         """The images of one source. An `annotated` video counts from the run's first frame, and pads odd sizes."""
         done = KeyImages(origin="annotated" if annotated else "clip")
-        if not annotated and (other := swapped(self._table, path)) is not None:
+        if not annotated and (other := other_clip(self._table, path)) is not None:
             done.notes.append(f"{other}; name its clip with --clip")
             return done
         frames, (width, height) = self._clock.frames, self._clip.size

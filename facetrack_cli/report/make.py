@@ -23,11 +23,10 @@ from facetrack_cli.report import text
 from facetrack_cli.report.command_line import command, init_yaml, recipe_yaml
 from facetrack_cli.report.events import Clock, LostSpan, Stretch, history_of, key_frames
 from facetrack_cli.report.frames import Image, Report, key_images
+from facetrack_cli.run_folder.recovery import read_run, recover_interrupted
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.header import CORRECTED, Header, read_header
-from facetrack_cli.trajectory.killed import settle
-from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 MAX_PARTS, MAX_SPANS = 100, 100  # rows of a table by part, and of the table of lost spans
@@ -71,7 +70,7 @@ def make_report(
     """
     plots.need_matplotlib()
     template = _template()
-    table = read_trajectory(trajectory_of(run))
+    table = read_run(trajectory_of(run))
     header = read_header(table)
     clock = Clock(table, header.source.fps)
     history = history_of(table, clock, header.seams)
@@ -124,7 +123,7 @@ def trajectory_of(run: Path) -> Path:
         raise InputError(f"{run}: is a file; {remedy}")
     if not run.is_dir():
         raise InputError(f"{run}: no such folder; {remedy}")
-    settle(run)
+    recover_interrupted(run)
     for form in ("json", "jsonl"):
         if (path := run / f"trajectory.{form}").is_file():
             return path

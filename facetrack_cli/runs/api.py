@@ -17,8 +17,8 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.clip import track_clip
 from facetrack_cli.runs.job import Job, check
-from facetrack_cli.runs.outputs import Memory
 from facetrack_cli.runs.posterior import check_smoothing
+from facetrack_cli.runs.recording import Memory
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import completed, search
 from facetrack_cli.tracking.build.build import tracker_for

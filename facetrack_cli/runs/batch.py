@@ -12,22 +12,21 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from facetrack_cli.core.claims import LOCK, Claim, holder
 from facetrack_cli.core.errors import BusyError, FacetrackError
 from facetrack_cli.core.files import absolute
 from facetrack_cli.core.log import about
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.runs.again import previous
+from facetrack_cli.run_folder.lock import LOCK, FolderLock, holder
+from facetrack_cli.run_folder.manifest import as_line
+from facetrack_cli.run_folder.recovery import recover_interrupted
 from facetrack_cli.runs.clip import run
-from facetrack_cli.runs.failures import line, note_failure
-from facetrack_cli.runs.job import Job, Outcome, Report, check, ended, silent
+from facetrack_cli.runs.job import Job, Outcome, Report, check, ended, note_failure, silent
 from facetrack_cli.runs.pipeline import share_threads
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, cores, side_by_side
 from facetrack_cli.tracking.kernels.precompile import Precompiler
 from facetrack_cli.trajectory.header import is_there
-from facetrack_cli.trajectory.killed import settle
 
 TRIES: Final = 2  # of a clip whose process a signal ends
 LOOK_S: Final = 0.5  # between two looks whether a clip of somebody else is free
@@ -87,7 +86,7 @@ def check_all(jobs: Sequence[Job]) -> tuple[list[Outcome], list[Job]]:
             if known is None:
                 check(job)
         except FacetrackError as e:
-            known = Outcome(job.clip, error=line(e))
+            known = Outcome(clip=job.clip, error=as_line(e))
         if known is None:
             left.append(job)
         else:
@@ -174,22 +173,22 @@ def _wait(busy: Sequence[Job], stop: Stop) -> tuple[list[Job], list[Job]]:
             settled = time.monotonic()
             for job in busy:
                 if job.out is not None:
-                    settle(job.out)
+                    recover_interrupted(job.out)
     return [], []
 
 
 def died(job: Job, error: Exception) -> Outcome:
     """What becomes of a clip whose process ended by itself."""
-    frames = 0 if job.out is None else settle(job.out)
+    frames = 0 if job.out is None else recover_interrupted(job.out)
     with contextlib.suppress(FacetrackError):  # an earlier turn may have come farther
-        frames = max(frames, known.frames if (known := previous(job)) is not None else 0)
+        frames = max(frames, known.frames if (known := job.previous()) is not None else 0)
     kept = f"the {frames} frames that it had tracked are kept" if frames else "nothing was kept"
     said = FacetrackError(f"{job.clip}: {error}; {kept}")
     log = error.log if isinstance(error, DiedError) else ()
     if job.out is not None and job.batch:
-        with contextlib.suppress(FacetrackError), Claim(job.out):
-            note_failure(job, said, log)
-    return Outcome(job.clip, error=said)
+        with contextlib.suppress(FacetrackError), FolderLock(job.out) as lock:
+            note_failure(job, lock, said, log)
+    return Outcome(clip=job.clip, error=said)
 
 
 def attempt(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
@@ -198,6 +197,6 @@ def attempt(job: Job, stop: Stop, report: Report = silent, looked: Report = sile
         try:
             outcome = run(job, stop, report, looked)
         except Exception as e:
-            outcome = Outcome(job.clip, error=e)
-        outcome.error = outcome.error and line(outcome.error)
+            outcome = Outcome(clip=job.clip, error=e)
+        outcome.error = outcome.error and as_line(outcome.error)
     return outcome

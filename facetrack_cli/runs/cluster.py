@@ -25,14 +25,12 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from facetrack_cli import __version__
 from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, UsageError, needed, reason
-from facetrack_cli.runs.again import previous
+from facetrack_cli.run_folder.manifest import NAME, as_line
 from facetrack_cli.runs.batch import attempt, died, share
-from facetrack_cli.runs.failures import line
 from facetrack_cli.runs.job import Job, Outcome
 from facetrack_cli.runs.pipeline import share_threads
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop, StoppedError
-from facetrack_cli.trajectory.manifest import NAME
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -123,7 +121,7 @@ class _Cluster:
             time.sleep(LOOK_S)
         for one in () if self._stop() else out.values():
             gone = "not tracked, as the scheduler did not come back; the same command again goes on"
-            yield one.job, Outcome(one.job.clip, error=FacetrackError(f"{one.job.clip}: {gone}"))
+            yield one.job, Outcome(clip=one.job.clip, error=FacetrackError(f"{one.job.clip}: {gone}"))
 
     def _submit(self, one: _Try) -> Future[tuple[Outcome | None, str]]:
         """Send a job; not to the workers on which it failed, nor to their machines, if there are others."""
@@ -179,7 +177,7 @@ class _Cluster:
             if time.monotonic() > until:
                 self._unseen_s = 0.0
                 said = f"{job.clip}: was tracked, but {job.out} does not show it here"
-                return Outcome(job.clip, error=FacetrackError(f"{said}; all machines must see the same folders"))
+                return Outcome(clip=job.clip, error=FacetrackError(f"{said}; all machines must see the same folders"))
             time.sleep(LOOK_S)
         return outcome
 
@@ -251,11 +249,11 @@ def _on_worker(version: str, folder: str, batch: str, sent: bytes) -> tuple[Outc
         if after is not None and outcome.error is None and not smoothed and not stop():
             try:
                 outcome.warnings = (*outcome.warnings, *after(outcome, stop)[1])
-                outcome.again = outcome.again and previous(job)
+                outcome.again = outcome.again and job.previous()
             except StoppedError:  # before it was smoothed
                 return None, worker.address
             except Exception as e:
-                outcome.error = line(e)
+                outcome.error = as_line(e)
     return outcome, worker.address
 
 

@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 from facetrack_cli.core.errors import InputError, UsageError, from_system, reason
 from facetrack_cli.core.files import MOST, absolute, check_readable
+from facetrack_cli.run_folder.manifest import NAME
 from facetrack_cli.trajectory.header import is_there
-from facetrack_cli.trajectory.manifest import NAME
 from facetrack_cli.video import images
 from facetrack_cli.video.kinds import is_clip, is_image
 from facetrack_cli.video.playlists import check_local

@@ -2,34 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Final, TypeAlias
 
-import numpy as np
-
-from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, UsageError
 from facetrack_cli.core.files import check_folder
 from facetrack_cli.core.types import Box
 from facetrack_cli.recipe.files import default_recipe
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.again import previous
-from facetrack_cli.runs.failures import code_of, is_failure
+from facetrack_cli.run_folder.fingerprint import clip_stat, job_digest, previous_run
+from facetrack_cli.run_folder.lock import FolderLock, here
+from facetrack_cli.run_folder.manifest import OWNED, VIDEO, Manifest, commit, error_of, failed, read_manifest
+from facetrack_cli.run_folder.recovery import recover_interrupted
 from facetrack_cli.runs.plan import Split
 from facetrack_cli.runs.posterior import check_smoothing
 from facetrack_cli.runs.start import Begin
-from facetrack_cli.trajectory.diagnostics import EVIDENCE
+from facetrack_cli.tracking.start import find_init
 from facetrack_cli.trajectory.header import is_there
-from facetrack_cli.trajectory.killed import settle
-from facetrack_cli.trajectory.manifest import OWNED, Manifest, read_manifest
-from facetrack_cli.trajectory.trajectory import FrameResult
-from facetrack_cli.trajectory.writers import Format
+from facetrack_cli.trajectory.writers import Ending, Format
 from facetrack_cli.video.source import Source
 
-VIDEO: Final = "annotated.mp4"
 LAG_BYTES: Final = 1 << 30  # of the frames that wait for later ones
 Report: TypeAlias = Callable[[int, "int | None"], None]  # frames done, frames in all if that is known
 
@@ -57,66 +54,60 @@ class Job(Begin):
     threads: int = 2
     lag: int = 0
     posterior: bool = False
-    why: str = ""  # why this recipe, said after the next step
+    default_reason: str = ""  # why this recipe, said after the next step
     strict: bool = False
     resume: bool = True
     batch: bool = False
     retry_failed: bool = False
     split: Split | None = None
 
+    def digest(self) -> str:
+        """A digest of all that is asked for but the clip: of recipe, start, frames, options, and their files."""
+        init = find_init(self.clip) if self.init is None and self.box is None else self.init
+        settings = [self.box, self.init_frame, self.faces, self.start, self.stop]
+        options = [str(self.fps), self.lag, self.posterior, self.formats, self.video, self.strict]
+        pieces = [self.split, self.piece and [self.piece.correction]] if self.split or self.piece else []
+        return job_digest(self.recipe, init, settings, options, *pieces)
+
+    def previous(self) -> Manifest | None:
+        """The run.json of an earlier run of the same job and the same clip; None if there is none."""
+        return None if self.out is None else previous_run(self.out, self.digest, self.clip)
+
 
 @dataclass
-class Outcome:
-    """What became of one clip. `lost` counts the lost frames of each part; `lost_at_end` are those lost in the last.
+class Outcome(Ending):
+    """What became of one clip.
 
-    `evidence` sums up each target's.
     `error` ended the run early; what was tracked until then is kept. `note` says where the search for a face began it.
+    `again`: the run was done before, and nothing was tracked now. `resumed`: the frame from which it went on.
+    `doubtful`: whether something that was measured speaks against the track, as the `verdict` says.
     """
 
-    clip: Path
+    clip: Path = Path()
     files: Sequence[Path] = ()
-    frames: int = 0
     frames_per_s: float = 0.0
-    lost: dict[str, int] = field(default_factory=dict)
-    lost_at_end: tuple[str, ...] = ()
-    evidence: dict[str, float] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
-    complete: bool = True
-    stopped: str | None = None
     error: Exception | None = None
     streamed: bool = False
     note: str = ""
-    verdict: str = ""  # what it comes to
-    doubtful: bool = False  # whether something measured speaks against the track
-    again: Manifest | None = None  # the run was done before: nothing was tracked now
-    resumed: int | None = None  # the frame from which it went on
+    verdict: str = ""
+    doubtful: bool = False
+    again: Manifest | None = None
+    resumed: int | None = None
 
     @classmethod
     def of(cls, job: Job, known: Manifest) -> Outcome:
         """That of a run that its folder holds already."""
         assert job.out is not None
-        error = code_of(known)(known.error) if known.error is not None else None
         return cls(
-            job.clip,
-            files=[job.out / name for name in known.files],
             frames=known.frames,
-            lost=known.lost_frames,
+            lost_frames=known.lost_frames,
             lost_at_end=known.lost_at_end,
             complete=known.complete,
-            error=error or (InputError(known.warnings[-1]) if job.strict and not known.complete else None),
+            clip=job.clip,
+            files=[job.out / name for name in known.files],
+            error=error_of(known) or (InputError(known.warnings[-1]) if job.strict and not known.complete else None),
             again=known,
         )
-
-    def count(self, result: FrameResult) -> None:
-        """Take in one more frame."""
-        rows = result.rows
-        self.frames += 1
-        self.lost_at_end = tuple("/".join(rows.names[i]) for i in rows.which[rows.status == "lost"].tolist())
-        for part in self.lost_at_end:
-            self.lost[part] = self.lost.get(part, 0) + 1
-        for target, found in rows.diagnostics.items():
-            if np.isfinite(nats := found.get(EVIDENCE.name)).all():
-                self.evidence[target] = self.evidence.get(target, 0.0) + float(nats.sum())
 
     def next_step(self) -> str:
         """The commands that show and correct what was written; "" where they could not."""
@@ -136,8 +127,8 @@ class Outcome:
             parts.append(f"{self.frames_per_s:.1f} frames/s")
         if self.resumed is not None:
             parts.append(f"went on from frame {self.resumed}")
-        if self.lost:
-            parts.append("lost: " + ", ".join(f"{part} in {n}" for part, n in self.lost.items()))
+        if self.lost_frames:
+            parts.append("lost: " + ", ".join(f"{part} in {n}" for part, n in self.lost_frames.items()))
         if self.stopped or not self.complete:
             parts.append(self.stopped or "incomplete")
         where = "standard output" if self.streamed else "nothing"
@@ -147,8 +138,8 @@ class Outcome:
 
 
 def finished(job: Job) -> Manifest | None:
-    """What the folder of a job holds of it, if nothing is missing; None if the clip is to be tracked."""
-    known = None if job.overwrite else previous(job)
+    """The run.json of a job, if nothing of its run is missing; None if the clip is to be tracked."""
+    known = None if job.overwrite else job.previous()
     return known if known is not None and _is_whole(job, known) else None
 
 
@@ -158,11 +149,36 @@ def _is_whole(job: Job, known: Manifest) -> bool:
 
 def ended(job: Job) -> Outcome | None:
     """What became of a job that is done, or, in a batch, has failed; None if the clip is to be tracked."""
-    known = None if job.overwrite else previous(job)
+    known = None if job.overwrite else job.previous()
     if known is None:
         return None
-    failed = known.error is not None and job.batch and not job.retry_failed
-    return Outcome.of(job, known) if failed or _is_whole(job, known) else None
+    failed_before = known.error is not None and job.batch and not job.retry_failed
+    return Outcome.of(job, known) if failed_before or _is_whole(job, known) else None
+
+
+def note_failure(
+    job: Job, lock: FolderLock, error: Exception, log: Sequence[str] = (), begun: Manifest | None = None
+) -> None:
+    """Write into run.json of a folder that its clip failed; what was tracked of it stays.
+
+    Nothing is written where the error is one of writing, and over results that are whole or of something else.
+    `log`: the last lines of a process that died. `begun` is what is known of the run.
+    """
+    if job.out is None or isinstance(error, OutputError):
+        return
+    with contextlib.suppress(FacetrackError, OSError):  # the error itself is worth more
+        known, there = job.previous(), read_manifest(job.out)
+        if known is not None and known.files and known.stopped is None:
+            return
+        if known is None and not (there is not None and there.is_failure) and any(map(os.path.exists, _owned(job.out))):
+            return
+        begun = begun or Manifest(asked=job.digest(), host=here()[0])
+        known = known if known is not None and known.files else replace(begun, clip=clip_stat(job.clip))
+        commit(lock, job.out, [], failed(known, error, log))
+
+
+def _owned(folder: Path) -> list[Path]:
+    return [folder / name for name in OWNED]
 
 
 def default_reason(box: Box | None, clip: Path) -> str:
@@ -178,11 +194,12 @@ def check(job: Job) -> None:
     if job.lag or job.posterior:
         check_smoothing(job.recipe)
     if job.out is not None:
-        there = is_there(job.out)
-        if there:
-            settle(job.out)
+        there = None
+        if is_there(job.out):
+            recover_interrupted(job.out)
+            there = read_manifest(job.out)
         # what is cut short is replaced, and what failed
-        overwrite = job.overwrite or previous(job) is not None or (there and is_failure(read_manifest(job.out)))
+        overwrite = job.overwrite or job.previous() is not None or (there is not None and there.is_failure)
         init = job.init if isinstance(job.init, Path) else None
         check_folder(job.out, OWNED, overwrite=overwrite, inputs=(job.clip, init, job.recipe.path))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,17 +12,16 @@ import numpy as np
 
 from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError
 from facetrack_cli.core.types import Frame
-from facetrack_cli.runs import pipeline
+from facetrack_cli.run_folder.manifest import read_manifest
+from facetrack_cli.run_folder.recovery import read_run
 from facetrack_cli.runs.job import Job, Outcome, Report, silent
-from facetrack_cli.runs.outputs import Outputs
+from facetrack_cli.runs.pipeline import decoded_ahead
 from facetrack_cli.runs.plan import FILE, Plan, read_plan
+from facetrack_cli.runs.recording import Recorder
 from facetrack_cli.runs.seams import Seam, meet, renamed
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.runs.verdict import Watch
-from facetrack_cli.trajectory.manifest import read_manifest
-from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
-from facetrack_cli.trajectory.writers import Footer, footer_of
 
 PIECES: Final = "pieces"
 TABLE: Final = "trajectory.json"
@@ -43,7 +42,7 @@ class _Part:
     marked: frozenset[str]
 
     def rows(self) -> Trajectory:
-        rows = renamed(read_trajectory(self.table), self.names).between(self.first, self.stop)
+        rows = renamed(read_run(self.table), self.names).between(self.first, self.stop)
         marked = [i for i, (target, _) in enumerate(rows.names) if target in self.marked]
         begins = (rows.frame == self.first) & np.isin(rows.which, marked) & (rows.status == "tracked")
         return replace(rows, status=np.where(begins, "init", rows.status))
@@ -104,7 +103,7 @@ class _Survey:
             self.complete, self._why = False, str(why)
             self.pieces.append({"first": first, "frames": 0, "error": why})
             return None
-        rows = read_trajectory(folder / TABLE)
+        rows = read_run(folder / TABLE)
         self.pieces.append({"first": int(rows.frames[0]), "frames": len(rows.frames)})
         self._warnings |= dict.fromkeys(rows.header.get("warnings", ()))
         self.complete &= bool(rows.header.get("complete")) and why is None
@@ -125,15 +124,17 @@ class _Survey:
         self._about.append(f"{self._clip}: no rows of frames {end} {until}{why}")
 
 
-def join(job: Job, outputs: Outputs, stop: Stop, report: Report = silent) -> Outcome:
-    """Join the pieces of a clip, which are there, into `outputs`. A piece that failed leaves a gap, which is said.
+def join(job: Job, out: Recorder, stop: Stop, report: Report = silent) -> Outcome:
+    """Join the pieces of a clip, which are there, into `out`. A piece that failed leaves a gap, which is said.
 
     Raises InputError if no piece has rows. Once `stop` says so nothing is written.
     """
     assert job.out is not None and job.split is not None
-    plan, done = read_plan(job.out / PIECES / FILE)[1], Outcome(job.clip)
-    found, began = _Survey(job, plan), time.perf_counter()
-    watch = replace(Watch.of(job.recipe, plan.start), detector=None)  # it has looked at the pieces as they were tracked
+    plan = read_plan(job.out / PIECES / FILE)[1]
+    found = _Survey(job, plan)
+    # no detector: it has looked at the pieces as they were tracked
+    watch = out.state.watch = replace(Watch.of(job.recipe, plan.start), detector=None)
+    out.outcome.note = plan.start.note
     last = found.parts[-1].stop
     more: dict[str, object] = {"split": job.split.record(), "pieces": found.pieces}
     if found.seams:
@@ -142,16 +143,15 @@ def join(job: Job, outputs: Outputs, stop: Stop, report: Report = silent) -> Out
     def written() -> Iterator[Trajectory]:
         for part in found.parts:
             rows = part.rows()
-            if not done.frames:
+            if not out.outcome.frames:
                 declared = {name: rows.header[name] for name in ("diagnostics",) if name in rows.header}
-                outputs.begin(source, plan.start, rows, {**declared, **more})
+                out.begin(source, plan.start, {**declared, **more})
             if stop():
                 raise StoppedError
-            outputs.write(rows)
-            _count(done, rows)
+            out.write_rows(rows)
             for frame in rows.frames.tolist():
                 watch.take(rows.at(frame))
-            report(done.frames, None)
+            report(out.outcome.frames, None)
             yield rows
 
     def shown(frames: Iterator[Frame]) -> Iterator[FrameResult]:
@@ -163,49 +163,19 @@ def join(job: Job, outputs: Outputs, stop: Stop, report: Report = silent) -> Out
 
     with replace(job, stop=last).open(plan.start.frame) as source:
         chunks = written()
-        try:
+        with contextlib.suppress(StoppedError):
             if job.video:
-                frames, paint = iter(source), outputs.paint
-                pipeline.run(frames, shown, lambda _: None, paint, threaded=job.threads > 1, stopped=stop)
+                with decoded_ahead(iter(source), threaded=job.threads > 1, stopped=stop) as frames:
+                    for result in shown(frames):
+                        out.paint(result)
             for _ in chunks:
                 pass
-        except StoppedError:
-            pass
         if stop():
-            return Outcome(job.clip, stopped=stop.reason)
+            return Outcome(clip=job.clip, stopped=stop.reason)
         error = None if not found.failed else FacetrackError(f"{job.clip}: {found.failed[0]}{_more(found.failed)}")
-        footer = Footer(
-            complete=found.complete,
-            stopped=None if error is None else str(error),
-            warnings=found.warnings,
-            lost_frames=done.lost,
-            variable_fps=found.variable,
-            evidence=done.evidence,
-        )
-        footer = outputs.close(footer, done)
-    if job.strict and not found.complete:
-        error = error or InputError(found.warnings[-1])
-    done.error = error or outputs.missing
-    done.files, done.note = outputs.written, plan.start.note
-    done.verdict, done.doubtful = watch.line(), bool(watch.doubts())
-    done.warnings = outputs.told(footer, done.error)
-    done.frames_per_s = (done.frames - 1) / max(time.perf_counter() - began, 1e-9)
-    done.complete = footer.complete and error is None
-    return done
+        return out.close(error=error, complete=found.complete, warnings=found.warnings, variable_fps=found.variable)
 
 
 def _more(failed: Sequence[str]) -> str:
     again = "the same command with --retry-failed tries again"
     return f"; {again}" if len(failed) == 1 else f" (and {len(failed) - 1} more pieces failed); {again}"
-
-
-def _count(done: Outcome, rows: Trajectory) -> None:
-    """Take in the rows of some frames more."""
-    said = footer_of(rows)
-    done.frames += len(rows.frames)
-    for name, frames in said.lost_frames.items():
-        done.lost[name] = done.lost.get(name, 0) + frames
-    for target, nats in said.evidence.items():
-        done.evidence[target] = done.evidence.get(target, 0.0) + nats
-    now = rows.at(int(rows.frames[-1]))
-    done.lost_at_end = tuple("/".join(now.names[i]) for i in now.which[now.status == "lost"].tolist())

@@ -1,28 +1,27 @@
 """Decoding, tracking and encoding side by side.
 
-    decode --(frames)--> track, record --(results)--> paint
+    decode --(frames)--> track, write rows --(results)--> paint
 
 Each arrow is a queue of a few frames, fewer if they are large: memory is bounded, and the slowest stage sets the pace.
-Every stage sees the frames in their order, whatever the number of threads: what comes out is the same.
+Every stage sees the frames in their order, whatever the number of threads: the output is the same.
 """
 
+import contextlib
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import Generic, TypeAlias, TypeVar
+from typing import Generic, TypeVar
 
 import cv2
 
 from facetrack_cli.core.types import Frame
 from facetrack_cli.trajectory.trajectory import FrameResult
 
-DEPTH = 4  # frames in each queue
-MOST_BYTES = 32 << 20  # of their pixels, unless one alone has more
+MAX_QUEUE = 4  # frames in each queue
+MAX_QUEUE_BYTES = 32 << 20  # of their pixels, unless one frame alone has more
 POLL_S = 0.1  # how long a stage sleeps at most before it looks whether the run was cancelled
 PATIENCE_S = 1.0  # a decoder that does not come back from a read is left behind after this long
 T = TypeVar("T")
-Track: TypeAlias = Callable[[Iterator[Frame]], Iterator[FrameResult]]
-Effect: TypeAlias = Callable[[FrameResult], None]
 
 
 def share_threads(threads: int) -> None:
@@ -30,63 +29,67 @@ def share_threads(threads: int) -> None:
     cv2.setNumThreads(max(threads - 1, 1))
 
 
-def run(
-    frames: Iterable[Frame],
-    track: Track,
-    record: Effect,
-    paint: Effect | None = None,
-    *,
-    threaded: bool = True,
-    stopped: Callable[[], bool] = lambda: False,
-) -> None:
-    """Track `frames`; `record` every result in this thread, then `paint` it (in a thread of its own).
+@contextlib.contextmanager
+def decoded_ahead(
+    frames: Iterable[Frame], *, threaded: bool = True, stopped: Callable[[], bool] = lambda: False
+) -> Iterator[Iterator[Frame]]:
+    """The frames in a `with`, decoded in a thread of their own. `stopped` is asked before each; then they end.
 
-    `stopped` is asked before each frame; once it says yes, the results so far are painted and the call returns.
-    The first exception of any stage ends the others and is raised here, after what came before it was painted.
+    An exception of `frames` is raised behind the frames that came before it.
     """
     if not threaded:
-        for result in track(_until(frames, stopped)):
-            record(result)
-            if paint is not None:
-                paint(result)
+        yield _until(frames, stopped)
         return
-
     cancelled = threading.Event()
-    decoded, results = _Channel[Frame](cancelled.is_set), _Channel[FrameResult](lambda: bool(failed))
-    failed: list[BaseException] = []
+    decoded = _Channel[Frame](cancelled.is_set)
 
     def decode() -> None:
         try:
             if all(map(decoded.put, frames)):  # which holds no frame while the next one is decoded
                 decoded.put(None)
-        except BaseException as e:  # it travels like a frame, behind the frames that came before it
+        except BaseException as e:
             decoded.put(e)
 
-    def paint_all() -> None:
-        try:
-            for result in results.items(lambda: False):
-                assert paint is not None
-                paint(result)
-        except BaseException as e:
-            failed.append(e)
-
     decoder = threading.Thread(target=decode, name="decode", daemon=True)
-    painter = threading.Thread(target=paint_all, name="paint", daemon=True)
     decoder.start()
-    painter.start()
     try:
-        for result in track(decoded.items(stopped)):
-            record(result)
-            if paint is not None and not results.put(result):
-                break
-            del result  # while the next one is tracked
+        yield decoded.items(stopped)
     finally:
         cancelled.set()
-        results.put(None)
-        painter.join()
         decoder.join(PATIENCE_S)
-    if failed:
-        raise failed[0]
+
+
+class Painter:
+    """Paints results, in their order, in a thread of its own. An exception of `paint` is raised by `put` or `end`."""
+
+    def __init__(self, paint: Callable[[FrameResult], None], *, threaded: bool = True) -> None:
+        self._paint, self._error = paint, list[BaseException]()
+        self._results = _Channel[FrameResult](lambda: bool(self._error))
+        self._thread = threading.Thread(target=self._run, name="paint", daemon=True) if threaded else None
+        if self._thread is not None:
+            self._thread.start()
+
+    def put(self, result: FrameResult) -> None:
+        if self._thread is None:
+            self._paint(result)
+        elif not self._results.put(result):
+            self.end()
+
+    def end(self) -> None:
+        """Wait until all is painted."""
+        if self._thread is not None:
+            self._results.put(None)
+            self._thread.join()
+            self._thread = None
+            if self._error:
+                raise self._error[0]
+
+    def _run(self) -> None:
+        try:
+            for result in self._results.items(lambda: False):
+                self._paint(result)
+        except BaseException as e:
+            self._error.append(e)
 
 
 def _until(frames: Iterable[Frame], stopped: Callable[[], bool]) -> Iterator[Frame]:
@@ -120,7 +123,8 @@ class _Channel(Generic[T]):
         return False
 
     def _fits(self, size: int) -> bool:
-        return len(self._waiting) < DEPTH and (not self._waiting or self._bytes + size <= MOST_BYTES)
+        short = len(self._waiting) < MAX_QUEUE
+        return short and (not self._waiting or self._bytes + size <= MAX_QUEUE_BYTES)
 
     def items(self, stopped: Callable[[], bool]) -> Iterator[T]:
         while not stopped():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -10,20 +9,19 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.core.files import beside, same_file
-from facetrack_cli.core.npz import Blocks, Kind, Stored, Written
+from facetrack_cli.core.files import cannot_write, discard, publish
+from facetrack_cli.core.npz import Kind, Stored, write_arrays
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.recipe.skin import Cloud
+from facetrack_cli.run_folder.manifest import check_belongs
 from facetrack_cli.tracking.models.motion import Linear
 from facetrack_cli.tracking.smoothed import Beliefs
 from facetrack_cli.tracking.smoothing import Belief
-from facetrack_cli.trajectory.manifest import check_belongs
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 
-POSTERIOR: Final = "posterior.npz"
 KIND: Final = Kind("facetrack-posterior", 1, "posterior of a run", "facetrack run --keep-posterior")
-_BLOCK: Final = 500  # frames that are written together
+_BLOCK_FRAMES: Final = 500  # that are written together
 _NAMES: Final = ("mean", "cov", "matrix", "offset", "noise", "doubt")
 
 
@@ -36,69 +34,73 @@ def check_smoothing(recipe: Recipe) -> None:
 
 
 class WriterState(NamedTuple):
-    """Where a posterior that is being written stands: frames that are still to be written, their number, the file."""
+    """Where a posterior that is being written stands: frames that are still to be written, their number, the blocks
+    that are written.
+    """
 
     kept: list[list[tuple[int, tuple[Belief, ...]]]]
     frames: int
-    written: Written
+    blocks: int
 
 
 class PosteriorWriter:
-    """Writes the beliefs of every frame into `path`, in blocks; they take less than 1 kB a frame and part."""
+    """Writes the beliefs of every frame, in blocks into `folder`, at the end into the temporary file of `path`.
+
+    They take less than 1 kB a frame and part. Raises OutputError.
+    """
 
     def __init__(
-        self, path: Path, targets: Sequence[str], corrections: Any, after: tuple[Path, WriterState] | None = None
+        self, path: Path, folder: Path, targets: Sequence[str], corrections: Any, after: WriterState | None = None
     ) -> None:
-        """Of these `targets`; `corrections` as the trajectory's header has them. It goes on `after` a `place`."""
-        given = {"targets": np.array(targets), "corrections": np.array(dumps(corrections))}
-        self._kept: list[list[tuple[int, tuple[Belief, ...]]]] = [[] for _ in targets]
-        self._frames = 0
-        written: tuple[Path, Written] | None = None
-        if after is not None:
-            self._kept, self._frames, written = after[1].kept, after[1].frames, (after[0], after[1].written)
-        self._file = Blocks(KIND, path, given, written)
-
-    @property
-    def path(self) -> Path:
-        return self._file.path
+        """Of these `targets`; `corrections` as the trajectory's header has them. It goes on `after` a state."""
+        self.path, self._folder = path, folder
+        self._head = {"targets": np.array(targets), "corrections": np.array(dumps(corrections))}
+        self.state = after or WriterState([[] for _ in targets], 0, 0)
 
     def add(self, result: FrameResult) -> None:
-        for kept, target in zip(self._kept, result.targets, strict=True):
+        for kept, target in zip(self.state.kept, result.targets, strict=True):
             if target.beliefs is not None and (found := target.beliefs()):
                 kept.append((result.frame.index, found))
-        self._frames += 1
-        if self._frames == _BLOCK:
+        self.state = self.state._replace(frames=self.state.frames + 1)
+        if self.state.frames == _BLOCK_FRAMES:
             self._flush()
 
     def _flush(self) -> None:
         arrays: dict[str, Any] = {}
-        for i, kept in enumerate(self._kept):
-            arrays[f"{i}/frame"] = np.array([frame for frame, _ in kept], "<i8")
+        number = self.state.blocks
+        for i, kept in enumerate(self.state.kept):
+            arrays[f"{number}/{i}/frame"] = np.array([frame for frame, _ in kept], "<i8")
             for j, those in enumerate(zip(*(found for _, found in kept), strict=True)):
                 flat = [(one.mean, one.cov, *one.motion, one.doubt) for one in those]
                 for name, values in zip(_NAMES, zip(*flat, strict=True), strict=True):
-                    arrays[f"{i}/{j}/{name}"] = np.stack(values).astype("<f8")
+                    arrays[f"{number}/{i}/{j}/{name}"] = np.stack(values).astype("<f8")
             kept.clear()
-        self._file.add(arrays)
-        self._frames = 0
-
-    def place(self, file: Path) -> WriterState:
-        """Where it stands, so that another one goes on with `file`, which is linked to what is written. OSError."""
-        written, part = self._file.place(), beside(self.path)
-        if not same_file(file, part):
-            link = file.with_suffix(".link")
-            link.unlink(missing_ok=True)
-            os.link(part, link)
-            link.replace(file)
-        return WriterState(self._kept, self._frames, written)
+        block = _block_file(self._folder, number)
+        try:
+            block.parent.mkdir(exist_ok=True)
+            write_arrays(block, arrays)
+            publish(block)
+        except OSError as e:
+            raise cannot_write(self.path, e) from e
+        self.state = WriterState(self.state.kept, 0, number + 1)
 
     def close(self) -> None:
-        if self._frames:
+        if self.state.frames:
             self._flush()
-        self._file.close()
+        blocks = [_block_file(self._folder, number) for number in range(self.state.blocks)]
+        write_arrays(self.path, {**KIND.head, **self._head}, blocks)
 
     def discard(self) -> None:
-        self._file.discard()
+        discard(self.path)
+
+
+def has_blocks(folder: Path, state: WriterState) -> bool:
+    """Whether the blocks that a writer wrote up to a state are there."""
+    return all(_block_file(folder, number).is_file() for number in range(state.blocks))
+
+
+def _block_file(folder: Path, number: int) -> Path:
+    return folder / f"posterior-{number:05}.npz"
 
 
 def read_posterior(path: Path, rows: Trajectory) -> dict[str, Beliefs]:

@@ -17,7 +17,7 @@ from facetrack_cli.core.files import make_folder
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Array, Start
 from facetrack_cli.recipe.face import DETECTORS
-from facetrack_cli.runs.again import asked, looked_at
+from facetrack_cli.run_folder.fingerprint import clip_stat
 from facetrack_cli.runs.batch import check_all, run_batch
 from facetrack_cli.runs.job import Job, Outcome, check, ended
 from facetrack_cli.runs.join import PIECES, folder_of
@@ -90,9 +90,9 @@ def _planned(job: Job, stop: Stop, progress: Progress) -> Plan:
     """How the clip is cut: as the file beside its pieces says, which is written if there is none."""
     assert job.out is not None and job.split is not None
     check(job)
-    path, clip = job.out / PIECES / FILE, looked_at(job.clip)
+    path, clip = job.out / PIECES / FILE, clip_stat(job.clip)
     # the pieces are the same whatever is made of them
-    of_pieces = asked(replace(job, formats=(), video=False, strict=False))
+    of_pieces = replace(job, formats=(), video=False, strict=False).digest()
     told = [of_pieces, clip and (clip.bytes, clip.changed_ns)]
     key = hashlib.sha256(dumps(told).encode()).hexdigest()
     if clip is not None and path.is_file():

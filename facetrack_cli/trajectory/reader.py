@@ -11,12 +11,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.core.claims import LOCK
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import MOST_ROWS, check_readable
-from facetrack_cli.core.sets import JOURNAL
 from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostic, Diagnostics
-from facetrack_cli.trajectory.manifest import check_belongs
 from facetrack_cli.trajectory.trajectory import COLUMNS, FLOATS, SPREAD, TEXTS, Trajectory, build
 from facetrack_cli.trajectory.writers import SCHEMA, VERSION
 
@@ -37,17 +34,9 @@ def read_trajectory(path: Path | str) -> Trajectory:
     """
     path = Path(path)
     try:
-        folder = path if path.is_dir() else path.parent
-        if (folder / LOCK).exists() or (folder / JOURNAL).exists():
-            from facetrack_cli.trajectory.killed import settle  # which reads what it ends
-
-            settle(folder)
-        if path.is_dir():
-            inside = (path / f"trajectory.{form}" for form in ("json", "csv", "jsonl"))
-            path = next((file for file in inside if file.is_file()), path)
+        path = table_in(path)
         if not path.is_dir():
             check_readable(path, MOST_ROWS, "table of rows")
-        check_belongs(path)
         return read_table(path)
     except IsADirectoryError:
         raise InputError(f"{path}: is a folder without a trajectory.csv or .json; name the file") from None
@@ -55,6 +44,12 @@ def read_trajectory(path: Path | str) -> Trajectory:
         raise InputError(f"{path}: byte {e.start} is not UTF-8 text; a trajectory is CSV or JSON in UTF-8") from e
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}; name a trajectory or ground-truth file") from e
+
+
+def table_in(path: Path) -> Path:
+    """The trajectory in the folder of a run; any other path is itself."""
+    inside = (path / f"trajectory.{form}" for form in ("json", "csv", "jsonl"))
+    return next((file for file in inside if file.is_file()), path) if path.is_dir() else path
 
 
 def read_table(path: Path) -> Trajectory:

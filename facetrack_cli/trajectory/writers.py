@@ -6,7 +6,7 @@ footer (how the run ended). JSON lines are the header, a line a frame, and the f
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import chain, groupby, islice
 from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
@@ -34,28 +34,49 @@ class _Style(NamedTuple):
     quoted: Callable[[str], str]
 
 
-class Footer(NamedTuple):
-    """How a run ended. `complete`: all frames that were asked for are there; `lost_frames` counts by "target/part".
+@dataclass
+class Ending:
+    """How a run ended, or how far it is: the one record of it, in tables, in run.json, in checkpoints, and in memory.
 
-    `evidence`: log p(Y) of each target's frames after the first, in nats. `source_sha256`: of the clip, or "".
+    `complete`: all frames that were asked for are there. `lost_frames` counts the lost frames of each "target/part";
+    `lost_at_end` are the parts that are lost in the last frame. `evidence`: log p(Y) of each target's frames after the
+    first, in nats. `source_sha256`: of the clip, or "".
     """
 
+    frames: int = 0
     complete: bool = True
     stopped: str | None = None
     warnings: tuple[str, ...] = ()
-    lost_frames: Mapping[str, int] = {}
+    lost_frames: dict[str, int] = field(default_factory=dict)
+    lost_at_end: tuple[str, ...] = ()
     variable_fps: bool | None = None
-    evidence: Mapping[str, float] = {}
+    evidence: dict[str, float] = field(default_factory=dict)
     source_sha256: str = ""
 
+    def count(self, rows: Trajectory) -> None:
+        """Take in the rows of some more frames."""
+        last = rows.frame.max()
+        self.frames += 1 if (rows.frame == last).all() else len(rows.frames)
+        at = np.flatnonzero(rows.status == "lost")
+        at = at[np.lexsort((rows.which[at], rows.frame[at]))]
+        lost = ["/".join(rows.names[i]) for i in rows.which[at].tolist()]
+        for name in lost:
+            self.lost_frames[name] = self.lost_frames.get(name, 0) + 1
+        self.lost_at_end = tuple(name for name, frame in zip(lost, rows.frame[at], strict=True) if frame == last)
+        for target, found in rows.diagnostics.items():
+            nats = found.get(EVIDENCE.name)
+            if np.isfinite(nats).any():
+                self.evidence[target] = self.evidence.get(target, 0.0) + float(np.nansum(nats))
 
-def footer_of(rows: Trajectory, **ended: Any) -> Footer:
-    """The footer of a run's rows: what is lost in them, by the first frame in which it is, and their evidence."""
-    lost = {one.name: np.flatnonzero(one.status == "lost") for one in rows.parts}
-    counts = {name: len(at) for name, at in sorted(lost.items(), key=lambda one: one[1][:1].tolist()) if len(at)}
-    nats = {name: found.get(EVIDENCE.name) for name, found in rows.diagnostics.items()}
-    evidence = {name: float(np.nansum(those)) for name, those in nats.items() if np.isfinite(those).any()}
-    return Footer(lost_frames=counts, evidence=evidence, **ended)
+
+FOOTER = ("complete", "stopped", "variable_fps", "lost_frames", "warnings", "evidence", "source_sha256")
+
+
+def ending_of(rows: Trajectory, **ended: Any) -> Ending:
+    """The ending of a run with these rows."""
+    found = Ending(**ended)
+    found.count(rows)
+    return found
 
 
 class Sink(Protocol):
@@ -96,18 +117,18 @@ class Writer:
             else:
                 self._sink.write('{"type":"frame",' + frame + "}\n")
 
-    def close(self, footer: Footer) -> None:
-        self._sink.finish(lambda records: tail(self._form, footer, records - 1))
+    def close(self, ending: Ending) -> None:
+        self._sink.finish(lambda records: tail(self._form, ending, records - 1))
 
 
-def tail(form: Format, footer: Footer, frames: int) -> str:
+def tail(form: Format, ending: Ending, frames: int) -> str:
     """How a file of so many frames ends."""
-    foot: dict[str, Any] = {"complete": footer.complete}
-    foot |= {"stopped": footer.stopped} if footer.stopped else {}
-    foot |= {"frames_tracked": frames, "variable_fps": footer.variable_fps}
-    foot |= {"lost_frames": dict(footer.lost_frames), "warnings": list(footer.warnings)}
-    foot |= {"evidence": {name: round(nats, 4) for name, nats in footer.evidence.items()}}
-    foot |= {"source_sha256": footer.source_sha256} if footer.source_sha256 else {}
+    foot: dict[str, Any] = {"complete": ending.complete}
+    foot |= {"stopped": ending.stopped} if ending.stopped else {}
+    foot |= {"frames_tracked": frames, "variable_fps": ending.variable_fps}
+    foot |= {"lost_frames": dict(ending.lost_frames), "warnings": list(ending.warnings)}
+    foot |= {"evidence": {name: round(nats, 4) for name, nats in ending.evidence.items()}}
+    foot |= {"source_sha256": ending.source_sha256} if ending.source_sha256 else {}
     if form == "json":
         return "\n],\n" + ",\n".join(_members(foot)) + "\n}\n"
     return "" if form == "csv" else dumps({"type": "footer", **foot}) + "\n"

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from facetrack_cli.core.errors import OutputError, reason
-from facetrack_cli.core.files import beside, discard, publish, sync
+from facetrack_cli.core.files import discard, publish, sync, temporary_path
 from facetrack_cli.core.types import Image
 from facetrack_cli.video import ffmpeg
 from facetrack_cli.video.encoder import Encoder, as_mp4
@@ -183,7 +183,7 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
 
     @property
     def _target(self) -> Path:
-        return beside(self.path)
+        return temporary_path(self.path)
 
     def _start(self) -> None:
         """Start the encoder of the next piece; that of the first one writes what may be the whole video."""

@@ -11,7 +11,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.core.files import beside
+from facetrack_cli.core.files import temporary_path
 from facetrack_cli.core.sets import JOURNAL, announce, finish, sweep
 from facetrack_cli.editor import save as saving
 from facetrack_cli.editor.run_folder import open_run
@@ -114,7 +114,7 @@ def test_what_another_process_left_is_swept_away(made, out):
 def test_what_was_announced_does_not_replace_a_run_that_was_made_since(out):
     (csv, text), new = (out / "trajectory.csv", out / "trajectory.json"), out / "new"
     for path in (csv, text, new):
-        beside(path).write_text("saved")
+        temporary_path(path).write_text("saved")
     unsaved = out / UNSAVED
     unsaved.write_text("of another run")
     announce(out, [csv, text, new], [unsaved])
@@ -128,7 +128,7 @@ def test_what_was_announced_does_not_replace_a_run_that_was_made_since(out):
 def test_two_may_finish_at_once(out, monkeypatch):
     """What the other one has moved in the meantime is not missed."""
     csv, replace = out / "trajectory.csv", Path.replace
-    beside(csv).write_text("saved")
+    temporary_path(csv).write_text("saved")
     announce(out, [csv])
 
     def first(self, to):

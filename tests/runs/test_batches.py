@@ -14,10 +14,10 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core import claims
-from facetrack_cli.core.claims import LOCK, Claim
+from facetrack_cli.run_folder.lock import LOCK, FolderLock
+from facetrack_cli.run_folder.manifest import read_manifest
+from facetrack_cli.run_folder.status import duration
 from facetrack_cli.runs.job import Outcome
-from facetrack_cli.runs.status import duration
-from facetrack_cli.trajectory.manifest import read_manifest
 from tests.runs.test_run import FACETRACK, SMALL, make_clip
 
 posix = pytest.mark.skipif(os.name != "posix", reason="claims need the locks of POSIX")
@@ -84,7 +84,7 @@ def test_clips_of_another_machine_are_waited_for(clips, capfd, monkeypatch):
 
 @posix
 def test_ctrl_c_ends_the_waiting(clips):
-    with Claim(Path("out/c0-face")):
+    with FolderLock(Path("out/c0-face")):
         command = [*FACETRACK, "run", "clips/c0.mp4", "clips/c1.mp4", "-o", "out", *OPTIONS]
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         assert process.stderr is not None
@@ -227,7 +227,7 @@ def test_status_in_each_state(clips, capsys):
     (Path("out/c2-face") / LOCK).write_text(json.dumps({"host": "node7", "boot": "b", "process": 1, "token": "ab"}))
     os.utime(Path("out/c2-face") / LOCK, (0, 0))
     before = {path: path.stat().st_mtime_ns for path in Path("out").rglob("*")}
-    with Claim(Path("out/c3-face")) as claim:
+    with FolderLock(Path("out/c3-face")) as claim:
         claim.frame, claim.frames = 3, 6
         claim.note({"clip": "clips/c3.mp4"})
         found = status("out", capsys)

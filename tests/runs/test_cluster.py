@@ -21,14 +21,14 @@ psutil = pytest.importorskip("psutil")
 
 from facetrack_cli import __version__  # noqa: E402
 from facetrack_cli.__main__ import main  # noqa: E402
-from facetrack_cli.core.claims import LOCK  # noqa: E402
 from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError  # noqa: E402
 from facetrack_cli.recipe.load import load_recipe  # noqa: E402
+from facetrack_cli.run_folder.lock import LOCK  # noqa: E402
+from facetrack_cli.run_folder.manifest import NAME, read_manifest  # noqa: E402
 from facetrack_cli.runs import cluster  # noqa: E402
 from facetrack_cli.runs.job import Job, Outcome  # noqa: E402
 from facetrack_cli.runs.progress import Progress  # noqa: E402
 from facetrack_cli.runs.signals import Stop  # noqa: E402
-from facetrack_cli.trajectory.manifest import NAME, read_manifest  # noqa: E402
 from tests.runs.test_run import make_clip  # noqa: E402
 from tests.support.dask import Dask, until  # noqa: E402
 from tests.support.terminal import refusal  # noqa: E402

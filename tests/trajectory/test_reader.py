@@ -273,7 +273,7 @@ def test_a_target_without_parts_has_no_rows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
-def test_the_footer_of_json_lines_is_part_of_the_header(tmp_path: Path, end: str) -> None:
+def test_the_ending_of_json_lines_is_part_of_the_header(tmp_path: Path, end: str) -> None:
     frames = [{"type": "frame", "frame": i, "time_s": 0, "targets": [TARGET]} for i in range(3)]
     head = {"type": "header", "schema": SCHEMA, "version": 1, "seed": 3}
     path = tmp_path / "whole.jsonl"

@@ -15,10 +15,10 @@ import pytest
 from hypothesis import given
 
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.core.files import FileSink, ReaderGoneError, StreamSink, beside
+from facetrack_cli.core.files import FileSink, ReaderGoneError, StreamSink, temporary_path
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, FrameResult, Trajectory, one_part
-from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Footer, as_written, csv_frames
+from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Ending, as_written, csv_frames
 from tests.support import results, trajectories
 from tests.support.results import file_rows, part, rows_of, target
 from tests.support.sinks import Alone
@@ -61,11 +61,11 @@ class Disk(io.BytesIO):
         super().close()
 
 
-def write(path: Path, form: str, frames: list[FrameResult], footer: Footer | None = None) -> None:
+def write(path: Path, form: str, frames: list[FrameResult], footer: Ending | None = None) -> None:
     writer = WRITERS[form](Alone(path), {"seed": 3})  # type: ignore[index]
     for each in frames:
         writer.write(each.rows)
-    writer.close(footer or Footer())
+    writer.close(footer or Ending())
 
 
 def corrected() -> FrameResult:
@@ -204,7 +204,7 @@ def test_what_is_written_is_read_back(
 
 def test_json_is_one_object_with_a_line_a_frame(tmp_path: Path) -> None:
     path = tmp_path / "t.json"
-    footer = Footer(warnings=("cut",), complete=False, stopped="interrupted", lost_frames={"face/lip": 2})
+    footer = Ending(warnings=("cut",), complete=False, stopped="interrupted", lost_frames={"face/lip": 2})
     write(path, "json", [result(7), result(8)], footer)
     text = path.read_text()
     data = json.loads(text)
@@ -251,7 +251,7 @@ def test_a_file_appears_when_it_is_whole(tmp_path: Path) -> None:
     writer = WRITERS["csv"](sink, {})
     writer.write(result().rows)
     assert path.read_text() == "old"
-    writer.close(Footer())
+    writer.close(Ending())
     assert path.read_text().startswith(HEADER)
     assert [p.name for p in tmp_path.iterdir()] == ["t.csv"]
 
@@ -273,7 +273,7 @@ def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize("room", [3000, 70_000, 200_000])
 def test_a_full_disk_keeps_whole_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str, room: int) -> None:
     def small(self: FileSink) -> BinaryIO:
-        return Disk(room, beside(self.path))
+        return Disk(room, temporary_path(self.path))
 
     monkeypatch.setattr(Alone, "_open", small)
     path = tmp_path / f"t.{form}"
@@ -282,7 +282,7 @@ def test_a_full_disk_keeps_whole_frames(tmp_path: Path, monkeypatch: pytest.Monk
         for i in range(3000):
             writer.write(result(i).rows)
     with pytest.raises(OutputError, match="disk is full"):
-        writer.close(Footer(complete=False, stopped="disk full"))
+        writer.close(Ending(complete=False, stopped="disk full"))
 
     text = path.read_text()
     assert len(text) <= room

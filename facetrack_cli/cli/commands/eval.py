@@ -84,7 +84,8 @@ class Eval:
         from facetrack_cli.evaluation.rows import check_normalise
         from facetrack_cli.evaluation.summary import Options, evaluate
         from facetrack_cli.report.figures.style import need_matplotlib
-        from facetrack_cli.runs.again import swapped
+        from facetrack_cli.run_folder.fingerprint import other_clip
+        from facetrack_cli.run_folder.recovery import check_run
         from facetrack_cli.trajectory.formats.read import read_results
         from facetrack_cli.trajectory.header import clip_of, frame_size_of
 
@@ -92,12 +93,13 @@ class Eval:
         if self.plot is not None:
             need_matplotlib()
         check_normalise(self.normalise)
+        check_run(self.trajectory)
         ours = read_results(self.trajectory, self.format)
         theirs = known.read(self.truth or _truth_beside(ours))
         for path in files.values():
             check_new(path, overwrite=self.overwrite, inputs=(ours.path, theirs.path, clip_of(ours)))
         clip = clip_of(ours)
-        other = None if clip is None else swapped(ours, clip)
+        other = None if clip is None else other_clip(ours, clip)
         notes = [] if other is None else [other]
         pairs = known.pairs(ours, theirs, notes.append)
         settings = Options(self.normalise, self.failure, frame_size_of(ours))

@@ -104,8 +104,8 @@ class Export:
 
     def run(self) -> None:
         from facetrack_cli.core.files import StreamSink, check_new, write_new
+        from facetrack_cli.run_folder.recovery import read_run
         from facetrack_cli.trajectory.header import clip_of
-        from facetrack_cli.trajectory.reader import read_trajectory
         from facetrack_cli.trajectory.select import blank_lost, choose
 
         if self.media is not None and self.to not in OF_MEDIA:
@@ -118,7 +118,7 @@ class Export:
             raise OutputError("--out is empty; name a file, or - for standard output")
         if self.out == "-" and self.to == "parquet":
             raise OutputError("parquet is not text, and does not go to standard output; name a file with -o")
-        table = choose(read_trajectory(self.trajectory), self.target)
+        table = choose(read_run(self.trajectory), self.target)
         beside = table.path.with_name(f"{table.path.stem}.{ENDINGS[self.to]}")
         path = None if self.out == "-" else Path(self.out) if self.out else beside
         if path is not None:

@@ -44,7 +44,7 @@ class Plot:
     dpi: float = option("--dpi N", "Pixels an inch of a PNG.", type=Number(40, 600), default=120)
 
     def run(self) -> None:
-        from facetrack_cli.trajectory.manifest import PLOT
+        from facetrack_cli.run_folder.manifest import PLOT
 
         if self.truth is None:
             self.truth_options.refuse(target=False)
@@ -55,10 +55,10 @@ class Plot:
 
     def _draw(self) -> Figure:
         from facetrack_cli.report.figures import page_figure
-        from facetrack_cli.trajectory.reader import read_trajectory
+        from facetrack_cli.run_folder.recovery import read_run
         from facetrack_cli.trajectory.select import choose
 
-        table = read_trajectory(self.trajectory)
+        table = read_run(self.trajectory)
         known = self.truth_options
         pairs = None if self.truth is None else known.pairs(table, known.read(self.truth), say)
         return page_figure(choose(table, known.target), pairs, title=self.title, width=self.width)

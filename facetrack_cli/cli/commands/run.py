@@ -142,6 +142,7 @@ class Run:
     quiet: bool = options.QUIET
 
     def run(self) -> int:
+        from facetrack_cli.run_folder.status import write_batch
         from facetrack_cli.runs.batch import run_batch, variant_name
         from facetrack_cli.runs.cluster import run_cluster
         from facetrack_cli.runs.inputs import expand
@@ -151,7 +152,6 @@ class Run:
         from facetrack_cli.runs.signals import Stop
         from facetrack_cli.runs.workers import cores
         from facetrack_cli.tracking.kernels import cache
-        from facetrack_cli.trajectory.batch_file import write_batch
         from facetrack_cli.video.kinds import brings_rate
 
         local = None if self.cluster is None else self._check_cluster(self.cluster)
@@ -194,7 +194,7 @@ class Run:
                     batch=several,
                     retry_failed=self.retry_failed,
                     split=split,
-                    why=default_reason(self.extent.box, clip) if self.config is None else "",
+                    default_reason=default_reason(self.extent.box, clip) if self.config is None else "",
                     threads=self.threads or (1 if self.cluster else max(1, cores() // workers)),
                     **vars(self.extent) | ({"fps": None} if self.extent.fps and brings_rate(clip) else {}),
                 )
@@ -343,7 +343,7 @@ def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode
     shown.close()
     if isinstance(outcome.error, BrokenPipeError):
         raise outcome.error
-    _report(outcome, shown, why=job.why)
+    _report(outcome, shown, why=job.default_reason)
     if outcome.error is not None:
         raise outcome.error
     if after is not None and not stop():

@@ -28,7 +28,7 @@ class Status:
     as_json: bool = flag("--json", "Print JSON.")
 
     def run(self) -> int:
-        from facetrack_cli.runs.status import survey
+        from facetrack_cli.run_folder.status import survey
 
         found = survey(self.results)
         if self.as_json:

@@ -1,26 +1,67 @@
-"""How far the runs in a folder are, by what lies there. Nothing is written, and nobody is disturbed."""
+"""How far the runs of a batch are, by the files in their folders; nothing is written there. And the file of a batch."""
 
 from __future__ import annotations
 
+import hashlib
 import statistics
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
 
-from facetrack_cli.core.claims import LOCK, holder
+from pydantic import BaseModel, ConfigDict, ValidationError
+
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.files import MOST, cannot_write, check_readable, make_folder, replacing
 from facetrack_cli.core.numbers import document
-from facetrack_cli.trajectory.batch_file import as_text, batches
-from facetrack_cli.trajectory.manifest import NAME, Manifest, read_manifest
+from facetrack_cli.run_folder.lock import LOCK, holder
+from facetrack_cli.run_folder.manifest import NAME, as_text, read_manifest
 
 State: TypeAlias = Literal["done", "running", "interrupted", "failed", "not begun"]
 STATES: Final[tuple[State, ...]] = ("done", "running", "interrupted", "failed", "not begun")
 
 
+class BatchFile(BaseModel):
+    """`batch-<8 hex>.json` among the results of a batch: each clip with the name of its folder.
+
+    The same batch has the same name.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    format: Literal["facetrack-batch"] = "facetrack-batch"
+    version: Literal[1] = 1
+    recipe: str
+    clips: tuple[tuple[str, str], ...]
+
+
+def write_batch(out: Path, recipe: str, clips: Sequence[Path], names: Sequence[str]) -> Path:
+    """Write the file of a batch into its folder, which is made. Raises OutputError."""
+    pairs = [(as_text(str(clip)), as_text(name)) for clip, name in zip(clips, names, strict=True)]
+    data = BatchFile(recipe=recipe, clips=tuple(pairs)).model_dump_json(indent=1).encode() + b"\n"
+    path = out / f"batch-{hashlib.sha256(data).hexdigest()[:8]}.json"
+    make_folder(out)
+    try:
+        if not path.exists():
+            with replacing(path) as file:
+                file.write(data)
+    except OSError as e:
+        raise cannot_write(path, e) from e
+    return path
+
+
+def batches(folder: Path) -> Iterator[BatchFile]:
+    """Those of a folder. Raises InputError for one that is not as we write it, and OSError."""
+    for path in sorted(folder.glob("batch-????????.json")):
+        check_readable(path, MOST)
+        try:
+            yield BatchFile.model_validate_json(path.read_bytes())
+        except ValidationError as e:
+            raise InputError(f"{path}: is not as facetrack run writes it; remove it, and run again") from e
+
+
 @dataclass(frozen=True)
-class Clip:
+class ClipStatus:
     """One clip: its `folder` below that of the batch, and how far it is.
 
     `frames` are those that are tracked, `of` those in all, where known; `since` and `ended` are UTC; `error` and the
@@ -48,7 +89,7 @@ class Status:
     """Those of a folder, in the order of its batch."""
 
     folder: Path
-    clips: tuple[Clip, ...]
+    clips: tuple[ClipStatus, ...]
 
     @property
     def counts(self) -> dict[State, int]:
@@ -147,7 +188,7 @@ def duration(seconds: float) -> str:
     return f"{seconds / 86400:.1f} days"
 
 
-def _left(one: Clip) -> float:
+def _left(one: ClipStatus) -> float:
     """How much of a clip is to be done: 0 to 1."""
     if one.state == "running" and one.of:
         return max(0.0, 1 - one.frames / one.of)
@@ -158,17 +199,16 @@ def _is_run(folder: Path) -> bool:
     return (folder / NAME).is_file() or (folder / LOCK).is_file()
 
 
-def _look(folder: Path, name: str, clip: str) -> Clip:
-    known: Manifest | None = None
+def _look(folder: Path, name: str, clip: str) -> ClipStatus:
     try:
         known = read_manifest(folder)
     except InputError as e:
-        return Clip(clip or name, name, "failed", error=str(e), exit_code=int(e.exit_code))
+        return ClipStatus(clip or name, name, "failed", error=str(e), exit_code=int(e.exit_code))
     note = holder(folder)
     if note is not None:
         seconds = _number(note, "seconds")
         frames, of = int(_number(note, "frame") or 0), _number(note, "frames")
-        return Clip(
+        return ClipStatus(
             clip=clip or as_text(str(note.get("clip", name))),
             folder=name,
             state="running",
@@ -181,10 +221,10 @@ def _look(folder: Path, name: str, clip: str) -> Clip:
         )
     if known is None:
         begun = (folder / LOCK).is_file()  # a process that is gone has left it
-        return Clip(clip or name, name, "interrupted" if begun else "not begun")
+        return ClipStatus(clip or name, name, "interrupted" if begun else "not begun")
     state: State = "failed" if known.error is not None else "done" if known.stopped is None else "interrupted"
     took = known.seconds if known.frames else None
-    return Clip(
+    return ClipStatus(
         clip=clip or (known.clip.path if known.clip is not None else name),
         folder=name,
         state=state,

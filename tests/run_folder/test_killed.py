@@ -16,14 +16,14 @@ from pathlib import Path
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.core import sets
-from facetrack_cli.core.claims import LOCK, Claim
+from facetrack_cli.core.files import temporary_path
+from facetrack_cli.run_folder import lock as locks
+from facetrack_cli.run_folder import recovery
+from facetrack_cli.run_folder.lock import LOCK, FolderLock
+from facetrack_cli.run_folder.manifest import NAME, read_manifest
+from facetrack_cli.run_folder.recovery import read_run, recover_interrupted
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, side_by_side
-from facetrack_cli.trajectory import killed as module
-from facetrack_cli.trajectory.killed import settle
-from facetrack_cli.trajectory.manifest import NAME, read_manifest
-from facetrack_cli.trajectory.reader import read_trajectory
 from tests.runs.test_run import FACETRACK, SMALL, make_clip
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and locks of POSIX")
@@ -33,7 +33,7 @@ TABLES = ["--no-video", "--format", "csv,json,jsonl"]
 
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory):
-    return make_clip(tmp_path_factory.mktemp("killed") / "sway.mp4", 120)
+    return make_clip(tmp_path_factory.mktemp("killed") / "sway.mp4", 100)
 
 
 @pytest.fixture(scope="module")
@@ -82,68 +82,55 @@ def killed(clip, out, *arguments, frames):
 # --- kill -9 ---
 
 
+@pytest.fixture(scope="module")
+def torn(clip):
+    """The folder of a run that was killed, and the last frame in its tables."""
+    folder = clip.with_name("torn")
+    return folder, killed(clip, folder, *SMALL, *TABLES, frames=30)
+
+
 @posix
-@pytest.mark.parametrize("reader", [read_trajectory, settle])
-def test_what_was_tracked_before_a_kill_is_kept_and_taken_up(clip, whole, tmp_path, reader):
-    out = tmp_path / "out"
-    last = killed(clip, out, *SMALL, *TABLES, frames=20)
-    reader(out)
+def test_what_was_tracked_before_a_kill_is_kept_and_taken_up(clip, whole, torn, tmp_path):
+    out, last = shutil.copytree(torn[0], tmp_path / "out"), torn[1]
+    kept = read_run(out)
     assert names(out) == [NAME, "trajectory.csv", "trajectory.json", "trajectory.jsonl"], "no part is left"
     done = read_manifest(out)
     assert (done.complete, done.stopped) == (False, "killed")
-    kept = read_trajectory(out)
     assert kept.frames[-1] >= last - 1 and len(kept.frames) == done.frames
     for form in ("csv", "json", "jsonl"):
         assert records(out, form) == records(whole, form)[: done.frames * (ROWS if form == "csv" else 1)]
     assert (kept.header["complete"], kept.header["stopped"]) == (False, "killed")
     assert kept.header["frames_tracked"] == done.frames
+    killed(clip, out, *SMALL, *TABLES, frames=3)
+    recover_interrupted(out)
+    assert read_manifest(out).frames == len(read_run(out).frames) >= done.frames, "the longer track is kept"
     assert run(clip, "-o", out, *SMALL, *TABLES, "-q") == 0, "the same command tracks it again"
     assert (out / "trajectory.csv").read_bytes() == (whole / "trajectory.csv").read_bytes()
     assert read_manifest(out).stopped is None
 
 
 @posix
-def test_a_second_kill_keeps_the_longer_track(clip, tmp_path):
-    killed(clip, tmp_path, *SMALL, *TABLES, frames=40)
-    frames = settle(tmp_path)
-    assert frames >= 39  # the kill may come between two tables
-    killed(clip, tmp_path, *SMALL, *TABLES, frames=3)
-    settle(tmp_path)
-    assert read_manifest(tmp_path).frames == len(read_trajectory(tmp_path).frames) >= frames
-
-
-@posix
-@pytest.mark.parametrize("moment", range(4))
-def test_a_recovery_that_is_killed_is_made_again(clip, tmp_path, monkeypatch, moment):
-    killed(clip, tmp_path, *SMALL, *TABLES, frames=20)
-    done, close = [], module._close
-
-    def torn(*arguments):
-        if len(done) == 2 * moment:
-            raise SystemExit
-        done.append(close(*arguments))
-
-    def commit(*_):
+@pytest.mark.parametrize("moment", ["WRITERS", "commit"])
+def test_a_recovery_that_is_killed_is_made_again(torn, tmp_path, monkeypatch, moment):
+    def kill(*_):
         raise SystemExit
 
-    def left(claim, *_):
-        claim._ended.set()  # or its signs of life go to whatever file has this number next
-        os.close(claim._file)
+    def left(lock, *_):
+        lock._ended.set()  # or its signs of life go to whatever file has this number next
+        os.close(lock._file)
 
-    monkeypatch.setattr(module, "_close", torn)
-    monkeypatch.setattr(module, "commit", commit)
-    monkeypatch.setattr(module.Claim, "__exit__", left)
-    with pytest.raises(SystemExit):
-        settle(tmp_path)
+    shutil.copytree(torn[0], tmp_path, dirs_exist_ok=True)
+    monkeypatch.setattr(recovery, moment, kill)
+    monkeypatch.setattr(FolderLock, "__exit__", left)
+    with pytest.raises((SystemExit, TypeError)):
+        recover_interrupted(tmp_path)
     monkeypatch.undo()
-    assert settle(tmp_path) >= 19
-    assert len(read_trajectory(tmp_path).frames) == read_manifest(tmp_path).frames >= 19
+    assert recover_interrupted(tmp_path) >= 19
+    assert len(read_run(tmp_path).frames) == read_manifest(tmp_path).frames >= 19
 
 
 @posix
-@pytest.mark.parametrize(
-    "left", [b"", b"x" * 50, b'{"process": 1}', b'{"process": 1, "run": {"format": "no"}}', b"[1]"]
-)
+@pytest.mark.parametrize("left", [b"", b'{"process": 1}', b'{"process": 1, "run": {"format": "no"}}'])
 def test_a_lock_that_says_nothing_is_no_harm(clip, tmp_path, left):
     (tmp_path / LOCK).write_bytes(left)
     (tmp_path / ".trajectory-999999999.part.csv").write_text("frame,\n0,")
@@ -157,20 +144,21 @@ def test_a_table_torn_anywhere_ends_with_a_whole_frame(clip, tmp_path, form):
     assert run(clip, "-o", whole, "--stop", 4, *SMALL, "--no-video", "--format", form, "-q") == 0
     text = (whole / f"trajectory.{form}").read_bytes()
     expected = records(whole, form)
-    note = {"process": 999_999_999, "run": read_manifest(whole).model_dump(mode="json")}
+    host, boot = locks.here()
+    note = {"host": host, "boot": boot, "token": "ab", "process": 999_999_999, "run": read_manifest(whole).record()}
     seen = set()
     # also where an object inside of a line ends, which looks like the end of a frame
-    inside = [one.end() for one in re.finditer(rb'"ess":[0-9.]+\}', text)]
-    for at in {*range(0, len(text), 97), *inside}:
+    inside = [one.end() for one in re.finditer(rb'"ess":[0-9.]+\}', text)][-8:]
+    for at in {*range(0, len(text), 331), *inside}:
         out = tmp_path / f"{at}"
         out.mkdir()
         (out / LOCK).write_text(json.dumps(note))
         (out / f".trajectory-999999999.part.{form}").write_bytes(text[:at])
-        frames = settle(out)
+        frames = recover_interrupted(out)
         seen.add(frames)
         if frames:
             assert records(out, form) == expected[: frames * (ROWS if form == "csv" else 1)]
-            assert len(read_trajectory(out).frames) == frames
+            assert len(read_run(out).frames) == frames
         else:
             assert names(out) == []
     assert seen >= {0, 2, 3}
@@ -204,22 +192,22 @@ def test_a_worker_that_is_killed_is_replaced_once(clip, whole, tmp_path, kills):
     assert process.returncode == 5
     assert "its process ended with code -9; the" in said and "frames that it had tracked are kept" in said
     known = read_manifest(folder)
-    assert known.stopped == "killed" and len(read_trajectory(folder).frames) >= 19
+    assert known.stopped == "killed" and len(read_run(folder).frames) >= 19
     assert "its process ended with code -9" in known.error and known.exit_code == 1
 
 
 def _ask_until_killed(task, stop, report):
-    if task < 30:
+    if task < 8:
         threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGKILL)).start()
-    while task < 30:
+    while task < 8:
         stop._elsewhere()
     return stop()
 
 
 @posix
 def test_a_worker_that_is_killed_while_it_asks_whether_to_stop_holds_up_no_other():
-    ended = dict(side_by_side(range(32), _ask_until_killed, 2, Stop()))
-    assert all(isinstance(ended[task], DiedError) for task in range(30)) and not ended[30] and not ended[31]
+    ended = dict(side_by_side(range(10), _ask_until_killed, 2, Stop()))
+    assert all(isinstance(ended[task], DiedError) for task in range(8)) and not ended[8] and not ended[9]
 
 
 # --- one writer, one set ---
@@ -227,7 +215,7 @@ def test_a_worker_that_is_killed_while_it_asks_whether_to_stop_holds_up_no_other
 
 @posix
 def test_a_folder_has_one_writer(clip, tmp_path, capsys):
-    with Claim(tmp_path):
+    with FolderLock(tmp_path):
         assert run(clip, "-o", tmp_path, *SMALL) == 2
         assert "another facetrack is writing its results here; wait until it ends" in capsys.readouterr().err
     assert run(clip, "-o", tmp_path, "--stop", 3, *SMALL, "-q") == 0
@@ -241,7 +229,7 @@ def test_of_two_runs_at_once_one_writes(clip, tmp_path):
     said = [process.communicate()[1].decode() for process in both]
     assert sorted(process.returncode for process in both) == [0, 2], said
     [seed] = [seed for seed, process in zip((1, 2), both, strict=True) if process.returncode == 0]
-    assert read_trajectory(tmp_path).header["seed"] == seed
+    assert read_run(tmp_path).header["seed"] == seed
 
 
 def test_a_run_owns_all_its_outputs(clip, tmp_path):
@@ -269,34 +257,33 @@ def test_files_of_different_runs_are_noticed(clip, tmp_path, name, capsys):
     assert code == (0 if name == "annotated.mp4" else 3), "the report does without its pictures"
 
 
-@pytest.mark.parametrize("at", ["announced", "one renamed"])
-def test_a_kill_between_two_renames_is_finished_by_whoever_reads(clip, tmp_path, monkeypatch, at):
+@posix
+@pytest.mark.parametrize("renamed", [0, 1, 3])
+def test_a_kill_between_two_renames_is_finished_by_whoever_reads(clip, tmp_path, monkeypatch, renamed):
+    def torn(folder, note):
+        for name in note["replace"]["files"][:renamed]:
+            temporary_path(folder / name).replace(folder / name)
+        raise SystemExit
+
+    def left(recorder, *_):
+        recorder.lock._ended.set()
+        os.close(recorder.lock._file)
+
     assert run(clip, "-o", tmp_path, "--stop", 5, *SMALL, "--seed", 1, "-q") == 0
-    finish = sets.finish
-
-    def torn(folder):
-        if (folder / sets.JOURNAL).exists():
-            if at == "one renamed":
-                part = sets.beside(folder / "trajectory.csv")
-                part.replace(folder / "trajectory.csv")
-            raise SystemExit
-        finish(folder)
-
-    monkeypatch.setattr(sets, "finish", torn)
-    monkeypatch.setattr(sets, "discard", lambda path: None, raising=False)
-    monkeypatch.setattr("facetrack_cli.runs.clip.Outputs.__exit__", lambda *_: None)
+    monkeypatch.setattr(locks, "finish_replacing", torn)
+    monkeypatch.setattr("facetrack_cli.runs.clip.Recorder.__exit__", left)
     with pytest.raises(SystemExit):
         run(clip, "-o", tmp_path, "--stop", 4, *SMALL, "--seed", 2, "--overwrite", "-q")
     monkeypatch.undo()
-    assert [len(read_trajectory(tmp_path / f"trajectory.{form}").frames) for form in ("csv", "json")] == [4, 4]
+    assert [len(read_run(tmp_path / f"trajectory.{form}").frames) for form in ("csv", "json")] == [4, 4]
     assert read_manifest(tmp_path).frames == 4
-    assert sets.JOURNAL not in names(tmp_path)
+    assert names(tmp_path) == ["annotated.mp4", NAME, "trajectory.csv", "trajectory.json"]
 
 
 def test_a_swapped_clip_is_known(tmp_path, capsys):
     clip = make_clip(tmp_path / "one.mp4", 6)
     assert run(clip, "-o", tmp_path / "out", *SMALL, "-q") == 0
-    header = read_trajectory(tmp_path / "out").header
+    header = read_run(tmp_path / "out").header
     assert len(header["source_sha256"]) == 64
     make_clip(tmp_path / "one.mp4", 7)
     for command in (["fix", tmp_path / "out", "--init", clip.with_suffix(".init.yaml")], ["report", tmp_path / "out"]):
@@ -327,11 +314,9 @@ def test_each_file_is_on_the_disk_before_its_name(clip, tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "replace", renamed_)
     assert run(clip, "-o", tmp_path / "out", "--stop", 3, *SMALL, "-q") == 0
     renamed = [one for one in said if one[0] != "sync"]
-    assert [to for _, to in renamed] == [
-        sets.JOURNAL, "annotated.mp4", "trajectory.csv", "trajectory.json", NAME
-    ]  # fmt: skip
+    assert [to for _, to in renamed] == ["annotated.mp4", "trajectory.csv", "trajectory.json", NAME]
     for one in renamed:
-        assert said.index(("sync", one[0])) < said.index(one)
+        assert said.index(("sync", one[0])) < said.index(("sync", LOCK)) < said.index(one)
     last = said.index(renamed[-1])
     assert ("sync", "out") in said[last:], "and the names are on the disk"
 
@@ -375,11 +360,10 @@ def test_what_exits_with_0_survives_a_power_loss(clip, disk):
     done = subprocess.run(command, env={**os.environ, "NUMBA_CACHE_DIR": str(cache)}, check=False)
     left = lose_power()
     assert done.returncode == 0
-    # the removal of those two need not be on the disk
-    found = [name for name in names(left / "out") if name not in (LOCK, sets.JOURNAL)]
+    found = [name for name in names(left / "out") if name != LOCK]  # whose removal need not be on the disk
     assert found == ["annotated.mp4", NAME, "trajectory.csv", "trajectory.json"]
     for name in found:
         assert (left / "out" / name).read_bytes() == (folder / "out" / name).read_bytes() != b""
-    assert len(read_trajectory(left / "out").frames) == 20
+    assert len(read_run(left / "out").frames) == 20
     kernels = [path for path in (left / "kernels").rglob("*") if path.suffix in (".nbi", ".nbc")]
     assert len(kernels) > 4 and all(path.stat().st_size for path in kernels)

@@ -16,36 +16,25 @@ import pytest
 
 from facetrack_cli.core.errors import ExitCode, OutputError
 from facetrack_cli.core.npz import Kind
-from facetrack_cli.runs import checkpoint, clip, outputs
-from facetrack_cli.runs.checkpoint import FOLDER
+from facetrack_cli.run_folder import checkpoint
+from facetrack_cli.run_folder.checkpoint import FOLDER
+from facetrack_cli.run_folder.manifest import NAME, read_manifest
+from facetrack_cli.runs import clip, posterior, recording
 from facetrack_cli.runs.job import VIDEO, Job
 from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.tracking.start import read_init
-from facetrack_cli.trajectory.manifest import NAME, read_manifest
-from tests.support import media
 from tests.support.samples import FOLDER as SAMPLES
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 CLIPS = {"head_hands": "signing", "adaptive_recognition": "map"}
-RECIPES = [
-    "factorized",
-    "independent",
-    "face",
-    "correlation_filter",
-    "adaptive_robust",
-    "head_hands",
-    "skin_ncc_robust",
-]
-RECIPES += ["contour_histogram_correlation", "auxiliary_prior", "adaptive_recognition"]
 EVERY = 8  # frames between checkpoints here
 
 
 @pytest.fixture(autouse=True)
 def _often(monkeypatch):
     monkeypatch.setattr(checkpoint, "EVERY_FRAMES", EVERY)
-    monkeypatch.setattr(outputs, "PIECE", EVERY)
-    monkeypatch.setattr(checkpoint, "PIECE", EVERY)
+    monkeypatch.setattr(checkpoint, "PIECE_FRAMES", EVERY)
 
 
 def job(recipe, out, *settings, source=None, stop=26, **more):
@@ -97,19 +86,20 @@ def ended_twice(tmp_path, recipe, *settings, **more):
     return out, whole
 
 
-@pytest.mark.parametrize("recipe", RECIPES)
+@pytest.mark.parametrize("recipe", ["correlation_filter", "head_hands", "adaptive_recognition"])
 def test_rows_are_those_of_a_run_that_was_not_ended(tmp_path, recipe):
     out, whole = ended_twice(tmp_path, recipe)
     assert same(out, whole) and read_manifest(out).frames == read_manifest(whole).frames == 26
 
 
-@pytest.mark.parametrize(("recipe", "threads"), [("face", 2), ("adaptive_appearance", 1), ("head_hands", 2)])
-def test_so_are_the_frames_of_the_video(tmp_path, recipe, threads):
-    assert same(*ended_twice(tmp_path, recipe, video=True, threads=threads, formats=("csv", "json", "jsonl")))
-
-
-def test_so_is_the_posterior(tmp_path):
-    assert same(*ended_twice(tmp_path, "face", posterior=True))
+@pytest.mark.parametrize("threads", [1, 2])
+def test_so_are_the_frames_of_the_video_and_the_posterior(tmp_path, threads, monkeypatch):
+    monkeypatch.setattr(posterior, "_BLOCK_FRAMES", 5)
+    more = {"video": True, "threads": threads, "posterior": True, "formats": ("csv", "json", "jsonl")}
+    out, whole = ended_twice(tmp_path, "face", **more)
+    assert same(out, whole)
+    with np.load(out / "posterior.npz") as kept:
+        assert len([name for name in kept.files if name.endswith("/0/frame")]) == 6
 
 
 def test_so_are_corrected_tracks(tmp_path):
@@ -119,24 +109,11 @@ def test_so_are_corrected_tracks(tmp_path):
     corrections += ["{frame: 9, face: {points: {mouth_left: [139, 155]}, learn: true}}"]
     init.write_text(text + "corrections:\n" + "".join(f"  - {one}\n" for one in corrections))
     assert len(read_init(init).corrections) == 2
-    for recipe in ("factorized", "face"):
-        folder = tmp_path / recipe
-        folder.mkdir()
-        assert same(*ended_twice(folder, recipe, init=init))
+    assert same(*ended_twice(tmp_path, "factorized", init=init))
 
 
 def test_so_is_what_was_begun_by_a_search(tmp_path):
     assert same(*ended_twice(tmp_path, "factorized", init="haar"))
-
-
-def test_images_and_times_that_vary(tmp_path):
-    frames = tmp_path / "frames"
-    frames.mkdir()
-    still = np.random.default_rng(0).integers(0, 255, (96, 128, 3), dtype=np.uint8)
-    media.write_pictures(frames, [np.roll(still, i % 5, axis=1) for i in range(26)])
-    folder = tmp_path / "images"
-    folder.mkdir()
-    assert same(*ended_twice(folder, "ncc", source=frames, box=(40.0, 30.0, 30.0, 30.0), stop=None, video=True))
 
 
 def test_a_run_that_was_not_interrupted_keeps_no_checkpoint(tmp_path):
@@ -170,7 +147,7 @@ def test_opencvs_trackers_and_a_lag_begin_anew(tmp_path):
 
 
 def another_numpy(out, monkeypatch):
-    monkeypatch.setattr(outputs, "_versions", lambda: {"numpy": "0"})
+    monkeypatch.setattr(recording, "_versions", lambda: {"numpy": "0"})
 
 
 def cut_short(out, monkeypatch):
@@ -178,12 +155,8 @@ def cut_short(out, monkeypatch):
     state.write_bytes(state.read_bytes()[:-500])
 
 
-def scrambled(out, monkeypatch):
-    state = out / FOLDER / "state.npz"
-    data = bytearray(state.read_bytes())
-    for at in range(2000, len(data), 501):
-        data[at] ^= 0x5A
-    state.write_bytes(data)
+def blocks_gone(out, monkeypatch):
+    (out / FOLDER / "posterior-00000.npz").unlink()
 
 
 def of_something_else(out, monkeypatch):
@@ -199,18 +172,16 @@ def rows_gone(out, monkeypatch):
     (out / "trajectory.csv").unlink()
 
 
-@pytest.mark.parametrize("change", [another_numpy, cut_short, scrambled, of_something_else, rows_edited, rows_gone])
+@pytest.mark.parametrize("change", [another_numpy, cut_short, blocks_gone, of_something_else, rows_edited, rows_gone])
 def test_a_checkpoint_that_does_not_fit_is_left_out(tmp_path, monkeypatch, change):
-    whole, asked = tmp_path / "whole", job("factorized", tmp_path / "out")
-    run(job("factorized", whole))
+    monkeypatch.setattr(posterior, "_BLOCK_FRAMES", 5)
+    asked = job("factorized", tmp_path / "out", posterior=True)
     run(asked, 11)
     change(asked.out, monkeypatch)
     if change in (rows_edited, rows_gone):
-        asked = job("factorized", tmp_path / "out", overwrite=change is rows_gone)
+        asked = job("factorized", tmp_path / "out", posterior=True, overwrite=change is rows_gone)
     done = run(asked)
-    assert done.resumed is None
-    monkeypatch.undo()
-    assert (asked.out / "trajectory.csv").read_bytes() == (whole / "trajectory.csv").read_bytes()
+    assert done.resumed is None and done.frames == 26
 
 
 def test_another_clip_of_the_same_name_and_size_is_tracked_anew(tmp_path):
@@ -241,7 +212,7 @@ def test_a_disk_without_space_for_a_checkpoint_is_no_harm(tmp_path, monkeypatch)
 def test_kills_at_random_moments(tmp_path):
     """`benchmarks/resume.py` does the same a hundred times, with ten recipes."""
     rng = random.Random(0)
-    code = "from facetrack_cli.runs import checkpoint as c, outputs as o; c.EVERY_FRAMES = c.PIECE = o.PIECE = 25\n"
+    code = "from facetrack_cli.run_folder import checkpoint as c; c.EVERY_FRAMES = c.PIECE_FRAMES = 25\n"
     code += "import sys; from facetrack_cli.__main__ import main; sys.exit(main())"
     words = [sys.executable, "-c", code, "run", SAMPLES / "expressions.mp4", "--config", "factorized", "--stop", "100"]
     subprocess.run([*words, "-o", tmp_path / "whole", "-q"], check=True)

@@ -1,0 +1,114 @@
+"""The whole state of a run, kept in its folder now and then: the same run again goes on from there.
+
+What it gives is byte for byte what a run that was never ended gives: rows, and the decoded frames of the video. So the
+video is always encoded in pieces of `PIECE_FRAMES`, and a checkpoint falls between two of them. Trackers of OpenCV do
+not give their state away, and with a lag rows wait in memory: those runs begin anew.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.npz import Kind, Stored
+from facetrack_cli.core.snapshot import Arrays, flatten, restore
+from facetrack_cli.run_folder.lock import sweep
+
+FOLDER: Final = ".checkpoint"
+KIND: Final = Kind("facetrack-checkpoint", 1, "checkpoint of a run", "facetrack run")
+PIECE_FRAMES = 250  # of a piece of the video
+EVERY_S, EVERY_FRAMES = 30.0, 1000  # between two checkpoints, whichever is less
+_FILE: Final = "state.npz"
+
+
+class Checkpoints:
+    """The checkpoints of the run into `out` that `key` tells from all others; a thread of their own writes them.
+
+    `video`: whether the run writes a video.
+    """
+
+    def __init__(self, out: Path, key: str, *, video: bool) -> None:
+        self.folder, self._key, self._video = out / FOLDER, key, video
+        self._worker = ThreadPoolExecutor(1, "checkpoint")
+        self._marked: dict[int, tuple[Any, Callable[[], None]]] = {}  # by frames: what waits for the video
+        self._ready: tuple[Arrays, Callable[[], None]] | None = None
+        self._last_s, self._last_frames = time.monotonic(), 0
+
+    def find(self) -> tuple[Any, Any] | None:
+        """The last state of this very run, and that of its video, None without; None if none can be read."""
+
+        def make(stored: Stored) -> tuple[Any, Any] | None:
+            if stored.text("key") != self._key or ("painted" in stored) != self._video:
+                return None
+            self._last_frames = int(stored.file["frames"])
+            return _read(stored, "run"), _read(stored, "painted") if self._video else None
+
+        if (self.folder / _FILE).is_file():
+            sweep(self.folder)
+            with contextlib.suppress(InputError):  # a file that is damaged
+                return KIND.read(self.folder / _FILE, make)
+        return None
+
+    def is_due(self, frames: int) -> bool:
+        """Whether the run is to be marked after so many frames."""
+        if self._video and frames % PIECE_FRAMES:
+            return False
+        return frames - self._last_frames >= EVERY_FRAMES or time.monotonic() - self._last_s >= EVERY_S
+
+    def mark(self, frames: int, state: Any, sync: Callable[[], None]) -> None:
+        """Keep the `state` after so many frames: at once, or when the video has come as far. `sync` ends its tables."""
+        self._last_s, self._last_frames = time.monotonic(), frames
+        arrays = {"frames": np.array(frames), **_flat("run", state)}
+        if self._video:
+            self._marked[frames] = arrays, sync
+        else:
+            self._ready = arrays, sync
+
+    def mark_video(self, frames: int, cut: Any, finish: Callable[[], None]) -> None:
+        """After so many frames of video, which is `cut` there: keep its state if the run is marked there."""
+        self._worker.submit(self._keep, {}, finish)
+        if frames in self._marked:
+            arrays, sync = self._marked.pop(frames)
+            self._ready = arrays | _flat("painted", cut), sync
+
+    def release(self, *, video: bool = False) -> None:
+        """Keep what is marked, now that there is one more frame (`video`: painted): after the last one nothing is."""
+        if self._ready is not None and video == self._video:
+            self._worker.submit(self._keep, *self._ready)
+            self._ready = None
+
+    def _keep(self, arrays: Arrays, finish: Callable[[], None]) -> None:
+        # whoever writes what could not be finished says so; without a checkpoint the run goes on all the same
+        with contextlib.suppress(OutputError, OSError):
+            self.folder.mkdir(exist_ok=True)
+            finish()
+            if arrays:
+                KIND.write(self.folder / _FILE, {"key": np.array(self._key), **arrays})
+
+    def end(self) -> None:
+        """Wait until all is kept."""
+        self._worker.shutdown()
+
+
+def forget(out: Path) -> None:
+    """Remove the checkpoints of a run that is done, or is begun anew."""
+    shutil.rmtree(out / FOLDER, ignore_errors=True)
+
+
+def _flat(name: str, state: Any) -> Arrays:
+    text, those = flatten(state)
+    return {name: np.array(text), **{f"{name}/{key}": one for key, one in those.items()}}
+
+
+def _read(stored: Stored, name: str) -> Any:
+    prefix = f"{name}/"
+    names = [key for key in stored.file.files if key.startswith(prefix)]
+    return restore(stored.text(name), {key.removeprefix(prefix): stored.file[key] for key in names})
