@@ -62,9 +62,9 @@ def replace_files(
 ) -> tuple[list[Path], list[str]]:
     """Write all files of a run's `folder`, then let them replace the old ones together; the files, and warnings.
 
-    Each value of `files` writes one file by calls of `write(data)`. `paint` draws the video into the temporary file of its path. `check`
-    raises, at the beginning and before anything is replaced, if the folder has changed. `ended` is the new run.json,
-    `gone` are files to remove. OutputError for a file that cannot be written; the folder is then as it was.
+    Each value of `files` writes one file by calls of `write(data)`. `paint` draws the video into its temporary file.
+    `check` raises, at the beginning and before anything is replaced, if the folder has changed. `ended` is the new
+    run.json, `gone` are files to remove. OutputError for a file that cannot be written; the folder is then as it was.
     """
     written: list[Path] = []
     notes: list[str] = []
@@ -101,8 +101,9 @@ def _check(run: Run) -> None:
 
 
 def repaint(run: Run, path: Path, rows: Trajectory, report: Report, stop: Stop) -> tuple[str, ...]:
-    """Write the annotated video into the temporary file of its path, without particles, which rows do not have; its warnings. Raises
-    StoppedError once `stop` says so, InputError if the clip lacks frames of the run; nothing is written then.
+    """Write the annotated video into its temporary file, without particles, which rows do not have; its warnings.
+
+    Raises StoppedError once `stop` says so, InputError if the clip lacks frames of the run; nothing is written then.
     """
     total, done = run.last - run.first + 1, 0
     with open_source(run.clip, fps=run.fps, start=run.first, stop=run.last + 1) as source:

@@ -15,8 +15,8 @@ from facetrack_cli.runs.recording import Recorder
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import frames_of
 from facetrack_cli.tracking.build.build import tracker_for
-from facetrack_cli.tracking.corrected import resumed_at, revived
-from facetrack_cli.tracking.kernels.ahead import Ahead
+from facetrack_cli.tracking.corrected import restored, resumed_at
+from facetrack_cli.tracking.kernels.precompile import Precompiler
 from facetrack_cli.tracking.loop import Tracker, TrackState, track
 from facetrack_cli.tracking.smoothed import lagged
 from facetrack_cli.trajectory.trajectory import FrameResult
@@ -86,9 +86,9 @@ def track_clip(job: Job, out: Recorder, stop: Stop, report: Report = silent, loo
 def _find_start(job: Job, stop: Stop, looked: Report) -> Start | None:
     """Where the clip's track begins, looked for while kernels are compiled; None if the search was stopped."""
     try:
-        with Ahead(to_dict(job.recipe), job.threads) as ahead:
+        with Precompiler(to_dict(job.recipe), job.threads) as compiler:
             start = job.find(job.recipe, stopped=stop, looked=looked)
-            ahead.finish(stop)
+            compiler.finish(stop)
             return start
     except InputError:
         if not stop():
@@ -101,7 +101,7 @@ def _tracker(job: Job, start: Start, source: Source, at: TrackState, begins: int
     tracker = tracker_for(job.recipe, start, source.size, source.fps)
     if begins != start.frame and not at.states:
         tracker = resumed_at(tracker, job.frame(start.frame))
-    at.states = revived(tracker, at.states, job.frame)
+    at.states = restored(tracker, at.states, job.frame)
     return tracker
 
 

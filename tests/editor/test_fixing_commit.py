@@ -1,21 +1,17 @@
 """A save that is torn off at any moment: the run is then as it was, or as it was to be, never something between."""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.core.files import temporary_path
-from facetrack_cli.core.sets import JOURNAL, announce, finish, sweep
 from facetrack_cli.editor import save as saving
 from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.save import keep, save
+from facetrack_cli.run_folder.lock import FolderLock
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from tests.editor.test_fixing_odd import fixing, nose, put
 from tests.support.samples import FOLDER
@@ -60,18 +56,17 @@ def files_of(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "annotated.mp4"}
 
 
-def hidden(folder):
-    return {path.name for path in folder.iterdir() if path.name.startswith(".")}
-
-
 @pytest.mark.parametrize("moment", [0, 1, 3, 5])
 def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, monkeypatch, moment):
-    """At the journal, and at each of the five files that take over."""
+    """Before the files are listed in the note of the lock, and at files that take over."""
     before, after, done = files_of(out), made[1], []
-    replace, unlink = Path.replace, Path.unlink
+    replace = Path.replace
+
+    def kill(*_):
+        raise Killed
 
     def torn(self, to):
-        if len(done) == moment:
+        if len(done) == moment - 1:
             raise Killed
         done.append(self)
         return replace(self, to)
@@ -79,8 +74,10 @@ def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, 
     with fixing(out) as fixer, monkeypatch.context() as patch:
         fixer.put([nose(4, 158, 140)])
         keep(fixer)
+        patch.setattr(Path, "unlink", lambda self, missing_ok=False: None)
         patch.setattr(Path, "replace", torn)
-        patch.setattr(Path, "unlink", lambda self, missing_ok=False: unlink(self) if ".claim" in self.name else None)
+        if moment == 0:
+            patch.setattr(FolderLock, "prepare", kill)
         with pytest.raises(Killed):
             save(fixer)
     whole = moment > 0
@@ -95,73 +92,12 @@ def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, 
     assert not found
 
 
-def test_what_another_process_left_is_swept_away(made, out):
-    gone = subprocess.Popen([sys.executable, "-c", ""])
-    gone.wait(60)
-    names = [".trajectory-{}.part.csv", ".annotated-{}.part.audio.mp4", ".mine-{}.csv"]
-    for number in (gone.pid, os.getpid(), os.getppid(), 10**30):
-        for name in names:
-            (out / name.format(number)).write_text("x")
-    sweep(out)
-    left = hidden(out)
-    there = {name.format(number) for name in names for number in (os.getpid(), os.getppid())}
-    assert left == there | {f".mine-{gone.pid}.csv", f".mine-{10**30}.csv"}
-    (out / names[0].format(gone.pid)).write_text("x")
-    put(out, nose(4, 158, 140))
-    assert names[0].format(gone.pid) not in hidden(out)
-
-
-def test_what_was_announced_does_not_replace_a_run_that_was_made_since(out):
-    (csv, text), new = (out / "trajectory.csv", out / "trajectory.json"), out / "new"
-    for path in (csv, text, new):
-        temporary_path(path).write_text("saved")
-    unsaved = out / UNSAVED
-    unsaved.write_text("of another run")
-    announce(out, [csv, text, new], [unsaved])
-    text.write_text("another run")
-    before = csv.read_bytes()
-    finish(out)
-    assert (csv.read_bytes(), text.read_text(), new.exists()) == (before, "another run", False)
-    assert unsaved.exists() and not hidden(out)
-
-
-def test_two_may_finish_at_once(out, monkeypatch):
-    """What the other one has moved in the meantime is not missed."""
-    csv, replace = out / "trajectory.csv", Path.replace
-    temporary_path(csv).write_text("saved")
-    announce(out, [csv])
-
-    def first(self, to):
-        replace(self, to)
-        return replace(self, to)
-
-    monkeypatch.setattr(Path, "replace", first)
-    finish(out)
-    assert csv.read_text() == "saved" and not hidden(out)
-
-
 def test_links_stay_links(out, tmp_path):
     kept = tmp_path / "elsewhere.csv"
     shutil.move(out / "trajectory.csv", kept)
     (out / "trajectory.csv").symlink_to(kept)
     put(out, nose(4, 158, 140))
     assert (out / "trajectory.csv").is_symlink() and ",158.000,140.000," in kept.read_text()
-
-
-NOT_OURS = [
-    "",
-    "[]",
-    '{"files": {}, "gone": []}',
-    '{"process": 1, "files": {"../x": null}, "gone": []}',
-    '{"process": 1, "files": {}, "gone": ["/x"]}',
-]
-
-
-@pytest.mark.parametrize("text", NOT_OURS)
-def test_a_journal_that_is_not_ours_is_refused(out, text):
-    (out / JOURNAL).write_text(text)
-    with pytest.raises(OutputError, match=r"saving.json: is not as facetrack writes it; remove it"):
-        open_run(out)
 
 
 def test_a_folder_in_the_place_of_the_init_file_is_refused_before_anything_is_replaced(out):
