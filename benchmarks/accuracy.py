@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError
-from facetrack_cli.evaluation.experiments.compare import Options, default_truth, within
+from facetrack_cli.evaluation.experiments.compare import Scoring, default_truth, within
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.measure import Value
 from facetrack_cli.evaluation.points import Occlusion, measure_recovery
@@ -51,7 +51,7 @@ def paired(
     for ended in run_plans(plans, jobs):
         if ended.error is not None:
             raise ended.error
-        known = within(truth, ended.runs[0].trajectory, Options())
+        known = within(truth, ended.runs[0].trajectory, Scoring())
         pairs = [match(run.trajectory, known, partial=partial, select=None) for run in ended.runs]
         yield ended.plan.label, ended.runs, pairs
 

@@ -18,7 +18,7 @@ from facetrack_cli.evaluation.points import HELD
 from facetrack_cli.evaluation.reliability import ReliabilityBin
 from facetrack_cli.evaluation.rows import NEAR_IOU
 from facetrack_cli.evaluation.sheet import MAX_WIDTH, NO_FIGURE, Sheet, trimmed
-from facetrack_cli.evaluation.summary import MEASURES, Evaluation, Measured
+from facetrack_cli.evaluation.summary import MEASURES, Evaluation, PartMeasures
 
 CURVES: Final = ("success", "precision", "normalised_precision")
 MAX_PARTS: Final = 12  # in tables of status, confidence, spread and jitter
@@ -55,7 +55,7 @@ def to_json(evaluation: Evaluation, about: About) -> str:
     return document("facetrack-evaluation", fields, indent=1)
 
 
-def _groups(one: Measured) -> dict[str, Any]:
+def _groups(one: PartMeasures) -> dict[str, Any]:
     """What was measured, by the first words of the measures' names; what was not is left out."""
     out: dict[str, Any] = {}
     for name, value in one.figures.items():

@@ -34,7 +34,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Measured:
+class PartMeasures:
     """One part, or with an empty `part` and the target "all", all of them together, which alone have `occlusions`. What
     was not measured is None.
     """
@@ -65,7 +65,7 @@ class Measured:
 
 
 # the first words of the names of measures, and the dataclass whose fields are the second ones
-GROUPS: Final = {name: get_args(hint)[0] for name, hint in get_type_hints(Measured).items() if get_args(hint)}
+GROUPS: Final = {name: get_args(hint)[0] for name, hint in get_type_hints(PartMeasures).items() if get_args(hint)}
 # all measures by name, whatever was measured: `points.rows`, `points.missing`, ..., `coverage.unknown_std`
 MEASURES: Final[Mapping[str, Measure]] = {
     f"{group}.{name}": one for group, kind in GROUPS.items() for name, one in measures_of(kind).items()
@@ -81,8 +81,8 @@ class Evaluation:
     options: Options
     rows: tuple[Rows, ...]
     units: Mapping[str, str]
-    parts: tuple[Measured, ...]
-    all: Measured
+    parts: tuple[PartMeasures, ...]
+    all: PartMeasures
     occlusions: tuple[errors.Occlusion, ...]
     notes: tuple[str, ...]
 
@@ -143,7 +143,7 @@ def units_of(pairs: Sequence[Pair], normalise: str, reference: Sequence[Trajecto
     return found
 
 
-def _measured(target: str, part: str, every: Sequence[tuple[Pair, Rows]], options: Options) -> Measured:
+def _measured(target: str, part: str, every: Sequence[tuple[Pair, Rows]], options: Options) -> PartMeasures:
     rows = [one for _, one in every]
     points = [one for pair, one in every if not pair.is_box]
     boxed = [(pair, one) for pair, one in every if pair.is_box]
@@ -151,7 +151,7 @@ def _measured(target: str, part: str, every: Sequence[tuple[Pair, Rows]], option
     of_boxes = _boxes(boxed, options.size) if boxed else None
     trusted = reliability.measure_lost(rows), reliability.measure_confidence(rows), reliability.measure_coverage(rows)
     jitter = reliability.measure_jitter(rows)
-    return Measured(target, part, of_points, of_boxes, None, *trusted, jitter)
+    return PartMeasures(target, part, of_points, of_boxes, None, *trusted, jitter)
 
 
 def _boxes(those: Sequence[tuple[Pair, Rows]], size: tuple[int, int] | None) -> BoxMeasures:

@@ -15,7 +15,7 @@ from facetrack_cli.trajectory.trajectory import Trajectory
 
 Kind: TypeAlias = Literal["start", "corrected", "seam", "lost", "back", "opening", "smile", "blink", "worst", "end"]
 """Why a frame is shown, in the order in which the reasons of one frame stand."""
-MOST_FRAMES: Final = 12
+MAX_KEY_FRAMES: Final = 12
 _OF_EPISODES: Final = 2 / 3  # of the frames beside start, worst and end, where there are too many events
 
 
@@ -204,7 +204,7 @@ def _least(values: Array) -> float:
     return float(np.fmin.reduce(values, initial=math.nan))
 
 
-def key_frames(history: RunHistory, first: int, last: int, most: int = MOST_FRAMES) -> list[KeyFrame]:
+def key_frames(history: RunHistory, first: int, last: int, most: int = MAX_KEY_FRAMES) -> list[KeyFrame]:
     """At most `most` frames: the first, the last, that of the lowest mean confidence, the peaks, and of events. Of
     too many events, where the longest episodes begin and end, then, one by one, that furthest in time from all taken.
     """

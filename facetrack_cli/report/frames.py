@@ -23,9 +23,9 @@ from facetrack_cli.video.kinds import brings_rate
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import open_source
 
-SMALLEST: Final = (640, 480)  # images are enlarged to fit this, so that the overlay can be read ...
-LARGEST: Final = (960, 720)  # ... and reduced to fit this
-MOST_BYTES: Final = 220_000  # of one JPEG: twelve stay below 4 MB as text
+MIN_SIZE: Final = (640, 480)  # images are enlarged to fit this, so that the overlay can be read ...
+MAX_SIZE: Final = (960, 720)  # ... and reduced to fit this
+MAX_BYTES: Final = 220_000  # of one JPEG: twelve stay below 4 MB as text
 _VIEW = 3.5  # an image shows this many times the target's size; larger clips are cut out around it
 _TRAIL_S = 1.0
 _TRAIL = 25  # frames of it that are drawn
@@ -186,9 +186,9 @@ def _frames(path: Path, size: tuple[int, int], fps: float, wanted: Sequence[int]
 
 
 def _fit(size: tuple[int, int]) -> tuple[int, int]:
-    """The size of an image: enlarged to `SMALLEST`, or reduced to `LARGEST`, keeping its shape."""
-    grow = min(SMALLEST[0] / size[0], SMALLEST[1] / size[1])
-    zoom = grow if grow > 1 else min(1.0, LARGEST[0] / size[0], LARGEST[1] / size[1])
+    """The size of an image: enlarged to `MIN_SIZE`, or reduced to `MAX_SIZE`, keeping its shape."""
+    grow = min(MIN_SIZE[0] / size[0], MIN_SIZE[1] / size[1])
+    zoom = grow if grow > 1 else min(1.0, MAX_SIZE[0] / size[0], MAX_SIZE[1] / size[1])
     return max(round(size[0] * zoom), 1), max(round(size[1] * zoom), 1)
 
 
@@ -202,9 +202,9 @@ def _scaled(image: Pixels, view: View, size: tuple[int, int]) -> Pixels:
 
 
 def _jpeg(image: Pixels) -> bytes:
-    """At the best quality with at most `MOST_BYTES`."""
+    """At the best quality with at most `MAX_BYTES`."""
     for quality in (88, 80, 70, 55, 40, 25):
         data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
-        if len(data) <= MOST_BYTES:
+        if len(data) <= MAX_BYTES:
             break
     return data

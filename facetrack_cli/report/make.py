@@ -32,7 +32,7 @@ from facetrack_cli.trajectory.trajectory import Trajectory
 MAX_PARTS, MAX_SPANS = 100, 100  # rows of a table by part, and of the table of lost spans
 _VIDEO: Final = "annotated.mp4"
 _MAX_SVG_BYTES: Final = 400_000  # a larger drawing becomes a PNG
-_WIDE, _NARROW = 10.0, 4.6  # inches
+_WIDE_INCHES, _NARROW_INCHES = 10.0, 4.6
 _BINS: Final = 1000  # of the bar that shows when a part was lost
 # what HTML forbids, and lone surrogates, which names of files may hold and UTF-8 may not
 _UNFIT = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff]")
@@ -48,7 +48,7 @@ class TruthFile(NamedTuple):
     target: str | None = None
 
 
-class Page(NamedTuple):
+class ReportPage(NamedTuple):
     """The document, and lines on what is missing in it."""
 
     html: bytes
@@ -62,7 +62,7 @@ def make_report(
     clip: Path | None = None,
     title: str | None = None,
     report: Report = lambda done, total: None,
-) -> Page:
+) -> ReportPage:
     """The report of the run in the folder `run`, which fetches nothing and runs no script.
 
     Raises InputError for a folder without a JSON trajectory, a broken one, a `clip` that is not the run's, and ground
@@ -113,7 +113,7 @@ def make_report(
         words=shlex.split(again),
         relative=not Path(header.source.path).is_absolute(),
     )
-    return Page(_UNFIT.sub("\ufffd", document).encode(), tuple(found.notes))
+    return ReportPage(_UNFIT.sub("\ufffd", document).encode(), tuple(found.notes))
 
 
 def trajectory_of(run: Path) -> Path:
@@ -148,7 +148,7 @@ def _template() -> Any:
     style = (folder / "report.css").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
     environment.globals |= {"style": Markup(style), "style_hash": f"sha256-{digest}", "version": __version__}
-    environment.globals |= {"bins": _BINS, "most_parts": MAX_PARTS, "most_spans": MAX_SPANS, "corrected": CORRECTED}
+    environment.globals |= {"bins": _BINS, "max_parts": MAX_PARTS, "max_spans": MAX_SPANS, "corrected": CORRECTED}
     return environment.get_template("report.html.j2")
 
 
@@ -165,13 +165,13 @@ def _measured(table: Trajectory, header: Header, truth: TruthFile) -> tuple[list
 
 def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Mapping[str, Image]:
     """The plots: `wide`, as a drawing that scales if it is small, and `narrow`, for phones."""
-    figure = plots.page_figure(table, pairs, title=title, width=_WIDE)
+    figure = plots.page_figure(table, pairs, title=title, width=_WIDE_INCHES)
     width, height = figure.get_size_inches()
     size = (round(96 * width), round(96 * height))
     wide = Image(plots.render(figure, "svg"), size, "image/svg+xml")
     if len(wide.data) > _MAX_SVG_BYTES:
         wide = Image(plots.render(figure, "png", dpi=150), size, "image/png")
-    narrow = plots.render(plots.page_figure(table, pairs, title=title, width=_NARROW), "png", dpi=180)
+    narrow = plots.render(plots.page_figure(table, pairs, title=title, width=_NARROW_INCHES), "png", dpi=180)
     return {"wide": wide, "narrow": Image(narrow, (442, 0), "image/png")}
 
 

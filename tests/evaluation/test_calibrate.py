@@ -65,7 +65,7 @@ def test_boxes_without_names_are_those_of_the_only_box():
 def test_a_long_clip_and_many_seeds_weigh_no_more():
     long, short = face(np.zeros(2000)), face([0, 0, 0])
     found = calibrate.collect([([long, long], true(2000)), ([short], true(3))])["points"]
-    assert np.bincount(found.clip).tolist() == [calibrate.MOST, 4]
+    assert np.bincount(found.clip).tolist() == [calibrate.MAX_ROWS, 4]
     assert np.bincount(found.clip, found.weight) == pytest.approx([1, 1])
 
 

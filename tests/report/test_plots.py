@@ -14,7 +14,7 @@ from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report.figures import lines as plot_lines
 from facetrack_cli.report.figures import style as plot_style
-from facetrack_cli.report.figures.lines import MANY, columns_for, lines_of
+from facetrack_cli.report.figures.lines import MAX_LINES, columns_for, lines_of
 from facetrack_cli.report.figures.style import numbers
 from facetrack_cli.trajectory.analysis.measures import MEASURES
 from facetrack_cli.trajectory.trajectory import joined, one_part
@@ -172,7 +172,7 @@ def test_legends_stand_in_the_page(names):
     columns, rows = columns_for(labels, 10.0)
     assert 1 < rows <= 4 and columns * rows >= len(labels)
     table = track(4, names)
-    figure = plots.page_figure(joined(table.parts[:MANY], path=table.path), pairs_of(table, status="hidden"))
+    figure = plots.page_figure(joined(table.parts[:MAX_LINES], path=table.path), pairs_of(table, status="hidden"))
     plots.render(figure, dpi=50)
     head = figure.subfigs[0]
     box = head.legends[0].get_window_extent()
@@ -285,8 +285,8 @@ def test_lines_of_one_target_differ_by_colour_and_of_several_by_their_target():
     assert [line.colour for line in several] == [plot_style.COLOURS[i] for i in (0, 0, 1, 1)]
     assert len({str(line.look) for line in several}) == 4
     assert [line.name for line in lines_of(track(parts=1, targets=("head", "left_hand")), [])] == ["head", "left hand"]
-    ramp = lines_of(track(parts=MANY + 1), [])
-    assert len({line.colour for line in ramp}) == MANY + 1
+    ramp = lines_of(track(parts=MAX_LINES + 1), [])
+    assert len({line.colour for line in ramp}) == MAX_LINES + 1
 
 
 def test_many_parts_are_drawn_as_bands():

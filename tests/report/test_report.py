@@ -19,7 +19,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.report import frames as report_frames
 from facetrack_cli.report import make as report
-from facetrack_cli.report.frames import MOST_BYTES, _jpeg, key_images
+from facetrack_cli.report.frames import MAX_BYTES, _jpeg, key_images
 from facetrack_cli.report.make import Image, make_report
 from facetrack_cli.trajectory.header import read_header
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -162,7 +162,7 @@ def test_large_clips_are_cut_out_around_the_target_and_windows_stay_in_place(tmp
 
 def test_pictures_stay_small_whatever_they_show():
     noise = np.random.default_rng(0).integers(0, 256, (720, 960, 3), dtype=np.uint8)
-    assert len(_jpeg(noise)) <= MOST_BYTES
+    assert len(_jpeg(noise)) <= MAX_BYTES
 
 
 # --- the page ----------------------------------------------------------------------------------------------------

@@ -83,7 +83,7 @@ class Compare:
         with results.open(clip, self.out, f"{title(clip)}-compare", "compare", PLOTS) as (stopped, shown, publish):
             begin = Begin(clip, **vars(extent))
             with begin.open() as source:
-                options = compare.Options(known.target, known.partial, extent.stop, source.size)
+                options = compare.Scoring(known.target, known.partial, extent.stop, source.size)
             entries = compare.run_recipes(
                 recipes,
                 begin,

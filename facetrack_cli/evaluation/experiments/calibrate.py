@@ -3,7 +3,7 @@
     found = run(recipe, [(clip, truth), ...], seeds=2)
     found.calibration.to_json()
 
-Of each clip at most `MOST` rows of a kind are taken, evenly spaced: a long one is no better than a short one.
+Of each clip at most `MAX_ROWS` rows of a kind are taken, evenly spaced: a long one is no better than a short one.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -29,7 +29,7 @@ from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.calibration import Calibration, PartKind, boxes_of, features
 from facetrack_cli.trajectory.trajectory import Trajectory
 
-MOST: Final = 500
+MAX_ROWS: Final = 500  # of a kind of part in a clip
 KINDS: Final[tuple[PartKind, ...]] = ("points", "box")
 
 
@@ -160,7 +160,7 @@ def collect(
         for runs in every:
             whole = joined([one.take(boxes == (kind == BOX)) for one, boxes in runs])
             thinned.append(
-                whole.take(np.unique(np.linspace(0, len(whole) - 1, min(len(whole), MOST)).astype(np.int64)))
+                whole.take(np.unique(np.linspace(0, len(whole) - 1, min(len(whole), MAX_ROWS)).astype(np.int64)))
             )
         if len(sample := joined(thinned)):
             found[kind] = sample

@@ -52,7 +52,7 @@ TRUTH_NAMES: Final = ("groundtruth.csv", "groundtruth_rect.txt", "groundtruth.tx
 
 
 @dataclass(frozen=True)
-class Options:
+class Scoring:
     """How runs are measured."""
 
     select: str | None = None  # the one target of the ground truth
@@ -174,7 +174,7 @@ def rank(entries: Sequence[Entry], measure: str) -> list[Place]:
 # --- one run -----------------------------------------------------------------------------------------------------
 
 
-def score_run(run: SeedRun, truth: Trajectory, options: Options, note: Callable[[str], None] = lambda _: None) -> Score:
+def score_run(run: SeedRun, truth: Trajectory, options: Scoring, note: Callable[[str], None] = lambda _: None) -> Score:
     """Measure one run; `note` gets what was paired how (see `match`). InputError where it does not fit."""
     pairs = _pairs(run.trajectory, truth, options, note=note)
     evaluation = evaluate(pairs, options=summary.Options(size=options.size), reference=truth.parts)
@@ -195,12 +195,12 @@ def score_run(run: SeedRun, truth: Trajectory, options: Options, note: Callable[
     )
 
 
-def _pairs(ours: Trajectory, truth: Trajectory, options: Options, **more: Any) -> list[Pair]:
+def _pairs(ours: Trajectory, truth: Trajectory, options: Scoring, **more: Any) -> list[Pair]:
     known = within(truth, ours, options)
     return match(ours, known, **{"partial": options.partial, "select": options.select, **more})
 
 
-def kinds_of(plan: Plan, truth: Trajectory, options: Options) -> set[str]:
+def kinds_of(plan: Plan, truth: Trajectory, options: Scoring) -> set[str]:
     """What the runs of a plan on frames of `options.size` will be measured as, `boxes` or `points`.
 
     Raises, before anything runs, what recipe, start and the names in the ground truth are refused for.
@@ -211,7 +211,7 @@ def kinds_of(plan: Plan, truth: Trajectory, options: Options) -> set[str]:
     return {"boxes" if pair.is_box else "points" for pair in _pairs(table, truth, options, partial=True)}
 
 
-def within(truth: Trajectory, trajectory: Trajectory, options: Options) -> Trajectory:
+def within(truth: Trajectory, trajectory: Trajectory, options: Scoring) -> Trajectory:
     """The ground truth of the frames that were asked for: from the run's first one to before --stop."""
     first, stop = int(trajectory.frames[0]), MAX_FRAME if options.stop is None else options.stop
     kept = [one for part in truth.parts if len(one := part.between(first, stop))]
@@ -271,7 +271,7 @@ def run_recipes(
     begin: Begin,
     truth: Trajectory,
     seeds: int,
-    options: Options,
+    options: Scoring,
     *,
     rank_by: str | None,
     workers: int,

@@ -130,7 +130,7 @@ class Case(NamedTuple):
 
     plan: Plan
     truth: Trajectory | None
-    options: compare.Options
+    options: compare.Scoring
 
     def value(self, run: SeedRun, measure: str, note: Callable[[str], None] = lambda _: None) -> float:
         """One run's figure. InputError where it is not defined."""
@@ -150,7 +150,7 @@ def case_of(
 ) -> Case:
     """A clip to try settings on. Raises InputError where its tracks begin nowhere."""
     with begin.open() as source:
-        options = compare.Options(select, partial, begin.stop, source.size)
+        options = compare.Scoring(select, partial, begin.stop, source.size)
     start = begin.find(recipe, truth, stopped)
     return Case(Plan(recipe.name, begin.clip, recipe, start, (), begin.stop, begin.fps), truth, options)
 

@@ -15,8 +15,8 @@ from facetrack_cli.report.figures.style import Axes, Figure
 
 Curves = Mapping[str, tuple[Array, Array]]
 BINS = 1000
-SQUARE = (6.4, 4.6)  # inches, with the legend beside
-WIDE = (10.0, 4.0)
+SQUARE_INCHES = (6.4, 4.6)  # inches, with the legend beside
+WIDE_INCHES = (10.0, 4.0)
 _MARK: Final[Any] = {**style.GUIDE, "linewidth": 0.9, "linestyle": (0, (3, 2)), "zorder": 1}
 
 
@@ -51,7 +51,7 @@ def _curves(curves: Curves, measure: str, title: str, names: tuple[str, str], ma
 
     longest = max((len(label) for label in curves), default=0)
     with style.style():
-        figure = style.new_figure(SQUARE[0] + 0.055 * max(0, min(longest, 40) - 12), SQUARE[1])
+        figure = style.new_figure(SQUARE_INCHES[0] + 0.055 * max(0, min(longest, 40) - 12), SQUARE_INCHES[1])
         axes = figure.subplots()
         handles = {}
         for number, (label, (at, values)) in enumerate(curves.items()):
@@ -164,10 +164,10 @@ def _over_time(frames: Whole, labels: Sequence[str]) -> tuple[Figure, Axes, Pen]
     from matplotlib.lines import Line2D
 
     names = [style.clean(label, 40) for label in labels]
-    columns, rows = columns_for(names, WIDE[0])
+    columns, rows = columns_for(names, WIDE_INCHES[0])
     top = 0.1 + 0.2 * rows
-    figure = style.new_figure(WIDE[0], WIDE[1] + top)
-    head, body = cast("Any", figure.subfigures(2, 1, height_ratios=[top, WIDE[1]]))
+    figure = style.new_figure(WIDE_INCHES[0], WIDE_INCHES[1] + top)
+    head, body = cast("Any", figure.subfigures(2, 1, height_ratios=[top, WIDE_INCHES[1]]))
     handles = [Line2D([], [], linewidth=1.5, **style.line_style(number)) for number in range(len(labels))]
     head.legend(handles, names, loc="center left", ncols=columns, handlelength=2.8, borderaxespad=0.3)
     axes = body.subplots()

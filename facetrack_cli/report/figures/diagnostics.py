@@ -15,8 +15,8 @@ from facetrack_cli.trajectory.diagnostics import AFFINE, EVIDENCE, POSTERIOR, SU
 from facetrack_cli.trajectory.header import said
 from facetrack_cli.trajectory.trajectory import Trajectory
 
-NAMED = 5  # people with a colour and a name, of more the most likely
-MOST = 6  # targets with a panel each for who they are
+MAX_NAMES = 5  # people with a colour and a name, of more the most likely
+MAX_IDENTITY_PANELS = 6  # panels of identities, one for each target
 # drawn in the panel of identities and in the positions of the page; evidence says little but as a sum
 _ELSEWHERE = (POSTERIOR.name, AFFINE.name, EVIDENCE.name)
 # title, note and height in inches of diagnostics that do not have those of their declaration
@@ -33,7 +33,7 @@ def panels(table: Trajectory, lines: Sequence[Line], pen: Pen) -> Iterator[Panel
     first = {line.ours.target: line for line in reversed(lines)}
     yield from _particles(table, first, pen)
     identities = [target for target in table.targets if known(table.beliefs(target)[2])]
-    for target in identities[:MOST]:
+    for target in identities[:MAX_IDENTITY_PANELS]:
         yield _identity(table, target, pen, target if len(first) > 1 else "")
     reported = {target: one for target, one in table.diagnostics.items() if target in first}
     declared = {one.name: one for each in reported.values() for one in each.declared if one.name in each.values}
@@ -153,11 +153,11 @@ def _identity(table: Trajectory, target: str, pen: Pen, whose: str) -> Panel:
     most = np.where(np.isfinite(values), values, -1.0)
     peak = most.max(axis=0)
     rank: list[int] = np.lexsort((-peak, -np.round(most[-1], 2))).tolist()  # the likeliest at the end first
-    leading = rank[:NAMED]
-    if len(names) > NAMED:
+    leading = rank[:MAX_NAMES]
+    if len(names) > MAX_NAMES:
         leading = [k for k in leading if peak[k] > 0.1] or leading[:1]
         # and a name that led for a while
-        leading += [k for k in rank if k not in leading and peak[k] > 0.5][: NAMED + 1 - len(leading)]
+        leading += [k for k in rank if k not in leading and peak[k] > 0.5][: MAX_NAMES + 1 - len(leading)]
     others = len(names) - len(leading)
     best = names[leading[0]]
     passed = table.recognised(target, best)

@@ -17,10 +17,10 @@ from facetrack_cli.tracking.identity.subspaces import Subspace
 MARGIN, GAP, LINE = 0.2, 0.1, 0.14
 LEFT: Final = 2.1  # width of the column with the mean face
 EIGENFACES, SIDES = 8, (0.8, 0.96)  # of a space, at most; the most that one is wide and high
-TALLEST: Final = 1.55  # a person's face; of more people they are smaller, down to
-SMALL, SMALLEST, MANY = 0.82, 0.6, 60  # the second for more than MANY
-NAME: Final = 0.6  # least width of a name, and
-ROOM: Final = 1.5  # what it has where there is room
+MAX_FACE: Final = 1.55  # a person's face; of more people they are smaller, down to
+MIN_FACE, MIN_FACE_OF_MANY, FEW_PERSONS = 0.82, 0.6, 60  # the second for more than FEW_PERSONS
+MIN_NAME: Final = 0.6  # least width of a name, and
+MAX_NAME: Final = 1.5  # what it has where there is room
 
 
 def gallery_figure(gallery: Gallery, *, title: str) -> Figure:
@@ -28,10 +28,10 @@ def gallery_figure(gallery: Gallery, *, title: str) -> Figure:
     rows, cols = gallery.shape
     aspect, count, inner = cols / rows, len(gallery.names), WIDTH - 2 * MARGIN + GAP
     # as many columns as make rows of about equal length, with faces no smaller than they must be
-    least = max((SMALL if count <= MANY else SMALLEST) * aspect, NAME) + GAP
+    least = max((MIN_FACE if count <= FEW_PERSONS else MIN_FACE_OF_MANY) * aspect, MIN_NAME) + GAP
     columns = math.ceil(count / math.ceil(count / max(int(inner / least), 1)))
-    step = min(inner / columns, max(TALLEST * aspect, ROOM) + GAP)
-    face = min(TALLEST, (step - GAP) / aspect)
+    step = min(inner / columns, max(MAX_FACE * aspect, MAX_NAME) + GAP)
+    face = min(MAX_FACE, (step - GAP) / aspect)
     top = 0.72 + 3 * (SIDES[1] + 0.5)
     row = face + 3 * LINE + 0.2
     with style():

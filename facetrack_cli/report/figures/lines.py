@@ -15,7 +15,7 @@ from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.report.figures.style import COLOURS, DASHES, INK, STATUS, Axes, clean, line_style
 from facetrack_cli.trajectory.trajectory import Trajectory
 
-MANY = 12  # parts that have a line of their own in every panel
+MAX_LINES = 12  # parts with a line of their own in every panel
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class Line:
 
 
 def lines_of(table: Trajectory, pairs: Sequence[Pair]) -> list[Line]:
-    """A line for each part. The parts of a single target differ by colour, of more than `MANY` by a range of colours;
-    of several targets each has the colour of the annotated video, and its parts differ by their dashes.
+    """A line for each part. The parts of a single target differ by colour; more than `MAX_LINES` parts share a range of
+    colours. Of several targets each has the colour of the annotated video, and its parts differ by their dashes.
     """
     import matplotlib
     from matplotlib.colors import to_hex
@@ -56,7 +56,7 @@ def lines_of(table: Trajectory, pairs: Sequence[Pair]) -> list[Line]:
     for number, one in enumerate(table.parts):
         place = targets.index(one.target)
         group = COLOURS[place % len(COLOURS)]
-        if len(table.parts) > MANY:
+        if len(table.parts) > MAX_LINES:
             # between purple and yellow-green, dark enough for paper
             ramp = matplotlib.colormaps["viridis"](0.88 * number / (len(table.parts) - 1))
             colour = group if len(targets) > 1 else to_hex(ramp)
@@ -124,7 +124,7 @@ class Pen:
         """Pale where any part has the status, stronger where all have it; of many parts, where over half have it."""
         frame, held = stacked([(one.frame, one.status == status) for one in parts])
         share = np.nanmean(held, axis=0)
-        levels = [(share > 0.5, 0.22)] if len(parts) > MANY else [(share > 0, 0.16), (share == 1, 0.22)]
+        levels = [(share > 0.5, 0.22)] if len(parts) > MAX_LINES else [(share > 0, 0.16), (share == 1, 0.22)]
         for mask, alpha in levels[-1:] if len(parts) == 1 else levels:
             self.shade(axes, frame, mask, status, alpha)
 
@@ -132,7 +132,7 @@ class Pen:
         """A row a part, with a diamond where it was given; below it the status in the ground truth. Many have bars
         only.
         """
-        many = len(lines) > MANY
+        many = len(lines) > MAX_LINES
         truth = not many and any(line.pair is not None for line in lines)
         top, tall = (-0.5, 1.0) if many else (-0.4, 0.44) if truth else (-0.38, 0.76)
         for row, line in enumerate(lines):

@@ -17,7 +17,7 @@ from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.diagnostics import adaptation, known, panels
-from facetrack_cli.report.figures.lines import MANY, Line, Panel, Pen, columns_for, lines_of, quantiles, stacked
+from facetrack_cli.report.figures.lines import MAX_LINES, Line, Panel, Pen, columns_for, lines_of, quantiles, stacked
 from facetrack_cli.report.figures.style import Axes, Figure
 from facetrack_cli.trajectory.analysis.measures import MEASURES, Measured
 from facetrack_cli.trajectory.header import said
@@ -36,8 +36,8 @@ def page_figure(
     """Position, size, confidence, status, particles, spread, diagnostics and error over time, as far as known.
 
     `pairs` (evaluation/match.py) bring the ground truth; the title is by default clip and recipe; `width` in inches.
-    Of more than `MANY` parts, all panels but position and size show the median, the middle 80 % and the range. Raises
-    InputError where nothing is known.
+    Of more than `MAX_LINES` parts, all panels but position and size show the median, the middle 80 % and the range.
+    Raises InputError where nothing is known.
     """
     with style.style():
         return _Page(table, pairs or (), width).figure(_title(table) if title is None else title)
@@ -72,7 +72,7 @@ class _Page:
         self.table, self.width, self.frames = table, width, table.frames
         self.lines = lines_of(table, pairs)
         self.paired = [(line, line.pair, error(line.pair)) for line in self.lines if line.pair is not None]
-        self.many = len(self.lines) > MANY
+        self.many = len(self.lines) > MAX_LINES
         bins = max(300, min(BINS, 60_000 // len(self.lines))) if self.many else BINS  # more take long, show no more
         self.pen = Pen(bins, float(self.frames[-1] - self.frames[0] + 1) / BINS)
         self.judged = bool((table.status != "").any())

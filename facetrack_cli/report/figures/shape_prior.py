@@ -21,8 +21,8 @@ PLACES: Final = {
     "lip_lower": (0.0, 0.84),
 }
 OUTLINE: Final = ("mouth_left", "lip_upper", "mouth_right", "lip_lower")
-MODES, EXTENT = 4, 2.0  # modes shown, each from -EXTENT to +EXTENT standard deviations
-LEAST_SHARE: Final = 0.005  # of the variance, of a mode that is shown
+MAX_MODES, EXTENT = 4, 2.0  # modes shown, each from -EXTENT to +EXTENT standard deviations
+MIN_SHARE: Final = 0.005  # of the variance, of a mode that is shown
 
 
 def prior_figure(prior: ShapePrior, sigma: float, *, title: str) -> Figure:
@@ -92,7 +92,7 @@ def _modes(figure: Any, prior: ShapePrior, base: Array, looks: Sequence[dict[str
     ways = ways * np.where(largest < 0, -1.0, 1.0)[:, None]  # a fixed sign
     variance = strength**2 / len(flat)
     share = variance / max(float(variance.sum()), 1e-12)
-    count = min(MODES, int((share > LEAST_SHARE).sum()))
+    count = min(MAX_MODES, int((share > MIN_SHARE).sum()))
     if not count:
         figure.text(0.5, 0.5, "none: all shapes are the same", ha="center", color=FAINT)
         return
