@@ -70,9 +70,8 @@ def _of_command(ctx: click.Context, table: Any, where: str, prefix: str) -> dict
     for key, value in table.items():
         name = key.replace("_", "-")
         if name in options:
-            found[str(options[name].name)] = _checked(
-                ctx, options[name], _plain(options[name], value, where, key), where
-            )
+            _check_kind(options[name], value, f"{where}.{key}")
+            found[str(options[name].name)] = _checked(ctx, options[name], value, f"{where}.{name}")
         elif key not in below:
             near = get_close_matches(name, [*options, *below], n=1)
             hint = f'did you mean "{near[0]}"?' if near else f"there are: {', '.join([*options, *below])}"
@@ -81,7 +80,7 @@ def _of_command(ctx: click.Context, table: Any, where: str, prefix: str) -> dict
         variable = f"{prefix}_{name.replace('-', '_').upper()}"
         if text := os.environ.get(variable):
             value = option.type.split_envvar_value(text) if option.multiple else text
-            found[str(option.name)] = _checked(ctx, option, value, variable, named=False)
+            found[str(option.name)] = _checked(ctx, option, value, variable)
     # of commands that are not called nothing is asked: that would load them
     for name in [one for one in below if ctx.parent is not None or one == ctx.invoked_subcommand]:
         command = group.get_command(ctx, name) if group is not None else None
@@ -96,30 +95,28 @@ def _name(option: click.Option) -> str:
     return max(option.opts, key=len).lstrip("-")
 
 
-def _plain(option: click.Option, value: Any, where: str, key: str) -> Any:
-    """A value of TOML as the command line would have it; UsageError if it is of another kind."""
-    if option.is_flag and isinstance(value, bool):
-        return value
-    if option.multiple and isinstance(value, list):
-        return [_text(one, where, key) for one in value]
-    if option.is_flag or option.multiple:
-        raise UsageError(f"{where}.{key}: give {'true or false' if option.is_flag else 'a list of texts'}")
-    return _text(value, where, key)
+def _check_kind(option: click.Option, value: Any, where: str) -> None:
+    """UsageError if a value of TOML is of another kind than the option."""
+    if option.is_flag:
+        good, wanted = isinstance(value, bool), "true or false"
+    else:
+        texts = value if option.multiple and isinstance(value, list) else [value]
+        good = isinstance(value, list) == option.multiple
+        good = good and all(isinstance(one, (str, int, float)) and not isinstance(one, bool) for one in texts)
+        wanted = "a list of texts" if option.multiple else "text or a number"
+    if not good:
+        raise UsageError(f"{where}: give {wanted}")
 
 
-def _text(value: Any, where: str, key: str) -> str:
-    if isinstance(value, bool) or not isinstance(value, (str, int, float)):
-        raise UsageError(f"{where}.{key}: give text or a number")
-    return str(value)
-
-
-def _checked(ctx: click.Context, option: click.Option, value: Any, where: str, *, named: bool = True) -> Any:
-    """The value as the command line would have it, of a flag whether it is set, if the option takes it."""
+def _checked(ctx: click.Context, option: click.Option, value: Any, where: str) -> Any:
+    """The value as the command line would have it, of a flag whether it is set; UsageError if the option refuses it."""
+    if not option.is_flag:
+        value = [str(one) for one in value] if option.multiple else str(value)
     try:
         taken = option.process_value(ctx, value)
     except (click.ClickException, FacetrackError) as error:
-        said = error.message if isinstance(error, click.ClickException) else str(error)
-        raise UsageError(f"{where}{f'.{_name(option)}' if named else ''}: {said.rstrip('.')}") from None
+        message = error.message if isinstance(error, click.ClickException) else str(error)
+        raise UsageError(f"{where}: {message.rstrip('.')}") from None
     return taken if option.is_flag else value
 
 

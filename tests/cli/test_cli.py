@@ -1,4 +1,3 @@
-import json
 import os
 import re
 import signal
@@ -176,16 +175,6 @@ def test_a_reader_that_goes_is_no_error(arguments):
     assert (done.returncode, done.stderr) == (cli.READER_GONE, "")
 
 
-def test_completion_of_a_command_loads_none():
-    done = facetrack(_FACETRACK_COMPLETE="bash_complete", COMP_WORDS="facetrack r", COMP_CWORD="1")
-    assert done.stdout.split() == [f"plain,{name}" for name in cli.COMMANDS if name.startswith("r")]
-
-
-def test_the_package_runs_as_a_module(tmp_path):
-    done = facetrack("--version", cwd=tmp_path)
-    assert (done.returncode, done.stdout, done.stderr) == (0, f"facetrack {__version__}\n", "")
-
-
 # recipes
 
 
@@ -221,11 +210,6 @@ def test_check_lists_every_error_of_every_file(capsys, tmp_path):
     assert out[-1].startswith('"nowhere.yaml" is neither a file')
     assert main(["recipes", "check", "sir", "--set", "filter.particles=0"]) == 2
     assert main(["recipes", "check", "sir", "--set", "filter.particles=9"]) == 0
-
-
-def test_schema_is_json(capsys):
-    assert main(["recipes", "schema"]) == 0
-    assert json.loads(capsys.readouterr().out)["title"] == "Recipe"
 
 
 def test_every_shipped_recipe_has_one_task():

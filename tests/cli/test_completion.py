@@ -104,8 +104,3 @@ def test_bash_completes(tmp_path):
     environment = {**os.environ, "PATH": path, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     done = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, env=environment)
     assert (done.stdout.split(), done.stderr) == (["correlation_filter"], "")
-
-
-def test_a_shell_that_it_does_not_know(capsys):
-    assert main(["completion", "csh"]) == 2
-    assert "'csh' is not one of 'bash', 'zsh', 'fish'" in capsys.readouterr().err

@@ -7,7 +7,6 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli import app
-from facetrack_cli.cli.options import words_without
 from tests.support.terminal import refusal
 
 toml = pytest.mark.skipif(sys.version_info < (3, 11), reason="this Python has no tomllib")
@@ -25,7 +24,7 @@ def given(tmp_path, monkeypatch, capfd):
         command = app.cli.get_command(click.Context(app.cli), "run")
 
         def take(**values):
-            got.update(values, words=words_without("jobs"))
+            got.update(values)
 
         monkeypatch.setattr(command, "callback", take)
         for name, value in variables.items():
@@ -54,8 +53,6 @@ def test_underscores_do_as_well_and_other_tables_are_left_alone(given):
 def test_variables(given):
     got = given("run", "a.mp4", RUN_SET="a=1 b=2", RUN_NO_VIDEO="1", RUN_QUIET="0", RUN_JOBS="")
     assert (got["set"], got["no_video"], got["quiet"], got["jobs"]) == (("a=1", "b=2"), True, False, 1)
-    # what a cluster's workers are told
-    assert sorted(got["words"]) == ["--no-video", "--set=a=1", "--set=b=2"]
 
 
 @pytest.mark.parametrize(

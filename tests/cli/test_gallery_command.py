@@ -91,12 +91,6 @@ def test_the_sample_gallery_is_whole(facetrack):
     assert len(gallery.names) == 6 and gallery.counts == (5,) * 6
 
 
-def test_equal_input_gives_equal_bytes(facetrack, clips):
-    for name in ("a.npz", "b.npz"):
-        assert facetrack("gallery", "fit", "IN/people", "-o", name, "-q", "--jitter", "1") == (0, "", "")
-    assert Path("a.npz").read_bytes() == Path("b.npz").read_bytes()
-
-
 def test_template_is_width_by_height(facetrack, clips):
     assert facetrack("gallery", "fit", "IN/people", "--template", "13x15", "-q")[0] == 0
     assert load_gallery(Path("gallery.npz")).shape == (15, 13)
@@ -201,9 +195,3 @@ def test_a_name_without_room_is_cut_on_its_second_line():
     for number in range(1, 4):
         assert texts[at].startswith(f"{number} ") and texts[at + 1].endswith("…") and texts[at + 2] == "3 images"
         at += 3
-
-
-@pytest.mark.parametrize("shape", [(8, 8), (64, 20), (12, 90), (8, 200)])
-def test_templates_of_every_shape_are_drawn(shape):
-    picture = drawn(some_gallery(["anna", "ben"], shape=shape))
-    assert picture.shape[1] == WIDTH * DPI and (picture[:, -20:] == 255).all()

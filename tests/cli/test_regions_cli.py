@@ -98,7 +98,7 @@ def test_a_box_that_cannot_be_followed_is_told_alike_by_option_and_file(facetrac
     assert said in told and "chin" not in told
 
 
-@pytest.mark.parametrize("box", ["0,0,6,6", "-3,-3,6,6", "254,194,6,6", "0,0,260,200", "240,-20,39,60", "99,3,6,190"])
+@pytest.mark.parametrize("box", ["-3,-3,6,6", "0,0,260,200", "240,-20,39,60"])
 def test_boxes_at_the_border_are_followed(facetrack, box):
     options = ["--set", "likelihood.histogram.value_bins=8", "-o", "-", "--box", box, "--stop", "4"]
     code, out, err = run(facetrack, *options)

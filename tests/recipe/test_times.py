@@ -9,7 +9,6 @@ from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.recipe.load import in_frames, load_recipe
 from facetrack_cli.recipe.model import KINDS, to_dict
-from facetrack_cli.tracking.build.build import build_tracker
 
 TIMES = {
     "confidence.patience": "120 ms",
@@ -88,9 +87,3 @@ def test_frames_doubled_at_twice_the_rate_are_lost_after_the_same_time():
     assert lost_at(for_time, 2, 50) == pytest.approx(lost_at(for_time, 1, 25), abs=1 / 49)
     in_count = {**for_time, "confidence.patience": 10}
     assert lost_at(in_count, 2, 50) < lost_at(in_count, 1, 25) - 0.15
-
-
-def test_a_tracker_is_built_with_the_numbers_of_its_clip():
-    start = Start(0, {"target": TargetStart(box=(20.0, 20.0, 40.0, 40.0))}, "test")
-    [target] = build_tracker(load_recipe("correlation_filter", TIMES), start, 50)
-    assert target.confidence.memory == 100 and target.likelihood.settings.every == 4
