@@ -14,6 +14,7 @@ from facetrack_cli.tracking.models.likelihoods.skin_ncc import MIN_NCC
 from facetrack_cli.tracking.models.skin_colour import learn_skin
 from tests.support.images import frame, states
 from tests.support.parts import pattern, skin_cue, skin_ncc
+from tests.support.samples import TrackClip
 from tests.support.skin_faces import SIZE, TRUTH, learned, scene
 from tests.twins import ncc as naive
 
@@ -134,3 +135,28 @@ def test_sums_of_a_picture_that_is_skin_throughout_are_exact():
     likelihood, known = learned(bgr, (1500.0, 1450.0), ncc=None)
     rho = likelihood.rho(known, frame(bgr), states([(60, 60), (3040, 2940), (3040, 2800)]))
     np.testing.assert_allclose(rho, 0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("cost", "mean", "second", "holds"),
+    [
+        ("printed", "keep", False, False), ("shifted", "keep", False, True), ("shifted", "keep", True, False),
+        ("shifted", "remove", True, True), ("product", "keep", True, False), ("product", "remove", True, True),
+    ],
+)  # fmt: skip
+def test_the_readings_of_equation_11_on_a_darker_noisy_face(cost, mean, second, holds):
+    """Whether the peak stays on a real face, also beside a `second` patch of skin: what docs/decisions.md says."""
+    clip = TrackClip("expressions", 1)
+    left, top, w, h = clip.start.targets["face"].box
+    bgr, x, y = clip.frames[0].bgr, left + (w - 1) / 2, top + (h - 1) / 2
+    likelihood, known = learned(bgr, (x, y), (w, h), ncc=pattern(mean), cost=cost)
+    shown = bgr.copy()
+    if second:
+        skin = bgr[round(y) - 20 : round(y) + 20, round(x) - 20 : round(x) + 20].mean(axis=(0, 1))
+        beside = round(x + (1.15 * w if x + 1.6 * w < bgr.shape[1] else -1.15 * w)), round(y)
+        cv2.ellipse(shown, beside, (round(w / 2), round(h / 2)), 0, 0, 360, skin.tolist(), -1)
+    worse = np.clip(0.85 * shown + np.random.default_rng(0).normal(0, 6, bgr.shape), 0, 255).astype(np.uint8)
+    steps = [2.0 * np.arange(-int(0.75 * side), int(0.75 * side) + 1) for side in (w, h)]
+    off = np.stack(np.meshgrid(*steps), axis=-1).reshape(-1, 2)
+    away = float(np.hypot(*off[likelihood.score(known, frame(worse), states(off + np.array([x, y])))[:, 0].argmax()]))
+    assert away <= 2.0 if holds else away > 5.0
