@@ -35,7 +35,7 @@ from tests.support.samples import FOLDER
 
 SHOWN = {"zoom": "hopper", "lamp": "collins"}
 PEOPLE = FOLDER / "people.npz"
-SEEDS = (0, 1)
+SEEDS = (0,)
 
 
 class Against(NamedTuple):
@@ -86,7 +86,7 @@ def adaptive() -> dict[str, Against]:
 
 @pytest.fixture(scope="module")
 def recognised() -> dict[str, Against]:
-    return {clip: run(clip, "adaptive_recognition", f"recognition.gallery={PEOPLE}", seeds=(0,)) for clip in SHOWN}
+    return {clip: run(clip, "adaptive_recognition", f"recognition.gallery={PEOPLE}", stop=50) for clip in SHOWN}
 
 
 # --- tracking ------------------------------------------------------------------------------------------------------
@@ -132,17 +132,6 @@ def without(name: str, folder: Path) -> Path:
         counts=tuple(gallery.counts[i] for i in kept),
     ).save(path)
     return path
-
-
-def test_the_gallery_beside_the_clips_is_what_gallery_fit_makes_of_the_pictures(tmp_path: Path) -> None:
-    assert PEOPLE.stat().st_size < 400_000
-    assert main(["gallery", "fit", str(FOLDER / "gallery"), "-o", str(tmp_path / "people.npz"), "-q"]) == 0
-    ours, made = load_gallery(PEOPLE), load_gallery(tmp_path / "people.npz")
-    assert ours.names == made.names and ours.counts == made.counts and ours.shape == made.shape
-    np.testing.assert_allclose(ours.faces, made.faces, atol=1e-3)
-    np.testing.assert_allclose(ours.calibration, made.calibration, rtol=1e-2)
-    for one, other in ((ours.frontal, made.frontal), (ours.intra, made.intra), (ours.extra, made.extra)):
-        np.testing.assert_allclose(one.values, other.values, rtol=1e-2)
 
 
 # --- files, in a process of its own --------------------------------------------------------------------------------
@@ -192,7 +181,7 @@ def test_a_run_writes_who_it_is_into_table_json_and_video(tmp_path: Path) -> Non
 
 
 def test_threads_and_processes_change_nothing(tmp_path: Path) -> None:
-    asked = ["--config", "adaptive_recognition", "--gallery", PEOPLE, "--stop", 12, "--no-video", "-q", "--seed", 3]
+    asked = ["--config", "adaptive_recognition", "--gallery", PEOPLE, "--stop", 6, "--no-video", "-q", "--seed", 3]
     for threads in (1, 2):
         for clip in SHOWN:
             out = tmp_path / f"{clip}-{threads}"
