@@ -1,4 +1,4 @@
-"""Corrections of a run, one after the other, and the rows that follow from them; every step can be undone."""
+"""The corrections of a run and the rows that follow from them. Every step can be undone."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -17,7 +17,7 @@ from facetrack_cli.tracking.start.init_file import TARGET
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory
 
-MAX_STEPS: Final = 1000  # that can be undone
+MAX_STEPS: Final = 1000  # steps that can be undone
 Tracks: TypeAlias = Mapping[str, Sequence[Track]]  # of each target
 
 
@@ -29,15 +29,16 @@ class Step(NamedTuple):
 
 
 class Fixer:
-    """A run, and its corrections and rows `now`, which a call that fails or is stopped leaves as they were. One call at
-    a time may change them; other threads may read them meanwhile.
+    """A run with its corrections and rows `now`. A call that fails or is stopped leaves both as they were.
+
+    One call at a time may change them; other threads may read them meanwhile.
     """
 
     def __init__(self, run: Run, read: Read) -> None:
         self.run = run
         self._store = Store()
         self._tracking = Tracking(run, self._store, read)
-        # what corrections leave open is where the rows have it; those past the end stay as they are
+        # the rows complete a correction that does not place all parts; a correction past the end stays as it is
         at_first = (completed_by(one, run.rows) if one.frame <= run.last else one for one in run.start.corrections)
         self._at_first = self._ordered(at_first)
         plans = {name: self._plan(name, self._at_first) for name in run.rows.targets}
@@ -71,7 +72,7 @@ class Fixer:
         self._become([*others, *done.values()], report, stop)
 
     def remove(self, frame: int, target: str, *, report: Report = silent, stop: Stop = never) -> None:
-        """Remove a correction; what follows is tracked from the one before it, if it was not already."""
+        """Remove a correction. The target is tracked from the correction before, if these rows are not known yet."""
         if self.find(frame, target) is None:
             raise InputError(f"{target} has no correction at frame {frame}")
         self._become([one for one in self.corrections if (one.frame, one.target) != (frame, target)], report, stop)
@@ -82,8 +83,8 @@ class Fixer:
             self._take(self._past.pop())
 
     def apply(self, corrections: Sequence[Correction], *, report: Report = silent, stop: Stop = never) -> None:
-        """Have these corrections alone, those past the run's end too. What they leave open is where the track before
-        is.
+        """Replace all corrections by these, which may lie past the run's end. The track before a correction places
+        the parts that the correction does not place.
         """
         for one in corrections:
             self.check(one, beyond=True)
@@ -104,13 +105,13 @@ class Fixer:
         self._store.close()
 
     def _become(self, corrections: Sequence[Correction], report: Report, stop: Stop) -> None:
-        """Have these corrections, and track what no track is known of."""
+        """Take these corrections, and track the stretches of which no track is known."""
         plans = {name: self._plan(name, corrections) for name in self._known}
         found: dict[str, list[Track]] = {name: [] for name in plans}
-        ends: dict[str, Track] = {}  # which include the frame of the next beginning if that needs it
+        ends: dict[str, Track] = {}  # the last track of each target, one frame longer where the next needs it
         done = total = 0
         while any(plans.values()):
-            # one stretch a target at a time, so that targets that are corrected in the same frames share the images
+            # one stretch of each target a round, so that targets corrected in the same frames share the images
             tasks: list[Task] = []
             for name, plan in plans.items():
                 while plan:
@@ -132,7 +133,7 @@ class Fixer:
                 report(before + n, max(total, before + n))
 
             for task, track in zip(tasks, self._tracking.track(tasks, self.rows, report=step, stop=stop), strict=True):
-                # known rows stay, though one frame more was needed
+                # a known track stays, although it was tracked again to get one frame more
                 plan = plans[task.target]
                 shorter = self._find(task, plan[1].first if len(plan) > 1 else task.stop)
                 found[task.target].append(shorter or track)
@@ -157,7 +158,9 @@ class Fixer:
         return tuple(sorted(corrections, key=lambda one: (one.frame, places[one.target])))
 
     def _plan(self, target: str, corrections: Iterable[Correction]) -> list[Task]:
-        """The tasks of one target: from each beginning to the next, one frame more where that leaves parts open."""
+        """The tasks of one target, from each beginning to the next. A task goes one frame further where the next
+        correction does not place all parts.
+        """
         plan: list[Task] = []
         begin, first = None, self.run.first
         within = (one for one in corrections if one.target == target and one.frame <= self.run.last)
@@ -181,12 +184,12 @@ class Fixer:
 
 
 def completed_by(one: Correction, rows: Trajectory) -> Correction:
-    """A correction; what it leaves open is where the rows have it."""
+    """The correction with all parts placed: the rows place the parts that it does not place."""
     return completed(one, choose(rows.at(one.frame), one.target))
 
 
 def merged(new: Correction, before: Correction | None, parts: tuple[str, ...]) -> Correction:
-    """What is corrected now, merged with the correction `before` of the same frame and target, if any."""
+    """A `new` correction merged with the correction `before` it of the same frame and target, if there is one."""
     frame, target, points = new.frame, new.target, new.given.points
     if new.absent is True or (parts == (BOX,) and new.absent):
         return Correction(frame, target, absent=True)
@@ -215,7 +218,7 @@ def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:
 
 
 def _named(start: Start, run: Run) -> Start:
-    """With the targets that the recipe names, as in a run; what the file does not have is as in the run."""
+    """The start with the targets that the recipe follows; the run gives the targets that the file does not have."""
     names, out = run.recipe.followed, run.recipe.left_out
     given = {name: one for name, one in start.targets.items() if name not in out}
     if not names or not given:

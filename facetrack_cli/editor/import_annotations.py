@@ -1,4 +1,4 @@
-"""What somebody has corrected of a run in an annotation tool: its export differs from the rows that went there."""
+"""Corrections from an annotation tool: where its export differs from the rows of the run that were exported."""
 
 from collections import defaultdict
 from pathlib import Path
@@ -18,11 +18,11 @@ MOVED: Final = 0.05  # pixels: CVAT keeps two decimals
 
 
 def imported_corrections(path: Path, run: Run, rows: Trajectory) -> tuple[Correction, ...]:
-    """The corrections that the keyframes of an annotation tool's file make of `rows` of a run; () for none.
+    """The corrections in which the keyframes of an annotation tool's file differ from `rows` of a run; () for none.
 
-    A part that is visible has a place by hand where that is farther than MOVED from its row, where its row is lost or
-    absent, and in the first frame after it was not visible. A part that is not visible, and is neither lost nor absent
-    in its row, is absent from there on. InputError for what cannot be read, and for parts that the run does not have.
+    A visible part is placed by hand if its place is more than MOVED pixels from its row, if its row is lost or absent,
+    and in the first frame after it was not visible. A part that is not visible, and whose row is neither lost nor
+    absent, is absent from there on. InputError for a file that cannot be read, and for a part that the run lacks.
     """
     found = read_annotations(path, run)
     given: dict[tuple[int, str], dict[str, tuple[float, ...] | None]] = defaultdict(dict)

@@ -1,4 +1,4 @@
-"""Tracking targets again over a part of a run, while the others stay as recorded."""
+"""Tracks targets again over a part of a run. The other targets stay as recorded."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successive
 from facetrack_cli.trajectory.writers import as_written
 
-_APART_S: Final = 0.002  # a clip whose frames have other times than the run's is another clip
+MAX_TIME_OFF_S: Final = 0.002  # a frame whose time differs more from the run's is of another clip
 Read: TypeAlias = Callable[[int], Frame]
 Report: TypeAlias = Callable[[int, int], None]  # frames done, frames in all
 Stop: TypeAlias = Callable[[], bool]
@@ -39,7 +39,7 @@ def silent(done: int, total: int) -> None:
 
 
 class Store:
-    """Rows in a temporary file, so that undo over many corrections takes no memory. Thread-safe."""
+    """Rows in a temporary file: undo over many corrections takes no memory. Thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -50,7 +50,7 @@ class Store:
             raise OutputError(f"no temporary file can be made: {e.strerror or e}; set TMPDIR to a folder") from e
 
     def add(self, rows: Trajectory) -> Place:
-        """The place where they are from now on."""
+        """Store the rows; their place in the file."""
         data = pickle.dumps(rows)
         with self._lock:
             at, written = self._end, 0
@@ -97,7 +97,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Track(Task):
-    """The rows of a task. `at` is their place in the store; None: they are the run's recorded ones."""
+    """The rows of a task. `at` is their place in the store; None if they are the recorded rows of the run."""
 
     at: Place | None = None
 
@@ -114,7 +114,7 @@ def frames_of(tasks: Iterable[Task]) -> list[tuple[int, int]]:
 
 
 class Tracking:
-    """Tracks any tasks of a run, as often as it is asked, in the frames that `read` gives."""
+    """Tracks tasks of a run, in the frames that `read` gives."""
 
     def __init__(self, run: Run, store: Store, read: Read) -> None:
         self._run, self._store, self._read = run, store, read
@@ -152,7 +152,7 @@ class Tracking:
     def _frame(self, index: int) -> Frame:
         frame = self._read(index)
         then = float(self._run.rows.parts[0].time_s[index - self._run.first])
-        if abs(frame.time_s - then) > _APART_S:
+        if abs(frame.time_s - then) > MAX_TIME_OFF_S:
             times = f"is at {frame.time_s:.4f} s, and in the run at {then:.4f} s"
             raise InputError(f"{self._run.clip}: frame {index} {times}; name the run's clip with --clip")
         return frame

@@ -1,6 +1,5 @@
 """A finished run, read from its folder: rows, recipe, start, and the clip that it was made from."""
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from pydantic import ValidationError
 
-from facetrack_cli.core.errors import FacetrackError, InputError, OutputError
+from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.types import Correction, Start
 from facetrack_cli.recipe.files import shipped_folder, shipped_recipes
 from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe
@@ -34,8 +33,9 @@ _AGAIN: Final = "make the run again"
 
 @dataclass(frozen=True)
 class Run:
-    """A run: the `rows` of its JSON, the `start` with its corrections, its trajectories `files` with their `stamp` when
-    they were opened; `fps` is None for a video.
+    """A finished run: the `rows` of its JSON, and the `start` with its corrections.
+
+    `files` are its trajectories, each with its `stamp` when it was opened. `fps` is None for a video.
     """
 
     folder: Path
@@ -196,13 +196,6 @@ def write_rows(
     writer = WRITERS[form](_Sink(write), head)
     writer.write(rows)
     writer.close(ending)
-
-
-def check_writable(run: Run) -> None:
-    """OutputError if nothing can be written into the run's folder; checked before it is corrected."""
-    if not os.access(run.folder, os.W_OK):
-        remedy = "make it writable, or copy the run"
-        raise OutputError(f"{run.folder}: cannot be written, where what is corrected is to go; {remedy}")
 
 
 def check_size(run: Run, size: tuple[int, int]) -> None:

@@ -1,4 +1,4 @@
-"""What is corrected into the run's folder: all files are written beside the old ones, and then replace them."""
+"""Saves a corrected run: all files are written beside the old files, and then replace them together."""
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
@@ -25,13 +25,14 @@ from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
 
-Write: TypeAlias = Callable[[Callable[[bytes], object]], object]  # writes a file by calls of what it is given
+Write: TypeAlias = Callable[[Callable[[bytes], object]], object]  # writes one file by calls of `write(data)`
 
 
 def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Stop = never) -> list[str]:
-    """Write the rows of now, the corrections, and with `video` the video, if the run has one; a line on each file.
-    Raises OutputError or InputError if something cannot be written, StoppedError once `stop` says so; the folder is
-    then as it was.
+    """Write the rows, the corrections, and with `video` the run's video, if it has one; a line on each file.
+
+    Raises OutputError or InputError if a file cannot be written, StoppedError once `stop` says so; the folder is then
+    as it was.
     """
     run, rows, folder = fixer.run, fixer.rows, fixer.run.folder
     if not fixer.changed:
@@ -92,7 +93,7 @@ def replace_files(
 
 
 def _check(run: Run) -> None:
-    """OutputError if what is to be replaced is not what was opened, or no file."""
+    """OutputError if a file of the run has changed since it was opened, or a folder has the name of a file."""
     for path, opened in run.files.values():
         if stamp(path) != opened:
             raise OutputError(f"{path}: was written by somebody else since it was opened; begin again")
@@ -127,7 +128,7 @@ def repaint(run: Run, path: Path, rows: Trajectory, report: Report, stop: Stop) 
 
 
 def keep(fixer: Fixer) -> Path | None:
-    """Write the corrections that are not saved, for the next time; None if there are none. Raises OutputError."""
+    """Write the corrections that are not saved, so that the next session goes on with them. None if there are none."""
     path = fixer.run.folder / UNSAVED
     if not fixer.changed:
         forget(fixer.run)
@@ -137,6 +138,6 @@ def keep(fixer: Fixer) -> Path | None:
 
 
 def forget(run: Run) -> None:
-    """Remove what `keep` wrote."""
+    """Remove the file that `keep` wrote."""
     with contextlib.suppress(OSError):
         (run.folder / UNSAVED).unlink(missing_ok=True)

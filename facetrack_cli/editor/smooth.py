@@ -1,4 +1,4 @@
-"""A finished run smoothed: its rows given the whole clip, from what its filters knew (`run --keep-posterior`)."""
+"""Smooths a finished run: each row is estimated from the whole clip, by the posterior of `run --keep-posterior`."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from facetrack_cli.trajectory.trajectory import Trajectory, successive
 
 
 def smooth(run: str | Path, *, motion: MotionName = "recipe") -> Trajectory:
-    """The rows of a run given all of its clip; `run` is the folder, made with `facetrack run --keep-posterior`.
+    """The rows of a run estimated from its whole clip; `run` is the folder, made with `facetrack run --keep-posterior`.
 
-    With `motion` "fitted" the noise of each part's motion is not the recipe's, but what the clip itself shows. Rows
-    that were given by hand, and those of parts that are never seen again, stay. Nothing is written; `smoothed` in the
-    header says how. Raises InputError for a folder without a JSON trajectory or posterior, or with damaged ones.
+    With `motion` "fitted" the noise of each part's motion is estimated from the clip, not taken from the recipe. Rows
+    that were given by hand stay, and so do rows of a part that is never seen again. Nothing is written; `smoothed` in
+    the header says how. Raises InputError for a folder without a JSON trajectory or posterior, or with damaged ones.
     """
     folder = Path(run)
     return _smoothed(folder, _read(folder), motion)
@@ -42,11 +42,10 @@ def save_smoothed(
     report: Report = silent,
     stop: Stop = never,
 ) -> tuple[list[Path], tuple[str, ...]]:
-    """Write the smoothed run into `to`, None for its own folder; the files, warnings of its video, and a line on what
-    is older now.
+    """Write the smoothed run into `to`, None for its own folder; the files, and warnings, also on outdated files.
 
-    It has the trajectories and, with `video`, the annotated video of the run, drawn again from `clip`. In its own
-    folder the rows of before go to trajectory.filtered.csv, and the posterior is removed. Raises OutputError or
+    The trajectories are written and, with `video`, the annotated video of the run, drawn again from `clip`. In its own
+    folder the filter's rows are kept in trajectory.filtered.csv, and the posterior is removed. Raises OutputError or
     InputError, StoppedError once `stop` says so; nothing is written then.
     """
     rows, place = _read(folder), folder if to is None else to
@@ -78,7 +77,7 @@ def save_smoothed(
 
 
 def _read(folder: Path) -> Trajectory:
-    """The run's rows, finished if a save was interrupted."""
+    """The run's rows. A save that was interrupted is finished first."""
     trajectory_of(folder)
     return read_files(run_files(folder))
 

@@ -1,13 +1,13 @@
-"""Corrections along the clip: a target that begins again in each frame in which somebody corrected it.
+"""Corrections along the clip: a target begins again in each frame in which a user corrected it.
 
-There its particles stand together, as in the first frame, and its random numbers are of their own stream, (seed,
-target, frame). Parts that are given stand where the correction says; those that are kept, or not spoken of, stand where
-they were, rounded as in the CSV. What follows depends on the first frame, the correction, and the images from there on,
-and on nothing that was tracked before, so that `Resumed` tracks a part of a run with the rows of the whole run.
+There its particles stand together, as in the first frame, and its random numbers come from a stream of their own,
+(seed, target, frame). A given part stands where the correction says; a part that is kept, or not named, stands where
+it was, rounded as in the CSV. The rows after it depend on the first frame, the correction, and the images from there
+on, and on nothing that was tracked before: `Resumed` tracks a part of a run and gives the rows of the whole run.
 
-What is given is learned again, a box or points; the others keep what the first frame taught. A correction's `learn`
-says otherwise: false learns nothing, true all that is there, with points that are kept and the size of the face. What
-is absent has rows without a place until a later correction gives it. None of this is in the papers.
+A given box or point is learned again; the other points keep the appearance of the first frame. With `learn` false
+nothing is learned; with `learn` true all visible points and the size of the face are. An absent part has rows without a
+place until a later correction places it. None of this is in the papers.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ STREAM: Final = 2**31  # keeps the streams of corrections apart from those of ta
 
 
 class RestartPolicy(NamedTuple):
-    """How a target begins again: whether it is placed by `points`, and whether all of it is learned if nothing is said.
+    """How a target begins again: whether it is placed by `points`, and whether it is learned if `learn` is None.
 
     `place` finds the visible points in a box given alone, `build` makes the target that learns from a frame.
     """
@@ -172,12 +172,12 @@ def is_complete(correction: Correction, parts: Sequence[str]) -> bool:
 
 
 def correctable_parts(parts: Sequence[str]) -> tuple[str, ...]:
-    """The parts that corrections speak of: of a face's points those before its box; others a network places."""
+    """The parts that a correction may place: of a face the points before its box; a network places the others."""
     return tuple(parts[: parts.index(BOX)] if BOX in parts else parts) or tuple(parts)
 
 
 def completed(correction: Correction, rows: Trajectory) -> Correction:
-    """With the other parts where `rows`, of its target in its frame, have them, to the digits of the CSV, or absent."""
+    """The correction with its other parts as in `rows` of its frame: placed, to the digits of the CSV, or absent."""
     parts = [part for _, part in rows.names]
     if is_complete(correction, parts):
         return correction

@@ -4,7 +4,6 @@ import contextlib
 import errno
 import gc
 import json
-import os
 import pickle
 import shutil
 import tempfile
@@ -16,7 +15,6 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.types import Correction, TargetStart
-from facetrack_cli.editor import run_folder
 from facetrack_cli.editor.history import Fixer, corrections_of
 from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.save import save
@@ -27,7 +25,6 @@ from facetrack_cli.trajectory.writers import csv_frames
 from facetrack_cli.video.seek import Frames
 from facetrack_cli.video.source import open_source
 from tests.support.samples import FOLDER
-from tests.support.terminal import refusal
 
 FEW = ["--set", "filter.particles=20", "--no-video", "-q"]
 
@@ -242,14 +239,6 @@ def test_a_file_is_no_run(tmp_path):
     (tmp_path / "out").write_text("x")
     with pytest.raises(InputError, match="out: is a file; name the folder of a run"):
         open_run(tmp_path / "out")
-
-
-def test_a_folder_that_cannot_be_written_is_refused_before_the_page(short, tmp_path, monkeypatch, capfd):
-    """Tests may run as root, who may write anywhere."""
-    out = copied(short, tmp_path / "out")
-    monkeypatch.setattr(run_folder.os, "access", lambda path, mode: (path, mode) != (out, os.W_OK))
-    code = main(["fix", str(out)])
-    assert f"{out}: cannot be written, where what is corrected is to go" in refusal((code, *capfd.readouterr()), 2)
 
 
 def test_without_any_place_for_a_while_it_is_said_so(short, tmp_path, monkeypatch):

@@ -16,7 +16,6 @@ from facetrack_cli.trajectory.formats.boxes import (
     read_mot,
     read_otb,
     read_vot,
-    write_got10k,
     write_mot,
     write_otb,
     write_vot,
@@ -58,7 +57,7 @@ def test_otb_and_got10k_there_and_back(
     tmp_path: Path, rows: list[tuple[float, ...] | None], first: int, form: str
 ) -> None:
     one = track(list(range(first, first + len(rows))), rows)
-    text = {"otb": write_otb, "got10k": write_got10k}[form](one)
+    text = write_otb(one)
     assert text.count("\n") == len(rows)
     back = {"otb": read_otb, "got10k": read_got10k}[form](write(tmp_path, text), shift=first)
     agree(back.parts[0], one)
@@ -128,7 +127,7 @@ def test_formats_without_frame_numbers_have_no_room_for_gaps() -> None:
     assert write_vot(one) == "0\n0\n0\n0\n1\n4,4,3,3\n0\n0\n0\n4,4,3,3\n"
 
 
-@pytest.mark.parametrize("writer", [write_otb, write_got10k, write_vot, lambda one: write_mot([one])])
+@pytest.mark.parametrize("writer", [write_otb, write_vot, lambda one: write_mot([one])])
 def test_points_are_no_boxes(writer: object) -> None:
     with pytest.raises(InputError, match="face/nose: frame 3 has no w and h"):
         writer(one_part("face", "nose", [3], x=[1.0], y=[2.0]))  # type: ignore[operator]

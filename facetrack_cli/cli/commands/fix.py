@@ -60,7 +60,7 @@ class Fix:
 
     def run(self) -> int:
         from facetrack_cli.editor.history import Fixer
-        from facetrack_cli.editor.run_folder import check_size, check_writable, open_run
+        from facetrack_cli.editor.run_folder import check_size, open_run
         from facetrack_cli.runs.signals import Stop
         from facetrack_cli.video.seek import Frames
 
@@ -73,7 +73,6 @@ class Fix:
         opened = open_run(self.folder, self.clip)
         with Frames(opened.clip, fps=opened.fps) as frames:
             check_size(opened, frames.size)
-            check_writable(opened)
             with contextlib.closing(Fixer(opened, frames.read)) as fixer, Stop().listening() as stop:
                 code = self._serve(fixer, frames, stop) if file is None else self._apply(fixer, file, stop)
         return code

@@ -1,4 +1,4 @@
-"""Correcting a run on the page: what is dragged becomes a correction, and what follows from it is tracked again."""
+"""Correcting a run on the page: a part that is dragged is a correction, and its target is tracked again from there."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -28,12 +28,13 @@ from facetrack_cli.video.seek import Frames
 
 MAX_ROWS: Final = 600
 MAX_DOUBTFUL: Final = 100
-DOUBT: Final = 0.5  # a confidence below this is worth a look
+DOUBT: Final = 0.5  # a row of less confidence is listed for review
 
 
 class FixSession(Session):
-    """The corrections of one run; `unsaved` ones of the last session are applied first. With `video`, Save also writes
-    the annotated video again, if there is one.
+    """The corrections of one run. The `unsaved` corrections of the last session are applied first.
+
+    With `video`, Save also writes the annotated video again, if the run has one.
     """
 
     mode: ClassVar[Literal["fix"]] = "fix"
@@ -48,7 +49,7 @@ class FixSession(Session):
             "requirements": [_requirement(name, parts) for name, parts in self._parts.items()],
             "free": False,
             "saves_to": str(run.folder),
-            "learns": not isinstance(run.recipe, OpenCvRecipe),  # whose trackers always begin again
+            "learns": not isinstance(run.recipe, OpenCvRecipe),  # OpenCV's trackers always learn again
         }
         proposer, draft = Proposer(frames, run.recipe, run.recipe.points), Draft(run.first, {})
         super().__init__(frames, proposer, draft, about, first=run.first, last=run.last)
@@ -66,7 +67,7 @@ class FixSession(Session):
         )
 
     def proposals(self, frame: int) -> Json:
-        """Those for the targets of the run: a face may be any of them where the recipe names none."""
+        """Proposals for the targets of the run. Where the recipe names no targets, a face may be any of them."""
         found = super().proposals(frame)
         proposals = []
         for one in found["proposals"]:
@@ -148,7 +149,7 @@ class FixSession(Session):
         return Answer({}, 202)
 
     def _corrections(self, draft: Draft) -> list[Correction]:
-        """What the draft corrects, merged with the corrections of its frame. Raises RefusedError (422) if nothing."""
+        """The corrections of the draft, merged with those of its frame. RefusedError (422) if it corrects nothing."""
         found = []
         for name, one in draft.targets.items():
             if not one.empty:
@@ -159,7 +160,7 @@ class FixSession(Session):
         return found
 
     def _resume(self, corrections: Sequence[Correction], **options: Any) -> None:
-        """Apply what was not saved the last time."""
+        """Apply the corrections that the last session did not save."""
         try:
             self.fixer.apply(corrections, **options)
         except FacetrackError as e:

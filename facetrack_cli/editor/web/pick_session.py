@@ -1,4 +1,4 @@
-"""Choosing where a track begins, on the page: what a recipe requires, and whether a draft has it."""
+"""Choosing the start of a track on the page: which parts a recipe requires, and whether a draft has them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -31,9 +31,10 @@ _ABOUT_BOXES: Final = {
 
 
 class PickSession(Session):
-    """A start to be chosen, at first in `frame`, where the `box` of a face may give the first draft; `begun` is that of
-    the file to be replaced. Save writes to `out`, and an image to `preview`; without `out` the start is left in
-    `saved`. Raises InputError for a frame or box that cannot be.
+    """The choice of a start. The page first shows `frame`, where the `box` of a face may give the first draft.
+
+    `begun` is the start in the file to be replaced. Save writes to `out`, and an image to `preview`; without `out` the
+    start is left in `saved`. Raises InputError for a frame that does not exist or a box outside of it.
     """
 
     mode: ClassVar[Literal["pick"]] = "pick"
@@ -88,7 +89,7 @@ class PickSession(Session):
         self.begin("writing the init file", lambda _: self._write(start), saves=draft)
 
     def unsaved(self) -> Start | None:
-        """What was chosen and not saved; None if that is nothing, or nothing new."""
+        """The start that was chosen and not saved; None if nothing was chosen since the beginning."""
         with self.lock:
             draft = self.draft
             if self.ended is not None or draft == self._unchanged:
@@ -97,7 +98,7 @@ class PickSession(Session):
         return carried(Start(draft.frame, chosen, ORIGIN), self.begun) if chosen else None
 
     def _placed_by(self, chosen: Draft) -> str:
-        """The detector that has placed exactly what is chosen; "" if somebody has moved or drawn a part of it."""
+        """The detector that has placed all chosen parts; "" if the user has moved or drawn one of them."""
         known = [*self._given, *((draft, detector().name) for draft in self._proposer.proposed(chosen.frame))]
         same = chosen.frame, chosen.placed()
         return max((by for draft, by in known if (draft.frame, draft.placed()) == same), default="")
@@ -107,7 +108,7 @@ class PickSession(Session):
         if self.preview is not None:
             frame = self.frames.read(start.frame)
             write_preview(self.preview, frame, start, overwrite=self.overwrite or self._previewed)
-            self._previewed = True  # if what follows fails, the next attempt may replace it
+            self._previewed = True  # if the init file cannot be written, the next attempt may replace the preview
             messages.append(f"{self.preview}: the start drawn on frame {start.frame}")
         if self.out is not None:
             write_init(self.out, start, clip=self.clip.name, overwrite=self.overwrite)
@@ -119,7 +120,7 @@ class PickSession(Session):
 
 
 def requirement(target: str, points: Sequence[str], box: Literal["needed", "optional", "no"]) -> Json:
-    """What the page asks for of one target; "about" says in words what each point, and the box, should be."""
+    """The parts that the page asks for of one target; "about" describes each point, and the box, in words."""
     about = {part: WHAT_PARTS_ARE[part] for part in points if part in WHAT_PARTS_ARE}
     about["box"] = next((text for name, text in _ABOUT_BOXES.items() if name in target.lower()), "all of it, no more")
     return {"target": target, "box": box, "points": list(points), "about": about}
@@ -146,8 +147,9 @@ def _box_for(points: Sequence[str]) -> Literal["needed", "optional"]:
 def start_of(
     draft: Draft, size: tuple[int, int], frames: int | None, recipe: Recipe | None, begun: Start | None
 ) -> Start:
-    """The start of a draft, to 0.01 px, which a run accepts; with what of the earlier start `begun` is `carried`.
-    `frames` is their number where it is certain. Raises RefusedError (422), with all that is missing.
+    """The start of a draft, to 0.01 px, as a run accepts it, with windows and corrections `carried` from `begun`.
+
+    `frames` is the number of frames where it is certain. Raises RefusedError (422) that names all missing parts.
     """
     chosen = draft.placed()
     if recipe is not None:
@@ -171,7 +173,7 @@ def start_of(
 
 
 def fitted(start: Start, recipe: Recipe | None) -> Start:
-    """The start with those targets that the recipe follows; a single one by another name is the first of them."""
+    """The start with the targets that the recipe follows. A single target of another name is taken for the first."""
     if recipe is None or not recipe.followed:
         return start
     names = {name: name for name in start.targets if name in recipe.followed}
@@ -195,7 +197,7 @@ def carried(start: Start, begun: Start | None) -> Start:
 
 
 def _check_complete(chosen: Mapping[str, TargetStart], required: Sequence[Json], *, free: bool) -> None:
-    """RefusedError that names everything that is missing, by target."""
+    """RefusedError that names all missing parts, by target."""
     if not chosen:
         first = listed(_missing(TargetStart(), required[0]), MAX_POINTS)
         raise RefusedError(422, f"nothing is chosen yet; choose {first}")

@@ -1,4 +1,4 @@
-"""What choosing targets and correcting them share: one draft, and one job in a thread. All methods are thread-safe."""
+"""The base of picking and fixing: one draft, and one job in a thread. All methods are thread-safe."""
 
 import threading
 import time
@@ -19,7 +19,7 @@ Report: TypeAlias = Callable[[int, "int | None"], None]  # done, and in all if t
 
 
 class RefusedError(Exception):
-    """An answer in the 400s: its code, one line, and what else the JSON has."""
+    """An answer in the 400s: its code, one line for the user, and more members of the JSON."""
 
     def __init__(self, code: int, message: str, more: Mapping[str, Any] | None = None) -> None:
         super().__init__(message)
@@ -91,8 +91,10 @@ class Session(ABC):
             self.revision += 1
 
     def begin(self, what: str, work: Callable[[Report], None], *, saves: Draft | None = None) -> None:
-        """Run `work` as the job, whose error becomes the message. RefusedError (409) as `refuse_if_busy`, and if the
-        job `saves` a draft that is not the last one any more; until it ends, none is accepted.
+        """Run `work` as the job. Its error is shown as the message.
+
+        RefusedError (409) as of `refuse_if_busy`, and if the job `saves` a draft that has changed meanwhile. While such
+        a job runs, no draft is accepted.
         """
         with self.lock:
             self.refuse_if_busy()

@@ -1,4 +1,4 @@
-"""What annotation tools have in common: a track for each part, over all frames, with a box, and whether it is there.
+"""The tracks of annotation tools: one for each part, over all frames, with a box, and whether the part is visible.
 
 Labels are `target/part`, or the target alone for its box. Boxes are measured from the corner of the image, as here; a
 pixel's centre is at .5 there, and a whole number here, so that points move by half a pixel.
@@ -16,13 +16,13 @@ from facetrack_cli.core.types import BOX, Array, Texts, Whole
 from facetrack_cli.trajectory.reader import MAX_PIXELS
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, joined, one_part
 
-HALF = 0.5  # from our pixels, whose centres are whole numbers, to those that begin there
+HALF_PIXEL = 0.5  # the centre of the first pixel is 0 here and 0.5 in the tools
 
 
 class Track(NamedTuple):
     """One part over consecutive frames: centre `xy` (T, 2), `ltwh` (T, 4) and `state` (T,): `seen`, `lost` or `gone`.
 
-    The place of what is gone is its last one. `ltwh` of a point may be nan.
+    A part that is gone keeps its last place. `ltwh` of a point may be nan.
     """
 
     label: str
@@ -71,7 +71,7 @@ class Mark(NamedTuple):
 
 
 def box_mark(place: str, left: Any, top: Any, w: Any, h: Any, **about: Any) -> Mark:
-    """A box; InputError, with its `place` in a file, for what is no box."""
+    """The mark of a box. InputError, with its `place` in a file, if it is no box."""
     left, top, w, h = numbers(place, left, top, w, h)
     if w <= 0 or h <= 0:
         raise InputError(f"{place}: the box has no area; remove it, or mark it as not visible")
@@ -79,13 +79,13 @@ def box_mark(place: str, left: Any, top: Any, w: Any, h: Any, **about: Any) -> M
 
 
 def point_mark(place: str, x: Any, y: Any, **about: Any) -> Mark:
-    """A point, in the tool's pixels; InputError, with its `place` in a file, for what is none."""
+    """The mark of a point in the tool's pixels. InputError, with its `place` in a file, if it is no point."""
     x, y = numbers(place, x, y)
-    return Mark(x - HALF, y - HALF, **about)
+    return Mark(x - HALF_PIXEL, y - HALF_PIXEL, **about)
 
 
 def numbers(place: str, *given: Any) -> list[float]:
-    """Pixels or degrees as numbers; InputError, with their `place` in a file, for what are none."""
+    """Pixels or degrees as numbers. InputError, with their `place` in a file, if they are no numbers."""
     try:
         values = [float(one) for one in given]
     except (TypeError, ValueError, OverflowError):

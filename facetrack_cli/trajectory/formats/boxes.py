@@ -146,6 +146,8 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
 def write_otb(one: Trajectory) -> str:
     """A box a line, pixels from 1, at most 4 decimals: `read_otb` with the first frame as `shift` gives it back.
 
+    GOT-10k's text is the same; its toolkit wants it as `<clip>_001.txt`.
+
     The format has no frame numbers: line 1 is the series' first frame, as in OTB's own files of clips that begin late
     (David at frame 300). A place that is not known is nan,nan,nan,nan. Raises InputError for a gap between frames, or a
     row with a place and no size.
@@ -155,10 +157,6 @@ def write_otb(one: Trajectory) -> str:
         why = "a format without frame numbers has no room for a gap; export to mot or vot"
         raise InputError(f"{one.name}: {between}, and {why}")
     return "".join(",".join(map(_decimal, box)) + "\n" for box in (_known_boxes(one) + FROM_ONE).tolist())
-
-
-write_got10k = write_otb
-"""Both count pixels from 1 and keep a box a line. The toolkit wants it as `<clip>_001.txt`."""
 
 
 def write_vot(one: Trajectory) -> str:

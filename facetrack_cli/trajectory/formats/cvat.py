@@ -14,7 +14,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX
 from facetrack_cli.trajectory.formats.annotation import (
-    HALF,
+    HALF_PIXEL,
     Mark,
     box_mark,
     collected,
@@ -58,7 +58,7 @@ def write_cvat(table: Trajectory, size: tuple[int, int] | None, clip: str) -> st
         corners = np.concatenate([one.ltwh[:, :2], one.ltwh[:, :2] + one.ltwh[:, 2:]], axis=1)
         if one.part == BOX and not np.isfinite(corners).all():
             raise InputError(f"{one.label}: a box without w and h has no room in CVAT; fill those columns")
-        columns = (one.frame, one.state, corners, one.xy + HALF, one.angle)
+        columns = (one.frame, one.state, corners, one.xy + HALF_PIXEL, one.angle)
         for frame, state, edges, xy, angle in zip(*(column.tolist() for column in columns), strict=True):
             shape = {"frame": str(frame), "keyframe": "1"}
             shape |= {"outside": str(int(state == "gone")), "occluded": str(int(state == "lost"))}

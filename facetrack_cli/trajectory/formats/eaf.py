@@ -1,4 +1,4 @@
-"""ELAN's annotation format, EAF 3.0 (www.mpi.nl/tools/elan/EAFv3.0.xsd): tiers of what was lost and how a head moved.
+"""ELAN's annotation format, EAF 3.0 (www.mpi.nl/tools/elan/EAFv3.0.xsd): tiers of lost parts and of head motion.
 
 docs/export.md has the tiers. Their values are controlled vocabularies, described in the file. Times are those of the
 frames, in milliseconds; a span ends when the frame after it begins. The media URL is the path as it is, not

@@ -1,4 +1,4 @@
-"""Text files of numbers without quotes, as the tracking benchmarks keep them: their lines, and what is wrong with them.
+"""Text files of numbers without quotes, as the tracking benchmarks keep them: their lines, and errors in them.
 
 Every reader of this folder builds on these: one message a fault, with the file, the line and the remedy.
 """
@@ -19,7 +19,7 @@ from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS
 from facetrack_cli.trajectory.trajectory import Trajectory, build
 
-FROM_ONE = np.array([1.0, 1.0, 0.0, 0.0])  # what boxes (..., 4) that are counted from 1 have too much
+FROM_ONE = np.array([1.0, 1.0, 0.0, 0.0])  # boxes (..., 4) that count pixels from 1, minus boxes that count from 0
 
 
 def read_text(path: Path) -> str:
@@ -63,7 +63,7 @@ class Lines:
 
     @classmethod
     def by_frame(cls, path: Path) -> Lines:
-        """Those of a file in which line i is frame i: a blank one in the middle is an error, at the end it is not."""
+        """The lines of a file in which line i is frame i. A blank line is an error, but not at the end."""
         texts = [text.strip() for text in read_text(path).rstrip().split("\n")]
         found = cls(path, texts, list(range(1, len(texts) + 1)))
         found.refuse([not t for t in texts], "is blank, and each line is a frame; for none write nan,nan,nan,nan")
@@ -71,7 +71,7 @@ class Lines:
 
     @classmethod
     def with_frame(cls, path: Path) -> Lines:
-        """Those of a file whose lines name their frame: blank ones are passed over."""
+        """The lines of a file in which each line names its frame, without blank lines."""
         return cls.numbered(path, read_text(path).split("\n"))
 
     @classmethod

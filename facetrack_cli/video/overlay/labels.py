@@ -1,4 +1,4 @@
-"""Names beside the targets of a frame, and in its corners images of what a tracker knows (Zhou et al. 2003, fig. 3)."""
+"""Names beside the targets of a frame, and images of the templates in its corners (Zhou et al. 2003, fig. 3)."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -12,9 +12,9 @@ from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.overlay.marks import LOST, WHITE, Colour, Font, readable, stamp
 
 Rect = tuple[float, float, float, float]  # x0, y0, x1, y1
-_STAYS = 12  # frames at one place, at least
-_MIN_HEIGHT = 12  # pixels high, or nothing could be seen
-_MAX_TARGETS = 4  # targets with images, one a corner
+_MIN_STAY = 12  # frames that images stay in a corner
+_MIN_HEIGHT = 12  # pixels of an image; in a smaller image nothing can be seen
+_MAX_TARGETS = 4  # targets with images: one in each corner
 _MAX_BOXES = 60  # boxes in the frame; with more there is no room for names of parts
 _DECIDED = 0.5  # an identity less probable than that is doubtful
 _DOUBTFUL: Colour = (190, 190, 190)
@@ -51,7 +51,7 @@ class Insets:
         self._places, self._count = memory
 
     def draw(self, image: Image, shown: Iterable[Shown], windows: Sequence[Rect]) -> list[Rect]:
-        """Draw on `image` (H, W, 3) in place, away from `windows`, what has room; returns the places taken."""
+        """Draw the images that have room on `image` (H, W, 3) in place, away from `windows`; the places taken."""
         self._count += 1
         taken: list[Rect] = []
         places: dict[str, tuple[int, int]] = {}
@@ -97,7 +97,7 @@ class Insets:
         if now not in free:
             return min(free, key=lambda corner: (covered[corner], corner))
         hardly_better = min(covered.values()) > 0.5 * covered[now]
-        if not covered[now] or self._count - since < _STAYS or hardly_better:
+        if not covered[now] or self._count - since < _MIN_STAY or hardly_better:
             return now
         return min(free, key=lambda corner: (covered[corner], -_room(self._box(corner, size), windows)))
 

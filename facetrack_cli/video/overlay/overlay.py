@@ -24,10 +24,10 @@ from facetrack_cli.video.overlay.marks import GREY, LOST, PALETTE, WHITE, Colour
 from facetrack_cli.video.overlay.status_bar import StatusBar
 
 _FADES = 4  # steps of opacity along a trail
-_SAMPLES = 32  # of the past, at most, for a trail
-_DOTS = 150  # particles shown a part, at most
+_MAX_SAMPLES = 32  # earlier places along a trail
+_MAX_DOTS = 150  # particles shown of a part
 _ROOM, _SMALL = 9, 18  # least side of windows with dots, and with large marks, in line widths
-_FEW = 6  # parts of a face that have dots; of more, those that no line joins have tiny ones
+_MAX_DOTTED = 6  # parts: of a face with more parts, only points that no line joins have dots, which are tiny
 _FACE_DOT = 0.012  # radius of a point's dot, in sizes of its face
 _RIM = 0.7  # opacity of the dark rim around all lines
 _CIRCLE = np.stack([f(np.linspace(0, 2 * np.pi, 33)[:-1]) for f in (np.cos, np.sin)], axis=1)  # (32, 2)
@@ -60,7 +60,7 @@ class Overlay:
         self._bar = bar if height >= 48 and width >= 48 else None  # in tiny frames there is no room for it
         top = bar.height if self._bar else 0
         self._insets, self._labels = Insets(size, top, line, font), Labels(size, top, line, font)
-        self._stride = max(1, math.ceil(fps * trail_s / _SAMPLES)) if math.isfinite(fps * trail_s) else 1
+        self._stride = max(1, math.ceil(fps * trail_s / _MAX_SAMPLES)) if math.isfinite(fps * trail_s) else 1
         self._past: dict[str, deque[_Past]] = {}
         self._weights: dict[tuple[str, str], int] = {}
         self._reach = 4.0 * max(size)
@@ -129,12 +129,12 @@ class Overlay:
         return Shape(every.target, rows, parts, cloud, target.insets, centres, sizes, corners, bounds, lost, colours)
 
     def _remember(self, shape: Shape, now: float) -> list[_Past]:
-        """The target's past and its present, oldest first."""
-        past = self._past.setdefault(shape.target, deque(maxlen=_SAMPLES + 1))
+        """The places of the target along its trail, oldest first, the present place last."""
+        past = self._past.setdefault(shape.target, deque(maxlen=_MAX_SAMPLES + 1))
         if past and not past[-1].time_s < now:
             self._weights = {key: line for key, line in self._weights.items() if key[0] != shape.target}
             past.clear()
-        # a trail leads neither to a place that a correction gave nor past what was absent meanwhile
+        # a trail ends at a correction and at an absence
         if past and (past[-1].parts != shape.parts or shape.rows.by_hand.any()):
             past.clear()
         while past and now - past[0].time_s > self.trail_s:
@@ -154,7 +154,7 @@ class Overlay:
         if not shown.any():
             return
         width, height = self.size
-        dots = cloud[:: math.ceil(len(cloud) / _DOTS), shown]  # (n, K, 2)
+        dots = cloud[:: math.ceil(len(cloud) / _MAX_DOTS), shown]  # (n, K, 2)
         # fmin and fmax pass over NaN, which lands outside
         at = np.rint(np.fmax(np.fmin(dots, max(self.size) + 9), -9)).astype(np.int64)
         spread = np.arange(self._line) - (self._line - 1) // 2
@@ -174,10 +174,10 @@ class Overlay:
         place = {part: k for k, part in enumerate(shape.parts)}
         for path in ([place[part] for part in path] for path in LINES if place.keys() >= {*path}):
             for both in map(list, pairwise(path)):
-                colour = shape.colours[path[0]] if len(place) <= _FEW else shape.colour
+                colour = shape.colours[path[0]] if len(place) <= _MAX_DOTTED else shape.colour
                 colour = GREY if shape.lost[both].any() else colour
                 marks.polylines(image, [marks.fixed(shape.centres[both])], colour, max(1, self._line - 1))
-        for part in place.keys() - {BOX, *chain(*LINES)} if len(place) > _FEW else ():
+        for part in place.keys() - {BOX, *chain(*LINES)} if len(place) > _MAX_DOTTED else ():
             colour = GREY if shape.lost[place[part]] else shape.colour
             marks.mark(image, shape.centres[place[part]].tolist(), "tracked", colour, 0.5 * self._line, 1, False)
 
@@ -260,7 +260,7 @@ class Overlay:
         side = shape.side
         if shape.is_face:  # so small that the mouth between them is seen
             face = float(shape.side[shape.parts.index(BOX)])
-            dot = min(1.5 * self._line, max(_FACE_DOT * face, 0.6)) if len(shape.parts) <= _FEW else 0.0
+            dot = min(1.5 * self._line, max(_FACE_DOT * face, 0.6)) if len(shape.parts) <= _MAX_DOTTED else 0.0
             return [0.0 if part == BOX else dot for part in shape.parts]
         share = np.where(shape.lost & (side >= _SMALL * self._line), 0.3, 0.2)
         large = np.maximum(2 * self._line, share * np.minimum(side, 40 * self._line))

@@ -15,12 +15,12 @@ _QUIET: Colour = (190, 190, 190)
 _TROUGH: Colour = (130, 130, 130)
 LOST_TEXT: Colour = (110, 165, 255)  # vermilion itself is too dark to read on the strip
 _WORDY = 28  # heights of capitals: where a bar is as wide, the number of the frame is said to be one
-# what stands in the bar beside the status; the last goes first where it is narrow
+# items in the bar beside the status; in a narrow bar the last items are left out first
 _ITEMS = ("frame", "gauge", "clock", "title", "percent", "scale")
 
 
 class StatusBar:
-    """Writes what a result says as a whole over the top of images `width` pixels wide, capitals `cap` pixels high."""
+    """Writes a summary of each result over the top of images `width` pixels wide, in capitals `cap` pixels high."""
 
     def __init__(self, width: int, cap: int, line: int, title: str = "") -> None:
         self.height = round(1.9 * cap)
@@ -115,7 +115,7 @@ def summary(rows: Trajectory) -> tuple[Status, list[str]]:
 
 
 def _named(rows: Trajectory, those: Mask) -> list[str]:
-    """The names of `those` rows (R,); a target where it is all of its parts."""
+    """The names of `those` rows (R,): the name of the target alone where all of its parts are among them."""
     pairs = [rows.names[i] for i in rows.which.tolist()]
     chosen = [pair for pair, is_one in zip(pairs, those.tolist(), strict=True) if is_one]
     names = []
