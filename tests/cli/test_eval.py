@@ -5,7 +5,6 @@ import io
 import json
 import math
 import os
-import statistics
 import subprocess
 import sys
 from pathlib import Path
@@ -181,35 +180,6 @@ def test_truth_that_is_a_trajectory_is_not_believed_where_it_is_lost():
 def test_no_rows_at_all_are_refused():
     with pytest.raises(InputError, match="no row"):
         evaluate([pair("nose", frame=[])])
-
-
-def test_the_sample_clip_agrees_with_plain_arithmetic(tmp_path, capsys):
-    rows = list(csv.DictReader((SAMPLES / "occlusion.truth.csv").read_text().splitlines()))
-    random = np.random.default_rng(4)
-    lines, errors = [], {}
-    for row in rows:
-        dx, dy = (round(v, 3) for v in random.normal(0, 2, 2))
-        x, y = float(row["x"]) + dx, float(row["y"]) + dy
-        status = "init" if row["frame"] == "0" else "tracked"
-        lines.append(f"{row['frame']},face,{row['part']},{x:.3f},{y:.3f},,,,{status},,\n")
-        errors.setdefault((row["part"], row["status"]), []).append(math.hypot(dx, dy))
-    (tmp_path / "ours.csv").write_text(HEAD + "".join(lines))
-    at = str(tmp_path / "ours.csv"), "--truth", str(SAMPLES / "occlusion.truth.csv"), "--json", "-"
-    found = json.loads(run(*at, capsys=capsys).out)
-    for part in found["parts"]:
-        own = errors[part["part"], "visible"]
-        assert part["points"]["rows"] == len(own)
-        assert part["points"]["mean_px"] == pytest.approx(statistics.fmean(own), abs=1e-9)
-        assert part["points"]["median_px"] == pytest.approx(statistics.median(own), abs=1e-9)
-        assert part["points"]["std_px"] == pytest.approx(statistics.pstdev(own), abs=1e-9)
-    seen = [e for (_, status), own in errors.items() if status == "visible" for e in own]
-    first = {row["part"]: (float(row["x"]), float(row["y"])) for row in rows if row["frame"] == "0"}
-    size = max(math.dist(a, b) for a in first.values() for b in first.values())
-    assert found["all"]["points"]["failure_rate"] == sum(e > 0.1 * size for e in seen) / len(seen)
-    assert [(o["first"], o["last"], o["parts"]) for o in found["occlusions"]] == [
-        (51, 101, ["mouth_left", "lip_lower"]),
-        (155, 207, ["mouth_right", "lip_upper"]),
-    ]
 
 
 # --- the command -------------------------------------------------------------------------------------------------
