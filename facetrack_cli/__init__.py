@@ -5,8 +5,10 @@
     nose = facetrack.track_video("clip.mp4", "factorized").find("face", "nose")
     nose.frame, nose.x, nose.y, nose.confidence             # NumPy arrays, a row a frame
     recipe = facetrack.load_recipe("sir", {"filter.particles": 500})
-    for result in facetrack.track_frames(images, recipe):   # any iterable of images, as a webcam
-        image = facetrack.draw(result)                      # a new image with what the tracker says
+    with facetrack.Recording("out", recipe) as out:         # the files that `facetrack run` writes
+        for result in facetrack.track_frames(images, recipe):   # any iterable of images, as a webcam
+            out.write(result)
+            image = facetrack.draw(result)                  # a new image with what the tracker says
     facetrack.read_trajectory("clip-sir").to_pandas()       # what `facetrack run` wrote
 
 docs/python.md has the whole of it.
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
     from facetrack_cli.editor.smooth import smooth
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.run_folder.recovery import read_run as read_trajectory
-    from facetrack_cli.runs.api import draw, track_frames, track_video
+    from facetrack_cli.runs.api import Recording, draw, track_frames, track_video
     from facetrack_cli.trajectory.formats.read import read_truth
     from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
     from facetrack_cli.video.overlay.overlay import Overlay
@@ -36,6 +38,7 @@ __all__ = [
     "InputError",
     "Overlay",
     "RecipeError",
+    "Recording",
     "Start",
     "TargetStart",
     "Trajectory",
@@ -54,7 +57,7 @@ _PLACES = {
     "editor.smooth": ("smooth",),
     "recipe.load": ("load_recipe",),
     "run_folder.recovery": ("read_run",),
-    "runs.api": ("draw", "track_frames", "track_video"),
+    "runs.api": ("Recording", "draw", "track_frames", "track_video"),
     "trajectory.formats.read": ("read_truth",),
     "trajectory.trajectory": ("FrameResult", "Trajectory"),
     "video.overlay.overlay": ("Overlay",),

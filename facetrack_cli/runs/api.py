@@ -1,6 +1,7 @@
 """The Python interface: track a video or any images, by the same functions as the command line."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from itertools import chain, dropwhile, tee
 from pathlib import Path
@@ -18,7 +19,7 @@ from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.clip import track_clip
 from facetrack_cli.runs.job import Job, check
 from facetrack_cli.runs.posterior import check_smoothing
-from facetrack_cli.runs.recording import Memory
+from facetrack_cli.runs.recording import ClipFacts, Memory, Recorder
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import completed, search
 from facetrack_cli.tracking.build.build import tracker_for
@@ -26,6 +27,7 @@ from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.smoothed import lagged
 from facetrack_cli.tracking.start import read_init
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
+from facetrack_cli.trajectory.writers import Format
 from facetrack_cli.video.overlay.overlay import Overlay
 
 Init: TypeAlias = str | Path | Start | Box
@@ -105,9 +107,55 @@ def track_frames(
     if found is None:
         raise InputError(f"{IMAGES}: there is no frame {start.frame}, where {start.origin} begins")
     first = found
-    tracker = tracker_for(chosen, completed(chosen, start, lambda: first, IMAGES), first.size, fps)
-    results = track(tracker, chain([first], frames), chosen.seed, clip=IMAGES)
-    yield from lagged(results, lag) if lag else results
+    start = completed(chosen, start, lambda: first, IMAGES)
+    results = track(tracker_for(chosen, start, first.size, fps), chain([first], frames), chosen.seed, clip=IMAGES)
+    for result in lagged(results, lag) if lag else results:
+        yield replace(result, start=start) if result.frame.index == start.frame else result
+
+
+class Recording(Recorder):
+    """Writes the results of `track_frames` into the folder `out`, in a `with`, as `facetrack run` does.
+
+        with Recording("out", recipe=recipe) as out:
+            for result in track_frames(images, recipe):
+                out.write(result)
+
+    `recipe` is that of `track_frames`; `clip` names the images in the files, `fps` is their rate. The files appear
+    when the block ends; after an exception they hold the frames up to there. Raises InputError for a first result
+    without a start, and OutputError for a folder that holds something else, unless `overwrite`.
+    """
+
+    def __init__(
+        self,
+        out: str | Path,
+        recipe: str | Path | Recipe | None = None,
+        *,
+        clip: str | Path = IMAGES,
+        fps: float = 25.0,
+        formats: Sequence[Format] = ("csv", "json"),
+        video: bool = True,
+        overwrite: bool = False,
+    ) -> None:
+        chosen, rate = _recipe(recipe, None, None), Fraction(fps).limit_denominator(1001)
+        super().__init__(Job(Path(clip), chosen, Path(out), formats=tuple(formats), video=video, overwrite=overwrite))
+        self._rate = rate
+
+    def write(self, result: FrameResult) -> None:
+        """Write one more frame."""
+        if not self.outcome.frames:
+            if result.start is None:
+                raise InputError(f"{self.job.out}: the first result has no start; write results of track_frames")
+            self.begin(ClipFacts(str(self.job.clip), result.frame.size, self._rate), result.start)
+        super().write(result)
+
+    def __exit__(self, kind: object = None, error: object = None, trace: object = None) -> None:
+        done = None
+        if self.outcome.frames:
+            stopped = "interrupted" if isinstance(error, KeyboardInterrupt) else None
+            done = self.close(stopped=stopped, error=error if isinstance(error, Exception) else None)
+        super().__exit__(kind, error, trace)
+        if done is not None and done.error is not None and error is None:
+            raise done.error
 
 
 def draw(result: FrameResult, overlay: Overlay | None = None) -> Image:

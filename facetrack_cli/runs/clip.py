@@ -11,7 +11,7 @@ from facetrack_cli.run_folder.checkpoint import forget
 from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended, silent
 from facetrack_cli.runs.join import join
 from facetrack_cli.runs.pipeline import decoded_ahead
-from facetrack_cli.runs.recording import Recorder
+from facetrack_cli.runs.recording import ClipFacts, Recorder
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import frames_of
 from facetrack_cli.tracking.build.build import tracker_for
@@ -54,7 +54,7 @@ def track_clip(job: Job, out: Recorder, stop: Stop, report: Report = silent, loo
         source.strict = job.strict
         check_lag(job, source)
         tracker = _tracker(job, start, source, state.at, begins)
-        out.begin(source, start)
+        out.begin(ClipFacts.of(job.clip, source), start)
         asked = frames_of(source, state.frame, job.origin(start))
         try:
             with decoded_ahead(asked, threaded=job.threads > 1, stopped=stop) as frames:

@@ -17,7 +17,7 @@ from facetrack_cli.run_folder.recovery import read_run
 from facetrack_cli.runs.job import Job, Outcome, Report, silent
 from facetrack_cli.runs.pipeline import decoded_ahead
 from facetrack_cli.runs.plan import FILE, Plan, read_plan
-from facetrack_cli.runs.recording import Recorder
+from facetrack_cli.runs.recording import ClipFacts, Recorder
 from facetrack_cli.runs.seams import Seam, meet, renamed
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.runs.verdict import Watch
@@ -145,7 +145,7 @@ def join(job: Job, out: Recorder, stop: Stop, report: Report = silent) -> Outcom
             rows = part.rows()
             if not out.outcome.frames:
                 declared = {name: rows.header[name] for name in ("diagnostics",) if name in rows.header}
-                out.begin(source, plan.start, {**declared, **more})
+                out.begin(ClipFacts.of(job.clip, source), plan.start, {**declared, **more})
             if stop():
                 raise StoppedError
             out.write_rows(rows)

@@ -10,10 +10,11 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import cv2
 import numba
@@ -68,6 +69,21 @@ class RunState:
     watch: Watch | None = None
     tables: tuple[Place, ...] = ()
     posterior: WriterState | None = None
+
+
+class ClipFacts(NamedTuple):
+    """What the files of a run say of its clip, and where its sound is."""
+
+    path: str
+    size: tuple[int, int]
+    fps: Fraction
+    sound: Path | None = None
+    frames_hint: int | None = None
+
+    @classmethod
+    def of(cls, clip: Path, source: Source) -> ClipFacts:
+        sound = source.path if source.is_video else None
+        return cls(str(clip), source.size, source.fps, sound, source.frames_hint)
 
 
 class Recorder:
@@ -156,7 +172,7 @@ class Recorder:
                 raise cannot_write(path, e) from e
         return True
 
-    def begin(self, source: Source, start: Start, more: Header = MappingProxyType({})) -> None:
+    def begin(self, source: ClipFacts, start: Start, more: Header = MappingProxyType({})) -> None:
         """Take the clip and its start, which the headers name, with `more`; the files begin with the first frame."""
         self._source, self._start, self._more = source, start, more
 
@@ -218,7 +234,7 @@ class Recorder:
     def _start_video(self, path: Path) -> None:
         source, checkpoints = self._source, self._checkpoints
         overlay = Overlay(source.size, fps=float(source.fps), title=self.job.recipe.name)
-        about: dict[str, Any] = {"audio_from": source.path if source.is_video else None, "replace": False}
+        about: dict[str, Any] = {"audio_from": source.sound, "replace": False}
         if checkpoints is not None:
             about["pieces"] = checkpoints.folder
         if self._painted is not None:
@@ -403,12 +419,12 @@ def _versions() -> Mapping[str, str]:
     return {**known, "numba": numba.__version__}
 
 
-def _header(job: Job, source: Source, start: Start, rows: Trajectory) -> dict[str, Any]:
+def _header(job: Job, source: ClipFacts, start: Start, rows: Trajectory) -> dict[str, Any]:
     # those that every facetrack knows are not declared
     declared = {one.name: one for found in rows.diagnostics.values() for one in found.declared if one.name not in KNOWN}
     return {
         "versions": _versions(),
-        "source": {"path": str(job.clip), "size": list(source.size), "fps": round(float(source.fps), 6)},
+        "source": {"path": source.path, "size": list(source.size), "fps": round(float(source.fps), 6)},
         "recipe": {"name": job.recipe.name, **to_dict(job.recipe)},
         "seed": job.recipe.seed,
         "init": {"from": start.origin, **to_record(start)},

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array, Frame, Image, Mask, Texts, Whole
+from facetrack_cli.core.types import Array, Frame, Image, Mask, Start, Texts, Whole
 from facetrack_cli.trajectory.diagnostics import POSTERIOR, SURE, Diagnostics, outlines
 
 if TYPE_CHECKING:
@@ -337,10 +337,11 @@ class TargetResult(NamedTuple):
 
 @dataclass(frozen=True)
 class FrameResult:
-    """What a tracker says of one frame."""
+    """What a tracker says of one frame. The first result of `track_frames` has the `start` of the track."""
 
     frame: Frame
     targets: tuple[TargetResult, ...]
+    start: Start | None = None
 
     @cached_property
     def rows(self) -> Trajectory:

@@ -114,3 +114,42 @@ def test_only_public_names_are_there():
     assert all(getattr(facetrack, name) is not None for name in facetrack.__all__)
     with pytest.raises(AttributeError, match="nothing"):
         facetrack.nothing  # noqa: B018
+
+
+@pytest.mark.parametrize(("recipe", "clip"), [("factorized", CLIP), ("head_hands", FOLDER / "signing.mp4")])
+def test_a_recording_is_what_run_writes(tmp_path, recipe, clip):
+    from facetrack_cli.video.source import open_source
+
+    assert main(["run", str(clip), "--config", recipe, "--stop", "8", "-o", str(tmp_path / "run"), "-q"]) == 0
+    begin = clip.with_suffix(".init.yaml")
+    with open_source(clip, stop=8) as source:
+        given, fps = np.stack([frame.bgr for frame in source]), float(source.fps)
+    with facetrack.Recording(tmp_path / "out", recipe, clip=clip, fps=fps) as out:
+        for result in facetrack.track_frames(given, recipe, init=begin, fps=fps):
+            out.write(result)
+    csv, json = ((tmp_path / "out" / f"trajectory.{form}").read_text() for form in ("csv", "json"))
+    assert csv == (tmp_path / "run" / "trajectory.csv").read_text()
+    # images do not tell whether the times of their clip vary
+    assert json.replace("null", "false") == (tmp_path / "run" / "trajectory.json").read_text().replace("null", "false")
+    names = [sorted(path.name for path in (tmp_path / folder).iterdir()) for folder in ("out", "run")]
+    assert names[0] == names[1]
+
+
+def test_a_recording_keeps_what_came_before_an_error(tmp_path, images):
+    results = list(facetrack.track_frames(images, "factorized", init=CLIP.with_suffix(".init.yaml")))
+
+    def write():
+        with facetrack.Recording(tmp_path / "out", "factorized", video=False) as out:
+            for result in results[:5]:
+                out.write(result)
+            raise ValueError("five")
+
+    with pytest.raises(ValueError, match="five"):
+        write()
+    kept = facetrack.read_trajectory(tmp_path / "out")
+    assert len(kept.frames) == 5 and (kept.header["complete"], kept.header["stopped"]) == (False, "five")
+    with pytest.raises(facetrack.FacetrackError, match="exists already"):
+        write()
+    with pytest.raises(facetrack.InputError, match="has no start"), facetrack.Recording(tmp_path / "x") as out:
+        out.write(results[1])
+    assert not (tmp_path / "x").exists()
