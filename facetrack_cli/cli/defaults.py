@@ -20,9 +20,9 @@ _NOT_SET = {"debug", "version", "help"}  # of facetrack itself; FACETRACK_DEBUG 
 
 
 def read_defaults(ctx: click.Context) -> dict[str, Any]:
-    """Those of the options of `facetrack` and of the command that is called, by the names of their parameters.
+    """The user's defaults for `facetrack` and for the command that is called, by the names of parameters.
 
-    Raises UsageError that names the file and the key, or the variable, for what is no option, or no value of one.
+    Raises UsageError for an unknown option or a wrong value; it names the file and the key, or the variable.
     """
     found = _nearest()
     path, table = found if found is not None else (Path("pyproject.toml"), {})
@@ -43,7 +43,7 @@ def _nearest() -> tuple[Path, Any] | None:
     except OSError as error:
         warn(f"{path}: cannot be read for defaults: {error.strerror}")
         return None
-    if b"facetrack" not in data:  # most projects; without loading the parser
+    if b"facetrack" not in data:  # as in most projects: the parser is not loaded
         return None
     try:
         import tomllib
@@ -81,7 +81,7 @@ def _of_command(ctx: click.Context, table: Any, where: str, prefix: str) -> dict
         if text := os.environ.get(variable):
             value = option.type.split_envvar_value(text) if option.multiple else text
             found[str(option.name)] = _checked(ctx, option, value, variable)
-    # of commands that are not called nothing is asked: that would load them
+    # other commands are not loaded
     for name in [one for one in below if ctx.parent is not None or one == ctx.invoked_subcommand]:
         command = group.get_command(ctx, name) if group is not None else None
         if command is not None:

@@ -1,4 +1,4 @@
-"""What a shell completes: recipes, their keys, files and folders. It answers while one types, so it loads no recipe."""
+"""What a shell completes: recipes, their keys, files and folders. It answers at each key, so it loads no recipe."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Complete: TypeAlias = Callable[[click.Context, click.Parameter, str], list[Compl
 
 
 def completes(metavar: str) -> Complete | None:
-    """What completes a value that the help calls `metavar`; None: what click does by the value's type."""
+    """The completion of a value that the help calls `metavar`; None: click completes it by the value's type."""
     return _COMPLETE.get(metavar.rstrip("."))
 
 

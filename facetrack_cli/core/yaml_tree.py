@@ -1,7 +1,7 @@
-"""YAML 1.2 text as a tree of values with their places, so that an error can point at one.
+"""YAML 1.2 text as a tree of values, each with its place, so that an error can point at it.
 
-What settings do not need and what makes them dangerous or ambiguous is refused: anchors and aliases (a few lines can
-expand to gigabytes), tags, repeated keys, keys that are not names, several documents, numbers that are not finite.
+The reader refuses anchors and aliases (a few lines can expand to gigabytes), tags, repeated keys, keys that are not
+names, several documents, and numbers that are not finite.
 Plain scalars follow the core schema of YAML 1.2.2, section 10.3.2: `1e-3` is a number, `no` a text, `010` ten.
 """
 
@@ -34,7 +34,7 @@ _NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A text and what to call it: a file's name, or the option of the command line that it came from."""
+    """A text and its name: the name of a file, or the option of the command line that holds the text."""
 
     name: str
     text: str
@@ -83,7 +83,7 @@ class Problem:
 
 @dataclass(slots=True)
 class Node:
-    """A value and its place; `key` is the place of its key, if it has one."""
+    """A value and its place; `key` is the place of its key, or None."""
 
     span: Span
     value: Scalar | list[Node] | dict[str, Node]
@@ -106,7 +106,7 @@ class Node:
                 yield (name, *path), child
 
 
-class YamlProblems(Exception):  # noqa: N818  (it carries several)
+class YamlProblems(Exception):  # noqa: N818  (it carries several problems)
     """The text is refused; `problems` holds at least one."""
 
     def __init__(self, problems: Sequence[Problem]) -> None:
@@ -120,7 +120,9 @@ def read_source(path: Path, name: str, most: int = MAX_BYTES) -> Source:
         data = file.read(most + 1)
     start = Span(Source(name, "", path.parent), 0, 0, 0)
     if len(data) > most:
-        raise YamlProblems([Problem(start, f"larger than {most // 1000} kB, as no such file is; name the right one")])
+        raise YamlProblems(
+            [Problem(start, f"larger than {most // 1000} kB: too large for such a file; name another")]
+        )
     data = data.removeprefix(codecs.BOM_UTF8)
     try:
         text = data.decode()
@@ -139,9 +141,9 @@ def parse(source: Source, *, start: int = 0) -> Node | None:
 
 
 def assign(root: Node, option: str, assignment: str) -> None:
-    """Put a value into the tree from the command line: `option` is its name there, `assignment` is `a.b=VALUE`.
+    """Put a value from the command line into the tree: `option` is the option's name, `assignment` is `a.b=VALUE`.
 
-    The value is YAML. Mappings on the way are made where nothing is. Raises YamlProblems with the place.
+    The value is YAML. Missing mappings on the way are made. Raises YamlProblems with the place.
     """
     source = Source(f"{option} {printable(assignment)}", assignment, Path(), is_file=False)
     path, equals, _ = assignment.partition("=")
@@ -287,7 +289,7 @@ class _Reader:
         return Span(self.source, line + len(head) - 1, column + shift, end + shift)
 
     def refuse(self, event: Any, message: str, of_anchors: bool = False) -> None:
-        if not (of_anchors and self.seen_alias):  # once is enough where there are hundreds
+        if not (of_anchors and self.seen_alias):  # one message is enough for hundreds of them
             self.problems.append(Problem(self.span(event), message))
         self.seen_alias |= of_anchors
 

@@ -1,4 +1,4 @@
-"""What pydantic finds wrong with a recipe, as problems with a place in the text and a remedy."""
+"""The errors that pydantic finds in a recipe, as problems with a place in the text and a remedy."""
 
 import types
 from collections.abc import Iterator, Sequence
@@ -38,7 +38,7 @@ def problems(error: ValidationError, model: type[BaseModel], root: Node) -> list
 
 
 def _short_lists(missing: Sequence[Steps], root: Node) -> Iterator[Problem]:
-    """Of lists of a fixed length pydantic says which items are missing, one by one."""
+    """pydantic reports each missing item of a list of fixed length: this reports each list once."""
     wanted: dict[Steps, int] = {}
     for *path, last in missing:
         if isinstance(last, int):
@@ -181,7 +181,7 @@ def _length(node: Node) -> int:
 
 
 def _value_span(node: Node) -> Span:
-    """Where to point for a wrong value: at its key if it is a section, or if nothing stands there."""
+    """The place of a wrong value; of a section, and of an empty value, the place of its key."""
     nothing = node.span.end <= node.span.column
     return node.key if node.key is not None and (nothing or isinstance(node.value, dict)) else node.span
 

@@ -87,7 +87,7 @@ class ParticleFilter(Section):
             yield Refusal(("filter", "particles"), message)
 
     def _mismatch(self, key: str, given: Component) -> Refusal:
-        """What is said of a section that does not go with the type of the target."""
+        """The error for a section that does not go with the type of the target."""
         said = f'does not go with target type "{self.target.type}"'
         if not isinstance(given, Kind):
             return Refusal((key,), f"{key} {said}; remove it, or follow an affine target")
@@ -129,7 +129,7 @@ class Recipe(Section):
 
     @property
     def filters(self) -> Mapping[str, ParticleFilter]:
-        """Its particle filters by target, in their order; a filter of whatever targets there are has an empty name."""
+        """The particle filters by target, in order; a filter for any target has an empty name."""
         return {}
 
     @property
@@ -139,12 +139,12 @@ class Recipe(Section):
 
     @property
     def followed(self) -> tuple[str, ...]:
-        """The names of its targets, the one whose face is looked for first; none for a tracker of whatever there is."""
+        """The names of the targets, first the target whose face is searched for; none for a tracker of any target."""
         return tuple(filter(None, self.filters))
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Names of targets that it knows and does not follow: where a start has them, they are passed over."""
+        """Names of targets that the recipe sets to null: a start may have them, and no tracker follows them."""
         return ()
 
     @property
@@ -260,7 +260,7 @@ def register(section: type[S]) -> type[S]:
 
 
 def rebuild() -> None:
-    """Let recipes take up what was put into the registry."""
+    """Build the models of recipes again, with the sections that the registry has now."""
     for model in (ParticleFilter, ParticleRecipe, ParticlesRecipe):
         model.model_rebuild(force=True)
 

@@ -38,7 +38,7 @@ GROUP = "facetrack.sections"  # the entry points by which other packages bring s
 
 
 class Refusal(NamedTuple):
-    """What a rule between several fields finds wrong: the path from the model on, and whether its key is meant."""
+    """An error that a rule between several fields finds: its path from the model on, and whether it is at the key."""
 
     path: Steps
     message: str
@@ -81,7 +81,7 @@ class Component(Section):
         return pkgutil.resolve_name(self.engine)(self, context)
 
     def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
-        """What does not fit the other sections of its particle filter; paths begin at that."""
+        """What does not fit the other sections of its particle filter; paths begin at the particle filter."""
         return ()
 
     @property
@@ -91,13 +91,13 @@ class Component(Section):
 
 
 class Kind(Component):
-    """A section of which there are several types: what it is called in a recipe is the Literal of its `type`."""
+    """A section that has several types. A recipe names a type by the Literal of the field `type`."""
 
     type: str
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
-        """Of a kind, as of the field `filter: Filter`, the schema of a union of all its types."""
+        """The schema of a kind, as in the field `filter: Filter`, is the union of all its types."""
         if cls not in KINDS:
             return handler(source)
         types = tuple(registered(cls).values())
@@ -148,7 +148,7 @@ class Filter(Kind):
         return partial(pkgutil.resolve_name(self.engine), self)
 
     def most(self, whole: ParticleFilter) -> tuple[int, Steps]:
-        """How many particles there may be in any frame, and the path of the key that says so."""
+        """The largest number of particles in a frame, and the path of the key that sets it."""
         return self.particles, ("filter", "particles")
 
 
@@ -181,7 +181,7 @@ def registered(kind: type[Kind]) -> Mapping[str, type[Kind]]:
 
 
 def add(section: type[Kind]) -> None:
-    """Put a section into the registry. Raises TypeError for what is none, ValueError for a name that is taken."""
+    """Put a section into the registry. TypeError if it is not a section, ValueError if its name is taken."""
     kind = next((one for one in KINDS if isinstance(section, type) and issubclass(section, one)), None)
     name = type_of(section) if kind is not None else ""
     if kind is None or not name:
@@ -198,7 +198,7 @@ def add(section: type[Kind]) -> None:
 
 
 def type_of(section: type[BaseModel]) -> str:
-    """What recipes call it; empty for a section of which there are no several types."""
+    """The name of a type in recipes; empty for a section that has no types."""
     field = section.model_fields.get("type")
     return str(get_args(field.annotation)[0]) if field and typing.get_origin(field.annotation) is Literal else ""
 

@@ -1,6 +1,7 @@
-"""Where numba keeps compiled kernels if neither the package's folder nor the user's cache is writable: it fails then.
+"""The folder of compiled kernels, and the message that they are being compiled.
 
-And who is told while there are none yet. numba reads NUMBA_CACHE_DIR when it is imported, so the package sets it first.
+numba keeps them in the package's folder or the user's cache, and fails if it can write to neither: then this file names
+a third folder. numba reads NUMBA_CACHE_DIR when it is imported, so the package sets it first.
 """
 
 import os
@@ -11,12 +12,12 @@ _listeners: list[Callable[[str], None]] = []
 
 
 def tell(say: Callable[[str], None]) -> None:
-    """`say` hears it, once, if a kernel is compiled that no earlier run has left, which takes seconds."""
+    """Call `say` once, with a message, when a kernel is not in the cache: to compile it takes seconds."""
     _listeners[:] = [say]
 
 
 def compiling() -> None:
-    """A kernel is about to be compiled."""
+    """To be called before a kernel is compiled."""
     if _listeners:
         _listeners.pop()("compiling kernels, once: this takes some 10 s, and later runs find them")
 
@@ -49,7 +50,7 @@ def _temporary() -> str:
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
         found = folder.lstat()
-        # what lies there is run: nobody else may have put it there
+        # its files are executed: nobody else may have written them
         if found.st_uid == os.getuid() and not folder.is_symlink() and found.st_mode & 0o077 == 0:
             return str(folder)
     except OSError:

@@ -80,7 +80,7 @@ def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frame
         if one.frame <= start.frame:
             begins = f"but the track begins at frame {start.frame}; remove that correction, or begin earlier"
             raise InputError(f"{origin}: corrects {one.target} at frame {one.frame}, {begins}")
-        # what is kept is where the tracker saw it, which may be beyond the border
+        # kept points are where the tracker saw them, which may be beyond the border
         name, box = f"{one.target} at frame {one.frame}", one.given.box
         _check_places(origin, name, one.given, size)
         if box is not None and (box[2] > size[0] or box[3] > size[1]):

@@ -251,7 +251,7 @@ def _corrections(node: Node, first: int, targets: Mapping[str, TargetStart]) -> 
 
 
 def _corrected(keys: _KEYS, entry: Node, targets: Mapping[str, TargetStart]) -> _KEYS:
-    """What one entry says of each of its targets."""
+    """The keys of each target of an entry."""
     if any(key in (*KEYS, *OF_CORRECTIONS) for key in keys):
         if len(targets) > 1:
             _refuse(entry, f"which target is corrected? Indent the keys below its name: {', '.join(targets)}")
@@ -320,7 +320,7 @@ def _mapping(node: Node, what: str, example: str) -> _KEYS:
 
 
 def _frame(keys: _KEYS, node: Node) -> int:
-    """The frame number, which is taken out of the keys."""
+    """The frame number; its key is removed."""
     if "frame" not in keys:
         _refuse(node, 'the key "frame" is missing; add frame: N, counted from 0')
     at = keys.pop("frame")
@@ -330,7 +330,7 @@ def _frame(keys: _KEYS, node: Node) -> int:
 
 
 def _placed_by(keys: _KEYS) -> str:
-    """The detector that has placed the points, "" for nobody; the key is taken out."""
+    """The detector that has placed the points, "" if none has; the key is removed."""
     node = keys.pop("placed_by", None)
     if node is not None and node.value not in DETECTORS:
         _refuse(node, f"placed_by names a detector, {' or '.join(DETECTORS)}; remove the line if none did")
@@ -338,6 +338,6 @@ def _placed_by(keys: _KEYS) -> str:
 
 
 def _refuse(node: Node, message: str, *, at_key: bool = False) -> NoReturn:
-    """Refuse what stands at a node; what is empty has no place of its own, its key has."""
+    """Refuse the value of a node. An empty value has no place, so the error points at its key."""
     span = node.key if (at_key or node.value is None) and node.key is not None else node.span
     raise YamlProblems([Problem(span, message)])

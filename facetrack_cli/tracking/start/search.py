@@ -1,10 +1,11 @@
 """The default start of a track: a face that a detector finds in several frames in nearly the same place.
 
-A single detection may be of anything. Detections of successive frames that overlap are one candidate. A candidate is a
-face once it is found often enough, and shows eyes or a mouth. Of several, the one that covers most over the frames is
-taken: large, and there all the time; one in which nothing changes, such as a photograph, only if no other moves, and a
-dark one only if no better lit one follows. Its points are the means over its frames, in its box, of those that are near
-the first frame's, so that noise averages out and a mouth that moves stays as it is. Nothing here is random.
+A single detection may be of anything. Detections of successive frames that overlap are a candidate. A candidate is a
+face if it is found often enough, and shows eyes or a mouth. Of several faces the search takes the face with the largest
+area, summed over the frames. It takes a face that does not change, as in a photograph, only if no other face moves, and
+a dark face only if no better lit face follows. The points of a face are means over its frames, in its box, of the
+places that are near those of the first frame: noise averages out, and a mouth that moves keeps its first shape. Nothing
+here is random.
 """
 
 from __future__ import annotations
@@ -48,9 +49,9 @@ Faces: TypeAlias = Literal["one", "all"]
 
 @dataclass
 class _Candidate:
-    """What may be a face: boxes, points and contrast of the frames in which it is found, and where a track can begin.
+    """A candidate for a face: boxes, points and contrast of the frames that show it, and where a track can begin.
 
-    `change`: by how many grey levels what is in its first box has changed since, at most.
+    `change`: the largest change of the image in its first box since then, in grey levels.
     """
 
     boxes: list[tuple[int, Box]]
@@ -78,7 +79,7 @@ class _Candidate:
         return float(sum(box[2] * box[3] for _, box in self.boxes))
 
     def see(self, frame: Frame) -> None:
-        """Take in one more frame, in which it is found."""
+        """Add a frame that shows it."""
         x, y, w, h = (round(side) for side in self.boxes[0][1])
         seen = cv2.cvtColor(frame.bgr[max(y, 0) : y + h, max(x, 0) : x + w], cv2.COLOR_BGR2GRAY)
         patch = np.asarray(cv2.resize(seen, (PATCH_PX, PATCH_PX), interpolation=cv2.INTER_AREA), np.uint8)
@@ -141,7 +142,7 @@ class _Search:
         self.lacking: NotHereError | None = None
 
     def through(self, frames: Iterable[Frame], *, bound: int) -> list[_Candidate]:
-        """The faces in `frames`, as soon as it can be said; none if fewer than `bound` frames come."""
+        """The faces in `frames`, as soon as they are certain; none if there are fewer than `bound` frames."""
         for frame in frames:
             self.look(frame)
             if found := self.faces():
@@ -182,7 +183,7 @@ class _Search:
             self.lacking = self.lacking or e
 
     def faces(self, *, ended: bool = False) -> list[_Candidate]:
-        """Those that are faces, the best first; none as long as it is too early to say."""
+        """The candidates that are faces, the best first; none while it is too early to decide."""
         enough = min(MIN_FRAMES, 1 + len(self.frames) // 4) if ended else MIN_FRAMES
         able = [one for one in self.candidates if one.begins and one.features and len(one.boxes) >= enough]
         lit = [one for one in able if max(one.contrast) >= MIN_CONTRAST]
@@ -193,7 +194,7 @@ class _Search:
         return sorted(able, key=lambda one: (one.change < MIN_CHANGE, -one.worth, one.boxes[0][1]))
 
     def start(self, chosen: Sequence[_Candidate], rivals: Sequence[_Candidate]) -> Start:
-        """Where the chosen ones begin: the first frame in which the best one is well lit."""
+        """The start of the chosen faces: the first frame in which the best face is well lit."""
         best = chosen[0]
         lit = {frame for (frame, _), value in zip(best.boxes, best.contrast, strict=True) if value >= MIN_CONTRAST}
         at = min(lit & set(best.begins) or set(best.begins))
