@@ -2,7 +2,6 @@
 
 import os
 import signal
-import sys
 
 import cv2
 import pytest
@@ -10,7 +9,6 @@ from hypothesis import HealthCheck, settings
 
 from facetrack_cli.__main__ import main
 from tests.support.models import hide_models, mesh_file
-from tests.support.samples import FOLDER
 
 # a shell starts what it puts into the background with Ctrl-C ignored, and every process that the tests start inherits
 # that: the tests of Ctrl-C would wait for a signal that never comes
@@ -68,16 +66,3 @@ def mesh_model(tmp_path_factory):
     own = tmp_path_factory.getbasetemp()  # with xdist a folder of each worker, in a folder of the session
     with pytest.MonkeyPatch.context() as patch:
         return mesh_file((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "models", patch)
-
-
-@pytest.fixture
-def sample_scripts(monkeypatch):
-    """The scripts in tools/samples/ can be imported, and are forgotten after the test: their names are short."""
-    pytest.importorskip("skimage", reason="needs the extra: pip install -e '.[samples]'")
-    scripts = str(FOLDER.parent / "tools" / "samples")
-    monkeypatch.syspath_prepend(scripts)
-    before = set(sys.modules)
-    yield
-    for module in set(sys.modules) - before:
-        if scripts in str(getattr(sys.modules[module], "__file__", "")):
-            del sys.modules[module]

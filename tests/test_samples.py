@@ -42,7 +42,9 @@ def test_the_init_file_is_the_truth_of_the_first_frame(name: str) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", CLIPS)
-def test_a_clip_rendered_again_is_the_committed_clip(name: str, tmp_path: Path, sample_scripts: None) -> None:
+def test_a_clip_rendered_again_is_the_same(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("skimage", reason="needs the extra: pip install -e '.[samples]'")
+    monkeypatch.syspath_prepend(str(FOLDER.parent / "tools" / "samples"))
     from clip_files import write_truth
     from make import CLIPS as RENDERED
 
