@@ -120,9 +120,7 @@ def read_source(path: Path, name: str, most: int = MAX_BYTES) -> Source:
         data = file.read(most + 1)
     start = Span(Source(name, "", path.parent), 0, 0, 0)
     if len(data) > most:
-        raise YamlProblems(
-            [Problem(start, f"larger than {most // 1000} kB: too large for such a file; name another")]
-        )
+        raise YamlProblems([Problem(start, f"larger than {most // 1000} kB: too large for such a file; name another")])
     data = data.removeprefix(codecs.BOM_UTF8)
     try:
         text = data.decode()
