@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from facetrack_cli.evaluation.reliability import ConfidenceMeasures, reliability_bins
+from facetrack_cli.evaluation.reliability import reliability_bins
 from facetrack_cli.report import figures as plots
 from tests.report.test_plots import drawn
 
@@ -80,8 +80,7 @@ def test_calibration_shows_share_and_count():
     confidence = np.r_[np.full(30, 0.95), np.full(10, 0.15)]
     near = np.r_[np.ones(24, bool), np.zeros(16, bool)]
     bins = reliability_bins(confidence, near, confidence > 0.5)
-    measures = ConfidenceMeasures(40, 0.6, 0.6, None, None, 0.15, None, bins)
-    upper, lower = plots.calibration_figure(measures).axes
+    upper, lower = plots.calibration_figure(bins).axes
     points = {line.get_label(): line.get_xydata() for line in upper.lines}
     assert np.allclose(points["right"], [(0.15, 0), (0.95, 0.8)])
     assert np.allclose(points["visible in the ground truth"], [(0.15, 0), (0.95, 1)])

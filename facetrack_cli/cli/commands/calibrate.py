@@ -92,8 +92,7 @@ class Calibrate:
             for sheet in () if self.quiet else found.sheets():
                 sheet.show()
             if self.plot is not None:
-                measures = found.measures()
-                write_figure(self.plot, lambda: calibration_figure(measures), overwrite=self.overwrite)
+                write_figure(self.plot, lambda: calibration_figure(found.bins()), overwrite=self.overwrite)
             shown.say(f"wrote {out}")
         return stopped.code or 0
 

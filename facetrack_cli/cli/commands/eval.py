@@ -166,7 +166,7 @@ def _plot(evaluation: Evaluation, path: Path) -> bytes:
         raise InputError(
             f"{path}: has no confidence from 0 to 1 in rows with known ground truth to draw; leave --plot out"
         )
-    return render(calibration_figure(confidence))
+    return render(calibration_figure(confidence.bins))
 
 
 def _print(text: str) -> None:

@@ -18,7 +18,7 @@ from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import BOX, Mask
 from facetrack_cli.evaluation.experiments.calibration_fit import Fitted, Sample, bins_of, fit, joined
 from facetrack_cli.evaluation.match import match
-from facetrack_cli.evaluation.reliability import ConfidenceMeasures, mahalanobis_squared, reliability_bins
+from facetrack_cli.evaluation.reliability import ReliabilityBin, mahalanobis_squared, reliability_bins
 from facetrack_cli.evaluation.rows import Pair, rows_of
 from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet, clip_name
 from facetrack_cli.evaluation.summary import units_of
@@ -56,13 +56,11 @@ class Calibrated:
         about = f"{self.recipe}, {self.seeds} run{'s' * (self.seeds > 1)} of {len(self.clips)} clips"
         return [_sheet(f"{about}: {kind}", one) for kind, one in self.fitted.items()]
 
-    def measures(self) -> ConfidenceMeasures:
-        """The calibrated rows of the clips left out, of all kinds together, by bins of equal width."""
+    def bins(self) -> tuple[ReliabilityBin, ...]:
+        """The calibrated rows of the clips left out, of all kinds together."""
         p = np.concatenate([one.left_out for one in self.fitted.values()])
         every = joined([one.sample for one in self.fitted.values()])
-        bins = reliability_bins(p, every.right, every.visible)
-        ece = sum(one.found.ece * len(one.sample) for one in self.fitted.values()) / len(p)
-        return ConfidenceMeasures(len(p), None, float(np.mean(every.right)), None, None, float(ece), None, bins)
+        return reliability_bins(p, every.right, every.visible)
 
 
 def _sheet(title: str, one: Fitted) -> Sheet:

@@ -8,7 +8,7 @@ from typing import Any, Final, cast
 import numpy as np
 
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.evaluation.reliability import ConfidenceMeasures
+from facetrack_cli.evaluation.reliability import ReliabilityBin, calibration_error
 from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.lines import Pen, columns_for, quantiles
 from facetrack_cli.report.figures.style import Axes, Figure
@@ -130,11 +130,11 @@ def spread_figure(
         return figure
 
 
-def calibration_figure(measures: ConfidenceMeasures, *, title: str = "Confidence against the ground truth") -> Figure:
+def calibration_figure(bins: Sequence[ReliabilityBin]) -> Figure:
     """By bin of confidence, the share of rows that are right and of visible rows, and the number of rows. On the
     diagonal, confidence is the probability of being right. Bins without rows are left out; some bin must have rows.
     """
-    filled = [b for b in measures.bins if b.rows]
+    filled = [b for b in bins if b.rows]
     mean, right, visible = np.array([(b.mean_confidence, b.right, b.visible) for b in filled], np.float64).T
     with style.style():
         figure = style.new_figure(5.6, 5.8)
@@ -146,8 +146,8 @@ def calibration_figure(measures: ConfidenceMeasures, *, title: str = "Confidence
             marked: dict[str, Any] = {"color": style.COLOURS[1], "linewidth": 1.2, "markersize": 4}
             upper.plot(mean, visible, "s--", **marked, label="visible in the ground truth")
         upper.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.04), ylabel="share of rows")
-        ece = measures.ece
-        style.heading(upper, title, "" if ece is None else f"expected calibration error {ece:.3f}")
+        error = f"expected calibration error {calibration_error(bins):.3f}"
+        style.heading(upper, "Confidence against the ground truth", error)
         middle, rows = [(b.low + b.high) / 2 for b in filled], [b.rows for b in filled]
         lower.bar(middle, rows, 0.09, color=style.STATUS["hidden"], linewidth=0)
         lower.set(yscale="log", ylim=(0.7, 1.8 * max(rows)), xlabel="confidence", ylabel="rows")
