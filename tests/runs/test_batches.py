@@ -13,14 +13,14 @@ from pathlib import Path
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.core import claims
+from facetrack_cli.run_folder import lock as locks
 from facetrack_cli.run_folder.lock import LOCK, FolderLock
 from facetrack_cli.run_folder.manifest import read_manifest
 from facetrack_cli.run_folder.status import duration
 from facetrack_cli.runs.job import Outcome
 from tests.runs.test_run import FACETRACK, SMALL, make_clip
 
-posix = pytest.mark.skipif(os.name != "posix", reason="claims need the locks of POSIX")
+posix = pytest.mark.skipif(os.name != "posix", reason="the lock needs POSIX")
 OPTIONS = [*SMALL, "--no-video", "--format", "csv"]
 
 
@@ -107,8 +107,8 @@ def test_one_that_was_suspended_and_taken_over_replaces_nothing(tmp_path, monkey
     process.send_signal(signal.SIGSTOP)
     time.sleep(0.1)
     os.utime(out / LOCK, (0, 0))
-    monkeypatch.setattr(claims, "_flock", lambda file: None)  # of another machine
-    monkeypatch.setattr(claims, "here", lambda: ("node7", "b"))
+    monkeypatch.setattr(locks, "_flock", lambda file: None)  # of another machine
+    monkeypatch.setattr(locks, "here", lambda: ("node7", "b"))
     assert run(clip, "-o", out, "-q") == 0
     before = {path.name: path.read_bytes() for path in out.iterdir() if not path.name.startswith(".")}
     process.send_signal(signal.SIGCONT)
@@ -238,13 +238,13 @@ def test_status_in_each_state(clips, capsys):
     by_clip = {one["clip"]: one for one in found["clips"]}
     assert [one["state"] for one in found["clips"]] == ["done", "failed", "interrupted", "running", "not begun"]
     running = by_clip["clips/c3.mp4"]
-    assert (running["frames"], running["of"], running["host"]) == (3, 6, claims.here()[0])
+    assert (running["frames"], running["of"], running["host"]) == (3, 6, locks.here()[0])
     done = by_clip["clips/c0.mp4"]
     assert done["frames"] == 6 and done["seconds"] > 0 and done["ended"] >= done["since"] > "2"
     assert found["work_s"] == pytest.approx(2.5 * done["seconds"], abs=0.1)
     assert found["remaining_s"] == found["work_s"]
     assert "out: 5 clips" in text and "failed: clips/c1.mp4: not a video" in text
-    assert f"running: clips/c3.mp4: on {claims.here()[0]} since 2" in text and "3 of about 6 frames" in text
+    assert f"running: clips/c3.mp4: on {locks.here()[0]} since 2" in text and "3 of about 6 frames" in text
     assert "interrupted: clips/c2.mp4: what it had tracked is kept" in text
     assert "3 clips left: about" in text and ", 1 at a time" in text
     after = {path: path.stat().st_mtime_ns for path in Path("out").rglob("*") if "c3" not in str(path)}
