@@ -22,10 +22,10 @@ from facetrack_cli.tracking.kernels.cache import provide_cache
 if TYPE_CHECKING:
     from facetrack_cli.core.errors import FacetrackError, InputError, RecipeError
     from facetrack_cli.core.types import Frame, Start, TargetStart
-    from facetrack_cli.editor.smooth import smooth
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.run_folder.recovery import read_run as read_trajectory
     from facetrack_cli.runs.api import Recording, draw, track_frames, track_video
+    from facetrack_cli.runs.smooth import smooth
     from facetrack_cli.trajectory.formats.read import read_truth
     from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
     from facetrack_cli.video.overlay.overlay import Overlay
@@ -54,7 +54,7 @@ __all__ = [
 _PLACES = {
     "core.errors": ("FacetrackError", "InputError", "RecipeError"),
     "core.types": ("Frame", "Start", "TargetStart"),
-    "editor.smooth": ("smooth",),
+    "runs.smooth": ("smooth",),
     "recipe.load": ("load_recipe",),
     "run_folder.recovery": ("read_run",),
     "runs.api": ("Recording", "draw", "track_frames", "track_video"),

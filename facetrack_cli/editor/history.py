@@ -8,8 +8,10 @@ from typing import Final, NamedTuple, TypeAlias
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
-from facetrack_cli.editor.retrack import Read, Report, Stop, Store, Task, Track, Tracking, frames_of, silent
-from facetrack_cli.editor.run_folder import Run
+from facetrack_cli.editor.retrack import Read, Store, Task, Track, Tracking, frames_of
+from facetrack_cli.run_folder.finished import Run
+from facetrack_cli.runs.job import Report, silent
+from facetrack_cli.runs.rewrite import Stop
 from facetrack_cli.runs.signals import never
 from facetrack_cli.tracking.corrected import all_or, completed, is_complete
 from facetrack_cli.tracking.start import name_targets, read_init
@@ -129,7 +131,7 @@ class Fixer:
             left = sum(stop - first for tasks_ in rounds for first, stop in frames_of(tasks_))
             total = max(total, done + left)
 
-            def step(n: int, _: int, before: int = done, total: int = total) -> None:
+            def step(n: int, _: int | None, before: int = done, total: int = total) -> None:
                 report(before + n, max(total, before + n))
 
             for task, track in zip(tasks, self._tracking.track(tasks, self.rows, report=step, stop=stop), strict=True):

@@ -17,8 +17,10 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import Correction, Frame
-from facetrack_cli.editor.run_folder import Run
 from facetrack_cli.recipe.model import ParticlesRecipe
+from facetrack_cli.run_folder.finished import Run
+from facetrack_cli.runs.job import Report, silent
+from facetrack_cli.runs.rewrite import Stop
 from facetrack_cli.runs.signals import StoppedError, never
 from facetrack_cli.tracking.build.build import build_tracker, tracker_for
 from facetrack_cli.tracking.corrected import CorrectedTarget
@@ -29,13 +31,7 @@ from facetrack_cli.trajectory.writers import as_written
 
 MAX_TIME_OFF_S: Final = 0.002  # a frame whose time differs more from the run's is of another clip
 Read: TypeAlias = Callable[[int], Frame]
-Report: TypeAlias = Callable[[int, int], None]  # frames done, frames in all
-Stop: TypeAlias = Callable[[], bool]
 Place: TypeAlias = tuple[int, int]  # the first byte, and how many
-
-
-def silent(done: int, total: int) -> None:
-    """Report nothing."""
 
 
 class Store:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from facetrack_cli import __version__
-from facetrack_cli.core.errors import InputError, needed
+from facetrack_cli.core.errors import needed
 from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.output import facts, sheets
@@ -23,7 +23,7 @@ from facetrack_cli.report import text
 from facetrack_cli.report.command_line import command, init_yaml, recipe_yaml
 from facetrack_cli.report.events import Clock, LostSpan, Stretch, history_of, key_frames
 from facetrack_cli.report.frames import Image, Report, key_images
-from facetrack_cli.run_folder.recovery import read_run, recover_interrupted
+from facetrack_cli.run_folder.recovery import read_run, trajectory_of
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.header import CORRECTED, Header, read_header
@@ -114,23 +114,6 @@ def make_report(
         relative=not Path(header.source.path).is_absolute(),
     )
     return ReportPage(_UNFIT.sub("\ufffd", document).encode(), tuple(found.notes))
-
-
-def trajectory_of(run: Path) -> Path:
-    """The trajectory of a run's folder that has a header. InputError if there is none."""
-    remedy = "name the folder of a run, which facetrack run wrote"
-    if run.is_file():
-        raise InputError(f"{run}: is a file; {remedy}")
-    if not run.is_dir():
-        raise InputError(f"{run}: no such folder; {remedy}")
-    recover_interrupted(run)
-    for form in ("json", "jsonl"):
-        if (path := run / f"trajectory.{form}").is_file():
-            return path
-    if (run / "trajectory.csv").is_file():
-        missing = "has trajectory.csv alone, without recipe and clip"
-        raise InputError(f"{run}: {missing}; run again with --format csv,json")
-    raise InputError(f"{run}: has no trajectory.json; {remedy}")
 
 
 def _template() -> Any:

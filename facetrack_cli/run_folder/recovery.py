@@ -44,6 +44,23 @@ def check_run(path: Path) -> None:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}; name a trajectory or ground-truth file") from e
 
 
+def trajectory_of(run: Path) -> Path:
+    """The trajectory of a run's folder that has a header. InputError if there is none."""
+    remedy = "name the folder of a run, which facetrack run wrote"
+    if run.is_file():
+        raise InputError(f"{run}: is a file; {remedy}")
+    if not run.is_dir():
+        raise InputError(f"{run}: no such folder; {remedy}")
+    recover_interrupted(run)
+    for form in ("json", "jsonl"):
+        if (path := run / f"trajectory.{form}").is_file():
+            return path
+    if (run / "trajectory.csv").is_file():
+        missing = "has trajectory.csv alone, without recipe and clip"
+        raise InputError(f"{run}: {missing}; run again with --format csv,json")
+    raise InputError(f"{run}: has no trajectory.json; {remedy}")
+
+
 def recover_interrupted(folder: Path) -> int:
     """End what a killed process left in a folder, if nobody writes there; the number of frames that it had tracked.
 

@@ -9,8 +9,8 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.editor import save as saving
-from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.save import keep, save
+from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.run_folder.lock import FolderLock
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from tests.editor.test_fixing_odd import fixing, nose, put

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction
 from facetrack_cli.editor.retrack import Store, Track
-from facetrack_cli.editor.run_folder import STATUS, read_files, write_rows
 from facetrack_cli.editor.web.fix_session import doubtful, overview
+from facetrack_cli.run_folder.finished import STATUS, read_files, write_rows
 from facetrack_cli.trajectory.trajectory import COLUMNS, Collector
 from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Ending, as_written, ending_of
 from tests.support.results import part, result, target

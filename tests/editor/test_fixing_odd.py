@@ -16,9 +16,9 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor.history import Fixer, corrections_of
-from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.save import save
 from facetrack_cli.editor.web.fix_session import overview
+from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.tracking.start import read_init
 from facetrack_cli.trajectory.header import CORRECTED
 from facetrack_cli.trajectory.writers import csv_frames

@@ -10,7 +10,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor.import_annotations import imported_corrections
-from facetrack_cli.editor.run_folder import open_run
+from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.trajectory.header import CORRECTED
 from facetrack_cli.trajectory.reader import read_trajectory
 from tests.support.samples import FOLDER

@@ -12,10 +12,10 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.editor import save as saving
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.retrack import Tracking
-from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.web import session as session_module
 from facetrack_cli.editor.web.fix_session import FixSession
 from facetrack_cli.editor.web.server import run_page, serving
+from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.tracking.start import read_init
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from facetrack_cli.video.seek import Frames

@@ -21,11 +21,11 @@ import numpy as np
 import pytest
 
 from facetrack_cli.editor.history import Fixer
-from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.web.fix_session import FixSession
 from facetrack_cli.editor.web.pick_session import PickSession
 from facetrack_cli.editor.web.server import serving
 from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.video.seek import Frames
 from tests.support.media import number
 

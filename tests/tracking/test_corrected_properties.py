@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor.history import Fixer
-from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.save import save
 from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.corrected import is_complete
 from facetrack_cli.tracking.loop import track

@@ -10,9 +10,9 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor.history import Fixer
-from facetrack_cli.editor.run_folder import open_run
 from facetrack_cli.editor.save import save
 from facetrack_cli.report import figures as plots
+from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.tracking.models.likelihoods import colour_ratio
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, Diagnostic
 from facetrack_cli.trajectory.header import CORRECTED

@@ -60,7 +60,7 @@ class Fix:
 
     def run(self) -> int:
         from facetrack_cli.editor.history import Fixer
-        from facetrack_cli.editor.run_folder import check_size, open_run
+        from facetrack_cli.run_folder.finished import check_size, open_run
         from facetrack_cli.runs.signals import Stop
         from facetrack_cli.video.seek import Frames
 

@@ -323,8 +323,8 @@ def _smoothed(
     outcome: Outcome, stop: Stop, motion: MotionName, report: Report | None = None
 ) -> tuple[list[Path], list[str]]:
     """Smooth a clip that was tracked, also on a worker; its files, and warnings that were not given yet."""
-    from facetrack_cli.editor.smooth import save_smoothed
     from facetrack_cli.runs.job import silent
+    from facetrack_cli.runs.smooth import save_smoothed
 
     files, notes = save_smoothed(
         outcome.files[0].parent, motion=motion, overwrite=True, clip=outcome.clip, report=report or silent, stop=stop

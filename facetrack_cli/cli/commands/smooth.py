@@ -37,9 +37,9 @@ class Smooth:
     quiet: bool = options.QUIET
 
     def run(self) -> int:
-        from facetrack_cli.editor.smooth import save_smoothed
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.signals import Stop, StoppedError
+        from facetrack_cli.runs.smooth import save_smoothed
 
         with Stop().listening() as stop, progress(self.quiet) as shown:
             shown.begin(self.folder.name or str(self.folder))

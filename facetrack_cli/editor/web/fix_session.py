@@ -16,8 +16,9 @@ from facetrack_cli.editor.history import Fixer, merged
 from facetrack_cli.editor.save import keep, save
 from facetrack_cli.editor.web.frame import Draft, Json, Proposer
 from facetrack_cli.editor.web.pick_session import requirement
-from facetrack_cli.editor.web.session import Answer, RefusedError, Report, Route, Session
+from facetrack_cli.editor.web.session import Answer, RefusedError, Route, Session
 from facetrack_cli.recipe.model import OpenCvRecipe
+from facetrack_cli.runs.job import Report
 from facetrack_cli.tracking.corrected import correctable_parts
 from facetrack_cli.tracking.start import PARTS
 from facetrack_cli.trajectory.diagnostics import outlines

@@ -10,12 +10,12 @@ from pydantic import Field, StrictInt
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.editor.web.frame import Draft, Json, Proposer, crop, jpeg
+from facetrack_cli.runs.job import Report
 from facetrack_cli.runs.signals import StoppedError
 from facetrack_cli.video.seek import Frames
 
 LINGER_S: Final = 3.0  # the server goes on so long after the end: each page asks for the state once a second
 CropSide: TypeAlias = Annotated[int, Field(ge=1, le=1024)]
-Report: TypeAlias = Callable[[int, "int | None"], None]  # done, and in all if that is known
 
 
 class RefusedError(Exception):

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import check_folder, make_folder, remove_folders
-from facetrack_cli.editor.retrack import Report, Stop, silent
-from facetrack_cli.editor.run_folder import open_run, read_files, run_files, write_rows
-from facetrack_cli.editor.save import repaint, replace_files
-from facetrack_cli.report.make import trajectory_of
+from facetrack_cli.run_folder.finished import open_run, read_files, run_files, write_rows
 from facetrack_cli.run_folder.manifest import FILTERED, OWNED, POSTERIOR, VIDEO, outdated, read_manifest
+from facetrack_cli.run_folder.recovery import trajectory_of
+from facetrack_cli.runs.job import Report, silent
 from facetrack_cli.runs.posterior import read_posterior
+from facetrack_cli.runs.rewrite import Stop, repaint, replace_files
 from facetrack_cli.runs.signals import never
 from facetrack_cli.tracking.smoothed import MotionName, smoothed_rows
 from facetrack_cli.trajectory.select import choose
