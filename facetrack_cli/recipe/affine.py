@@ -18,7 +18,7 @@ from facetrack_cli.recipe.times import SHARE
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import ParticleFilter
 
-MAX_COMPARED_POINTS = 100_000_000  # particles times points of a template: some gigabytes
+MAX_TEMPLATE_POINTS = 100_000_000  # particles times points of a template: some gigabytes
 MAX_COMPARED_PARTICLES = 2_000  # particles that are compared with each other: memory grows with their square
 Points: TypeAlias = Annotated[int, Field(ge=6, le=128)]
 Deviation: TypeAlias = Annotated[float, Field(ge=1e-3, le=100)]
@@ -128,8 +128,8 @@ class PatchLikelihood(Likelihood):
 
     def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
         (n, where), (columns, rows) = whole.filter.most(whole), self.template
-        if n * columns * rows > MAX_COMPARED_POINTS:
-            most = f"no more than {MAX_COMPARED_POINTS:,} points fit into memory"
+        if n * columns * rows > MAX_TEMPLATE_POINTS:
+            most = f"no more than {MAX_TEMPLATE_POINTS:,} points fit into memory"
             yield Refusal(where, f"{n:,} particles of {columns}x{rows} points each; {most}")
 
 
