@@ -31,7 +31,7 @@ def match(
     select: str | None,
     note: Callable[[str], None] = lambda _: None,
 ) -> list[Pair]:
-    """The pairs of what both tables have, on the frames that both have, in the order of the trajectory.
+    """Pair the parts that both tables have, on the frames that both have, in the order of the trajectory.
 
     `select` (`face` or `face/nose`) takes a target or part of the trajectory alone. Truth without names goes to the
     only part there with a size; ground truth of one target, to the one target there, whatever its name. `note` is given

@@ -16,7 +16,7 @@ import numpy as np
 from facetrack_cli.core.types import Array, Mask
 
 Value: TypeAlias = float | int | None
-"""A measured value; None where it is not defined, as the precision of nothing."""
+"""A measured value; None where the measure is not defined, as the precision without any row called lost."""
 
 
 @dataclass(frozen=True)
@@ -57,5 +57,5 @@ def median(values: Array) -> Value:
 
 
 def share(of: Mask, those: Mask) -> Value:
-    """How much of `of` is also `those`, 0 to 1; None if there is nothing to count."""
+    """The share of the rows in `of` that are also in `those`, 0 to 1; None if `of` is empty."""
     return mean(those[of])

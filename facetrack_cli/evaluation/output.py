@@ -37,7 +37,7 @@ class About:
 
 
 def to_json(evaluation: Evaluation, about: About) -> str:
-    """Figures stand below the first words of their names, as `all.points.mean_px`; what is not defined is null."""
+    """Figures stand below the groups of their names, as `all.points.mean_px`; an undefined figure is null."""
     options, frames = evaluation.options, evaluation.frames
     fields = {
         "trajectory": str(about.trajectory),
@@ -56,7 +56,7 @@ def to_json(evaluation: Evaluation, about: About) -> str:
 
 
 def _groups(one: PartMeasures) -> dict[str, Any]:
-    """What was measured, by the first words of the measures' names; what was not is left out."""
+    """The figures by group and name; a group that was not measured is left out."""
     out: dict[str, Any] = {}
     for name, value in one.figures.items():
         group, _, figure = name.partition(".")
@@ -71,7 +71,7 @@ def _groups(one: PartMeasures) -> dict[str, Any]:
 
 
 def to_csv(evaluation: Evaluation, about: About) -> str:
-    """A header with all MEASURES, a row a part, then one of all parts together, whose target is "all"."""
+    """A header with all MEASURES, a row for each part, then a row for all parts together, whose target is "all"."""
     out = io.StringIO()
     write = csv.writer(out, lineterminator="\n")
     write.writerow(["trajectory", "truth", "target", "part", *MEASURES])

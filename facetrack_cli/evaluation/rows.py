@@ -133,12 +133,12 @@ class Pair(NamedTuple):
 
     @property
     def declared_box(self) -> bool:
-        """Whether one of the two is declared a box; the windows of points have sizes too, and are none."""
+        """Whether ours or the truth is declared a box; a window of a point has a size too and is no box."""
         return "box" in (self.ours.part, self.truth.part) or self.truth.corners is not None
 
     @property
     def is_box(self) -> bool:
-        """Whether one is declared a box, and both have a size in some row: it is measured as boxes."""
+        """Whether the pair is measured as boxes: ours or the truth is declared a box, and both have a size in a row."""
         return self.declared_box and all(bool(np.any(np.isfinite(s.w) & np.isfinite(s.h))) for s in self)
 
 

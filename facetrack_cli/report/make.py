@@ -39,7 +39,7 @@ _UNFIT = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\uf
 
 
 class TruthFile(NamedTuple):
-    """The ground truth to measure against, and how: as `facetrack eval` takes them."""
+    """The file of ground truth, and how it is read: as the options of `facetrack eval`."""
 
     path: Path
     form: str = "auto"
@@ -49,7 +49,7 @@ class TruthFile(NamedTuple):
 
 
 class ReportPage(NamedTuple):
-    """The document, and lines on what is missing in it."""
+    """The document, and lines that say which images are missing."""
 
     html: bytes
     notes: tuple[str, ...]
@@ -136,7 +136,7 @@ def _template() -> Any:
 
 
 def _measured(table: Trajectory, header: Header, truth: TruthFile) -> tuple[list[Pair], Mapping[str, Any]]:
-    """The pairs of the run and its ground truth, and what the page says of them."""
+    """The pairs of the run and its ground truth, and the words and tables of the page."""
     theirs = read_truth(truth.path, truth.form, shift=truth.shift)
     notes: list[str] = []
     pairs = match(table, theirs, partial=truth.partial, select=truth.target, note=notes.append)
@@ -159,7 +159,7 @@ def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Mapping[str, Imag
 
 
 def _bars(spans: Sequence[LostSpan | Stretch], first: int, scale: float) -> list[tuple[float, float]]:
-    """(left, width) of what to paint, joined where the bar has no room for a gap."""
+    """(left, width) of the bars to paint; bars are joined where there is no room for a gap."""
     least = 2.0 if len(spans) <= _BINS // 20 else 0.5  # a single frame of many must still be seen
     bars: list[tuple[float, float]] = []
     for span in spans:

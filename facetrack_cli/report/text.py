@@ -35,7 +35,7 @@ def lasting(seconds: float) -> str:
 
 
 def percent(share: float | None) -> str:
-    """A share as a percentage, which is 0 or 100 only if it is exactly that."""
+    """A share in percent; 0 % and 100 % stand for exactly none and all."""
     if share is None or not math.isfinite(share):
         return "–"
     return f"{100 * share:.0f}\u00a0%" if share in (0, 1) else f"{100 * min(max(share, 0.001), 0.999):.1f}\u00a0%"
@@ -94,7 +94,7 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
 
 
 def confidence_of(table: Trajectory) -> float | None:
-    """The mean confidence of all rows after the start, those that are called lost included; None without any."""
+    """The mean confidence of all rows after the start, also of rows called lost; None without confidences."""
     sure = table.confidence[np.isfinite(table.confidence) & (table.status != "init")]
     return float(sure.mean()) if sure.size else None
 

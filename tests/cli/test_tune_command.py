@@ -92,7 +92,7 @@ def test_without_optuna_one_line_says_what_to_install(facetrack, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--set-range", "motion.sigma=3..1"], "give less first"),
+        (["--set-range", "motion.sigma=3..1"], "smaller number first"),
         ([*SIGMA, *SIGMA], "given twice"),
         ([*SIGMA, "--measure", "beauty"], "--measure beauty: is nothing to rank by"),
         ([*SIGMA, "--measure", "points.auc", "--by", "evidence"], "--measure is one of ground truth"),

@@ -49,7 +49,7 @@ def test_ranges_are_read(given, one):
     [
         ("motion.sigma", "write KEY=LOW..HIGH"),
         ("=1..2", "write KEY=LOW..HIGH"),
-        ("a=3..1", "give less first"),
+        ("a=3..1", "smaller number first"),
         ("a=0..1:log", "begins above 0"),
         ("a=l1", "two or more different"),
         ("a=l1,l1", "two or more different"),

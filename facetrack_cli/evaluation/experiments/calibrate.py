@@ -168,7 +168,7 @@ def collect(
 
 
 def _rows(run: Trajectory, truth: Trajectory, clip: int) -> tuple[Sample, Mask]:
-    """The rows of a run in which it is known what is right, and which of them are boxes."""
+    """The rows of a run whose truth is known, and whether each is of a box."""
     pairs, samples, boxes = [], [], []
     alone = [one.name for one in run.parts if one.part == BOX]
     # boxes without names are those of the only box, though points have windows

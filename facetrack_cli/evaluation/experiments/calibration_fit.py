@@ -55,7 +55,7 @@ class Sample:
 
     @property
     def weight(self) -> Array:
-        """(R,) those of each clip add up to 1."""
+        """(R,) the weights of the rows; the weights of a clip add up to 1."""
         return np.asarray(1 / np.bincount(self.clip)[self.clip])
 
     @property
@@ -74,7 +74,7 @@ class Sample:
 
     @property
     def spread(self) -> float:
-        """By what the standard deviations are to be multiplied; 1 where no row is right and visible."""
+        """The factor for the standard deviations; 1 if no row is right and visible."""
         kept = self.right & self.visible
         far, weight = self.far[kept], self.weight[kept]
         if not len(far):
@@ -185,7 +185,7 @@ def fit_isotonic(score: Feature | tuple[Feature, ...], sample: Sample) -> Isoton
 
 
 def fit_logistic(names: Sequence[Feature], sample: Sample) -> Logistic:
-    """Logistic regression with a ridge on these features; one of the wrong sign, or without effect, is left out."""
+    """Logistic regression with a ridge on these features. A feature of the wrong sign or without effect is left out."""
     names, weight = list(names), ALIKE * sample.weight
     while True:
         x = np.array([sample.known[name] for name in names]).reshape(len(names), len(sample)).T

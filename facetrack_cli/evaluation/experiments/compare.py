@@ -63,7 +63,7 @@ class Scoring:
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """What one run scores; the curves (n,) are shares of rows at the thresholds above."""
+    """The measures of a run; the curves (n,) are shares of rows at the thresholds above."""
 
     seed: int
     figures: Mapping[str, float]
@@ -139,7 +139,7 @@ class Place:
 
 
 def kind_of(entries: Sequence[Entry]) -> str:
-    """`boxes` or `points`: what the first recipe that ran is measured as."""
+    """`boxes` or `points`: how the first recipe that ran is measured."""
     first = next((score for entry in entries for score in entry.scores), None)
     return "points" if first is None or first.success is None else "boxes"
 
@@ -149,7 +149,7 @@ def less_is_better(measure: str) -> bool:
 
 
 def check_measure(measure: str, option: str = "--rank-by") -> str:
-    """`measure`, if recipes can be ranked by it; UsageError with what there is otherwise."""
+    """`measure`, if it can rank recipes; UsageError that lists the measures that can."""
     able = [name for name, one in MEASURES.items() if one.better is not None]
     if measure not in able:
         near = [name for name in able if measure.rpartition(".")[2] in name] or able
@@ -158,7 +158,7 @@ def check_measure(measure: str, option: str = "--rank-by") -> str:
 
 
 def rank(entries: Sequence[Entry], measure: str) -> list[Place]:
-    """All entries in their order by the mean of `measure`; those without a value come last, as they were given."""
+    """All entries in the order of their mean of `measure`; entries without a value come last, in the given order."""
     sign = -1.0 if less_is_better(measure) else 1.0
     valued = [entry for entry in entries if entry.mean(measure) is not None]
     valued.sort(key=lambda entry: -sign * (entry.mean(measure) or 0.0))
@@ -175,7 +175,7 @@ def rank(entries: Sequence[Entry], measure: str) -> list[Place]:
 
 
 def score_run(run: SeedRun, truth: Trajectory, options: Scoring, note: Callable[[str], None] = lambda _: None) -> Score:
-    """Measure one run; `note` gets what was paired how (see `match`). InputError where it does not fit."""
+    """Measure a run; `note` gets the notes of `match`. InputError if the truth does not fit the run."""
     pairs = _pairs(run.trajectory, truth, options, note=note)
     evaluation = evaluate(pairs, options=summary.Options(size=options.size), reference=truth.parts)
     rows = evaluation.rows
@@ -368,11 +368,11 @@ class Comparison:
 
     @property
     def measures(self) -> tuple[str, ...]:
-        """Those in the table, the one that ranks first."""
+        """The measures in the table; the measure that ranks comes first."""
         return tuple(dict.fromkeys([self.measure, *USUAL[kind_of(self.entries)]]))
 
     def sheet(self) -> Sheet:
-        """Recipes in their order; those that could not run at the end, and why below."""
+        """A row for each recipe by rank; recipes that could not run come last, and notes say why."""
         frames = np.concatenate([score.frame for entry in self.entries for score in entry.scores])
         span = f"frames {frames.min()} to {frames.max()}"
         title = f"{clip_name(self.clip)}: {len(self.entries)} recipes on {span}, ground truth {self.truth.name}"
@@ -401,7 +401,7 @@ class Comparison:
         )
 
     def notes(self) -> list[str]:
-        """What one must know to read the table, and why recipes did not run."""
+        """Notes below the table: how to read it, and why recipes did not run."""
         several = any(len(entry.scores) > 1 for entry in self.entries)
         once = [entry.label for entry in self.entries if entry.deterministic and entry.scores]
         lines = [f"One run each; ranked by {self.measure}."]
@@ -430,7 +430,7 @@ class Comparison:
         return lines + [f"{entry.label}: not run: {entry.error}" for entry in self.entries if entry.error]
 
     def csv(self) -> str:
-        """A row a recipe and seed with every figure; a recipe that did not run has one row, which says why."""
+        """A row for each recipe and seed with all figures; a recipe that did not run has a row that says why."""
         measured = [name for name in MEASURES if any(name in s.figures for e in self.entries for s in e.scores)]
         out = io.StringIO()
         writer = csv.DictWriter(

@@ -49,7 +49,7 @@ class Trial:
 
     @property
     def score(self) -> float:
-        """Agreement, times the share of frames in which it is tracked."""
+        """Agreement times the share of frames in which the target is tracked."""
         return self.agreement * (1 - self.lost)
 
 

@@ -47,7 +47,7 @@ _SPAN: Final = re.compile(rf"({_NUMBER}) ?(?:px)?\.\.({_NUMBER}) ?(px)?(:log)?")
 _BETWEEN: Final = re.compile(r",(?![^\[{]*[\]}])")  # commas between choices, not those of [1, 2]
 Texts: TypeAlias = Sequence[str]
 Load: TypeAlias = Callable[[Texts], Recipe]
-"""The recipe with these `key=value` put into it; raises RecipeError for what it refuses."""
+"""The recipe with these `key=value` put into it; raises RecipeError for a key or value that it refuses."""
 
 
 # --- what is searched ----------------------------------------------------------------------------------------------
@@ -98,7 +98,9 @@ def read_range(given: str) -> Range:
         return Range(key, choices)
     low, high = float(found[1]), float(found[2])
     if not low < high:
-        raise UsageError(f"--set-range {given}: the range begins at {found[1]} and ends at {found[2]}; give less first")
+        raise UsageError(
+            f"--set-range {given}: the range begins at {found[1]} and ends at {found[2]}; give the smaller number first"
+        )
     if found[4] and low <= 0:
         raise UsageError(f"--set-range {given}: a logarithmic range begins above 0")
     return Range(key, (), low, high, found[3] or "", bool(found[4]))
@@ -133,7 +135,7 @@ class Case(NamedTuple):
     options: compare.Scoring
 
     def value(self, run: SeedRun, measure: str, note: Callable[[str], None] = lambda _: None) -> float:
-        """One run's figure. InputError where it is not defined."""
+        """The measure of a run. InputError where the measure is not defined."""
         if measure == EVIDENCE:
             return evidence(run.trajectory)
         assert self.truth is not None
@@ -384,7 +386,7 @@ def _signed(found: Tuning, gain: float) -> str:
 
 
 def notes(found: Tuning) -> list[str]:
-    """What one must know to read the table, how far folds differ, and whether the gain is larger than the spread."""
+    """Notes below the table: how to read it, how far folds differ, and whether the gain exceeds the spread."""
     seeds = found.settings[0].scores.shape[1]
     better = "less" if less_is_better(found.measure) else "more"
     over = f"Mean ± standard deviation over {seeds} seeds" if seeds > 1 else "One run each"
@@ -501,7 +503,7 @@ def _over(one: Range, chosen: Sequence[str]) -> str:
 
 
 def _shipped(found: Tuning, key: str) -> str:
-    """A setting of the recipe as it is; a dash for what it has not."""
+    """The value of a key in the recipe as it is; a dash where the recipe has no such key."""
     node: Any = to_dict(found.recipe)
     for name in key.split("."):
         node = node.get(name.strip()) if isinstance(node, dict) else None

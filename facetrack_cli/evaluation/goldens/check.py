@@ -44,7 +44,7 @@ UPDATE = "record again with --update if that is meant"
 
 @dataclass(frozen=True)
 class Checked:
-    """What came of checking or recording one golden: `message` is one line, `details` more of them.
+    """The result of checking or recording a golden: `message` is a line, `details` are further lines.
 
     "skipped": it cannot be run here, and nothing is wrong. `seconds` are those of the trackers alone. `farthest`: the
     farthest statistic, above 1 outside of its band.

@@ -150,7 +150,7 @@ def beside(folder: Path, file: Path) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Of what a track's numbers depend on."""
+    """The versions of the software that the numbers of a track depend on."""
     found = {"facetrack": __version__, "python": platform.python_version(), "machine": platform.machine()}
     for name in ("numpy", "numba", "opencv-python-headless", "opencv-contrib-python-headless"):
         with contextlib.suppress(metadata.PackageNotFoundError):
@@ -184,7 +184,7 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
 
 
 def write_golden(path: Path, golden: Golden) -> None:
-    """Whole or not at all; replaces the one before."""
+    """Write the golden whole or not at all; it replaces the golden before it."""
     head = golden.model_dump(by_alias=True, exclude={"bands"})
     lines = [f'  "{key}": {_json(value)},' for key, value in head.items() if value or key not in ("gallery", "names")]
     lines += ['  "bands": [', ",\n".join(f"    {_json(band)}" for band in golden.bands), "  ]"]

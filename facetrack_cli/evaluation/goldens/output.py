@@ -1,7 +1,6 @@
 """The results of a check as lines for people, as JSON, and as JUnit XML."""
 
 import json
-import math
 import re
 from collections.abc import Sequence
 from datetime import datetime, timezone
@@ -10,6 +9,7 @@ from xml.etree import ElementTree
 
 from facetrack_cli.evaluation.goldens.bands import Deviation
 from facetrack_cli.evaluation.goldens.check import Checked
+from facetrack_cli.evaluation.sheet import rounded
 
 SUITE = "facetrack regress"
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -46,7 +46,7 @@ def _result(one: Checked) -> dict[str, Any]:
         **plain,
         "golden": str(one.golden),
         "seconds": round(one.seconds, 3),
-        "farthest": _number(one.farthest),
+        "farthest": rounded(one.farthest, 4),
         "deviations": [_deviation(left) for left in one.deviations],
     }
 
@@ -57,15 +57,11 @@ def _deviation(one: Deviation) -> dict[str, Any]:
         "quantity": one.band.quantity,
         "part": one.band.series or None,
         "frames": [one.band.first, one.band.last],
-        "runs": [_number(v) for v in runs],
-        "band": [_number(v) for v in band],
-        "farthest": _number(one.far),
+        "runs": [rounded(v, 4) for v in runs],
+        "band": [rounded(v, 4) for v in band],
+        "farthest": rounded(one.far, 4),
         "text": str(one),
     }
-
-
-def _number(value: float | None) -> float | None:
-    return round(value, 4) if value is not None and math.isfinite(value) else None
 
 
 def as_junit(found: Sequence[Checked], seconds: float) -> str:

@@ -106,7 +106,7 @@ def calibrated(gallery: Gallery) -> str:
 
 
 def stranger(gallery: Gallery) -> str:
-    """Who is none of them, in words."""
+    """When a face is called a stranger, in words."""
     errors = f"{100 * gallery.errors:.0f} % of either error here"
     return f"none of them: below a log ratio of {gallery.threshold:.0f}; {errors}"
 
