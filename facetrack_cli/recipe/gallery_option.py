@@ -1,16 +1,14 @@
 """People to recognise, given beside recipes: what `--gallery FILE` does."""
 
+import json
 from collections.abc import Sequence
 from copy import deepcopy
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.core.yaml_tree import Node, Source, Span, printable
+from facetrack_cli.core.yaml_tree import YamlProblems, assign, printable
 from facetrack_cli.recipe.affine import Affine
-from facetrack_cli.recipe.messages import locate
-from facetrack_cli.recipe.model import Recipe, above
+from facetrack_cli.recipe.model import Recipe, above, error_of
 
 MADE_BY = "as facetrack gallery fit writes it"
 
@@ -58,33 +56,23 @@ def check_file(file: str) -> None:
         raise UsageError(f"--gallery is empty; name a gallery, {MADE_BY}")
     path, shown = Path(file), f"--gallery {printable(file)}"
     try:
-        if path.is_file():
-            return
-        there, folder = path.exists(), path.is_dir()
+        there, folder = path.is_file(), path.is_dir()
     except (OSError, ValueError):  # a name that the file system does not take
         there = folder = False
     if folder:
         remedy = f"name a file in it, {MADE_BY}; facetrack gallery fit {printable(file)} makes one of people's folders"
         raise InputError(f"{shown}: is a folder; {remedy}")
-    if there:
-        raise InputError(f"{shown}: is no regular file; copy it to one")
-    raise InputError(f"{shown}: no such file; correct the name, or make one with facetrack gallery fit")
+    if not there:
+        raise InputError(f"{shown}: no such file; correct the name, or make one with facetrack gallery fit")
 
 
 def put(recipe: Recipe, file: str) -> Recipe:
     """The recipe with this gallery in place of its own: where it recognises, else wherever it can."""
     assert recipe._root is not None
-    span = Span(Source(f"--gallery {printable(file)}", "", Path(), is_file=False), 0, 0, 1)
     root = deepcopy(recipe._root)
-    for name in _recognising(recipe) or _affine(recipe):
-        node, _, _ = locate(root, tuple(above(name).split(".")[:-1]))
-        assert isinstance(node.value, dict)
-        section = node.value.get("recognition")
-        if section is None or section.value is None:
-            section = node.value["recognition"] = Node(span, {}, span)
-        assert isinstance(section.value, dict)
-        section.value["gallery"] = Node(span, file, span)
     try:
-        return type(recipe).model_validate(root.plain(), context={"path": recipe.path, "root": root})
-    except ValidationError as e:  # it was a recipe before
-        raise AssertionError(str(e)) from e
+        for name in _recognising(recipe) or _affine(recipe):
+            assign(root, "--gallery", f"{above(name)}recognition.gallery={json.dumps(file)}")
+    except YamlProblems as refused:  # a name that is not UTF-8
+        raise error_of(refused.problems) from None
+    return type(recipe).model_validate(root.plain(), context={"path": recipe.path, "root": root})
