@@ -19,9 +19,9 @@ from typing import BinaryIO, NamedTuple
 
 from facetrack_cli.core.errors import InputError, OutputError, reason
 
-_TAIL = 1 << 17  # bytes of whole records at the end of a file, in which there is space for its end
-MOST_ROWS = 1 << 30  # bytes of a table of rows that is read: ten hours of a face and its points
-MOST = 1 << 26  # of any other file that is read whole
+_TAIL_BYTES = 1 << 17  # of whole records at the end of a file, in which there is space for its end
+MAX_TABLE_BYTES = 1 << 30  # of a table of rows: ten hours of a face and its points
+MAX_FILE_BYTES = 1 << 26  # of any other file that is read whole
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -115,7 +115,7 @@ class FileSink:
         self._records += 1
         self._ends.append((self._ends[-1] if self._ends else 0) + len(data))
         self._write(data)
-        while len(self._ends) > 1 and self._ends[0] < self._written - _TAIL:
+        while len(self._ends) > 1 and self._ends[0] < self._written - _TAIL_BYTES:
             self._ends.popleft()
 
     def place(self) -> Place:

@@ -17,7 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import MOST, MOST_ROWS, cannot_write, check_readable, temporary_path, write_new
+from facetrack_cli.core.files import (
+    MAX_FILE_BYTES,
+    MAX_TABLE_BYTES,
+    cannot_write,
+    check_readable,
+    temporary_path,
+    write_new,
+)
 
 T = TypeVar("T")
 
@@ -46,7 +53,7 @@ class Kind:
         """The object that `make` makes of the arrays. InputError for any damage, and where `make` raises ValueError."""
         remedy = f"make one with `{self.command}`"
         try:
-            check_readable(path, MOST_ROWS, self.what)
+            check_readable(path, MAX_TABLE_BYTES, self.what)
             with path.open("rb") as raw:
                 check_inflated(path, raw, self.what)
                 file = np.load(raw, allow_pickle=False)
@@ -77,7 +84,7 @@ def check_inflated(path: Path, raw: BinaryIO, what: str) -> None:
     """InputError for an archive of a few bytes that holds very many; arrays of numbers are not packed so tightly."""
     with contextlib.suppress(BadZipFile), ZipFile(raw) as archive:
         whole, packed = sum(one.file_size for one in archive.infolist()), path.stat().st_size
-        if whole > MOST and whole > 100 * packed:
+        if whole > MAX_FILE_BYTES and whole > 100 * packed:
             raise InputError(f"{path}: is no {what}: its {packed} bytes hold {whole / 1e6:.0f} MB; name the right file")
     raw.seek(0)
 

@@ -19,7 +19,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from facetrack_cli import __version__
 from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, from_system
-from facetrack_cli.core.files import FULL, MOST, check_readable, digest, discard, temporary_path
+from facetrack_cli.core.files import FULL, MAX_FILE_BYTES, check_readable, digest, discard, temporary_path
 from facetrack_cli.core.log import LINES
 from facetrack_cli.run_folder.lock import FolderLock, utc_now
 from facetrack_cli.trajectory.writers import Ending
@@ -105,7 +105,7 @@ def read_manifest(folder: Path) -> Manifest | None:
     """The run.json of a folder; None if there is none. InputError for a file that is not as we write it."""
     path = folder / NAME
     try:
-        check_readable(path, MOST)
+        check_readable(path, MAX_FILE_BYTES)
         return _adapter().validate_json(path.read_bytes())
     except (FileNotFoundError, NotADirectoryError):
         return None

@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import MOST, cannot_write, check_readable, make_folder, replacing
+from facetrack_cli.core.files import MAX_FILE_BYTES, cannot_write, check_readable, make_folder, replacing
 from facetrack_cli.core.numbers import document
 from facetrack_cli.run_folder.lock import LOCK, holder
 from facetrack_cli.run_folder.manifest import NAME, as_text, read_manifest
@@ -53,7 +53,7 @@ def write_batch(out: Path, recipe: str, clips: Sequence[Path], names: Sequence[s
 def batches(folder: Path) -> Iterator[BatchFile]:
     """Those of a folder. Raises InputError for one that is not as we write it, and OSError."""
     for path in sorted(folder.glob("batch-????????.json")):
-        check_readable(path, MOST)
+        check_readable(path, MAX_FILE_BYTES)
         try:
             yield BatchFile.model_validate_json(path.read_bytes())
         except ValidationError as e:

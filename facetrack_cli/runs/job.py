@@ -27,7 +27,7 @@ from facetrack_cli.trajectory.header import is_there
 from facetrack_cli.trajectory.writers import Ending, Format
 from facetrack_cli.video.source import Source
 
-LAG_BYTES: Final = 1 << 30  # of the frames that wait for later ones
+MAX_LAG_BYTES: Final = 1 << 30  # of the frames that wait for later ones
 Report: TypeAlias = Callable[[int, "int | None"], None]  # frames done, frames in all if that is known
 
 
@@ -207,6 +207,6 @@ def check(job: Job) -> None:
 def check_lag(job: Job, source: Source) -> None:
     """Refuse a lag whose frames, which are all kept, take too much memory."""
     of_frame = 3 * source.size[0] * source.size[1]
-    if job.lag * of_frame > LAG_BYTES:
-        most = f"at most --lag {LAG_BYTES // of_frame} at {source.size[0]}x{source.size[1]}"
+    if job.lag * of_frame > MAX_LAG_BYTES:
+        most = f"at most --lag {MAX_LAG_BYTES // of_frame} at {source.size[0]}x{source.size[1]}"
         raise UsageError(f"{job.clip}: {job.lag} frames of this size take too much memory; {most}, or take --smooth")

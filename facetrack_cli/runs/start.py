@@ -24,7 +24,7 @@ from facetrack_cli.trajectory.writers import by_frame
 from facetrack_cli.video.seek import open_sought
 from facetrack_cli.video.source import Source
 
-FAR: Final = 0.5  # overlap of the boxes below which a region does not count as found
+MIN_OVERLAP: Final = 0.5  # of the boxes: a region with less does not count as found
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ def far_from_truth(start: Start, truth: Trajectory) -> str | None:
             if one.target not in (name, "") or not len(one) or not np.isfinite(one.boxes).all():
                 continue
             overlap = float(iou(np.array([box]), one.boxes)[0])
-            if overlap < FAR:
+            if overlap < MIN_OVERLAP:
                 return (
                     f"{start.origin} puts the box of {name} in frame {start.frame} where it overlaps the truth's "
                     f"by {overlap:.2f} alone; all figures measure that too: begin with --box, or with another --init"

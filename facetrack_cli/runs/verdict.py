@@ -24,11 +24,11 @@ from facetrack_cli.tracking.face.stabilized import FACE, Similarity
 from facetrack_cli.tracking.start.detectors import Detector, detector
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 
-EVERY: Final = 15  # frames between two looks
+EVERY_FRAMES: Final = 15  # between two looks
 DOUBTFUL: Final = 0.5  # share of looks, and of rows that a calibrated confidence expects to be right: less is doubtful
 SURE: Final = 0.9  # the frame of the lowest mean confidence is named if that is less
-FEW: Final = 3  # looks of which fewer say nothing
-_SPANS: Final = 3  # that are named
+MIN_LOOKS: Final = 3  # fewer looks than this say nothing
+_MAX_SPANS: Final = 3  # the longest ones, which are named
 
 
 @dataclass
@@ -64,7 +64,7 @@ class Watch:
     def count(self, result: FrameResult) -> None:
         """Take in one more frame, and look at every few."""
         self.take(result.rows)
-        if self.detector is not None and self.frames % EVERY == 0 and not (result.rows.status == "lost").all():
+        if self.detector is not None and self.frames % EVERY_FRAMES == 0 and not (result.rows.status == "lost").all():
             self._look(result)
 
     def take(self, rows: Trajectory) -> None:
@@ -118,7 +118,7 @@ class Watch:
 
     def unseen(self) -> str:
         """What the detector's looks speak against the track; "" if nothing."""
-        if self.detector is None or self.looks < FEW or self.seen >= DOUBTFUL * self.looks:
+        if self.detector is None or self.looks < MIN_LOOKS or self.seen >= DOUBTFUL * self.looks:
             return ""
         looks = f"in {self.seen} of {self.looks} looks alone"
         return f"{self.detector.name} sees a face there {looks}; it may be something else, begin with --box X,Y,W,H"
@@ -126,7 +126,7 @@ class Watch:
     def _ended(self) -> None:
         """The longest spans, with the one that ends here."""
         if self.now is not None:
-            self.lost = sorted([*self.lost, self.now], key=lambda one: one[0] - one[1])[:_SPANS]
+            self.lost = sorted([*self.lost, self.now], key=lambda one: one[0] - one[1])[:_MAX_SPANS]
             self.now = None
 
     def _look(self, result: FrameResult) -> None:

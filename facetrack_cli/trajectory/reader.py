@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import MOST_ROWS, check_readable
+from facetrack_cli.core.files import MAX_TABLE_BYTES, check_readable
 from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import COLUMNS, FLOATS, SPREAD, TEXTS, Trajectory, build
 from facetrack_cli.trajectory.writers import SCHEMA, VERSION
@@ -36,7 +36,7 @@ def read_trajectory(path: Path | str) -> Trajectory:
     try:
         path = table_in(path)
         if not path.is_dir():
-            check_readable(path, MOST_ROWS, "table of rows")
+            check_readable(path, MAX_TABLE_BYTES, "table of rows")
         return read_table(path)
     except IsADirectoryError:
         raise InputError(f"{path}: is a folder without a trajectory.csv or .json; name the file") from None

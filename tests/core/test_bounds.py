@@ -48,11 +48,11 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path, read):
 
 def test_a_file_that_is_too_large(tmp_path):
     with (tmp_path / "rows.csv").open("wb") as file:
-        file.truncate(files.MOST_ROWS + 1)
+        file.truncate(files.MAX_TABLE_BYTES + 1)
     with pytest.raises(InputError, match=r"too large for a table of rows: 1074 MB, and at most 1074 MB are read"):
         read_trajectory(tmp_path / "rows.csv")
     with pytest.raises(InputError, match="too large for a file"):
-        check_readable(tmp_path / "rows.csv", files.MOST)
+        check_readable(tmp_path / "rows.csv", files.MAX_FILE_BYTES)
 
 
 def test_an_archive_that_inflates(tmp_path):

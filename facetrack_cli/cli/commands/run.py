@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     Batch: TypeAlias = Callable[..., Iterator[Outcome]]  # of jobs, stop, progress
 
 
-MOST_DONE = 20  # clips that were done before, of which each has its line
+MAX_DONE_LINES = 20  # for clips that were done before; of more clips there is one line
 
 
 def _shard(value: str) -> tuple[int, int]:
@@ -359,13 +359,13 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: 
 
     decided, left = check_all(jobs)
     done = sum(one.again is not None and one.error is None for one in decided)
-    if done > MOST_DONE:
+    if done > MAX_DONE_LINES:
         shown.say(f"{done} clips: done before")
     failed = before = lost = 0
     for outcome in itertools.chain(decided, batch(left, stop=stop, progress=shown)):
         with about(outcome.clip.name):
             if outcome.frames or outcome.error is None:
-                if outcome.again is None or done <= MOST_DONE:
+                if outcome.again is None or done <= MAX_DONE_LINES:
                     _report(outcome, shown, named=True)
                 lost += bool(outcome.lost_at_end)
                 if after is not None and not stop():
