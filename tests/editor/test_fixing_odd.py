@@ -1,31 +1,38 @@
-"""Runs that are corrected though something about them is out of the way."""
+"""Runs that are corrected though they are unusual; what is tracked again; and saves that are interrupted."""
 
 import contextlib
 import errno
 import gc
 import json
+import os
 import pickle
 import shutil
 import tempfile
 import weakref
+from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.types import Correction, TargetStart
+from facetrack_cli.editor import save as saving
 from facetrack_cli.editor.history import Fixer, corrections_of
-from facetrack_cli.editor.save import save
+from facetrack_cli.editor.retrack import Task, frames_of, recorded_footprint
+from facetrack_cli.editor.save import keep, save
 from facetrack_cli.editor.web.fix_session import overview
 from facetrack_cli.run_folder.finished import open_run
+from facetrack_cli.run_folder.lock import FolderLock
 from facetrack_cli.tracking.start import read_init
-from facetrack_cli.trajectory.header import CORRECTED
+from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from facetrack_cli.trajectory.writers import csv_frames
 from facetrack_cli.video.seek import Frames
 from facetrack_cli.video.source import open_source
 from tests.support.samples import FOLDER
 
+CLIP = FOLDER / "expressions.mp4"
 FEW = ["--set", "filter.particles=20", "--no-video", "-q"]
 
 
@@ -95,7 +102,7 @@ def short(tmp_path_factory):
     folder = tmp_path_factory.mktemp("short")
     (folder / "late.yaml").write_text(LATE)
     words = ["--init", folder / "late.yaml", "--stop", "12", "--format", "csv,json,jsonl"]
-    run(FOLDER / "expressions.mp4", "-o", folder / "out", *words)
+    run(CLIP, "-o", folder / "out", *words)
     return folder / "out"
 
 
@@ -109,7 +116,7 @@ def test_a_correction_past_the_end_is_kept_for_a_longer_run(short, tmp_path):
     said = put(out, nose(8, 159, 140))
     assert said[-1] == f"{out / CORRECTED}: the correction of face at frame 31 is past the end, frame 11"
     assert [one.frame for one in read_init(out / CORRECTED).corrections] == [5, 8, 31]
-    run(FOLDER / "expressions.mp4", "-o", tmp_path / "again", "--init", out / CORRECTED, "--stop", "12")
+    run(CLIP, "-o", tmp_path / "again", "--init", out / CORRECTED, "--stop", "12")
     assert (out / "trajectory.csv").read_bytes() == (tmp_path / "again" / "trajectory.csv").read_bytes()
     with fixing(out) as fixer:
         assert [one["frame"] for one in overview(fixer.rows, 3, fixer.corrections)["corrections"]] == [5, 8]
@@ -290,3 +297,206 @@ def test_a_report_that_is_there_is_said_to_be_of_before(short, tmp_path):
     )
     assert put(out, nose(8, 159, 140))[-1] == f"{said}, facetrack export --to FORMAT {out} --overwrite"
     assert (out / "report.html").read_text() == "x"
+
+
+# --- what is tracked again ---
+
+
+def test_frames_that_several_tasks_want_are_read_once():
+    def frames(*wanted):
+        return frames_of([Task("a", None, first, stop) for first, stop in wanted])
+
+    assert frames((5, 20), (6, 10)) == frames((6, 10), (5, 20)) == [(5, 20)]
+    assert frames((5, 8), (8, 10)) == frames((5, 9), (7, 10)) == [(5, 10)]
+    assert frames((9, 12), (1, 3), (1, 2)) == [(1, 3), (9, 12)]
+    assert frames() == []
+
+
+def test_a_run_with_another_seed_is_put_right_with_that_seed(tmp_path):
+    words = ["--seed", "7", "--stop", "10"]
+    run(CLIP, "-o", tmp_path / "out", *words)
+    put(tmp_path / "out", nose(4, 158, 140))
+    run(CLIP, "-o", tmp_path / "again", *words, "--init", tmp_path / "out" / CORRECTED)
+    ours, theirs = ((tmp_path / name / "trajectory.csv").read_bytes() for name in ("out", "again"))
+    assert ours == theirs
+
+
+def test_a_name_that_is_no_text_goes_through(tmp_path):
+    """Names of files are bytes; those that are no UTF-8 stand escaped in JSON."""
+    init = tmp_path / os.fsdecode(b"\xff.yaml")
+    try:
+        shutil.copy(CLIP.with_suffix(".init.yaml"), init)
+    except OSError:
+        pytest.skip("this file system wants UTF-8")
+    run(CLIP, "-o", tmp_path / "out", "--init", init, "--stop", "6", "--format", "csv,json,jsonl")
+    put(tmp_path / "out", nose(4, 158, 140))
+    for name in ("trajectory.json", "trajectory.jsonl"):
+        assert b"/\\udcff.yaml" in (tmp_path / "out" / name).read_bytes()
+    with fixing(tmp_path / "out") as fixer:
+        assert [one.frame for one in fixer.corrections] == [4] and corrections_of(init, fixer.run) == ()
+
+
+@pytest.fixture(scope="module")
+def hands(tmp_path_factory):
+    out = tmp_path_factory.mktemp("hands") / "out"
+    signing(out, "--stop", "9")
+    return out
+
+
+def test_targets_that_are_tracked_together_see_each_other_as_they_are_now(hands, monkeypatch):
+    with fixing(hands) as fixer:
+        seen = {}
+
+        class Spy(type(fixer._tracking)):
+            def _footprints(self, live, now, rows, index):
+                seen[index, live.task.target] = footprints = super()._footprints(live, now, rows, index)
+                return footprints
+
+        monkeypatch.setattr(fixer._tracking, "__class__", Spy)
+        left, right = (95.0, 120.0, 40.0, 46.0), (180.0, 110.0, 44.0, 50.0)
+        given = {"left_hand": left, "right_hand": right}
+        fixer.put([Correction(4, name, TargetStart(box=box)) for name, box in given.items()])
+
+        def place(frame, name):
+            one = fixer.rows.at(frame).find(name, "box")
+            return pytest.approx([one.x[0], one.y[0]], abs=6e-4)
+
+        # the first of them is known in this frame, the second where it is expected from the one before
+        for frame in (5, 8):
+            head, first = seen[frame, "right_hand"]
+            assert first.centre.tolist() == place(frame, "left_hand")
+            assert head.centre.tolist() == place(frame, "head")
+        assert seen[4, "right_hand"][1].centre.tolist() == [left[0] + 19.5, left[1] + 22.5]
+        recorded = fixer.run.rows.at(3).find("right_hand", "box")
+        assert seen[4, "left_hand"][1].centre.tolist() == [recorded.x[0], recorded.y[0]]  # which has not begun
+        ahead = seen[5, "left_hand"][1]
+        assert ahead.centre.tolist() == [right[0] + 21.5, right[1] + 24.5] and ahead.half.tolist() == [22, 25]
+
+
+def test_what_is_recorded_of_points_and_of_what_is_gone_covers_nothing(hands, tmp_path):
+    run(CLIP, "-o", tmp_path / "out", "--stop", "4")
+    with fixing(tmp_path / "out") as fixer:
+        assert recorded_footprint(fixer.rows, 2, "face") is None
+    with fixing(hands) as fixer:
+        assert np.isfinite(recorded_footprint(fixer.rows, 5, "head").centre).all()
+        fixer.put([Correction(4, "head", absent=True)])
+        assert recorded_footprint(fixer.rows, 5, "head") is None
+
+
+# --- a save that is interrupted: the run is as it was, or as it was to be ---
+
+
+class Killed(BaseException):
+    """Nothing is done after it."""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The folder of a run, and its files once they are corrected."""
+    folder = tmp_path_factory.mktemp("made")
+    words = [
+        "run",
+        CLIP,
+        "--config",
+        "factorized",
+        "-o",
+        folder / "out",
+        "--set",
+        "filter.particles=20",
+        "--stop",
+        "8",
+        "-q",
+    ]
+    assert main([str(word) for word in [*words, "--format", "csv,json,jsonl"]]) == 0
+    shutil.copytree(folder / "out", folder / "after")
+    put(folder / "after", nose(4, 158, 140))
+    return folder / "out", files_of(folder / "after")
+
+
+@pytest.fixture
+def out(made, tmp_path):
+    shutil.copytree(made[0], tmp_path / "out")
+    return tmp_path / "out"
+
+
+def files_of(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "annotated.mp4"}
+
+
+@pytest.mark.parametrize("moment", [0, 1, 3, 5])
+def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, monkeypatch, moment):
+    """Before the files are listed in the note of the lock, and at files that take over."""
+    before, after, done = files_of(out), made[1], []
+    replace = Path.replace
+
+    def kill(*_):
+        raise Killed
+
+    def torn(self, to):
+        if len(done) == moment - 1:
+            raise Killed
+        done.append(self)
+        return replace(self, to)
+
+    with fixing(out) as fixer, monkeypatch.context() as patch:
+        fixer.put([nose(4, 158, 140)])
+        keep(fixer)
+        patch.setattr(Path, "unlink", lambda self, missing_ok=False: None)
+        patch.setattr(Path, "replace", torn)
+        if moment == 0:
+            patch.setattr(FolderLock, "prepare", kill)
+        with pytest.raises(Killed):
+            save(fixer)
+    whole = moment > 0
+    opened = open_run(out)
+    assert [one.frame for one in opened.start.corrections] == ([4] if whole else [])
+    assert (out / UNSAVED).exists() != whole
+    if not whole:
+        assert {name: files_of(out)[name] for name in before} == before
+        put(out, nose(4, 158, 140))
+    found = files_of(out)
+    assert {name: found.pop(name) for name in after} == after
+    assert not found
+
+
+def test_links_stay_links(out, tmp_path):
+    kept = tmp_path / "elsewhere.csv"
+    shutil.move(out / "trajectory.csv", kept)
+    (out / "trajectory.csv").symlink_to(kept)
+    put(out, nose(4, 158, 140))
+    assert (out / "trajectory.csv").is_symlink() and ",158.000,140.000," in kept.read_text()
+
+
+def test_a_folder_in_the_place_of_the_init_file_is_refused_before_anything_is_replaced(out):
+    before = files_of(out)
+    (out / CORRECTED).mkdir()
+    with pytest.raises(OutputError, match=r"corrected.init.yaml: is a folder, where a file is to be"):
+        put(out, nose(4, 158, 140))
+    (out / CORRECTED).rmdir()
+    assert files_of(out) == before
+
+
+def test_a_run_that_is_made_anew_while_it_is_saved_is_not_replaced(out, monkeypatch):
+    def slow(start, clip, real=saving.as_yaml):
+        (out / "trajectory.csv").write_text("another run")
+        return real(start, clip)
+
+    monkeypatch.setattr(saving, "as_yaml", slow)
+    before = files_of(out)
+    with pytest.raises(OutputError, match=r"trajectory.csv: was written by somebody else since it was opened"):
+        put(out, nose(4, 158, 140))
+    assert files_of(out) == {**before, "trajectory.csv": b"another run"}
+
+
+def test_where_nothing_is_corrected_any_more_the_files_do_not_speak_of_corrections(made, out):
+    before = files_of(out)
+    put(out, nose(4, 158, 140))
+    with fixing(out) as fixer:
+        fixer.remove(4, "face")
+        save(fixer)
+    after = files_of(out)
+    assert b"corrections" not in after.pop(CORRECTED)
+    # the video is painted anew from the rows, which have three decimals
+    runs = [json.loads(files.pop("run.json")) for files in (before, after)]
+    videos = [run["files"].pop("annotated.mp4") for run in runs]
+    assert after == before and runs[0] == runs[1] and all(videos)

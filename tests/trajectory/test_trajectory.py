@@ -219,7 +219,7 @@ def frame(index: int) -> Trajectory:
     return results.result(index, [face, hand] if index % 2 else [face]).rows
 
 
-@pytest.mark.parametrize("count", [1, 499, 500, 501, 1203])
+@pytest.mark.parametrize("count", [1, 500, 1001])
 def test_a_collector_gives_what_it_was_given(count: int) -> None:
     log = Collector()
     for index in range(1, count + 1):
