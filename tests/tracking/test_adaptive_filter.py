@@ -58,11 +58,6 @@ def test_it_is_never_below_the_least(noise, fell, particles, entropy, least):
     assert number == least or abs(number - particles * (noise + change)) <= 0.5 + 1e-6
 
 
-def test_the_mean_error_of_a_good_track_takes_fewer_than_j_0():
-    """Figure 2b: 77 of 100 with eta(eps; 0.5, 2, 1), at eps about 0.2."""
-    assert filters.number(adaptive(100), ahead(eta(Noise(), 0.18))) == 77
-
-
 # --- the step ------------------------------------------------------------------------------------------------------
 
 

@@ -30,7 +30,7 @@ def laid(at, rng):
 
 
 def faces(seed=0, every=7):
-    """Still faces (160, 160, 3) of real people, and the true places of their parts."""
+    """Stabilized images (160, 160, 3) of real people, and the true places of their parts."""
     rng = np.random.default_rng(seed)
     for clip in CLIPS.values():
         for frame in clip.frames[::every]:

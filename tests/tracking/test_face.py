@@ -158,7 +158,7 @@ def test_a_correction_says_that_the_mouth_or_the_whole_face_is_absent():
 
 
 @given(st.floats(-50, 400), st.floats(-50, 400), st.floats(0.1, 9), st.floats(-1, 1))
-def test_a_place_of_the_still_face_goes_to_the_frame_and_back(x, y, scale, angle):
+def test_a_place_of_the_stabilized_image_goes_to_the_frame_and_back(x, y, scale, angle):
     similarity = Similarity(np.array([x, y]), scale, angle)
     points = np.array([[0.0, 0.0], [MIDDLE, MIDDLE], [12.5, 140.0]])
     assert similarity.to_stabilized(similarity.to_frame(points)) == pytest.approx(points, abs=1e-6)
@@ -169,7 +169,7 @@ def test_a_place_of_the_still_face_goes_to_the_frame_and_back(x, y, scale, angle
 
 
 @pytest.mark.parametrize("scale", [0.5, 1.0, 3.0, 6.5])
-def test_the_still_face_shows_what_is_at_its_places(scale):
+def test_the_stabilized_image_shows_what_is_at_its_places(scale):
     y, x = np.mgrid[:900, :1200]
     frame = Frame(0, 0.0, np.stack([x * 0.2, y * 0.25, 0 * x], axis=2).astype(np.uint8))
     similarity = Similarity(np.array([610.0, 430.0]), scale, 0.3)
@@ -190,7 +190,7 @@ def of_installed():
 
 
 @pytest.mark.parametrize("detector", of_installed(), ids=lambda one: one.name)
-def test_a_detector_measures_the_face_of_the_still_face(detector):
+def test_a_detector_measures_the_face_of_the_stabilized_image(detector):
     pose = Pose(150.0, 110.0, 70.0)
     [shown] = moving.clip([pose])
     similarity = Similarity(np.array([pose.x + 4, pose.y - 3]), 70 / FACE)

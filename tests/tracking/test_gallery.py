@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.tracking.identity.fit import Samples, equal_errors, fit_gallery, fit_logistic, off_the_mark, stand_in
+from facetrack_cli.tracking.identity.fit import Samples, equal_errors, fit_gallery, fit_logistic, off_the_mark
 from facetrack_cli.tracking.identity.gallery import NONE, Gallery, load_gallery, logistic
 from facetrack_cli.tracking.identity.subspaces import MIN_RHO, Moments, Subspace, common_basis, fit_subspace, folds_by
 from tests.twins import gallery as naive_gallery
@@ -217,13 +217,6 @@ def test_copies_are_compared_with_other_pictures_or_with_their_own():
     np.testing.assert_array_equal(own, [x[0] - x[2], x[1] - x[2], x[2] - x[0], x[4] - x[3], x[5] - x[3]])
     assert of.tolist() == [0, 1, 2, 4, 5]
     np.testing.assert_array_equal(shown.faces[1], x[3])
-
-
-def test_what_stands_for_a_person_has_unit_variance_even_of_opposites():
-    x, _ = people(1, 5)
-    mean = stand_in(x)
-    assert (mean.mean(), mean.std()) == (pytest.approx(0.0, abs=1e-12), pytest.approx(1.0))
-    np.testing.assert_array_equal(stand_in(np.stack([x[0], -x[0]])), x[0])
 
 
 def test_patches_off_the_mark_are_normalised():

@@ -265,16 +265,6 @@ def test_any_number_of_particles_serves(n, share):
     assert np.all((particles.x[:, 0, VISIBLE] >= 0) & (particles.x[:, 0, VISIBLE] <= 1))
 
 
-def test_equal_seeds_give_equal_particles_and_leave_their_parents_alone():
-    model, before = Modes(WALK, [(49, 41, 0.0)], (2.0, 2.0, 0.03), 3.0), cloud()
-    copy = before.x.copy()
-    one, two, other = (guided(60, 0.7)(np.random.default_rng(seed), before, model)[0] for seed in (3, 3, 4))
-    for a, b in zip(one, two, strict=True):
-        assert a.tobytes() == b.tobytes()
-    assert not np.array_equal(one.x, other.x)
-    np.testing.assert_array_equal(before.x, copy)
-
-
 def test_the_peak_is_the_highest_mode_that_is_not_anew():
     model = Modes(
         WALK, [(49, 41, 0.0), (58, 40, 0.1), (99, 9, 0.0)], (2, 2, 0.03), (1.0, 3.0, 9.0), (False, False, True)

@@ -113,21 +113,6 @@ def test_density_of_one_shape_is_a_gaussian_of_the_distance():
     assert bound.log_density(np.stack([at, off])) == pytest.approx([0.0, -2.0], abs=1e-5)
 
 
-@pytest.mark.parametrize("sigma", [0.005, 0.02, 0.1, 1.0])
-def test_density_is_right_near_a_shape_for_every_kernel_width(sigma):
-    prior = load_prior(default_prior_path())
-    bound = bind(prior, PARTS, FACE, sigma)
-    x = (
-        FACE
-        + bound.length * prior.shapes[::10]
-        + np.random.default_rng(8).normal(0.0, sigma, (41, 5, 2)) * bound.length
-    )
-    q = ((x - FACE) - (x - FACE)[:, [NOSE]]) / bound.length
-    e = -((q[:, None] - prior.shapes) ** 2).sum((2, 3)) / (2 * sigma**2)
-    expected = np.log(np.exp(e - e.max(1, keepdims=True)).mean(1)) + e.max(1)
-    np.testing.assert_allclose(bound.log_density(x), expected, atol=2e-3 if sigma < 0.01 else 1e-4)
-
-
 def test_density_follows_the_face_and_its_size_and_not_the_order_of_parts():
     prior, x = some_prior(), some_particles(50)
     expected = bind(prior, PARTS, FACE, 0.1).log_density(x)
@@ -262,16 +247,6 @@ def test_each_particle_is_proposed_for_by_its_own_other_parts():
     np.testing.assert_allclose(nose.std(1), 0.02 * bound.length / 2, rtol=0.1)  # four parts vote
 
 
-def test_two_parts_are_enough():
-    prior = ShapePrior(("a", "b"), np.array([[[0.0, 0.0], [0.3, 0.0]]]), "a", ("a", "b"))
-    first = np.array([[10.0, 10.0], [20.0, 10.0]])
-    bound = bind(prior, ("a", "b"), first, 0.01)
-    x = np.repeat(first[None], 500, 0)
-    assert bound.propose(np.random.default_rng(0), x, 1).mean(0) == pytest.approx([23.0, 10.0], abs=0.05)
-    assert bound.propose(np.random.default_rng(0), x, 0).mean(0) == pytest.approx([7.0, 10.0], abs=0.05)
-    assert np.exp(log_conditional(bound, np.array([[23.0, 10.0]]), x[:1], 1)) == pytest.approx(1 / (2 * np.pi * 0.01))
-
-
 # --- binding, files ----------------------------------------------------------------------------------------------
 
 
@@ -395,13 +370,6 @@ def test_thinning_keeps_the_rare_and_is_repeatable(tmp_path):
     assert (fit_prior([path], max_shapes=12).prior.shapes == fit.prior.shapes).all()
     still = write_truth(tmp_path / "still.csv", np.repeat(FACE[None], 50, 0))
     assert len(fit_prior([still]).prior.shapes) == 1
-
-
-def test_fit_of_some_parts(tmp_path):
-    parts = ("nose", "lip_lower", "mouth_right", "mouth_left")
-    fit = fit_prior([write_truth(tmp_path / "a.csv", talking())], parts=parts)
-    assert fit.prior.parts == parts
-    assert fit.prior.shapes[:, 1, 1].max() == pytest.approx(0.5, abs=0.01)
 
 
 def test_fit_says_what_is_wrong(tmp_path):

@@ -92,11 +92,6 @@ def test_the_prior_is_what_brings_a_part_back(occlusion):
     assert min(without) > 4.0
 
 
-def test_no_frame_gives_no_result(expressions):
-    tracker = build_tracker(load_recipe("factorized"), expressions.start)
-    assert list(track(tracker, iter([]), 0)) == []
-
-
 def test_lengths_scale_with_the_target_and_windows_of_the_init_file_win():
     points = load_recipe("factorized").target.parts
     small = {part: (10.0 * i, 5.0 * (i % 2)) for i, part in enumerate(points)}

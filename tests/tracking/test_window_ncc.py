@@ -224,13 +224,6 @@ def test_of_too_many_templates_the_one_that_matched_least_goes_and_never_the_fir
     assert min(like[i] for i in (0, 2, 3)) > 0.99 and like[1] < NEW_BELOW
 
 
-def test_one_template_alone_stays_the_first_one():
-    model, learned, x = one_part(texture(0), templates=1)
-    for _ in range(3):
-        learned = step(model, learned, with_patch(texture(0), texture(1)), x, says=4.0)
-    assert len(learned.templates[0].windows) == 1
-
-
 def test_a_part_that_something_covers_hides_and_comes_back():
     """A sensor that is in doubt and a window that does not match say it together."""
     free, cover = texture(0), with_patch(texture(0), texture(2), 24)
