@@ -43,11 +43,11 @@ PartKind: TypeAlias = Literal["points", "box"]
 _Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 
 
-class _Stored(BaseModel):
+class _StoredPart(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
-class Logistic(_Stored):
+class Logistic(_StoredPart):
     """p = 1 / (1 + exp(-(intercept + sum of coefficient * feature))), within `least` and 1 - `least`."""
 
     method: Literal["logistic"] = "logistic"
@@ -63,7 +63,7 @@ class Logistic(_Stored):
         return np.asarray(p + np.zeros_like(known["confidence"]))
 
 
-class Isotonic(_Stored):
+class Isotonic(_StoredPart):
     """p is linear between `knots`, pairs of a value of the score and p, and level beyond them.
 
     The score is a feature, or the probability of a logistic regression on several.
@@ -99,7 +99,7 @@ class Isotonic(_Stored):
 Map: TypeAlias = Annotated[Logistic | Isotonic, Field(discriminator="method")]
 
 
-class Checked(_Stored):
+class CrossChecked(_StoredPart):
     """On each clip the map of the others: the calibration error and Brier score, and those of raw confidence.
 
     `within_..`: share of the right and visible rows in the ellipses that should hold 50 and 90 % of them.
@@ -116,7 +116,7 @@ class Checked(_Stored):
     within_90_raw: _Share
 
 
-class Calibration(_Stored):
+class Calibration(_StoredPart):
     """A map for each kind of part, and what it was fitted to: a recipe's runs, `seeds` of each clip.
 
     `spread`: by what the standard deviations are multiplied, so that of the rows that are right and visible 90 % are in
@@ -129,7 +129,7 @@ class Calibration(_Stored):
     right: Literal["error of the centre below 1/4 of the size"] = "error of the centre below 1/4 of the size"
     maps: dict[PartKind, Map]
     spread: dict[PartKind, Annotated[float, Field(gt=0, le=MAX_SPREAD_FACTOR)]]
-    checked: dict[PartKind, Checked]
+    checked: dict[PartKind, CrossChecked]
     clips: list[str]
     seeds: int
 

@@ -21,7 +21,7 @@ from facetrack_cli.recipe.model import Confidence
 from facetrack_cli.trajectory.trajectory import Status
 
 
-class Measures(Protocol):
+class ComparesParts(Protocol):
     """A likelihood that says how badly parts x (N, K, D) match what the first frame showed: (N, K), 0 is perfect."""
 
     def distances(self, learned: Any, frame: Frame, x: Array) -> Array: ...
@@ -38,7 +38,9 @@ class Judgement:
     status: tuple[Status, ...]
 
 
-def begin(settings: Confidence, measure: Measures, learned: Any, frame: Frame, x0: Array, windows: Array) -> Judgement:
+def begin(
+    settings: Confidence, measure: ComparesParts, learned: Any, frame: Frame, x0: Array, windows: Array
+) -> Judgement:
     """The judgement of the first frame, whose parts are at x0 (K, D) and `windows` (K, 2) pixels large."""
     k = len(x0)
     angles = np.arange(16) * (2 * np.pi / 16)
@@ -73,7 +75,7 @@ def _decided(settings: Confidence, last: Judgement, good: Array, confidence: Arr
 
 
 def resume(
-    settings: Confidence, first: Judgement, anew: Mask, measure: Measures, learned: Any, frame: Frame, x0: Array,
+    settings: Confidence, first: Judgement, anew: Mask, measure: ComparesParts, learned: Any, frame: Frame, x0: Array,
     windows: Array,
 ) -> Judgement:  # fmt: skip
     """The judgement where a target begins again at x0 (K, D), with `windows` (K, 2), knowing what `learned` says.

@@ -6,7 +6,7 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 from numpy.random import Generator
 
 from facetrack_cli.core.types import Array, Frame, Image, Mask, Particles, TargetStart
-from facetrack_cli.tracking.confidence import Measures
+from facetrack_cli.tracking.confidence import ComparesParts
 from facetrack_cli.tracking.guides import Guides
 from facetrack_cli.tracking.models.motion import Linear
 from facetrack_cli.trajectory.diagnostics import Diagnostic
@@ -15,7 +15,7 @@ from facetrack_cli.trajectory.trajectory import TargetResult
 Names: TypeAlias = Sequence[str]
 
 
-class Likelihood(Measures, Protocol):
+class Likelihood(ComparesParts, Protocol):
     """An observation model. What it learns of a clip is a value: it returns the value and is given it back.
 
     `init`: from the first frame with the parts at x0 (K, D); its `notes`, if any, are lines for the user. `score`:

@@ -30,7 +30,7 @@ def smoothed_rows(rows: Trajectory, beliefs: Beliefs, motion: MotionName = "reci
     With a `fitted` motion, the noise of the recipe's is scaled to what the clip shows. Rows that a correction gave,
     absent ones, and those of a part that is never seen again stay as they are.
     """
-    return _Target(rows, beliefs).rows(motion)
+    return _SmoothedTarget(rows, beliefs).rows(motion)
 
 
 def lagged(results: Iterable[FrameResult], lag: int) -> Iterator[FrameResult]:
@@ -62,7 +62,7 @@ def _next(
     for i, target in enumerate(now.targets):
         rows = successive([one.targets[i].rows for one in kept])
         beliefs = [() if (given := one.targets[i].beliefs) is None else given() for one in kept]
-        found = _Target(rows, beliefs, before[i] if before else (), lag=True)
+        found = _SmoothedTarget(rows, beliefs, before[i] if before else (), lag=True)
         frame = now.frame.index
         targets.append(target._replace(rows=found.rows("recipe").between(frame, frame + 1)))
         after.append(found.carried(at))
@@ -71,7 +71,7 @@ def _next(
     return FrameResult(now.frame, tuple(targets)), after
 
 
-class _Target:
+class _SmoothedTarget:
     """One target over T frames; its K parts in columns (T, K)."""
 
     def __init__(

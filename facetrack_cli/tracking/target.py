@@ -19,7 +19,7 @@ from facetrack_cli.tracking.confidence import Judgement
 from facetrack_cli.tracking.filters import Prediction, Step
 from facetrack_cli.tracking.guides import Arrived, Guides
 from facetrack_cli.tracking.loop import Footprint, log_weights
-from facetrack_cli.tracking.models.motion import JumpingWalk, Measured, VisibleWalk
+from facetrack_cli.tracking.models.motion import JumpingWalk, SensorReading, VisibleWalk
 from facetrack_cli.tracking.models.shape_prior import BoundPrior, StudentPrior
 from facetrack_cli.tracking.models.spaces import CloudSpace, Estimate, PointSpace, Space, VisibleBoxSpace, evenly
 from facetrack_cli.tracking.models.velocity import Flow, PredictedWalk
@@ -41,7 +41,7 @@ from facetrack_cli.trajectory.trajectory import PLACE, Status, TargetResult, of_
 
 
 @dataclass(frozen=True)
-class State:
+class ParticleState:
     """What a particle filter carries on: particles, estimate, what was learned of the clip, how parts are judged.
 
     `reported` are the likelihood's diagnostics, `flow` is what a motion that predicts has learned, `ahead` what it
@@ -97,7 +97,7 @@ class ParticleTarget:
             x[..., :2] += scatter * (rng.random((*x.shape[:2], 2)) - 0.5)
         return Particles(x, uniform(self.particles)), evenly(x0, scatter)
 
-    def begin(self, rng: Generator, frame: Frame) -> tuple[State, TargetResult]:
+    def begin(self, rng: Generator, frame: Frame) -> tuple[ParticleState, TargetResult]:
         try:
             learned = self.likelihood.init(frame, self.x0)
         except InputError as e:
@@ -107,18 +107,26 @@ class ParticleTarget:
         if self.confidence is not None:
             windows = self.space.windows(still)
             judgement = confidence.begin(self.confidence, self.likelihood, learned, frame, self.x0, windows)
-        state, result = self._begun(rng, frame, State(particles, still, learned, judgement), "init")
+        state, result = self._begun(rng, frame, ParticleState(particles, still, learned, judgement), "init")
         return state, result._replace(notes=getattr(learned, "notes", ()))
 
-    def _begun(self, rng: Generator, frame: Frame, state: State, status: Status) -> tuple[State, TargetResult]:
+    def _begun(
+        self, rng: Generator, frame: Frame, state: ParticleState, status: Status
+    ) -> tuple[ParticleState, TargetResult]:
         """The state with its diagnostics and its flow, where particles begin."""
         flow = None if self._predicts is None else self._predicts.begin(rng, frame, state.estimated.state)
         state = replace(state, reported=self._diagnose(state.learned), flow=flow)
         return state, self._result(state, frame, Info(np.full(len(self.parts), float(self.particles))), status)
 
     def restart(
-        self, rng: Generator, frame: Frame, first: State, given: TargetStart, absent: Names = (), anew: Names = ()
-    ) -> tuple[State, TargetResult]:
+        self,
+        rng: Generator,
+        frame: Frame,
+        first: ParticleState,
+        given: TargetStart,
+        absent: Names = (),
+        anew: Names = (),
+    ) -> tuple[ParticleState, TargetResult]:
         """As `begin`, where `given` says that the target is in `frame`, with what the `first` frame taught.
 
         `given` has the target's box, or the points of all parts but those `absent`, which follow the others from then
@@ -144,7 +152,7 @@ class ParticleTarget:
                 windows, measure = self.space.windows(still), self.likelihood
                 judgement = confidence.resume(self.confidence, judgement, fresh, measure, learned, frame, x0, windows)
         learned = self.likelihood.learn(learned, frame, x0, particles)
-        state = State(particles, still, learned, judgement, absent=hidden if hidden.any() else None)
+        state = ParticleState(particles, still, learned, judgement, absent=hidden if hidden.any() else None)
         return self._begun(rng, frame, state, "tracked")
 
     def follow(self, x: Array, hidden: Mask) -> Array:
@@ -157,11 +165,11 @@ class ParticleTarget:
     def advance(
         self,
         rng: Generator,
-        state: State,
+        state: ParticleState,
         frame: Frame,
         footprints: Sequence[Footprint] = (),
-        measured: Measured | None = None,
-    ) -> tuple[State, TargetResult]:
+        measured: SensorReading | None = None,
+    ) -> tuple[ParticleState, TargetResult]:
         """As a `Target` does; `measured` is what a sensor says of the parts of a target that moves by a JumpingWalk."""
         if self._prepares is not None:
             expected = self.motion.expect(state.estimated.state[None])[0]
@@ -186,12 +194,14 @@ class ParticleTarget:
         if self._predicts is not None:
             flow = self._predicts.learn(frame, estimated.state, particles.x)
             predicted = {"flow": flow, "ahead": bound.ahead, "entropy_before": state.reported.get(ENTROPY.name)}
-        state = State(
+        state = ParticleState(
             particles, estimated, learned, judgement, self._diagnose(learned), absent=state.absent, **predicted
         )
         return state, self._result(state, frame, info, "tracked")
 
-    def carried(self, rng: Generator, state: State, frame: Frame, shift: Array) -> tuple[State, TargetResult]:
+    def carried(
+        self, rng: Generator, state: ParticleState, frame: Frame, shift: Array
+    ) -> tuple[ParticleState, TargetResult]:
         """As `advance`, of a box that others see `shift` (2,) from where it is expected."""
         assert isinstance(self.motion, VisibleWalk)
         before = state.estimated.state
@@ -228,7 +238,7 @@ class ParticleTarget:
     def _diagnose(self, learned: Any) -> Mapping[str, Any]:
         return {} if self._reports is None else self._reports.diagnose(learned)
 
-    def footprint(self, state: State, *, ahead: bool) -> Footprint | None:
+    def footprint(self, state: ParticleState, *, ahead: bool) -> Footprint | None:
         if len(self.parts) > 1:
             return None  # points between which nobody knows what there is
         mean = state.estimated.state
@@ -245,7 +255,7 @@ class ParticleTarget:
         parts = (self._reports, self.space, self._predicts)
         return (*(one for part in parts if part is not None for one in part.diagnostics), EVIDENCE)
 
-    def _result(self, state: State, frame: Frame, info: Info, otherwise: Status) -> TargetResult:
+    def _result(self, state: ParticleState, frame: Frame, info: Info, otherwise: Status) -> TargetResult:
         """`otherwise` is the status where nothing judges."""
         k, judged, estimated = len(self.parts), state.judgement, state.estimated
         windows, outline = self.space.windows(estimated), self.space.outline(estimated)
@@ -278,7 +288,7 @@ class ParticleTarget:
         insets = () if self._scores_patches is None else self._scores_patches.insets(state.learned)
         return TargetResult(rows, state.particles.x[..., :2], insets, beliefs=lambda: self.beliefs(state))
 
-    def beliefs(self, state: State) -> tuple[Belief, ...]:
+    def beliefs(self, state: ParticleState) -> tuple[Belief, ...]:
         """What is known after a frame, for the smoother; nothing of a cloud, whose particles are the target itself."""
         if isinstance(self.space, CloudSpace):
             return ()
@@ -297,7 +307,7 @@ class ParticleTarget:
         """The largest distance between two parts at the start, in pixels."""
         return size_of_points(self.x0[:, :2])
 
-    def _reported(self, state: State, frame: Frame, info: Info) -> Mapping[str, Diagnostics]:
+    def _reported(self, state: ParticleState, frame: Frame, info: Info) -> Mapping[str, Diagnostics]:
         values = {EVIDENCE.name: info.evidence, **state.reported, **self.space.diagnose(state.estimated)}
         if state.ahead is not None:
             values |= {NOISE.name: state.ahead.noise, ERROR.name: state.ahead.error}
@@ -309,10 +319,10 @@ class Bound:
     """A target with one frame bound in: the model that filters see (`filters.FrameModel`)."""
 
     target: ParticleTarget
-    state: State
+    state: ParticleState
     frame: Frame
     footprints: Sequence[Footprint] = ()
-    measured: Measured | None = None
+    measured: SensorReading | None = None
 
     @cached_property
     def ahead(self) -> Prediction:

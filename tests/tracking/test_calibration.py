@@ -10,7 +10,7 @@ import pytest
 from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.runs.api import track_video
-from facetrack_cli.tracking.calibration import Calibration, Checked, Isotonic, Logistic, features, load_calibration
+from facetrack_cli.tracking.calibration import Calibration, CrossChecked, Isotonic, Logistic, features, load_calibration
 from facetrack_cli.trajectory.trajectory import SPREAD, build
 from tests.support.samples import FOLDER
 
@@ -18,7 +18,7 @@ POINTS = Logistic(
     intercept=-1.0, coefficients={"confidence": 2.0, "spread": -0.5, "ess": 0.1, "lost": -1.0}, least=0.01
 )
 BOX = Isotonic(score="confidence", knots=[[0.0, 0.1], [0.5, 0.2], [1.0, 0.75]])
-NUMBERS = Checked(
+NUMBERS = CrossChecked(
     rows=10, right=0.5, ece=0.1, brier=0.2, ece_raw=0.3, brier_raw=0.4, within_50=0.5, within_90=0.9, within_90_raw=0.6
 )
 BY = {"points": 2.0, "box": 0.5}

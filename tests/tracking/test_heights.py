@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.tracking.models.correlation_filter.heights import Heights, Peaks, Usual, View, evidence
+from facetrack_cli.tracking.models.correlation_filter.heights import Heights, Peaks, ResponseView, Usual, evidence
 from facetrack_cli.tracking.models.correlation_filter.trained import UPSAMPLED
 
 
@@ -72,7 +72,7 @@ def test_heights_of_a_view_are_the_highest_within_a_cell(at):
     rng = np.random.default_rng(1)
     now, first = rng.random((2, 40, 40), np.float32)
     column, row = at
-    found = View(np.zeros(2), now, now, first).heights(np.array([column + 0.3, row - 0.3, 1.0]))
+    found = ResponseView(np.zeros(2), now, now, first).heights(np.array([column + 0.3, row - 0.3, 1.0]))
     near = [(i, j) for i in range(40) for j in range(40) if abs(i - row) <= UPSAMPLED and abs(j - column) <= UPSAMPLED]
     assert found == Peaks(float(max(now[i, j] for i, j in near)), float(max(first[i, j] for i, j in near)))
     assert not math.isnan(found.now)

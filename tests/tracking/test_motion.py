@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.geometry import size_of_points
-from facetrack_cli.tracking.models.motion import JumpingWalk, Measured, RandomWalk
+from facetrack_cli.tracking.models.motion import JumpingWalk, RandomWalk, SensorReading
 
 SIGMA = np.array([0.5, 2.0, 4.0])
 
@@ -55,7 +55,7 @@ def sensed(z, x, measured, part):
     return sure * normal(z - x, measured.var[part]) + (1 - sure) / measured.area
 
 
-MEASURED = Measured(
+MEASURED = SensorReading(
     np.array([[5.0, -1.0], [-9.0, 4.0], [30.0, 30.0]]),  # near, a jump away, and where nobody gets
     np.array([1.0, 2.0, 1.5]),
     np.array([0.95, 0.9, 0.8]),

@@ -22,7 +22,7 @@ from facetrack_cli.tracking.face.sensors import (
     joined,
 )
 from facetrack_cli.tracking.face.stabilized import EYES, SIDE
-from facetrack_cli.tracking.models.motion import Measured
+from facetrack_cli.tracking.models.motion import SensorReading
 
 PLACES = np.array([[80.0, 100.0], [64.0, 120.0], [96.0, 120.0]])
 VISIBLE = np.ones(3)
@@ -130,7 +130,7 @@ def test_a_part_that_the_sensor_does_not_know_has_no_bias_and_is_not_measured():
 
 
 def said(z, var, sure):
-    return Measured(np.asarray(z, float), np.full(3, var), np.full(3, sure), SIDE**2 / 4)
+    return SensorReading(np.asarray(z, float), np.full(3, var), np.full(3, sure), SIDE**2 / 4)
 
 
 def test_two_sensors_that_agree_are_one_that_is_more_exact():

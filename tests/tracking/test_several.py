@@ -12,7 +12,7 @@ from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import Footprint, track
 from facetrack_cli.tracking.models.motion import FirstOrder
 from facetrack_cli.tracking.models.spaces import BoxSpace, CloudSpace, evenly
-from facetrack_cli.tracking.target import ParticleTarget, State
+from facetrack_cli.tracking.target import ParticleState, ParticleTarget
 from tests.support.parts import sir
 from tests.support.results import target
 
@@ -88,7 +88,7 @@ def moving(space):
 
 def state_of(target):
     particles = Particles(np.repeat(target.x0[None], 4, axis=0), np.full(4, -np.log(4)))
-    return State(particles, evenly(target.x0, np.array([[8.0, 4.0]])), (), None)
+    return ParticleState(particles, evenly(target.x0, np.array([[8.0, 4.0]])), (), None)
 
 
 @pytest.mark.parametrize(("space", "half"), [(BoxSpace((12.0, 8.0)), (9.0, 6.0)), (CloudSpace(), (4.0, 2.0))])

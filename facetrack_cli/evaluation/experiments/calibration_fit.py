@@ -23,7 +23,7 @@ from facetrack_cli.evaluation.reliability import (
     calibration_error,
     reliability_bins,
 )
-from facetrack_cli.tracking.calibration import MAX_SPREAD_FACTOR, RISES, Checked, Feature, Isotonic, Logistic, Map
+from facetrack_cli.tracking.calibration import MAX_SPREAD_FACTOR, RISES, CrossChecked, Feature, Isotonic, Logistic, Map
 
 ALIKE: Final = 20
 LEVELS: Final = 20  # quantiles of a score that isotonic regression tells apart
@@ -125,7 +125,7 @@ class Fitted:
         return figures(self.sample, self.left_out)
 
     @property
-    def checked(self) -> Checked:
+    def checked(self) -> CrossChecked:
         raw, found, right = self.raw, self.found, np.average(self.sample.right, weights=self.sample.weight)
         values = {"right": right, "ece": found.ece, "brier": found.brier, "ece_raw": raw.ece, "brier_raw": raw.brier}
         one, by = self.sample, np.ones(len(self.sample))
@@ -133,7 +133,7 @@ class Fitted:
             by[one.clip == clip] = one.take(one.clip != clip).spread
         values |= {"within_50": one.within(ELLIPSE_50, by), "within_90": one.within(ELLIPSE_90, by)}
         values |= {"within_90_raw": one.within(ELLIPSE_90)}
-        return Checked(rows=len(self.sample), **{name: round(float(value), 4) for name, value in values.items()})
+        return CrossChecked(rows=len(self.sample), **{name: round(float(value), 4) for name, value in values.items()})
 
 
 # --- maps ----------------------------------------------------------------------------------------------------------

@@ -46,7 +46,7 @@ _WAYS: Final = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1).astype(np.floa
 _AROUND: Final = (np.stack(np.meshgrid(*2 * [np.arange(GRID) - (GRID - 1) / 2]), axis=2) * STEP).reshape(-1, 2)
 
 
-class Placed(NamedTuple):
+class PlacedPoints(NamedTuple):
     """Points `at` (K, 2), in pixels; `odds` (K,): log p(image | visible) - log p(image | covered)."""
 
     at: Array
@@ -76,7 +76,7 @@ class Descent(NamedTuple):
     def parts(self) -> tuple[str, ...]:
         return self.points[: len(self.mean)]
 
-    def fit(self, still: Image, around: Sequence[Array] = ()) -> Placed:
+    def fit(self, still: Image, around: Sequence[Array] = ()) -> PlacedPoints:
         """The parts in a stabilized image.
 
         If they are hardly seen from the usual place of a face, they are sought around other middles (2,); the likeliest
@@ -89,11 +89,11 @@ class Descent(NamedTuple):
                 best = max(best, self._from(still, shift), key=lambda one: one.sure)
         return best
 
-    def _from(self, still: Image, shift: Array) -> Placed:
+    def _from(self, still: Image, shift: Array) -> PlacedPoints:
         """The parts, sought `shift` (2,) beside the usual place."""
         seen = seen_in(still, shift)
         at = self.descended(seen) + CORNER
-        return Placed(at + shift, self.visible(seen, at))
+        return PlacedPoints(at + shift, self.visible(seen, at))
 
     def descended(self, seen: NDArray[np.float32]) -> Array:
         """x after the last stage (K, 2), in the channels of the part of the stabilized image that is read."""

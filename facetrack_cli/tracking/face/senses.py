@@ -11,7 +11,7 @@ import numpy as np
 
 from facetrack_cli.core.types import Array, Frame, Point
 from facetrack_cli.tracking.face import stabilized
-from facetrack_cli.tracking.face.descent import Placed, load_descent, seen_in
+from facetrack_cli.tracking.face.descent import PlacedPoints, load_descent, seen_in
 from facetrack_cli.tracking.face.mesh import NAMES, Mesh
 from facetrack_cli.tracking.face.mesh_points import MeshPoints
 from facetrack_cli.tracking.face.sensors import DETECTOR, FADES, NETWORK, REGRESSION, Sensor
@@ -22,8 +22,8 @@ from facetrack_cli.tracking.start.detectors import Detector, Found
 class Sensed(NamedTuple):
     """What sensors say of the points in the stabilized image: those with windows, and the network's `others` (J, 2)."""
 
-    parts: Placed
-    others: Placed | None
+    parts: PlacedPoints
+    others: PlacedPoints | None
 
 
 class Begun(NamedTuple):
@@ -79,10 +79,10 @@ class Senses:
         index = [descent.parts.index(part) if part in descent.parts else -1 for part in self.parts]
         known = np.array(index) >= 0
         placed = known & (self.mesh is None or points is not None)
-        parts = Placed(np.where(placed[:, None], at[index], np.nan), np.where(known, odds[index], 0.0))
+        parts = PlacedPoints(np.where(placed[:, None], at[index], np.nan), np.where(known, odds[index], 0.0))
         if points is None:
             return Sensed(parts, None)
         # a point is as visible as the nearest of which something is known
         others = points[[NAMES[part] for part in self.others]]
         nearest = np.hypot(*(others[:, None] - at).transpose(2, 0, 1)).argmin(axis=1)
-        return Sensed(parts, Placed(others, odds[nearest]))
+        return Sensed(parts, PlacedPoints(others, odds[nearest]))

@@ -20,7 +20,7 @@ import numpy as np
 
 from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.tracking.face.stabilized import EYES, SIDE
-from facetrack_cli.tracking.models.motion import Measured
+from facetrack_cli.tracking.models.motion import SensorReading
 
 DRIFT: Final = 0.001 * EYES  # standard deviation of b in a frame, pixels
 REGRESSION, NETWORK, DETECTOR = 0.05 * EYES, 0.01 * EYES, 0.05 * EYES  # the least r of a sensor
@@ -54,13 +54,13 @@ class Sensor(NamedTuple):
         r2 = np.full(len(x0), std**2)
         return cls(np.where(known[:, None], z - x0, 0.0), np.where(known, r2, MAX_NOISE**2), r2, least, keep)
 
-    def measured(self, z: Array, visible: Array) -> Measured:
+    def measured(self, z: Array, visible: Array) -> SensorReading:
         """What z (K, 2) says of parts that are visible with a probability (K,)."""
         known = _known(z)
         sure = np.where(known, BLIND + (SURE - BLIND) * visible, 0.0)
         at = np.where(known[:, None], z - self.keep * self.bias, 0.0)
         noise = self.noise + MISLED**2 * (1 - visible.min())
-        return Measured(at, self._ahead + noise, sure, float(SIDE**2) / 4)
+        return SensorReading(at, self._ahead + noise, sure, float(SIDE**2) / 4)
 
     def learned(self, z: Array, state: Array, cov: Array, visible: Array) -> Sensor:
         """After z (K, 2), where the filter has the parts at `state` (K, 2), with `cov` (K, 2, 2)."""
@@ -80,23 +80,23 @@ class Sensor(NamedTuple):
         return np.asarray(self.keep**2 * self.var + DRIFT**2)
 
 
-def joined(one: Measured, other: Measured) -> Measured:
+def joined(one: SensorReading, other: SensorReading) -> SensorReading:
     """What two sensors say together; where they are far apart, what the other says alone."""
     weight = np.where(apart(one, other), 0.0, one.sure / one.var), other.sure / other.var
     total = np.maximum(weight[0] + weight[1], 1e-12)
     z = (weight[0][:, None] * one.z + weight[1][:, None] * other.z) / total[:, None]
     sure = np.maximum(one.sure, other.sure)
-    return Measured(z, np.where(sure > 0, sure / total, one.var), sure, one.area)
+    return SensorReading(z, np.where(sure > 0, sure / total, one.var), sure, one.area)
 
 
-def apart(one: Measured, other: Measured) -> Mask:
+def apart(one: SensorReading, other: SensorReading) -> Mask:
     """(K,): of which parts two sensors cannot both be right."""
     return np.asarray(
         (other.sure > 0) & (np.sum((one.z - other.z) ** 2, axis=1) > MAX_SQUARED_DISTANCE * (one.var + other.var))
     )
 
 
-def common_shift(measured: Measured, state: Array) -> Array:
+def common_shift(measured: SensorReading, state: Array) -> Array:
     """By how much (2,) all parts have moved together since they were at `state` (K, 2): what the head has not followed.
 
     The mean under N(0, SLIP^2 I) of the shift, whose measurement is the median of the parts'.

@@ -10,14 +10,14 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.types import Array, Frame
-from facetrack_cli.tracking.face.descent import Placed
+from facetrack_cli.tracking.face.descent import PlacedPoints
 from facetrack_cli.tracking.face.found_again import Sighting
 from facetrack_cli.tracking.face.mesh_points import MeshPoints
 from facetrack_cli.tracking.face.sensors import Facing, Sensor
 from facetrack_cli.tracking.face.stabilized import Similarity
-from facetrack_cli.tracking.models.motion import Measured
+from facetrack_cli.tracking.models.motion import SensorReading
 from facetrack_cli.tracking.start.detectors import Found
-from facetrack_cli.tracking.target import State
+from facetrack_cli.tracking.target import ParticleState
 from facetrack_cli.trajectory.trajectory import TargetResult
 
 _MAX_POSE: Final = np.array([math.radians(60), 0.7, 0.3, 0.3])
@@ -35,8 +35,8 @@ class FaceState:
     lost.
     """
 
-    head: State
-    features: State
+    head: ParticleState
+    features: ParticleState
     points: TargetResult
     sensor: Sensor
     second: Sensor
@@ -63,9 +63,9 @@ class View(NamedTuple):
     due: bool
     found: Found | None
     z2: Array
-    parts: Placed
-    others: Placed | None
-    measured: Measured
+    parts: PlacedPoints
+    others: PlacedPoints | None
+    measured: SensorReading
     upright: Array
     shift: Array
     sure: float
@@ -77,7 +77,7 @@ def updated(pose: Array, var: Array, off: Array, std: Array) -> tuple[Array, Arr
     return np.clip(pose + gain * off, -_MAX_POSE, _MAX_POSE), (1 - gain) * var
 
 
-def shifted(features: State, to: Callable[[Array], Array]) -> State:
+def shifted(features: ParticleState, to: Callable[[Array], Array]) -> ParticleState:
     """The points' state at other places."""
     particles = features.particles._replace(x=to(features.particles.x))
     return replace(
@@ -85,6 +85,6 @@ def shifted(features: State, to: Callable[[Array], Array]) -> State:
     )
 
 
-def sure_of(head: State) -> float:
+def sure_of(head: ParticleState) -> float:
     assert head.judgement is not None
     return float(head.judgement.confidence[0])

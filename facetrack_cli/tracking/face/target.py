@@ -42,7 +42,7 @@ from facetrack_cli.tracking.models.likelihoods import window_ncc
 from facetrack_cli.tracking.models.motion import JumpingWalk
 from facetrack_cli.tracking.roles import Names
 from facetrack_cli.tracking.smoothing import Belief
-from facetrack_cli.tracking.target import ParticleTarget, State
+from facetrack_cli.tracking.target import ParticleState, ParticleTarget
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, of_frame
 
@@ -180,7 +180,7 @@ class FaceTarget:
     ) -> tuple[FaceState, TargetResult]:
         """The points in a frame of which there is a `view`; a head without a `box` goes with them."""
         (z, odds), features, shift = view.parts, state.features, view.shift
-        if isinstance(features.learned, window_ncc.Learned):
+        if isinstance(features.learned, window_ncc.WindowState):
             features = replace(features, learned=features.learned._replace(told=odds))
         features = shifted(features, lambda x: x + shift)
         given = view.measured if isinstance(self.features.motion, JumpingWalk) else None  # others have the shift alone
@@ -206,9 +206,9 @@ class FaceTarget:
         state = self._moved(self._posed(state, view), similarity)
         return state, self._result(state, box, frame)
 
-    def _visible(self, features: State) -> Array:
+    def _visible(self, features: ParticleState) -> Array:
         """(K,) how visible the parts are, where their likelihood says so."""
-        known = isinstance(features.learned, window_ncc.Learned)
+        known = isinstance(features.learned, window_ncc.WindowState)
         return np.asarray(features.learned.visible if known else np.ones(len(self.features.parts)))
 
     def _map(self, head: Array, pose: Array) -> Similarity:
@@ -230,7 +230,7 @@ class FaceTarget:
         facing = state.facing.looked(found=False) if seen is None else state.facing
         return replace(state, head=head, sighting=seen, facing=facing)
 
-    def _gone(self, head: State, seen: Sighting) -> bool:
+    def _gone(self, head: ParticleState, seen: Sighting) -> bool:
         """Whether a head that is lost may be where a face is seen: there, or no longer known to be covered."""
         middle, half = head.estimated.state[0, :2], 0.5 * self.head.space.windows(head.estimated)[0]
         if (np.abs(np.array(centre(seen.box)) - middle) < half).all():

@@ -55,7 +55,7 @@ class RandomWalk:
         return Linear(eye, np.zeros_like(state), eye * self.sigma[:, None, None] ** 2)
 
 
-class Measured(NamedTuple):
+class SensorReading(NamedTuple):
     """What a sensor says of K parts in one frame: z (K, 2) = part + N(0, var I) with probability `sure` (K,).
 
     Otherwise it says nothing: z is then anywhere in `area` square pixels. `var` (K,) in square pixels.
@@ -92,7 +92,7 @@ class JumpingWalk:
         step = np.where(rng.random(x.shape[:2]) < self.jumps, self.jump, self.sigma)
         return np.asarray(self.expect(x) + step[..., None] * rng.standard_normal(x.shape))
 
-    def propagate_given(self, rng: np.random.Generator, x: Array, measured: Measured) -> Array:
+    def propagate_given(self, rng: np.random.Generator, x: Array, measured: SensorReading) -> Array:
         """x (N, K, 2) moved by one frame, given what was measured in it."""
         mean, log_p = self.expect(x), self._components(x, measured)
         p = np.exp(log_p - log_p.max(axis=0))
@@ -103,13 +103,13 @@ class JumpingWalk:
         noise = np.sqrt((1 - gain) * var)[..., None] * rng.standard_normal(x.shape)
         return np.asarray(mean + gain[..., None] * (measured.z - mean) + noise)
 
-    def log_measured(self, x: Array, measured: Measured) -> Array:
+    def log_measured(self, x: Array, measured: SensorReading) -> Array:
         """log p(z | a^-) of each part, x (N, K, 2) -> (N, K)."""
         log_p = self._components(x, measured)
         highest = log_p.max(axis=0)
         return np.asarray(highest + np.log(np.exp(log_p - highest).sum(axis=0)))
 
-    def _components(self, x: Array, measured: Measured) -> Array:
+    def _components(self, x: Array, measured: SensorReading) -> Array:
         """(4, N, K): of a step and of a jump, log p(z and that | a^-); the same where z says nothing."""
         squared = np.sum((measured.z - self.expect(x)) ** 2, axis=2)
         share = np.array([max(1 - self.jumps, 1e-12), max(self.jumps, 1e-12)])

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.types import Array, Box, Frame, Image, Point
-from facetrack_cli.tracking.face.descent import CORNER, Placed, load_descent
+from facetrack_cli.tracking.face.descent import CORNER, PlacedPoints, load_descent
 from facetrack_cli.tracking.face.stabilized import EYE_LINE, FACE, MIDDLE, Similarity, change_between
 
 # Fractions of a Haar box (x, y): the mean over 26 images, of 15 clips and two portraits; standard deviation 0.02.
@@ -58,7 +58,7 @@ def shows_features(image: Image, box: Box) -> bool:
     return _placed(Frame(0, 0.0, image), box, None, {}).sure > 0
 
 
-def _placed(frame: Frame, box: Box, eyes: tuple[Point, Point] | None, points: Mapping[str, Point]) -> Placed:
+def _placed(frame: Frame, box: Box, eyes: tuple[Point, Point] | None, points: Mapping[str, Point]) -> PlacedPoints:
     """The face in `box` where the regression sees most of it.
 
     Without `eyes` they are taken to be where they are on average, and the face of one of three sizes: the boxes of
@@ -69,12 +69,12 @@ def _placed(frame: Frame, box: Box, eyes: tuple[Point, Point] | None, points: Ma
     zooms = (1.0,) if eyes else ZOOMS
     size, (across, down) = math.sqrt(box[2] * box[3]) / FACE, (right - left).tolist()
 
-    def seen(scale: float, angle: float, at: Array, still: Array) -> Placed:
+    def seen(scale: float, angle: float, at: Array, still: Array) -> PlacedPoints:
         """What is seen of a face whose place `still` (2,) in the stabilized image is `at` (2,) in the frame."""
         face = Similarity(np.zeros(2), scale, angle)
         face = face._replace(centre=at - face.to_frame(still))
         placed = descent.fit(face.read(frame).bgr)
-        return Placed(face.to_frame(placed.at), placed.odds)
+        return PlacedPoints(face.to_frame(placed.at), placed.odds)
 
     rest, angle = descent.mean + CORNER, math.atan2(down, across)
     tries = [(zoom * size, seen(zoom * size, angle, (left + right) / 2, EYES_AT)) for zoom in zooms]

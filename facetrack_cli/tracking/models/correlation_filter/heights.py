@@ -47,7 +47,7 @@ class Peaks(NamedTuple):
     elsewhere: float | None = None
 
 
-class View(NamedTuple):
+class ResponseView(NamedTuple):
     """A window around `centre` (2,): R, the response of the filter of `now`, and that of the first frames."""
 
     centre: Array

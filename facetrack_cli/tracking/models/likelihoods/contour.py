@@ -30,7 +30,7 @@ _MAX_PIXELS = 1e9  # pixels; no frame is as large
 
 
 @dataclass(frozen=True)
-class Outline:
+class Ellipse:
     """The ellipse at scale 1: `points` (L, 2) from its centre, in pixels, and its outward unit `normals` (L, 2).
 
     `share`: how much of the normals counts as independent, averaged over `frames`.
@@ -57,35 +57,35 @@ class Contour:
         unit = context.placed.unit
         return cls(settings, context.placed.size, settings.sigma.pixels(unit), settings.search.pixels(unit))
 
-    def init(self, frame: Frame, x0: Array) -> Outline:
+    def init(self, frame: Frame, x0: Array) -> Ellipse:
         """The ellipse; of the first frame and x0 (1, 6) nothing is learned but how independent the normals are."""
-        begun = Outline(factor_for(max(self.size), self.settings.max_size), *ellipse(self.size, self.settings.normals))
+        begun = Ellipse(factor_for(max(self.size), self.settings.max_size), *ellipse(self.size, self.settings.normals))
         return self.learn(begun, frame, x0)
 
-    def score(self, learned: Outline, frame: Frame, x: Array, parents: Array | None = None) -> Array:
+    def score(self, learned: Ellipse, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_o of x (N, 1, 6) -> (N, 1), from L log K to 0; parents do not matter."""
         return np.asarray(self._terms(learned, frame, x).sum(axis=1, keepdims=True) * learned.share)
 
-    def distances(self, learned: Outline, frame: Frame, x: Array) -> Array:
+    def distances(self, learned: Ellipse, frame: Frame, x: Array) -> Array:
         """1 - mean over l of exp(-d_l^2 / (2 sigma^2)) of x (N, 1, 6) -> (N, 1), 0 to 1 (no edges)."""
         d = self._nearest(learned, frame, x, self.search)
         return np.asarray(1.0 - np.exp(-0.5 * (d / self.sigma) ** 2).mean(axis=1, keepdims=True))
 
-    def learn(self, learned: Outline, frame: Frame, state: Array, particles: Particles | None = None) -> Outline:
+    def learn(self, learned: Ellipse, frame: Frame, state: Array, particles: Particles | None = None) -> Ellipse:
         """How independent the normals are, if that is estimated."""
         if self.settings.independent == "all":
             return learned
         share = effective_share(self._terms(learned, frame, state[None])[0], ring=True)
         return replace(learned, share=averaged(learned.share, learned.frames, share), frames=learned.frames + 1)
 
-    def _terms(self, learned: Outline, frame: Frame, x: Array) -> Array:
+    def _terms(self, learned: Ellipse, frame: Frame, x: Array) -> Array:
         """(N, L): log of the factor of each normal in eq. 11."""
         least = math.log(self.settings.outlier)
         # what lies farther off counts K, found or not
         reach = min(self.search, self.sigma * math.sqrt(-2.0 * least))
         return np.maximum(-0.5 * (self._nearest(learned, frame, x, reach) / self.sigma) ** 2, least)
 
-    def _nearest(self, learned: Outline, frame: Frame, x: Array, reach: float) -> Array:
+    def _nearest(self, learned: Ellipse, frame: Frame, x: Array, reach: float) -> Array:
         """How far the nearest edge lies on each normal, (N, L), in pixels; inf without one within `reach`."""
         boxes = np.clip(np.nan_to_num(x[:, 0, :3]), -_MAX_PIXELS, _MAX_PIXELS)
         # an edge at the very end of a normal is seen by two values beyond it, and each value by a pixel around it

@@ -44,7 +44,14 @@ from facetrack_cli.tracking.guides import Guides
 from facetrack_cli.tracking.kernels.cells import read_cubic
 from facetrack_cli.tracking.models.correlation_filter.colour import ColourModel, Colours
 from facetrack_cli.tracking.models.correlation_filter.features import Features, Single
-from facetrack_cli.tracking.models.correlation_filter.heights import Heights, Peaks, Usual, View, evidence, log_student
+from facetrack_cli.tracking.models.correlation_filter.heights import (
+    Heights,
+    Peaks,
+    ResponseView,
+    Usual,
+    evidence,
+    log_student,
+)
 from facetrack_cli.tracking.models.correlation_filter.scale import ScaleTrainer, TrainedScale
 from facetrack_cli.tracking.models.correlation_filter.trained import UPSAMPLED, Trained, Trainer, peaks
 from facetrack_cli.tracking.models.spaces import VISIBLE, Context
@@ -78,7 +85,7 @@ class Seen(NamedTuple):
     candidate: Array | None
 
 
-class Learned(NamedTuple):
+class CorrelationState(NamedTuple):
     """What is known of the clip. `first` are the filters of the first frames, `hidden` how long it has been hidden.
 
     `last` is the index of the frame that was learned last.
@@ -142,7 +149,7 @@ class CorrelationFilter:
         """Side of the window in pixels."""
         return self.settings.window * self._unit * scale
 
-    def init(self, frame: Frame, x0: Array) -> Learned:
+    def init(self, frame: Frame, x0: Array) -> CorrelationState:
         centre, scale = x0[0, :2], float(x0[0, 2])
         features = Features.learn(frame, centre, self._side(scale), self.settings.cells, self.settings.components)
         x, window = features.read(frame, centre, self._side(scale))
@@ -162,9 +169,9 @@ class CorrelationFilter:
         scales, trainer = None, self._scale_trainer
         if trainer is not None:
             scales = trainer.learn(None, trainer.read(frame, centre, scale), 1.0)
-        return Learned(features, filters, filters.filters, scales, colours, heights, last=frame.index)
+        return CorrelationState(features, filters, filters.filters, scales, colours, heights, last=frame.index)
 
-    def look(self, learned: Learned, frame: Frame, expected: Array) -> Learned:
+    def look(self, learned: CorrelationState, frame: Frame, expected: Array) -> CorrelationState:
         """With what the frame shows around the place (1, D) where the target is `expected`."""
         one, centre, scale = self.settings, expected[0, :2], float(np.clip(expected[0, 2], *self.limits))
         view = self._view(learned, frame, centre, scale)
@@ -192,7 +199,7 @@ class CorrelationFilter:
         """Pixels between two samples of a response."""
         return self._side(scale) / (UPSAMPLED * self.settings.cells)
 
-    def _view(self, learned: Learned, frame: Frame, centre: Array, scale: float) -> View:
+    def _view(self, learned: CorrelationState, frame: Frame, centre: Array, scale: float) -> ResponseView:
         x, window = learned.features.read(frame, centre, self._side(scale))
         now, first = (self._trainer.respond(of, x) for of in (learned.filters.filters, learned.first))
         response, (usual, usual_first) = now, learned.heights[:2]
@@ -202,9 +209,11 @@ class CorrelationFilter:
                 share = self.settings.colour
                 response = (1 - share) * now + np.float32(share * usual.mean) * score
         response = response + np.float32(_KEPT * usual.mean / max(usual_first.mean, 1e-9)) * first
-        return View(centre, response, now, first)
+        return ResponseView(centre, response, now, first)
 
-    def _detect(self, learned: Learned, frame: Frame, expected: Array, scale: float) -> tuple[Guides, float] | None:
+    def _detect(
+        self, learned: CorrelationState, frame: Frame, expected: Array, scale: float
+    ) -> tuple[Guides, float] | None:
         """A mode found elsewhere, where the target is hidden, and how high it is: the best of a few windows."""
         best: tuple[float, Array, bool] | None = None
         middle = UPSAMPLED * self.settings.cells // 2
@@ -232,11 +241,11 @@ class CorrelationFilter:
         )
         return self._modes(view, size, found, np.array([log_l]), anew=True), height
 
-    def _both(self, learned: Learned, view: View) -> Single:
+    def _both(self, learned: CorrelationState, view: ResponseView) -> Single:
         """What both filters respond to, as high as R usually is."""
         return np.float32(0.5) * (view.now + np.float32(learned.heights.ratio) * view.first)
 
-    def _modes(self, view: View, scale: float, found: Array, log_l: Array, *, anew: bool = False) -> Guides:
+    def _modes(self, view: ResponseView, scale: float, found: Array, log_l: Array, *, anew: bool = False) -> Guides:
         """The peaks `found` (J, 3) of a response as Gaussians of place and log scale, which is left open."""
         n, sharpness, sample, response = len(view.response), self.settings.sharpness, self._sample(scale), view.response
         usual = UPSAMPLED * self._trainer.sigma
@@ -245,7 +254,7 @@ class CorrelationFilter:
         std = np.column_stack([widths * sample / math.sqrt(sharpness), np.full(len(found), _SCALE_STD)])
         return Guides(mean, std, log_l, np.full(len(found), anew))
 
-    def _scale_at(self, learned: Learned, frame: Frame, place: Array, scale: float) -> tuple[float, float]:
+    def _scale_at(self, learned: CorrelationState, frame: Frame, place: Array, scale: float) -> tuple[float, float]:
         """Mean and standard deviation of the change of log scale at a place, by S^sharpness times a broad prior."""
         trainer, settings = self._scale_trainer, self.settings.scales
         if trainer is None or settings is None or learned.scales is None:
@@ -264,7 +273,7 @@ class CorrelationFilter:
         precision = max(1 / variance - 1 / _SCALE_STD**2, 1 / (4 * _SCALE_STD) ** 2)
         return mean / (variance * precision), 1 / math.sqrt(precision)
 
-    def _elsewhere(self, learned: Learned, frame: Frame, expected: Array) -> list[Array]:
+    def _elsewhere(self, learned: CorrelationState, frame: Frame, expected: Array) -> list[Array]:
         """Where else to look for a target that is hidden, places and log scales (3,): a few of a lattice, in turn.
 
         The nearest are first; after all the next size.
@@ -293,7 +302,7 @@ class CorrelationFilter:
         places = np.column_stack([x.ravel(), y.ravel()])
         return places[np.argsort(np.hypot(*(places - near).T), kind="stable")]
 
-    def score(self, learned: Learned, frame: Frame, x: Array, parents: Array) -> Array:
+    def score(self, learned: CorrelationState, frame: Frame, x: Array, parents: Array) -> Array:
         """(N, 1): log L of x (N, 1, D), the Gaussians of the modes; 0 far from all."""
         assert learned.seen is not None
         guides = learned.seen.guides
@@ -305,11 +314,11 @@ class CorrelationFilter:
         )
         return logsumexp(guides.log_w - np.log(volume) - 0.5 * off, axis=1)[:, None]
 
-    def guides(self, learned: Learned) -> Guides:
+    def guides(self, learned: CorrelationState) -> Guides:
         assert learned.seen is not None
         return learned.seen.guides
 
-    def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
+    def learn(self, learned: CorrelationState, frame: Frame, state: Array, particles: Particles) -> CorrelationState:
         """In proportion to P(visible), the last number of the `state` (1, D)."""
         one, seen = self.settings, learned.seen
         visible = float(np.clip(state[0, VISIBLE], 0, 1))
@@ -341,7 +350,7 @@ class CorrelationFilter:
             learned = learned._replace(first=filters.filters)
         return learned._replace(filters=filters, scales=scales, colours=colours)
 
-    def distances(self, learned: Learned, frame: Frame, x: Array) -> Array:
+    def distances(self, learned: CorrelationState, frame: Frame, x: Array) -> Array:
         """(N, 1) of zeros: whether the target is visible is part of the state."""
         return np.zeros(x.shape[:2])
 

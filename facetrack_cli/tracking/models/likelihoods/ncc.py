@@ -92,7 +92,7 @@ def adapted(template: Template, settings: Pattern, frame: Frame, state: Array) -
     return replace(template, now=(1 - rate) * template.now + rate * _patch(template, frame, state))
 
 
-class _View(NamedTuple):
+class _GreyView(NamedTuple):
     """The grey image around boxes (N, 3) = (u, v, s) in its pixels; which are `seen` at all; the range of (u, v)."""
 
     image: Image
@@ -103,7 +103,7 @@ class _View(NamedTuple):
     same_scale: bool
 
 
-def _view(template: Template, frame: Frame, x: Array) -> _View:
+def _view(template: Template, frame: Frame, x: Array) -> _GreyView:
     factor, (th, tw) = template.factor, template.now.shape
     width, height = (max(side // factor, 1) for side in frame.size)
     boxes, seen, low, high, area, same = kernel.place(x, factor, template.offset, th, tw, width, height)
@@ -112,7 +112,7 @@ def _view(template: Template, frame: Frame, x: Array) -> _View:
     dx, dy = left // factor, top // factor
     boxes -= (x0, y0, 0.0)
     image = np.ascontiguousarray(grey[y0 - dy : y1 - dy, x0 - dx : x1 - dx])  # one signature, one compilation
-    return _View(image, boxes, seen, low - (x0, y0), high - (x0, y0), same)
+    return _GreyView(image, boxes, seen, low - (x0, y0), high - (x0, y0), same)
 
 
 def _ratio(cross: Array, energy: Array, seen: Mask) -> Array:
@@ -121,7 +121,7 @@ def _ratio(cross: Array, energy: Array, seen: Mask) -> Array:
     return np.clip(np.where(good, cross, 0.0) / np.sqrt(np.where(good, energy, 1.0)), -1.0, 1.0)
 
 
-def _moments(view: _View, centred: NDArray[np.float32]) -> Array:
+def _moments(view: _GreyView, centred: NDArray[np.float32]) -> Array:
     """Mean of template times image, and the image's variance at the template's points, (N, 2), the cheaper way."""
     (x0, y0), (height, width) = np.floor(view.low).astype(int).tolist(), view.image.shape
     x1, y1 = (np.floor(view.high).astype(int) + 1 + centred.shape[::-1]).tolist()

@@ -29,7 +29,7 @@ GRID = 9  # points along each side of it
 
 
 @dataclass(frozen=True)
-class Learned:
+class SkinColours:
     """The skin's colour as a table of 255 p by [Cb, Cr], (256, 256); what there is to say of it."""
 
     table: NDArray[np.uint8]
@@ -51,27 +51,27 @@ class SkinCloud:
             raise InputError(f"{start.origin}: has no {teacher}, whose colours {context.name} learns from; add its box")
         return cls(settings, context.placed.size, box_of(start, teacher))
 
-    def init(self, frame: Frame, x0: Array) -> Learned:
+    def init(self, frame: Frame, x0: Array) -> SkinColours:
         """The colour of skin in the teacher's box. Raises InputError if nothing of it is in the frame."""
         model = learn_skin(frame, self.teacher, least_share=self.settings.least_share)
         said = note(model)
-        return Learned(model.table, () if said is None else (said,))
+        return SkinColours(model.table, () if said is None else (said,))
 
-    def score(self, learned: Learned, frame: Frame, x: Array, parents: Array) -> Array:
+    def score(self, learned: SkinColours, frame: Frame, x: Array, parents: Array) -> Array:
         """(N, 1): log p(y | x) of x (N, 1, D), x and y first."""
         return np.log(np.maximum(self._skin(learned, frame, x[:, 0, :2]), self.settings.floor))[:, None]
 
-    def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
+    def learn(self, learned: SkinColours, frame: Frame, state: Array, particles: Particles) -> SkinColours:
         return learned
 
-    def distances(self, learned: Learned, frame: Frame, x: Array) -> Array:
+    def distances(self, learned: SkinColours, frame: Frame, x: Array) -> Array:
         """(N, 1): 1 less the mean probability of skin about each place."""
         steps = np.linspace(-0.5, 0.5, GRID) * MIDDLE
         grid = np.stack(np.meshgrid(steps * self.size[0], steps * self.size[1]), axis=-1).reshape(-1, 2)
         skin = self._skin(learned, frame, (x[:, 0, None, :2] + grid).reshape(-1, 2))
         return np.asarray(1.0 - skin.reshape(len(x), -1).mean(axis=1)[:, None])
 
-    def _skin(self, learned: Learned, frame: Frame, xy: Array) -> Array:
+    def _skin(self, learned: SkinColours, frame: Frame, xy: Array) -> Array:
         """(N,): p of the pixel at each place xy (N, 2); 0 beyond the frame."""
         factor = factor_for(max(self.size), self.settings.max_size)
         image, left, top = frame.reduced(factor, extent(np.ascontiguousarray(xy)[:, None], 0.0))

@@ -41,7 +41,7 @@ MAX_EXACT_PIXELS = 2**23  # pixels whose sum, each up to 255, an int32 holds
 
 
 @dataclass(frozen=True, eq=False)
-class Learned:
+class SkinPattern:
     """`table` (256, 256) uint8, 255 p at [Cb, Cr]; `rho` of the start; `k`, what v is compared with; notes on it."""
 
     table: NDArray[np.uint8] | None
@@ -62,7 +62,7 @@ class SkinNcc:
     def build(cls, settings: sections.SkinNcc, context: Context) -> SkinNcc:
         return cls(settings, context.placed.size)
 
-    def init(self, frame: Frame, x0: Array) -> Learned:
+    def init(self, frame: Frame, x0: Array) -> SkinPattern:
         """The skin's colour and the template of the box at x0 (1, 6). InputError if nothing of it is in the frame."""
         notes, table, template = [], None, None
         skin, ncc, k = self.settings.skin, self.settings.ncc, self.settings.k
@@ -76,17 +76,17 @@ class SkinNcc:
             template = matching.learn_template(frame, self.size, x0, ncc.max_size)
             if template.first.var() < matching.MIN_VARIANCE:
                 notes.append("the face's box is of one grey level throughout, so that no pattern can be matched")
-        learned = Learned(table, template, 0.0, 0.0, tuple(one for one in notes if one))
+        learned = SkinPattern(table, template, 0.0, 0.0, tuple(one for one in notes if one))
         rho = 0.0 if skin is None else float(self.rho(learned, frame, x0[None])[0])
         k = float(self._values(learned, frame, x0[None])[0]) if k is None else k
         return replace(learned, rho=rho, k=k)
 
-    def score(self, learned: Learned, frame: Frame, x: Array, parents: Array | None = None) -> Array:
+    def score(self, learned: SkinPattern, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """-(k - v)^2 / (2 sigma^2) of boxes x (N, 1, 6) -> (N, 1) (eq. 11); parents do not matter."""
         off = learned.k - self._values(learned, frame, x)
         return np.asarray((off * off / (-2.0 * self.settings.sigma**2))[:, None])
 
-    def distances(self, learned: Learned, frame: Frame, x: Array) -> Array:
+    def distances(self, learned: SkinPattern, frame: Frame, x: Array) -> Array:
         """(N, 1), 0..1, of boxes x (N, 1, 6): the mean over the cues.
 
         Skin: 0 where rho is that of the start or less, 1 where it is 0 or more. Template: 1 less the zero-mean NCC.
@@ -98,12 +98,12 @@ class SkinNcc:
             found.append(1.0 - np.maximum(matching.correlate(learned.template, frame, x)[1], 0.0))
         return np.asarray(np.mean(found, axis=0)[:, None])
 
-    def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
+    def learn(self, learned: SkinPattern, frame: Frame, state: Array, particles: Particles) -> SkinPattern:
         if self.settings.ncc is None or learned.template is None:
             return learned
         return replace(learned, template=matching.adapted(learned.template, self.settings.ncc, frame, state))
 
-    def rho(self, learned: Learned, frame: Frame, x: Array) -> Array:
+    def rho(self, learned: SkinPattern, frame: Frame, x: Array) -> Array:
         """(R_ext - R_int) / area of R_int, eq. 9, of boxes x (N, 1, 6) -> (N,), -1..1; 0 of what is no box."""
         skin = self.settings.skin
         assert skin is not None and learned.table is not None
@@ -123,7 +123,7 @@ class SkinNcc:
         rho = (sums[:, 1] - 2.0 * sums[:, 0]) / np.where(area > 0.0, 255.0 * area, 1.0)
         return np.asarray(np.clip(rho, -1.0, 1.0))
 
-    def _values(self, learned: Learned, frame: Frame, x: Array) -> Array:
+    def _values(self, learned: SkinPattern, frame: Frame, x: Array) -> Array:
         """v of boxes x (N, 1, 6) -> (N,)."""
         ncc, cost = self.settings.ncc, self.settings.cost
         rho: Any = 1.0 if self.settings.skin is None else self.rho(learned, frame, x)

@@ -51,7 +51,7 @@ MAX_OFF: Final = 0.55  # of the reach: from there on a window shows what is besi
 USED: Final = 0.02  # rate at which it is learned how often a template matches best
 
 
-class Templates(NamedTuple):
+class PartTemplates(NamedTuple):
     """Of one part: windows of unit norm, that of the first frame first; how often each matched best, and its age."""
 
     windows: tuple[Channels, ...]
@@ -59,7 +59,7 @@ class Templates(NamedTuple):
     age: tuple[int, ...]
 
 
-class Learned(NamedTuple):
+class WindowState(NamedTuple):
     """Templates of each part, g and b (K,), v (K,); `told` (K,), what a sensor says of them in this frame, and `usual`.
 
     Of the frame that was looked at last, r and where it begins.
@@ -67,7 +67,7 @@ class Learned(NamedTuple):
     `maps` (K, S, S): r on a grid of whole pixels; `corner` (K, 2): the place of the first value of each map.
     """
 
-    templates: tuple[Templates, ...]
+    templates: tuple[PartTemplates, ...]
     good: Array
     beside: Array
     visible: Array
@@ -86,20 +86,22 @@ class WindowNcc:
         self.sides = np.maximum(2 * np.round((windows - 1) / 2).astype(np.int64) + 1, 3)
         self.shift = np.array([settings.shift.of(part) for part in context.settings.points]) * windows
 
-    def init(self, frame: Frame, x0: Array) -> Learned:
+    def init(self, frame: Frame, x0: Array) -> WindowState:
         """Templates at x0 (K, 2) in the first frame."""
-        templates = tuple(Templates((_unit(self._window(frame, k, at)),), (1.0,), (YOUNG,)) for k, at in enumerate(x0))
+        templates = tuple(
+            PartTemplates((_unit(self._window(frame, k, at)),), (1.0,), (YOUNG,)) for k, at in enumerate(x0)
+        )
         ones = np.ones(len(x0))
-        learned = Learned(templates, 0.9 * ones, 0 * ones, ones, 0 * ones, 0 * ones)
+        learned = WindowState(templates, 0.9 * ones, 0 * ones, ones, 0 * ones, 0 * ones)
         return learned._replace(beside=self._beside(self.look(learned, frame, x0), x0).mean(axis=1))
 
-    def look(self, learned: Learned, frame: Frame, expected: Array) -> Learned:
+    def look(self, learned: WindowState, frame: Frame, expected: Array) -> WindowState:
         """With r around `expected` (K, 2)."""
         corner = np.round(expected) - self.reach
         maps = [self._map(frame, k, templates, corner[k]) for k, templates in enumerate(learned.templates)]
         return learned._replace(maps=np.stack(maps), corner=corner)
 
-    def correlation(self, learned: Learned, x: Array) -> Array:
+    def correlation(self, learned: WindowState, x: Array) -> Array:
         """r at x (N, K, 2), in the frame that was looked at last -> (N, K); beyond the reach, r at its border."""
         assert learned.maps is not None and learned.corner is not None
         last = 2 * self.reach
@@ -110,21 +112,21 @@ class WindowNcc:
         upper = (1 - u) * m[k, i, j] + u * m[k, i, j + 1]
         return np.asarray((1 - v) * upper + v * ((1 - u) * m[k, i + 1, j] + u * m[k, i + 1, j + 1]))
 
-    def score(self, learned: Learned, frame: Frame, x: Array, parents: Array) -> Array:
+    def score(self, learned: WindowState, frame: Frame, x: Array, parents: Array) -> Array:
         """log p(y | x) of each part but for a constant, x (N, K, 2) -> (N, K); parents do not matter."""
         v, s = np.clip(learned.visible, *BOUNDS), self.settings.sharpness
         return np.logaddexp(np.log(v) + s * (self.correlation(learned, x) - 1), np.log1p(-v) - FLOOR * s)
 
-    def distances(self, learned: Learned, frame: Frame, x: Array) -> Array:
+    def distances(self, learned: WindowState, frame: Frame, x: Array) -> Array:
         """1 - r of windows at x (N, K, 2) -> (N, K)."""
         centre = x.mean(axis=0)
         return np.asarray(1 - self.correlation(self.look(learned, frame, centre), x))
 
-    def visible(self, learned: Learned) -> Array:
+    def visible(self, learned: WindowState) -> Array:
         """v (K,) of the frame that was learned last."""
         return learned.visible
 
-    def presence(self, learned: Learned, windows: Sequence[Channels]) -> Array:
+    def presence(self, learned: WindowState, windows: Sequence[Channels]) -> Array:
         """v (K,) of parts that look like `windows`, of unit norm, at the estimate."""
         r = np.empty(len(windows))
         for k, (known, window) in enumerate(zip(learned.templates, windows, strict=True)):
@@ -134,7 +136,7 @@ class WindowNcc:
         evidence = np.clip((HIDDEN - q) / SOFT, *BY_WINDOW) + np.clip(learned.told, *BY_TOLD)
         return visible_after(learned.visible, evidence)
 
-    def learn(self, learned: Learned, frame: Frame, state: Array, particles: Particles) -> Learned:
+    def learn(self, learned: WindowState, frame: Frame, state: Array, particles: Particles) -> WindowState:
         """g where a part is visible, b always, and new templates."""
         if learned.maps is None:  # a track that begins again has no maps of the frame yet
             learned = self.look(learned, frame, state)
@@ -149,9 +151,9 @@ class WindowNcc:
         templates = []
         for k, known in enumerate(learned.templates):
             templates.append(self._kept(known, windows[k] if clear[k] else None, hidden=bool(visible[k] < 0.5)))
-        return Learned(tuple(templates), good, beside, visible, learned.told, usual)
+        return WindowState(tuple(templates), good, beside, visible, learned.told, usual)
 
-    def relearn(self, learned: Learned, frame: Frame, x0: Array, parts: Mask) -> Learned:
+    def relearn(self, learned: WindowState, frame: Frame, x0: Array, parts: Mask) -> WindowState:
         """With all that is known of `parts` (K,) as they look in `frame` at x0 (K, 2)."""
         anew = self.init(frame, x0)
         templates = tuple(new if is_new else old for new, old, is_new in zip(*(
@@ -160,25 +162,25 @@ class WindowNcc:
             np.where(parts, new, old)
             for new, old in ((anew.good, learned.good), (anew.beside, learned.beside), (anew.visible, learned.visible))
         )
-        return Learned(templates, good, beside, visible, learned.told, learned.usual)
+        return WindowState(templates, good, beside, visible, learned.told, learned.usual)
 
-    def _kept(self, known: Templates, window: Channels | None, *, hidden: bool) -> Templates:
+    def _kept(self, known: PartTemplates, window: Channels | None, *, hidden: bool) -> PartTemplates:
         """The templates after one more frame; `window`, of unit norm: how the part looks, where it is clear."""
         each = [one for one in zip(*known, strict=True) if not (hidden and one[2] < YOUNG)]
         windows, used, age = zip(*((w, n, age + 1) for w, n, age in each), strict=True)
         if window is None:
-            return Templates(windows, used, age)
+            return PartTemplates(windows, used, age)
         like, most = _like(windows, window), self.settings.templates
         if max(like) >= NEW_BELOW or most == 1:
             best = int(np.argmax(like))
-            return Templates(windows, tuple((1 - USED) * n + USED * (i == best) for i, n in enumerate(used)), age)
+            return PartTemplates(windows, tuple((1 - USED) * n + USED * (i == best) for i, n in enumerate(used)), age)
         kept = list(range(len(windows)))
         if len(kept) == most:
             kept.remove(1 + int(np.argmin(used[1:])))
         found = ((*(windows[i] for i in kept), window), (*(used[i] for i in kept), 0.5), (*(age[i] for i in kept), 0))
-        return Templates(*found)
+        return PartTemplates(*found)
 
-    def _beside(self, learned: Learned, state: Array) -> Array:
+    def _beside(self, learned: WindowState, state: Array) -> Array:
         """r at 16 places around the parts at `state` (K, 2) -> (K, 16)."""
         turns = np.arange(16) * (2 * np.pi / 16)
         ring = (MAX_OFF + 0.4 * (np.arange(16) % 2))[:, None] * np.stack([np.cos(turns), np.sin(turns)], axis=1)
@@ -188,7 +190,7 @@ class WindowNcc:
         """The channels of the window of part k at a place (2,), read bilinearly."""
         return _read(frame, at + self.shift[k], *self.sides[k].tolist())
 
-    def _map(self, frame: Frame, k: int, templates: Templates, corner: Array) -> NDArray[np.float32]:
+    def _map(self, frame: Frame, k: int, templates: PartTemplates, corner: Array) -> NDArray[np.float32]:
         """(S, S): the greatest r over the templates, for the places that begin at `corner` (2,)."""
         w, h = self.sides[k].tolist()
         side = 2 * self.reach + 1
