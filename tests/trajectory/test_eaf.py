@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.trajectory import face_events
+from facetrack_cli.trajectory.analysis import face_events
 from facetrack_cli.trajectory.analysis.head_motion import KINDS, LABELS
 from facetrack_cli.trajectory.formats.eaf import VOCABULARIES, spans_of, write_eaf
 from facetrack_cli.trajectory.trajectory import joined, one_part
