@@ -365,5 +365,8 @@ def test_what_exits_with_0_survives_a_power_loss(clip, disk):
     for name in found:
         assert (left / "out" / name).read_bytes() == (folder / "out" / name).read_bytes() != b""
     assert len(read_run(left / "out").frames) == 20
-    kernels = [path for path in (left / "kernels").rglob("*") if path.suffix in (".nbi", ".nbc")]
-    assert len(kernels) > 4 and all(path.stat().st_size for path in kernels)
+    # compiled kernels need not be on the disk: damaged ones are compiled anew
+    again = [*command[:-1], left / "again"]
+    assert (
+        subprocess.run(again, env={**os.environ, "NUMBA_CACHE_DIR": str(left / "kernels")}, check=False).returncode == 0
+    )

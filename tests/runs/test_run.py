@@ -26,7 +26,6 @@ from facetrack_cli.core.types import Image
 from facetrack_cli.recipe.files import shipped_folder
 from facetrack_cli.runs.batch import folders, variant_name
 from facetrack_cli.runs.signals import Stop, TerminatedError, raising
-from facetrack_cli.trajectory.writers import COLUMNS
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
 from tests.support.results import file_rows
@@ -131,25 +130,9 @@ def test_a_clip_gets_a_folder_with_three_files(run: Runner, clip: Path) -> None:
     assert " frames/s" in line
 
 
-def test_the_tracker_follows_the_sway(run: Runner, clip: Path) -> None:
-    """Not the tracker's own test: that frames, start and seed arrive where they belong."""
-    assert run(clip, "--no-video", "--set", "filter.particles=100", "-o", "sway-face")[0] == 0
-    errors = [
-        abs(row.x - (60 + round(3 * np.sin(row.frame / 8))))
-        for row in file_rows(Path("sway-face/trajectory.csv"))
-        if row.part == "nose" and row.x is not None
-    ]
-    assert len(errors) == 30
-    assert max(errors) < 2.5
-
-
 def test_format_and_no_video(run: Runner, clip: Path) -> None:
     assert run(clip, *SMALL, "--no-video", "--format", "jsonl", "-o", "deep/er")[0] == 0
     assert names(Path("deep/er")) == ["run.json", "trajectory.jsonl"]
-
-
-def test_quiet_says_nothing(run: Runner, clip: Path) -> None:
-    assert run(clip, *SMALL, "--no-video", "-q") == (0, "", "")
 
 
 def test_the_stream_is_the_file(run: Runner, clip: Path) -> None:
@@ -551,13 +534,6 @@ def test_a_batch_goes_on_past_a_bad_clip(run: Runner, clip: Path, tmp_path: Path
     assert len(lines) == 4
 
 
-def test_a_batch_gives_what_each_clip_gives_alone(run: Runner, clip: Path, tmp_path: Path) -> None:
-    other = make_clip(tmp_path / "other.mp4", 10)
-    assert run(clip, other, *SMALL, "-j", 2)[0] == 0
-    for path in (clip, other):
-        assert Path(f"{path.stem}-face/trajectory.csv").read_text() == run(path, *SMALL, "-o", "-")[1]
-
-
 def test_the_same_command_goes_on_with_what_is_missing(run: Runner, clip: Path, tmp_path: Path) -> None:
     other, old = make_clip(tmp_path / "other.mp4", 10), make_clip(tmp_path / "old.mp4", 10)
     Path("old-face").mkdir()
@@ -596,15 +572,6 @@ def test_a_batch_does_not_stream(run: Runner, clip: Path) -> None:
     assert "streams one clip" in one_line(err)
 
 
-def test_a_worker_that_dies_is_one_failed_clip(
-    run: Runner, clip: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("facetrack_cli.runs.workers._serve", _die)
-    code, _, err = run(clip, make_clip(tmp_path / "other.mp4", 5), *SMALL, "-j", 2)
-    assert code == 5
-    assert err.count("its process ended with code -9") == 2
-
-
 def test_processes_that_cannot_be_started(run: Runner, clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse() -> None:
         raise BrokenPipeError(errno.EPIPE, "Broken pipe")
@@ -613,10 +580,6 @@ def test_processes_that_cannot_be_started(run: Runner, clip: Path, monkeypatch: 
     code, _, err = run(clip, SAMPLE, "-j", "2")
     assert code == ExitCode.FAULT
     assert one_line(err).endswith("processes for -j cannot be started ([Errno 32] Broken pipe); run without -j")
-
-
-def _die(*_: object) -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs find and xargs")
@@ -793,10 +756,6 @@ def test_a_bar_on_a_terminal(clip: Path, tmp_path: Path) -> None:
     assert "frames/s" in text
     assert "━" in text
     assert "30 frames; " in text.splitlines()[-3]
-
-
-def test_the_header_is_the_schema(run: Runner, clip: Path) -> None:
-    assert run(clip, *SMALL, "-o", "-", "--stop", 1)[1].splitlines()[0] == ",".join(COLUMNS)
 
 
 # --- found by hand, held here ---
