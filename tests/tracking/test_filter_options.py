@@ -277,3 +277,14 @@ def test_the_evidence_is_that_of_the_kalman_filter(step):
             total += info.evidence
         found.append(total)
     assert np.mean(found) == pytest.approx(exact, abs=0.35)
+
+
+def test_the_evidence_counts_the_mean_of_the_prior_by_which_particles_are_reweighted():
+    model, before = LinearGaussian(np.full((K, 1), 0.5), tied=True), Particles(np.zeros((300, K, 1)), uniform(300))
+    none, prior = (
+        factorized(reweight, look_ahead="none")(np.random.default_rng(0), before, model)
+        for reweight in ("none", "prior")
+    )
+    np.testing.assert_array_equal(none[0].x, prior[0].x)
+    expected = np.log(np.mean(np.exp(model.log_prior(none[0].x))))
+    assert prior[1].evidence - none[1].evidence == pytest.approx(expected)

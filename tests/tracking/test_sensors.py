@@ -52,7 +52,7 @@ def test_the_bias_is_the_kalman_filter_of_an_offset_that_drifts_and_may_fade(kee
     np.testing.assert_allclose(one.bias, mean)
     for _ in range(25):
         z = PLACES + AWAY + 1.5 * rng.standard_normal((3, 2))
-        z[rng.random(3) < 0.2] += 40.0
+        z[rng.random(3) < 0.2] += 14.0
         said = one.measured(z, VISIBLE)
         np.testing.assert_allclose(said.z, z - keep * mean)
         np.testing.assert_allclose(said.var, keep**2 * var + DRIFT**2 + r2)
