@@ -272,3 +272,19 @@ def test_the_peak_is_the_highest_mode_that_is_not_anew():
     particles, info = peak()(np.random.default_rng(0), states(1), model)
     np.testing.assert_allclose(particles.x[0, 0, :3], (58, 40, np.exp(0.1)))
     np.testing.assert_array_equal((particles.log_w, info.ess), ([0.0], [1.0]))
+
+
+def test_modes_after_a_prior_are_where_the_product_is_highest_and_those_found_anew_stay():
+    rng = np.random.default_rng(0)
+    mean, std, log_w = rng.normal(0, 3, (2, 3)), rng.uniform(0.5, 2, (2, 3)), np.array([1.5, 2.5])
+    prior_mean, prior_std = rng.normal(0, 3, 3), rng.uniform(0.5, 2, 3)
+
+    def height(z):
+        return log_w[0] - 0.5 * np.sum(((z - mean[0]) / std[0]) ** 2 + ((z - prior_mean) / prior_std) ** 2)
+
+    found = Guides(mean, std, log_w, np.array([False, True])).after(prior_mean, prior_std)
+    assert found.log_w[0] == pytest.approx(height(found.mean[0]))
+    assert all(height(found.mean[0] + off) < found.log_w[0] for off in rng.normal(0, 0.1, (20, 3)))
+    np.testing.assert_allclose(found.std[0], (1 / std[0] ** 2 + 1 / prior_std**2) ** -0.5)
+    for one, given in zip(found[:3], (mean, std, log_w), strict=True):
+        np.testing.assert_array_equal(one[1], given[1])
