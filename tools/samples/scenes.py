@@ -124,6 +124,3 @@ def _books(portrait: Portrait, moments: tuple[Moment, ...]) -> tuple[Held, ...]:
         track([(0, 20), (145, 20), (157, 11), (180, 13), (205, 11), (217, 20), (259, 20)], n),
     )  # fmt: skip
     return flat, spine
-
-
-SCENES = {"expressions": expressions, "occlusion": occlusion}
