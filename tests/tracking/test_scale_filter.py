@@ -64,6 +64,14 @@ def test_a_target_read_reduced_has_its_peak_at_its_scale_too():
     assert log_scale(one, response) == pytest.approx(math.log(1.06), abs=1.01 * math.log(STEP))
 
 
+def test_learning_moves_what_is_known_by_its_rate():
+    one = trainer(count=9)
+    first, second = (one.read(frame(texture(120, 160, seed)), CENTRE, 1.0) for seed in (0, 1))
+    known, other = one.learn(None, first, 1.0), one.learn(None, second, 1.0)
+    for a, b, found in zip(known, other, one.learn(known, second, 0.2), strict=True):
+        np.testing.assert_allclose(found, 0.8 * a + 0.2 * b, rtol=1e-5, atol=1e-6)
+
+
 def test_the_response_is_dssts_equation_6():
     one = trainer(count=9)
     x, z = (one.read(frame(texture(120, 160, seed)), CENTRE, 1.0) for seed in (0, 1))
