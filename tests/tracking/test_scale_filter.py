@@ -124,6 +124,15 @@ def test_where_colours_are_alike_they_say_nothing(noise):
     assert model.respond(known, square(GREEN, GREEN, noise, 1), 64) is None
 
 
+@pytest.mark.parametrize("rate", [0.0, 0.5, 1.0])
+def test_colours_are_learned_by_their_rate(rate):
+    model = ColourModel((0.2, 0.2))
+    first, second = (model.learn(None, square(*of), 1.0) for of in ((RED, GREEN), (GREEN, RED)))
+    after = model.learn(first, square(GREEN, RED), rate)
+    for one, other, found in zip(first[:2], second[:2], after[:2], strict=True):
+        np.testing.assert_allclose(found, (1 - 0.04 * rate) * one + 0.04 * rate * other, atol=1e-6)
+
+
 @pytest.mark.parametrize("box", [(0.02, 0.02), (0.2, 0.02), (0.9, 0.1), (1.5, 1.5), (0.05, 0.6)])
 @pytest.mark.parametrize("image", [square(RED, GREEN, 10.0), square((0, 0, 0), (0, 0, 0)), square(RED, GREEN)[:60]])
 def test_any_box_and_image_gives_finite_scores(box, image):
