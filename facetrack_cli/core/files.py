@@ -179,18 +179,19 @@ class FileSink:
         self._file.truncate(0)
 
 
-class OpenFile:
-    """Records into an open file. Raises OSError."""
+class BytesSink:
+    """Records encoded and handed to `write`, as that of an open file."""
 
-    def __init__(self, file: BinaryIO) -> None:
-        self._file, self._records = file, 0
+    def __init__(self, write: Callable[[bytes], object]) -> None:
+        self._write, self._records = write, 0
 
     def write(self, record: str) -> None:
         self._records += 1
-        self._file.write(_bytes(record))
+        self._write(_bytes(record))
 
     def finish(self, tail: Callable[[int], str]) -> None:
-        self._file.write(_bytes(tail(self._records)))
+        if end := tail(self._records):
+            self._write(_bytes(end))
 
 
 class StreamSink:

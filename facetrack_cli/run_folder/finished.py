@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from facetrack_cli.core.errors import FacetrackError, InputError
+from facetrack_cli.core.files import BytesSink
 from facetrack_cli.core.types import Correction, Start
 from facetrack_cli.recipe.files import shipped_folder, shipped_recipes
 from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe
@@ -162,21 +163,6 @@ def _not_ours(place: Path | str) -> InputError:
     return InputError(f"{place}: is not as facetrack run writes it, was it edited? {_AGAIN}")
 
 
-class _Sink:
-    """A sink that encodes each record and hands it to `write`."""
-
-    def __init__(self, write: Callable[[bytes], object]) -> None:
-        self._write, self._records = write, 0
-
-    def write(self, record: str) -> None:
-        self._records += 1
-        self._write(record.encode(errors="backslashreplace"))
-
-    def finish(self, tail: Callable[[int], str]) -> None:
-        if end := tail(self._records):
-            self._write(end.encode(errors="backslashreplace"))
-
-
 def write_rows(
     form: Format,
     write: Callable[[bytes], object],
@@ -192,7 +178,7 @@ def write_rows(
         init = {key: value for key, value in head["init"].items() if key != "corrections"}
         head["init"] = {**init, **corrections_record(corrections)}
         ending.lost_frames = ending_of(rows).lost_frames
-    writer = WRITERS[form](_Sink(write), head)
+    writer = WRITERS[form](BytesSink(write), head)
     writer.write(rows)
     writer.close(ending)
 

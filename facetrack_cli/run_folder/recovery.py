@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.core.files import OpenFile, temporary_path
+from facetrack_cli.core.files import BytesSink, temporary_path
 from facetrack_cli.run_folder.lock import LOCK, FolderLock, finish_replacing, left_in, sweep
 from facetrack_cli.run_folder.manifest import Manifest, check_belongs, commit, from_record, read_manifest
 from facetrack_cli.trajectory.reader import read_table, read_trajectory, table_in
@@ -107,7 +107,7 @@ def _end_tables(folder: Path, lock: FolderLock, process: int, known: Manifest) -
         files = [folder / f"trajectory.{form}" for form in forms]
         for form, path in zip(forms, files, strict=True):
             with temporary_path(path).open("wb") as file:
-                writer = WRITERS[form](OpenFile(file), head)
+                writer = WRITERS[form](BytesSink(file.write), head)
                 writer.write(rows)
                 writer.close(ending)
         told = {name: getattr(ending, name) for name in ("frames", "complete", "stopped", "lost_frames", "lost_at_end")}
