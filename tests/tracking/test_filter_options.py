@@ -10,6 +10,7 @@ from facetrack_cli.recipe.filters import Kld
 from facetrack_cli.recipe.sections import Length
 from facetrack_cli.tracking import filters
 from facetrack_cli.tracking.filters import Prediction
+from facetrack_cli.tracking.models.motion import RandomWalk
 from facetrack_cli.tracking.models.spaces import estimate
 from facetrack_cli.tracking.resampling import distinct, effective_sample_size, normalise, tempered, uniform
 from tests.support.parts import adaptive, auxiliary, factorized, sir
@@ -288,3 +289,22 @@ def test_the_evidence_counts_the_mean_of_the_prior_by_which_particles_are_reweig
     np.testing.assert_array_equal(none[0].x, prior[0].x)
     expected = np.log(np.mean(np.exp(model.log_prior(none[0].x))))
     assert prior[1].evidence - none[1].evidence == pytest.approx(expected)
+
+
+def test_fewer_particles_serve_a_narrow_prediction():
+    settings = sir(kld=Kld(bin=Length(0.5, px=True)))
+    n = 5000
+    rng = np.random.default_rng(0)
+    one = RandomWalk(np.array([0.2]))
+
+    class Walk(LinearGaussian):
+        def propagate(self, rng, x):
+            return one.propagate(rng, x)
+
+        def log_likelihood(self, x, parents):
+            return -0.5 * np.sum((x - 1.0) ** 2, axis=2)
+
+    wide, _ = settings(rng, Particles(10 * rng.standard_normal((n, 1, 2)), uniform(n)), Walk(np.zeros((1, 2))))
+    narrow, _ = settings(rng, Particles(np.zeros((n, 1, 2)), uniform(n)), Walk(np.zeros((1, 2))))
+    assert len(narrow.x) < 500 < 2000 < len(wide.x) <= n
+    assert narrow.log_w.shape == (len(narrow.x),)

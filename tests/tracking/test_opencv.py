@@ -135,3 +135,8 @@ def test_run_writes_boxes_and_draws_them(tmp_path):
     assert [row.frame for row in rows] == list(range(8)) and {row.part for row in rows} == {"box"}
     assert all(row.w and row.h and row.confidence is None and row.std_x is None for row in rows)
     assert (tmp_path / "out" / "annotated.mp4").stat().st_size > 1000
+
+
+def test_a_square_between_pixels_stays_a_square():
+    [first] = parts_of(run("mil", frames(1), (30.5, 41.5, 31.0, 31.0))[0])
+    assert (first.w, first.h) == (31, 31)

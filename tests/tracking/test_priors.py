@@ -491,3 +491,10 @@ def test_commands(tmp_path, monkeypatch, capsys):
     assert main(["prior", "fit", "clip.truth.csv", "-o", "x.csv"]) == 2
     assert main(["prior", "fit", "clip.truth.csv", "-o", "y.npz", "--scale", "nose"]) == 2
     assert not (tmp_path / "x.png").exists() and not (tmp_path / "y.npz").exists()
+
+
+def test_fit_of_some_parts(tmp_path):
+    parts = ("nose", "lip_lower", "mouth_right", "mouth_left")
+    fit = fit_prior([write_truth(tmp_path / "a.csv", talking())], parts=parts)
+    assert fit.prior.parts == parts
+    assert fit.prior.shapes[:, 1, 1].max() == pytest.approx(0.5, abs=0.01)

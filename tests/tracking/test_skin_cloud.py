@@ -164,3 +164,13 @@ def test_distances_look_at_the_middle_of_a_box_of_the_targets_shape():
         for size in ((110.0, 55.0), (55.0, 110.0), (130.0, 65.0))
     )
     assert wide < 0.05 < larger and high > 0.3
+
+
+def test_least_share_arrives():
+    dark = Frame(0, 0.0, picture(HEAD, skin=(30, 36, 52)))
+    (said,) = skin_cloud((44.0, 56.0), box(HEAD)).init(dark, None).notes
+    assert said.startswith("Kovac")
+    # none of it passes as skin, so that only what does not need to can be learned without a word
+    usual = Frame(0, 0.0, picture(HEAD))
+    assert not skin_cloud((44.0, 56.0), box(HEAD)).init(usual, None).notes
+    assert skin_cloud((44.0, 56.0), box(HEAD), least_share=1.0).init(usual, None).notes

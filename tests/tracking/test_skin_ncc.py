@@ -160,3 +160,8 @@ def test_the_readings_of_equation_11_on_a_darker_noisy_face(cost, mean, second, 
     off = np.stack(np.meshgrid(*steps), axis=-1).reshape(-1, 2)
     away = float(np.hypot(*off[likelihood.score(known, frame(worse), states(off + np.array([x, y])))[:, 0].argmax()]))
     assert away <= 2.0 if holds else away > 5.0
+
+
+def test_least_share_decides_what_teaches_the_colour():
+    assert learned(scene())[1].notes == ()
+    assert "Kovac" in learned(scene(), skin=skin_cue(least_share=1.0))[1].notes[0]

@@ -275,3 +275,10 @@ def test_where_a_track_begins_again_the_frame_is_looked_at_and_not_the_first_one
     np.testing.assert_array_equal(again.good, seen.good)
     np.testing.assert_array_equal(again.beside, seen.beside)
     assert again.maps is None and again.good[0] < learned.good[0]
+
+
+def test_one_template_alone_stays_the_first_one():
+    model, learned, x = one_part(texture(0), templates=1)
+    for _ in range(3):
+        learned = step(model, learned, with_patch(texture(0), texture(1)), x, says=4.0)
+    assert len(learned.templates[0].windows) == 1
