@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 import click
 
 from facetrack_cli.cli.app import COMMANDS, cli
-from facetrack_cli.recipe.model import json_schema
+from facetrack_cli.recipe.schema import json_schema
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 BEGIN, END = "<!-- keys: written by tools/commands_doc.py -->", "<!-- end of keys -->"

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
-from pydantic import Field, PrivateAttr, TypeAdapter, ValidationError
+from pydantic import Field, PrivateAttr, ValidationError
 
 from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.core.yaml_tree import Node, Problem
@@ -282,14 +282,6 @@ def completed(settings: Mapping[str, Any]) -> dict[str, Any]:
         return to_dict(kind.model_validate(dict(settings)))
     except ValidationError:
         return dict(settings)
-
-
-def json_schema() -> dict[str, Any]:
-    """JSON Schema (draft 2020-12) of a recipe."""
-    from facetrack_cli.recipe.described import Described
-
-    schema = TypeAdapter(ParticleRecipe | ParticlesRecipe | OpenCvRecipe).json_schema(schema_generator=Described)
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "Recipe", **schema}
 
 
 def error_of(found: Sequence[Problem]) -> RecipeError:

@@ -15,7 +15,8 @@ from facetrack_cli.core.errors import ExitCode, RecipeError
 from facetrack_cli.recipe import Filter, Likelihood, Refusal, Section, sections
 from facetrack_cli.recipe.files import read_recipe, shipped_recipes
 from facetrack_cli.recipe.load import check_recipe, load_recipe
-from facetrack_cli.recipe.model import completed, json_schema, rebuild, register, to_dict
+from facetrack_cli.recipe.model import completed, rebuild, register, to_dict
+from facetrack_cli.recipe.schema import json_schema
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.start import read_init

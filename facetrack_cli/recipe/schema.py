@@ -1,7 +1,7 @@
-"""A JSON Schema whose fields are described by the docstrings below them.
+"""The JSON Schema of recipes, whose fields are described by the docstrings below them.
 
-They are read from the source when a schema is asked for: pydantic's `use_attribute_docstrings` reads them whenever the
-models are imported, at the start of every command.
+They are read from the source when a command asks for the schema: pydantic's `use_attribute_docstrings` reads them
+whenever the models are imported, at the start of every command.
 """
 
 import ast
@@ -11,13 +11,20 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
-from pydantic import BaseModel
+from pydantic import BaseModel, TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 
+from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, ParticlesRecipe
 from facetrack_cli.recipe.sections import Length, type_of
 
 
-class Described(GenerateJsonSchema):
+def json_schema() -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of a recipe."""
+    schema = TypeAdapter(ParticleRecipe | ParticlesRecipe | OpenCvRecipe).json_schema(schema_generator=_Described)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "Recipe", **schema}
+
+
+class _Described(GenerateJsonSchema):
     """Fields get the docstrings below them, `type` by default that of its class; lengths are written as in recipes."""
 
     def encode_default(self, dft: Any) -> Any:
