@@ -9,7 +9,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.verdict import EVERY, Watch
+from facetrack_cli.runs.verdict import EVERY_FRAMES, Watch
 from facetrack_cli.tracking.start.detectors import Found
 from tests.support.results import part, result, target
 
@@ -49,12 +49,12 @@ def test_where_it_began_and_which_frames_to_look_at():
 
 
 def test_a_track_that_no_detector_confirms_is_doubtful():
-    n = 10 * EVERY
+    n = 10 * EVERY_FRAMES
     good = watched(["tracked"] * n, [1.0] * n, sees=Sees(1), origin="haar")
     assert not good.doubts() and "haar sees a face there in 10 of 10 looks" in good.line()
     bad = watched(["tracked"] * n, [1.0] * n, sees=Sees(4), origin="haar")
     assert bad.line().startswith("doubtful: haar sees a face there in 2 of 10 looks alone")
-    few = watched(["tracked"] * EVERY, [1.0] * EVERY, sees=Sees(0), origin="haar")
+    few = watched(["tracked"] * EVERY_FRAMES, [1.0] * EVERY_FRAMES, sees=Sees(0), origin="haar")
     assert not few.doubts()
 
 
@@ -82,7 +82,7 @@ def test_of_points_alone_the_box_of_the_start_moves_with_them():
     picture[50:90, 70:110] = 255  # where the box has moved to
     start = Start(0, {"face": TargetStart((20.0, 30.0, 40.0, 40.0), {"nose": (40.0, 50.0)})}, "haar")
     watch = Watch(start, calibrated=False, fitted=False, detector=Looks(0))
-    for i in range(EVERY):
+    for i in range(EVERY_FRAMES):
         nose = part("nose", 90, 70, 5, 5, confidence=1.0)
         watch.count(result(Frame(i, i / 25, picture), [target("face", [nose])]))
     assert seen == [255.0]
