@@ -8,7 +8,7 @@ from pathlib import Path
 import facetrack_cli
 
 PACKAGE = Path(facetrack_cli.__file__).parent
-NUMERICS = {"numpy", "numba", "cv2", "scipy", "imageio", "imageio_ffmpeg"}
+NUMERICS = {"numpy", "numba", "cv2", "scipy", "imageio", "imageio_ffmpeg", "av"}
 ROOMS = {
     "core": "",
     "recipe": "core",

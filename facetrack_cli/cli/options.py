@@ -217,7 +217,7 @@ class Extent:
             place = f"after --start {self.start}" if self.start else "at all"
             raise UsageError(f"--stop {self.stop} leaves no frame {place}; it is the frame to stop before")
         if self.fps is not None and all(one.is_file() for one in clips):
-            from facetrack_cli.video.kinds import brings_rate
+            from facetrack_cli.video.files import brings_rate
 
             if all(map(brings_rate, clips)):
                 raise UsageError("--fps is for image folders and archives; a video brings its own rate")

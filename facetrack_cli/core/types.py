@@ -5,7 +5,7 @@ Images are (H, W, 3) uint8 in OpenCV's order, blue first.
 """
 
 import math
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -22,24 +22,42 @@ Box: TypeAlias = tuple[float, float, float, float]  # left, top, width, height
 Extent: TypeAlias = tuple[float, float, float, float]  # x from, y from, x to, y to
 Point: TypeAlias = tuple[float, float]
 BOX = "box"  # the one part of a target that is tracked as a box
+# grey levels by Y, which is 16 for black and 235 for white
+_FULL_RANGE = np.clip(np.rint((np.arange(256) - 16) * 255 / 219), 0, 255).astype(np.uint8)
 MAX_REMEMBERED = 8  # a step asks for the particles twice, and for a few single states in between
 
 
 @dataclass(slots=True)
 class Frame:
-    """One frame of the source: its 0-based index, its time in s, its pixels `bgr` (H, W, 3), and what they give."""
+    """One frame of the source: its 0-based index, its time in s, its pixels, and values that were computed from them.
+
+    `pixels` are (H, W, 3) in OpenCV's order, blue first, or the planes Y, U and V of 4:2:0 of limited range by BT.601,
+    (H * 3 / 2, W), as a decoder gives them. Grey is then Y, and colours are computed when they are read first.
+    """
 
     index: int
     time_s: float
-    bgr: Image
+    pixels: Image
+    _bgr: Image | None = field(default=None, repr=False, compare=False)
     _reduced: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
+    _luma: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
     _grey: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
     _patches: dict[Hashable, tuple[Array, NDArray[np.float32]]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
+    def bgr(self) -> Image:
+        """The image as (H, W, 3)."""
+        if self.pixels.ndim == 3:
+            return self.pixels
+        if self._bgr is None:
+            self._bgr = np.asarray(cv2.cvtColor(self.pixels, cv2.COLOR_YUV2BGR_I420), np.uint8)
+        return self._bgr
+
+    @property
     def size(self) -> tuple[int, int]:
         """(width, height) in pixels."""
-        return self.bgr.shape[1], self.bgr.shape[0]
+        height, width = self.pixels.shape[:2]
+        return width, height if self.pixels.ndim == 3 else height * 2 // 3
 
     def reduced(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         """The image reduced by `factor`, a power of two (area means), at least within `extent`.
@@ -49,7 +67,39 @@ class Frame:
         """
         if factor == 1:
             return self.bgr, 0, 0
-        known = self._reduced.get(factor)
+        return self._smaller(self.reduced, self._reduced, factor, extent)
+
+    def grey(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
+        """The image in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""
+        known = self._grey.get(factor)
+        if known is None or not _within(extent, known[3]):
+            planes = self.pixels.ndim == 2
+            image, left, top = (self._brightness if planes else self.reduced)(factor, extent)
+            reduced = self._luma if planes else self._reduced
+            asked = _widened(extent, 6.0) if factor == 1 else reduced[factor][3]  # which is widened already
+            height, width = image.shape[:2]
+            x0, x1 = _blocks((asked[0] - left) / factor, (asked[2] - left) / factor, 1, width)
+            y0, y1 = _blocks((asked[1] - top) / factor, (asked[3] - top) / factor, 1, height)
+            part = image[y0:y1, x0:x1]
+            grey = cv2.LUT(part, _FULL_RANGE) if planes else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
+            known = self._grey[factor] = np.asarray(grey, np.uint8), left + x0 * factor, top + y0 * factor, asked
+        return known[:3]
+
+    def _brightness(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
+        """The plane Y, as `reduced`."""
+        if factor == 1:
+            return self.pixels[: self.size[1]], 0, 0
+        return self._smaller(self._brightness, self._luma, factor, extent)
+
+    def _smaller(
+        self,
+        larger: Callable[[int, Extent], tuple[Image, int, int]],
+        kept: dict[int, tuple[Image, int, int, Extent]],
+        factor: int,
+        extent: Extent,
+    ) -> tuple[Image, int, int]:
+        """What `reduced` returns; `larger` gives the image at half the factor, `kept` holds what was reduced before."""
+        known = kept.get(factor)
         if known is None or not _within(extent, known[3]):
             # with a margin, since the next call of this frame asks for nearly the same place
             asked = _widened(extent, 6.0 * factor)
@@ -57,25 +107,11 @@ class Frame:
             left, right = _blocks(asked[0], asked[2], factor, width)
             top, bottom = _blocks(asked[1], asked[3], factor, height)
             # by halves, which OpenCV computes four times as fast as other factors
-            image, x, y = self.reduced(factor // 2, (left * factor, top * factor, right * factor, bottom * factor))
+            image, x, y = larger(factor // 2, (left * factor, top * factor, right * factor, bottom * factor))
             dx, dy = 2 * x // factor, 2 * y // factor
             region = image[2 * top - dy : 2 * bottom - dy, 2 * left - dx : 2 * right - dx]
             small = cv2.resize(region, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
-            known = small.astype(np.uint8, copy=False), left * factor, top * factor, asked
-            self._reduced[factor] = known
-        return known[:3]
-
-    def grey(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
-        """The image in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""
-        known = self._grey.get(factor)
-        if known is None or not _within(extent, known[3]):
-            image, left, top = self.reduced(factor, extent)
-            asked = _widened(extent, 6.0) if factor == 1 else self._reduced[factor][3]  # which is widened already
-            height, width = image.shape[:2]
-            x0, x1 = _blocks((asked[0] - left) / factor, (asked[2] - left) / factor, 1, width)
-            y0, y1 = _blocks((asked[1] - top) / factor, (asked[3] - top) / factor, 1, height)
-            grey = np.asarray(cv2.cvtColor(image[y0:y1, x0:x1], cv2.COLOR_BGR2GRAY), np.uint8)
-            known = self._grey[factor] = grey, left + x0 * factor, top + y0 * factor, asked
+            known = kept[factor] = small.astype(np.uint8, copy=False), left * factor, top * factor, asked
         return known[:3]
 
     def remembered(self, key: Hashable) -> NDArray[np.float32] | None:

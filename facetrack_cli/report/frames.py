@@ -19,7 +19,7 @@ from facetrack_cli.run_folder.fingerprint import other_clip
 from facetrack_cli.run_folder.manifest import check_belongs
 from facetrack_cli.trajectory.header import Header
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
-from facetrack_cli.video.kinds import brings_rate
+from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import open_source
 

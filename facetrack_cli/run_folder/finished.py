@@ -24,8 +24,8 @@ from facetrack_cli.tracking.start import check_start
 from facetrack_cli.trajectory.header import Header, corrections_record, read_header
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Ending, Format, ending_of, json_frames
+from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.images import listing
-from facetrack_cli.video.kinds import brings_rate
 
 STATUS: Final = ("init", "tracked", "lost", "absent")
 _AGAIN: Final = "make the run again"

@@ -51,7 +51,6 @@ def track_clip(job: Job, out: Recorder, stop: Stop, report: Report = silent, loo
     state = out.resume(start, begins)
     before, error = state.outcome.frames, None
     with job.open(state.frame) as source:
-        source.strict = job.strict
         check_lag(job, source)
         tracker = _tracker(job, start, source, state.at, begins)
         out.begin(ClipFacts.of(job.clip, source), start)

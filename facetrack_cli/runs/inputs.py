@@ -19,8 +19,7 @@ from facetrack_cli.core.files import MAX_FILE_BYTES, absolute, check_readable
 from facetrack_cli.run_folder.manifest import NAME
 from facetrack_cli.trajectory.header import is_there
 from facetrack_cli.video import images
-from facetrack_cli.video.kinds import is_clip, is_image
-from facetrack_cli.video.playlists import check_local
+from facetrack_cli.video.files import check_local, is_clip, is_image
 
 
 class Found(NamedTuple):

@@ -143,6 +143,6 @@ class _Channel(Generic[T]):
 
 
 def _size(item: object) -> int:
-    """The bytes of a frame's pixels."""
+    """The bytes of a frame's image in colours."""
     frame = item.frame if isinstance(item, FrameResult) else item
-    return frame.bgr.nbytes if isinstance(frame, Frame) else 0
+    return 3 * frame.size[0] * frame.size[1] if isinstance(frame, Frame) else 0

@@ -1,8 +1,8 @@
 """How a long clip is cut into pieces that are tracked each by itself, and the file that says so.
 
-Pieces overlap, and begin at keyframes where there are some about the wished place; the packets' times, by which their
-first frames are sought, are kept beside the cuts. Where a clip is cut at corrections pieces do not overlap: what
-follows a complete correction depends on nothing that was tracked before (`tracking/corrected.py`).
+Pieces overlap, and begin at keyframes where there are some about the wished place. Where a clip is cut at corrections
+pieces do not overlap: what follows a complete correction depends on nothing that was tracked before
+(`tracking/corrected.py`).
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Final, Literal, NamedTuple, TypeAlias
 
@@ -24,7 +23,6 @@ from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.corrected import is_complete
 from facetrack_cli.trajectory.header import StartRecord, to_record
-from facetrack_cli.video.stamps import Stamps
 
 OVERLAP_S: Final = 5.0
 FILE: Final = "plan.npz"
@@ -45,7 +43,7 @@ class Split(NamedTuple):
 
 @dataclass(frozen=True)
 class Piece:
-    """One piece of a clip. `plan` is the file that knows how to seek its frames.
+    """One piece of a clip. `plan` is the file that says how the clip is cut.
 
     `correction`: the frame of the correction that it begins with; None: where a face is found, however late.
     """
@@ -53,31 +51,22 @@ class Piece:
     plan: Path
     correction: int | None = None
 
-    @property
-    def stamps(self) -> Stamps | None:
-        found = self.plan.stat()
-        return _known(self.plan, found.st_mtime_ns, found.st_size).stamps
-
 
 @dataclass(frozen=True, eq=False)
 class Plan:
     """`cuts` are the frames [first, stop) of each piece; `end` the last stop, None: all that there are.
 
-    `start` is that of the clip, `stamps` those of its frames, None where they cannot be sought.
+    `start` is that of the clip.
     """
 
     start: Start
     cuts: tuple[tuple[int, int | None], ...]
-    stamps: Stamps | None
 
     def write(self, path: Path, key: str) -> None:
         """Write it for those who ask the same, which `key` tells. Raises OutputError."""
         start = {"from": self.start.origin, "note": self.start.note, **to_record(self.start)}
         cuts = [[first, -1 if stop is None else stop] for first, stop in self.cuts]
         arrays = {"key": np.array(key), "start": np.array(dumps(start)), "cuts": np.array(cuts, np.int64).ravel()}
-        if self.stamps is not None:
-            arrays |= {name: np.asarray(value) for name, value in vars(self.stamps).items()}
-            arrays["indexed"] = np.array([self.stamps.indexed], np.int64)
         KIND.write(path, arrays)
 
 
@@ -88,20 +77,10 @@ def read_plan(path: Path) -> tuple[str, Plan]:
         said, cuts = json.loads(stored.text("start")), stored.whole("cuts")
         origin, note = said.pop("from"), said.pop("note")
         start = replace(StartRecord.model_validate(said).start_from(origin), note=note)
-        stamps = None
-        if "times" in stored:
-            times, positions, entries = (stored.reals(name, 1) for name in ("times", "positions", "entries"))
-            keys = np.array(stored.whole("keys"), np.int64)
-            stamps = Stamps(times, positions, keys, entries, bool(stored.whole("indexed")[0]))
         pairs = zip(cuts[::2], cuts[1::2], strict=True)
-        return stored.text("key"), Plan(start, tuple((a, None if b < 0 else b) for a, b in pairs), stamps)
+        return stored.text("key"), Plan(start, tuple((a, None if b < 0 else b) for a, b in pairs))
 
     return KIND.read(path, make)
-
-
-@lru_cache(maxsize=2)
-def _known(path: Path, changed_ns: int, size: int) -> Plan:
-    return read_plan(path)[1]
 
 
 def cut_by_length(

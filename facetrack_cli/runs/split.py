@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import shutil
-import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -15,7 +14,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, OutputError, UsageError
 from facetrack_cli.core.files import make_folder
 from facetrack_cli.core.numbers import dumps
-from facetrack_cli.core.types import Array, Start
+from facetrack_cli.core.types import Array, Start, Whole
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.run_folder.fingerprint import clip_stat
 from facetrack_cli.runs.batch import check_all, run_batch
@@ -25,8 +24,8 @@ from facetrack_cli.runs.plan import FILE, Piece, Plan, cut_by_corrections, cut_b
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.tracking.start.detectors import check_parts, detector
+from facetrack_cli.video.decode import read_index
 from facetrack_cli.video.source import FolderSource
-from facetrack_cli.video.stamps import Stamps, read_stamps
 
 
 def run_pieces(
@@ -108,13 +107,12 @@ def _planned(job: Job, stop: Stop, progress: Progress) -> Plan:
     start = job.find(job.recipe, stopped=stop, looked=progress.looked)
     if job.split.starts == "detect":
         _check_detector(job, start)
-    times, stamps = _frames(job, start, stop, progress)
+    times, keys = _frames(job, start, stop, progress)
     if job.split.starts == "detect":
-        keys = () if stamps is None else stamps.keys
         cuts = cut_by_length(start.frame, times, job.split, keys, str(job.clip))
     else:
         cuts = cut_by_corrections(job.recipe, start, times, job.split, str(job.clip))
-    plan = Plan(start, (*cuts[:-1], (cuts[-1][0], job.stop)), stamps)
+    plan = Plan(start, (*cuts[:-1], (cuts[-1][0], job.stop)))
     make_folder(path.parent)
     plan.write(path, key)
     return read_plan(path)[1]  # as whoever comes next has it
@@ -136,31 +134,18 @@ def _check_detector(job: Job, start: Start) -> None:
         raise UsageError(f"{job.clip}: --starts detect: {e}; {fix}") from None
 
 
-def _frames(job: Job, start: Start, stop: Stop, progress: Progress) -> tuple[Array, Stamps | None]:
-    """The times (T,) of the clip's frames up to --stop, in s, and its stamps, if there are any to trust."""
+def _frames(job: Job, start: Start, stop: Stop, progress: Progress) -> tuple[Array, Whole]:
+    """The times (T,) of the clip's frames up to --stop, in s, and the keyframes (M,), as far as they are known."""
     with job.open(start.frame) as source:
         claimed = None if source.frames_hint is None else start.frame + source.frames_hint
         count, fps = len(source.files) if isinstance(source, FolderSource) else claimed, float(source.fps)
-    stamps = None
     if not isinstance(source, FolderSource):
-        with suppress(OSError, RuntimeError, ValueError):  # no ffmpeg program, or stopped
-            stamps = read_stamps(job.clip, _Asked(stop))
+        index = read_index(job.clip, stop)
         if stop():
             raise InputError(f"{job.clip}: stopped before it was cut")
-        if stamps is not None:
-            return stamps.times[: job.stop], stamps
+        if index is not None:
+            return index.times[: job.stop], index.keys
         progress.say(f"{job.clip}: its frames cannot be sought: every piece decodes the clip from its start")
     if count is None:
         raise UsageError(f"{job.clip}: does not say how long it is; convert it to MP4, or leave --split out")
-    return np.arange(count)[: job.stop] / fps, None
-
-
-class _Asked(threading.Event):
-    """An event that is set once somebody wishes to stop."""
-
-    def __init__(self, stop: Stop) -> None:
-        super().__init__()
-        self._stop = stop
-
-    def is_set(self) -> bool:
-        return self._stop()
+    return np.arange(count)[: job.stop] / fps, np.zeros(0, np.int64)

@@ -21,8 +21,7 @@ from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.tracking.start.search import Faces
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
 from facetrack_cli.trajectory.writers import by_frame
-from facetrack_cli.video.seek import open_sought
-from facetrack_cli.video.source import Source
+from facetrack_cli.video.source import Source, open_source
 
 MIN_OVERLAP: Final = 0.5  # of the boxes: a region with less does not count as found
 
@@ -49,8 +48,7 @@ class Begin:
     piece: Piece | None = None
 
     def open(self, first: int = 0) -> Source:
-        stamps = None if self.piece is None else self.piece.stamps
-        return open_sought(self.clip, stamps, fps=self.fps, start=first, stop=self.stop)
+        return open_source(self.clip, fps=self.fps, start=first, stop=self.stop)
 
     def find(
         self,

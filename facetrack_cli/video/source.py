@@ -4,51 +4,36 @@ Frames are counted from 0 of the file, also when reading starts later; `time_s` 
 the file's own clock, and grows from frame to frame. The number of frames that a container claims is only a hint.
 
 A clip that ends early gives all the frames before the damage; then `complete` is False and `warnings` says what is
-missing. So it is if the decoder reports errors (`decoder_log.py`): it conceals them and goes on, so all frames are
-there, but some are not what the clip showed. A video with fewer frames than the container claims (or any MPEG program
-stream, which claims nothing) is read again without decoding, and is incomplete if the demuxer reports missing data, if
-packets follow where the decoder stopped, or if they end clearly before the claimed duration. In Ogg and WMV, which do
-not say that more should follow, a cut between two packets is not noticed.
+missing. A clip is incomplete, too, if FFmpeg calls a packet or a frame damaged: the decoder conceals damage and goes
+on, so that all frames are there, but some are not what the clip showed. At its end a clip must be as long as its
+container says, in bytes and in seconds. Ogg, WMV and MPEG program streams do not say it: of them a cut between two
+packets is not noticed.
 """
 
-import math
-import os
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from fractions import Fraction
 from pathlib import Path
-from typing import ClassVar, cast
-from weakref import WeakSet
-
-# OpenCV and its ffmpeg read these when they are loaded; their messages would mix with ours on stderr
-os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-# OpenCV gives up after so many packets that are not of the video, and where sound outlasts it loses the last frames
-os.environ.setdefault("OPENCV_FFMPEG_READ_ATTEMPTS", "1000000000")
-
-import cv2
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.core.types import Array, Frame, Image
-from facetrack_cli.video import decoder_log, ffmpeg, images
+from facetrack_cli.core.types import Frame
+from facetrack_cli.video import images
 from facetrack_cli.video.archive import Archive, is_archive
-from facetrack_cli.video.checksums import broken_clusters
-from facetrack_cli.video.kinds import is_image
-from facetrack_cli.video.playlists import check_local
-from facetrack_cli.video.refused import AGAIN, check_file, why_not
-
-if os.environ["OPENCV_LOG_LEVEL"] == "SILENT":  # where OpenCV was loaded before
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+from facetrack_cli.video.decode import (
+    MIN_JUMP_FRAMES,
+    Decoder,
+    LostError,
+    open_container,
+    pixels,
+    read_index,
+    video_stream,
+)
+from facetrack_cli.video.files import AGAIN, check_file, check_local, is_image, missing_part
 
 FOLDER_FPS = Fraction(25)
-_ANEW = "convert the clip, or track it in one piece"
-_PLACES = 6  # of errors that are named
-_MOST_NAMED = 1000  # errors that are kept
-_THREADS = 8  # of the decoder at most: each holds frames
-_TEXT = "ansi"  # ffmpeg draws the text of .txt files
-_AGAIN_BY = {"VP80": "libvpx", "VP90": "libvpx-vp9"}  # decoders that notice what FFmpeg's own do not
+_MAX_NAMED = 6  # damaged frames
 _JITTER_S = 0.0015  # containers that keep whole milliseconds move a frame by less than this
 
 
@@ -63,7 +48,6 @@ class Source(AbstractContextManager["Source"], ABC):
         self.variable: bool | None = None  # whether the times of frames differ from `fps`, once it is known
         self.warnings: list[str] = []  # one line each
         self.complete = True  # False once it is known that frames are missing or wrong
-        self.strict = False  # whether a video that seems whole is decoded once more, by the strictest decoder
         self._start, self._stop = start, stop
         self._begun = self._closed = False
 
@@ -93,206 +77,122 @@ class Source(AbstractContextManager["Source"], ABC):
         return InputError(f"{self.path}: frame {self._start} is past the end, {there}; start earlier")
 
 
-class Capture:
-    """A video file opened by OpenCV, which decodes one frame after the other. Not thread-safe.
-
-    `next` is the number of the frame that `grab` goes to. `position` is the time of the frame grabbed last as OpenCV
-    gives it, `time` counts from the first frame; both in s. `claimed` is the number of frames that the container
-    claims. After a seek to a keyframe, the frames before the number `key` may be damaged. `damage` holds errors that
-    the decoder reported, each with the frame before which it did so; it decodes a few frames ahead. They may be those
-    of another capture unless this one was `alone`.
-    """
-
-    alone: bool
-    _open: ClassVar[WeakSet["Capture"]] = WeakSet()
-    _opening: ClassVar[threading.Lock] = threading.Lock()
-
-    def __init__(self, path: Path):
-        with self._opening:
-            others = list(self._open)
-            for other in others:
-                other.alone = False
-            self._open.add(self)
-        threads = min(cv2.getNumberOfCPUs(), _THREADS)
-        self._opencv = cv2.VideoCapture(ffmpeg.source_argument(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, threads])
-        self.alone = decoder_log.start() and not others
-        self.damage: list[tuple[int, str]] = []
-        self._noted = decoder_log.noted()  # what is said of the streams while they are opened comes again
-        self.next = self.key = 0
-        self.time = self.position = self.origin = 0.0
-        self.rate = self._opencv.get(cv2.CAP_PROP_FPS)
-        self.fps = _fraction(self.rate)
-        self.period = float(1 / self.fps)
-        count = self._opencv.get(cv2.CAP_PROP_FRAME_COUNT)
-        self.claimed = int(count) if math.isfinite(count) and 1 <= count < 1e9 else None
-        self.codec = int(self._opencv.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True).decode("latin-1")
-
-    def grab(self) -> bool:
-        """Decode the next frame; False at the end."""
-        grabbed = self._opencv.grab()
-        noted = decoder_log.noted()
-        if noted != self._noted:
-            said = decoder_log.complaints(self._noted, self.next)
-            self.damage += [(self.next, text) for text in said[: max(_MOST_NAMED - len(self.damage), 0)]]
-            self._noted = noted
-        if not grabbed:
-            return False
-        self.position = self._opencv.get(cv2.CAP_PROP_POS_MSEC) / 1000
-        if self.next == 0:
-            self.origin = self.position
-        else:
-            self.time = following(self.time, self.position - self.origin, self.period)
-        self.next += 1
-        return True
-
-    def image(self) -> Image | None:
-        """The frame grabbed last as (H, W, 3) BGR, rotation applied; None if it cannot be decoded."""
-        return cast("Image | None", self._opencv.retrieve()[1])
-
-    def seek(self, frame: int) -> bool:
-        """Grab the frame at which OpenCV arrives when told to go to that number, which may be a different one."""
-        self._opencv.set(cv2.CAP_PROP_POS_FRAMES, frame)
-        grabbed = self._opencv.grab()
-        self.position = self._opencv.get(cv2.CAP_PROP_POS_MSEC) / 1000
-        return grabbed
-
-    def release(self) -> None:
-        with self._opening:
-            self._open.discard(self)
-        self._opencv.release()
-
-
-def _fraction(rate: float) -> Fraction:
-    """A frame rate as a fraction; below one in 1001 s, as those of time lapses are, by the time between two frames."""
-    if not 0 < rate <= 1000:
-        return FOLDER_FPS
-    return Fraction(rate).limit_denominator(1001) if rate > 1 / 1001 else 1 / Fraction(1 / rate).limit_denominator(1001)
-
-
-def following(time: float, elapsed: float, period: float) -> float:
-    """The time in s of the frame that follows one at `time`, and is `elapsed` after the first by its own stamp."""
-    step = elapsed - time  # the last frames of some AVI and MPEG files have no stamp, or one that is not later
-    return time + (step if step > 0 else period)
-
-
 class VideoSource(Source):
-    """A video file, decoded by OpenCV."""
+    """A video file, decoded by PyAV. Where its packets allow it, frames long before `start` are not decoded."""
 
     def __init__(self, path: Path, start: int, stop: int | None):
-        capture = Capture(path)
-        image = capture.image() if capture.grab() else None
-        # the cover image of a music file is a video of 90,000 frames a second for OpenCV
-        if image is None or capture.codec == _TEXT or (capture.rate > 1000 and not ffmpeg.contents(path)[0]):
-            capture.release()
-            raise why_not(path)
-        super().__init__(path, (image.shape[1], image.shape[0]), capture.fps, start, stop)
-        self.is_video = True
-        if capture.claimed is not None:
-            self.frames_hint = max(min(capture.claimed, stop or capture.claimed) - start, 0)
-        self._capture = capture
         self._length = _length(path)
+        try:
+            self._decoder = Decoder(path)
+        except (OSError, ValueError):
+            raise _why_not(path) from None
+        super().__init__(path, self._decoder.size, self._decoder.fps, start, stop)
+        self.is_video = True
+        claimed = self._decoder.claimed
+        if claimed is not None:
+            self.frames_hint = max(min(claimed, stop or claimed) - start, 0)
         self._lock = threading.Lock()
-        # brings a capture to the first frame that is wanted, without those before; and the position that each must have
-        self.sought: tuple[Callable[[Capture, int], Capture | None], Array] | None = None
 
     def close(self) -> None:
-        with self._lock:  # the capture must not be released while it is at work
-            self._closed = True
-            self._capture.release()
+        self._closed = True
+        with self._lock:  # the decoder must not be closed while it is at work
+            self._decoder.close()
 
     def _frames(self) -> Iterator[Frame]:
-        start, stop = self._start, self._stop
-        shape, first, time = (self.size[1], self.size[0], 3), 0, 0.0
-        with self._lock:
-            if self.sought is not None and start > 0 and not self._closed:
-                at = self.sought[0](self._capture, start)
-                self._capture, first = at or Capture(self.path), start if at else 0
-                if at is None:
-                    self._capture.grab()
-        index, capture = first, self._capture
-        while stop is None or index < stop:
-            image = None  # free the last one before the next is decoded
+        start, stop, period_s = self._start, self._stop, float(1 / self.fps)
+        if start > MIN_JUMP_FRAMES:
+            with self._lock, suppress(OSError, ValueError):
+                self._jump(start)
+        before_s, decoder = -1.0, self._decoder
+        while stop is None or decoder.next < stop:
             with self._lock:
                 if self._closed:
                     return
-                if index > first and not capture.grab():
-                    break
-                image = capture.image() if index >= start else None
-            known = self.sought[1] if first and self.sought else None
-            if known is not None and (index >= len(known) or known[index] != capture.position):
-                raise InputError(f"{self.path}: frame {index} is not there at the time that its packet says; {_ANEW}")
-            step, time = capture.time - time, capture.time
-            if index > first and abs(step - capture.period) > _JITTER_S:
+                index, raw = decoder.next, decoder.read()
+                frame = None if raw is None or index < start else Frame(index, decoder.time_s, pixels(raw))
+                del raw  # free it before the next one is decoded
+            if index == decoder.next:
+                break
+            if before_s >= 0 and abs(decoder.time_s - before_s - period_s) > _JITTER_S:
                 self.variable = True
-            if index >= start:
-                if image is None or image.shape != shape:
-                    what = "cannot be decoded" if image is None else f"is {image.shape[1]}x{image.shape[0]}"
-                    what = f"{self.path}: frame {index} {what}, those before are {shape[1]}x{shape[0]}"
-                    self._cut(f"{what}; stopped after {index} frames, convert the clip to one size")
+            before_s = decoder.time_s
+            if frame is not None:
+                if frame.size != self.size:
+                    sizes = "{}x{}, those before are {}x{}".format(*frame.size, *self.size)
+                    what = f"{self.path}: frame {index} is {sizes}; stopped after {index} frames"
+                    self._cut(f"{what}, convert the clip to one size")
                     return
-                yield Frame(index, time, image)
-            index += 1
-        else:  # `stop` was reached, the rest of the file does not matter
-            self._judge_frames(stop)
+                yield frame
+        else:  # the rest of the file does not matter
+            self._judge_frames({at for at in decoder.damage if at < decoder.next})
             return
-        if index <= start:
-            raise self._past_end(index)
+        if decoder.next <= start:
+            raise self._past_end(decoder.next)
         self.variable = bool(self.variable)
-        self._judge(index, time)
+        self._judge(decoder.next, decoder.time_s)
+
+    def _jump(self, start: int) -> None:
+        """Go to the frame `start` from the keyframe before it, or stay at the first frame."""
+        index = None if self._closed else read_index(self.path, lambda: self._closed)
+        if index is None or start >= len(index.pts):
+            return
+        with suppress(LostError):
+            if self._decoder.seek(start, index):
+                while self._decoder.next < start:
+                    self._decoder.read()
+                return
+        self._decoder.close()
+        self._decoder = Decoder(self.path)
 
     def _judge(self, frames: int, last_s: float) -> None:
         """Say so if frames are missing after the last one that was decoded, or are not what the clip showed."""
         # one that was removed is read to its end
         if self.path.exists() and _length(self.path) != self._length:
             self._cut(f"{self.path}: changed while it was read, after {frames} frames; run it again")
-        elif cut := self._missing(frames, last_s, self._capture.period):
-            self._cut(f"{self.path}: cut short or damaged{cut}{self._errors(None, '; ')}; {AGAIN} for the rest")
-        else:
-            self._judge_frames(None)
-
-    def _judge_frames(self, until: int | None) -> None:
-        """Say so if frames are not what the clip showed; `until`: up to which it was read, if not to its end."""
-        if wrong := self._errors(until):
-            self._cut(f"{self.path}: damaged: {wrong}, frames may be wrong; {AGAIN}")
-
-    def _errors(self, until: int | None, before: str = "") -> str:
-        """The errors that a decoder reports, after `before`; "" if there are none."""
-        capture = self._capture
-        at, said = sorted({frame for frame, _ in capture.damage}), [text for _, text in capture.damage]
-        if not capture.alone:  # whose errors these are is not known
-            at, said = [], decoder_log.decoded_again(self.path, frames=until)
-        if not said and until is None and not before:
-            if broken := self._broken_clusters():
-                return f"{broken} parts of the file differ from their checksums"
-            by = _AGAIN_BY.get(capture.codec) or (ffmpeg.strict_decoder(self.path) if self.strict else "")
-            said = decoder_log.decoded_again(self.path, by) if by else []
-        if not said:
-            return ""
-        places = ", ".join(map(str, at[:_PLACES])) + (f" and {len(at) - _PLACES} later ones" if at[_PLACES:] else "")
-        where = f" at about frame{'s' * (len(at) > 1)} {places}" if at else ""
-        return f"{before}the decoder reports errors{where} ({said[0].strip(' .')})"
-
-    def _broken_clusters(self) -> int:
-        try:
-            return broken_clusters(self.path) if ffmpeg.container(self.path) == "matroska" else 0
-        except OSError:
-            return 0
-
-    def _missing(self, frames: int, last_s: float, period: float) -> str:
-        """What is missing if the file went on, or should have gone on, after the last frame; "" if nothing is."""
-        claimed = self._capture.claimed or 0
-        try:
-            if frames >= claimed > 0 and ffmpeg.container(self.path) not in ("mpeg", "ts"):
-                return ""
-            claimed_s, video_s, end_s, damage = ffmpeg.ending(self.path)
-        except (OSError, RuntimeError, ValueError):  # no ffmpeg program: only a count that differs clearly is noticed
-            return f": only {frames} of about {claimed} frames could be read" if frames < 0.9 * claimed else ""
-        early = end_s < claimed_s - max(1.0, 0.03 * claimed_s)
-        if not (damage or early or video_s > last_s + max(0.5, 5 * period)):
-            return ""
-        seconds = f"({last_s + period:.1f} of {max(claimed_s, claimed * period):.1f} s)"
+            return
+        decoder, missing = self._decoder, ""
+        with suppress(OSError):
+            missing = missing_part(self.path) or decoder.complaint
+        if not missing and decoder.end_s >= decoder.claimed_s - max(1.0, 0.03 * decoder.claimed_s):
+            self._judge_frames(decoder.damage)
+            return
+        claimed, period_s = decoder.claimed or 0, float(1 / self.fps)
+        seconds = f"({last_s + period_s:.1f} of {max(decoder.claimed_s, claimed * period_s):.1f} s)"
         read = f"{frames} frames{f' of about {claimed} {seconds}' if claimed > frames else ''} could be read"
-        return f"{f' ({damage})' if damage else ''}: {read}"
+        why = f" ({missing})" if missing else ""
+        self._cut(f"{self.path}: cut short or damaged{why}: {read}; {AGAIN} for the rest")
+
+    def _judge_frames(self, damage: set[int]) -> None:
+        """Say so if frames are not what the clip showed."""
+        if not damage:
+            return
+        at = sorted(damage)
+        places = ", ".join(map(str, at[:_MAX_NAMED]))
+        places += f" and {len(at) - _MAX_NAMED} later ones" if at[_MAX_NAMED:] else ""
+        frames = f"about frame{'s' * (len(at) > 1)} {places}"
+        self._cut(f"{self.path}: damaged: the decoder reports errors at {frames}, which may look wrong; {AGAIN}")
+
+
+def _why_not(path: Path) -> InputError:
+    """Why a file gave no frame."""
+    video, sound, missing = False, False, ""
+    with suppress(OSError, ValueError):
+        missing = missing_part(path)
+        with path.open("rb") as file:
+            video = file.read(4) == b"\x1a\x45\xdf\xa3"  # Matroska, which may end before it names its streams
+        with open_container(path) as container:
+            video, sound = video_stream(container) is not None, bool(container.streams.audio)
+    if "moov" in missing:
+        why = f"the index of this MP4 (moov) is missing, its recording or download was cut off; {AGAIN}"
+    elif missing:
+        why = f"cut short or damaged before its first frame; {AGAIN}"
+    elif video:
+        why = f"damaged before its first frame, or of an unknown codec; {AGAIN}, or convert it to MP4 (H.264)"
+    elif sound:
+        why = "holds sound but no video; give a video"
+    else:
+        why = "not a video; give a video file, not a playlist of others, or a folder of images"
+    return InputError(f"{path}: {why}")
 
 
 def _length(path: Path) -> int:

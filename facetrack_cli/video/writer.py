@@ -20,6 +20,7 @@ from facetrack_cli.core.errors import OutputError, reason
 from facetrack_cli.core.files import discard, publish, sync, temporary_path
 from facetrack_cli.core.types import Image
 from facetrack_cli.video import ffmpeg
+from facetrack_cli.video.decode import sound_of
 from facetrack_cli.video.encoder import Encoder, as_mp4
 
 _COPIED_AUDIO = frozenset(("aac", "mp3", "ac3", "eac3", "alac"))  # what players expect in an MP4; the rest becomes AAC
@@ -223,11 +224,11 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             return
         mixed = silent.with_suffix(".audio.mp4")
         try:
-            _, codec, _ = ffmpeg.contents(source)
+            codec, begins_s = sound_of(source)
             if not codec:
                 return
             # our clock starts at the source's first frame, ffmpeg's at whatever comes first
-            start = self._first_s + ffmpeg.first_time(source)
+            start = self._first_s + begins_s
             length = float((self._last_tick - self._pieces[0]) / Fraction(self._timescale) + 1 / self._fps)
             command = ["-v", "error", "-y", "-i", ffmpeg.source_argument(silent)]
             command += ["-itsoffset", f"{-start:.6f}", "-i", ffmpeg.source_argument(source)]

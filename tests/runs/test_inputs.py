@@ -10,7 +10,7 @@ from PIL import Image
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.runs.inputs import expand
-from facetrack_cli.video.kinds import brings_rate
+from facetrack_cli.video.files import brings_rate
 
 
 @pytest.fixture(autouse=True)

@@ -21,7 +21,6 @@ from facetrack_cli.tracking.start.init_file import write_init
 from facetrack_cli.trajectory.header import read_header
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.video.source import open_source
-from facetrack_cli.video.stamps import Stamps
 from tests.support import media
 from tests.support.samples import FOLDER as SAMPLES
 
@@ -263,12 +262,8 @@ def test_pieces_cover_all_frames_and_overlap(first, count, gaps, length, spacing
 
 
 def test_a_plan_is_read_as_it_was_written(tmp_path):
-    stamps = Stamps(np.arange(4) / 25, np.arange(4) / 25 + 0.1, np.array([0, 2]), np.array([0.0, 0.08]), True)
     start = Start(3, {"face": TargetStart((1.5, 2, 30, 40), {"nose": (3.25, 4.1)})}, "haar", (), "a note")
-    for known in (stamps, None):
-        plan = Plan(start, ((3, 9), (7, None)), known)
-        plan.write(tmp_path / "plan.npz", "key")
-        key, read = read_plan(tmp_path / "plan.npz")
-        assert (key, read.start, read.cuts) == ("key", start, plan.cuts)
-        for name, value in vars(known).items() if known else ():
-            assert np.array_equal(getattr(read.stamps, name), value)
+    plan = Plan(start, ((3, 9), (7, None)))
+    plan.write(tmp_path / "plan.npz", "key")
+    key, read = read_plan(tmp_path / "plan.npz")
+    assert (key, read.start, read.cuts) == ("key", start, plan.cuts)

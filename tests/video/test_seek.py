@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -17,11 +15,10 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame
-from facetrack_cli.video import seek, stamps
+from facetrack_cli.video.decode import LostError, _is_hidden, read_index
 from facetrack_cli.video.seek import Cache, Frames, Turns
-from facetrack_cli.video.source import Capture, open_source
+from facetrack_cli.video.source import VideoSource, open_source
 from tests.support import media
-from tests.support.samples import FOLDER
 
 X264 = ("-preset", "medium", "-threads", "1")
 VP8 = ("-deadline", "good", "-cpu-used", "5", "-auto-alt-ref", "1", "-lag-in-frames", "16", "-g", "40", "-b:v", "200k")
@@ -56,9 +53,9 @@ encoded("plain.avi", "-g", "12")
 encoded("no_stamps.avi", "-bf", "2", jumps=False)
 encoded("vp8.webm", *VP8)
 encoded("vp9.webm", "-c:v", "libvpx-vp9", *VP8)
-encoded("no_length.webm", "-live", "1", jumps=False)
+encoded("no_length.webm", "-live", "1")
 encoded("hevc.mp4", "-c:v", "libx265", "-preset", "fast", "-x265-params", "log-level=none:keyint=30:pools=1")
-encoded("mpeg1.mpg")
+encoded("mpeg1.mpg", jumps=False)
 encoded("no_stamps.mpg", "-c:v", "mpeg2video", "-bf", "2", jumps=False)
 encoded("odd.mp4", *X264, "-g", "30", "-video_track_timescale", "12345", fps=Fraction(90000, 3754))
 encoded("every_key.mov")
@@ -104,17 +101,6 @@ def _(path: Path) -> None:
     path.write_bytes(data)
 
 
-@clip("two_sizes.ts", jumps=False)
-def _(path: Path) -> None:
-    parts = []
-    for place, size in enumerate(((64, 48), (80, 48), (64, 48))):
-        part = media.write_video(path.with_suffix(f".{place}.ts"), frames=50, size=size, options=(*X264, "-g", "10"))
-        shifted = path.with_suffix(f".{place}.shifted.ts")
-        media.ffmpeg("-i", part, "-c", "copy", "-output_ts_offset", str(place * 2), shifted)
-        parts.append(shifted.read_bytes())
-    path.write_bytes(b"".join(parts))
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("clips")
@@ -133,30 +119,26 @@ def made(folder: Path, name: str) -> tuple[Path, list[Frame]]:
     return path, READ[name]
 
 
-def jumping(path: Path) -> Frames:
-    """The frames of a video whose stamps have been read."""
+def indexed(path: Path) -> Frames:
+    """The frames of a video whose packets have been read."""
     frames = Frames(path)
-    frames._begin_stamps()
-    if frames._thread is not None:
-        frames._thread.join()
+    frames._thread.join()
     return frames
 
 
 def check(frame: Frame, expected: Frame) -> None:
     assert frame.index == expected.index
     assert frame.time_s == expected.time_s, frame.index  # to the last bit
-    assert np.array_equal(frame.bgr, expected.bgr), frame.index
+    assert np.array_equal(frame.pixels, expected.pixels), frame.index
 
 
 @pytest.mark.parametrize("name", sorted(CLIPS))
 def test_every_frame_in_any_order_is_the_one_of_the_source(folder: Path, name: str) -> None:
     path, expected = made(folder, name)
     assert len(expected) > 40
-    frames = jumping(path)
-    with frames:
+    with indexed(path) as frames:
         assert frames.size == expected[0].size and not frames.exact
-        order = np.random.default_rng(0).permutation(len(expected)).tolist()
-        for index in order[:30]:
+        for index in np.random.default_rng(0).permutation(len(expected))[:30].tolist():
             frames._recent.clear()  # each by a way of its own
             check(frames.read(index), expected[index])
         assert (frames.jumps > 0) == CLIPS[name][1]
@@ -167,19 +149,29 @@ def test_every_frame_in_any_order_is_the_one_of_the_source(folder: Path, name: s
             check(frames.read(index), expected[index])
 
 
-@settings(max_examples=25)
+@pytest.mark.parametrize("name", sorted(CLIPS))
+def test_a_source_that_begins_late_gives_what_decoding_in_order_gives(folder: Path, name: str) -> None:
+    path, frames = made(folder, name)
+    jumped = 0
+    for start in sorted({1, 18, 45, 46, len(frames) - 20, len(frames) - 1}):
+        with open_source(path, start=start, stop=start + 9) as source:
+            for got, expected in zip(source, frames[start : start + 9], strict=True):
+                check(got, expected)
+            assert isinstance(source, VideoSource)
+            jumped += source._decoder.jumped
+    assert bool(jumped) == CLIPS[name][1]
+
+
+@settings(max_examples=15)
 @given(data=st.data())
 def test_any_sequence_of_reads(folder: Path, data: st.DataObject) -> None:
     path, expected = made(folder, data.draw(st.sampled_from(sorted(CLIPS))))
     total = len(expected)
     step = st.one_of(st.integers(-6, 6), st.integers(-total, total))
-    begin_at = data.draw(st.integers(0, 8))
     with Frames(path) as frames:
-        frames._recent.most_bytes = data.draw(st.sampled_from([0, 10, 1000])) * expected[0].bgr.nbytes
+        frames._recent.most_bytes = data.draw(st.sampled_from([0, 10, 1000])) * expected[0].pixels.nbytes
         index = 0
-        for place, by in enumerate(data.draw(st.lists(step, min_size=1, max_size=25))):
-            if place == begin_at:
-                frames._begin_stamps()
+        for by in data.draw(st.lists(step, min_size=1, max_size=25)):
             index += by
             if 0 <= index < total:
                 check(frames.read(index), expected[index])
@@ -191,16 +183,22 @@ def test_any_sequence_of_reads(folder: Path, data: st.DataObject) -> None:
             assert frames.count >= 1 and (not frames.exact or frames.count == total)
 
 
-def test_the_sample_clips() -> None:
-    for name in ("expressions", "signing"):
-        path = FOLDER / f"{name}.mp4"
-        with open_source(path) as source:
-            expected = list(source)
-        frames = jumping(path)
-        with frames:
-            for index in np.random.default_rng(1).permutation(len(expected))[:30].tolist():
-                check(frames.read(index), expected[index])
-            assert frames.jumps > 0
+def test_frames_end_before_the_first_of_another_size(folder: Path) -> None:
+    parts = []
+    for place, size in enumerate(((64, 48), (80, 48))):
+        part = media.write_video(folder / f"{place}.ts", frames=50, size=size, options=(*X264, "-g", "10"))
+        shifted = folder / f"{place}.shifted.ts"
+        media.ffmpeg("-i", part, "-c", "copy", "-output_ts_offset", str(place * 2), shifted)
+        parts.append(shifted.read_bytes())
+    path = folder / "two_sizes.ts"
+    path.write_bytes(b"".join(parts))
+    with open_source(path) as source:
+        expected = list(source)
+        assert len(expected) == 50 and "frame 50 is 80x48, those before are 64x48" in source.warnings[0]
+    with indexed(path) as frames:
+        check(frames.read(45), expected[45])
+        with pytest.raises(InputError):
+            frames.read(70)
 
 
 # how much is decoded
@@ -215,28 +213,15 @@ def long(folder: Path) -> Path:
 
 
 def test_stepping_through_neighbours_does_not_decode_them_again(long: Path) -> None:
-    frames = jumping(long)
-    with frames:
+    with indexed(long) as frames:
         assert media.number(frames.read(480).bgr) == 480 - 256
-        assert frames.decoded <= stamps.CHECKED + 1 + 240
+        assert frames.decoded <= 1 + 240
         for way in (range(479, 300, -1), range(301, 480), range(479, 300, -7)):
             before, jumps = frames.decoded, frames.jumps
             for index in way:
                 assert media.number(frames.read(index).bgr) == index % 256
             assert frames.decoded - before <= 250 and frames.jumps - jumps <= 1
-        before = frames.decoded
-        for index in range(480, 540):
-            frames.read(index)
-        assert frames.decoded - before <= 60 + 300  # at most one way from the keyframe
-
-
-def test_a_small_cache_does_not_decode_a_group_for_each_step_back(long: Path) -> None:
-    with Frames(long) as frames:
-        room = 20
-        frames._recent.most_bytes = room * frames.read(0).bgr.nbytes
-        frames._back = room * 3 // 4
-        frames._begin_stamps()
-        frames._thread.join()
+        frames._recent.most_bytes, frames._back = 20 * frames.read(0).pixels.nbytes, 15  # a small cache
         frames.read(490)
         before = frames.decoded
         for index in range(489, 400, -1):
@@ -245,91 +230,75 @@ def test_a_small_cache_does_not_decode_a_group_for_each_step_back(long: Path) ->
 
 
 def test_a_far_frame_is_not_decoded_from_the_start(long: Path) -> None:
-    frames = jumping(long)
-    with frames:
+    with indexed(long) as frames:
         frames.read(530)
-        assert frames.decoded < 530 - 500 + stamps.CHECKED + 10
+        assert frames.decoded < 530 - 500 + 10
         assert frames.count == 600 and not frames.exact
         with pytest.raises(InputError):
             frames.read(10**6)
         assert frames.exact and frames.decoded < 200
+    with open_source(long, start=530) as source:
+        read, decoded = source._decoder.read, 0  # type: ignore[attr-defined]
 
+        def counted() -> object:
+            nonlocal decoded
+            decoded += 1
+            return read()
 
-def test_a_long_clip_has_its_stamps_read_at_once_and_a_short_one_when_it_is_gone_far(long: Path, folder: Path) -> None:
-    with Frames(long) as frames:
-        assert frames._thread is not None
-    path, expected = made(folder, "b_frames.mp4")
-    with Frames(path) as frames:
-        for index in range(len(expected)):
-            frames.read(index)
-        assert frames.decoded == len(expected)
-        assert frames._thread is None
-        frames._recent.clear()
-        frames.read(90)
-        assert frames._thread is not None
+        source._decoder.read = counted  # type: ignore[attr-defined]
+        assert len(list(source)) == 70 and decoded <= 101 + 1
 
 
 def test_a_clip_that_does_not_say_how_long_it_is_has_its_packets_counted(folder: Path) -> None:
     path, expected = made(folder, "no_length.webm")
-    frames = jumping(path)
-    with frames:
+    with indexed(path) as frames:
         assert frames._claimed == 0 and frames.count == len(expected) == 100 and not frames.exact
-        check(frames.read(70), expected[70])
-        assert frames.count == 100
 
 
 def test_memory_is_flat_over_many_reads(long: Path) -> None:
-    frames = jumping(long)
-    with frames:
-        size = frames.read(0).bgr.nbytes
+    with indexed(long) as frames:
+        size = frames.read(0).pixels.nbytes
         frames._recent.most_bytes = 30 * size
-        for place, index in enumerate(np.random.default_rng(2).integers(0, 600, 2000).tolist()):
+        for place, index in enumerate(np.random.default_rng(2).integers(0, 600, 1000).tolist()):
             frames.read(index if place % 20 == 0 else min(max(frames._last - 1, 0), 599))
             assert frames._recent.bytes <= 30 * size
-            assert len(frames._cursors) <= seek.CURSORS
         assert len(frames._recent._known) <= 30
 
 
 # doubt
 
 
-def test_stamps_that_differ_are_not_used(folder: Path) -> None:
+def test_an_index_that_differs_is_not_used(folder: Path) -> None:
     path, expected = made(folder, "b_frames.mp4")
-    for shift in (0, 60):  # from the start, and from the middle on
-        frames = jumping(path)
-        with frames:
-            good = frames._stamps
-            assert good is not None
-            wrong = good.positions.copy()
-            wrong[shift:] += 1e-6
-            frames._stamps = replace(good, positions=wrong)
+    for first in (0, 60):  # from the start, and from the middle on
+        with indexed(path) as frames:
+            assert frames._index is not None
+            frames._index.pts[first:] += 1
             for index in (90, 99, 30, 70):
                 check(frames.read(index), expected[index])
-            assert frames._stamps is None
+            assert frames._index is None
 
 
-def test_without_an_ffmpeg_program_frames_are_counted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, expected = made(folder, "b_frames.mp4")
-
-    def missing(*_: object) -> None:
-        raise RuntimeError("no ffmpeg")
-
-    monkeypatch.setattr(stamps.ffmpeg, "contents", missing)
-    frames = jumping(path)
-    with frames:
-        for index in (95, 3, 60):
-            check(frames.read(index), expected[index])
-        assert frames.jumps == 0
+def test_a_frame_that_is_not_where_its_packet_says(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, frames = made(folder, "b_frames.mp4")
+    wrong = read_index(path)
+    assert wrong is not None
+    wrong.pts[80] += 1
+    monkeypatch.setattr("facetrack_cli.video.source.read_index", lambda *_: wrong)
+    with open_source(path, start=75) as source:
+        got = iter(source)
+        check(next(got), frames[75])
+        with pytest.raises(LostError, match="frame 80 is not there at the time that its packet says"):
+            list(got)
+    with open_source(path, start=85) as source:  # a difference on the way: it is decoded from the start
+        check(next(iter(source)), frames[85])
 
 
 def test_hidden_packets_of_vp8_and_vp9_are_no_frames() -> None:
-    def stream(*packets: bytes) -> bytes:
-        return b"\0" * 32 + b"".join(len(p).to_bytes(4, "little") + b"\0" * 8 + p for p in packets)
-
-    vp8 = stream(b"\x10rest", b"\x01rest", b"\x11rest", b"")
-    assert stamps._shown(io.BytesIO(vp8), "vp8", threading.Event()).tolist() == [True, False, True, False]
-    vp9 = stream(b"\x82rest\0", b"\x84rest\0", b"\x86rest\0", b"\x84rest\xc9", b"\x88")
-    assert stamps._shown(io.BytesIO(vp9), "vp9", threading.Event()).tolist() == [True, False, True, True, True]
+    vp8 = [_is_hidden("vp8", packet) for packet in (b"\x10rest", b"\x01rest", b"\x11rest")]
+    assert vp8 == [False, True, False]
+    packets = (b"\x82rest\0", b"\x84rest\0", b"\x86rest\0", b"\x84rest\xc9", b"\x88")
+    assert [_is_hidden("vp9", packet) for packet in packets] == [False, True, False, False, False]
 
 
 # several at once
@@ -379,66 +348,53 @@ def test_who_asks_last_has_the_next_turn_and_overtakes() -> None:
 
 
 def test_a_long_way_gives_way_to_who_asks_later(folder: Path) -> None:
-    path, expected = made(folder, "no_stamps.avi")
-    with Frames(path) as frames:
+    path, expected = made(folder, "damaged.mp4")
+    with indexed(path) as frames:
         done: list[int] = []
-        grab = frames._grab
+        decode = frames._decode
         late = threading.Thread(target=lambda: (check(frames.read(5), expected[5]), done.append(5)))
 
-        def slow(cursor: Capture) -> bool:
-            if cursor.next == 50 and not late.ident:
+        def slow(wanted: int) -> bool:
+            if frames._decoder.next == 50 and not late.ident:
                 late.start()
                 with frames._turns._condition:
                     frames._turns._condition.wait_for(lambda: bool(frames._turns._waiting))
-            return grab(cursor)
+            return decode(wanted)
 
-        frames._grab = slow  # type: ignore[method-assign]
-        frames._recent.clear()
+        frames._decode = slow  # type: ignore[method-assign]
         check(frames.read(90), expected[90])
         done.append(90)
         late.join()
         assert done == [5, 90]
-        assert frames.decoded <= 1 + 91 + 7, "what was decoded before was lost"
 
 
 def test_closing_while_another_thread_reads(long: Path) -> None:
-    for far in (True, False):
-        frames = Frames(long)
-        grab, begun = frames._grab, threading.Event()
-        said: list[BaseException] = []
+    frames, said = Frames(long), list[BaseException]()
+    decode, begun = frames._decode, threading.Event()
 
-        def slow(cursor: Capture, grab=grab, begun=begun) -> bool:  # type: ignore[no-untyped-def]
-            begun.set()
-            return bool(grab(cursor))
+    def slow(wanted: int) -> bool:
+        begun.set()
+        return decode(wanted)
 
-        def work(frames=frames, said=said) -> None:  # type: ignore[no-untyped-def]
-            try:
-                while True:
-                    frames._recent.clear()
-                    for index in (599, 300, 10):
-                        frames.read(index)
-            except BaseException as caught:
-                said.append(caught)
+    def work() -> None:
+        try:
+            while True:
+                frames._recent.clear()
+                for index in (599, 300, 10):
+                    frames.read(index)
+        except BaseException as caught:
+            said.append(caught)
 
-        frames._grab = slow  # type: ignore[method-assign]
-        thread = threading.Thread(target=work)
-        thread.start()
-        begun.wait()
-        if far and frames._thread is not None:
-            frames._thread.join()
-        frames.close()
-        thread.join()
-        frames.close()
-        (error,) = said
-        assert isinstance(error, RuntimeError) and "open them again" in str(error)
-        assert not frames._cursors and (frames._thread is None or not frames._thread.is_alive())
-
-
-def test_a_closed_one_cannot_be_read(folder: Path) -> None:
-    with Frames(made(folder, "plain.avi")[0]) as frames:
-        pass
-    with pytest.raises(RuntimeError, match="open them again"):
-        frames.read(0)
+    frames._decode = slow  # type: ignore[method-assign]
+    thread = threading.Thread(target=work)
+    thread.start()
+    begun.wait()
+    frames.close()
+    thread.join()
+    frames.close()
+    (error,) = said
+    assert isinstance(error, RuntimeError) and "open them again" in str(error)
+    assert not frames._thread.is_alive()
 
 
 # folders and refusals
@@ -488,37 +444,3 @@ def test_a_cache_keeps_to_its_bytes() -> None:
     assert recent.get(6) == "large" and recent.get(5) is None and recent.bytes == 50
     recent.clear()
     assert recent.get(6) is None and recent.bytes == 0
-
-
-@pytest.mark.parametrize("name", CLIPS)
-def test_a_source_that_seeks_its_first_frame_gives_what_decoding_in_order_gives(folder, name):
-    path, frames = made(folder, name)
-    found = stamps.read_stamps(path, threading.Event())
-    assert found is not None or not CLIPS[name][1]
-    sought = 0
-    for start in sorted({1, 18, 45, 46, len(frames) - 20, len(frames) - 1}):
-        with seek.open_sought(path, found, start=start, stop=start + 9) as source:
-            expected = frames[start : start + 9]
-            got = list(source)
-            assert len(got) == len(expected)
-            for one, other in zip(got, expected, strict=True):
-                check(one, other)
-            sought += source._capture.key > 0
-    assert sought or not CLIPS[name][1]
-
-
-def test_a_frame_that_is_not_where_its_packet_says_is_an_error(folder):
-    path, frames = made(folder, "b_frames.mp4")
-    found = stamps.read_stamps(path, threading.Event())
-    assert found is not None
-    positions = found.positions.copy()
-    positions[80] += 0.01
-    moved = replace(found, positions=positions)
-    with seek.open_sought(path, moved, start=75) as source:
-        got = iter(source)
-        check(next(got), frames[75])
-        with pytest.raises(InputError, match="frame 80 is not there at the time that its packet says"):
-            list(got)
-    # what differs on the way is decoded from the start
-    with seek.open_sought(path, moved, start=85) as source:
-        check(next(iter(source)), frames[85])

@@ -143,7 +143,7 @@ def test_a_source_is_read_once(tmp_path: Path) -> None:
         iter(source)
 
 
-@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".webm", ".avi", ".mpg"])
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".webm", ".avi"])
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
 def test_a_cut_video_gives_what_is_there_and_says_so(tmp_path: Path, suffix: str, share: float) -> None:
     whole = media.write_video(tmp_path / f"whole{suffix}", frames=100, sound="0.1*sin(2000*t)")
@@ -153,12 +153,19 @@ def test_a_cut_video_gives_what_is_there_and_says_so(tmp_path: Path, suffix: str
     assert source.complete is False
     (warning,) = source.warnings
     assert str(path) in warning and f"{len(frames)} frames" in warning
-    if suffix != ".mpg":  # whose header does not say how many there should be
-        assert "of about 10" in warning
-        assert len(frames) <= 100 * share + 8
+    assert "of about 10" in warning
+    assert len(frames) <= 100 * share + 8
     assert len(frames) >= 100 * share - 20
     # the last image may be half there
     assert numbers(frames)[:-1] == list(range(len(frames) - 1))
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6])
+def test_a_program_stream_that_ends_within_a_frame(tmp_path: Path, share: float) -> None:
+    whole = media.write_video(tmp_path / "whole.mpg", frames=100)
+    source, frames = read(media.cut(whole, tmp_path / "short.mpg", share))
+    (warning,) = source.warnings
+    assert not source.complete and f"at about frame {len(frames) - 1}" in warning
 
 
 def test_damage_in_the_middle_is_said(tmp_path: Path) -> None:
@@ -423,7 +430,7 @@ def test_a_clip_cut_within_its_head(tmp_path: Path, suffix: str) -> None:
     whole = media.write_video(tmp_path / f"whole{suffix}")
     part = tmp_path / f"part{suffix}"
     part.write_bytes(whole.read_bytes()[:200])
-    with pytest.raises(InputError, match="cut short or damaged before its first frame; copy or download it again"):
+    with pytest.raises(InputError, match=r"damaged before its first frame.*; copy or download it again"):
         open_source(part)
 
 

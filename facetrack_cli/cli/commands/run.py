@@ -152,7 +152,7 @@ class Run:
         from facetrack_cli.runs.signals import Stop
         from facetrack_cli.runs.workers import cores
         from facetrack_cli.tracking.kernels import cache
-        from facetrack_cli.video.kinds import brings_rate
+        from facetrack_cli.video.files import brings_rate
 
         local = None if self.cluster is None else self._check_cluster(self.cluster)
         if self.live or any(is_live(one) for one in self.inputs):

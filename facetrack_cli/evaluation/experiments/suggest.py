@@ -110,7 +110,7 @@ def _trial(name: str, recipe: Recipe, start: Start, frames: Sequence[Frame], for
     last = int(there[-1]) if there.size else 0
     agreement = 0.0
     if last:
-        back = [Frame(i, i / 25, frames[last - i].bgr) for i in range(last + 1)]
+        back = [Frame(i, i / 25, frames[last - i].pixels) for i in range(last + 1)]
         target, given = next(iter(start.targets.items()))
         x, y, w, h = forwards.boxes[last].tolist()
         begun = TargetStart((x, y, w, h), forwards.points if given.points else {})

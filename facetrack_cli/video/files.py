@@ -1,0 +1,108 @@
+"""What a file is: a clip of its own, an image, or neither, and whether a part of it is missing."""
+
+import re
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from facetrack_cli.core.errors import InputError, reason
+from facetrack_cli.video import images
+from facetrack_cli.video.archive import holds_images, is_archive
+
+AGAIN: Final = "copy or download it again"
+_KINDS: Final = (
+    "3g2 3gp apng asf avi divx dv f4v flv gif m2ts m2v m4v mj2 mjpeg mjpg mkv mov mp4 mpe mpeg mpg mts mxf ogm ogv qt "
+    "rm rmvb ts vob webm wmv y4m"
+)
+_VIDEOS: Final = frozenset(f".{kind}" for kind in _KINDS.split())
+_ADDRESS: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(?=[^/])")  # a drive of Windows has one letter
+_TS_PACKET: Final = 188  # bytes
+_MP4_BOXES: Final = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
+
+
+def is_clip(path: Path) -> bool:
+    """Whether a file that is found in a folder is a clip: a video, an animation, or an archive of images."""
+    suffix = path.suffix.lower()
+    named = suffix in _VIDEOS or (suffix == ".zip" and holds_images(path)) or images.is_animated(path)
+    return named and path.is_file()
+
+
+def is_image(path: Path) -> bool:
+    """Whether a file is a single image."""
+    return path.suffix.lower() in images.SUFFIXES and not images.is_animated(path)
+
+
+def brings_rate(clip: Path) -> bool:
+    """Whether a clip has a frame rate of its own, as all have but images: of a folder, a glob, an archive, or alone."""
+    several = clip.is_dir() or images.listing(clip) is not None or is_archive(clip)
+    return not several and not is_image(clip)
+
+
+def check_local(path: Path) -> None:
+    """InputError for an address on the network, of which a path has lost a slash."""
+    if found := _ADDRESS.match(str(path)):
+        address = f"{found[1]}://{str(path)[found.end() :]}"
+        raise InputError(f"{address}: is an address on the network; download it first, then give the file")
+
+
+def check_file(path: Path) -> None:
+    """Raise InputError for a path that is no file that can be read, or an empty one."""
+    try:
+        str(path).encode()
+        if not path.exists():
+            hint = "a pipe cannot be read, save the clip to a file" if str(path) == "-" else "check the name"
+            raise InputError(f"{path}: no such file or folder; {hint}")
+        if not path.is_file():
+            raise InputError(f"{path}: neither a file nor a folder; save the clip to a file")
+        with path.open("rb") as file:
+            if not file.read(1):
+                raise InputError(f"{path}: the file is empty; {AGAIN}")
+    except UnicodeEncodeError:
+        raise InputError(f"{path}: the name holds bytes that are no UTF-8 text; rename the file") from None
+    except OSError as error:
+        raise InputError(f"{path}: {reason(error)}; check the name and the permissions") from error
+
+
+def missing_part(path: Path) -> str:
+    """What a file lacks by the sizes that its container tells, or by the marks of its packets; "" if it is whole.
+
+    MP4, AVI and MPEG transport streams are known.
+    """
+    with path.open("rb") as file:
+        size, head = path.stat().st_size, file.read(2 * _TS_PACKET + 1)
+        if head[::_TS_PACKET] == b"GGG":
+            return _unmarked(file)
+        end, names = 0, set[bytes]()
+        if head[4:8] in _MP4_BOXES:
+            end, names = _boxes(file, size)
+        elif head[:4] == b"RIFF":
+            length = int.from_bytes(head[4:8], "little")
+            end = 8 + length if length < 0x7FFFFFFF else 0  # a writer may leave the largest number there
+        if names and b"moov" not in names:
+            return "its index (moov) is missing"
+        return f"{end - size} bytes are missing" if end > size else ""
+
+
+def _boxes(file: BinaryIO, size: int) -> tuple[int, set[bytes]]:
+    """Where the last box of an MP4 ends, and the names of its boxes."""
+    at, names = 0, set[bytes]()
+    while at < size:
+        file.seek(at)
+        head = file.read(16)
+        length = int.from_bytes(head[:4], "big")
+        length = int.from_bytes(head[8:], "big") if length == 1 else length or size - at  # 0: up to the end
+        if length < 8 or not head[4:8].isalnum():
+            break
+        names.add(head[4:8])
+        at += length
+    return at, names
+
+
+def _unmarked(file: BinaryIO) -> str:
+    """What is wrong with the packets of a transport stream, which all begin with one mark; "" if nothing is."""
+    file.seek(0)
+    while block := file.read(_TS_PACKET << 12):
+        if len(block) % _TS_PACKET:
+            return "it ends within a packet"
+        if block[::_TS_PACKET].count(b"G") < len(block) // _TS_PACKET:
+            return "a packet lacks its mark"
+    return ""
