@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import weakref
 from array import array
 from collections.abc import Callable, Iterator
 from fractions import Fraction
@@ -23,6 +24,7 @@ from facetrack_cli.core.types import Array, Image, Whole
 
 if TYPE_CHECKING:
     from av.container import InputContainer
+    from av.video.codeccontext import VideoCodecContext
     from av.video.frame import VideoFrame
     from av.video.stream import VideoStream
 
@@ -76,6 +78,7 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
             self._container.close()
             raise ValueError("no video")
         self._video, self._sound = video, self._container.streams.audio
+        self._end = weakref.finalize(self, _end, video.codec_context, self._container)
         large = video.codec_context.width * video.codec_context.height > _MAX_ALONE_PIXELS
         video.codec_context.thread_type = "AUTO"
         video.codec_context.thread_count = min(cv2.getNumberOfCPUs(), _MAX_THREADS) if large else 1
@@ -96,7 +99,7 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
         decoded = self._decoded()
         first = next(decoded, None)
         if first is None:
-            self._container.close()
+            self.close()
             raise ValueError("no frame")
         self._frames: Iterator[VideoFrame] = chain([first], decoded)
         turned = round(first.rotation / 90) % 2
@@ -146,7 +149,7 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
 
     def close(self) -> None:
         """Free the file; closing again does nothing."""
-        self._container.close()
+        self._end()
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -175,22 +178,15 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
                 yield raw
 
     def _demux(self, packets: Iterator[Any], at: int) -> Any:
-        """The next packet; None at the end. FFmpeg tells some errors of a file in its log only.
-
-        The log calls Python from any thread of a decoder, which must not wait for it: it is heard here alone.
-        """
+        """The next packet; None at the end. FFmpeg tells some errors of a file in its log only."""
         import av
 
-        level = av.logging.get_level()
-        av.logging.set_level(av.logging.PANIC)  # errors are counted, and none is shown
         (before, _), said = av.logging.get_last_error(), ""
         try:
             packet = next(packets, None)
         except av.FFmpegError as error:
             said, packet = reason(error), av.Packet()  # an empty packet brings the frames that the decoder still holds
             packet.stream = self._video
-        finally:
-            av.logging.set_level(level)
         errors, last = av.logging.get_last_error()
         if errors > before and last is not None and last[1] == self._container.format.name:
             said = last[2].strip(" .\n")
@@ -200,10 +196,19 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
         return packet
 
 
+def _end(context: VideoCodecContext, container: InputContainer) -> None:
+    """Free a file. The threads of the decoder end first: while they are waited for none of them can log an error."""
+    if context.is_open:
+        context.flush_buffers()
+    container.close()
+
+
 def open_container(path: Path) -> InputContainer:
     """A local file as FFmpeg reads it. Raises OSError or ValueError for what is not one of its formats of video."""
     import av
 
+    if av.logging.get_level() is None:
+        av.logging.set_level(av.logging.PANIC)  # errors are counted, and none is shown
     # an absolute path never reads as an option or a protocol
     options = {"format_whitelist": _FORMATS, "protocol_whitelist": "file"}
     return av.open(str(path.absolute()), options=options, metadata_errors="replace")
