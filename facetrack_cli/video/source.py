@@ -191,7 +191,7 @@ def _why_not(path: Path) -> InputError:
     elif sound:
         why = "holds sound but no video; give a video"
     else:
-        why = "not a video; give a video file, not a playlist of others, or a folder of images"
+        why = "not a video; give a video file or a folder of images"
     return InputError(f"{path}: {why}")
 
 
