@@ -114,7 +114,7 @@ class Run:
     keep_posterior: bool = flag("--keep-posterior", "Write posterior.npz, for facetrack smooth.")
     overwrite: bool = options.OVERWRITE
     no_resume: bool = flag("--no-resume", "Track from the start what was interrupted, not from its last checkpoint.")
-    strict: bool = flag("--strict", "Exit with 3 if a clip is cut short or damaged, and look harder for damage.")
+    strict: bool = flag("--strict", "Exit with 3 if a clip is cut short or damaged.")
     fail_on_lost: bool = flag("--fail-on-lost", "Exit with 4 if a part is lost in the last frame.")
     threads: int | None = option(
         "--threads N", "Threads a clip [default: the cores, shared by -j].", type=Whole(1, 1000)
