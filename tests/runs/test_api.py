@@ -2,6 +2,7 @@
 
 import itertools
 
+import cv2
 import numpy as np
 import pytest
 
@@ -120,12 +121,15 @@ def test_only_public_names_are_there():
 def test_a_recording_is_what_run_writes(tmp_path, recipe, clip):
     from facetrack_cli.video.source import open_source
 
-    assert main(["run", str(clip), "--config", recipe, "--stop", "8", "-o", str(tmp_path / "run"), "-q"]) == 0
-    begin = clip.with_suffix(".init.yaml")
+    begin, images = str(clip.with_suffix(".init.yaml")), tmp_path / "images"
+    images.mkdir()
     with open_source(clip, stop=8) as source:
-        given, fps = np.stack([frame.bgr for frame in source]), float(source.fps)
-    with facetrack.Recording(tmp_path / "out", recipe, clip=clip, fps=fps) as out:
-        for result in facetrack.track_frames(given, recipe, init=begin, fps=fps):
+        given = np.stack([frame.bgr for frame in source])
+    for i, image in enumerate(given):
+        cv2.imwrite(str(images / f"{i}.png"), image)
+    assert main(["run", str(images), "--init", begin, "--config", recipe, "-o", str(tmp_path / "run"), "-q"]) == 0
+    with facetrack.Recording(tmp_path / "out", recipe, clip=images, fps=25.0) as out:
+        for result in facetrack.track_frames(given, recipe, init=begin, fps=25.0):
             out.write(result)
     csv, json = ((tmp_path / "out" / f"trajectory.{form}").read_text() for form in ("csv", "json"))
     assert csv == (tmp_path / "run" / "trajectory.csv").read_text()

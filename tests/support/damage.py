@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import random
 
-KINDS = ("bytes", "burst", "zeros", "dropped", "other_clip", "cut", "byte", "bit")
+KINDS = ("bytes", "burst", "zeros", "dropped", "swapped", "cut", "byte", "bit")
 
 
 def damaged(data: bytes, kind: str, seed: int, *, head: int = 2048) -> bytes:
     """A copy of a file with one kind of damage after its `head`, which holds what tells where the frames are.
 
     bytes: 4 to 40 bytes anywhere have other values; burst: a block of random bytes; zeros: a block of zeros, as a bad
-    sector; dropped: a block is missing; other_clip: two blocks have changed places; cut: the end is missing; byte, bit:
+    sector; dropped: a block is missing; swapped: two blocks have changed places; cut: the end is missing; byte, bit:
     one of them has another value.
     """
     chance = random.Random(f"{kind} {seed}")
@@ -28,7 +28,7 @@ def damaged(data: bytes, kind: str, seed: int, *, head: int = 2048) -> bytes:
         out[at : at + block] = bytes(block)
     elif kind == "dropped":
         del out[at : at + block]
-    elif kind == "other_clip":
+    elif kind == "swapped":
         other = chance.randrange(at + block, size - block + 1)
         out[at : at + block], out[other : other + block] = out[other : other + block], out[at : at + block]
     elif kind == "cut":
