@@ -130,8 +130,8 @@ def kinds(place: Path, inputs: Path, options: list[str], workers: int) -> dict[s
     batch, file = [*RUN, str(inputs), *options, "-o", str(out)], place / "scheduler.json"
     dask = f"--scheduler-file {file} --no-dashboard >/dev/null 2>&1 &"
     start = f"{sys.executable} -m distributed.cli.dask_scheduler --port 0 {dask}"
-    start += f" {sys.executable} -m distributed.cli.dask_worker --nthreads 1 --nworkers {workers} {dask}"
     start += f" until [ -s {file} ]; do sleep 0.1; done;"
+    start += f" {sys.executable} -m distributed.cli.dask_worker --nthreads 1 --nworkers {workers} {dask}"
     return {
         "a loop in one process": [sys.executable, "-c", LOOP, f"{out}/", str(listed), *options],
         "a loop of the shell": ["bash", "-c", shell],

@@ -88,7 +88,7 @@ class PartHistory:
 
 
 class Event(NamedTuple):
-    """Why a frame is shown: the spans that begin or end in it, its correction, pieces that meet, what is measured."""
+    """Why a frame is shown: the spans that begin or end in it, its correction, chunks that meet, what is measured."""
 
     kind: Kind
     spans: tuple[LostSpan, ...] = ()
@@ -105,7 +105,7 @@ class KeyFrame(NamedTuple):
 @dataclass(frozen=True)
 class RunHistory:
     """A whole run: its parts, the `episodes` in which any is lost, the frame of the lowest mean confidence, and the
-    `seams` of one that was tracked in pieces.
+    `seams` of a clip that was tracked in chunks.
     """
 
     parts: tuple[PartHistory, ...]
@@ -140,7 +140,7 @@ class RunHistory:
 
 
 def history_of(table: Trajectory, clock: Clock, seams: tuple[SeamHeader, ...] = ()) -> RunHistory:
-    """What happened, from the rows of a trajectory; `seams` are where pieces of its clip meet."""
+    """What happened, from the rows of a trajectory; `seams` are where chunks of its clip meet."""
     several = len(table.targets) > 1
     parts = tuple(_part(one, one.name if several else one.part, clock) for one in table.parts)
     place = np.searchsorted(clock.frames, table.frame)

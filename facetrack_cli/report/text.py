@@ -83,7 +83,7 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
     if history.seams:
         differ = sum(not seam.agrees for seam in history.seams)
         those = f"{differ or 'none'} of the {count(len(history.seams), 'place')} where they meet"
-        found.append(f"It was tracked in pieces, which differ at {those}.")
+        found.append(f"It was tracked in chunks, which differ at {those}.")
     if history.corrections:
         found.append(f"It was corrected by hand in {count(len(history.corrections), 'frame')}.")
     if missing := [part for part in history.parts if part.frames_absent]:
@@ -152,7 +152,7 @@ def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) 
             case "seam":
                 share = None if event.seam is None else event.seam.agreement
                 agree = f"they agree in {percent(share)} of the frames that both have"
-                return "Two pieces differ", "none of the frames is in both" if share is None else agree
+                return "Two chunks differ", "none of the frames is in both" if share is None else agree
             case "lost":
                 lost = [f"{s.name} (confidence {number(confidence.get(s.name))})" for s in event.spans]
                 return "Called lost", names(lost, 5)

@@ -78,7 +78,7 @@ class ClipDigest:
     """The SHA-256 of a clip, computed in a thread of its own while the clip is tracked; `clip` is the clip without."""
 
     def __init__(self, clip: Path, *, whole: bool = True) -> None:
-        """Without `whole` it is not computed: the clip of a piece is the same for all."""
+        """Without `whole` it is not computed: the clip of a chunk is the same for all."""
         self.clip, self._found, self._stopped = clip_stat(clip), "", not whole
 
         def compute() -> None:

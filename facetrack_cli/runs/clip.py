@@ -9,11 +9,11 @@ from facetrack_cli.core.types import Correction, Frame, Start
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.checkpoint import forget
 from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended, silent
-from facetrack_cli.runs.join import join
 from facetrack_cli.runs.pipeline import decoded_ahead
 from facetrack_cli.runs.recording import ClipFacts, Recorder
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import frames_of
+from facetrack_cli.runs.stitch import join
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.corrected import restored, resumed_at
 from facetrack_cli.tracking.kernels.precompile import Precompiler
@@ -25,7 +25,7 @@ from facetrack_cli.video.source import FolderSource, Source
 
 def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
     """Track one clip into its files; raises, and leaves no file, if nothing was tracked. `stop` is asked each frame.
-    Of a clip that is split the pieces, which are there, are joined. `looked` hears of the search for a face.
+    Of a clip that is split the chunks, which are there, are joined. `looked` hears of the search for a face.
 
     An error after the first frame is in the outcome, beside what was kept. What the folder holds of the same job is
     left as it is if it was not cut short by an error, a signal or a kill; else the clip is tracked again.
@@ -47,7 +47,7 @@ def track_clip(job: Job, out: Recorder, stop: Stop, report: Report = silent, loo
     if start is None:
         out.outcome.stopped = stop.reason
         return out.outcome
-    begins = start.frame if job.piece is None or job.piece.correction is None else job.piece.correction
+    begins = start.frame if job.chunk is None or job.chunk.correction is None else job.chunk.correction
     state = out.resume(start, begins)
     before, error = state.outcome.frames, None
     with job.open(state.frame) as source:

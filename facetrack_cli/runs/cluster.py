@@ -76,10 +76,10 @@ class _Cluster:
     def connect(self, patience_s: float) -> None:
         """Connect, or return early on a wish to stop. Raises UsageError if there is no answer for so long."""
         deadline = time.monotonic() + patience_s
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is said in our lines
         while not self._stop():
             try:
                 self._client = _client(address_of(self._where), min(patience_s, ANSWER_S / 6))
+                threads = self._client.nthreads().values()
             except (OSError, UsageError) as e:  # of a file that is being written, too
                 if time.monotonic() > deadline:
                     said = f"no scheduler of Dask answers at {address_of(self._where)} within {patience_s:.0f} s"
@@ -87,7 +87,6 @@ class _Cluster:
                     raise UsageError(f"--cluster {self._where}: {said} ({reason(e)}); {remedy}") from e
                 time.sleep(LOOK_S)
             else:
-                threads = self._client.nthreads().values()
                 if not threads:
                     self._progress.say(f"facetrack: the scheduler of {self._where} has no worker; waiting for one")
                 elif max(threads) > 1:
@@ -110,7 +109,7 @@ class _Cluster:
                 out = {self._submit(one): one for one in out.values()}
             for future in [future for future in out if future.done()]:
                 one = out.pop(future)
-                again, outcome = self._ended(one, future)
+                again, outcome = self._judged(one, future)
                 if again is not None:
                     out[self._submit(again)] = again
                 elif outcome is not None:
@@ -125,16 +124,16 @@ class _Cluster:
 
     def _submit(self, one: _Try) -> Future[tuple[Outcome | None, str]]:
         """Send a job; not to the workers on which it failed, nor to their machines, if there are others."""
-        machines, prefer = {_host(worker) for worker in one.workers}, {}
-        if one.workers:
-            known = list(self._client.nthreads())
-            others = [worker for worker in known if _host(worker) not in machines]
-            others = others or [worker for worker in known if worker not in one.workers]
-            prefer = {"workers": others, "allow_other_workers": True} if others else {}
+        machines, known, prefer = {_host(worker) for worker in one.workers}, list[str](), dict[str, Any]()
+        with contextlib.suppress(OSError):  # the scheduler is gone, which shows elsewhere
+            known = list(self._client.nthreads()) if one.workers else []
+        others = [worker for worker in known if _host(worker) not in machines]
+        if others := others or [worker for worker in known if worker not in one.workers]:
+            prefer = {"workers": others, "allow_other_workers": True}
         task = (__version__, self._folder, self._batch, pickle.dumps((one.job, self._after)))
         return self._client.submit(_on_worker, *task, pure=False, **prefer)
 
-    def _ended(self, one: _Try, future: Future[Any]) -> tuple[_Try | None, Outcome | None]:
+    def _judged(self, one: _Try, future: Future[Any]) -> tuple[_Try | None, Outcome | None]:
         """The job as it is tried again, or its outcome; neither if it had not begun when the batch was stopped."""
         from distributed import KilledWorker
 
@@ -296,6 +295,7 @@ def address_of(where: str) -> str:
 def _client(address: str, patience_s: float) -> Client:
     from distributed import Client
 
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # our lines say what matters
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return Client(address, timeout=patience_s, set_as_default=False)

@@ -42,7 +42,7 @@ class Job(Begin):
     `lag`: by how many frames rows come later, given the frames up to then. `posterior`: whether it is kept. `strict`:
     whether a clip that is damaged is an error, of which what was tracked is kept. `resume`: whether a run that was
     ended goes on from its last checkpoint. `batch`: whether a clip that fails has a run.json that says so; it is not
-    tried again then, but with `retry_failed`. `split`: that it is tracked in pieces, of which the rows are joined.
+    tried again then, but with `retry_failed`. `split`: that it is tracked in chunks, whose rows are joined.
     """
 
     recipe: Recipe
@@ -66,8 +66,8 @@ class Job(Begin):
         init = find_init(self.clip) if self.init is None and self.box is None else self.init
         settings = [self.box, self.init_frame, self.faces, self.start, self.stop]
         options = [str(self.fps), self.lag, self.posterior, self.formats, self.video, self.strict]
-        pieces = [self.split, self.piece and [self.piece.correction]] if self.split or self.piece else []
-        return job_digest(self.recipe, init, settings, options, *pieces)
+        chunks = [self.split, self.chunk and [self.chunk.correction]] if self.split or self.chunk else []
+        return job_digest(self.recipe, init, settings, options, *chunks)
 
     def previous(self) -> Manifest | None:
         """The run.json of an earlier run of the same job and the same clip; None if there is none."""

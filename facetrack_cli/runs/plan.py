@@ -1,23 +1,22 @@
-"""How a long clip is cut into pieces that are tracked each by itself, and the file that says so.
+"""How a long clip is cut into chunks that are tracked each by itself, and the file that says so.
 
-Pieces overlap, and begin at keyframes where there are some about the wished place. Where a clip is cut at corrections
-pieces do not overlap: what follows a complete correction depends on nothing that was tracked before
+Chunks overlap, and begin at keyframes where there are some about the wished place. Where a clip is cut at corrections
+chunks do not overlap: what follows a complete correction depends on nothing that was tracked before
 (`tracking/corrected.py`).
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, TypeAlias
+from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
 
-from facetrack_cli.core.errors import UsageError
-from facetrack_cli.core.npz import Kind, Stored
-from facetrack_cli.core.numbers import dumps
+from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.files import cannot_write, make_folder, replacing
 from facetrack_cli.core.types import Array, Start, Whole
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.tracking.build.build import build_tracker
@@ -25,13 +24,13 @@ from facetrack_cli.tracking.corrected import is_complete
 from facetrack_cli.trajectory.header import StartRecord, to_record
 
 OVERLAP_S: Final = 5.0
-FILE: Final = "plan.npz"
-KIND: Final = Kind("facetrack-plan", 1, "plan of pieces", "facetrack run --split")
+CHUNKS: Final = "chunks"
+FILE: Final = "plan.json"
 Starts: TypeAlias = Literal["detect", "init"]
 
 
 class Split(NamedTuple):
-    """How long pieces are to be, in frames or in seconds, and where those after the first begin."""
+    """How long chunks are to be, in frames or in seconds, and where those after the first begin."""
 
     length: float
     frames: bool
@@ -41,54 +40,65 @@ class Split(NamedTuple):
         return {"length": f"{self.length:.15g}{'f' if self.frames else 's'}", "starts": self.starts}
 
 
-@dataclass(frozen=True)
-class Piece:
-    """One piece of a clip. `plan` is the file that says how the clip is cut.
-
-    `correction`: the frame of the correction that it begins with; None: where a face is found, however late.
+class Chunk(NamedTuple):
+    """One chunk of a clip. `correction`: the frame of the correction that it begins with; None: where a face is found,
+    however late.
     """
 
-    plan: Path
     correction: int | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """`cuts` are the frames [first, stop) of each piece; `end` the last stop, None: all that there are.
+class Plan(BaseModel):
+    """The start of a clip, and its `cuts`, the frames [first, stop) of each chunk; the last stop may be None: the end.
 
-    `start` is that of the clip.
+    `key` tells what was asked.
     """
 
-    start: Start
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    key: str
+    origin: str
+    note: str
+    record: dict[str, Any]
     cuts: tuple[tuple[int, int | None], ...]
 
-    def write(self, path: Path, key: str) -> None:
-        """Write it for those who ask the same, which `key` tells. Raises OutputError."""
-        start = {"from": self.start.origin, "note": self.start.note, **to_record(self.start)}
-        cuts = [[first, -1 if stop is None else stop] for first, stop in self.cuts]
-        arrays = {"key": np.array(key), "start": np.array(dumps(start)), "cuts": np.array(cuts, np.int64).ravel()}
-        KIND.write(path, arrays)
+    @classmethod
+    def of(cls, key: str, start: Start, cuts: Sequence[tuple[int, int | None]]) -> Plan:
+        return cls(key=key, origin=start.origin, note=start.note, record=to_record(start), cuts=tuple(cuts))
+
+    @property
+    def start(self) -> Start:
+        return replace(StartRecord.model_validate(self.record).start_from(self.origin), note=self.note)
+
+    def write(self, out: Path) -> None:
+        """Write it beside the chunks of a run. Raises OutputError."""
+        path = out / CHUNKS / FILE
+        make_folder(path.parent)
+        try:
+            with replacing(path) as file:
+                file.write(self.model_dump_json().encode())
+        except OSError as e:
+            raise cannot_write(path, e) from e
 
 
-def read_plan(path: Path) -> tuple[str, Plan]:
-    """The key of a plan, and the plan. Raises InputError."""
+def read_plan(out: Path) -> Plan:
+    """The plan of a run's folder. Raises InputError."""
+    path = out / CHUNKS / FILE
+    try:
+        return Plan.model_validate_json(path.read_bytes())
+    except (OSError, ValidationError) as e:
+        raise InputError(f"{path}: is not as facetrack run --split writes it; give --overwrite") from e
 
-    def make(stored: Stored) -> tuple[str, Plan]:
-        said, cuts = json.loads(stored.text("start")), stored.whole("cuts")
-        origin, note = said.pop("from"), said.pop("note")
-        start = replace(StartRecord.model_validate(said).start_from(origin), note=note)
-        pairs = zip(cuts[::2], cuts[1::2], strict=True)
-        return stored.text("key"), Plan(start, tuple((a, None if b < 0 else b) for a, b in pairs))
 
-    return KIND.read(path, make)
+def folder_of(out: Path, chunk: int) -> Path:
+    return out / CHUNKS / f"{chunk:05d}"
 
 
 def cut_by_length(
     first: int, times: Array, split: Split, keys: Sequence[int] | Whole, clip: str
 ) -> list[tuple[int, int]]:
-    """[first, stop) of pieces of the frames from `first` to the last of `times` (T,), in s; each overlaps the next.
+    """[first, stop) of chunks of the frames from `first` to the last of `times` (T,), in s; each overlaps the next.
 
-    A piece begins at the last of `keys` before the wished place, if that is not half a piece away.
+    A chunk begins at the last of `keys` before the wished place, if that is not half a chunk away.
     """
     end, steps = len(times), np.diff(times[first:])
     overlap = OVERLAP_S
@@ -96,7 +106,7 @@ def cut_by_length(
         overlap /= float(np.median(steps))
     if split.length < 2 * overlap:
         least = f"{round(2 * overlap)}f" if split.frames else f"{2 * overlap:g}s"
-        raise UsageError(f"{clip}: pieces overlap by {OVERLAP_S:g} s; give --split {least} or more")
+        raise UsageError(f"{clip}: chunks overlap by {OVERLAP_S:g} s; give --split {least} or more")
     clock = np.arange(end, dtype=np.float64) if split.frames else times
     begins, sought = [first], np.asarray(keys, np.int64)
     while True:
@@ -112,7 +122,7 @@ def cut_by_length(
 
 
 def cut_by_corrections(recipe: Recipe, start: Start, times: Array, split: Split, clip: str) -> list[tuple[int, int]]:
-    """[first, stop) of pieces that begin where a correction tells of all targets; as long as is wished, or longer."""
+    """[first, stop) of chunks that begin where a correction tells of all targets; as long as is wished, or longer."""
     whole: dict[int, set[str]] = {}
     parts = {target.name: target.parts for target in build_tracker(recipe, start)}
     for one in start.corrections:

@@ -214,7 +214,7 @@ class Recorder:
         job, source, goes_on = self.job, self._source, self.outcome.resumed is not None
         self._began_s = time.perf_counter()  # the rate leaves the start-up out
         header = {**_header(job, source, self._start, rows), **self._more}
-        self._digest = ClipDigest(job.clip, whole=job.piece is None)
+        self._digest = ClipDigest(job.clip, whole=job.chunk is None)
         if self.lock is not None:
             self._run.clip = self._digest.clip
             self.lock.frame, self.lock.frames = self._before, self.total

@@ -1,4 +1,7 @@
-"""One long clip in pieces that are tracked side by side, by one process or several, and joined once all are done."""
+"""One long clip in chunks that are tracked side by side, by one process or several, and joined once all are done.
+
+A chunk is a run of some frames of the clip, in a folder of its own.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +11,18 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
+from typing import Any
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, OutputError, UsageError
-from facetrack_cli.core.files import make_folder
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Array, Start, Whole
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.run_folder.fingerprint import clip_stat
 from facetrack_cli.runs.batch import check_all, run_batch
 from facetrack_cli.runs.job import Job, Outcome, check, ended
-from facetrack_cli.runs.join import PIECES, folder_of
-from facetrack_cli.runs.plan import FILE, Piece, Plan, cut_by_corrections, cut_by_length, read_plan
+from facetrack_cli.runs.plan import CHUNKS, Chunk, Plan, cut_by_corrections, cut_by_length, folder_of, read_plan
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.tracking.start.detectors import check_parts, detector
@@ -28,36 +30,35 @@ from facetrack_cli.video.decode import read_index
 from facetrack_cli.video.source import FolderSource
 
 
-def run_pieces(
+def run_chunks(
     job: Job, workers: int, stop: Stop, progress: Progress, shard: tuple[int, int] = (1, 1)
 ) -> Iterator[tuple[str, Outcome]]:
-    """Track the pieces of a clip that are not done yet, `workers` at a time; each is yielded as it ends, with its name,
+    """Track the chunks of a clip that are not done yet, `workers` at a time; each is yielded as it ends, with its name,
     the clip last, with "".
 
-    Of `shard` (I, N) every N-th piece, from the I-th on; the clip is joined by whoever finds all pieces ended. Raises
-    UsageError where it cannot be split, OutputError where the pieces of another split are in its folder.
+    Of `shard` (I, N) every N-th chunk, from the I-th on; the clip is joined by the process that finds all chunks ended.
+    Raises UsageError where it cannot be split, OutputError where the chunks of another split are in its folder.
     """
     if (known := ended(job)) is not None:
         yield "", known
         return
-    plan = _planned(job, stop, progress)
-    pieces = pieces_of(job, plan)
-    decided, left = check_all(pieces[shard[0] - 1 :: shard[1]])
+    chunks = chunks_of(job, _planned(job, stop, progress))
+    decided, left = check_all(chunks[shard[0] - 1 :: shard[1]])
     for outcome in chain(decided, run_batch(left, min(workers, len(left)), stop, progress)):
-        yield PIECES, outcome
+        yield CHUNKS, outcome
     if stop():
         return
-    over = [ended(replace(one, overwrite=False, retry_failed=False)) is not None for one in pieces]
+    over = [ended(replace(one, overwrite=False, retry_failed=False)) is not None for one in chunks]
     waiting = over.count(False) if shard[1] > 1 else 0
     if waiting:
-        progress.say(f"{job.clip}: {waiting} of {len(pieces)} pieces are not done; who ends the last one joins them")
+        progress.say(f"{job.clip}: {waiting} of {len(chunks)} chunks are not done; who ends the last one joins them")
         return
     for outcome in run_batch([job], 1, stop, progress):
         yield "", outcome
 
 
-def pieces_of(job: Job, plan: Plan) -> list[Job]:
-    """What is asked of each piece."""
+def chunks_of(job: Job, plan: Plan) -> list[Job]:
+    """What is asked of each chunk."""
     assert job.out is not None and job.split is not None
     by = next((name for name in DETECTORS if name in (job.init, plan.start.origin)), None)
     by = by or next(name for name in DETECTORS if name == detector().name)
@@ -65,44 +66,29 @@ def pieces_of(job: Job, plan: Plan) -> list[Job]:
     for i, (first, stop) in enumerate(plan.cuts):
         begins = first if i and job.split.starts == "init" else None
         search = i > 0 and begins is None
-        found.append(
-            replace(
-                job,
-                out=folder_of(job.out, i),
-                init=by if search else plan.start,
-                box=None,
-                init_frame=None,
-                start=first if search else plan.start.frame,
-                stop=stop,
-                piece=Piece(job.out / PIECES / FILE, begins),
-                split=None,
-                formats=("json",),
-                video=False,
-                strict=False,
-                batch=True,
-            )
-        )
+        where: dict[str, Any] = {"init": by if search else plan.start, "box": None, "init_frame": None}
+        where |= {"start": first if search else plan.start.frame, "stop": stop, "chunk": Chunk(begins)}
+        alone: dict[str, Any] = {"split": None, "formats": ("json",), "video": False, "strict": False, "batch": True}
+        found.append(replace(job, out=folder_of(job.out, i), **where, **alone))
     return found
 
 
 def _planned(job: Job, stop: Stop, progress: Progress) -> Plan:
-    """How the clip is cut: as the file beside its pieces says, which is written if there is none."""
+    """How the clip is cut: as the file beside its chunks says, which is written if there is none."""
     assert job.out is not None and job.split is not None
     check(job)
-    path, clip = job.out / PIECES / FILE, clip_stat(job.clip)
-    # the pieces are the same whatever is made of them
-    of_pieces = replace(job, formats=(), video=False, strict=False).digest()
-    told = [of_pieces, clip and (clip.bytes, clip.changed_ns)]
-    key = hashlib.sha256(dumps(told).encode()).hexdigest()
-    if clip is not None and path.is_file():
+    clip, folder = clip_stat(job.clip), job.out / CHUNKS
+    # the chunks are the same whatever is made of them
+    of_chunks = replace(job, formats=(), video=False, strict=False).digest()
+    key = hashlib.sha256(dumps([of_chunks, clip and (clip.bytes, clip.changed_ns)]).encode()).hexdigest()
+    if clip is not None and folder.is_dir():
         with suppress(InputError):
-            known, plan = read_plan(path)
-            if known == key:
+            if (plan := read_plan(job.out)).key == key:
                 return plan
         if not job.overwrite:
-            other = "holds pieces of another --split, recipe, start or clip"
-            raise OutputError(f"{path.parent}: {other}; replace them with --overwrite, or name another --out")
-        shutil.rmtree(path.parent, ignore_errors=True)
+            other = "holds chunks of another --split, recipe, start or clip"
+            raise OutputError(f"{folder}: {other}; replace them with --overwrite, or name another --out")
+        shutil.rmtree(folder, ignore_errors=True)
     progress.begin(f"{job.clip.name}: looking where it can be cut")
     start = job.find(job.recipe, stopped=stop, looked=progress.looked)
     if job.split.starts == "detect":
@@ -112,10 +98,8 @@ def _planned(job: Job, stop: Stop, progress: Progress) -> Plan:
         cuts = cut_by_length(start.frame, times, job.split, keys, str(job.clip))
     else:
         cuts = cut_by_corrections(job.recipe, start, times, job.split, str(job.clip))
-    plan = Plan(start, (*cuts[:-1], (cuts[-1][0], job.stop)))
-    make_folder(path.parent)
-    plan.write(path, key)
-    return read_plan(path)[1]  # as whoever comes next has it
+    Plan.of(key, start, [*cuts[:-1], (cuts[-1][0], job.stop)]).write(job.out)
+    return read_plan(job.out)  # as others read it
 
 
 def _check_detector(job: Job, start: Start) -> None:
@@ -145,7 +129,7 @@ def _frames(job: Job, start: Start, stop: Stop, progress: Progress) -> tuple[Arr
             raise InputError(f"{job.clip}: stopped before it was cut")
         if index is not None:
             return index.times[: job.stop], index.keys
-        progress.say(f"{job.clip}: its frames cannot be sought: every piece decodes the clip from its start")
+        progress.say(f"{job.clip}: its frames cannot be sought: every chunk decodes the clip from its start")
     if count is None:
         raise UsageError(f"{job.clip}: does not say how long it is; convert it to MP4, or leave --split out")
     return np.arange(count)[: job.stop] / fps, np.zeros(0, np.int64)

@@ -14,7 +14,7 @@ from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
 from facetrack_cli.recipe.face import DETECTORS, DetectorName
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.plan import Piece
+from facetrack_cli.runs.plan import Chunk
 from facetrack_cli.runs.signals import never
 from facetrack_cli.tracking.start import box_start, check_start, find_init, name_targets, read_init, search_start
 from facetrack_cli.tracking.start.detectors import detector
@@ -33,7 +33,7 @@ class Begin:
     `init` is an init file, a start, or the detector that looks for a face whatever lies beside the clip; None: see
     `find`. `faces` says whether it takes the best face, or all that are there.
     `init_frame` is the frame of the init file or box, or the first to look for a face in.
-    `piece`: that it is one of a clip, whose frames are sought, and in which a face is looked for up to its end.
+    `chunk`: that it is a chunk of a clip, in which a face is looked for up to its end.
     """
 
     clip: Path
@@ -45,7 +45,7 @@ class Begin:
     start: int = 0
     stop: int | None = None
     fps: Fraction | None = None
-    piece: Piece | None = None
+    chunk: Chunk | None = None
 
     def open(self, first: int = 0) -> Source:
         return open_source(self.clip, fps=self.fps, start=first, stop=self.stop)
@@ -96,7 +96,7 @@ class Begin:
                 except InputError:
                     if stopped():
                         raise InputError(f"{self.clip}: stopped before a start was found") from None
-                    further = None if self.piece is None else next(frames, None)
+                    further = None if self.chunk is None else next(frames, None)
                     if further is None:
                         raise
                     frames = chain([further], frames)

@@ -121,7 +121,7 @@ class InitHeader(StartRecord):
 
 
 class SplitHeader(BaseModel):
-    """How a clip was cut into pieces, as --split and --starts take it."""
+    """How a clip was cut into chunks, as --split and --starts take it."""
 
     model_config = ConfigDict(frozen=True)
     length: str
@@ -129,7 +129,7 @@ class SplitHeader(BaseModel):
 
 
 class SeamHeader(BaseModel):
-    """Where two pieces of a clip meet: the first frame of the later one's rows, the share of frames that agree."""
+    """Where two chunks of a clip meet: the first frame of the later one's rows, the share of frames that agree."""
 
     model_config = ConfigDict(frozen=True)
     frame: FrameNumber

@@ -187,7 +187,7 @@ class Trajectory:
     def corrected(self) -> Mask:
         """(R,) rows of a part that corrections gave; in a CSV `init` after the first row, or where `absent` begins.
 
-        What begins where pieces of a clip meet, as the header says, was not corrected.
+        What begins where chunks of a clip meet, as the header says, was not corrected.
         """
         absent = self.status == "absent"
         seams = self.header.get("seams")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import pickle
-import resource
 import shutil
 import signal
 import sys
@@ -175,31 +174,6 @@ def test_a_clip_that_ends_its_workers_is_alone_at_fault(dask, place):
     words = [*SIR, "-o", "worse", "--retry-failed", "--cluster", dask.file, *names()]
     assert dask.run(*words, cwd=place).returncode == 0
     check_equal(place, "worse")
-
-
-@pytest.mark.nightly
-def test_a_batch_that_is_killed_leaves_nothing_half_done(dask, place):
-    words = [*SIR, "-o", "gone", "--cluster", dask.file, *names()]
-    head = dask.run(*words, cwd=place, wait=False)
-    for i in (0, 1):
-        begun(place / "gone" / f"c{i}-sir")
-    head.kill()
-    head.communicate()
-    until(lambda: not list(place.glob(f"gone/*/{LOCK}")))
-    assert dask.run(*words, cwd=place).returncode == 0
-    check_equal(place, "gone")
-
-
-@pytest.mark.nightly
-def test_a_worker_without_space(dask, place):
-    dask.work(before=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)))
-    bad = dask.workers.pop()
-    done = dask.run(*SIR, "-o", "full", "--cluster", dask.file, *names(), cwd=place)
-    bad.terminate()
-    bad.wait()
-    assert done.returncode == 0, done.said
-    assert "and is tried again" in done.said and "File too large" in done.said
-    check_equal(place, "full")
 
 
 @pytest.mark.nightly

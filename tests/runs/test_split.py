@@ -1,4 +1,4 @@
-"""One clip tracked in pieces: where it is cut, what becomes of each piece, and the rows that are joined of them."""
+"""One clip tracked in chunks: where it is cut, what becomes of each chunk, and the rows that are joined of them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ POINTS = {
     "lip_lower": (159.0 * SMALL, 168.6 * SMALL),
 }
 SPLIT = ("--config", "factorized", "--init", "haar", "--split", "75f", "--starts", "detect")
-# at 5 frames/s pieces overlap by 25 frames
+# at 5 frames/s chunks overlap by 25 frames
 
 
 @pytest.fixture(scope="module")
@@ -62,24 +62,24 @@ def frames_of(folder):
     return [line for line in (folder / "trajectory.json").read_text().splitlines() if line.startswith('{"frame":')]
 
 
-def test_pieces_are_tracked_and_joined(facetrack, clips, tmp_path):
+def test_chunks_are_tracked_and_joined(facetrack, clips, tmp_path):
     assert facetrack("run", "IN/slow.mp4", *SPLIT[:4], "--no-video", "-o", "whole")[0] == 0
     code, _, err = facetrack("run", "IN/slow.mp4", *SPLIT, "--no-video", "-o", "out")
     assert code == 0, err
     out, work = tmp_path / "work/out", tmp_path / "work"
     header = json.loads((out / "trajectory.json").read_text())
-    assert [piece["first"] for piece in header["pieces"]] == [0, 60, 120, 180]
+    assert [chunk["first"] for chunk in header["chunks"]] == [0, 60, 120, 180]
     seams = header["seams"]
     assert [seam["agrees"] for seam in seams] == [True] * 3
     assert [seam["frame"] for seam in seams] == [72, 132, 192]  # the middle of the frames that both have
     assert header["complete"] and header["frames_tracked"] == 275
     assert header["split"] == {"length": "75f", "starts": "detect"}
-    # the rows are those of the pieces, the first of which is as the whole run
+    # the rows are those of the chunks, the first of which is as the whole run
     rows = frames_of(out)
     assert len(rows) == 275
     assert [line.rstrip(",") for line in rows[:72]] == [line.rstrip(",") for line in frames_of(work / "whole")[:72]]
-    for piece, (first, stop) in enumerate([(0, 72), (72, 132), (132, 192), (192, 275)]):
-        there = {line.rstrip(",") for line in frames_of(out / "pieces" / f"{piece:05d}")}
+    for chunk, (first, stop) in enumerate([(0, 72), (72, 132), (132, 192), (192, 275)]):
+        there = {line.rstrip(",") for line in frames_of(out / "chunks" / f"{chunk:05d}")}
         assert {line.rstrip(",") for line in rows[first:stop]} <= there
     whole, joined = read_trajectory(work / "whole"), read_trajectory(out)
     assert np.array_equal(whole.frame, joined.frame)
@@ -93,11 +93,11 @@ def test_pieces_are_tracked_and_joined(facetrack, clips, tmp_path):
     assert "done before" in err
 
 
-def test_shards_share_the_pieces_and_the_last_joins_them(facetrack, clips, tmp_path):
+def test_shards_share_the_chunks_and_the_last_joins_them(facetrack, clips, tmp_path):
     command = ("run", "IN/slow.mp4", *SPLIT, "--stop", "200", "-o", "out")
     code, _, err = facetrack(*command, "--shard", "1/2")
     assert code == 0
-    assert "1 of 3 pieces are not done; who ends the last one joins them" in err
+    assert "1 of 3 chunks are not done; who ends the last one joins them" in err
     work = tmp_path / "work"
     assert not (work / "out/run.json").exists()
     assert facetrack(*command, "--shard", "2/2")[0] == 0
@@ -123,7 +123,7 @@ def test_corrections_are_exact_cuts(facetrack, clips, tmp_path, monkeypatch):
     work = tmp_path / "work"
     header = json.loads((work / "out/trajectory.json").read_text())
     # the nearest to 75 frames on, then to 75 after that; what is corrected in part is no cut
-    assert [piece["first"] for piece in header["pieces"]] == [0, 77, 140, 200]
+    assert [chunk["first"] for chunk in header["chunks"]] == [0, 77, 140, 200]
     assert "seams" not in header
     assert (work / "out/trajectory.csv").read_bytes() == (work / "whole/trajectory.csv").read_bytes()
     assert frames_of(work / "out") == frames_of(work / "whole")
@@ -144,43 +144,43 @@ def test_targets_that_exclude_each_other_are_cut_where_all_are_corrected(facetra
     assert facetrack(*at, *few, "whole")[0] == 0
     assert facetrack(*at, *few, "out", "--split", "9f", "--starts", "init")[0] == 0
     work = tmp_path / "work"
-    assert [piece["first"] for piece in json.loads((work / "out/trajectory.json").read_text())["pieces"]] == [0, 12]
+    assert [chunk["first"] for chunk in json.loads((work / "out/trajectory.json").read_text())["chunks"]] == [0, 12]
     assert lines(work / "out") == lines(work / "whole")
 
 
-def test_what_no_piece_found_is_missing_and_said(facetrack, clips, tmp_path):
+def test_what_no_chunk_found_is_missing_and_said(facetrack, clips, tmp_path):
     command = ("run", "IN/dark.mp4", *SPLIT, "-o", "out")
     code, _, err = facetrack(*command)
     assert code == 0, err
     out = tmp_path / "work/out"
     header = json.loads((out / "trajectory.json").read_text())
     assert not header["complete"]
-    assert header["pieces"][2]["first"] in range(HIDDEN[-1] + 1, HIDDEN[-1] + 8)  # it was looked for until then
+    assert header["chunks"][2]["first"] in range(HIDDEN[-1] + 1, HIDDEN[-1] + 8)  # it was looked for until then
     seam = header["seams"][1]
     table = read_trajectory(out)
-    first = header["pieces"][2]["first"]
+    first = header["chunks"][2]["first"]
     assert seam["frame"] == first or (not seam["agrees"] and seam["frame"] > first)
     assert (table.at(seam["frame"]).status == "init").all()
-    assert any("two pieces differ" in line or "no rows of frames" in line for line in header["warnings"])
+    assert any("two chunks differ" in line or "no rows of frames" in line for line in header["warnings"])
     assert all(line in err for line in header["warnings"])
     # the report has the place as an event, and does not call it corrected
     history = history_of(table, Clock(table, 5.0), read_header(table).seams)
     assert history.corrections == ()
     assert any(event.kind == "seam" for key in key_frames(history, 0, 274) for event in key.events)
     page = make_report(out).html.decode()
-    assert "Two pieces differ" in page
+    assert "Two chunks differ" in page
     assert "--split 75f --starts detect" in page
     with open_source(out / "annotated.mp4") as source:
         assert sum(1 for _ in source) == 275
 
 
-def test_a_piece_without_a_face_is_a_gap(facetrack, clips, tmp_path):
+def test_a_chunk_without_a_face_is_a_gap(facetrack, clips, tmp_path):
     media.ffmpeg("-i", clips / "dark.mp4", "-vf", "drawbox=t=fill:color=black:enable='gte(n,105)'", tmp_path / "e.mp4")
     code, _, err = facetrack("run", tmp_path / "e.mp4", *SPLIT, "--no-video", "-o", "out")
     assert code == 0, err
     out = tmp_path / "work/out"
     header = json.loads((out / "trajectory.json").read_text())
-    assert [piece["frames"] > 0 for piece in header["pieces"]] == [True, True, False]
+    assert [chunk["frames"] > 0 for chunk in header["chunks"]] == [True, True, False]
     [said] = [line for line in header["warnings"] if "no rows of frames" in line]
     assert "on (" in said
     assert "no face found" in said
@@ -188,7 +188,7 @@ def test_a_piece_without_a_face_is_a_gap(facetrack, clips, tmp_path):
     assert "done before" in facetrack("run", tmp_path / "e.mp4", *SPLIT, "--no-video", "-o", "out")[2]
 
 
-def test_a_piece_that_fails_does_not_stop_the_others(facetrack, clips, tmp_path, monkeypatch):
+def test_a_chunk_that_fails_does_not_stop_the_others(facetrack, clips, tmp_path, monkeypatch):
     run = batch.run
 
     def breaking(job, *others):
@@ -201,7 +201,7 @@ def test_a_piece_that_fails_does_not_stop_the_others(facetrack, clips, tmp_path,
         patch.setattr(batch, "run", breaking)
         code, _, err = facetrack(*command)
     assert code == 5
-    assert "pieces/00001: " in err
+    assert "chunks/00001: " in err
     header = json.loads((tmp_path / "work/out/trajectory.json").read_text())
     assert not header["complete"]
     assert header["frames_tracked"] < 200
@@ -234,12 +234,12 @@ def test_what_cannot_be_split_is_refused_in_a_line(facetrack, clips, options, sa
     assert said in err.replace("\n", " ")
 
 
-def test_pieces_of_another_split_are_not_mixed(facetrack, clips, tmp_path):
+def test_chunks_of_another_split_are_not_mixed(facetrack, clips, tmp_path):
     command = ("run", "IN/slow.mp4", "--stop", "130", "--no-video", "-o", "out", *SPLIT)
     assert facetrack(*command, "--shard", "1/2")[0] == 0
     code, _, err = facetrack(*command, "--seed", "3")
     assert code == 2
-    assert "holds pieces of another --split" in err
+    assert "holds chunks of another --split" in err
     assert facetrack(*command, "--seed", "3", "--overwrite")[0] == 0
 
 
@@ -250,12 +250,12 @@ def test_pieces_of_another_split_are_not_mixed(facetrack, clips, tmp_path):
     st.floats(10, 60),
     st.integers(1, 90),
 )
-def test_pieces_cover_all_frames_and_overlap(first, count, gaps, length, spacing):
+def test_chunks_cover_all_frames_and_overlap(first, count, gaps, length, spacing):
     times = np.cumsum(np.resize(gaps, first + count))
-    pieces = cut_by_length(first, times, Split(length, False, "detect"), range(0, len(times), spacing), "clip")
-    assert pieces[0][0] == first
-    assert pieces[-1][1] == len(times)
-    for (begin, stop), (after, _) in itertools.pairwise(pieces):
+    chunks = cut_by_length(first, times, Split(length, False, "detect"), range(0, len(times), spacing), "clip")
+    assert chunks[0][0] == first
+    assert chunks[-1][1] == len(times)
+    for (begin, stop), (after, _) in itertools.pairwise(chunks):
         assert begin < after < stop
         assert times[stop - 1] < times[after] + OVERLAP_S <= times[min(stop, len(times) - 1)] + 1e-9
         assert length / 2 - 0.21 <= times[after] - times[begin] <= length + 0.21
@@ -263,7 +263,6 @@ def test_pieces_cover_all_frames_and_overlap(first, count, gaps, length, spacing
 
 def test_a_plan_is_read_as_it_was_written(tmp_path):
     start = Start(3, {"face": TargetStart((1.5, 2, 30, 40), {"nose": (3.25, 4.1)})}, "haar", (), "a note")
-    plan = Plan(start, ((3, 9), (7, None)))
-    plan.write(tmp_path / "plan.npz", "key")
-    key, read = read_plan(tmp_path / "plan.npz")
-    assert (key, read.start, read.cuts) == ("key", start, plan.cuts)
+    Plan.of("key", start, [(3, 9), (7, None)]).write(tmp_path)
+    read = read_plan(tmp_path)
+    assert (read.key, read.start, read.cuts) == ("key", start, ((3, 9), (7, None)))

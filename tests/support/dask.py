@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
-import signal
 import subprocess
 import sys
 import time
@@ -26,42 +26,37 @@ def until(true: Callable[[], object], seconds: float = 60.0) -> object:
 
 
 class Dask:
-    """Processes that are ended, and searched for, together, in a `with`."""
+    """Processes that are ended together, in a `with`; all that they start has the same MARK."""
 
-    def __init__(self, folder: Path, **config: object) -> None:
-        folder.mkdir(exist_ok=True)
+    def __init__(self, folder: Path) -> None:
         self.folder, self.file, self.mark = folder, folder / "scheduler.json", secrets.token_hex(8)
         self.environment = os.environ | {
             "PYTHONPATH": str(ROOT),
             "MARK": self.mark,
             "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
-            "DASK_DISTRIBUTED__WORKER__LIFETIME__RESTART": "true",
             "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "false",
         }
-        self.environment |= {key: str(value) for key, value in config.items()}
-        self.workers: list[psutil.Popen] = []
+        self.processes: list[psutil.Popen] = []
 
     def __enter__(self) -> Dask:
         self.schedule()
         return self
 
-    def schedule(self, port: int = 0) -> None:
+    def schedule(self) -> None:
         self.file.unlink(missing_ok=True)
-        where = ["--host", "127.0.0.1", "--port", str(port), "--no-dashboard", "--no-show"]
-        self.scheduler = self.start("dask_scheduler", *where, "--scheduler-file", str(self.file))
+        self.scheduler = self.start("dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-show")
         until(self.file.exists)
 
-    def work(self, *options: str, count: int = 1, before: Callable[[], None] | None = None) -> None:
+    def work(self, count: int) -> None:
         for _ in range(count):
-            words = ["--scheduler-file", str(self.file), "--nthreads", "1", "--no-dashboard", *options]
-            self.workers.append(self.start("dask_worker", *words, before=before))
+            self.start("dask_worker", "--nthreads", "1")
 
-    def start(self, module: str, *words: str, before: Callable[[], None] | None = None) -> psutil.Popen:
+    def start(self, module: str, *words: str) -> psutil.Popen:
+        command = [sys.executable, "-m", f"distributed.cli.{module}", "--no-dashboard"]
+        command += ["--scheduler-file", str(self.file), *words]
         with (self.folder / "log.txt").open("ab") as log:
-            command = [sys.executable, "-m", f"distributed.cli.{module}", *words]
-            return psutil.Popen(
-                command, env=self.environment, stderr=log, stdout=log, cwd=self.folder, preexec_fn=before
-            )
+            self.processes.append(psutil.Popen(command, env=self.environment, stderr=log, stdout=log, cwd=self.folder))
+        return self.processes[-1]
 
     def run(self, *words: object, cwd: Path, wait: bool = True) -> subprocess.Popen[str]:
         """`facetrack run`; it has ended unless not waited for."""
@@ -72,22 +67,10 @@ class Dask:
             process.said = "".join(process.communicate(timeout=120))
         return process
 
-    def left(self) -> list[psutil.Process]:
-        """All processes that belong here, and what they have started, and so on."""
-        return [one for one in psutil.process_iter() if self._is_ours(one)]
-
-    def _is_ours(self, one: psutil.Process) -> bool:
-        try:
-            return one.status() != psutil.STATUS_ZOMBIE and one.environ().get("MARK") == self.mark
-        except psutil.Error:
-            return False
-
     def __exit__(self, *_: object) -> None:
-        for one in self.left():
-            try:
-                one.send_signal(signal.SIGCONT)
-                one.kill()
-            except psutil.Error:
-                pass
-        for one in (self.scheduler, *self.workers):
+        for one in psutil.process_iter():
+            with contextlib.suppress(psutil.Error):
+                if one.environ().get("MARK") == self.mark:
+                    one.kill()
+        for one in self.processes:
             one.wait()

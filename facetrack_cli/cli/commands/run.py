@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import click
 
-from facetrack_cli.cli import options, pieces
+from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FRAME, Extent, Whole, argument, flag, group, option, verb
-from facetrack_cli.core.errors import ExitCode, FacetrackError, OutputError, UsageError
+from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, OutputError, UsageError
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     Batch: TypeAlias = Callable[..., Iterator[Outcome]]  # of jobs, stop, progress
 
 
+_UNITS = {"s": 1.0, "m": 60.0, "h": 3600.0, "f": 1.0}
 MAX_DONE_LINES = 20  # for clips that were done before; of more clips there is one line
 
 
@@ -40,6 +41,20 @@ def _shard(value: str) -> tuple[int, int]:
     if int(which) > int(of):
         raise click.BadParameter(f"{value!r}: of {of} jobs the last is {of}/{of}")
     return int(which), int(of)
+
+
+def _length(value: str) -> tuple[float, bool]:
+    """A length in s, or in frames, and whether it is the latter."""
+    number, unit = value[:-1], value[-1:].lower()
+    if unit not in _UNITS:
+        raise click.BadParameter(f"{value!r}: give a unit, as in 10m, 90s, 1h, or 5000f for frames")
+    try:
+        found = float(number) * _UNITS[unit]
+    except ValueError:
+        found = 0.0
+    if not 0 < found < 1e9:
+        raise click.BadParameter(f"{value!r}: is no length of a chunk; give one as 10m, 90s, 1h or 5000f")
+    return found, unit == "f"
 
 
 def _formats(value: str) -> tuple[Format, ...]:
@@ -124,12 +139,12 @@ class Run:
         "--shard I/N", "Track every N-th clip alone, from the I-th on: one of N jobs.", type=_shard
     )
     split: tuple[float, bool] | None = option(
-        "--split LENGTH", "Track one long clip in pieces of 10m, 90s, 1h or 5000f (frames), see docs/pipelines.md.",
-        type=pieces.length,
+        "--split LENGTH", "Track one long clip in chunks of 10m, 90s, 1h or 5000f (frames), see docs/pipelines.md.",
+        type=_length,
     )  # fmt: skip
     starts: Literal["detect", "init"] | None = option(
         "--starts HOW",
-        "Where pieces begin: `detect` looks for the face, `init` takes corrections in the init file.",
+        "Where chunks begin: `detect` looks for the face, `init` takes corrections in the init file.",
         type=click.Choice(["detect", "init"]), default=None, show_default=False,
     )  # fmt: skip
     retry_failed: bool = flag("--retry-failed", "Try clips again that have failed before.")
@@ -202,7 +217,7 @@ class Run:
             ]
             after = self._smooth if self.smooth else None
             if split is not None:
-                code = pieces.run_split(jobs[0], workers, ending, shown, self.shard or (1, 1), _report)
+                code = _chunks(jobs[0], workers, ending, shown, self.shard or (1, 1))
             elif self.cluster is not None and local is None:
                 there = partial(_smoothed, motion=self.motion) if self.smooth else None
                 batch = partial(run_cluster, where=self.cluster, after=there)
@@ -251,7 +266,7 @@ class Run:
         if self.jobs > 1:
             raise UsageError("--cluster has workers of its own, -j those of this machine; give one of them")
         if self.split is not None:
-            raise UsageError("--split tracks its pieces with -j or --shard; leave --cluster out")
+            raise UsageError("--split tracks its chunks with -j or --shard; leave --cluster out")
         return check_cluster(where)
 
     def _smooth_left(self, outcome: Outcome, stop: Stop, shown: Progress) -> None:
@@ -260,13 +275,28 @@ class Run:
             self._smooth(outcome, stop, shown)
 
     def _check_split(self, clips: int) -> Split | None:
-        given = {"--smooth": self.smooth, "--keep-posterior": self.keep_posterior, "--lag": self.lag}
-        unfit = next((name for name, value in given.items() if value), "")
-        if self.split is not None and self.out == "-":
-            raise UsageError("--split keeps its pieces in a folder; name one with --out")
-        if self.split is not None and self.overwrite and self.shard is not None:
+        """How a clip is to be split; UsageError where it cannot be."""
+        from facetrack_cli.runs.plan import Split
+
+        if self.split is None:
+            if self.starts is not None:
+                raise UsageError("--starts says where the chunks of --split begin; give that too")
+            return None
+        if self.starts is None:
+            raise UsageError(
+                "--split needs to know where its chunks begin: give --starts detect, which looks for the face, or "
+                "--starts init, which takes the corrections in the init file"
+            )
+        if self.out == "-":
+            raise UsageError("--split keeps its chunks in a folder; name one with --out")
+        if self.overwrite and self.shard is not None:
             raise UsageError("--overwrite would replace what the other shards did; remove the folder before them")
-        return pieces.check_split(self.split, self.starts, clips, unfit)
+        given = {"--smooth": self.smooth, "--keep-posterior": self.keep_posterior, "--lag": self.lag}
+        if unfit := next((name for name, value in given.items() if value), ""):
+            raise UsageError(f"{unfit} goes over the whole clip, --split cuts it in chunks; give one of them")
+        if clips > 1:
+            raise UsageError(f"--split cuts one clip, and {clips} are given; split one at a time")
+        return Split(*self.split, self.starts)
 
     def _check_smoothing(self, recipe: Recipe, formats: tuple[Format, ...]) -> None:
         from facetrack_cli.runs.posterior import check_smoothing
@@ -350,6 +380,32 @@ def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode
         after(outcome, stop, shown)
         shown.close()
     return stop.code or (ExitCode.LOST if outcome.lost_at_end else ExitCode.DONE)
+
+
+def _chunks(job: Job, workers: int, stop: Stop, shown: Progress, shard: tuple[int, int]) -> ExitCode:
+    """Track the chunks of a clip and join them. A chunk that fails does not stop the others."""
+    from facetrack_cli.core.log import about
+    from facetrack_cli.runs.split import run_chunks
+
+    whole = None
+    with about(job.clip.name):
+        for chunk, outcome in run_chunks(job, workers, stop, shown, shard):
+            if not chunk:
+                whole = outcome
+            elif outcome.error is not None:
+                shown.say(f"facetrack: warning: {chunk}: {outcome.error}")
+            elif outcome.again is None and outcome.frames:
+                shown.say(outcome.summary())
+        shown.close()
+        if whole is None:
+            return stop.code or ExitCode.DONE
+        if whole.error is not None and not whole.frames:
+            raise whole.error
+        _report(whole, shown)
+        if whole.error is not None:
+            shown.error(f"facetrack: error: {whole.error}")
+            return stop.code or (ExitCode.INPUT if isinstance(whole.error, InputError) else ExitCode.BATCH)
+    return stop.code or (ExitCode.LOST if whole.lost_at_end else ExitCode.DONE)
 
 
 def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: After | None) -> ExitCode:

@@ -1,11 +1,11 @@
-"""Where two pieces of a clip meet: what counts as agreement, and the names of several faces."""
+"""Where two chunks of a clip meet: what counts as agreement, and the names of several faces."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from facetrack_cli.runs.seams import Seam, agreeing, meet, renamed
+from facetrack_cli.runs.stitch import Seam, agreeing, renamed, stitch
 from facetrack_cli.trajectory.trajectory import joined, one_part
 
 NAN = np.nan
@@ -58,27 +58,27 @@ def test_what_one_of_them_alone_shows_differs_and_what_none_shows_does_not_count
     assert len(agreeing(none, none)) == 0
 
 
-def test_pieces_meet_in_the_middle_of_the_frames_that_both_have():
-    met = meet(face(10, 20), face(14, 40), {"face"}, matched=False)
+def test_chunks_meet_in_the_middle_of_the_frames_that_both_have():
+    met = stitch(face(10, 20), face(14, 40), {"face"}, matched=False)
     assert met == (Seam(17, 1.0, True), {"face": "face"}, frozenset())
-    met = meet(face(10, 20), face(14, 40, dx=30.0), {"face"}, matched=False)
+    met = stitch(face(10, 20), face(14, 40, dx=30.0), {"face"}, matched=False)
     assert met.seam == Seam(17, 0.0, False)
     assert met.names == {"face": "face"}
-    met = meet(face(10, 20), face(25, 40), {"face"}, matched=False)
+    met = stitch(face(10, 20), face(25, 40), {"face"}, matched=False)
     assert met.seam == Seam(25, None, False)
 
 
 def test_most_of_the_frames_must_agree():
     for wrong, agrees in ((2, True), (3, False)):
         later = joined([box("face", 10, 10 + wrong, x=99.0), box("face", 10 + wrong, 20)])
-        met = meet(box("face", 0, 20), later, {"face"}, matched=False)
+        met = stitch(box("face", 0, 20), later, {"face"}, matched=False)
         assert met.seam == Seam(15, 1 - wrong / 10, agrees)
 
 
 def test_faces_take_the_names_of_those_they_agree_with():
     earlier = joined([box("face", 0, 20, x=50), box("face_2", 0, 20, x=150)])
     later = joined([box("face", 10, 30, x=151), box("face_2", 10, 30, x=51), box("face_3", 10, 30, x=250)])
-    met = meet(earlier, later, {"face", "face_2", "face_3"}, matched=True)
+    met = stitch(earlier, later, {"face", "face_2", "face_3"}, matched=True)
     # somebody else was called face_3 before
     assert met.names == {"face": "face_2", "face_2": "face", "face_3": "face_4"}
     assert met.seam.agrees
@@ -87,7 +87,7 @@ def test_faces_take_the_names_of_those_they_agree_with():
     assert [part.x[0] for part in rows.of_target("face")] == [51]
     # one who was lost all the while may have left, one who was not may not
     gone = joined([box("face", 0, 20, x=50), box("face_2", 0, 20, x=150, status="lost")])
-    assert meet(gone, box("face", 10, 30, x=50), {"face", "face_2"}, matched=True).seam.agrees
-    assert not meet(earlier, box("face", 10, 30, x=50), {"face", "face_2"}, matched=True).seam.agrees
+    assert stitch(gone, box("face", 10, 30, x=50), {"face", "face_2"}, matched=True).seam.agrees
+    assert not stitch(earlier, box("face", 10, 30, x=50), {"face", "face_2"}, matched=True).seam.agrees
     # and after a gap nobody is known again
-    assert meet(earlier, box("face", 40, 50), {"face", "face_2"}, matched=True).names == {"face": "face_3"}
+    assert stitch(earlier, box("face", 40, 50), {"face", "face_2"}, matched=True).names == {"face": "face_3"}
