@@ -293,7 +293,7 @@ def outcomes(monkeypatch, scheduler, tmp_path, connect=True):
 
 
 def answer(name, error=None, **more):
-    return Outcome(Path(f"{name}.mp4"), frames=9, error=error, **more)
+    return Outcome(clip=Path(f"{name}.mp4"), frames=9, error=error, **more)
 
 
 def test_what_fails_is_tried_again_elsewhere(tmp_path, monkeypatch):
