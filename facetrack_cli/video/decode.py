@@ -306,7 +306,7 @@ def _is_hidden(codec: str, packet: Any) -> bool:
     data = memoryview(packet)
     if codec == "vp8":
         return not data[0] & 0x10
-    # several in one packet, one of which is shown; one that was decoded before; one that is shown
+    # shown are: a superframe, which packs hidden frames with a shown one; a repeated frame; a frame with the flag set
     return not (data[-1] & 0xE0 == 0xC0 or data[0] & 0x0A)
 
 
