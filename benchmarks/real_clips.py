@@ -22,6 +22,7 @@ from __future__ import annotations
 import argparse
 import csv
 import math
+import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -33,6 +34,7 @@ from boxes import clip_in
 from reference import HANDS, MESH, points_in
 
 from facetrack_cli import track_video
+from facetrack_cli.core.models import VARIABLE
 from facetrack_cli.core.types import Box, Start, TargetStart
 from facetrack_cli.evaluation.boxes import measure_boxes
 from facetrack_cli.trajectory.formats.read import read_truth
@@ -65,6 +67,7 @@ CASES: Final = (
 
 
 def measure(folder: Path, case: Case, seed: int) -> dict[str, float]:
+    os.environ[VARIABLE] = str(LIMITS.parent)  # the limits are of `face` without its network
     cv2.setNumThreads(1)
     clip = folder / case.clip
     truth = read_truth(clip / "groundtruth.csv") if (clip / "groundtruth.csv").exists() else None
