@@ -1,22 +1,35 @@
-"""Tracking of what comes in: a line of JSON for each frame, as soon as it is tracked, with the frame's age."""
+"""Tracking of images as they come: from a camera, or MJPEG or YUV4MPEG2 (y4m) on a pipe.
+
+One image is held at a time. Each frame gives a line of JSON with its age, as soon as it is tracked.
+"""
 
 from __future__ import annotations
 
 import json
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, Final
 
+import cv2
+import numpy as np
+
+from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Box, Image
 from facetrack_cli.recipe.face import DetectorName
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_frames
 from facetrack_cli.runs.signals import never
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
-from facetrack_cli.video.live import camera, piped
 from facetrack_cli.video.source import open_source
+
+MAX_IMAGE_BYTES: Final = 64 << 20  # of one encoded image, and of one y4m frame
+_CHUNK_BYTES: Final = 1 << 16
+_MAX_LINE_BYTES: Final = 4096  # of a header of y4m
+_PIPE: Final = "standard input"
+_REMEDY: Final = "pipe MJPEG or y4m, as from ffmpeg -i ... -f mjpeg -"
 
 
 def is_live(clip: Path) -> bool:
@@ -60,7 +73,7 @@ def follow(
     for result in track_frames(counted(), recipe, init=init):
         at = came[result.frame.index]
         began = at if began is None else began
-        for index in [one for one in came if one <= result.frame.index]:
+        for index in [index for index in came if index <= result.frame.index]:
             del came[index]
         line = record(result, at - began, time.monotonic() - at)
         write(json.dumps(line, allow_nan=False))
@@ -81,3 +94,75 @@ def _parts(rows: Trajectory) -> Iterator[dict[str, Any]]:
         values = {name: float(getattr(rows, name)[i]) for name in ("x", "y", "w", "h", "confidence")}
         finite = {name: round(value, 4) if abs(value) < float("inf") else None for name, value in values.items()}
         yield {"part": rows.names[which][1], **finite, "status": str(rows.status[i])}
+
+
+def camera(number: int) -> Iterator[Image]:
+    """The images of a camera, until it is taken away. InputError where there is none."""
+    capture = cv2.VideoCapture(number)
+    try:
+        got, image = capture.read() if capture.isOpened() else (False, None)
+        if not got or image is None:
+            raise InputError(f"{number}: there is no camera of this number, or another program has it")
+        while got and image is not None:
+            yield np.asarray(image, np.uint8)
+            got, image = capture.read()
+    finally:
+        capture.release()
+
+
+def piped(stream: BinaryIO) -> Iterator[Image]:
+    """The images of a pipe, as (H, W, 3) uint8 BGR. InputError for what is neither MJPEG nor y4m, or too large."""
+    head = stream.read(9)
+    if head == b"YUV4MPEG2":
+        yield from _y4m(stream)
+    elif head[:2] == b"\xff\xd8":
+        yield from _mjpeg(stream, head)
+    else:
+        what = "is empty" if not head else "is neither MJPEG nor y4m"
+        raise InputError(f"{_PIPE}: {what}; {_REMEDY}")
+
+
+def _mjpeg(stream: BinaryIO, data: bytes) -> Iterator[Image]:
+    """Each JPEG ends at the first end-of-image mark: inside of its data, 0xFF is followed by 0 or a restart mark."""
+    held, searched, count = bytearray(data), 2, 0
+    while True:
+        end = held.find(b"\xff\xd9", searched)
+        if end >= 0:
+            image = cv2.imdecode(np.frombuffer(bytes(held[: end + 2]), np.uint8), cv2.IMREAD_COLOR)
+            if image is None:
+                raise InputError(f"{_PIPE}: image {count} is damaged; {_REMEDY}")
+            yield np.asarray(image, np.uint8)
+            count += 1
+            del held[: end + 2]
+            searched = 0
+            continue
+        searched = max(len(held) - 1, 0)
+        if len(held) > MAX_IMAGE_BYTES:
+            raise InputError(f"{_PIPE}: image {count} has no end in {MAX_IMAGE_BYTES >> 20} MB; {_REMEDY}")
+        more = stream.read1(_CHUNK_BYTES) if hasattr(stream, "read1") else stream.read(_CHUNK_BYTES)
+        if not more:
+            return
+        held += more
+
+
+def _y4m(stream: BinaryIO) -> Iterator[Image]:
+    header = stream.readline(_MAX_LINE_BYTES).decode("ascii", "replace")
+    known = dict(re.findall(r" ([A-Z])(\S+)", header))
+    try:
+        width, height = int(known["W"]), int(known["H"])
+    except (KeyError, ValueError):
+        raise InputError(f"{_PIPE}: is a y4m without a size; {_REMEDY}") from None
+    colours = known.get("C", "420")
+    if not re.fullmatch(r"420(jpeg|mpeg2|paldv)?", colours):
+        raise InputError(f"{_PIPE}: is y4m of colours {colours}, and 420 is read; add -pix_fmt yuv420p")
+    size = width * height + 2 * ((width + 1) // 2) * ((height + 1) // 2)
+    if not 0 < size <= MAX_IMAGE_BYTES or width % 2 or height % 2:
+        raise InputError(
+            f"{_PIPE}: is y4m of {width}x{height}; sides must be even, and a frame at most {MAX_IMAGE_BYTES >> 20} MB"
+        )
+    while line := stream.readline(_MAX_LINE_BYTES):
+        data = stream.read(size)
+        if not line.startswith(b"FRAME") or len(data) < size:
+            raise InputError(f"{_PIPE}: a frame of y4m is damaged or cut short; {_REMEDY}")
+        planes = np.frombuffer(data, np.uint8).reshape(height * 3 // 2, width)
+        yield np.asarray(cv2.cvtColor(planes, cv2.COLOR_YUV2BGR_I420), np.uint8)

@@ -12,9 +12,8 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.live import follow
-from facetrack_cli.video import live
-from facetrack_cli.video.live import piped
+from facetrack_cli.runs import live
+from facetrack_cli.runs.live import follow, piped
 from tests.cli.test_suggest import sway
 
 
@@ -56,7 +55,7 @@ def test_a_pipe_that_is_no_clip_is_one_line(data, said):
 
 
 def test_an_image_without_an_end_is_not_held(monkeypatch):
-    monkeypatch.setattr(live, "MOST", 1 << 20)
+    monkeypatch.setattr(live, "MAX_IMAGE_BYTES", 1 << 20)
     with pytest.raises(InputError, match="has no end in 1 MB"):
         list(piped(io.BytesIO(b"\xff\xd8" + bytes(3 << 20))))
 
