@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Final, Literal, NamedTuple, TypeAlias
 
 from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, UsageError
 from facetrack_cli.core.files import check_folder
@@ -19,7 +19,6 @@ from facetrack_cli.run_folder.fingerprint import clip_stat, job_digest, previous
 from facetrack_cli.run_folder.lock import FolderLock, here
 from facetrack_cli.run_folder.manifest import OWNED, VIDEO, Manifest, commit, error_of, failed, read_manifest
 from facetrack_cli.run_folder.recovery import recover_interrupted
-from facetrack_cli.runs.plan import Split
 from facetrack_cli.runs.posterior import check_smoothing
 from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.start import find_init
@@ -29,10 +28,22 @@ from facetrack_cli.video.source import Source
 
 MAX_LAG_BYTES: Final = 1 << 30  # of the frames that wait for later ones
 Report: TypeAlias = Callable[[int, "int | None"], None]  # frames done, frames in all if that is known
+Starts: TypeAlias = Literal["detect", "init"]
 
 
 def silent(done: int, total: int | None) -> None:
     """Where nobody listens."""
+
+
+class Split(NamedTuple):
+    """How long chunks are to be, in frames or in seconds, and where those after the first begin."""
+
+    length: float
+    frames: bool
+    starts: Starts
+
+    def record(self) -> dict[str, str]:
+        return {"length": f"{self.length:.15g}{'f' if self.frames else 's'}", "starts": self.starts}
 
 
 @dataclass(frozen=True)
@@ -170,15 +181,12 @@ def note_failure(
         known, there = job.previous(), read_manifest(job.out)
         if known is not None and known.files and known.stopped is None:
             return
-        if known is None and not (there is not None and there.is_failure) and any(map(os.path.exists, _owned(job.out))):
+        is_failure = there is not None and there.is_failure
+        if known is None and not is_failure and any((job.out / name).exists() for name in OWNED):
             return
         begun = begun or Manifest(asked=job.digest(), host=here()[0])
         known = known if known is not None and known.files else replace(begun, clip=clip_stat(job.clip))
         commit(lock, job.out, [], failed(known, error, log))
-
-
-def _owned(folder: Path) -> list[Path]:
-    return [folder / name for name in OWNED]
 
 
 def default_reason(box: Box | None, clip: Path) -> str:

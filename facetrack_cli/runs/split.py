@@ -1,17 +1,19 @@
 """One long clip in chunks that are tracked side by side, by one process or several, and joined once all are done.
 
-A chunk is a run of some frames of the clip, in a folder of its own.
+A chunk is a run of some frames of the clip, in a folder of its own. Chunks overlap, and begin at keyframes where there
+are some about the wished place. Where a clip is cut at corrections chunks do not overlap: what follows a complete
+correction depends on nothing that was tracked before (`tracking/corrected.py`).
 """
 
 from __future__ import annotations
 
 import hashlib
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,15 +21,21 @@ from facetrack_cli.core.errors import InputError, OutputError, UsageError
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Array, Start, Whole
 from facetrack_cli.recipe.face import DETECTORS
+from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.run_folder.fingerprint import clip_stat
 from facetrack_cli.runs.batch import check_all, run_batch
-from facetrack_cli.runs.job import Job, Outcome, check, ended
-from facetrack_cli.runs.plan import CHUNKS, Chunk, Plan, cut_by_corrections, cut_by_length, folder_of, read_plan
+from facetrack_cli.runs.job import Job, Outcome, Split, check, ended
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
+from facetrack_cli.runs.start import Chunk
+from facetrack_cli.runs.stitch import CHUNKS, Plan, folder_of, read_plan
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.corrected import is_complete
 from facetrack_cli.tracking.start.detectors import check_parts, detector
 from facetrack_cli.video.decode import read_index
 from facetrack_cli.video.source import FolderSource
+
+OVERLAP_S: Final = 5.0  # of two chunks
 
 
 def run_chunks(
@@ -133,3 +141,52 @@ def _frames(job: Job, start: Start, stop: Stop, progress: Progress) -> tuple[Arr
     if count is None:
         raise UsageError(f"{job.clip}: does not say how long it is; convert it to MP4, or leave --split out")
     return np.arange(count)[: job.stop] / fps, np.zeros(0, np.int64)
+
+
+def cut_by_length(
+    first: int, times: Array, split: Split, keys: Sequence[int] | Whole, clip: str
+) -> list[tuple[int, int]]:
+    """[first, stop) of chunks of the frames from `first` to the last of `times` (T,), in s; each overlaps the next.
+
+    A chunk begins at the last of `keys` before the wished place, if that is not half a chunk away.
+    """
+    end, steps = len(times), np.diff(times[first:])
+    overlap = OVERLAP_S
+    if split.frames and len(steps):
+        overlap /= float(np.median(steps))
+    if split.length < 2 * overlap:
+        least = f"{round(2 * overlap)}f" if split.frames else f"{2 * overlap:g}s"
+        raise UsageError(f"{clip}: chunks overlap by {OVERLAP_S:g} s; give --split {least} or more")
+    clock = np.arange(end, dtype=np.float64) if split.frames else times
+    begins, sought = [first], np.asarray(keys, np.int64)
+    while True:
+        wished = clock[begins[-1]] + split.length
+        at = int(np.searchsorted(clock, wished))
+        if at >= end or clock[-1] - wished < 2 * overlap:
+            break
+        half = int(np.searchsorted(clock, wished - split.length / 2))
+        near = sought[(sought >= half) & (sought <= at)]
+        begins.append(int(near[-1]) if len(near) else at)
+    stops = [min(int(np.searchsorted(times, times[begin] + OVERLAP_S)), end) for begin in begins[1:]]
+    return list(zip(begins, [*stops, end], strict=True))
+
+
+def cut_by_corrections(recipe: Recipe, start: Start, times: Array, split: Split, clip: str) -> list[tuple[int, int]]:
+    """[first, stop) of chunks that begin where a correction tells of all targets; as long as is wished, or longer."""
+    whole: dict[int, set[str]] = {}
+    parts = {target.name: target.parts for target in build_tracker(recipe, start)}
+    for one in start.corrections:
+        if is_complete(one, parts[one.target]):
+            whole.setdefault(one.frame, set()).add(one.target)
+    able = np.array(sorted(frame for frame, named in whole.items() if named == {*parts} and frame < len(times)), int)
+    if not len(able):
+        of = " and ".join(parts) if len(parts) < 4 else f"all {len(parts)} targets"
+        raise UsageError(
+            f"{clip}: {start.origin} has no correction of all parts of {of} in one frame, where it could be cut; "
+            "make some with facetrack fix, take --starts detect, or leave --split out"
+        )
+    clock = np.arange(len(times), dtype=np.float64) if split.frames else times
+    begins = [start.frame]
+    while len(rest := able[clock[able] >= clock[begins[-1]] + split.length / 2]):
+        begins.append(int(rest[np.argmin(np.abs(clock[rest] - clock[begins[-1]] - split.length))]))
+    return list(zip(begins, [*begins[1:], len(times)], strict=True))

@@ -5,7 +5,7 @@ from dataclasses import KW_ONLY, dataclass, replace
 from fractions import Fraction
 from itertools import chain
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
 from facetrack_cli.recipe.face import DETECTORS, DetectorName
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.plan import Chunk
 from facetrack_cli.runs.signals import never
 from facetrack_cli.tracking.start import box_start, check_start, find_init, name_targets, read_init, search_start
 from facetrack_cli.tracking.start.detectors import detector
@@ -24,6 +23,14 @@ from facetrack_cli.trajectory.writers import by_frame
 from facetrack_cli.video.source import Source, open_source
 
 MIN_OVERLAP: Final = 0.5  # of the boxes: a region with less does not count as found
+
+
+class Chunk(NamedTuple):
+    """One chunk of a clip. `correction`: the frame of the correction that it begins with; None: where a face is found,
+    however late.
+    """
+
+    correction: int | None = None
 
 
 @dataclass(frozen=True)

@@ -16,27 +16,79 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError
+from facetrack_cli.core.files import cannot_write, make_folder, replacing
 from facetrack_cli.core.geometry import iou
-from facetrack_cli.core.types import BOX, Array, Frame, Mask
+from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start
 from facetrack_cli.run_folder.manifest import read_manifest
 from facetrack_cli.run_folder.recovery import read_run
 from facetrack_cli.runs.job import Job, Outcome, Report, silent
 from facetrack_cli.runs.pipeline import decoded_ahead
-from facetrack_cli.runs.plan import CHUNKS, Plan, folder_of, read_plan
 from facetrack_cli.runs.recording import ClipFacts, Recorder
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.runs.verdict import Watch
+from facetrack_cli.trajectory.header import StartRecord, to_record
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
 
 OVERLAP: Final = 0.5  # of boxes, intersection over union
 APART: Final = 0.5  # mean distance of points, in sizes of their shape
 SHARE: Final = 0.8  # of the frames that both have, in which they must agree
+CHUNKS: Final = "chunks"  # the folder of them, in that of the run
+PLAN: Final = "plan.json"
 TABLE: Final = "trajectory.json"
 _SAME: Final = 0.5  # of those frames, in which tracks of several faces agree if they are of one face
 _EYES: Final = ("eye_left", "eye_right")
+
+
+# --- the plan ---------------------------------------------------------------------------------------------------------
+
+
+class Plan(BaseModel):
+    """The start of a clip, and its `cuts`, the frames [first, stop) of each chunk; the last stop may be None: the end.
+
+    `key` tells what was asked.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    key: str
+    origin: str
+    note: str
+    record: dict[str, Any]
+    cuts: tuple[tuple[int, int | None], ...]
+
+    @classmethod
+    def of(cls, key: str, start: Start, cuts: Sequence[tuple[int, int | None]]) -> Plan:
+        return cls(key=key, origin=start.origin, note=start.note, record=to_record(start), cuts=tuple(cuts))
+
+    @property
+    def start(self) -> Start:
+        return replace(StartRecord.model_validate(self.record).start_from(self.origin), note=self.note)
+
+    def write(self, out: Path) -> None:
+        """Write it beside the chunks of a run. Raises OutputError."""
+        path = out / CHUNKS / PLAN
+        make_folder(path.parent)
+        try:
+            with replacing(path) as file:
+                file.write(self.model_dump_json().encode())
+        except OSError as e:
+            raise cannot_write(path, e) from e
+
+
+def read_plan(out: Path) -> Plan:
+    """The plan of a run's folder. Raises InputError."""
+    path = out / CHUNKS / PLAN
+    try:
+        return Plan.model_validate_json(path.read_bytes())
+    except (OSError, ValidationError) as e:
+        raise InputError(f"{path}: is not as facetrack run --split writes it; give --overwrite") from e
+
+
+def folder_of(out: Path, chunk: int) -> Path:
+    return out / CHUNKS / f"{chunk:05d}"
 
 
 # --- two chunks -------------------------------------------------------------------------------------------------------

@@ -16,8 +16,7 @@ from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, Outp
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
-    from facetrack_cli.runs.job import Job, Outcome, Report
-    from facetrack_cli.runs.plan import Split
+    from facetrack_cli.runs.job import Job, Outcome, Report, Split
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.tracking.smoothed import MotionName
@@ -276,7 +275,7 @@ class Run:
 
     def _check_split(self, clips: int) -> Split | None:
         """How a clip is to be split; UsageError where it cannot be."""
-        from facetrack_cli.runs.plan import Split
+        from facetrack_cli.runs.job import Split
 
         if self.split is None:
             if self.starts is not None:
