@@ -271,7 +271,7 @@ def test_a_plan_is_read_as_it_was_written(tmp_path):
     assert (read.key, read.start, read.cuts) == ("key", start, ((3, 9), (7, None)))
 
 
-# --- where two chunks meet ---------------------------------------------------------------------------------------------
+# --- where two chunks meet --------------------------------------------------------------------------------------------
 
 
 def box(target, first, stop, x=50.0, side=20.0, status="tracked"):
