@@ -11,8 +11,7 @@ from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
 from facetrack_cli.editor.retrack import Read, Store, Task, Track, Tracking, frames_of
 from facetrack_cli.run_folder.finished import Run
 from facetrack_cli.runs.job import Report, silent
-from facetrack_cli.runs.rewrite import Stop
-from facetrack_cli.runs.signals import never
+from facetrack_cli.runs.signals import Stopped, never
 from facetrack_cli.tracking.corrected import all_or, completed, is_complete
 from facetrack_cli.tracking.start import name_targets, read_init
 from facetrack_cli.tracking.start.init_file import TARGET
@@ -65,7 +64,7 @@ class Fixer:
     def find(self, frame: int, target: str) -> Correction | None:
         return next((one for one in self.corrections if (one.frame, one.target) == (frame, target)), None)
 
-    def put(self, given: Sequence[Correction], *, report: Report = silent, stop: Stop = never) -> None:
+    def put(self, given: Sequence[Correction], *, report: Report = silent, stop: Stopped = never) -> None:
         """Add corrections, or replace those of the same frames and targets, and track what follows from them."""
         for one in given:
             self.check(one)
@@ -73,7 +72,7 @@ class Fixer:
         others = [one for one in self.corrections if (one.frame, one.target) not in done]
         self._become([*others, *done.values()], report, stop)
 
-    def remove(self, frame: int, target: str, *, report: Report = silent, stop: Stop = never) -> None:
+    def remove(self, frame: int, target: str, *, report: Report = silent, stop: Stopped = never) -> None:
         """Remove a correction. The target is tracked from the correction before, if these rows are not known yet."""
         if self.find(frame, target) is None:
             raise InputError(f"{target} has no correction at frame {frame}")
@@ -84,7 +83,7 @@ class Fixer:
         if self._past:
             self._take(self._past.pop())
 
-    def apply(self, corrections: Sequence[Correction], *, report: Report = silent, stop: Stop = never) -> None:
+    def apply(self, corrections: Sequence[Correction], *, report: Report = silent, stop: Stopped = never) -> None:
         """Replace all corrections by these, which may lie past the run's end. The track before a correction places
         the parts that the correction does not place.
         """
@@ -106,7 +105,7 @@ class Fixer:
     def close(self) -> None:
         self._store.close()
 
-    def _become(self, corrections: Sequence[Correction], report: Report, stop: Stop) -> None:
+    def _become(self, corrections: Sequence[Correction], report: Report, stop: Stopped) -> None:
         """Take these corrections, and track the stretches of which no track is known."""
         plans = {name: self._plan(name, corrections) for name in self._known}
         found: dict[str, list[Track]] = {name: [] for name in plans}

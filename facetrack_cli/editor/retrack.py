@@ -20,8 +20,7 @@ from facetrack_cli.core.types import Correction, Frame
 from facetrack_cli.recipe.model import ParticlesRecipe
 from facetrack_cli.run_folder.finished import Run
 from facetrack_cli.runs.job import Report, silent
-from facetrack_cli.runs.rewrite import Stop
-from facetrack_cli.runs.signals import StoppedError, never
+from facetrack_cli.runs.signals import Stopped, StoppedError, never
 from facetrack_cli.tracking.build.build import build_tracker, tracker_for
 from facetrack_cli.tracking.corrected import CorrectedTarget
 from facetrack_cli.tracking.loop import Footprint, Target, stream
@@ -123,7 +122,7 @@ class Tracking:
         tracker_for(self._run.recipe, start, source.size, source.fps)
 
     def track(
-        self, tasks: Sequence[Task], rows: Trajectory, *, report: Report = silent, stop: Stop = never
+        self, tasks: Sequence[Task], rows: Trajectory, *, report: Report = silent, stop: Stopped = never
     ) -> list[Track]:
         """The tracks of tasks of different targets; with mutual exclusion, `rows` say where the others are. Raises
         StoppedError once `stop` says so, InputError if the clip is not the run's.

@@ -11,15 +11,15 @@ from facetrack_cli.run_folder.finished import Run, stamp, write_rows
 from facetrack_cli.run_folder.manifest import outdated, read_manifest
 from facetrack_cli.runs.clip import past_end
 from facetrack_cli.runs.job import Report, silent
-from facetrack_cli.runs.rewrite import Stop, Write, repaint, replace_files
-from facetrack_cli.runs.signals import never
+from facetrack_cli.runs.signals import Stopped, never
+from facetrack_cli.runs.smooth import Write, repaint, replace_files
 from facetrack_cli.tracking.start import write_init
 from facetrack_cli.tracking.start.init_file import as_yaml
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from facetrack_cli.trajectory.writers import ending_of
 
 
-def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Stop = never) -> list[str]:
+def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Stopped = never) -> list[str]:
     """Write the rows, the corrections, and with `video` the run's video, if it has one; a line on each file.
 
     Raises OutputError or InputError if a file cannot be written, StoppedError once `stop` says so; the folder is then

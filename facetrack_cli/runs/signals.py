@@ -12,10 +12,11 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from types import FrameType
-from typing import Any, ClassVar, NoReturn
+from typing import Any, ClassVar, NoReturn, TypeAlias
 
 from facetrack_cli.core.errors import ExitCode
 
+Stopped: TypeAlias = Callable[[], bool]  # whether the work is to end
 # a closed terminal (not on Windows) ends a run as properly as SIGTERM does
 _CODES = {"SIGINT": ExitCode.INTERRUPTED, "SIGTERM": ExitCode.TERMINATED, "SIGHUP": ExitCode.TERMINATED}
 

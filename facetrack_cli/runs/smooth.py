@@ -1,23 +1,42 @@
-"""Smooths a finished run: each row is estimated from the whole clip, by the posterior of `run --keep-posterior`."""
+"""The files of a finished run, written again: all of them, or none, with the video drawn anew from rows.
+
+`smooth` estimates each row from the whole clip, by the posterior of `run --keep-posterior`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TypeAlias
 
 from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.core.files import check_folder, make_folder, remove_folders
-from facetrack_cli.run_folder.finished import open_run, read_files, run_files, write_rows
-from facetrack_cli.run_folder.manifest import FILTERED, OWNED, POSTERIOR, VIDEO, outdated, read_manifest
+from facetrack_cli.core.files import FULL, check_folder, discard, make_folder, remove_folders, temporary_path
+from facetrack_cli.run_folder.finished import Run, open_run, read_files, run_files, write_rows
+from facetrack_cli.run_folder.lock import FolderLock, sweep
+from facetrack_cli.run_folder.manifest import (
+    FILTERED,
+    OWNED,
+    POSTERIOR,
+    VIDEO,
+    Manifest,
+    commit,
+    outdated,
+    read_manifest,
+)
 from facetrack_cli.run_folder.recovery import trajectory_of
 from facetrack_cli.runs.job import Report, silent
 from facetrack_cli.runs.posterior import read_posterior
-from facetrack_cli.runs.rewrite import Stop, repaint, replace_files
-from facetrack_cli.runs.signals import never
+from facetrack_cli.runs.signals import Stopped, StoppedError, never
 from facetrack_cli.tracking.smoothed import MotionName, smoothed_rows
 from facetrack_cli.trajectory.select import choose
-from facetrack_cli.trajectory.trajectory import Trajectory, successive
+from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded, successive
+from facetrack_cli.video.overlay.overlay import Overlay
+from facetrack_cli.video.source import open_source
+from facetrack_cli.video.writer import VideoWriter
+
+Write: TypeAlias = Callable[[Callable[[bytes], object]], object]  # writes one file by calls of `write(data)`
 
 
 def smooth(run: str | Path, *, motion: MotionName = "recipe") -> Trajectory:
@@ -40,7 +59,7 @@ def save_smoothed(
     video: bool = True,
     clip: Path | None = None,
     report: Report = silent,
-    stop: Stop = never,
+    stop: Stopped = never,
 ) -> tuple[list[Path], tuple[str, ...]]:
     """Write the smoothed run into `to`, None for its own folder; the files, and warnings, also on outdated files.
 
@@ -89,3 +108,68 @@ def _smoothed(folder: Path, rows: Trajectory, motion: MotionName) -> Trajectory:
     pieces = [smoothed_rows(choose(rows, name), beliefs[name], motion) for name in rows.targets]
     after = successive(pieces, rows)
     return replace(after, header={**rows.header, "smoothed": {"motion": motion}})
+
+
+def replace_files(
+    folder: Path,
+    files: Mapping[Path, Write],
+    ended: Manifest | None,
+    gone: Sequence[Path] = (),
+    paint: Callable[[Path], Sequence[str]] | None = None,
+    check: Callable[[], None] = lambda: None,
+) -> tuple[list[Path], list[str]]:
+    """Write all files of a run's `folder`, then let them replace the old ones together; the files, and warnings.
+
+    Each value of `files` writes one file by calls of `write(data)`. `paint` draws the video into its temporary file.
+    `check` raises, at the beginning and before anything is replaced, if the folder has changed. `ended` is the new
+    run.json, `gone` are files to remove. OutputError for a file that cannot be written; the folder is then as it was.
+    """
+    written: list[Path] = []
+    notes: list[str] = []
+    try:
+        with FolderLock(folder) as lock:
+            check()
+            sweep(folder)
+            if paint is not None:
+                written.append(folder / VIDEO)
+                notes += paint(folder / VIDEO)
+            for path, write in files.items():
+                written.append(path)
+                with temporary_path(path).open("wb") as file:
+                    write(file.write)
+            check()
+            commit(lock, folder, written, ended, gone)
+    except OSError as e:
+        remedy = "free some space" if e.errno in FULL else "make it writable"
+        at = written[-1] if written else folder
+        raise OutputError(f"{at}: cannot be written: {e.strerror or e}; {remedy}, and save again") from e
+    finally:
+        for path in written:
+            discard(path)
+    return written, notes
+
+
+def repaint(run: Run, path: Path, rows: Trajectory, report: Report, stop: Stopped) -> tuple[str, ...]:
+    """Write the annotated video into its temporary file, without particles, which rows do not have; its warnings.
+
+    Raises StoppedError once `stop` says so, InputError if the clip lacks frames of the run; nothing is written then.
+    """
+    total, done = run.last - run.first + 1, 0
+    with open_source(run.clip, fps=run.fps, start=run.first, stop=run.last + 1) as source:
+        overlay = Overlay(source.size, fps=float(source.fps), title=run.recipe.name)
+        sound = source.path if source.is_video else None
+        video = VideoWriter(path, source.size, source.fps, audio_from=sound, replace=False)
+        try:
+            for done, frame in enumerate(source, 1):
+                if stop():
+                    raise StoppedError
+                video.write(overlay.draw(FrameResult(frame, recorded(frame.index, rows.at(frame.index)))), frame.time_s)
+                report(done, total)
+            if done < total:
+                missing = run.first + done
+                raise InputError(f"{run.clip}: has no frame {missing}, which the run has; name its clip with --clip")
+        except BaseException:
+            video.discard()
+            raise
+        video.close()
+        return tuple(video.warnings)
