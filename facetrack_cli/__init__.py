@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from facetrack_cli.core.errors import FacetrackError, InputError, RecipeError
     from facetrack_cli.core.types import Frame, Start, TargetStart
     from facetrack_cli.recipe.load import load_recipe
-    from facetrack_cli.run_folder.recovery import read_run as read_trajectory
+    from facetrack_cli.run_folder.manifest import read_run as read_trajectory
     from facetrack_cli.runs.api import Recording, draw, track_frames, track_video
     from facetrack_cli.runs.smooth import smooth
     from facetrack_cli.trajectory.formats.read import read_truth
@@ -56,7 +56,7 @@ _PLACES = {
     "core.types": ("Frame", "Start", "TargetStart"),
     "runs.smooth": ("smooth",),
     "recipe.load": ("load_recipe",),
-    "run_folder.recovery": ("read_run",),
+    "run_folder.manifest": ("read_run",),
     "runs.api": ("Recording", "draw", "track_frames", "track_video"),
     "trajectory.formats.read": ("read_truth",),
     "trajectory.trajectory": ("FrameResult", "Trajectory"),

@@ -17,8 +17,7 @@ from facetrack_cli.core.files import absolute
 from facetrack_cli.core.log import about
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.lock import LOCK, FolderLock, holder
-from facetrack_cli.run_folder.manifest import as_line
-from facetrack_cli.run_folder.recovery import recover_interrupted
+from facetrack_cli.run_folder.manifest import as_line, recover_interrupted
 from facetrack_cli.runs.clip import run
 from facetrack_cli.runs.job import Job, Outcome, Report, check, ended, note_failure, silent
 from facetrack_cli.runs.pipeline import share_threads

@@ -17,8 +17,16 @@ from facetrack_cli.recipe.files import default_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.run_folder.fingerprint import clip_stat, job_digest, previous_run
 from facetrack_cli.run_folder.lock import FolderLock, here
-from facetrack_cli.run_folder.manifest import OWNED, VIDEO, Manifest, commit, error_of, failed, read_manifest
-from facetrack_cli.run_folder.recovery import recover_interrupted
+from facetrack_cli.run_folder.manifest import (
+    OWNED,
+    VIDEO,
+    Manifest,
+    commit,
+    error_of,
+    failed,
+    read_manifest,
+    recover_interrupted,
+)
 from facetrack_cli.runs.posterior import check_smoothing
 from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.start import find_init

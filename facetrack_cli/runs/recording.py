@@ -37,8 +37,16 @@ from facetrack_cli.run_folder import checkpoint
 from facetrack_cli.run_folder.checkpoint import Checkpoints, forget
 from facetrack_cli.run_folder.fingerprint import ClipDigest, quick_digest
 from facetrack_cli.run_folder.lock import FolderLock, here, utc_now
-from facetrack_cli.run_folder.manifest import POSTERIOR, VIDEO, Manifest, check_belongs, commit, failed, outdated
-from facetrack_cli.run_folder.recovery import recover
+from facetrack_cli.run_folder.manifest import (
+    POSTERIOR,
+    VIDEO,
+    Manifest,
+    check_belongs,
+    commit,
+    failed,
+    outdated,
+    recover,
+)
 from facetrack_cli.runs.job import Job, Outcome, check, note_failure
 from facetrack_cli.runs.pipeline import Painter
 from facetrack_cli.runs.posterior import PosteriorWriter, WriterState, has_blocks

@@ -24,8 +24,8 @@ from facetrack_cli.run_folder.manifest import (
     commit,
     outdated,
     read_manifest,
+    trajectory_of,
 )
-from facetrack_cli.run_folder.recovery import trajectory_of
 from facetrack_cli.runs.job import Report, silent
 from facetrack_cli.runs.posterior import read_posterior
 from facetrack_cli.runs.signals import Stopped, StoppedError, never

@@ -22,8 +22,7 @@ from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError
 from facetrack_cli.core.files import cannot_write, make_folder, replacing
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start
-from facetrack_cli.run_folder.manifest import read_manifest
-from facetrack_cli.run_folder.recovery import read_run
+from facetrack_cli.run_folder.manifest import read_manifest, read_run
 from facetrack_cli.runs.job import Job, Outcome, Report, silent
 from facetrack_cli.runs.pipeline import decoded_ahead
 from facetrack_cli.runs.recording import ClipFacts, Recorder

@@ -18,10 +18,9 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.files import temporary_path
 from facetrack_cli.run_folder import lock as locks
-from facetrack_cli.run_folder import recovery
+from facetrack_cli.run_folder import manifest
 from facetrack_cli.run_folder.lock import LOCK, FolderLock
-from facetrack_cli.run_folder.manifest import NAME, read_manifest
-from facetrack_cli.run_folder.recovery import read_run, recover_interrupted
+from facetrack_cli.run_folder.manifest import NAME, read_manifest, read_run, recover_interrupted
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, side_by_side
 from tests.runs.test_run import FACETRACK, SMALL, make_clip
@@ -120,7 +119,7 @@ def test_a_recovery_that_is_killed_is_made_again(torn, tmp_path, monkeypatch, mo
         os.close(lock._file)
 
     shutil.copytree(torn[0], tmp_path, dirs_exist_ok=True)
-    monkeypatch.setattr(recovery, moment, kill)
+    monkeypatch.setattr(manifest, moment, kill)
     monkeypatch.setattr(FolderLock, "__exit__", left)
     with pytest.raises((SystemExit, TypeError)):
         recover_interrupted(tmp_path)

@@ -104,7 +104,7 @@ class Export:
 
     def run(self) -> None:
         from facetrack_cli.core.files import StreamSink, check_new, write_new
-        from facetrack_cli.run_folder.recovery import read_run
+        from facetrack_cli.run_folder.manifest import read_run
         from facetrack_cli.trajectory.header import clip_of
         from facetrack_cli.trajectory.select import blank_lost, choose
 

@@ -55,7 +55,7 @@ class Plot:
 
     def _draw(self) -> Figure:
         from facetrack_cli.report.figures import page_figure
-        from facetrack_cli.run_folder.recovery import read_run
+        from facetrack_cli.run_folder.manifest import read_run
         from facetrack_cli.trajectory.select import choose
 
         table = read_run(self.trajectory)

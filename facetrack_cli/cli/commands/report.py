@@ -38,8 +38,7 @@ class Report:
     def run(self) -> int:
         from facetrack_cli.core.files import check_new, write_new
         from facetrack_cli.report.make import TruthFile, make_report
-        from facetrack_cli.run_folder.manifest import REPORT
-        from facetrack_cli.run_folder.recovery import trajectory_of
+        from facetrack_cli.run_folder.manifest import REPORT, trajectory_of
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.signals import Stop
 
