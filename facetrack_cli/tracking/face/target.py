@@ -63,7 +63,8 @@ _BY_PAIRS: Final = np.array([math.radians(3), np.inf, np.inf, np.inf])
 class FaceTarget:
     """A face whose box has sides of `side` pixels at the start, and lies in it as `pose` (4,) says.
 
-    Rows are those of the points, of the box, and of the `others`.
+    Rows are those of the points, of the box, and of the `others`. `alone`: while it is lost, any face that is seen may
+    be this one.
     """
 
     name: str
@@ -74,6 +75,7 @@ class FaceTarget:
     side: float
     pose: Array
     calibration: Calibration | None = None
+    alone: bool = True
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -140,7 +142,7 @@ class FaceTarget:
             view = self._view(state, self.head.motion.expect(state.head.estimated.state[None])[0], frame, due=due)
             if view.parts.sure >= EASY and math.hypot(*view.shift) < STEADY:
                 return self._followed(rng, state, view, frame, None)
-        if due and not shown:
+        if due and not shown and self.alone:
             state = self._sighted(state, frame)
             if (
                 (seen := state.sighting) is not None

@@ -332,7 +332,7 @@ class CorrelationFilter:
         if seen is not None:
             low = max(learned.heights.now.z(seen.heights.now) - _LOW, 0.0)
             share *= max(math.exp(log_student(low)), _SLOWER)
-        step = frame.index - learned.last
+        step = abs(frame.index - learned.last)  # a track may run backward
         if share < _LEARNS or (frames > FIRST and step < one.every):
             return learned
         learned, step = learned._replace(last=frame.index), min(step, 2 * one.every)

@@ -1,0 +1,216 @@
+"""Everybody in a film: in each shot every face is a track of its own, from where it comes in to where it is gone (ours).
+
+A detector of faces looks at every few frames. A face that it sees in two frames near each other, and that no track has,
+begins a track; the track is followed back over the frames since the last look. Whether a track is still of a face is a
+probability: looks that find it or not, and what the tracker says of itself, are its evidence (a Bernoulli filter of
+existence, as in Mahler 2007). A track ends where that is small, where the face leaves the picture, and at every cut: no
+motion is carried over it. Two tracks of one face are one too many, and the later one ends. Who it is is decided later,
+of the whole film (`identity.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.random import Generator
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import common_area, inside, overlap
+from facetrack_cli.core.types import BOX, Box, Frame, Start, TargetStart
+from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.tracking.build.build import tracker_for
+from facetrack_cli.tracking.face.target import FaceTarget
+from facetrack_cli.tracking.loop import TrackState
+from facetrack_cli.tracking.start.detectors import Detector, Found
+from facetrack_cli.tracking.start.points import place
+from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
+from facetrack_cli.video.shots import Shot
+
+LOOK_FRAMES: Final = 5  # frames from one look of the detector to the next
+TWICE_FRAMES: Final = 2  # frames before a look, in which a new face is seen too
+MAX_FACES: Final = 12  # tracks at a time; of more faces the largest are followed
+SAME_FACE: Final = 0.3  # overlap of a detection with the track of that face
+INSIDE: Final = 0.7  # share of a face's box that is in the picture at least
+ONE_FACE: Final = 0.5  # overlap of two tracks of one face
+STREAM: Final = "track_"
+# the log odds that a track is of a face: at its start, at most, by a look that finds it, by a look that does not while
+# the tracker sees it and while it does not; a track below the last ends
+_BEGINS, _MOST, _FOUND, _UNFOUND, _LOST, _ENDS = 2.0, 4.0, 3.0, -1.0, -2.0, -3.0
+
+
+@dataclass
+class Track:
+    """One face in one shot: where it began, the state of its tracker and its log odds of being there."""
+
+    name: str
+    start: Start
+    rng: Generator
+    state: Any
+    odds: float = _BEGINS
+    box: Box | None = None  # where it is; None while it is lost
+
+    def see(self, rows: TargetResult) -> None:
+        face = rows.rows.parts[[part for _, part in rows.rows.names].index(BOX)]
+        self.box = None if face.status[0] == "lost" else tuple(face.boxes[0].tolist())
+
+
+@dataclass
+class Everyone:
+    """The state after a frame: the tracks that go on, and how many have begun."""
+
+    tracks: list[Track] = field(default_factory=list)
+    begun: int = 0
+    bounded: bool = False  # whether there were more faces than are followed
+
+
+@dataclass(frozen=True)
+class Film:
+    """What is followed: faces by a recipe that has a head, in the `shots` of a film of this size and rate."""
+
+    recipe: Recipe
+    shots: Sequence[Shot]
+    detector: Detector
+    size: tuple[int, int]
+    fps: float
+    seed: int
+    executor: Executor | None = None
+
+    def follow(self, frames: Iterable[Frame], at: TrackState) -> Iterator[FrameResult]:
+        """A result for each frame, of all faces that are in it. `at` holds an `Everyone` where it can be resumed."""
+        known: Everyone = at.states[0] if at.states else Everyone()
+        shots, waiting = iter(self.shots), list[Frame]()
+        shot = next(shots)
+        for frame in frames:
+            while shot.stop is not None and frame.index >= shot.stop:
+                yield from self._block(known, waiting, shot, at, last=True)
+                shot = next(shots)
+            waiting.append(frame)
+            if len(waiting) >= LOOK_FRAMES and frame.index >= shot.clear + LOOK_FRAMES - 1:
+                yield from self._block(known, waiting, shot, at)
+        yield from self._block(known, waiting, shot, at, last=True)
+
+    def _block(
+        self, known: Everyone, frames: list[Frame], shot: Shot, at: TrackState, *, last: bool = False
+    ) -> Iterator[FrameResult]:
+        """The results of successive frames of one shot, of which the detector looks at the last."""
+        if frames:
+            at.states = []  # what is between two blocks can be resumed
+            found = self._tracked(known, frames)
+            self._look(known, frames, found, shot)
+            results = [FrameResult(frame, tuple(found[frame.index].values())) for frame in frames]
+            frames.clear()
+            yield from results[:-1]
+            if last:
+                known.tracks = []
+            at.states = [known]
+            yield results[-1]
+        elif last:
+            known.tracks = []
+
+    def _tracked(self, known: Everyone, frames: list[Frame]) -> dict[int, dict[str, TargetResult]]:
+        """The results of the tracks that go on, by frame and track."""
+        each = self._each(lambda track: self._advance(track, frames), known.tracks)
+        found: dict[int, dict[str, TargetResult]] = {frame.index: {} for frame in frames}
+        for track, results in zip(known.tracks, each, strict=True):
+            for frame, result in zip(frames, results, strict=False):
+                found[frame.index][track.name] = result
+        gone = [track for track, results in zip(known.tracks, each, strict=True) if len(results) < len(frames)]
+        known.tracks = [track for track in known.tracks if track not in gone]
+        return found
+
+    def _each(self, do: Callable[[Track], Any], tracks: Sequence[Track]) -> list[Any]:
+        return list(map(do, tracks) if self.executor is None or len(tracks) < 2 else self.executor.map(do, tracks))
+
+    def _advance(self, track: Track, frames: Iterable[Frame], *, back: bool = False) -> list[TargetResult]:
+        """The results of one track in further frames, as far as the face is in the picture, or `back`, as it is seen."""
+        target, results = self._target(track.start), list[TargetResult]()
+        for frame in frames:
+            track.state, result = target.advance(track.rng, track.state, _own(frame))
+            before = track.box
+            track.see(result)
+            at = track.box or before
+            if (back and track.box is None) or (at is not None and self._inside(at) < INSIDE):
+                break
+            results.append(result)
+        return results
+
+    def _inside(self, box: Box) -> float:
+        """The share of a box that is in the picture."""
+        return common_area(box, (-0.5, -0.5, *map(float, self.size))) / (box[2] * box[3])
+
+    def _target(self, start: Start) -> FaceTarget:
+        [target] = tracker_for(self.recipe, start, self.size, self.fps)
+        assert isinstance(target, FaceTarget)
+        return replace(target, alone=False)
+
+    def _look(
+        self, known: Everyone, frames: list[Frame], found: dict[int, dict[str, TargetResult]], shot: Shot
+    ) -> None:
+        """Look at the last frame: which tracks go on, and which faces are new."""
+        frame, seen = frames[-1], self.detector.find(frames[-1])
+        free = list(seen)
+        for track in sorted(known.tracks, key=lambda one: -one.odds):
+            mine = max(free, key=lambda one: 0 if track.box is None else overlap(track.box, one.box), default=None)
+            if mine is not None and track.box is not None and overlap(track.box, mine.box) >= SAME_FACE:
+                free.remove(mine)
+                track.odds = min(track.odds + _FOUND, _MOST)
+            else:
+                track.odds += _LOST if track.box is None else _UNFOUND
+        kept: list[Track] = []
+        for track in known.tracks:  # in the order of their age
+            twice = any(track.box and one.box and overlap(track.box, one.box) >= ONE_FACE for one in kept)
+            if track.odds > _ENDS and not twice:
+                kept.append(track)
+        known.tracks = kept
+        # a face that comes in when a shot ends is left out, and so is a face that another shot shows
+        able = shot.is_clear(frame.index) and (len(frames) > TWICE_FRAMES or frames[0].index == shot.first)
+        new = [one for one in free if able and self._is_new(one, kept, frames)]
+        room = MAX_FACES - len(kept)
+        known.bounded |= len(new) > room
+        begun = [one for face in new[:room] if (one := self._begun(known, face, frame)) is not None]
+        passed = [one for one in reversed(frames[:-1])]
+        for (track, first), back in zip(begun, self._each(lambda one: self._back(one, passed), begun), strict=True):
+            ordered = [*reversed(back), first]
+            for at, result in zip(frames[len(frames) - len(ordered) :], ordered, strict=True):
+                status = np.where(result.rows.status == "lost", "lost", "init" if result is ordered[0] else "tracked")
+                found[at.index][track.name] = result._replace(rows=replace(result.rows, status=status))
+            track.see(first)
+            known.tracks.append(track)
+
+    def _is_new(self, face: Found, kept: Sequence[Track], frames: Sequence[Frame]) -> bool:
+        """Whether a face is of no track, and seen in an earlier frame, too, if there is one."""
+        if any(track.box is not None and overlap(track.box, face.box) >= SAME_FACE for track in kept):
+            return False
+        if len(frames) <= TWICE_FRAMES:
+            return True
+        return any(overlap(one.box, face.box) >= SAME_FACE for one in self.detector.find(frames[-1 - TWICE_FRAMES]))
+
+    def _begun(self, known: Everyone, face: Found, frame: Frame) -> tuple[Track, TargetResult] | None:
+        """A track that begins with a face; None where its points are not in the picture."""
+        points = place(frame.bgr, face.box, face.eyes, face.points)
+        if not all(inside(points[part], self.size) for part in self.recipe.points):
+            return None
+        name = f"{STREAM}{known.begun + 1}"
+        start = Start(frame.index, {name: TargetStart(face.box, points)}, self.detector.name)
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, known.begun)))
+        try:
+            state, result = self._target(start).begin(rng, _own(frame))
+        except InputError:  # too small, or beyond the border
+            return None
+        known.begun += 1
+        return Track(name, start, rng, state), result
+
+    def _back(self, begun: tuple[Track, TargetResult], passed: Sequence[Frame]) -> list[TargetResult]:
+        """The results of a track in the frames before, the last of them first."""
+        track, _ = begun
+        rng = np.random.default_rng(track.rng.bit_generator.random_raw())
+        return self._advance(replace(track, rng=rng), passed, back=True)
+
+
+def _own(frame: Frame) -> Frame:
+    """The frame for one thread: what is computed of it is kept apart."""
+    return Frame(frame.index, frame.time_s, frame.pixels, frame.bgr)

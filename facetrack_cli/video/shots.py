@@ -1,0 +1,190 @@
+"""Shots of an edited clip: where one camera's image follows another's, at once (a cut) or by blending (a dissolve).
+
+A frame is compared as a small image in brightness and colour. At a cut the images before and after differ far more than
+neighbours do, for longer than a flash lasts, and by more than brightness. In a dissolve the images lie on the line from
+the last image of the one shot to the first image of the other, at even steps, and have less texture than both: edges of
+two images that are blended fade. A pan or a person that moves leaves that line and keeps its texture. None of this is
+in the papers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.core.types import Frame, Image
+
+SIDE: Final = (32, 18)  # pixels of the small images
+MIN_STEP: Final = 5.0  # grey levels, mean over the image, that two shots differ by at least
+BESIDE: Final = 0.5  # share of the step at a cut that its neighbours' steps reach at most
+FLASH_FRAMES: Final = 4  # frames that a flash lasts at most
+SAME_STRUCTURE: Final = 0.93  # correlation of two images that differ in brightness alone
+SPANS: Final = (6, 8, 12, 16, 24, 36)  # frames of a dissolve
+UNEVEN: Final = 0.3  # lengths of the line by which a step of a dissolve is early or late at most
+SURE: Final = 3.0  # log odds of a dissolve
+ONE_FRAMES: Final = 6  # between two dissolves, at most, that are one
+_MARGIN: Final = 2 * SPANS[-1]  # frames on either side that a decision rests on
+_BLOCK: Final = 1000  # frames that are decided at a time
+
+
+class _Odds(NamedTuple):
+    """Log odds of a dissolve, by logistic regression on clips joined at random (`benchmarks/shots.py`).
+
+    `blended`: the texture in its middle over that at its ends; `alike`: correlation of the ends; `step`: the logarithm
+    of their mean difference in grey levels; `off`: the mean distance from the line, `moves`: how far the images move
+    outside of it, both in lengths of the line.
+    """
+
+    at: float
+    blended: float
+    alike: float
+    step: float
+    off: float
+    moves: float
+
+
+_ODDS: Final = _Odds(53.2, -49.5, -5.4, 2.38, -44.4, -2.93)
+
+
+class Cut(NamedTuple):
+    """A shot begins at `frame`; frames `first` to `last` show both shots, none if `last` is before `first`."""
+
+    frame: int
+    first: int
+    last: int
+
+    @property
+    def dissolve(self) -> bool:
+        return self.last >= self.first
+
+
+class Shot(NamedTuple):
+    """Frames from `first` to before `stop` (None: the end of the clip). Those from `clear` to before `until` show no
+    other shot.
+    """
+
+    first: int
+    stop: int | None
+    clear: int
+    until: int | None
+
+    def is_clear(self, frame: int) -> bool:
+        return frame >= self.clear and (self.until is None or frame < self.until)
+
+
+def find_cuts(frames: Iterable[Frame], looked: Callable[[int], None] = lambda done: None) -> Iterator[Cut]:
+    """The cuts and dissolves of a clip, in order. Memory is bounded; `looked` hears of the frames gone by."""
+    waiting: list[NDArray[np.float32]] = []
+    first, decided, done = 0, 0, 0  # of the clip: the first that waits, the first that is not decided
+    for frame in frames:
+        if not done:
+            first = decided = frame.index
+        waiting.append(small(frame).astype(np.float32).ravel())
+        done += 1
+        looked(done)
+        if len(waiting) == _BLOCK + 2 * _MARGIN:
+            until = first + len(waiting) - _MARGIN
+            yield from (cut for cut in _cuts(np.array(waiting), first) if decided <= cut.frame < until)
+            decided = until
+            del waiting[:_BLOCK]
+            first += _BLOCK
+    if waiting:
+        yield from (cut for cut in _cuts(np.array(waiting), first) if decided <= cut.frame)
+
+
+def shots_of(cuts: Iterable[Cut], first: int, stop: int | None) -> list[Shot]:
+    """The shots between cuts of the frames from `first` to before `stop`."""
+    cuts = [cut for cut in cuts if cut.frame > first]
+    begins = [Cut(first, first, first - 1), *cuts]
+    ends = [*((cut.frame, min(cut.first, cut.frame)) for cut in cuts), (stop, stop)]
+    return [
+        Shot(one.frame, end, max(one.frame, one.last + 1), until)
+        for one, (end, until) in zip(begins, ends, strict=True)
+    ]
+
+
+def small(frame: Frame) -> Image:
+    """(18, 32, 3) brightness and two colours of a frame."""
+    if frame.pixels.ndim == 3:
+        image = cv2.resize(frame.pixels, SIDE, interpolation=cv2.INTER_AREA)
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2YUV), np.uint8)
+    (width, height), planes = frame.size, frame.pixels
+    colours = planes[height:].reshape(2, height // 2, width // 2)
+    each = (planes[:height], *colours)
+    return np.stack([cv2.resize(one, SIDE, interpolation=cv2.INTER_AREA) for one in each], axis=2).astype(np.uint8)
+
+
+def _cuts(images: NDArray[np.float32], first: int) -> list[Cut]:
+    """The cuts of successive images (T, P), of which the first is frame `first`."""
+    hard = [Cut(first + at, first + at, first + at - 1) for at in _hard(images)]
+    soft = [Cut(first + at, first + a, first + b) for at, a, b in _dissolves(images)]
+    soft = [one for one in soft if not any(one.first - 1 <= cut.frame <= one.last + 1 for cut in hard)]
+    return sorted([*hard, *soft])
+
+
+def _hard(images: NDArray[np.float32]) -> list[int]:
+    steps = np.abs(np.diff(images, axis=0)).mean(axis=1)  # [t]: from t to t + 1
+    found = []
+    for before in np.flatnonzero(steps >= MIN_STEP).tolist():
+        step = steps[before]
+        beside = np.concatenate([steps[max(before - 2, 0) : before], steps[before + 1 : before + 3]])
+        if beside.size and beside.max() > BESIDE * step:
+            continue
+        earlier = images[max(before + 1 - FLASH_FRAMES, 0) : before + 1]
+        later = images[before + 1 : before + 1 + FLASH_FRAMES]
+        apart = np.abs(earlier[:, None] - later[None]).mean(axis=2)
+        if apart.min() >= BESIDE * step and _alike(earlier[:, None], later[None]).max() < SAME_STRUCTURE:
+            found.append(before + 1)
+    return found
+
+
+def _alike(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Correlation of images along the last axis; 0 of an image without structure."""
+    a, b = (one - one.mean(axis=-1, keepdims=True) for one in (_brightness(a), _brightness(b)))
+    norm = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
+    return np.asarray(np.sum(a * b, axis=-1) / np.maximum(norm, a.shape[-1]), np.float32)
+
+
+def _brightness(images: NDArray[np.float32]) -> NDArray[np.float32]:
+    return images[..., ::3]
+
+
+def _dissolves(images: NDArray[np.float32]) -> list[tuple[int, int, int]]:
+    """The frame at the middle, the first and the last of each dissolve."""
+    lit = images.reshape(-1, SIDE[1], SIDE[0], 3)[..., 0]
+    texture = sum(np.abs(np.diff(lit, axis=axis)).mean(axis=(1, 2)) for axis in (1, 2)) + 1e-6
+    found: list[tuple[float, int, int]] = []
+    for span in SPANS:
+        a, b = images[:-span], images[span:]
+        if not len(a):
+            break
+        line = b - a
+        step, alike = np.abs(line).mean(axis=1), np.maximum(_alike(a, b), 0)
+        blended = 2 * texture[span // 2 :][: len(a)] / (texture[:-span] + texture[span:])
+        known = _ODDS.at + _ODDS.blended * blended + _ODDS.alike * alike + _ODDS.step * np.log(np.maximum(step, 1))
+        for at in np.flatnonzero((step >= MIN_STEP) & (known > SURE)).tolist():
+            length = float(np.linalg.norm(line[at]))
+            between = images[at + 1 : at + span] - images[at]
+            share = between @ line[at] / length**2
+            if np.abs(share - np.arange(1, span) / span).max() > UNEVEN:
+                continue
+            off = float(np.linalg.norm(between - share[:, None] * line[at], axis=1).mean()) / length
+            ends = images[max(at - span // 2 - 1, 0)], images[min(at + span + span // 2 + 1, len(images) - 1)]
+            moves = min(float(np.linalg.norm(x - y)) for x, y in zip(ends, (a[at], b[at]), strict=True)) / length
+            odds = known[at] + _ODDS.off * off + _ODDS.moves * moves
+            if odds > SURE:
+                found.append((-float(odds), at + 1, at + span - 1))
+    best: list[tuple[int, int]] = []
+    for _, first, last in sorted(found):
+        if not any(first <= other[1] and other[0] <= last for other in best):
+            best.append((first, last))
+    whole: list[tuple[int, int]] = []
+    for first, last in sorted(best):  # a fade by way of black is two on the line, and one dissolve
+        if whole and first - whole[-1][1] <= ONE_FRAMES:
+            first = whole.pop()[0]
+        whole.append((first, last))
+    return [((first + last) // 2 + 1, first, last) for first, last in whole]
