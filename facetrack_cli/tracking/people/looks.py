@@ -1,0 +1,186 @@
+"""What a face looks like in a few frames of its track: what tells people from each other (ours).
+
+Of a track the frames are taken in which the tracker is surest, spread over its length. Always there: the upright face in
+grey, its skin and hair by colour, and what is worn below the chin. With the extra `people`, dlib's embedding of the face
+as well: the ResNet of D. King, "High Quality Face Recognition with Deep Metric Learning" (2017), 128 numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cache
+from importlib import util
+from pathlib import Path
+from threading import Lock
+from typing import Any, Final, NamedTuple
+
+import cv2
+import numpy as np
+
+from facetrack_cli.core.types import BOX, Array, Frame, Image
+from facetrack_cli.tracking.face.stabilized import Similarity
+from facetrack_cli.trajectory.trajectory import Trajectory
+
+VIEWS: Final = 8  # frames of a track that are looked at
+CHIP_PX: Final = 150  # sides of the face that dlib's network sees
+CHIP_SIDES: Final = 1.1  # sides of the face's box that it shows
+FACE_PX: Final = 24  # sides of the face in grey
+WIDE_PX, WIDE_SIDES = 96, 3.0  # sides of the image of head and shoulders, and of the face's box that it shows
+STILL_SIDES: Final = 2.2  # of the face's box in the picture of a person
+STILL_PX: Final = 240
+MODEL: Final = "dlib_face_recognition_resnet_model_v1.dat"
+_BINS: Final = 6  # of each colour of what is worn
+
+
+class Looks(NamedTuple):
+    """Of the M views of a track, those of best quality first: `frames` (M,), `quality` (M,) from 0 to 1.
+
+    `face` (M, 576) in grey, without mean and of unit norm; `skin` and `hair` (M, 3) in Lab; `worn` (M, 36), a histogram
+    of colours; `embedding` (M, 128), or (M, 0) without dlib. `change`: grey levels by which the face changes in its
+    place between two views at most.
+    """
+
+    frames: Array
+    quality: Array
+    face: Array
+    skin: Array
+    hair: Array
+    worn: Array
+    embedding: Array
+    change: float
+
+
+class View(NamedTuple):
+    """A frame in which a track is to be looked at: where its face is, and how good the view is."""
+
+    frame: int
+    face: Similarity
+    quality: float
+
+
+def views_of(box: Trajectory) -> list[View]:
+    """The frames in which to look at a track, of the rows of its box."""
+    good = np.flatnonzero((box.status != "lost") & np.isfinite(box.x))
+    if not len(good):
+        return []
+    sure = np.where(np.isnan(box.confidence[good]), 1.0, box.confidence[good])
+    size = np.clip(box.w[good] / CHIP_PX, 0.1, 1.0)
+    worth = sure * np.sqrt(size)
+    found = []
+    for part in np.array_split(np.arange(len(good)), min(VIEWS, len(good))):
+        k = int(part[np.argmax(worth[part])])
+        i = int(good[k])
+        turn = math.radians(box.angle[i]) if np.isfinite(box.angle[i]) else 0.0
+        face = Similarity(np.array([box.x[i], box.y[i]]), float(box.w[i]), turn)
+        found.append(View(int(box.frame[i]), face, float(worth[k])))
+    return found
+
+
+def box_of(rows: Trajectory, target: str) -> Trajectory | None:
+    return rows.find(target, BOX)
+
+
+class Reader:
+    """Looks at views of one track, in the order of their frames."""
+
+    def __init__(self) -> None:
+        self._seen: list[tuple[View, list[Array]]] = []
+        self._places: list[Image] = []
+        self._first: Similarity | None = None
+        self.best: tuple[float, Image] | None = None  # the best still
+
+    def see(self, frame: Frame, view: View) -> None:
+        """Take in the view of a frame."""
+        chip = _upright(frame, view.face, CHIP_SIDES, CHIP_PX)
+        wide = _upright(frame, view.face._replace(angle=0.0), WIDE_SIDES, WIDE_PX)
+        self._seen.append((view, [_face(chip), *_colours(wide), embedded(chip)]))
+        self._first = self._first or view.face
+        place = cv2.cvtColor(_upright(frame, self._first, 1.0, FACE_PX), cv2.COLOR_BGR2GRAY)
+        self._places.append(np.asarray(place, np.uint8))
+        sharp = view.quality * float(np.log1p(cv2.Laplacian(cv2.cvtColor(chip, cv2.COLOR_BGR2GRAY), cv2.CV_32F).var()))
+        if self.best is None or sharp > self.best[0]:
+            self.best = sharp, _upright(frame, view.face._replace(angle=0.0), STILL_SIDES, STILL_PX)
+
+    def looks(self) -> Looks:
+        """What was seen; ValueError if that is nothing."""
+        views = [view for view, _ in self._seen]
+        columns = [np.array(column) for column in zip(*(values for _, values in self._seen), strict=True)]
+        places = np.array(self._places, np.float64)
+        off = np.abs(places - places[0])
+        off = np.abs(places - places[0] - np.median(places - places[0], axis=(1, 2), keepdims=True))
+        change = float(off.mean(axis=(1, 2)).max())
+        return Looks(
+            np.array([one.frame for one in views], float), np.array([one.quality for one in views]), *columns, change
+        )
+
+
+def _upright(frame: Frame, face: Similarity, sides: float, side: int) -> Image:
+    """The image (side, side, 3) of so many sides of a face's box; the scale of `face` is the box's side in pixels."""
+    return face._replace(scale=sides * face.scale / side).read(frame, side).bgr
+
+
+def _face(chip: Image) -> Array:
+    grey = cv2.cvtColor(chip, cv2.COLOR_BGR2GRAY)
+    small = cv2.resize(grey, (FACE_PX, FACE_PX), interpolation=cv2.INTER_AREA).astype(np.float64)
+    small -= cv2.GaussianBlur(small, (0, 0), FACE_PX / 3)  # light from one side
+    small = (small - small.mean()).ravel()
+    return np.asarray(small / max(float(np.linalg.norm(small)), 1e-9))
+
+
+def _colours(wide: Image) -> list[Array]:
+    """Skin between eyes and mouth, hair above the brows, and what is worn below the chin, of a head upright."""
+    lab = cv2.cvtColor(wide, cv2.COLOR_BGR2LAB).astype(np.float64)
+    unit, middle = WIDE_PX / WIDE_SIDES, WIDE_PX / 2
+
+    def part(x: float, y: float, w: float, h: float) -> Array:
+        """Pixels (P, 3) of a box given in sides of the face's, from its middle."""
+        left, top = middle + x * unit, middle + y * unit
+        rows = slice(max(round(top), 0), round(top + h * unit))
+        found = lab[rows, max(round(left), 0) : round(left + w * unit)]
+        return np.asarray(found.reshape(-1, 3))
+
+    skin = np.median(part(-0.25, 0.0, 0.5, 0.2), axis=0)
+    hair = np.median(part(-0.3, -0.75, 0.6, 0.2), axis=0)
+    worn = part(-0.9, 0.85, 1.8, 0.6)
+    chroma, _ = np.histogramdd(worn[:, 1:], bins=_BINS, range=((100, 160), (100, 160)))
+    return [skin, hair, (chroma / max(chroma.sum(), 1)).ravel()]
+
+
+@cache
+def embedding_model() -> Path | None:
+    """The file of dlib's network; None without the extra `people`."""
+    spec = util.find_spec("face_recognition_models")
+    for folder in (spec.submodule_search_locations or ()) if spec is not None and util.find_spec("dlib") else ():
+        if (file := Path(folder) / "models" / MODEL).is_file():
+            return file
+    return None
+
+
+_one_at_a_time: Final = Lock()
+
+
+@cache
+def _network(model: Path) -> Any:
+    import dlib
+
+    return dlib.face_recognition_model_v1(str(model))
+
+
+def embedded(chip: Image) -> Array:
+    """dlib's embedding (128,) of an upright face (150, 150, 3); (0,) without the extra `people`."""
+    model = embedding_model()
+    if model is None:
+        return np.zeros(0)
+    with _one_at_a_time:
+        return np.asarray(_network(model).compute_face_descriptor(np.ascontiguousarray(chip[:, :, ::-1])))
+
+
+def weighted(looks: Looks) -> Array:
+    """(M,) weights of the views."""
+    return looks.quality / max(float(looks.quality.sum()), 1e-9)
+
+
+def is_still(looks: Sequence[Looks], least: float) -> bool:
+    """Whether no track of a person ever changes by so many grey levels, as of a photograph."""
+    return all(one.change < least for one in looks)
