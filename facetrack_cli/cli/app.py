@@ -19,6 +19,7 @@ COMMANDS = {
     "run": "Track faces, heads and hands in videos and image folders.",
     "status": "Tell how far a batch is: done, running, failed, time left.",
     "init": "Write where the track of a clip begins, as a file to edit.",
+    "people": "Show and correct who is in a film.",
     "fix": "Correct a finished run, on a page.",
     "smooth": "Smooth a finished run: every row given the whole clip.",
     "recipes": "List, show and check the recipes of trackers.",

@@ -60,6 +60,10 @@ class Run:
         return {name: tuple(part for target, part in self.rows.names if target == name) for name in self.rows.targets}
 
     @property
+    def title(self) -> str:
+        return self.recipe.name
+
+    @property
     def video(self) -> Path | None:
         """The video that the run wrote, if it did."""
         path = self.folder / VIDEO

@@ -9,6 +9,7 @@ from facetrack_cli.core.types import Correction, Frame, Start
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.checkpoint import forget
 from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended, silent
+from facetrack_cli.runs.people import film_results, film_shots, film_start, name_run
 from facetrack_cli.runs.pipeline import decoded_ahead
 from facetrack_cli.runs.recording import ClipFacts, Recorder
 from facetrack_cli.runs.signals import Stop
@@ -20,6 +21,7 @@ from facetrack_cli.tracking.kernels.precompile import Precompiler
 from facetrack_cli.tracking.loop import Tracker, TrackState, track
 from facetrack_cli.tracking.smoothed import lagged
 from facetrack_cli.trajectory.trajectory import FrameResult
+from facetrack_cli.video.shots import Shot
 from facetrack_cli.video.source import FolderSource, Source
 
 
@@ -35,29 +37,40 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) 
         if job.out is not None:
             forget(job.out)  # a kill may leave checkpoints of a run that is done
         return known
+    if (tracked := job.previous()) is not None and not job.overwrite and _is_unnamed(job, Outcome.of(job, tracked)):
+        return name_run(job, Outcome.of(job, tracked), stop, looked)
     with Recorder(job) as out:
         if (known := ended(job)) is not None:  # meanwhile, by another process
             return known
-        return track_clip(job, out, stop, report, looked) if job.split is None else join(job, out, stop, report)
+        done = track_clip(job, out, stop, report, looked) if job.split is None else join(job, out, stop, report)
+    return name_run(job, done, stop, looked) if _is_unnamed(job, done) else done
+
+
+def _is_unnamed(job: Job, done: Outcome) -> bool:
+    named = job.everyone and job.chunk is None and job.out is not None
+    return named and done.error is None and done.stopped is None
 
 
 def track_clip(job: Job, out: Recorder, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
     """Track one clip; each result is written to `out`. Raises and stops as `run`."""
-    start = _find_start(job, stop, looked)
-    if start is None:
+    found = _find_start(job, stop, looked)
+    if found is None:
         out.outcome.stopped = stop.reason
         return out.outcome
+    start, shots = found
     begins = start.frame if job.chunk is None or job.chunk.correction is None else job.chunk.correction
     state = out.resume(start, begins)
     before, error = state.outcome.frames, None
     with job.open(state.frame) as source:
         check_lag(job, source)
-        tracker = _tracker(job, start, source, state.at, begins)
-        out.begin(ClipFacts.of(job.clip, source), start)
+        more = {"shots": [list(one) for one in shots]} if shots else {}
+        tracker = () if shots else _tracker(job, start, source, state.at, begins)
+        out.begin(ClipFacts.of(job.clip, source), start, more)
         asked = frames_of(source, state.frame, job.origin(start))
         try:
             with decoded_ahead(asked, threaded=job.threads > 1, stopped=stop) as frames:
-                for result in _results(job, tracker, frames, state.at):
+                followed = film_results(job, shots, source, frames, state.at) if shots else None
+                for result in followed or _results(job, tracker, frames, state.at):
                     out.write(result)
                     report(state.outcome.frames, out.total)
                     del result  # or two frames are in memory while the next one is tracked
@@ -82,13 +95,20 @@ def track_clip(job: Job, out: Recorder, stop: Stop, report: Report = silent, loo
         return done
 
 
-def _find_start(job: Job, stop: Stop, looked: Report) -> Start | None:
-    """Where the clip's track begins, looked for while kernels are compiled; None if the search was stopped."""
+def _find_start(job: Job, stop: Stop, looked: Report) -> tuple[Start, list[Shot]] | None:
+    """Where the clip's track begins, looked for while kernels are compiled; None if the search was stopped.
+
+    Where everybody is followed these are the shots of the film; else there are none.
+    """
     try:
         with Precompiler(to_dict(job.recipe), job.threads) as compiler:
-            start = job.find(job.recipe, stopped=stop, looked=looked)
+            if job.everyone:
+                first = job.start if job.init_frame is None else job.init_frame
+                start, shots = film_start(first), film_shots(job, first, stop, looked)
+            else:
+                start, shots = job.find(job.recipe, stopped=stop, looked=looked), []
             compiler.finish(stop)
-            return start
+            return start, shots
     except InputError:
         if not stop():
             raise

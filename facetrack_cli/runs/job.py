@@ -13,12 +13,14 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, UsageError
 from facetrack_cli.core.files import check_folder
 from facetrack_cli.core.types import Box
+from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.files import default_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.run_folder.fingerprint import clip_stat, job_digest, previous_run
 from facetrack_cli.run_folder.lock import FolderLock, here
 from facetrack_cli.run_folder.manifest import (
     OWNED,
+    PEOPLE,
     VIDEO,
     Manifest,
     commit,
@@ -35,11 +37,11 @@ from facetrack_cli.trajectory.writers import Ending, Format
 from facetrack_cli.video.source import Source
 
 MAX_LAG_BYTES: Final = 1 << 30  # of the frames that wait for later ones
-Report: TypeAlias = Callable[[int, "int | None"], None]  # frames done, frames in all if that is known
+Report: TypeAlias = Callable[..., None]  # frames done, frames in all if that is known, and what is done
 Starts: TypeAlias = Literal["detect", "init"]
 
 
-def silent(done: int, total: int | None) -> None:
+def silent(done: int, total: int | None, doing: str = "") -> None:
     """Where nobody listens."""
 
 
@@ -79,6 +81,13 @@ class Job(Begin):
     batch: bool = False
     retry_failed: bool = False
     split: Split | None = None
+
+    @property
+    def everyone(self) -> bool:
+        """Whether everybody in a film is followed, from entry to exit, and over cuts."""
+        searched = self.box is None and (self.init in DETECTORS or (self.init is None and find_init(self.clip) is None))
+        head = any(one.head is not None for one in self.recipe.filters.values())
+        return self.faces == "all" and searched and head and not self.recipe.followed
 
     def digest(self) -> str:
         """A digest of all that is asked for but the clip: of recipe, start, frames, options, and their files."""
@@ -163,7 +172,13 @@ def finished(job: Job) -> Manifest | None:
 
 
 def _is_whole(job: Job, known: Manifest) -> bool:
-    return known.error is None and known.stopped is None and (VIDEO in known.files or not job.video)
+    named = not job.everyone or job.chunk is not None or PEOPLE in known.files
+    return is_tracked(job, known) and named and (VIDEO in known.files or not job.video)
+
+
+def is_tracked(job: Job, known: Manifest) -> bool:
+    """Whether a run came to its end, named or not."""
+    return known.error is None and known.stopped is None
 
 
 def ended(job: Job) -> Outcome | None:

@@ -31,9 +31,10 @@ class Progress:
         self._name, self._unit, self._doing = name, unit, ""
         self._began = self._last = time.monotonic()
 
-    def looked(self, done: int, total: int | None) -> None:
-        """As `update`, while a face is looked for: what is tracked later is counted, and timed, anew."""
-        self._doing = ", looking for a face"
+    def looked(self, done: int, total: int | None, doing: str = "looking for a face") -> None:
+        """As `update`, while something else is done: what is tracked later is counted, and timed, anew."""
+        if self._doing != f", {doing}":
+            self._doing, self._began = f", {doing}", time.monotonic()
         self._show(done, total, None)
 
     def update(self, done: int, total: int | None, rate: float | None = None) -> None:

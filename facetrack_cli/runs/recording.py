@@ -150,7 +150,7 @@ class Recorder:
             if job.recipe.filters and not job.lag:
                 told = dumps([self._run.asked, _versions(), to_record(start), quick_digest(job.clip)])
                 key = hashlib.sha256(told.encode(errors="surrogateescape")).hexdigest()
-                self._checkpoints = Checkpoints(job.out, key, video=job.video)
+                self._checkpoints = Checkpoints(job.out, key, video=job.video and not job.everyone)
                 found = self._checkpoints.find() if job.resume and not job.overwrite else None
             if found is not None and isinstance(found[0], RunState) and self._go_on(job.out, found[0]):
                 self.state, self._painted = found
@@ -236,7 +236,7 @@ class Recorder:
             self._posterior = PosteriorWriter(
                 job.out / POSTERIOR, folder, rows.targets, corrections, self.state.posterior
             )
-        if job.video:
+        if job.video and not job.everyone:  # names are known at the end
             self._start_video(job.out / VIDEO)
 
     def _start_video(self, path: Path) -> None:

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import FULL, check_folder, discard, make_folder, remove_folders, temporary_path
-from facetrack_cli.run_folder.finished import Run, open_run, read_files, run_files, write_rows
+from facetrack_cli.run_folder.finished import open_run, read_files, run_files, write_rows
 from facetrack_cli.run_folder.lock import FolderLock, sweep
 from facetrack_cli.run_folder.manifest import (
     FILTERED,
@@ -149,14 +150,33 @@ def replace_files(
     return written, notes
 
 
-def repaint(run: Run, path: Path, rows: Trajectory, report: Report, stop: Stopped) -> tuple[str, ...]:
+class Painted(Protocol):
+    """The frames `first` to `last` of a clip, and the title that stands on them."""
+
+    @property
+    def clip(self) -> Path: ...
+    @property
+    def fps(self) -> Fraction | None: ...
+    @property
+    def first(self) -> int: ...
+    @property
+    def last(self) -> int: ...
+    @property
+    def title(self) -> str: ...
+
+
+def repaint(
+    run: Painted, path: Path, rows: Trajectory, report: Report, stop: Stopped, order: Sequence[str] = ()
+) -> tuple[str, ...]:
     """Write the annotated video into its temporary file, without particles, which rows do not have; its warnings.
+
+    Targets have the colours of their places in `order`.
 
     Raises StoppedError once `stop` says so, InputError if the clip lacks frames of the run; nothing is written then.
     """
     total, done = run.last - run.first + 1, 0
     with open_source(run.clip, fps=run.fps, start=run.first, stop=run.last + 1) as source:
-        overlay = Overlay(source.size, fps=float(source.fps), title=run.recipe.name)
+        overlay = Overlay(source.size, fps=float(source.fps), title=run.title, order=order)
         sound = source.path if source.is_video else None
         video = VideoWriter(path, source.size, source.fps, audio_from=sound, replace=False)
         try:

@@ -69,6 +69,9 @@ class Watch:
 
     def take(self, rows: Trajectory) -> None:
         """Take in the rows of one more frame."""
+        if not len(rows):  # nobody is there
+            self._ended()
+            return
         index = int(rows.frame[0])
         if not self.frames:
             self.first = index, float(rows.time_s[0])

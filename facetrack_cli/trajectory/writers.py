@@ -55,6 +55,9 @@ class Ending:
 
     def count(self, rows: Trajectory) -> None:
         """Take in the rows of some more frames."""
+        if not len(rows):  # of a film a frame may show nobody
+            self.frames, self.lost_at_end = self.frames + 1, ()
+            return
         last = rows.frame.max()
         self.frames += 1 if (rows.frame == last).all() else len(rows.frames)
         at = np.flatnonzero(rows.status == "lost")

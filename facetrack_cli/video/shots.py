@@ -79,12 +79,11 @@ class Shot(NamedTuple):
 def find_cuts(frames: Iterable[Frame], looked: Callable[[int], None] = lambda done: None) -> Iterator[Cut]:
     """The cuts and dissolves of a clip, in order. Memory is bounded; `looked` hears of the frames gone by."""
     waiting: list[NDArray[np.float32]] = []
-    first, decided, done = 0, 0, 0  # of the clip: the first that waits, the first that is not decided
-    for frame in frames:
-        if not done:
+    first, decided = 0, 0  # of the clip: the first that waits, the first that is not decided
+    for done, frame in enumerate(frames, 1):
+        if done == 1:
             first = decided = frame.index
         waiting.append(small(frame).astype(np.float32).ravel())
-        done += 1
         looked(done)
         if len(waiting) == _BLOCK + 2 * _MARGIN:
             until = first + len(waiting) - _MARGIN

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -178,7 +178,3 @@ def _judged(person: Whole, odds: Array, apart: Mask) -> Cast:
         other = int(np.argmax(rest))
         doubts.append(Doubt(i, None if other == count else other, float(rest[other])))
     return Cast(person, own, tuple(doubts))
-
-
-def record(cast: Cast, i: int) -> dict[str, Any]:
-    return {"p": round(float(cast.p[i]), 4)}

@@ -1,14 +1,13 @@
 """What a face looks like in a few frames of its track: what tells people from each other (ours).
 
-Of a track the frames are taken in which the tracker is surest, spread over its length. Always there: the upright face in
-grey, its skin and hair by colour, and what is worn below the chin. With the extra `people`, dlib's embedding of the face
-as well: the ResNet of D. King, "High Quality Face Recognition with Deep Metric Learning" (2017), 128 numbers.
+Of a track the frames are taken in which the tracker is surest, spread over its length. Always there: the upright face
+in grey, its skin and hair by colour, and what is worn below the chin. With the extra `people`, dlib's embedding of the
+face as well: the ResNet of D. King, "High Quality Face Recognition with Deep Metric Learning" (2017), 128 numbers.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import cache
 from importlib import util
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any, Final, NamedTuple
 import cv2
 import numpy as np
 
-from facetrack_cli.core.types import BOX, Array, Frame, Image
+from facetrack_cli.core.types import Array, Frame, Image
 from facetrack_cli.tracking.face.stabilized import Similarity
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -77,10 +76,6 @@ def views_of(box: Trajectory) -> list[View]:
     return found
 
 
-def box_of(rows: Trajectory, target: str) -> Trajectory | None:
-    return rows.find(target, BOX)
-
-
 class Reader:
     """Looks at views of one track, in the order of their frames."""
 
@@ -107,12 +102,11 @@ class Reader:
         views = [view for view, _ in self._seen]
         columns = [np.array(column) for column in zip(*(values for _, values in self._seen), strict=True)]
         places = np.array(self._places, np.float64)
-        off = np.abs(places - places[0])
         off = np.abs(places - places[0] - np.median(places - places[0], axis=(1, 2), keepdims=True))
         change = float(off.mean(axis=(1, 2)).max())
-        return Looks(
-            np.array([one.frame for one in views], float), np.array([one.quality for one in views]), *columns, change
-        )
+        frames, quality = (np.array([getattr(one, key) for one in views], float) for key in ("frame", "quality"))
+        face, skin, hair, worn, embedding = columns
+        return Looks(frames, quality, face, skin, hair, worn, embedding, change)
 
 
 def _upright(frame: Frame, face: Similarity, sides: float, side: int) -> Image:
@@ -162,7 +156,7 @@ _one_at_a_time: Final = Lock()
 
 @cache
 def _network(model: Path) -> Any:
-    import dlib
+    import dlib  # type: ignore[import-untyped, import-not-found, unused-ignore]
 
     return dlib.face_recognition_model_v1(str(model))
 
@@ -174,13 +168,3 @@ def embedded(chip: Image) -> Array:
         return np.zeros(0)
     with _one_at_a_time:
         return np.asarray(_network(model).compute_face_descriptor(np.ascontiguousarray(chip[:, :, ::-1])))
-
-
-def weighted(looks: Looks) -> Array:
-    """(M,) weights of the views."""
-    return looks.quality / max(float(looks.quality.sum()), 1e-9)
-
-
-def is_still(looks: Sequence[Looks], least: float) -> bool:
-    """Whether no track of a person ever changes by so many grey levels, as of a photograph."""
-    return all(one.change < least for one in looks)

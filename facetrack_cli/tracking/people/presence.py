@@ -1,4 +1,4 @@
-"""Everybody in a film: in each shot every face is a track of its own, from where it comes in to where it is gone (ours).
+"""Everybody in a film: in each shot every face is a track of its own, from where it comes in to where it leaves (ours).
 
 A detector of faces looks at every few frames. A face that it sees in two frames near each other, and that no track has,
 begins a track; the track is followed back over the frames since the last look. Whether a track is still of a face is a
@@ -25,13 +25,14 @@ from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.face.target import FaceTarget
 from facetrack_cli.tracking.loop import TrackState
-from facetrack_cli.tracking.start.detectors import Detector, Found
+from facetrack_cli.tracking.start.detectors import MIN_FACE_SHARE, Detector, Found
 from facetrack_cli.tracking.start.points import place
 from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
 from facetrack_cli.video.shots import Shot
 
 LOOK_FRAMES: Final = 5  # frames from one look of the detector to the next
 TWICE_FRAMES: Final = 2  # frames before a look, in which a new face is seen too
+MIN_FACE_PX: Final = 20  # pixels of a face's box; smaller faces have no features to track
 MAX_FACES: Final = 12  # tracks at a time; of more faces the largest are followed
 SAME_FACE: Final = 0.3  # overlap of a detection with the track of that face
 INSIDE: Final = 0.7  # share of a face's box that is in the picture at least
@@ -126,7 +127,7 @@ class Film:
         return list(map(do, tracks) if self.executor is None or len(tracks) < 2 else self.executor.map(do, tracks))
 
     def _advance(self, track: Track, frames: Iterable[Frame], *, back: bool = False) -> list[TargetResult]:
-        """The results of one track in further frames, as far as the face is in the picture, or `back`, as it is seen."""
+        """The results of one track in further frames, while it is in the picture; going `back`, while it is seen."""
         target, results = self._target(track.start), list[TargetResult]()
         for frame in frames:
             track.state, result = target.advance(track.rng, track.state, _own(frame))
@@ -140,7 +141,7 @@ class Film:
 
     def _inside(self, box: Box) -> float:
         """The share of a box that is in the picture."""
-        return common_area(box, (-0.5, -0.5, *map(float, self.size))) / (box[2] * box[3])
+        return common_area(box, (-0.5, -0.5, float(self.size[0]), float(self.size[1]))) / (box[2] * box[3])
 
     def _target(self, start: Start) -> FaceTarget:
         [target] = tracker_for(self.recipe, start, self.size, self.fps)
@@ -172,8 +173,9 @@ class Film:
         room = MAX_FACES - len(kept)
         known.bounded |= len(new) > room
         begun = [one for face in new[:room] if (one := self._begun(known, face, frame)) is not None]
-        passed = [one for one in reversed(frames[:-1])]
-        for (track, first), back in zip(begun, self._each(lambda one: self._back(one, passed), begun), strict=True):
+        passed = frames[-2::-1]
+        each = self._each(lambda track: self._back(track, passed), [track for track, _ in begun])
+        for (track, first), back in zip(begun, each, strict=True):
             ordered = [*reversed(back), first]
             for at, result in zip(frames[len(frames) - len(ordered) :], ordered, strict=True):
                 status = np.where(result.rows.status == "lost", "lost", "init" if result is ordered[0] else "tracked")
@@ -183,7 +185,8 @@ class Film:
 
     def _is_new(self, face: Found, kept: Sequence[Track], frames: Sequence[Frame]) -> bool:
         """Whether a face is of no track, and seen in an earlier frame, too, if there is one."""
-        if any(track.box is not None and overlap(track.box, face.box) >= SAME_FACE for track in kept):
+        taken = any(track.box is not None and overlap(track.box, face.box) >= SAME_FACE for track in kept)
+        if taken or face.box[2] < max(MIN_FACE_PX, MIN_FACE_SHARE * min(self.size)):
             return False
         if len(frames) <= TWICE_FRAMES:
             return True
@@ -204,9 +207,8 @@ class Film:
         known.begun += 1
         return Track(name, start, rng, state), result
 
-    def _back(self, begun: tuple[Track, TargetResult], passed: Sequence[Frame]) -> list[TargetResult]:
+    def _back(self, track: Track, passed: Sequence[Frame]) -> list[TargetResult]:
         """The results of a track in the frames before, the last of them first."""
-        track, _ = begun
         rng = np.random.default_rng(track.rng.bit_generator.random_raw())
         return self._advance(replace(track, rng=rng), passed, back=True)
 

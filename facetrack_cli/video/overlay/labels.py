@@ -174,12 +174,15 @@ class Labels:
     def memory(self, memory: Any) -> None:
         self._sides, self._low = memory
 
-    def draw(self, image: Image, shapes: Sequence[Shape], taken: Sequence[Rect]) -> None:
-        """Names on `image` in place, each where it covers nothing of `taken`, or nowhere."""
+    def draw(self, image: Image, shapes: Sequence[Shape], taken: Sequence[Rect], *, named: bool = False) -> None:
+        """Names on `image` in place, each where it covers nothing of `taken`, or nowhere.
+
+        A single target has a name only if it is `named`.
+        """
         self._low &= {shape.target for shape in shapes}
         tags = list(taken)
         for shape in shapes:
-            tags += self._tag(image, shape, len(shapes) > 1, tags)
+            tags += self._tag(image, shape, named or len(shapes) > 1, tags)
         boxes = [(b[0], b[1], b[2], b[3]) for shape in shapes for b in shape.bounds.tolist()]
         full = [(0, 0, self._size[0], self._top), *boxes, *tags]
         sides: dict[tuple[str, str], int] = {}

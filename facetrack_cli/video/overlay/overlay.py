@@ -45,11 +45,21 @@ class Overlay:
     """Draws results over their frames; it keeps the last `trail_s` seconds of them, and no more.
 
     `size` is (width, height) of all frames, `fps` their nominal rate, `title` stands in the status bar. Lines and type
-    follow the height. Give the results in their order; a time that goes back starts the trails again.
+    follow the height. Targets have colours by their places in `order`, else in the result. Give the results in their
+    order; a time that goes back starts the trails again.
     """
 
-    def __init__(self, size: tuple[int, int], *, fps: float = 25.0, title: str = "", trail_s: float = 1.0) -> None:
+    def __init__(
+        self,
+        size: tuple[int, int],
+        *,
+        fps: float = 25.0,
+        title: str = "",
+        trail_s: float = 1.0,
+        order: Sequence[str] = (),
+    ) -> None:
         self.size = size
+        self._order = {name: place for place, name in enumerate(order)}
         self.trail_s = trail_s
         width, height = size
         scale = min(height, 0.75 * width)  # of portrait frames the width counts
@@ -84,7 +94,9 @@ class Overlay:
         if frame.size != tuple(self.size):
             raise ValueError(f"frame {frame.index} is {frame.size}, the overlay {self.size}")
         image: Image = frame.bgr.copy()
-        shapes = [self._shape(t, i, alone=len(result.targets) == 1) for i, t in enumerate(result.targets)]
+        places = [self._order.get(one.rows.target, i) for i, one in enumerate(result.targets)]
+        alone = len(result.targets) == 1 and not self._order
+        shapes = [self._shape(t, i, alone=alone) for t, i in zip(result.targets, places, strict=True)]
         shown = [Shown(s.target, s.insets, s.colour if len(shapes) > 1 else WHITE) for s in shapes if s.insets]
         windows = [(b[0], b[1], b[2], b[3]) for s in shapes for b in s.bounds.tolist()]
         taken = self._insets.draw(image, shown, windows) if shown else []  # below the lines, where they have to cross
@@ -96,7 +108,7 @@ class Overlay:
         names = {shape.target for shape in shapes}
         self._past = {name: past for name, past in self._past.items() if name in names}
         self._weights = {key: weight for key, weight in self._weights.items() if key[0] in names}
-        self._labels.draw(image, shapes, taken)
+        self._labels.draw(image, shapes, taken, named=bool(self._order))
         if self._bar:
             self._bar.draw(image, result)
         self._count += 1

@@ -1,0 +1,131 @@
+"""facetrack people: who is in a film, and corrections of that."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from facetrack_cli.cli import options
+from facetrack_cli.cli.options import argument, flag, option, verb
+from facetrack_cli.core.errors import UsageError
+
+if TYPE_CHECKING:
+    from facetrack_cli.trajectory.people import People, Tracks
+
+
+def _pair(value: str) -> tuple[str, str]:
+    name, equals, other = value.partition("=")
+    if not (equals and name.strip() and other.strip()):
+        raise click.BadParameter(f"{value!r}: give two names, as person_3=person_1")
+    return name.strip(), other.strip()
+
+
+def _moment(value: str) -> tuple[str, str]:
+    name, at, moment = value.rpartition("@")
+    if not (at and name.strip() and moment.strip()):
+        raise click.BadParameter(f"{value!r}: give a name and a time, as person_2@1:23 or person_2@2075f")
+    return name.strip(), moment.strip()
+
+
+def frame_at(moment: str, fps: float) -> int:
+    """The frame of a moment: 2075f, 83, 1:23 or 0:01:23.5. UsageError for anything else."""
+    try:
+        if moment[-1:].lower() == "f":
+            return int(moment[:-1])
+        seconds = 0.0
+        for part in moment.split(":"):
+            seconds = 60 * seconds + float(part)
+        return round(seconds * fps)
+    except (ValueError, OverflowError):
+        raise UsageError(f"--split @{moment}: is no time; give 1:23, 83 (seconds) or 2075f (a frame)") from None
+
+
+class Cast:
+    """Show who is in a film, and correct it.
+
+    RUN_DIR is a folder that facetrack run --faces all wrote. For each person it says how long, in how many tracks, and
+    how sure. A correction writes the rows, the pictures and the video of the run again.
+
+    \b
+    Examples:
+      facetrack people out
+      facetrack people out --rename person_1=Anna --rename person_2=Ben
+      facetrack people out --merge person_3=person_1
+      facetrack people out --split person_2@1:23
+      facetrack people out --json | jq '.people[].name'
+
+    \b
+    Exit codes: 0 done, 2 usage or output, 3 input, 130 interrupted,
+    143 terminated.
+    """
+
+    folder: Path = argument("RUN_DIR")
+    merge: tuple[tuple[str, str], ...] = option(
+        "--merge A=B", "A is B: both are one person, under the name of B.", type=_pair, multiple=True
+    )
+    split: tuple[tuple[str, str], ...] = option(
+        "--split A@TIME", "From that time on (1:23, or 2075f) A is somebody else.", type=_moment, multiple=True
+    )
+    rename: tuple[tuple[str, str], ...] = option("--rename A=NAME", "The name of A.", type=_pair, multiple=True)
+    clip: Path | None = options.CLIP
+    no_video: bool = flag("--no-video", "Do not draw annotated.mp4 again.")
+    as_json: bool = flag("--json", "Print people.json.")
+    quiet: bool = options.QUIET
+
+    def run(self) -> int:
+        from facetrack_cli.runs.people import people_in, recast
+        from facetrack_cli.runs.progress import progress
+        from facetrack_cli.runs.signals import Stop, StoppedError
+
+        people = people_in(self.folder)
+        if changes := self._changes(people.fps):
+            with Stop().listening() as stop, progress(self.quiet) as shown:
+                shown.begin(self.folder.name or str(self.folder))
+                try:
+                    people = recast(
+                        self.folder, changes, clip=self.clip, video=not self.no_video, report=shown.looked, stop=stop
+                    )
+                except StoppedError:
+                    shown.say(f"{self.folder}: stopped, nothing was written")
+                    return stop.code or 0
+        click.echo(people.text().decode(), nl=False) if self.as_json else _show(people)
+        return 0
+
+    def _changes(self, fps: float) -> list[tuple[str, Callable[[Tracks], Tracks]]]:
+        from facetrack_cli.trajectory import people as edits
+
+        found: list[tuple[str, Callable[[Tracks], Tracks]]] = []
+        for name, moment in self.split:
+            found.append((f"split {name}@{moment}", partial(edits.split, name=name, frame=frame_at(moment, fps))))
+        found += [(f"merge {a}={b}", partial(edits.merge, name=a, into=b)) for a, b in self.merge]
+        return found + [(f"rename {a}={b}", partial(edits.rename, name=a, to=b)) for a, b in self.rename]
+
+
+def _show(people: People) -> None:
+    """The cast as a table, and what is in doubt."""
+    from facetrack_cli.core.numbers import clock
+    from facetrack_cli.evaluation.sheet import Sheet
+
+    tracks = [one.person for one in people.tracks]
+    rows = tuple(
+        (
+            one.name, f"{one.seconds:.1f}", str(len(one.intervals)), str(tracks.count(one.name)),
+            clock(one.intervals[0][0] / people.fps), f"{one.p:.2f}", "photograph" if one.photograph else "",
+        )
+        for one in people.people
+    )  # fmt: skip
+    notes = [
+        f"{clock(one.first / people.fps)} (frame {one.first}): {one.person} with P = {one.p:.2f}, "
+        f"{one.other or 'somebody new'} with {one.p_other:.2f}"
+        for one in people.doubts
+    ]
+    title = f"{len(people.people)} people in {len(people.shots)} shots" + ("; in doubt:" if notes else "")
+    heads = ("person", "seconds", "times", "tracks", "first seen", "P", "")
+    Sheet(title, heads, rows, tuple(notes), left=(0, 6)).show()
+
+
+command = verb(Cast, "people")

@@ -1,0 +1,309 @@
+"""A film that was tracked, named: who each track is of, a picture of each person, and the run's files under names."""
+
+from __future__ import annotations
+
+import shutil
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import cv2
+import numpy as np
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.files import make_folder, write_new
+from facetrack_cli.core.types import BOX, Image, Start
+from facetrack_cli.recipe.face import DETECTORS
+from facetrack_cli.run_folder.finished import run_files, write_rows
+from facetrack_cli.run_folder.manifest import VIDEO, check_run, read_manifest, read_run
+from facetrack_cli.runs.job import Job, Outcome, Report, silent
+from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
+from facetrack_cli.runs.smooth import Painted, repaint, replace_files
+from facetrack_cli.runs.start import frames_of
+from facetrack_cli.tracking.loop import TrackState
+from facetrack_cli.tracking.people.identity import SURE, Cast, Seen, cast_of
+from facetrack_cli.tracking.people.looks import Reader, views_of
+from facetrack_cli.tracking.people.presence import Film
+from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.trajectory.header import clip_of, said
+from facetrack_cli.trajectory.people import (
+    PEOPLE,
+    PERSON,
+    STILLS,
+    People,
+    ShotRecord,
+    TrackRecord,
+    Tracks,
+    people_of,
+    read_people,
+    tracks_of,
+    under_names,
+)
+from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
+from facetrack_cli.trajectory.writers import ending_of
+from facetrack_cli.video.files import brings_rate
+from facetrack_cli.video.shots import Shot, find_cuts, shots_of
+from facetrack_cli.video.source import Source, open_source
+
+ORIGIN: Final = "--faces all"
+MIN_FRAMES: Final = 5  # of a track in which its face is seen; of fewer nothing is kept
+_MOST_NAMED: Final = 6  # people, in a line
+STILL_CHANGE: Final = 2.5  # grey levels; a face that changes by less is of a photograph
+
+
+class Drawn(NamedTuple):
+    """What `repaint` draws on."""
+
+    clip: Path
+    fps: Fraction | None
+    first: int
+    last: int
+    title: str
+
+
+class Named(NamedTuple):
+    """The people of a film, their tracks by target, and a picture of each person, the bytes of a JPEG file."""
+
+    people: People
+    tracks: tuple[tuple[str, TrackRecord], ...]
+    stills: Mapping[str, bytes]
+
+
+def film_shots(job: Job, first: int, stop: Stopped, looked: Report) -> list[Shot]:
+    """The shots of a clip from its frame `first`; InputError once `stop` says so."""
+    with job.open(first) as source:
+        frames = frames_of(source, first, "the film", stop)
+        total = source.frames_hint
+        cuts = list(find_cuts(frames, lambda done: looked(done, total, "finding shots")))
+    if stop():
+        raise InputError(f"{job.clip}: stopped before its shots were found")
+    return shots_of(cuts, first, job.stop)
+
+
+def film_start(first: int) -> Start:
+    """The start of a film: nobody is there before a detector looks."""
+    return Start(first, {}, ORIGIN)
+
+
+def film_results(
+    job: Job, shots: Sequence[Shot], source: Source, frames: Iterator[Any], at: TrackState
+) -> Iterator[FrameResult]:
+    """The results of everyone in a film."""
+    by = next((name for name in DETECTORS if name == job.init), None)
+    film = Film(job.recipe, shots, detector(by), source.size, float(source.fps), job.recipe.seed)
+    yield from film.follow(frames, at)
+
+
+def cast(
+    rows: Trajectory, shots: Sequence[Shot], source: Source, report: Callable[[int], None], stop: Stopped
+) -> Named:
+    """Who the tracks of `rows` are of, by what the frames of `source` show. Raises StoppedError once `stop` says so."""
+    boxes = {name: box for name in rows.targets if (box := rows.find(name, BOX)) is not None}
+    boxes = {name: box for name, box in boxes.items() if (box.status != "lost").sum() >= MIN_FRAMES}
+    readers, wanted = {name: Reader() for name in boxes}, defaultdict(list)
+    for name, box in boxes.items():
+        for view in views_of(box):
+            wanted[view.frame].append((name, view))
+    left = max(wanted, default=-1)
+    for frame in source if wanted else ():
+        if stop():
+            raise StoppedError
+        for name, view in wanted.get(frame.index, ()):
+            readers[name].see(frame, view)
+        report(frame.index)
+        if frame.index >= left:
+            break
+    begins = np.array([shot.first for shot in shots])
+    tracks = [
+        Seen(
+            name, int(box.frame[0]), int(box.frame[-1]) + 1, *_ends(box),
+            int(np.searchsorted(begins, box.frame[0], "right")), readers[name].looks(),
+        )
+        for name, box in sorted(boxes.items(), key=lambda one: int(one[1].frame[0]))
+    ]  # fmt: skip
+    return _named(tracks, cast_of(tracks), readers, shots, float(source.fps))
+
+
+def _ends(box: Trajectory) -> tuple[Any, Any]:
+    there = box.take(box.status != "lost").boxes
+    return tuple(there[0].tolist()), tuple(there[-1].tolist())
+
+
+def _named(
+    tracks: Sequence[Seen], found: Cast, readers: Mapping[str, Reader], shots: Sequence[Shot], fps: float
+) -> Named:
+    names = [f"{PERSON}{k + 1}" for k in found.person.tolist()]
+    doubts = {one.track: one for one in found.doubts}
+    records: Tracks = []
+    pictures: dict[str, tuple[float, Image]] = {}
+    moving = {name for name, track in zip(names, tracks, strict=True) if track.looks.change >= STILL_CHANGE}
+    for i, (track, name) in enumerate(zip(tracks, names, strict=True)):
+        one = TrackRecord(person=name, first=track.first, stop=track.stop, p=round(float(found.p[i]), 4))
+        if (doubt := doubts.get(i)) is not None:
+            other = None if doubt.other is None else f"{PERSON}{doubt.other + 1}"
+            one = one.model_copy(update={"doubt": True, "other": other, "p_other": round(doubt.p, 4)})
+        records.append((track.name, one))
+        if (best := readers[track.name].best) is not None and best[0] > pictures.get(name, (-1.0, None))[0]:
+            pictures[name] = best
+    told = [ShotRecord(first=one.first, stop=one.stop) for one in shots]
+    still = {name: f"{STILLS}/{name}.jpg" for name in pictures}
+    people = people_of(fps, told, [one for _, one in records], still, {*names} - moving)
+    return Named(people, tuple(records), {name: _jpeg(image) for name, (_, image) in pictures.items()})
+
+
+def name_run(job: Job, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
+    """Name everyone in a run that was tracked, and write its files again under their names; what became of it.
+
+    Raises InputError where the film shows nobody. Once `stop` says so, the files stay as they are.
+    """
+    assert job.out is not None
+    files = run_files(job.out)
+    rows = read_run(files.get("json", files.get("jsonl")) or files["csv"])
+    if not len(rows):
+        raise InputError(f"{job.clip}: no face found in {outcome.frames} frames")
+    first = int(rows.frame.min())
+    begin = job.start if job.init_frame is None else job.init_frame
+    try:
+        told = rows.header.get("shots")
+        shots = [Shot(*one) for one in told] if told else film_shots(job, begin, stop, looked)
+        with job.open(first) as source:
+            total = source.frames_hint
+            found = cast(rows, shots, source, lambda at: looked(at - first, total, "looking at people"), stop)
+        if not found.tracks:
+            raise InputError(f"{job.clip}: no face is seen in {MIN_FRAMES} frames of {outcome.frames}")
+        after = under_names(rows, found.tracks)
+        last = begin + outcome.frames - 1
+        paint = Drawn(job.clip, job.fps, begin, last, job.recipe.name) if job.video else None
+        write_people(job.out, after, found.people, found.stills, paint, lambda n, of: looked(n, of, "drawing"), stop)
+    except StoppedError:
+        outcome.stopped = stop.reason
+        return outcome
+    done = Outcome.of(job, read_manifest(job.out) or _missing(job))
+    done.again, done.frames_per_s, done.warnings = None, outcome.frames_per_s, outcome.warnings
+    done.note, done.resumed = cast_line(found.people), outcome.resumed
+    return done
+
+
+def _missing(job: Job) -> Any:
+    raise InputError(f"{job.out}: its run.json is gone; run again")
+
+
+def write_people(
+    folder: Path,
+    rows: Trajectory,
+    people: People,
+    stills: Mapping[str, bytes],
+    paint: Painted | None,
+    report: Report,
+    stop: Stopped,
+) -> list[str]:
+    """Write the rows of a run under the names of people, people.json, and the video; warnings."""
+    counted = ending_of(rows)
+    header = {**rows.header, "lost_frames": counted.lost_frames, "evidence": counted.evidence}
+    rows = replace(rows, header=header)
+    files: dict[Path, Any] = {path: partial(write_rows, form, rows=rows) for form, path in run_files(folder).items()}
+    files[folder / PEOPLE] = lambda write: write(people.text())
+    known = read_manifest(folder)
+    kept = {} if known is None else {name: one for name, one in known.files.items() if name != VIDEO or paint is None}
+    ended = known and replace(known, files=kept, lost_frames=counted.lost_frames, lost_at_end=counted.lost_at_end)
+    draw = None if paint is None else partial(repaint, paint, rows=rows, report=report, stop=stop, order=people.names)
+    _, notes = replace_files(folder, files, ended, [], draw)
+    shutil.rmtree(folder / STILLS, ignore_errors=True)
+    make_folder(folder / STILLS)
+    for name, picture in stills.items():
+        write_new(folder / STILLS / f"{name}.jpg", picture, overwrite=True)
+    return notes
+
+
+def _jpeg(image: Image) -> bytes:
+    return cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, 92))[1].tobytes()
+
+
+def recast(
+    folder: Path,
+    changes: Sequence[tuple[str, Callable[[Tracks], Tracks]]],
+    *,
+    clip: Path | None = None,
+    video: bool = True,
+    report: Report = silent,
+    stop: Stopped = never,
+) -> People:
+    """Correct who is who in a run: each of `changes` has its words, and gives other tracks.
+
+    Rows, people.json, pictures and, with `video`, the video are written again. Raises UsageError for a change that
+    cannot be, InputError for a run that is of no film or whose clip is gone; nothing is written then.
+    """
+    files = run_files(folder)
+    people, rows = people_in(folder), read_run(files.get("json", files.get("jsonl")) or files["csv"])
+    tracks = tracks_of(people)
+    for _, change in changes:
+        tracks = change(tracks)
+    before = {one.name: one for one in people.people}
+    old = dict(reversed([(one.person, of) for of, one in tracks]))  # the name of each person's first track
+    pictures = {}
+    for name, of in old.items():
+        with suppress(OSError, KeyError):
+            if of in before and (name == of or of not in old):
+                pictures[name] = (folder / before[of].still).read_bytes()
+    words = (*people.corrections, *(said for said, _ in changes))
+    fixed = [name for name, of in old.items() if before[of].photograph]
+    stills = {name: f"{STILLS}/{name}.jpg" for name in old}
+    after = people_of(people.fps, people.shots, [one for _, one in tracks], stills, fixed, words)
+    named = under_names(rows, tracks)
+    where = clip or clip_of(rows)
+    fps = None if where is None or brings_rate(where) else Fraction(people.fps).limit_denominator(1001)
+    for name in stills.keys() - pictures.keys():
+        pictures[name] = _picture(named, name, where, fps)
+    paint = None
+    if video and (folder / VIDEO).is_file() and where is not None:
+        first = people.shots[0].first
+        paint = Drawn(where, fps, first, first + _frames(folder) - 1, str(said(rows, "recipe", "name") or ""))
+    write_people(folder, named, after, pictures, paint, report, stop)
+    return after
+
+
+def _frames(folder: Path) -> int:
+    known = read_manifest(folder)
+    return 0 if known is None else known.frames
+
+
+def people_in(folder: Path) -> People:
+    """The people of a run. InputError for a run that is of no film."""
+    check_run(folder)
+    found = read_people(folder)
+    if found is None:
+        raise InputError(f"{folder}: has no {PEOPLE}; facetrack run --faces all writes it")
+    return found
+
+
+def _picture(rows: Trajectory, name: str, clip: Path | None, fps: Fraction | None) -> bytes:
+    """A picture of a person who has none yet."""
+    box, reader = rows.find(name, BOX), Reader()
+    best = max(views_of(box) if box is not None else [], key=lambda one: one.quality, default=None)
+    if best is None or clip is None:
+        raise InputError(f"{clip or rows.path}: has no picture of {name}; name the clip with --clip")
+    with open_source(clip, fps=fps, start=best.frame, stop=best.frame + 1) as source:
+        for frame in source:
+            reader.see(frame, best)
+    assert reader.best is not None
+    return _jpeg(reader.best[1])
+
+
+def cast_line(people: People) -> str:
+    """Who is in a film, in one line."""
+    shown = ", ".join(
+        f"{one.name} {one.seconds:.1f} s" for one in sorted(people.people, key=lambda one: -one.seconds)[:6]
+    )
+    more = len(people.people) - 6
+    doubts = len(people.doubts)
+    unsure = f"; {doubts} of {len(people.tracks)} tracks are in doubt (P < {SURE:g})" if doubts else ""
+    shots = len(people.shots)
+    return (
+        f"{len(people.people)} {'people' if len(people.people) != 1 else 'person'} in {shots} shot{'s' * (shots > 1)}: "
+        f"{shown}{f' and {more} more' if more > 0 else ''}{unsure}"
+    )

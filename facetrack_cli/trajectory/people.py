@@ -1,0 +1,221 @@
+"""people.json: who is in a film, when, and how sure that is; and rows under the names that it gives."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+from typing import Annotated, Final, Literal, TypeAlias
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.numbers import union
+from facetrack_cli.trajectory.reader import not_as_written
+from facetrack_cli.trajectory.select import choose
+from facetrack_cli.trajectory.trajectory import Trajectory, successive
+
+PEOPLE: Final = "people.json"
+PERSON: Final = "person_"
+STILLS: Final = "people"  # the folder of the pictures, in that of a run
+_P: TypeAlias = Annotated[float, Field(ge=0, le=1)]
+_Frame: TypeAlias = Annotated[int, Field(ge=0)]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class ShotRecord(_Record):
+    """Frames [first, stop) of one shot; stop None: the end of the clip."""
+
+    first: _Frame
+    stop: _Frame | None
+
+
+class TrackRecord(_Record):
+    """One track: whose it is, in which frames [first, stop), and with which probability.
+
+    `other` (None: somebody new) has the probability `p_other`, where that is in doubt. `given`: by hand.
+    """
+
+    person: str
+    first: _Frame
+    stop: _Frame
+    p: _P
+    doubt: bool = False
+    other: str | None = None
+    p_other: _P = 0.0
+    given: bool = False
+
+
+class PersonRecord(_Record):
+    """A person: `seconds` on the screen, the intervals [first, stop) of frames, the mean probability of its tracks.
+
+    `still` is the picture; `photograph`: it never moves.
+    """
+
+    name: str
+    seconds: float
+    p: _P
+    intervals: tuple[tuple[_Frame, _Frame], ...]
+    still: str = ""
+    photograph: bool = False
+
+
+class People(_Record):
+    """Who is in a film of `fps` frames per second, in order of first appearance, by which `tracks`."""
+
+    format: Literal["facetrack-people"] = "facetrack-people"
+    version: Literal[1] = 1
+    fps: float
+    shots: tuple[ShotRecord, ...]
+    people: tuple[PersonRecord, ...]
+    tracks: tuple[TrackRecord, ...]
+    corrections: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(one.name for one in self.people)
+
+    @property
+    def doubts(self) -> tuple[TrackRecord, ...]:
+        """Tracks whose person is in doubt, the least sure first."""
+        return tuple(sorted((one for one in self.tracks if one.doubt and not one.given), key=lambda one: one.p))
+
+    def text(self) -> bytes:
+        return self.model_dump_json(indent=1, exclude_defaults=False).encode() + b"\n"
+
+    def seconds_together(self) -> Mapping[tuple[str, str], float]:
+        """How long two people are on the screen at the same time, where they ever are."""
+        found: Counter[tuple[str, str]] = Counter()
+        for a, b in combinations(self.people, 2):
+            frames = sum(max(min(x[1], y[1]) - max(x[0], y[0]), 0) for x in a.intervals for y in b.intervals)
+            if frames:
+                found[a.name, b.name] = frames
+        return {pair: round(frames / self.fps, 3) for pair, frames in found.items()}
+
+
+def read_people(path: Path) -> People | None:
+    """The people.json of a run's folder; None without. InputError for a file that is not as we write it."""
+    file = path if path.name == PEOPLE else path / PEOPLE
+    try:
+        return People.model_validate_json(file.read_bytes())
+    except FileNotFoundError:
+        return None
+    except OSError as e:
+        raise InputError(f"{file}: cannot be read: {e.strerror or e}; make it readable") from None
+    except ValidationError as e:
+        raise not_as_written(file, e) from None
+
+
+def people_of(
+    fps: float,
+    shots: Sequence[ShotRecord],
+    tracks: Iterable[TrackRecord],
+    stills: Mapping[str, str],
+    photographs: Iterable[str] = (),
+    corrections: Sequence[str] = (),
+) -> People:
+    """The people of these tracks, in the order of their first frames."""
+    ordered = sorted(tracks, key=lambda one: (one.first, one.stop))
+    found: dict[str, list[TrackRecord]] = {}
+    for one in ordered:
+        found.setdefault(one.person, []).append(one)
+    people: list[PersonRecord] = []
+    for name, theirs in found.items():
+        spans = tuple(union((one.first, one.stop) for one in theirs))
+        frames = [one.stop - one.first for one in theirs]
+        p = float(np.average([one.p for one in theirs], weights=frames))
+        person = PersonRecord(
+            name=name,
+            seconds=round(sum(stop - first for first, stop in spans) / fps, 3),
+            p=round(p, 4),
+            intervals=spans,
+            still=stills.get(name, ""),
+            photograph=name in photographs,
+        )
+        people.append(person)
+    return People(
+        fps=fps, shots=tuple(shots), people=tuple(people), tracks=tuple(ordered), corrections=tuple(corrections)
+    )
+
+
+Tracks: TypeAlias = "list[tuple[str, TrackRecord]]"  # each with the target whose rows it has
+
+
+def tracks_of(people: People) -> Tracks:
+    """The tracks of a run whose rows are under the names of these people."""
+    return [(one.person, one) for one in people.tracks]
+
+
+def merge(tracks: Tracks, name: str, into: str) -> Tracks:
+    """With the tracks of the person `name` given to another. UsageError where both are seen in one frame."""
+    theirs, others = _of(tracks, name), _of(tracks, into)
+    both = [max(x.first, y.first) for _, x in theirs for _, y in others if x.first < y.stop and y.first < x.stop]
+    if name == into or both:
+        why = f"{name} and {into} are both seen in frame {both[0]}" if name != into else "that is one person already"
+        raise UsageError(f"--merge {name}={into}: {why}; give two people that are never seen together")
+    return [(of, _given(one, into) if one.person == name else one) for of, one in tracks]
+
+
+def rename(tracks: Tracks, name: str, to: str) -> Tracks:
+    """With another name of a person. UsageError for a name that somebody has, or that is none."""
+    _of(tracks, name)
+    if not to.strip() or any(c in to for c in '/\\\r\n\t"') or to.startswith(".") or len(to) > 60:
+        raise UsageError(f"--rename {name}={to}: is no name; give up to 60 characters without / and \\")
+    if any(one.person == to for _, one in tracks):
+        raise UsageError(f"--rename {name}={to}: {to} is there; --merge {name}={to} makes them one person")
+    return [(of, one.model_copy(update={"person": to}) if one.person == name else one) for of, one in tracks]
+
+
+def split(tracks: Tracks, name: str, frame: int) -> Tracks:
+    """With the tracks of a person from a frame on given to somebody new. UsageError where that is all or nothing."""
+    theirs = _of(tracks, name)
+    if frame <= min(one.first for _, one in theirs) or frame >= max(one.stop for _, one in theirs):
+        spans = ", ".join(f"{one.first} to {one.stop - 1}" for _, one in theirs[:4])
+        remedy = f"{name} is seen in frames {spans}; give a frame between the first and the last"
+        raise UsageError(f"--split {name}@{frame}f: {remedy}")
+    taken = {one.person for _, one in tracks}
+    new = next(f"{PERSON}{k}" for k in range(1, len(tracks) + 2) if f"{PERSON}{k}" not in taken)
+    found: Tracks = []
+    for of, one in tracks:
+        if one.person != name or one.stop <= frame:
+            found.append((of, one))
+            continue
+        if one.first < frame:
+            found.append((of, one.model_copy(update={"stop": frame})))
+        found.append((of, _given(one, new).model_copy(update={"first": max(one.first, frame)})))
+    return found
+
+
+def _given(one: TrackRecord, person: str) -> TrackRecord:
+    """The track, which somebody has said to be of a person."""
+    return TrackRecord(person=person, first=one.first, stop=one.stop, p=1.0, given=True)
+
+
+def _of(tracks: Tracks, name: str) -> Tracks:
+    """The tracks of a person. UsageError for a name that nobody has."""
+    found = [(of, one) for of, one in tracks if one.person == name]
+    if not found:
+        names = ", ".join(dict.fromkeys(one.person for _, one in tracks))
+        raise UsageError(f"there is no {name}; there are {names}")
+    return found
+
+
+def under_names(rows: Trajectory, tracks: Sequence[tuple[str, TrackRecord]]) -> Trajectory:
+    """The rows of each track, which are those of a target and of its frames, under the name of its person.
+
+    People come in the order of their first rows.
+    """
+    order = {name: k for k, name in enumerate(dict.fromkeys(one.person for _, one in tracks))}
+    pieces = []
+    for target, one in sorted(tracks, key=lambda pair: (order[pair[1].person], pair[1].first)):
+        part = choose(rows, target).between(one.first, one.stop)
+        names = tuple((one.person, name) for _, name in part.names)
+        said = dict.fromkeys([one.person], part.diagnostics[target]) if target in part.diagnostics else {}
+        pieces.append(replace(part, names=names, diagnostics=said))
+    return replace(successive(pieces), header=rows.header, path=rows.path)
