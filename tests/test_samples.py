@@ -9,7 +9,7 @@ import pytest
 from facetrack_cli.tracking.start import read_init
 from tests.support.samples import FOLDER, read_pictures, read_rows
 
-CLIPS = sorted(path.stem for path in FOLDER.glob("*.mp4"))
+CLIPS = sorted(path.stem for path in FOLDER.glob("*.mp4") if path.stem != "film")  # which is joined from the others
 
 
 @pytest.mark.parametrize("name", CLIPS)
@@ -54,3 +54,16 @@ def test_a_clip_rendered_again_is_the_same(name: str, tmp_path: Path, monkeypatc
         assert list(csv.DictReader(file)) == read_rows(name)
     for ours, committed in zip(clip.pictures, read_pictures(name), strict=True):
         assert np.abs(ours - committed.astype(float)).mean() < 4
+
+
+@pytest.mark.nightly
+def test_the_film_joined_again_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(FOLDER.parent / "tools" / "samples"))
+    from film import film
+
+    frames, rows = film(), read_rows("film")
+    assert (FOLDER / "film.mp4").stat().st_size < 1_000_000
+    for (ours, _), committed in zip(frames, read_pictures("film"), strict=True):
+        assert np.abs(ours - committed.astype(float)).mean() < 4
+    told = {(int(row["frame"]), row["target"]) for row in rows}
+    assert told == {(t, name) for t, (_, seen) in enumerate(frames) for name in seen}

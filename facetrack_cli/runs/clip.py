@@ -8,7 +8,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame, Start
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.checkpoint import forget
-from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended, silent
+from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended, is_tracked, silent
 from facetrack_cli.runs.people import film_results, film_shots, film_start, name_run
 from facetrack_cli.runs.pipeline import decoded_ahead
 from facetrack_cli.runs.recording import ClipFacts, Recorder
@@ -37,18 +37,19 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) 
         if job.out is not None:
             forget(job.out)  # a kill may leave checkpoints of a run that is done
         return known
-    if (tracked := job.previous()) is not None and not job.overwrite and _is_unnamed(job, Outcome.of(job, tracked)):
+    tracked = None if job.overwrite or not _names(job) else job.previous()
+    if tracked is not None and is_tracked(tracked):  # and was not named
         return name_run(job, Outcome.of(job, tracked), stop, looked)
     with Recorder(job) as out:
         if (known := ended(job)) is not None:  # meanwhile, by another process
             return known
         done = track_clip(job, out, stop, report, looked) if job.split is None else join(job, out, stop, report)
-    return name_run(job, done, stop, looked) if _is_unnamed(job, done) else done
+    return name_run(job, done, stop, looked) if _names(job) and done.error is None and done.stopped is None else done
 
 
-def _is_unnamed(job: Job, done: Outcome) -> bool:
-    named = job.everyone and job.chunk is None and job.out is not None
-    return named and done.error is None and done.stopped is None
+def _names(job: Job) -> bool:
+    """Whether people are named at the end of a job."""
+    return job.everyone and job.chunk is None and job.out is not None
 
 
 def track_clip(job: Job, out: Recorder, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
@@ -82,6 +83,8 @@ def track_clip(job: Job, out: Recorder, stop: Stop, report: Report = silent, loo
             out.outcome.stopped = stop.reason
             return out.outcome
         stopped = stop.reason if stop() else None
+        if shots and error is None and stopped is None and not out.outcome.evidence:
+            raise InputError(f"{job.clip}: no face found in frames {begins} to {state.frame - 1}")
         warnings = (*source.warnings, *state.notes)
         if stopped is None and error is None and job.stop is None:
             warnings += past_end(start.corrections, state.frame - 1, start.origin)

@@ -142,7 +142,8 @@ class Outcome(Ending):
         if not self.files or not any(file.suffix in (".json", ".jsonl") for file in self.files):
             return ""
         folder = shlex.quote(str(self.files[0].parent))
-        return f"look: facetrack report {folder}; correct: facetrack fix {folder}"
+        by = "people" if any(file.name == PEOPLE for file in self.files) else "fix"
+        return f"look: facetrack report {folder}; correct: facetrack {by} {folder}"
 
     def summary(self) -> str:
         """One line: what was written, how fast, what was lost."""
@@ -173,10 +174,10 @@ def finished(job: Job) -> Manifest | None:
 
 def _is_whole(job: Job, known: Manifest) -> bool:
     named = not job.everyone or job.chunk is not None or PEOPLE in known.files
-    return is_tracked(job, known) and named and (VIDEO in known.files or not job.video)
+    return is_tracked(known) and named and (VIDEO in known.files or not job.video)
 
 
-def is_tracked(job: Job, known: Manifest) -> bool:
+def is_tracked(known: Manifest) -> bool:
     """Whether a run came to its end, named or not."""
     return known.error is None and known.stopped is None
 
@@ -222,6 +223,12 @@ def default_reason(box: Box | None, clip: Path) -> str:
 
 def check(job: Job) -> None:
     """Refuse what cannot work before anything is opened: results in the way, an output that is the input."""
+    if job.everyone and (job.lag or job.posterior):
+        raise UsageError(
+            "--faces all follows people over cuts, and no row is smoothed over a cut; leave one of them out"
+        )
+    if job.everyone and job.out is None:
+        raise UsageError("--faces all knows who is who at the end, and -o - writes as it goes; name a folder")
     if job.lag or job.posterior:
         check_smoothing(job.recipe)
     if job.out is not None:

@@ -164,8 +164,6 @@ def name_run(job: Job, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
     assert job.out is not None
     files = run_files(job.out)
     rows = read_run(files.get("json", files.get("jsonl")) or files["csv"])
-    if not len(rows):
-        raise InputError(f"{job.clip}: no face found in {outcome.frames} frames")
     first = int(rows.frame.min())
     begin = job.start if job.init_frame is None else job.init_frame
     try:

@@ -274,7 +274,7 @@ class Recorder:
         if self._checkpoints is None:
             return
         self._checkpoints.release()
-        if self._checkpoints.is_due(self.outcome.frames):
+        if self.state.at.states and self._checkpoints.is_due(self.outcome.frames):
             sinks = [sink for sink in self._sinks if isinstance(sink, FileSink)]
             self.state.tables = tuple(sink.place() for sink in sinks)
             self.state.posterior = None if self._posterior is None else self._posterior.state

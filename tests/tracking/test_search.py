@@ -204,7 +204,8 @@ def test_two_real_faces_by_the_command_line(tmp_path, capsys, monkeypatch):
     assert {line.split(",")[2] for line in (tmp_path / "one/trajectory.csv").read_text().splitlines()[1:]} == {"face"}
     assert main(["run", "clip", "--init", "haar", "--faces", "all", "--no-video", "-o", "all"]) == 0
     rows = [line.split(",") for line in (tmp_path / "all/trajectory.csv").read_text().splitlines()[1:]]
-    assert {(row[2], row[3]) for row in rows} == {(name, p) for name in ("face", "face_2") for p in (*PARTS, "box")}
+    names = "person_1", "person_2"
+    assert {(row[2], row[3]) for row in rows} == {(name, p) for name in names for p in (*PARTS, "box")}
     assert {row[10] for row in rows} == {"init", "tracked"}
     last = {row[2]: float(row[4]) for row in rows if row[0] == "15" and row[3] == "box"}
-    assert last["face"] == pytest.approx(105, abs=8) and last["face_2"] == pytest.approx(235, abs=6)
+    assert last["person_1"] == pytest.approx(105, abs=8) and last["person_2"] == pytest.approx(235, abs=6)

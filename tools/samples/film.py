@@ -31,17 +31,17 @@ class Piece(NamedTuple):
 
 
 def read(piece: Piece) -> list[Shown]:
-    """The images of a piece, and the boxes of who is in them."""
+    """The images of a piece, and the boxes of who is in them and not covered."""
     video, boxes = cv2.VideoCapture(str(SAMPLES / f"{piece.clip}.mp4")), {}
     for line in (SAMPLES / f"{piece.clip}.truth.csv").read_text(encoding="utf-8").splitlines()[1:]:
-        frame, _, _, part, x, y, w, h, *_ = line.split(",")
-        if part == "box":
+        frame, _, _, part, x, y, w, h, _, _, status, *_ = line.split(",")
+        if part == "box" and status == "visible":
             boxes[int(frame)] = float(x), float(y), float(w), float(h)
     found: list[Shown] = []
     for t in range(piece.stop):
         image = video.read()[1]
         if t >= piece.first:
-            found.append((np.asarray(image, np.uint8), {piece.person: boxes[t]} if piece.person else {}))
+            found.append((np.asarray(image, np.uint8), {piece.person: boxes[t]} if piece.person and t in boxes else {}))
     return found
 
 

@@ -87,16 +87,16 @@ class Film:
         shot = next(shots)
         for frame in frames:
             while shot.stop is not None and frame.index >= shot.stop:
-                yield from self._block(known, waiting, shot, at, last=True)
+                yield from self._block(known, waiting, shot, at)
                 shot = next(shots)
+            if frame.index == shot.first:  # no track is carried over a cut
+                known.tracks = []
             waiting.append(frame)
             if len(waiting) >= LOOK_FRAMES and frame.index >= shot.clear + LOOK_FRAMES - 1:
                 yield from self._block(known, waiting, shot, at)
-        yield from self._block(known, waiting, shot, at, last=True)
+        yield from self._block(known, waiting, shot, at)
 
-    def _block(
-        self, known: Everyone, frames: list[Frame], shot: Shot, at: TrackState, *, last: bool = False
-    ) -> Iterator[FrameResult]:
+    def _block(self, known: Everyone, frames: list[Frame], shot: Shot, at: TrackState) -> Iterator[FrameResult]:
         """The results of successive frames of one shot, of which the detector looks at the last."""
         if frames:
             at.states = []  # what is between two blocks can be resumed
@@ -105,12 +105,8 @@ class Film:
             results = [FrameResult(frame, tuple(found[frame.index].values())) for frame in frames]
             frames.clear()
             yield from results[:-1]
-            if last:
-                known.tracks = []
             at.states = [known]
             yield results[-1]
-        elif last:
-            known.tracks = []
 
     def _tracked(self, known: Everyone, frames: list[Frame]) -> dict[int, dict[str, TargetResult]]:
         """The results of the tracks that go on, by frame and track."""

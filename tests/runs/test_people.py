@@ -1,0 +1,178 @@
+"""A film from the command line: everybody over cuts, under one name, and corrections of that."""
+
+import csv
+import json
+import shutil
+from collections import Counter, defaultdict
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.cli.commands.people import frame_at
+from facetrack_cli.core.errors import ExitCode, UsageError
+from facetrack_cli.run_folder import checkpoint
+from facetrack_cli.runs import clip
+from facetrack_cli.runs.job import Job
+from facetrack_cli.runs.seeds import load_recipes
+from facetrack_cli.runs.signals import Stop
+from facetrack_cli.trajectory.people import read_people
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.video.source import open_source
+from facetrack_cli.video.writer import VideoWriter
+from tests.support.samples import FOLDER, read_rows
+
+FILM = FOLDER / "film.mp4"
+CUTS = [45, 90, 140, 190, 253]
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    """A run of the sample film."""
+    out = tmp_path_factory.mktemp("film") / "out"
+    assert main(["run", str(FILM), "--faces", "all", "-o", str(out), "-q"]) == 0
+    return out
+
+
+def matched(rows):
+    """How many boxes of the ground truth each pair of person and target shares, and how many are of nobody."""
+    true = defaultdict(dict)
+    for row in read_rows("film"):
+        true[int(row["frame"])][row["target"]] = np.array([float(row[key]) for key in "xyw"])
+    pairs, false = Counter(), 0
+    for part in rows.parts:
+        for i in np.flatnonzero((part.status != "lost") if part.part == "box" else []).tolist():
+            at = {n: np.hypot(part.x[i] - x, part.y[i] - y) / w for n, (x, y, w) in true[int(part.frame[i])].items()}
+            best = min(at, key=at.get, default=None)
+            if best is None or at[best] > 0.35:
+                false += 1
+            else:
+                pairs[best, part.target] += 1
+    return pairs, false, sum(map(len, true.values()))
+
+
+def test_everybody_has_one_name_from_the_first_frame_to_the_last(ran):
+    pairs, false, there = matched(read_trajectory(ran / "trajectory.json"))
+    assert set(pairs) == {("collins", "person_1"), ("hopper", "person_2")}
+    assert pairs.total() > 0.95 * there and false < 0.03 * there
+    people = read_people(ran)
+    begins = [shot.first for shot in people.shots]
+    assert len(begins) == 7 and all(cut in begins for cut in CUTS) and any(205 <= one <= 216 for one in begins)
+    assert people.names == ("person_1", "person_2") and not any(one.photograph for one in people.people)
+    assert people.seconds_together()["person_1", "person_2"] == pytest.approx(2.0, abs=0.1)
+
+
+def test_the_files_of_a_film(ran):
+    names = {path.name for path in ran.iterdir()}
+    assert names == {"annotated.mp4", "people", "people.json", "run.json", "trajectory.csv", "trajectory.json"}
+    assert {path.name for path in (ran / "people").iterdir()} == {"person_1.jpg", "person_2.jpg"}
+    assert cv2.imread(str(ran / "people" / "person_1.jpg")).shape == (240, 240, 3)
+    with open_source(ran / "annotated.mp4") as source:
+        assert sum(1 for _ in source) == 293
+    run = json.loads((ran / "run.json").read_text())
+    assert run["frames"] == 293 and run["complete"] and "people.json" in run["files"]
+    # nobody is there in the shot of the desk, and no row is
+    frames = {int(row["frame"]) for row in csv.DictReader((ran / "trajectory.csv").read_text().splitlines())}
+    assert not frames & set(range(190, 205))
+
+
+def test_the_same_command_again_does_nothing(ran, capsys):
+    before = {path: path.stat().st_mtime_ns for path in ran.iterdir()}
+    assert main(["run", str(FILM), "--faces", "all", "-o", str(ran)]) == 0
+    assert "done before" in capsys.readouterr().err
+    assert {path: path.stat().st_mtime_ns for path in ran.iterdir()} == before
+
+
+def test_the_cast_is_shown_and_corrected(ran, tmp_path, capsys):
+    out = shutil.copytree(ran, tmp_path / "out")
+    assert main(["people", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "2 people in 7 shots" in said and "person_2" in said
+    assert main(["people", str(out), "--rename", "person_2=Grace", "--split", "person_1@0:06", "--no-video", "-q"]) == 0
+    rows = read_trajectory(out / "trajectory.json")
+    assert rows.targets == ("person_1", "Grace", "person_3")
+    assert rows.find("person_3", "box").frame[0] == 150
+    assert {path.stem for path in (out / "people").iterdir()} == {"person_1", "Grace", "person_3"}
+    capsys.readouterr()
+    assert main(["people", str(out), "--merge", "person_3=person_1", "--json", "-q"]) == 0
+    people = json.loads(capsys.readouterr().out)
+    assert [one["name"] for one in people["people"]] == ["person_1", "Grace"]
+    assert people["corrections"] == ["split person_1@0:06", "rename person_2=Grace", "merge person_3=person_1"]
+    before, after = (read_trajectory(folder / "trajectory.json") for folder in (ran, out))
+    assert np.array_equal(before.find("person_1", "nose").x, after.find("person_1", "nose").x)
+    assert main(["people", str(out), "--merge", "Grace=person_1"]) == ExitCode.USAGE
+    assert "both seen in frame 9" in capsys.readouterr().err
+
+
+def test_a_run_of_one_face_has_no_cast(tmp_path, capsys):
+    assert main(["people", str(tmp_path)]) == ExitCode.INPUT
+    assert "has no people.json; facetrack run --faces all writes it" in capsys.readouterr().err
+
+
+def job(out, **more):
+    [recipe] = load_recipes([("face", ())], None)
+    return Job(FILM, recipe, out, video=False, faces="all", start=80, stop=200, **more)
+
+
+def test_a_film_that_was_interrupted_goes_on_with_the_same_rows(tmp_path, monkeypatch):
+    monkeypatch.setattr(checkpoint, "EVERY_FRAMES", 7)
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    assert clip.run(job(whole), Stop()).error is None
+    for until in (23, 64):
+        stop = Stop()
+
+        def report(done, total, doing="", until=until, stop=stop):
+            if done >= until and not doing:
+                stop.code = ExitCode.INTERRUPTED
+
+        assert clip.run(job(out), stop, report).stopped is not None
+    done = clip.run(job(out), Stop())
+    assert done.error is None and done.resumed
+    for name in ("trajectory.csv", "trajectory.json", "people.json"):
+        assert (out / name).read_bytes() == (whole / name).read_bytes()
+
+
+def test_a_film_that_was_tracked_and_not_named_is_named(tmp_path):
+    out, stop = tmp_path / "out", Stop()
+
+    def looked(done, total, doing=""):
+        if doing == "looking at people":
+            stop.code = ExitCode.TERMINATED
+
+    assert clip.run(job(out), stop, looked=looked).stopped is not None
+    assert read_people(out) is None
+    tracked = (out / "trajectory.csv").stat().st_size
+    done = clip.run(job(out), Stop())
+    assert done.error is None and read_people(out) is not None and tracked
+    assert read_trajectory(out / "trajectory.json").targets == ("person_1", "person_2")
+
+
+def test_a_film_of_nobody(tmp_path, capsys):
+    path = tmp_path / "grey.mp4"
+    with VideoWriter(path, (128, 96), 25) as video:
+        for t in range(20):
+            video.write(np.full((96, 128, 3), 90 + t, np.uint8), t / 25)
+    assert main(["run", str(path), "--faces", "all", "-o", str(tmp_path / "out"), "-q"]) == ExitCode.INPUT
+    assert "grey.mp4: no face found in frames 0 to 19" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("given", [["--smooth"], ["--lag", "5"], ["--keep-posterior"], ["-o", "-"]])
+def test_what_a_film_cannot_is_refused(given, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", str(FILM), "--faces", "all", *given]) == ExitCode.USAGE
+    assert "--faces all" in capsys.readouterr().err
+
+
+def test_moments():
+    assert [frame_at(one, 25.0) for one in ("2075f", "83", "1:23", "0:01:23.0")] == [2075] * 4
+    for odd in ("x", "1:x", "f", "1e999"):
+        with pytest.raises(UsageError, match="is no time"):
+            frame_at(odd, 25.0)
+
+
+def test_threads_change_nothing(tmp_path):
+    one, two = tmp_path / "one", tmp_path / "two"
+    assert clip.run(job(one, threads=1), Stop()).error is None
+    assert clip.run(job(two, threads=2), Stop()).error is None
+    assert (one / "trajectory.csv").read_bytes() == (two / "trajectory.csv").read_bytes()

@@ -1,0 +1,128 @@
+"""Who is who in a film: tracks, their log odds, and what excludes."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from facetrack_cli.tracking.people import identity
+from facetrack_cli.tracking.people.identity import Seen, cast_of, clusters, same_person
+from facetrack_cli.tracking.people.looks import VIEWS, Looks
+
+
+def unit(seed, size):
+    x = np.random.default_rng(seed).normal(size=size)
+    return x / np.linalg.norm(x)
+
+
+def looks(person, seed=0, views=VIEWS, spread=0.02, embedded=True):
+    """Views of a person, which differ a little."""
+    rng = np.random.default_rng(1000 * person + seed)
+    face = np.array([unit(person, 576) + spread * rng.normal(size=576) for _ in range(views)])
+    face /= np.linalg.norm(face, axis=1, keepdims=True)
+    skin = np.tile([120.0, 140 + 8 * person, 140], (views, 1)) + rng.normal(0, 0.5, (views, 3))
+    worn = np.full((views, 36), 1 / 36)
+    embedding = np.array([0.6 * unit(person + 50, 128) + 0.02 * rng.normal(size=128) for _ in range(views)])
+    embedding = embedding if embedded else np.zeros((views, 0))
+    return Looks(np.arange(views, dtype=float), np.ones(views), face, skin, skin - 60, worn, embedding, 9.0)
+
+
+def track(name, person, first, stop, at=(0.0, 0.0), shot=None, **more):
+    box = (*at, 50.0, 50.0)
+    return Seen(name, first, stop, box, box, first if shot is None else shot, looks(person, first, **more))
+
+
+def slow_nearest(a, b):
+    """The mean of the smallest eighth of the distances, one pair of views after another."""
+    each = sorted(float(np.linalg.norm(x - y)) for x in a for y in b)
+    return float(np.mean(each[: len(each) // 8]))
+
+
+def test_log_odds_are_those_of_the_slow_twin():
+    all_ = [looks(1), looks(1, 5), looks(2), looks(3)]
+    odds = same_person(all_)
+    a, b = identity._BY_EMBEDDING
+    for i, one in enumerate(all_):
+        for j, other in enumerate(all_):
+            if i != j:
+                expected = np.clip(a + b * slow_nearest(one.embedding, other.embedding), -8, 8)
+                assert odds[i, j] == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("embedded", [True, False])
+def test_tracks_of_one_person_are_told_from_those_of_others(embedded):
+    odds = same_person([looks(1, 1, embedded=embedded), looks(1, 2, embedded=embedded), looks(2, embedded=embedded)])
+    assert odds[0, 1] > 2 and odds[0, 2] < -2 and odds[1, 2] < -2
+    assert np.array_equal(odds, odds.T)
+
+
+def test_few_views_are_enough():
+    odds = same_person([looks(1, 1, views=1), looks(1, 2), looks(2, views=3)])
+    assert odds[0, 1] > 0 > odds[0, 2]
+
+
+def test_people_are_counted_as_they_come_whatever_the_order_of_their_likeness():
+    tracks = [track("a", 2, 0, 40), track("b", 1, 50, 90), track("c", 2, 100, 140), track("d", 1, 150, 190)]
+    cast = cast_of(tracks)
+    assert cast.person.tolist() == [0, 1, 0, 1] and (cast.p > 0.9).all() and not cast.doubts
+
+
+def test_two_faces_of_one_frame_are_two_people_however_alike():
+    cast = cast_of([track("a", 1, 0, 40), track("b", 1, 39, 90)])
+    assert cast.person.tolist() == [0, 1]
+    assert cast_of([track("a", 1, 0, 40), track("b", 1, 40, 90)]).person.tolist() == [0, 0]
+
+
+def test_a_track_that_goes_on_in_its_place_is_the_same_sooner(monkeypatch):
+    unsure = np.array([[0.0, -1.0], [-1.0, 0.0]])
+    monkeypatch.setattr(identity, "same_person", lambda looks: unsure)
+    near = [track("a", 1, 0, 40, shot=1), track("b", 1, 50, 90, at=(10, 0), shot=1)]
+    assert cast_of(near).person.tolist() == [0, 0]
+    assert cast_of([near[0], near[1]._replace(shot=2)]).person.tolist() == [0, 1]
+    assert cast_of([near[0], near[1]._replace(begins=(300.0, 0.0, 50.0, 50.0))]).person.tolist() == [0, 1]
+
+
+def test_what_is_in_doubt_says_whom_else_it_may_be(monkeypatch):
+    odds = np.array([[0.0, -6, 1.0], [-6, 0, 0.6], [1.0, 0.6, 0]])
+    monkeypatch.setattr(identity, "same_person", lambda looks: odds)
+    cast = cast_of([track("a", 1, 0, 40), track("b", 2, 50, 90), track("c", 1, 100, 140)])
+    assert cast.person.tolist() == [0, 1, 0]
+    whole = np.exp([1.0, 0.6, 0.0])
+    [doubt] = [one for one in cast.doubts if one.track == 2]
+    assert cast.p[2] == pytest.approx(whole[0] / whole.sum()) and doubt.other == 1
+    assert doubt.p == pytest.approx(whole[1] / whole.sum())
+
+
+def test_known_pairs_are_of_one_person():
+    tracks = [track("a", 1, 0, 40), track("b", 2, 50, 90)]
+    assert cast_of(tracks).person.tolist() == [0, 1] and cast_of(tracks, [(0, 1)]).person.tolist() == [0, 0]
+    assert len(cast_of([]).person) == 0
+
+
+def slow_clusters(odds, apart):
+    """Average linkage by its definition."""
+    groups = [[i] for i in range(len(odds))]
+    while True:
+        pairs = [
+            (np.mean([odds[i, j] for i in a for j in b]), -x, -y)
+            for x, a in enumerate(groups)
+            for y, b in enumerate(groups)
+            if x < y and not any(apart[i, j] for i in a for j in b)
+        ]
+        if not pairs or max(pairs)[0] <= 0:
+            return {frozenset(one) for one in groups}
+        _, x, y = max(pairs)
+        groups[-x] += groups[-y]
+        del groups[-y]
+
+
+@given(st.integers(0, 10_000), st.integers(2, 9))
+def test_clusters_are_those_of_the_slow_twin_and_hold_no_two_that_are_apart(seed, count):
+    rng = np.random.default_rng(seed)
+    odds, apart = rng.normal(size=(count, count)), rng.random((count, count)) < 0.2
+    odds, apart = odds + odds.T, apart | apart.T
+    np.fill_diagonal(apart, False)
+    label = clusters(odds, apart)
+    assert {frozenset(np.flatnonzero(label == one).tolist()) for one in set(label.tolist())} == slow_clusters(
+        odds, apart
+    )

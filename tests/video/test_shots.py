@@ -1,0 +1,96 @@
+"""Cuts and dissolves: found where they are, and nowhere else."""
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.core.types import Frame
+from facetrack_cli.video import shots
+from facetrack_cli.video.shots import Cut, find_cuts, shots_of, small
+
+W, H = 96, 54
+
+
+def scene(seed):
+    """A picture with large and small shapes."""
+    rng = np.random.default_rng(seed)
+    coarse = cv2.resize(rng.integers(0, 256, (6, 10, 3), dtype=np.uint8), (2 * W, 2 * H), interpolation=cv2.INTER_CUBIC)
+    fine = cv2.resize(rng.integers(0, 90, (54, 96, 3), dtype=np.uint8), (2 * W, 2 * H), interpolation=cv2.INTER_LINEAR)
+    return np.clip(coarse * 0.7 + fine, 0, 255).astype(np.float32)
+
+
+def still(seed, count, noise=1.0):
+    rng, picture = np.random.default_rng(seed + 100), scene(seed)[:H, :W]
+    return [picture + rng.normal(0, noise, picture.shape) for _ in range(count)]
+
+
+def found(pictures):
+    return list(find_cuts(Frame(i, i / 25, np.clip(one, 0, 255).astype(np.uint8)) for i, one in enumerate(pictures)))
+
+
+def mixed(a, b, frames):
+    """The end of `a` blended with the beginning of `b`."""
+    shares = (np.arange(frames) + 1) / (frames + 1)
+    between = [(1 - k) * x + k * y for k, x, y in zip(shares, a[-frames:], b[:frames], strict=True)]
+    return [*a[:-frames], *between, *b[frames:]]
+
+
+def test_a_cut_is_found_in_its_frame():
+    assert found(still(1, 30) + still(2, 40) + still(3, 1)) == [Cut(30, 30, 29), Cut(70, 70, 69)]
+    assert found(still(1, 1)) == found([]) == []
+
+
+@pytest.mark.parametrize("frames", [8, 12, 24])
+def test_a_dissolve_is_one_and_its_frames_show_both(frames):
+    [cut] = found(mixed(still(1, 60), still(2, 60), frames))
+    assert cut.dissolve and abs(cut.frame - (60 - frames / 2)) <= 3
+    assert cut.first >= 60 - frames - 8 and cut.last <= 66
+
+
+def test_a_fade_by_way_of_black_is_one():
+    dark = [np.zeros((H, W, 3), np.float32)] * 24
+    assert len(found(mixed(mixed(still(1, 60), dark, 10), still(2, 60), 10))) == 1
+
+
+@pytest.mark.parametrize("lasts", [1, 2, 3])
+def test_a_flash_is_no_cut(lasts):
+    pictures = still(1, 60)
+    for t in range(30, 30 + lasts):
+        pictures[t] = pictures[t] * 0.4 + 160
+    assert found(pictures) == []
+
+
+def test_a_light_that_is_switched_is_no_cut():
+    assert found([one * (1.0 if t < 30 else 0.5) for t, one in enumerate(still(1, 60))]) == []
+
+
+@pytest.mark.parametrize("speed", [0.5, 2.0])
+def test_a_pan_is_no_cut(speed):
+    wide, moves = scene(4), range(int(W / speed))
+    pan = [cv2.warpAffine(wide, np.array([[1, 0, -speed * t], [0, 1, 0.0]]), (W, H)) for t in moves]
+    assert found(pan) == []
+
+
+def test_long_clips_are_decided_in_blocks_with_the_same_result(monkeypatch):
+    pictures = mixed(still(1, 90), still(2, 90), 12) + still(3, 60) + still(4, 70)
+    whole = found(pictures)
+    assert len(whole) == 3
+    monkeypatch.setattr(shots, "_BLOCK", 50)
+    assert found(pictures) == whole
+
+
+def test_planes_of_a_decoder_give_the_same_small_image():
+    picture = np.clip(scene(5)[:H, :W], 0, 255).astype(np.uint8)
+    planes = cv2.cvtColor(picture, cv2.COLOR_BGR2YUV_I420)
+    one, other = (small(Frame(0, 0.0, image)).astype(float) for image in (picture, planes))
+    assert one.shape == (18, 32, 3)
+    full = (other[..., 0] - 16) * 255 / 219  # a decoder's black is 16
+    assert np.abs(one[..., 0] - full).mean() < 2
+
+
+def test_shots_lie_between_cuts():
+    first, second = shots_of([Cut(30, 25, 35)], 0, 90)
+    assert first == (0, 30, 0, 25) and second == (30, 90, 36, 90)
+    assert [first.is_clear(t) for t in (0, 24, 25)] == [True, True, False]
+    assert not second.is_clear(35) and second.is_clear(36)
+    assert shots_of([Cut(5, 5, 4)], 10, None) == [(10, None, 10, None)]
