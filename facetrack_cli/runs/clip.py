@@ -83,7 +83,7 @@ def track_clip(job: Job, out: Recorder, stop: Stop, report: Report = silent, loo
             out.outcome.stopped = stop.reason
             return out.outcome
         stopped = stop.reason if stop() else None
-        if shots and error is None and stopped is None and not out.outcome.evidence:
+        if shots and error is None and stopped is None and job.chunk is None and not out.outcome.evidence:
             raise InputError(f"{job.clip}: no face found in frames {begins} to {state.frame - 1}")
         warnings = (*source.warnings, *state.notes)
         if stopped is None and error is None and job.stop is None:
@@ -106,8 +106,7 @@ def _find_start(job: Job, stop: Stop, looked: Report) -> tuple[Start, list[Shot]
     try:
         with Precompiler(to_dict(job.recipe), job.threads) as compiler:
             if job.everyone:
-                first = job.start if job.init_frame is None else job.init_frame
-                start, shots = film_start(first), film_shots(job, first, stop, looked)
+                start, shots = film_start(job.first), film_shots(job, job.first, stop, looked)
             else:
                 start, shots = job.find(job.recipe, stopped=stop, looked=looked), []
             compiler.finish(stop)

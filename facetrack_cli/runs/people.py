@@ -165,18 +165,17 @@ def name_run(job: Job, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
     files = run_files(job.out)
     rows = read_run(files.get("json", files.get("jsonl")) or files["csv"])
     first = int(rows.frame.min())
-    begin = job.start if job.init_frame is None else job.init_frame
     try:
         told = rows.header.get("shots")
-        shots = [Shot(*one) for one in told] if told else film_shots(job, begin, stop, looked)
+        shots = [Shot(*one) for one in told] if told else film_shots(job, job.first, stop, looked)
         with job.open(first) as source:
             total = source.frames_hint
             found = cast(rows, shots, source, lambda at: looked(at - first, total, "looking at people"), stop)
         if not found.tracks:
             raise InputError(f"{job.clip}: no face is seen in {MIN_FRAMES} frames of {outcome.frames}")
         after = under_names(rows, found.tracks)
-        last = begin + outcome.frames - 1
-        paint = Drawn(job.clip, job.fps, begin, last, job.recipe.name) if job.video else None
+        last = job.first + outcome.frames - 1
+        paint = Drawn(job.clip, job.fps, job.first, last, job.recipe.name) if job.video else None
         write_people(job.out, after, found.people, found.stills, paint, lambda n, of: looked(n, of, "drawing"), stop)
     except StoppedError:
         outcome.stopped = stop.reason

@@ -25,6 +25,7 @@ from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.run_folder.fingerprint import clip_stat
 from facetrack_cli.runs.batch import check_all, run_batch
 from facetrack_cli.runs.job import Job, Outcome, Split, check, ended
+from facetrack_cli.runs.people import film_start
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import Chunk
@@ -73,7 +74,7 @@ def chunks_of(job: Job, plan: Plan) -> list[Job]:
     found = []
     for i, (first, stop) in enumerate(plan.cuts):
         begins = first if i and job.split.starts == "init" else None
-        search = i > 0 and begins is None
+        search = job.everyone or (i > 0 and begins is None)
         where: dict[str, Any] = {"init": by if search else plan.start, "box": None, "init_frame": None}
         where |= {"start": first if search else plan.start.frame, "stop": stop, "chunk": Chunk(begins)}
         alone: dict[str, Any] = {"split": None, "formats": ("json",), "video": False, "strict": False, "batch": True}
@@ -98,8 +99,13 @@ def _planned(job: Job, stop: Stop, progress: Progress) -> Plan:
             raise OutputError(f"{folder}: {other}; replace them with --overwrite, or name another --out")
         shutil.rmtree(folder, ignore_errors=True)
     progress.begin(f"{job.clip.name}: looking where it can be cut")
-    start = job.find(job.recipe, stopped=stop, looked=progress.looked)
-    if job.split.starts == "detect":
+    if job.everyone:
+        if job.split.starts == "init":
+            raise UsageError("--starts init needs corrections, and --faces all has none; take --starts detect")
+        start = film_start(job.first)
+    else:
+        start = job.find(job.recipe, stopped=stop, looked=progress.looked)
+    if job.split.starts == "detect" and not job.everyone:
         _check_detector(job, start)
     times, keys = _frames(job, start, stop, progress)
     if job.split.starts == "detect":

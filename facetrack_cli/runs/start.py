@@ -54,6 +54,11 @@ class Begin:
     fps: Fraction | None = None
     chunk: Chunk | None = None
 
+    @property
+    def first(self) -> int:
+        """The first frame that is looked at, where no start says another."""
+        return self.start if self.init_frame is None else self.init_frame
+
     def open(self, first: int = 0) -> Source:
         return open_source(self.clip, fps=self.fps, start=first, stop=self.stop)
 
@@ -70,7 +75,7 @@ class Begin:
         is looked for. Raises InputError where there is no such place in these frames, or once `stopped`.
         `looked` hears in how many frames, and of how many, a face was looked for.
         """
-        first = self.start if self.init_frame is None else self.init_frame
+        first = self.first
         path = find_init(self.clip) if self.init is None else self.init
         start: Start | None = None
         if isinstance(self.init, Start):

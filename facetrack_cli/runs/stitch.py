@@ -90,6 +90,12 @@ def folder_of(out: Path, chunk: int) -> Path:
     return out / CHUNKS / f"{chunk:05d}"
 
 
+def has_rows(table: Path) -> bool:
+    """Whether a trajectory in JSON has a frame."""
+    with table.open("rb") as file:
+        return any(line.startswith(b'{"frame":') for line in file)
+
+
 # --- two chunks -------------------------------------------------------------------------------------------------------
 
 
@@ -225,7 +231,7 @@ class _Part:
 class _Survey:
     """What the chunks hold, and how each meets the one before. They are read one after another: memory is that of two.
 
-    Raises InputError if no chunk has rows.
+    `end`: the frame after the last one. Raises InputError if no chunk has rows.
     """
 
     def __init__(self, job: Job, plan: Plan) -> None:
@@ -235,7 +241,7 @@ class _Survey:
         self.seams: list[Seam] = []
         self.failed: list[str] = []
         self.complete, self.variable = True, None if plan.cuts[-1][1] else False
-        self._clip, self._why = str(job.clip), ""
+        self._clip, self._why, self._everyone, self.end = str(job.clip), "", job.everyone, plan.start.frame
         self._warnings: dict[str, None] = {}  # of the chunks, then of their seams
         said: list[str] = []
         matched, taken = job.faces == "all" and not job.recipe.followed, set[str]()
@@ -245,7 +251,7 @@ class _Survey:
             rows = self._read(folder, first)
             if rows is None:
                 continue
-            begins = int(rows.frames[0])
+            begins = first if job.everyone else int(rows.frames[0])
             names, marked = {name: name for name in rows.targets}, frozenset[str]()
             if before is not None and job.split.starts == "detect":
                 seam, names, marked = stitch(before, rows, taken, matched=matched)
@@ -257,7 +263,7 @@ class _Survey:
                         said.append(f"{self._clip}: two chunks differ where they meet at frame {seam.frame}: {share}")
                 self.seams.append(seam)
                 self.parts[-1] = replace(self.parts[-1], stop=min(self.parts[-1].stop, begins))
-            said += self._gap(end if not self.parts else self.parts[-1].stop, begins)
+            said += [] if job.everyone else self._gap(end if not self.parts else self.parts[-1].stop, begins)
             end = int(rows.frames[-1]) + 1
             self.parts.append(_Part(folder / TABLE, begins, end, names, marked))
             taken |= {*names.values()}
@@ -265,7 +271,7 @@ class _Survey:
             before = renamed(rows.between(plan.cuts[min(i + 1, len(plan.cuts) - 1)][0], end), names)
         if not self.parts:
             raise InputError(f"{self._clip}: no chunk has rows: {self._why}")
-        if self.chunks[-1]["frames"] == 0:
+        if self.chunks[-1]["frames"] == 0 and not job.everyone:
             said += self._gap(end, plan.cuts[-1][1])
         self.warnings = (*self._warnings, *said)
 
@@ -278,6 +284,10 @@ class _Survey:
         if known is None or not known.files:
             self.complete, self._why = False, str(why)
             self.chunks.append({"first": first, "frames": 0, "error": why})
+            return None
+        self.end = first + known.frames
+        if self._everyone and not known.lost_frames and not has_rows(folder / TABLE):
+            self.chunks.append({"first": first, "frames": known.frames})
             return None
         rows = read_run(folder / TABLE)
         self.chunks.append({"first": int(rows.frames[0]), "frames": len(rows.frames)})
@@ -336,7 +346,7 @@ def join(job: Job, out: Recorder, stop: Stop, report: Report = silent) -> Outcom
     with replace(job, stop=last).open(plan.start.frame) as source:
         parts = written()
         with contextlib.suppress(StoppedError):
-            if job.video:
+            if job.video and not job.everyone:
                 with decoded_ahead(iter(source), threaded=job.threads > 1, stopped=stop) as frames:
                     for result in shown(frames):
                         out.paint(result)
@@ -344,6 +354,8 @@ def join(job: Job, out: Recorder, stop: Stop, report: Report = silent) -> Outcom
                 pass
         if stop():
             return Outcome(clip=job.clip, stopped=stop.reason)
+        if job.everyone:  # also in frames that show nobody
+            out.outcome.frames = found.end - plan.start.frame
         error = None if not found.failed else FacetrackError(f"{job.clip}: {found.failed[0]}{_more(found.failed)}")
         return out.close(error=error, complete=found.complete, warnings=found.warnings, variable_fps=found.variable)
 
