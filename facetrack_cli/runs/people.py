@@ -104,7 +104,8 @@ def cast(
 ) -> Named:
     """Who the tracks of `rows` are of, by what the frames of `source` show. Raises StoppedError once `stop` says so."""
     boxes = {name: box for name in rows.targets if (box := rows.find(name, BOX)) is not None}
-    boxes = {name: box for name, box in boxes.items() if (box.status != "lost").sum() >= MIN_FRAMES}
+    least = min(MIN_FRAMES, len(rows.frames))
+    boxes = {name: box for name, box in boxes.items() if (box.status != "lost").sum() >= least}
     readers, wanted = {name: Reader() for name in boxes}, defaultdict(list)
     for name, box in boxes.items():
         for view in views_of(box):
