@@ -27,6 +27,7 @@ from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, Input
 from facetrack_cli.core.files import FULL, MAX_FILE_BYTES, BytesSink, check_readable, digest, discard, temporary_path
 from facetrack_cli.core.log import LINES
 from facetrack_cli.run_folder.lock import LOCK, FolderLock, finish_replacing, left_in, sweep, utc_now
+from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.reader import read_table, read_trajectory, table_in
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Ending, Format, ending_of, tail
@@ -35,7 +36,6 @@ NAME: Final = "run.json"
 VIDEO: Final = "annotated.mp4"
 POSTERIOR: Final = "posterior.npz"
 FILTERED: Final = "trajectory.filtered.csv"
-PEOPLE: Final = "people.json"
 TABLES: Final = tuple(f"trajectory.{form}" for form in ("csv", "json", "jsonl"))
 OWNED: Final = (VIDEO, POSTERIOR, FILTERED, PEOPLE, *TABLES, NAME)  # the files that a run writes, or replaces
 REPORT: Final = "report.html"

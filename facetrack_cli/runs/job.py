@@ -20,7 +20,6 @@ from facetrack_cli.run_folder.fingerprint import clip_stat, job_digest, previous
 from facetrack_cli.run_folder.lock import FolderLock, here
 from facetrack_cli.run_folder.manifest import (
     OWNED,
-    PEOPLE,
     VIDEO,
     Manifest,
     commit,
@@ -33,6 +32,7 @@ from facetrack_cli.runs.posterior import check_smoothing
 from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.start import find_init
 from facetrack_cli.trajectory.header import is_there
+from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.writers import Ending, Format
 from facetrack_cli.video.source import Source
 

@@ -163,8 +163,7 @@ def name_run(job: Job, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
     Raises InputError where the film shows nobody. Once `stop` says so, the files stay as they are.
     """
     assert job.out is not None
-    files = run_files(job.out)
-    rows = read_run(files.get("json", files.get("jsonl")) or files["csv"])
+    rows = _rows(job.out)
     first = int(rows.frame.min())
     try:
         told = rows.header.get("shots")
@@ -236,8 +235,7 @@ def recast(
     Rows, people.json, pictures and, with `video`, the video are written again. Raises UsageError for a change that
     cannot be, InputError for a run that is of no film or whose clip is gone; nothing is written then.
     """
-    files = run_files(folder)
-    people, rows = people_in(folder), read_run(files.get("json", files.get("jsonl")) or files["csv"])
+    people, rows = people_in(folder), _rows(folder)
     tracks = tracks_of(people)
     for _, change in changes:
         tracks = change(tracks)
@@ -263,6 +261,12 @@ def recast(
         paint = Drawn(where, fps, first, first + _frames(folder) - 1, str(said(rows, "recipe", "name") or ""))
     write_people(folder, named, after, pictures, paint, report, stop)
     return after
+
+
+def _rows(folder: Path) -> Trajectory:
+    """The rows of a run, with their header if a file has one."""
+    files = run_files(folder)
+    return read_run(files.get("json", files.get("jsonl")) or files["csv"])
 
 
 def _frames(folder: Path) -> int:

@@ -87,7 +87,7 @@ class People(_Record):
         return tuple(sorted((one for one in self.tracks if one.doubt and not one.given), key=lambda one: one.p))
 
     def text(self) -> bytes:
-        return self.model_dump_json(indent=1, exclude_defaults=False).encode() + b"\n"
+        return self.model_dump_json(indent=1).encode() + b"\n"
 
     def seconds_together(self) -> Mapping[tuple[str, str], float]:
         """How long two people are on the screen at the same time, where they ever are."""

@@ -32,7 +32,7 @@ _BLOCK: Final = 1000  # frames that are decided at a time
 
 
 class _Odds(NamedTuple):
-    """Log odds of a dissolve, by logistic regression on clips joined at random (`benchmarks/shots.py`).
+    """Log odds of a dissolve, by logistic regression on clips joined at random.
 
     `blended`: the texture in its middle over that at its ends; `alike`: correlation of the ends; `step`: the logarithm
     of their mean difference in grey levels; `off`: the mean distance from the line, `moves`: how far the images move

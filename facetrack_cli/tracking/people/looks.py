@@ -33,7 +33,7 @@ _BINS: Final = 6  # of each colour of what is worn
 
 
 class Looks(NamedTuple):
-    """Of the M views of a track, those of best quality first: `frames` (M,), `quality` (M,) from 0 to 1.
+    """Of the M views of a track, in the order of their frames: `frames` (M,), `quality` (M,) from 0 to 1.
 
     `face` (M, 576) in grey, without mean and of unit norm; `skin` and `hair` (M, 3) in Lab; `worn` (M, 36), a histogram
     of colours; `embedding` (M, 128), or (M, 0) without dlib. `change`: grey levels by which the face changes in its

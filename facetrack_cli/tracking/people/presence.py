@@ -10,8 +10,7 @@ of the whole film (`identity.py`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Executor
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -65,7 +64,6 @@ class Everyone:
 
     tracks: list[Track] = field(default_factory=list)
     begun: int = 0
-    bounded: bool = False  # whether there were more faces than are followed
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,6 @@ class Film:
     size: tuple[int, int]
     fps: float
     seed: int
-    executor: Executor | None = None
 
     def follow(self, frames: Iterable[Frame], at: TrackState) -> Iterator[FrameResult]:
         """A result for each frame, of all faces that are in it. `at` holds an `Everyone` where it can be resumed."""
@@ -110,7 +107,7 @@ class Film:
 
     def _tracked(self, known: Everyone, frames: list[Frame]) -> dict[int, dict[str, TargetResult]]:
         """The results of the tracks that go on, by frame and track."""
-        each = self._each(lambda track: self._advance(track, frames), known.tracks)
+        each = [self._advance(track, frames) for track in known.tracks]
         found: dict[int, dict[str, TargetResult]] = {frame.index: {} for frame in frames}
         for track, results in zip(known.tracks, each, strict=True):
             for frame, result in zip(frames, results, strict=False):
@@ -118,9 +115,6 @@ class Film:
         gone = [track for track, results in zip(known.tracks, each, strict=True) if len(results) < len(frames)]
         known.tracks = [track for track in known.tracks if track not in gone]
         return found
-
-    def _each(self, do: Callable[[Track], Any], tracks: Sequence[Track]) -> list[Any]:
-        return list(map(do, tracks) if self.executor is None or len(tracks) < 2 else self.executor.map(do, tracks))
 
     def _advance(self, track: Track, frames: Iterable[Frame], *, back: bool = False) -> list[TargetResult]:
         """The results of one track in further frames, while it is in the picture; going `back`, while it is seen."""
@@ -167,10 +161,9 @@ class Film:
         able = shot.is_clear(frame.index) and (len(frames) > TWICE_FRAMES or frames[0].index == shot.first)
         new = [one for one in free if able and self._is_new(one, kept, frames)]
         room = MAX_FACES - len(kept)
-        known.bounded |= len(new) > room
         begun = [one for face in new[:room] if (one := self._begun(known, face, frame)) is not None]
         passed = frames[-2::-1]
-        each = self._each(lambda track: self._back(track, passed), [track for track, _ in begun])
+        each = [self._back(track, passed) for track, _ in begun]
         for (track, first), back in zip(begun, each, strict=True):
             ordered = [*reversed(back), first]
             for at, result in zip(frames[len(frames) - len(ordered) :], ordered, strict=True):
@@ -210,5 +203,5 @@ class Film:
 
 
 def _own(frame: Frame) -> Frame:
-    """The frame for one thread: what is computed of it is kept apart."""
+    """The frame for one track: what is computed of it is kept apart."""
     return Frame(frame.index, frame.time_s, frame.pixels, frame.bgr)
