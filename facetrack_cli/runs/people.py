@@ -142,7 +142,7 @@ def _named(
     doubts = {one.track: one for one in found.doubts}
     records: Tracks = []
     pictures: dict[str, tuple[float, Image]] = {}
-    moving = {name for name, track in zip(names, tracks, strict=True) if track.looks.change >= STILL_CHANGE}
+    moving = {name for name, track in zip(names, tracks, strict=True) if readers[track.name].change() >= STILL_CHANGE}
     for i, (track, name) in enumerate(zip(tracks, names, strict=True)):
         one = TrackRecord(person=name, first=track.first, stop=track.stop, p=round(float(found.p[i]), 4))
         if (doubt := doubts.get(i)) is not None:

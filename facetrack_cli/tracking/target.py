@@ -21,7 +21,15 @@ from facetrack_cli.tracking.guides import Arrived, Guides
 from facetrack_cli.tracking.loop import Footprint, log_weights
 from facetrack_cli.tracking.models.motion import JumpingWalk, SensorReading, VisibleWalk
 from facetrack_cli.tracking.models.shape_prior import BoundPrior, StudentPrior
-from facetrack_cli.tracking.models.spaces import CloudSpace, Estimate, PointSpace, Space, VisibleBoxSpace, evenly
+from facetrack_cli.tracking.models.spaces import (
+    VISIBLE,
+    CloudSpace,
+    Estimate,
+    PointSpace,
+    Space,
+    VisibleBoxSpace,
+    evenly,
+)  # fmt: skip
 from facetrack_cli.tracking.models.velocity import Flow, PredictedWalk
 from facetrack_cli.tracking.resampling import effective_sample_size, uniform
 from facetrack_cli.tracking.roles import (
@@ -210,6 +218,18 @@ class ParticleTarget:
         ess = np.full(1, effective_sample_size(particles.log_w))
         state = replace(state, particles=particles, estimated=self.space.estimate(particles, ess, best=self.best))
         return state, self._result(state, frame, Info(ess), "tracked")
+
+    def unseen(self, rng: Generator, state: ParticleState, frame: Frame) -> tuple[ParticleState, TargetResult]:
+        """As `advance`, of a box that nobody sees, and that may be anywhere in the frame."""
+        assert isinstance(self.space, VisibleBoxSpace) and self.confidence is not None and state.judgement is not None
+        x = state.particles.x.copy()
+        x[:, 0, :2], x[:, 0, VISIBLE] = rng.random((len(x), 2)) * frame.size - 0.5, 0.0
+        particles = state.particles._replace(x=x)
+        ess = np.full(1, effective_sample_size(particles.log_w))
+        estimated = self.space.estimate(particles, ess, best=self.best)
+        judgement = confidence.decide(self.confidence, state.judgement, np.zeros(1))
+        state = replace(state, particles=particles, estimated=estimated, judgement=judgement)
+        return state, self._result(state, frame, Info(ess), "lost")
 
     @cached_property
     def _predicts(self) -> PredictedWalk | None:

@@ -27,6 +27,7 @@ SPANS: Final = (6, 8, 12, 16, 24, 36)  # frames of a dissolve
 UNEVEN: Final = 0.3  # lengths of the line by which a step of a dissolve is early or late at most
 SURE: Final = 3.0  # log odds of a dissolve
 ONE_FRAMES: Final = 6  # between two dissolves, at most, that are one
+_READ: Final = 5  # pixels a row and column that a pixel of a small image is the mean of, at least
 _MARGIN: Final = 2 * SPANS[-1]  # frames on either side that a decision rests on
 _BLOCK: Final = 1000  # frames that are decided at a time
 
@@ -76,6 +77,24 @@ class Shot(NamedTuple):
         return frame >= self.clear and (self.until is None or frame < self.until)
 
 
+class Passing(NamedTuple):
+    """The last image of a clip that passes, and the step to it: cuts without what comes after them.
+
+    Flashes and fast motion may be among them.
+    """
+
+    image: Image
+    step: float = 0.0
+
+    def after(self, frame: Frame) -> tuple[Passing, bool]:
+        """With the next frame, and whether a shot may begin with it."""
+        image = small(frame)
+        before, now = (one.astype(np.float32).ravel() for one in (self.image, image))
+        step = float(np.abs(now - before).mean())
+        able = step >= MIN_STEP and self.step <= BESIDE * step
+        return Passing(image, step), able and float(_alike(before, now)) < SAME_STRUCTURE
+
+
 def find_cuts(frames: Iterable[Frame], looked: Callable[[int], None] = lambda done: None) -> Iterator[Cut]:
     """The cuts and dissolves of a clip, in order. Memory is bounded; `looked` hears of the frames gone by."""
     waiting: list[NDArray[np.float32]] = []
@@ -109,12 +128,15 @@ def shots_of(cuts: Iterable[Cut], first: int, stop: int | None) -> list[Shot]:
 def small(frame: Frame) -> Image:
     """(18, 32, 3) brightness and two colours of a frame."""
     if frame.pixels.ndim == 3:
-        image = cv2.resize(frame.pixels, SIDE, interpolation=cv2.INTER_AREA)
-        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2YUV), np.uint8)
+        return np.asarray(cv2.cvtColor(_shrunk(frame.pixels), cv2.COLOR_BGR2YUV), np.uint8)
     (width, height), planes = frame.size, frame.pixels
     colours = planes[height:].reshape(2, height // 2, width // 2)
-    each = (planes[:height], *colours)
-    return np.stack([cv2.resize(one, SIDE, interpolation=cv2.INTER_AREA) for one in each], axis=2).astype(np.uint8)
+    return np.stack([_shrunk(one) for one in (planes[:height], *colours)], axis=2)
+
+
+def _shrunk(image: Image) -> Image:
+    few = max(min(image.shape[1] // (_READ * SIDE[0]), image.shape[0] // (_READ * SIDE[1])), 1)
+    return np.asarray(cv2.resize(image[::few, ::few], SIDE, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _cuts(images: NDArray[np.float32], first: int) -> list[Cut]:

@@ -63,6 +63,17 @@ def test_everybody_has_one_name_from_the_first_frame_to_the_last(ran):
     assert people.seconds_together()["person_1", "person_2"] == pytest.approx(2.0, abs=0.1)
 
 
+def test_one_face_is_followed_over_cuts_and_nobody_in_its_place(tmp_path):
+    assert main(["run", str(FILM), "--no-video", "-o", str(tmp_path / "out"), "-q"]) == 0
+    rows = read_trajectory(tmp_path / "out" / "trajectory.json")
+    pairs, false = Counter(), 0
+    for first, stop in ((0, 190), (216, 293)):  # between them a photograph of the same person lies on a desk
+        found, wrong, _ = matched(rows.between(first, stop))
+        pairs, false = pairs + found, false + wrong
+    there = sum(row["target"] == "collins" for row in read_rows("film"))
+    assert set(pairs) == {("collins", "face")} and pairs.total() > 0.95 * there and false < 0.03 * there
+
+
 def test_the_files_of_a_film(ran):
     names = {path.name for path in ran.iterdir()}
     assert names == {"annotated.mp4", "people", "people.json", "run.json", "trajectory.csv", "trajectory.json"}

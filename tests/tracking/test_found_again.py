@@ -6,8 +6,20 @@ import pytest
 
 from facetrack_cli.core.types import Frame
 from facetrack_cli.tracking.face import found_again
-from facetrack_cli.tracking.face.found_again import MAX_LOOKS, NEW, OTHER, SIDE, kept, likeness, look_of, sighted
+from facetrack_cli.tracking.face.found_again import (
+    MAX_LOOKS,
+    NEW,
+    OTHER,
+    SIDE,
+    kept,
+    likeness,
+    look_of,
+    recognised,
+    sighted,
+)  # fmt: skip
 from facetrack_cli.tracking.face.stabilized import Similarity
+from facetrack_cli.tracking.people import looks as people_looks
+from facetrack_cli.tracking.people.looks import Picture
 from facetrack_cli.tracking.start.detectors import Found
 
 BOX = (40.0, 30.0, 60.0, 60.0)
@@ -60,9 +72,8 @@ def test_a_person_is_alike_at_another_place_and_size_and_roll_and_another_is_not
     assert all(likeness(OWN, look(ELSEWHERE, seed)) < NEW for seed in range(2, 12))
 
 
-def test_looks_are_kept_where_they_are_new_and_that_of_the_start_stays():
-    looks = kept(OWN, look(ELSEWHERE, 1))
-    assert looks is OWN
+def test_the_last_looks_are_kept_and_that_of_the_start_stays():
+    looks = OWN
     for seed in range(2, 12):
         looks = kept(looks, look(BOX, seed))
     assert len(looks) == MAX_LOOKS and looks[0] is OWN[0]
@@ -86,3 +97,19 @@ def test_somebody_else_is_no_sighting():
     for seed in strangers:
         assert sighted(None, [seen(BOX)], shown((BOX, seed)), OWN) is None
     assert sighted(None, [], shown(), OWN) is None
+
+
+@pytest.mark.parametrize("embedding", [0, 128])
+def test_after_a_cut_the_likeliest_face_is_the_target_if_it_is_likely(monkeypatch, embedding):
+    def place(box):
+        return Similarity(np.array([box[0] + (box[2] - 1) / 2, box[1] + (box[2] - 1) / 2]), box[2] / found_again.FACE)
+
+    monkeypatch.setattr(people_looks, "embedded", lambda chip: np.full(embedding, chip.mean() / 1000))
+    known = [Picture.of(shown((BOX, 1)), place(BOX)._replace(scale=BOX[2]))]
+    monkeypatch.setattr(
+        found_again, "same_person", lambda each: 5 * np.array([one.face[0] @ each[0].face[0] for one in each])[None]
+    )
+    frame = shown((BOX, 5), (ELSEWHERE, 1))
+    assert recognised(known, [place(BOX), place(ELSEWHERE)], frame) == 1
+    assert recognised(known, [place(BOX)], frame) is None and recognised(known, [], frame) is None
+    assert recognised(known, [place(BOX)], frame, least=-20) == 0

@@ -24,7 +24,7 @@ def looks(person, seed=0, views=VIEWS, spread=0.02, embedded=True):
     worn = np.full((views, 36), 1 / 36)
     embedding = np.array([0.6 * unit(person + 50, 128) + 0.02 * rng.normal(size=128) for _ in range(views)])
     embedding = embedding if embedded else np.zeros((views, 0))
-    return Looks(np.arange(views, dtype=float), np.ones(views), face, skin, skin - 60, worn, embedding, 9.0)
+    return Looks(face, skin, skin - 60, worn, embedding)
 
 
 def track(name, person, first, stop, at=(0.0, 0.0), shot=None, **more):

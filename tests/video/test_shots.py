@@ -6,7 +6,7 @@ import pytest
 
 from facetrack_cli.core.types import Frame
 from facetrack_cli.video import shots
-from facetrack_cli.video.shots import Cut, find_cuts, shots_of, small
+from facetrack_cli.video.shots import Cut, Passing, find_cuts, shots_of, small
 
 W, H = 96, 54
 
@@ -94,3 +94,20 @@ def test_shots_lie_between_cuts():
     assert [first.is_clear(t) for t in (0, 24, 25)] == [True, True, False]
     assert not second.is_clear(35) and second.is_clear(36)
     assert shots_of([Cut(5, 5, 4)], 10, None) == [(10, None, 10, None)]
+
+
+def passing(pictures):
+    frames = [Frame(i, i / 25, np.clip(one, 0, 255).astype(np.uint8)) for i, one in enumerate(pictures)]
+    passed, cuts = Passing(small(frames[0])), []
+    for frame in frames[1:]:
+        passed, cut = passed.after(frame)
+        cuts += [frame.index] if cut else []
+    return cuts
+
+
+def test_cuts_are_found_as_they_come():
+    assert passing(still(1, 30) + still(2, 40) + still(3, 1)) == [30, 70]
+    assert passing([one * 1.2 if i == 10 else one for i, one in enumerate(still(1, 30))]) == [], "a lamp"
+    assert passing(mixed(still(1, 60), still(2, 60), 24)) == []
+    wide = np.hstack([scene(1), scene(2)])
+    assert passing([wide[:H, 2 * i : 2 * i + W] for i in range(90)]) == [], "a pan"

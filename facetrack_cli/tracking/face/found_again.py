@@ -9,7 +9,8 @@ of two people .10 (fourteen clips; .16 and .56 are the lowest and the highest tw
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from collections.abc import Sequence
+from typing import Final, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -17,14 +18,18 @@ import numpy as np
 from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Frame
 from facetrack_cli.tracking.face.stabilized import BOX, FACE, Similarity, slope
+from facetrack_cli.tracking.people.identity import same_person
+from facetrack_cli.tracking.people.looks import Picture, together
 from facetrack_cli.tracking.start.detectors import Found
 
 STAYS: Final = 0.5  # seconds that a face is seen before it is the target
 SAME: Final = 0.6  # sizes of a face within which it is the same one at the next look
-NEW: Final = 0.6  # correlation below which a look is kept as another one
+NEW: Final = 0.6  # correlation with all looks below which another one is kept
 OTHER: Final = 0.2  # below which a face is somebody else
+KNOWN: Final = 2.0  # log odds that a face is the target, above which it is after a cut
 MAX_LOOKS: Final = 6  # looks that are kept
 SIDE: Final = 16  # pixels of a look
+_T = TypeVar("_T")
 
 
 class Sighting(NamedTuple):
@@ -33,6 +38,10 @@ class Sighting(NamedTuple):
     box: Box
     roll: float
     since: float
+
+    @classmethod
+    def of(cls, face: Found, frame: Frame) -> Sighting:
+        return cls(face.box, 0.0 if face.eyes is None else slope(np.array(face.eyes)), frame.time_s)
 
     def similarity(self) -> Similarity:
         return Similarity(np.array(centre(self.box)), self.box[2] / FACE, self.roll)
@@ -52,19 +61,28 @@ def likeness(looks: tuple[Array, ...], look: Array) -> float:
     return max(float(one @ look) for one in looks)
 
 
-def kept(looks: tuple[Array, ...], look: Array) -> tuple[Array, ...]:
-    """Looks with a further one, if it is unlike all others; that of the start stays."""
-    if likeness(looks, look) >= NEW:
-        return looks
+def kept(looks: tuple[_T, ...], look: _T) -> tuple[_T, ...]:
+    """The last looks with a further one; that of the start stays."""
     return (*looks, look) if len(looks) < MAX_LOOKS else (looks[0], *looks[2:], look)
+
+
+def recognised(known: Sequence[Picture], faces: Sequence[Similarity], frame: Frame, least: float = KNOWN) -> int | None:
+    """Which of the faces, upright in stabilized images, is that of the `known` pictures; None if no face is."""
+    if not faces:
+        return None
+    looks = [together(one.looks for one in known)]
+    looks += [Picture.of(frame, face._replace(scale=face.scale * FACE)).looks for face in faces]
+    odds = same_person(looks)[0, 1:]
+    if looks[0].embedding.size:  # of few views both say more than the embedding alone
+        odds = odds + same_person([one._replace(embedding=one.embedding[:, :0]) for one in looks])[0, 1:]
+    return int(odds.argmax()) if odds.max() > least else None
 
 
 def sighted(before: Sighting | None, faces: list[Found], frame: Frame, looks: tuple[Array, ...]) -> Sighting | None:
     """The likeliest face of a frame after the last sighting; None if each is somebody else."""
     found: list[tuple[float, Sighting]] = []
     for face in faces:
-        roll = 0.0 if face.eyes is None else slope(np.array(face.eyes))
-        one = Sighting(face.box, roll, frame.time_s)
+        one = Sighting.of(face, frame)
         like = likeness(looks, look_of(one.similarity().read(frame)))
         if like >= OTHER:
             found.append((like, one))

@@ -16,9 +16,11 @@ from facetrack_cli.tracking.face.mesh_points import MeshPoints
 from facetrack_cli.tracking.face.sensors import Facing, Sensor
 from facetrack_cli.tracking.face.stabilized import Similarity
 from facetrack_cli.tracking.models.motion import SensorReading
+from facetrack_cli.tracking.people.looks import Picture
 from facetrack_cli.tracking.start.detectors import Found
 from facetrack_cli.tracking.target import ParticleState
 from facetrack_cli.trajectory.trajectory import TargetResult
+from facetrack_cli.video.shots import Passing
 
 _MAX_POSE: Final = np.array([math.radians(60), 0.7, 0.3, 0.3])
 
@@ -31,8 +33,8 @@ class FaceState:
 
     `pose` (4,) is that of the face in its head: roll in radians, the logarithm of its size, and its middle in sizes of
     the head's box; `pose_var` (4,) are their variances. `frames` counts those since the start. `sure` are the log odds
-    that the sensors see the face where it is. `looks` are those of the face so far, `sighting` is one of it while it is
-    lost.
+    that the sensors see the face where it is. `looks` are those of the face so far, and so are `pictures`; `sighting`
+    is one of it while it is lost. `passing` is what the frame shows; `cut`: since a cut, the face was not recognised.
     """
 
     head: ParticleState
@@ -45,9 +47,13 @@ class FaceState:
     pose_var: Array
     others: MeshPoints | None
     looks: tuple[Array, ...]
+    pictures: tuple[Picture, ...]
+    passing: Passing
     frames: int = 0
     sure: float = 0.0
     sighting: Sighting | None = None
+    cut: bool = False
+    film: bool = False
 
 
 class View(NamedTuple):

@@ -31,7 +31,7 @@ from facetrack_cli.core.types import BOX, Array, Frame, Mask, TargetStart
 from facetrack_cli.recipe.face import Head
 from facetrack_cli.tracking.calibration import Calibration
 from facetrack_cli.tracking.face import stabilized
-from facetrack_cli.tracking.face.found_again import STAYS, Sighting, kept, look_of, sighted
+from facetrack_cli.tracking.face.found_again import NEW, STAYS, Sighting, kept, likeness, look_of, recognised, sighted
 from facetrack_cli.tracking.face.mesh_points import UNSEEN, MeshPoints
 from facetrack_cli.tracking.face.senses import Senses
 from facetrack_cli.tracking.face.sensors import Facing, apart, common_shift, joined
@@ -40,13 +40,16 @@ from facetrack_cli.tracking.face.state import FaceState, View, shifted, sure_of,
 from facetrack_cli.tracking.loop import Footprint
 from facetrack_cli.tracking.models.likelihoods import window_ncc
 from facetrack_cli.tracking.models.motion import JumpingWalk
+from facetrack_cli.tracking.people.looks import Picture
 from facetrack_cli.tracking.roles import Names
 from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.tracking.target import ParticleState, ParticleTarget
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, of_frame
+from facetrack_cli.video.shots import Passing, small
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
+SOMEBODY_ELSE: Final = -2.0  # log odds that a face is the target, below which it is no longer followed
 LOOK: Final = 3  # frames from one look of the head's filter to the next, where the points are seen in between
 EASY: Final = 8.0  # log odds that the points are seen where they are
 DOUBT: Final = 8.0  # log odds, below which the detector looks at once
@@ -98,8 +101,9 @@ class FaceTarget:
             facing = facing.unseen()
         points = points._replace(beliefs=None)
         state = FaceState(
-            head, features, points, sensor, second, facing, self.pose, np.zeros(4), others, (look_of(seen),)
-        )
+            head, features, points, sensor, second, facing, self.pose, np.zeros(4), others, (look_of(seen),),
+            (self._picture(frame, similarity),), Passing(small(frame)),
+        )  # fmt: skip
         return state, self._result(state, box, frame)
 
     def restart(
@@ -128,13 +132,26 @@ class FaceTarget:
         found, at = self.senses.detected(seen), features.estimated.state
         sensor, second, others = self.senses.begin(frame, similarity, seen, found, at)
         points = rows._replace(beliefs=None)
-        state = FaceState(head, features, points, sensor, second, Facing(), pose, np.zeros(4), others, first.looks)
+        state = FaceState(
+            head, features, points, sensor, second, Facing(), pose, np.zeros(4), others, first.looks, first.pictures,
+            Passing(small(frame)),
+        )  # fmt: skip
         return state, self._result(state, boxed, frame)
 
     def advance(
         self, rng: Generator, state: FaceState, frame: Frame, footprints: Sequence[Footprint] = ()
     ) -> tuple[FaceState, TargetResult]:
         state, detections = replace(state, frames=state.frames + 1), self.settings.detections
+        if self.alone and self.senses.detector is not None and detections is not None:
+            passing, cut = state.passing.after(frame)
+            state = replace(state, passing=passing, cut=state.cut or (cut and not self._stays(state, frame)))
+            if state.cut:
+                state = replace(state, film=True)
+                if (cut or state.frames % detections.every == 0) and (face := self._recognised(state, frame)):
+                    return self._returned(rng, replace(state, cut=False), face, frame)
+                head, box = self.head.unseen(rng, state.head, frame)
+                state = replace(state, head=head, sighting=None, sure=_FORGETS * state.sure)
+                return state, self._result(state, box, frame)
         due, shown = False, sure_of(state.head) >= self.settings.lost_below
         if self.senses.detector is not None and detections is not None:
             due = state.frames % detections.every == 0 or (shown and state.sure <= DOUBT)
@@ -144,7 +161,10 @@ class FaceTarget:
                 return self._followed(rng, state, view, frame, None)
         if due and not shown and self.alone:
             state = self._sighted(state, frame)
-            if (
+            if state.film:
+                if face := self._recognised(state, frame):
+                    return self._returned(rng, replace(state, sighting=None), face, frame)
+            elif (
                 (seen := state.sighting) is not None
                 and frame.time_s - seen.since >= STAYS
                 and self._gone(state.head, seen)
@@ -158,6 +178,23 @@ class FaceTarget:
             return state, self._result(state, box, frame)
         state = replace(state, head=head, sighting=None)
         return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=due), frame, box)
+
+    def _stays(self, state: FaceState, frame: Frame) -> bool:
+        """Whether the face is seen where it is expected, in a frame that differs much from the last."""
+        if sure_of(state.head) < self.settings.lost_below:
+            return False
+        view = self._view(state, self.head.motion.expect(state.head.estimated.state[None])[0], frame, due=False)
+        return view.parts.sure > 0 and recognised(state.pictures, [view.similarity], frame) is not None
+
+    def _recognised(self, state: FaceState, frame: Frame) -> Sighting | None:
+        """The face, among those that the detector sees anywhere in the frame."""
+        assert self.senses.detector is not None
+        faces = [Sighting.of(one, frame) for one in self.senses.detector.find(frame)[:_FACES]]
+        best = recognised(state.pictures, [one.similarity() for one in faces], frame)
+        return None if best is None else faces[best]
+
+    def _picture(self, frame: Frame, face: Similarity) -> Picture:
+        return Picture.of(frame, face._replace(scale=face.scale * FACE))
 
     def _view(self, state: FaceState, head: Array, frame: Frame, *, due: bool) -> View:
         """What is seen of the points where the head is at `head` (1, D); by the detector, too, where that is `due`."""
@@ -203,8 +240,12 @@ class FaceTarget:
             state, head=head, features=features, points=points, sensor=sensor, second=second, facing=facing,
             others=others, sure=view.sure,
         )  # fmt: skip
-        if view.found is not None and view.sure >= EASY:
-            state = replace(state, looks=kept(state.looks, look_of(view.seen)))
+        if view.found is not None and view.sure >= EASY and likeness(state.looks, look := look_of(view.seen)) < NEW:
+            if state.film and recognised(state.pictures, [similarity], frame, SOMEBODY_ELSE) is None:
+                state = replace(state, cut=True)
+            else:
+                picture = self._picture(frame, similarity)
+                state = replace(state, looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
         state = self._moved(self._posed(state, view), similarity)
         return state, self._result(state, box, frame)
 

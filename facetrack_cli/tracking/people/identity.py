@@ -76,7 +76,7 @@ def cast_of(tracks: Sequence[Seen], together: Sequence[tuple[int, int]] = ()) ->
 
 def same_person(looks: Sequence[Looks]) -> Array:
     """(T, T) log odds, bounded, that two tracks show one person, by what is seen in them."""
-    full = np.array([np.resize(np.arange(len(one.frames)), VIEWS) for one in looks])  # few views stand for more
+    full = np.array([np.resize(np.arange(len(one.face)), VIEWS) for one in looks])  # few views stand for more
     if all(one.embedding.shape[1] for one in looks):
         x = np.concatenate([one.embedding[rows] for one, rows in zip(looks, full, strict=True)])
         squared = np.sum(x**2, axis=1)

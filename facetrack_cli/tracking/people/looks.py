@@ -8,7 +8,9 @@ face as well: the ResNet of D. King, "High Quality Face Recognition with Deep Me
 from __future__ import annotations
 
 import math
-from functools import cache
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache, cached_property
 from importlib import util
 from pathlib import Path
 from threading import Lock
@@ -33,21 +35,41 @@ _BINS: Final = 6  # of each colour of what is worn
 
 
 class Looks(NamedTuple):
-    """Of the M views of a track, in the order of their frames: `frames` (M,), `quality` (M,) from 0 to 1.
+    """What M views of a face show: `face` (M, 576), grey without mean and of unit norm; `skin`, `hair` (M, 3) in Lab.
 
-    `face` (M, 576) in grey, without mean and of unit norm; `skin` and `hair` (M, 3) in Lab; `worn` (M, 36), a histogram
-    of colours; `embedding` (M, 128), or (M, 0) without dlib. `change`: grey levels by which the face changes in its
-    place between two views at most.
+    `worn` (M, 36), a histogram of colours; `embedding` (M, 128), or (M, 0) without dlib.
     """
 
-    frames: Array
-    quality: Array
     face: Array
     skin: Array
     hair: Array
     worn: Array
     embedding: Array
-    change: float
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A face in one frame: upright (CHIP_PX, CHIP_PX, 3), and with what is around it (WIDE_PX, WIDE_PX, 3)."""
+
+    chip: Image
+    wide: Image
+
+    @classmethod
+    def of(cls, frame: Frame, face: Similarity) -> Picture:
+        """The scale of `face` is the side of its box in pixels."""
+        around = _upright(frame, face._replace(angle=0.0), WIDE_SIDES, WIDE_PX)
+        return cls(_upright(frame, face, CHIP_SIDES, CHIP_PX), around)
+
+    @cached_property
+    def looks(self) -> Looks:
+        """Of this one view."""
+        each = _face(self.chip), *_colours(self.wide), embedded(self.chip)
+        return Looks(*(one[None] for one in each))
+
+
+def together(looks: Iterable[Looks]) -> Looks:
+    """The looks of all views."""
+    return Looks(*map(np.concatenate, zip(*looks, strict=True)))
 
 
 class View(NamedTuple):
@@ -80,33 +102,32 @@ class Reader:
     """Looks at views of one track, in the order of their frames."""
 
     def __init__(self) -> None:
-        self._seen: list[tuple[View, list[Array]]] = []
+        self._seen: list[Looks] = []
         self._places: list[Image] = []
         self._first: Similarity | None = None
         self.best: tuple[float, Image] | None = None  # the best still
 
     def see(self, frame: Frame, view: View) -> None:
         """Take in the view of a frame."""
-        chip = _upright(frame, view.face, CHIP_SIDES, CHIP_PX)
-        wide = _upright(frame, view.face._replace(angle=0.0), WIDE_SIDES, WIDE_PX)
-        self._seen.append((view, [_face(chip), *_colours(wide), embedded(chip)]))
+        picture = Picture.of(frame, view.face)
+        self._seen.append(picture.looks)
         self._first = self._first or view.face
         place = cv2.cvtColor(_upright(frame, self._first, 1.0, FACE_PX), cv2.COLOR_BGR2GRAY)
         self._places.append(np.asarray(place, np.uint8))
-        sharp = view.quality * float(np.log1p(cv2.Laplacian(cv2.cvtColor(chip, cv2.COLOR_BGR2GRAY), cv2.CV_32F).var()))
+        edges = cv2.Laplacian(cv2.cvtColor(picture.chip, cv2.COLOR_BGR2GRAY), cv2.CV_32F)
+        sharp = view.quality * float(np.log1p(edges.var()))
         if self.best is None or sharp > self.best[0]:
             self.best = sharp, _upright(frame, view.face._replace(angle=0.0), STILL_SIDES, STILL_PX)
 
     def looks(self) -> Looks:
         """What was seen; ValueError if that is nothing."""
-        views = [view for view, _ in self._seen]
-        columns = [np.array(column) for column in zip(*(values for _, values in self._seen), strict=True)]
+        return together(self._seen)
+
+    def change(self) -> float:
+        """Grey levels by which the face changes in its place between two views at most."""
         places = np.array(self._places, np.float64)
         off = np.abs(places - places[0] - np.median(places - places[0], axis=(1, 2), keepdims=True))
-        change = float(off.mean(axis=(1, 2)).max())
-        frames, quality = (np.array([getattr(one, key) for one in views], float) for key in ("frame", "quality"))
-        face, skin, hair, worn, embedding = columns
-        return Looks(frames, quality, face, skin, hair, worn, embedding, change)
+        return float(off.mean(axis=(1, 2)).max())
 
 
 def _upright(frame: Frame, face: Similarity, sides: float, side: int) -> Image:
