@@ -90,6 +90,8 @@ def _remedy(theirs: Sequence[Trajectory], ours: Sequence[Trajectory]) -> str:
     if (true, tracked) == ({True}, {False}):
         remedy = "give ground truth of points, or track by a recipe of regions, as contour_histogram"
         return f"points are not measured by boxes; {remedy}"
+    if {one.part for one in theirs} & {one.part for one in ours}:
+        return "name targets alike, or let --people find which target is whom"
     return "name targets and parts alike"
 
 

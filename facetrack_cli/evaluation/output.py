@@ -82,6 +82,7 @@ def to_csv(evaluation: Evaluation, about: About) -> str:
 
 
 _TABLES: Final = {
+    "people": ("People", "targets against people, whatever their names; on a person where boxes overlap by half"),
     "points": ("Points", "distance to the ground truth"),
     "boxes": ("Boxes", "overlap with the ground truth"),
     "lost": ("Lost", "status against the ground truth; covered: hidden or absent; gone: covered or not near"),

@@ -17,6 +17,7 @@ from facetrack_cli.core.types import Whole
 from facetrack_cli.evaluation import points as errors
 from facetrack_cli.evaluation import reliability
 from facetrack_cli.evaluation.boxes import BoxMeasures, measure_boxes
+from facetrack_cli.evaluation.identities import PeopleMeasures
 from facetrack_cli.evaluation.measure import Measure, Value, measures_of
 from facetrack_cli.evaluation.rows import Pair, Rows, Unit, check_normalise, column, rows_of, unit_of
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
@@ -35,8 +36,9 @@ class Options:
 
 @dataclass(frozen=True)
 class PartMeasures:
-    """One part, or with an empty `part` and the target "all", all of them together, which alone have `occlusions`. What
-    was not measured is None.
+    """One part, or with an empty `part` and the target "all", all of them together; what was not measured is None.
+
+    All together alone have `occlusions` and `people`.
     """
 
     target: str
@@ -48,6 +50,7 @@ class PartMeasures:
     confidence: reliability.ConfidenceMeasures | None
     coverage: reliability.CoverageMeasures | None
     jitter: reliability.JitterMeasures | None
+    people: PeopleMeasures | None = None
 
     @property
     def name(self) -> str:
@@ -102,6 +105,7 @@ def evaluate(
     options: Options | None = None,
     *,
     reference: Sequence[Trajectory] = (),
+    people: PeopleMeasures | None = None,
 ) -> Evaluation:
     """Measure the pairs of `match`. Lengths are taken from their ground truth, and from the parts in `reference`.
     Raises InputError without any row, UsageError for a length that the ground truth does not have.
@@ -116,7 +120,8 @@ def evaluate(
     every = [(pair, rows_of(pair, units[pair.ours.target].at(pair.ours.frame))) for pair in pairs]
     rows = tuple(one for _, one in every)
     found = errors.occlusions(rows)
-    whole = replace(_measured("all", "", every, options), occlusions=errors.measure_recovery(found))
+    whole = _measured("all", "", every, options)
+    whole = replace(whole, occlusions=errors.measure_recovery(found), people=people)
     parts = tuple(_measured(one.target, one.part, [(pair, one)], options) for pair, one in every)
     texts = {target: unit.text for target, unit in units.items()}
     evaluation = Evaluation(options, rows, texts, parts, whole, found, ())

@@ -11,7 +11,7 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.app import colour
-from facetrack_cli.cli.options import FILE, TruthOptions, argument, format_of, group, option, say, verb
+from facetrack_cli.cli.options import FILE, TruthOptions, argument, flag, format_of, group, option, say, verb
 from facetrack_cli.core.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ class Eval:
       facetrack eval out/ --truth clip.truth.csv
       facetrack eval out/ --truth groundtruth_rect.txt --json eval.json
       facetrack eval out/ --truth annot/ --partial --normalise eyes
+      facetrack eval film/ --truth film.truth.csv --people
       facetrack eval results/MIL.txt --truth groundtruth_rect.txt
       for run in runs/*/; do
         facetrack eval "$run" --truth clip.truth.csv --csv - | tail -n 1
@@ -73,6 +74,11 @@ class Eval:
         type=_failure,
         default="0.1",
     )
+    people: bool = flag(
+        "--people",
+        "Find which target is which person, whatever their names, and measure HOTA, IDF1, switches and fragments; "
+        "other tables are of the rows that both have.",
+    )
     json: str | None = option("--json FILE", "Write all measures as JSON; - is standard output.")
     csv: str | None = option("--csv FILE", "Write a row a part and one of all as CSV; - is standard output.")
     plot: str | None = option("--plot FILE.png", "Draw how far confidence can be trusted (needs [plot]).")
@@ -80,6 +86,7 @@ class Eval:
 
     def run(self) -> None:
         from facetrack_cli.core.files import check_new, write_new
+        from facetrack_cli.evaluation.identities import identified
         from facetrack_cli.evaluation.output import About, to_csv, to_json, to_text
         from facetrack_cli.evaluation.rows import check_normalise
         from facetrack_cli.evaluation.summary import Options, evaluate
@@ -101,9 +108,14 @@ class Eval:
         clip = clip_of(ours)
         other = None if clip is None else other_clip(ours, clip)
         notes = [] if other is None else [other]
+        people = None
+        if self.people:
+            ours, people, named = identified(ours, theirs)
+            notes += named
+            known.partial = True
         pairs = known.pairs(ours, theirs, notes.append)
         settings = Options(self.normalise, self.failure, frame_size_of(ours))
-        evaluation = evaluate(pairs, notes, settings, reference=theirs.parts)
+        evaluation = evaluate(pairs, notes, settings, reference=theirs.parts, people=people)
         read_as = str(theirs.header.get("read_as", known.truth_format))
         about = About(ours.path, theirs.path, read_as, known.shift, ours.header.get("read_as"))
 
