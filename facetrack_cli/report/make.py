@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 from facetrack_cli import __version__
 from facetrack_cli.core.errors import needed
 from facetrack_cli.core.numbers import clock as at_clock
+from facetrack_cli.core.types import BOX
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.output import facts, sheets
 from facetrack_cli.evaluation.rows import Pair
@@ -20,6 +21,7 @@ from facetrack_cli.evaluation.summary import Options, evaluate
 from facetrack_cli.recipe.calibrated import calibrated
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report import text
+from facetrack_cli.report.cast import cast_section
 from facetrack_cli.report.command_line import command, init_yaml, recipe_yaml
 from facetrack_cli.report.events import Clock, LostSpan, Stretch, history_of, key_frames
 from facetrack_cli.report.frames import Image, Report, key_images
@@ -84,12 +86,15 @@ def make_report(
     mean = text.confidence_of(table)
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MAX_SPANS]
     again = command(header, last, run)
+    people = cast_section(run)
     document: str = template.render(
         title=title,
         header=header,
         clock=clock,
         history=history,
         summary=text.sentences(table, header, clock, history),
+        cast=people,
+        parts=[one for one in history.parts if people is None or one.name.rpartition("/")[2] == BOX],
         identities=list(text.identities(table, clock)),
         mean=mean,
         calibrated=calibrated(header.recipe),

@@ -147,10 +147,13 @@ def _named(
         one = TrackRecord(person=name, first=track.first, stop=track.stop, p=round(float(found.p[i]), 4))
         if (doubt := doubts.get(i)) is not None:
             other = None if doubt.other is None else f"{PERSON}{doubt.other + 1}"
-            one = one.model_copy(update={"doubt": True, "other": other, "p_other": round(doubt.p, 4)})
+            said = {"doubt": True, "other": other, "p_other": round(doubt.p, 4), "still": f"{STILLS}/{track.name}.jpg"}
+            one = one.model_copy(update=said)
         records.append((track.name, one))
-        if (best := readers[track.name].best) is not None and best[0] > pictures.get(name, (-1.0, None))[0]:
-            pictures[name] = best
+        best = readers[track.name].best
+        assert best is not None
+        for of in (name, track.name) if doubt else (name,):
+            pictures[of] = max(pictures.get(of, best), best, key=lambda still: still[0])
     told = [ShotRecord(first=one.first, stop=one.stop) for one in shots]
     still = {name: f"{STILLS}/{name}.jpg" for name in pictures}
     people = people_of(fps, told, [one for _, one in records], still, {*names} - moving)
@@ -255,6 +258,9 @@ def recast(
     fps = None if where is None or brings_rate(where) else Fraction(people.fps).limit_denominator(1001)
     for name in stills.keys() - pictures.keys():
         pictures[name] = _picture(named, name, where, fps)
+    for one in after.doubts:
+        with suppress(OSError):
+            pictures[Path(one.still).stem] = (folder / one.still).read_bytes()
     paint = None
     if video and (folder / VIDEO).is_file() and where is not None:
         first = people.shots[0].first

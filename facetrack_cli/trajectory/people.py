@@ -39,7 +39,8 @@ class ShotRecord(_Record):
 class TrackRecord(_Record):
     """One track: whose it is, in which frames [first, stop), and with which probability.
 
-    `other` (None: somebody new) has the probability `p_other`, where that is in doubt. `given`: by hand.
+    `other` (None: somebody new) has the probability `p_other`, where that is in doubt; `still` is then its picture.
+    `given`: by hand.
     """
 
     person: str
@@ -49,6 +50,7 @@ class TrackRecord(_Record):
     doubt: bool = False
     other: str | None = None
     p_other: _P = 0.0
+    still: str = ""
     given: bool = False
 
 
@@ -209,13 +211,15 @@ def _of(tracks: Tracks, name: str) -> Tracks:
 def under_names(rows: Trajectory, tracks: Sequence[tuple[str, TrackRecord]]) -> Trajectory:
     """The rows of each track, which are those of a target and of its frames, under the name of its person.
 
-    People come in the order of their first rows.
+    People come in the order of their first rows. Nothing was given to the tracker but a person's first row.
     """
     order = {name: k for k, name in enumerate(dict.fromkeys(one.person for _, one in tracks))}
-    pieces = []
+    pieces: list[Trajectory] = []
     for target, one in sorted(tracks, key=lambda pair: (order[pair[1].person], pair[1].first)):
         part = choose(rows, target).between(one.first, one.stop)
         names = tuple((one.person, name) for _, name in part.names)
+        if pieces and pieces[-1].target == one.person:
+            part = replace(part, status=np.where(part.status == "init", "tracked", part.status))
         said = dict.fromkeys([one.person], part.diagnostics[target]) if target in part.diagnostics else {}
         pieces.append(replace(part, names=names, diagnostics=said))
     return replace(successive(pieces), header=rows.header, path=rows.path)

@@ -4,6 +4,7 @@ import csv
 import json
 import shutil
 from collections import Counter, defaultdict
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -14,9 +15,11 @@ from facetrack_cli.cli.commands.people import frame_at
 from facetrack_cli.core.errors import ExitCode, UsageError
 from facetrack_cli.run_folder import checkpoint
 from facetrack_cli.runs import clip
+from facetrack_cli.runs import people as runs_people
 from facetrack_cli.runs.job import Job
 from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop
+from facetrack_cli.tracking.people.identity import Doubt, cast_of
 from facetrack_cli.trajectory.people import read_people
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.video.source import open_source
@@ -114,6 +117,28 @@ def test_the_cast_is_shown_and_corrected(ran, tmp_path, capsys):
     assert np.array_equal(before.find("person_1", "nose").x, after.find("person_1", "nose").x)
     assert main(["people", str(out), "--merge", "Grace=person_1"]) == ExitCode.USAGE
     assert "both seen in frame 9" in capsys.readouterr().err
+
+
+def test_the_report_shows_the_cast_and_doubts_side_by_side(tmp_path, monkeypatch):
+    def unsure(tracks):
+        found = cast_of(tracks)
+        return replace(found, doubts=(Doubt(0, 1, 0.4), Doubt(1, None, 0.3)))
+
+    out, page = tmp_path / "out", tmp_path / "page.html"
+    monkeypatch.setattr(runs_people, "cast_of", unsure)
+    assert clip.run(job(out), Stop()).error is None
+    doubts = read_people(out).doubts
+    assert len(doubts) == 2 and all((out / one.still).is_file() for one in doubts)
+    assert main(["report", str(out), "-o", str(page), "-q"]) == 0
+    html = page.read_text(encoding="utf-8")
+    assert html.index('id="people"') < html.index('id="summary"')
+    section = html[html.index('id="people"') : html.index('id="summary"')]
+    assert section.count("<img ") == 2 + 3 + 2 and section.count(">?</span>") == 1
+    assert "2 people in 4 shots" in section and "somebody new with P 0.30" in section
+    assert "Who is on the screen with whom" in section and "corrected by hand" not in html
+    # a correction keeps the pictures of what is still in doubt
+    assert main(["people", str(out), "--rename", "person_1=Eileen", "-q"]) == 0
+    assert all((out / one.still).is_file() for one in read_people(out).doubts)
 
 
 def test_a_run_of_one_face_has_no_cast(tmp_path, capsys):
