@@ -60,9 +60,10 @@ class Track:
 
 @dataclass
 class Everyone:
-    """The state after a frame: the tracks that go on, and how many have begun."""
+    """The state after a frame: the tracks that go on, those that left since the last look, and how many have begun."""
 
     tracks: list[Track] = field(default_factory=list)
+    left: list[Track] = field(default_factory=list)
     begun: int = 0
 
 
@@ -112,8 +113,8 @@ class Film:
         for track, results in zip(known.tracks, each, strict=True):
             for frame, result in zip(frames, results, strict=False):
                 found[frame.index][track.name] = result
-        gone = [track for track, results in zip(known.tracks, each, strict=True) if len(results) < len(frames)]
-        known.tracks = [track for track in known.tracks if track not in gone]
+        known.left = [track for track, results in zip(known.tracks, each, strict=True) if len(results) < len(frames)]
+        known.tracks = [track for track in known.tracks if track not in known.left]
         return found
 
     def _advance(self, track: Track, frames: Iterable[Frame], *, back: bool = False) -> list[TargetResult]:
@@ -159,7 +160,7 @@ class Film:
         known.tracks = kept
         # a face that comes in when a shot ends is left out, and so is a face that another shot shows
         able = shot.is_clear(frame.index) and (len(frames) > TWICE_FRAMES or frames[0].index == shot.first)
-        new = [one for one in free if able and self._is_new(one, kept, frames)]
+        new = [one for one in free if able and self._is_new(one, [*kept, *known.left], frames)]
         room = MAX_FACES - len(kept)
         begun = [one for face in new[:room] if (one := self._begun(known, face, frame)) is not None]
         passed = frames[-2::-1]
@@ -173,9 +174,9 @@ class Film:
             known.tracks.append(track)
 
     def _is_new(self, face: Found, kept: Sequence[Track], frames: Sequence[Frame]) -> bool:
-        """Whether a face is of no track, and seen in an earlier frame, too, if there is one."""
+        """Whether a face in the picture is of no track, and seen in an earlier frame, too, if there is one."""
         taken = any(track.box is not None and overlap(track.box, face.box) >= SAME_FACE for track in kept)
-        if taken or face.box[2] < max(MIN_FACE_PX, MIN_FACE_SHARE * min(self.size)):
+        if taken or self._inside(face.box) < INSIDE or face.box[2] < max(MIN_FACE_PX, MIN_FACE_SHARE * min(self.size)):
             return False
         if len(frames) <= TWICE_FRAMES:
             return True
