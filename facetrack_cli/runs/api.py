@@ -5,7 +5,7 @@ from dataclasses import replace
 from fractions import Fraction
 from itertools import chain, dropwhile, tee
 from pathlib import Path
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import cv2
 import numpy as np
@@ -17,15 +17,17 @@ from facetrack_cli.recipe.files import default_recipe
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.clip import track_clip
-from facetrack_cli.runs.job import Job, check
+from facetrack_cli.runs.job import Job, check, silent
+from facetrack_cli.runs.people import cast_in
 from facetrack_cli.runs.posterior import check_smoothing
 from facetrack_cli.runs.recording import ClipFacts, Memory, Recorder
-from facetrack_cli.runs.signals import Stop
+from facetrack_cli.runs.signals import Stop, never
 from facetrack_cli.runs.start import completed, search
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.smoothed import lagged
 from facetrack_cli.tracking.start import read_init
+from facetrack_cli.trajectory.people import under_names
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import Format
 from facetrack_cli.video.overlay.overlay import Overlay
@@ -44,6 +46,7 @@ def track_video(
     stop: int | None = None,
     fps: float | None = None,
     lag: int = 0,
+    faces: Literal["one", "all"] = "one",
     report: Callable[[int, int | None], None] = lambda done, total: None,
 ) -> Trajectory:
     """Track a video file, or a folder of images, from its start to its end; what `facetrack run` does, in memory.
@@ -52,7 +55,8 @@ def track_video(
     face. `init` says where the track starts: an init file; "haar" or "yunet" to look for a face; a box (left, top,
     width, height) in pixels; a `Start`. None: the init file beside the clip, else a face. `start` and `stop` are the
     first frame and the frame to stop before, `fps` the rate of a folder of images. With `lag`, each row takes so many
-    later frames into account. `report` is called with the frames done and the frames in all, if that is known.
+    later frames into account. `faces` "all": everybody, over cuts; each person is a target, and the trajectory's
+    `people` says who is seen when. `report` is called with the frames done and the frames in all, if that is known.
 
     The trajectory's `header` says what a trajectory.json says: source, recipe, seed, init, warnings, `complete`.
     Raises a FacetrackError (RecipeError, InputError) as the command line would print it; what is wrong after the first
@@ -68,11 +72,17 @@ def track_video(
         stop=stop,
         fps=None if fps is None else Fraction(fps).limit_denominator(1001),
         lag=lag,
+        faces=faces,
     )
-    check(job)
+    check(job, kept=True)
     with Memory(job) as memory:
         track_clip(job, memory, Stop(), report)
-        return memory.trajectory
+    found = memory.trajectory
+    if job.everyone:
+        known = cast_in(job, found, never, silent)
+        header = {**found.header, "people": known.people.model_dump(mode="json")}
+        found = replace(under_names(found, known.tracks), header=header)
+    return found
 
 
 def track_frames(

@@ -221,13 +221,16 @@ def default_reason(box: Box | None, clip: Path) -> str:
     return f"; recipe {name} is the default {why}, others: facetrack suggest {shlex.quote(str(clip))}{said}"
 
 
-def check(job: Job) -> None:
-    """Refuse what cannot work before anything is opened: results in the way, an output that is the input."""
+def check(job: Job, *, kept: bool = False) -> None:
+    """Refuse what cannot work before anything is opened: results in the way, an output that is the input.
+
+    `kept`: without a folder the rows stay in memory, and do not go to standard output.
+    """
     if job.everyone and (job.lag or job.posterior):
         raise UsageError(
             "--faces all follows people over cuts, and no row is smoothed over a cut; leave one of them out"
         )
-    if job.everyone and job.out is None:
+    if job.everyone and job.out is None and not kept:
         raise UsageError("--faces all knows who is who at the end, and -o - writes as it goes; name a folder")
     if job.lag or job.posterior:
         check_smoothing(job.recipe)

@@ -160,6 +160,19 @@ def _named(
     return Named(people, tuple(records), {name: _jpeg(image) for name, (_, image) in pictures.items()})
 
 
+def cast_in(job: Job, rows: Trajectory, stop: Stopped, looked: Report) -> Named:
+    """Who the tracks of a job's `rows` are of. InputError where the film shows nobody; raises StoppedError."""
+    first, told = int(rows.frame.min()), rows.header.get("shots")
+    shots = [Shot(*one) for one in told] if told else film_shots(job, job.first, stop, looked)
+    with job.open(first) as source:
+        total = source.frames_hint
+        found = cast(rows, shots, source, lambda at: looked(at - first, total, "looking at people"), stop)
+    if not found.tracks:
+        frames = len(rows.frames)
+        raise InputError(f"{job.clip}: no face is seen in {MIN_FRAMES} frames of {frames}; is this the right film?")
+    return found
+
+
 def name_run(job: Job, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
     """Name everyone in a run that was tracked, and write its files again under their names; what became of it.
 
@@ -167,15 +180,8 @@ def name_run(job: Job, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
     """
     assert job.out is not None
     rows = _rows(job.out)
-    first = int(rows.frame.min())
     try:
-        told = rows.header.get("shots")
-        shots = [Shot(*one) for one in told] if told else film_shots(job, job.first, stop, looked)
-        with job.open(first) as source:
-            total = source.frames_hint
-            found = cast(rows, shots, source, lambda at: looked(at - first, total, "looking at people"), stop)
-        if not found.tracks:
-            raise InputError(f"{job.clip}: no face is seen in {MIN_FRAMES} frames of {outcome.frames}")
+        found = cast_in(job, rows, stop, looked)
         after = under_names(rows, found.tracks)
         last = job.first + outcome.frames - 1
         paint = Drawn(job.clip, job.fps, job.first, last, job.recipe.name) if job.video else None

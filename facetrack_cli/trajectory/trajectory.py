@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from facetrack_cli.trajectory.analysis.face_events import FaceEvent
     from facetrack_cli.trajectory.analysis.measures import Measured
+    from facetrack_cli.trajectory.people import People
 
 Status: TypeAlias = Literal["init", "tracked", "lost", "absent"]
 SEEN: Final = ("", "visible", "init", "tracked")  # statuses, also of ground truth, of what can be seen
@@ -211,6 +212,14 @@ class Trajectory:
 
         kinds = (kind for name, found in self.measures.items() for kind in events_of(name, found).values())
         return tuple(sorted(event for kind in kinds for event in kind))
+
+    @cached_property
+    def people(self) -> People | None:
+        """Who is in a film, by the header or the people.json beside the file; None of a clip of one target."""
+        from facetrack_cli.trajectory.people import People, read_people
+
+        told = self.header.get("people")
+        return read_people(self.path.parent) if told is None else People.model_validate(told)
 
     def columns(self) -> dict[str, Any]:
         """The columns of the CSV as arrays, rows in the order of the file: by frame, then by part."""

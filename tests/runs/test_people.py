@@ -5,11 +5,13 @@ import json
 import shutil
 from collections import Counter, defaultdict
 from dataclasses import replace
+from xml.etree import ElementTree as ET
 
 import cv2
 import numpy as np
 import pytest
 
+import facetrack_cli as facetrack
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli.commands.people import frame_at
 from facetrack_cli.core.errors import ExitCode, UsageError
@@ -139,6 +141,31 @@ def test_the_report_shows_the_cast_and_doubts_side_by_side(tmp_path, monkeypatch
     # a correction keeps the pictures of what is still in doubt
     assert main(["people", str(out), "--rename", "person_1=Eileen", "-q"]) == 0
     assert all((out / one.still).is_file() for one in read_people(out).doubts)
+
+
+def test_intervals_are_csv_and_tiers_and_in_python(ran, tmp_path, capsys):
+    assert main(["people", str(ran), "--csv"]) == 0
+    rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
+    spans = [(row["person"], int(row["first_frame"]), int(row["last_frame"])) for row in rows]
+    people = read_trajectory(ran / "trajectory.json").people
+    assert spans == sorted(
+        ((one.name, first, stop - 1) for one in people.people for first, stop in one.intervals),
+        key=lambda span: span[1:],
+    )
+    assert float(rows[1]["begin_s"]) == pytest.approx(45 / 25)
+    assert main(["people", str(ran), "--csv", "--json"]) == ExitCode.USAGE
+    assert main(["export", str(ran), "--to", "eaf", "-o", str(tmp_path / "film.eaf")]) == 0
+    tiers = {tier.get("TIER_ID"): tier for tier in ET.parse(tmp_path / "film.eaf").iter("TIER")}
+    for name in people.names:
+        seen = [span for span in spans if span[0] == name]
+        assert [one.text for one in tiers[f"seen@{name}"].iter("ANNOTATION_VALUE")] == ["seen"] * len(seen)
+
+
+def test_a_film_in_python_is_that_of_the_command_line(ran):
+    found = facetrack.track_video(FILM, faces="all", start=80, stop=150)
+    assert found.targets == ("person_1", "person_2") and found.people.names == found.targets
+    assert found.people.seconds_together()["person_1", "person_2"] == pytest.approx(2.0, abs=0.1)
+    assert facetrack.track_video(FILM, start=80, stop=82).people is None
 
 
 def test_a_run_of_one_face_has_no_cast(tmp_path, capsys):

@@ -57,6 +57,7 @@ class Cast:
       facetrack people out --merge person_3=person_1
       facetrack people out --split person_2@1:23
       facetrack people out --json | jq '.people[].name'
+      facetrack people out --csv > intervals.csv
 
     \b
     Exit codes: 0 done, 2 usage or output, 3 input, 130 interrupted,
@@ -74,6 +75,7 @@ class Cast:
     clip: Path | None = options.CLIP
     no_video: bool = flag("--no-video", "Do not draw annotated.mp4 again.")
     as_json: bool = flag("--json", "Print people.json.")
+    as_csv: bool = flag("--csv", "Print when each person is seen, a row an interval.")
     quiet: bool = options.QUIET
 
     def run(self) -> int:
@@ -81,6 +83,8 @@ class Cast:
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.signals import Stop, StoppedError
 
+        if self.as_json and self.as_csv:
+            raise UsageError("--json and --csv both go to standard output; give one of them")
         people = people_in(self.folder)
         if changes := self._changes(people.fps):
             with Stop().listening() as stop, progress(self.quiet) as shown:
@@ -92,7 +96,10 @@ class Cast:
                 except StoppedError:
                     shown.say(f"{self.folder}: stopped, nothing was written")
                     return stop.code or 0
-        click.echo(people.text().decode(), nl=False) if self.as_json else _show(people)
+        if self.as_json or self.as_csv:
+            click.echo(people.text().decode() if self.as_json else _intervals(people), nl=False)
+        else:
+            _show(people)
         return 0
 
     def _changes(self, fps: float) -> list[tuple[str, Callable[[Tracks], Tracks]]]:
@@ -103,6 +110,15 @@ class Cast:
             found.append((f"split {name}@{moment}", partial(edits.split, name=name, frame=frame_at(moment, fps))))
         found += [(f"merge {a}={b}", partial(edits.merge, name=a, into=b)) for a, b in self.merge]
         return found + [(f"rename {a}={b}", partial(edits.rename, name=a, to=b)) for a, b in self.rename]
+
+
+def _intervals(people: People) -> str:
+    """The frames in which people are seen, and their times in s, in the order of time."""
+    spans = sorted((first, stop, one.name) for one in people.people for first, stop in one.intervals)
+    rows = [
+        f'"{name}",{first},{stop - 1},{first / people.fps:.3f},{stop / people.fps:.3f}' for first, stop, name in spans
+    ]
+    return "\n".join(["person,first_frame,last_frame,begin_s,end_s", *rows]) + "\n"
 
 
 def _show(people: People) -> None:

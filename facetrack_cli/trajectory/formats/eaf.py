@@ -38,6 +38,7 @@ CONSTRAINTS = {
 }
 """The four that ELAN itself writes into every file, in its own words."""
 VOCABULARIES = {
+    "seen": {"seen": "is followed in the picture"},
     "horizontal": {"left": "moves to the left of the image", "right": "moves to the right of the image"},
     "vertical": {"up": "moves up in the image", "down": "moves down in the image"},
     "tilt": {label: f"turns {label} in the image plane" for label in ("clockwise", "counterclockwise")},
@@ -100,9 +101,18 @@ def spans_of(parts: Sequence[Trajectory], status: str = "lost") -> list[tuple[in
     return found
 
 
+def seen_in(parts: Sequence[Trajectory]) -> list[tuple[int, int]]:
+    """The spans of frames in which a target of a film has rows; none of a target that has rows without a gap."""
+    frames = np.unique(np.concatenate([part.frame for part in parts]))
+    pieces = np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1)
+    return [(int(one[0]), int(one[-1])) for one in pieces] if len(pieces) > 1 else []
+
+
 def _tiers(target: str, parts: Sequence[Trajectory]) -> Iterator[tuple[str, str, list[tuple[int, int, str]]]]:
     """Kind, target, and its spans; a kind that the parts can tell has a tier also if nothing was found."""
     name = target or "target"
+    if seen := seen_in(parts):
+        yield "seen", name, [(first, last, "seen") for first, last in seen]
     yield "lost", name, spans_of(parts)
     if absent := spans_of(parts, "absent"):  # only where a correction says so
         yield "absent", name, absent
