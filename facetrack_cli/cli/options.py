@@ -167,7 +167,8 @@ def jobs_option(text: str) -> Any:
 CONFIG = option("--config RECIPE", "Recipe: a file, or a name [default: face; with --box correlation_filter].")
 OVERRIDES = option("--set KEY=VALUE", "Override a key of the recipe; repeatable.", multiple=True)
 GALLERY = option(
-    "--gallery FILE", "People to recognise, as facetrack gallery fit writes them; for recipes of affine targets."
+    "--gallery FILE",
+    "People to recognise, as facetrack gallery fit writes them; with --faces all as facetrack people --save does.",
 )
 CLIP = option("--clip INPUT", "The clip, if it is elsewhere now.", type=FILE)
 TITLE = option("--title TEXT", "Title of the page [default: clip and recipe].")

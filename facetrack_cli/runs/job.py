@@ -30,6 +30,7 @@ from facetrack_cli.run_folder.manifest import (
 )
 from facetrack_cli.runs.posterior import check_smoothing
 from facetrack_cli.runs.start import Begin
+from facetrack_cli.tracking.people.looks import load_people
 from facetrack_cli.tracking.start import find_init
 from facetrack_cli.trajectory.header import is_there
 from facetrack_cli.trajectory.people import PEOPLE
@@ -81,6 +82,7 @@ class Job(Begin):
     batch: bool = False
     retry_failed: bool = False
     split: Split | None = None
+    gallery: Path | None = None  # people that a film may show
 
     @property
     def everyone(self) -> bool:
@@ -94,6 +96,7 @@ class Job(Begin):
         init = find_init(self.clip) if self.init is None and self.box is None else self.init
         settings = [self.box, self.init_frame, self.faces, self.start, self.stop]
         options = [str(self.fps), self.lag, self.posterior, self.formats, self.video, self.strict]
+        options += [] if self.gallery is None else [str(self.gallery)]
         chunks = [self.split, self.chunk and [self.chunk.correction]] if self.split or self.chunk else []
         return job_digest(self.recipe, init, settings, options, *chunks)
 
@@ -232,6 +235,8 @@ def check(job: Job, *, kept: bool = False) -> None:
         )
     if job.everyone and job.out is None and not kept:
         raise UsageError("--faces all knows who is who at the end, and -o - writes as it goes; name a folder")
+    if job.gallery is not None:
+        load_people(job.gallery)
     if job.lag or job.posterior:
         check_smoothing(job.recipe)
     if job.out is not None:

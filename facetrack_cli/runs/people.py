@@ -27,7 +27,7 @@ from facetrack_cli.runs.smooth import Painted, repaint, replace_files
 from facetrack_cli.runs.start import frames_of
 from facetrack_cli.tracking.loop import TrackState
 from facetrack_cli.tracking.people.identity import SURE, Cast, Seen, cast_of
-from facetrack_cli.tracking.people.looks import Reader, views_of
+from facetrack_cli.tracking.people.looks import Looks, Reader, load_people, save_people, views_of
 from facetrack_cli.tracking.people.presence import Film
 from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.trajectory.header import clip_of, said
@@ -99,13 +99,10 @@ def film_results(
     yield from film.follow(frames, at)
 
 
-def cast(
-    rows: Trajectory, shots: Sequence[Shot], source: Source, report: Callable[[int], None], stop: Stopped
-) -> Named:
-    """Who the tracks of `rows` are of, by what the frames of `source` show. Raises StoppedError once `stop` says so."""
-    boxes = {name: box for name in rows.targets if (box := rows.find(name, BOX)) is not None}
-    least = min(MIN_FRAMES, len(rows.frames))
-    boxes = {name: box for name, box in boxes.items() if (box.status != "lost").sum() >= least}
+def looks_in(
+    boxes: Mapping[str, Trajectory], source: Source, report: Callable[[int], None], stop: Stopped
+) -> dict[str, Reader]:
+    """What the frames of `source` show of each of these boxes. Raises StoppedError once `stop` says so."""
     readers, wanted = {name: Reader() for name in boxes}, defaultdict(list)
     for name, box in boxes.items():
         for view in views_of(box):
@@ -119,6 +116,22 @@ def cast(
         report(frame.index)
         if frame.index >= left:
             break
+    return readers
+
+
+def cast(
+    rows: Trajectory,
+    shots: Sequence[Shot],
+    source: Source,
+    report: Callable[[int], None],
+    stop: Stopped,
+    known: Mapping[str, Looks] | None = None,
+) -> Named:
+    """Who the tracks of `rows` are of, by what the frames of `source` show. Raises StoppedError once `stop` says so."""
+    boxes = _boxes(rows)
+    least = min(MIN_FRAMES, len(rows.frames))
+    boxes = {name: box for name, box in boxes.items() if (box.status != "lost").sum() >= least}
+    readers, known = looks_in(boxes, source, report, stop), known or {}
     begins = np.array([shot.first for shot in shots])
     tracks = [
         Seen(
@@ -127,7 +140,38 @@ def cast(
         )
         for name, box in sorted(boxes.items(), key=lambda one: int(one[1].frame[0]))
     ]  # fmt: skip
-    return _named(tracks, cast_of(tracks), readers, shots, float(source.fps))
+    found = cast_of(tracks, list(known.values()))
+    new = iter(one for k in range(1, len(tracks) + len(known) + 1) if (one := f"{PERSON}{k}") not in known)
+    names = [*known, *(next(new) for _ in range(int(found.person.max(initial=-1)) + 1 - len(known)))]
+    return _named(tracks, found, names, readers, shots, float(source.fps))
+
+
+def save_looks(folder: Path, path: Path, clip: Path | None, report: Report, stop: Stopped) -> tuple[str, ...]:
+    """Save what the people of a run look like, so that other films know them; their names.
+
+    Raises InputError where the clip is gone, OutputError, and StoppedError.
+    """
+    people, rows = people_in(folder), _rows(folder)
+    where, fps = _clip_of(people, rows, clip)
+    if where is None:
+        raise InputError(f"{rows.path}: does not name its clip; give it with --clip")
+    first = people.shots[0].first
+    with open_source(where, fps=fps, start=first) as source:
+        total = source.frames_hint
+        readers = looks_in(_boxes(rows), source, lambda at: report(at - first, total, "looking at people"), stop)
+    save_people(path, {name: readers[name].looks() for name in people.names})
+    return people.names
+
+
+def _boxes(rows: Trajectory) -> dict[str, Trajectory]:
+    return {name: box for name in rows.targets if (box := rows.find(name, BOX)) is not None}
+
+
+def _clip_of(people: People, rows: Trajectory, clip: Path | None) -> tuple[Path | None, Fraction | None]:
+    """The clip of a run, if it is known, and its rate if the clip brings none."""
+    where = clip or clip_of(rows)
+    rate = None if where is None or brings_rate(where) else Fraction(people.fps).limit_denominator(1001)
+    return where, rate
 
 
 def _ends(box: Trajectory) -> tuple[Any, Any]:
@@ -136,9 +180,14 @@ def _ends(box: Trajectory) -> tuple[Any, Any]:
 
 
 def _named(
-    tracks: Sequence[Seen], found: Cast, readers: Mapping[str, Reader], shots: Sequence[Shot], fps: float
+    tracks: Sequence[Seen],
+    found: Cast,
+    called: Sequence[str],
+    readers: Mapping[str, Reader],
+    shots: Sequence[Shot],
+    fps: float,
 ) -> Named:
-    names = [f"{PERSON}{k + 1}" for k in found.person.tolist()]
+    names = [called[k] for k in found.person.tolist()]
     doubts = {one.track: one for one in found.doubts}
     records: Tracks = []
     pictures: dict[str, tuple[float, Image]] = {}
@@ -146,7 +195,7 @@ def _named(
     for i, (track, name) in enumerate(zip(tracks, names, strict=True)):
         one = TrackRecord(person=name, first=track.first, stop=track.stop, p=round(float(found.p[i]), 4))
         if (doubt := doubts.get(i)) is not None:
-            other = None if doubt.other is None else f"{PERSON}{doubt.other + 1}"
+            other = None if doubt.other is None else called[doubt.other]
             said = {"doubt": True, "other": other, "p_other": round(doubt.p, 4), "still": f"{STILLS}/{track.name}.jpg"}
             one = one.model_copy(update=said)
         records.append((track.name, one))
@@ -166,7 +215,8 @@ def cast_in(job: Job, rows: Trajectory, stop: Stopped, looked: Report) -> Named:
     shots = [Shot(*one) for one in told] if told else film_shots(job, job.first, stop, looked)
     with job.open(first) as source:
         total = source.frames_hint
-        found = cast(rows, shots, source, lambda at: looked(at - first, total, "looking at people"), stop)
+        known = None if job.gallery is None else load_people(job.gallery)
+        found = cast(rows, shots, source, lambda at: looked(at - first, total, "looking at people"), stop, known)
     if not found.tracks:
         frames = len(rows.frames)
         raise InputError(f"{job.clip}: no face is seen in {MIN_FRAMES} frames of {frames}; is this the right film?")
@@ -260,8 +310,7 @@ def recast(
     stills = {name: f"{STILLS}/{name}.jpg" for name in old}
     after = people_of(people.fps, people.shots, [one for _, one in tracks], stills, fixed, words)
     named = under_names(rows, tracks)
-    where = clip or clip_of(rows)
-    fps = None if where is None or brings_rate(where) else Fraction(people.fps).limit_denominator(1001)
+    where, fps = _clip_of(people, rows, clip)
     for name in stills.keys() - pictures.keys():
         pictures[name] = _picture(named, name, where, fps)
     for one in after.doubts:

@@ -122,7 +122,7 @@ def test_the_cast_is_shown_and_corrected(ran, tmp_path, capsys):
 
 
 def test_the_report_shows_the_cast_and_doubts_side_by_side(tmp_path, monkeypatch):
-    def unsure(tracks):
+    def unsure(tracks, known):
         found = cast_of(tracks)
         return replace(found, doubts=(Doubt(0, 1, 0.4), Doubt(1, None, 0.3)))
 
@@ -159,6 +159,21 @@ def test_intervals_are_csv_and_tiers_and_in_python(ran, tmp_path, capsys):
     for name in people.names:
         seen = [span for span in spans if span[0] == name]
         assert [one.text for one in tiers[f"seen@{name}"].iter("ANNOTATION_VALUE")] == ["seen"] * len(seen)
+
+
+def test_people_of_another_film_have_their_names(ran, tmp_path, capsys):
+    out, known = shutil.copytree(ran, tmp_path / "out"), tmp_path / "people.npz"
+    given = ["--rename", "person_1=Eileen", "--rename", "person_2=Grace", "--no-video", "--save", str(known), "-q"]
+    assert main(["people", str(out), *given]) == 0
+    again = ["run", str(FILM), "--faces", "all", "--start", "45", "--no-video", "--gallery"]
+    assert main([*again, str(known), "-o", str(tmp_path / "named"), "-q"]) == 0
+    rows = read_trajectory(tmp_path / "named" / "trajectory.json")
+    assert rows.targets == ("Grace", "Eileen"), "Grace is seen first"
+    pairs, _, _ = matched(rows)
+    assert set(pairs) == {("hopper", "Grace"), ("collins", "Eileen")}
+    capsys.readouterr()
+    assert main([*again, str(tmp_path / "none.npz"), "-o", str(tmp_path / "no")]) == ExitCode.INPUT
+    assert "none.npz: there is no such file of known people" in capsys.readouterr().err
 
 
 def test_a_film_in_python_is_that_of_the_command_line(ran):

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from facetrack_cli.core.errors import InputError
 from facetrack_cli.tracking.people import identity
 from facetrack_cli.tracking.people.identity import Seen, cast_of, clusters, same_person
-from facetrack_cli.tracking.people.looks import VIEWS, Looks
+from facetrack_cli.tracking.people.looks import VIEWS, Looks, load_people, save_people
 
 
 def unit(seed, size):
@@ -93,10 +94,47 @@ def test_what_is_in_doubt_says_whom_else_it_may_be(monkeypatch):
     assert doubt.p == pytest.approx(whole[1] / whole.sum())
 
 
-def test_known_pairs_are_of_one_person():
-    tracks = [track("a", 1, 0, 40), track("b", 2, 50, 90)]
-    assert cast_of(tracks).person.tolist() == [0, 1] and cast_of(tracks, [(0, 1)]).person.tolist() == [0, 0]
-    assert len(cast_of([]).person) == 0
+@pytest.mark.parametrize("embedded", [True, False])
+def test_known_people_have_the_first_numbers_whoever_comes_first(embedded):
+    tracks = [track("a", 3, 0, 40, embedded=embedded), track("b", 2, 50, 90, embedded=embedded)]
+    cast = cast_of(tracks, [looks(1, 7), looks(2, 7), looks(4, 7)])
+    assert cast.person.tolist() == [3, 1] and (cast.p > 0.9).all()
+    assert len(cast_of([], [looks(1)]).person) == 0
+
+
+def test_two_known_people_are_never_one():
+    cast = cast_of([track("a", 1, 0, 40)], [looks(1, 7), looks(1, 8)])
+    assert cast.person.tolist() in ([0], [1])
+    [doubt] = cast.doubts
+    assert doubt.track == 0 and doubt.other == 1 - cast.person[0]
+
+
+def test_known_people_are_read_as_they_were_saved(tmp_path):
+    people = {"Ann": looks(1), "Bob": looks(2, views=3)}
+    save_people(tmp_path / "people.npz", people)
+    found = load_people(tmp_path / "people.npz")
+    assert list(found) == ["Ann", "Bob"]
+    for name, one in people.items():
+        for mine, theirs in zip(one, found[name], strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"which": np.zeros(3, "<i8")}, "do not belong together"),
+        ({"names": np.array(["Ann", "Ann"])}, "do not belong together"),
+        ({"face": np.zeros((11, 100))}, "another size"),
+        ({"skin": np.array(["x"] * 11)}, "skin"),
+    ],
+)
+def test_a_file_of_other_arrays_is_refused(tmp_path, change, message):
+    save_people(tmp_path / "people.npz", {"Ann": looks(1), "Bob": looks(2, views=3)})
+    with np.load(tmp_path / "people.npz") as held:
+        arrays = {**held, **change}
+    np.savez(tmp_path / "other.npz", **arrays)
+    with pytest.raises(InputError, match=message):
+        load_people(tmp_path / "other.npz")
 
 
 def slow_clusters(odds, apart):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import argument, flag, option, verb
+from facetrack_cli.cli.options import FILE, argument, flag, option, verb
 from facetrack_cli.core.errors import UsageError
 
 if TYPE_CHECKING:
@@ -58,6 +58,7 @@ class Cast:
       facetrack people out --split person_2@1:23
       facetrack people out --json | jq '.people[].name'
       facetrack people out --csv > intervals.csv
+      facetrack people out --save people.npz
 
     \b
     Exit codes: 0 done, 2 usage or output, 3 input, 130 interrupted,
@@ -72,6 +73,9 @@ class Cast:
         "--split A@TIME", "From that time on (1:23, or 2075f) A is somebody else.", type=_moment, multiple=True
     )
     rename: tuple[tuple[str, str], ...] = option("--rename A=NAME", "The name of A.", type=_pair, multiple=True)
+    save: Path | None = option(
+        "--save FILE.npz", "Save what these people look like, for run --faces all --gallery FILE.npz.", type=FILE
+    )
     clip: Path | None = options.CLIP
     no_video: bool = flag("--no-video", "Do not draw annotated.mp4 again.")
     as_json: bool = flag("--json", "Print people.json.")
@@ -79,20 +83,26 @@ class Cast:
     quiet: bool = options.QUIET
 
     def run(self) -> int:
-        from facetrack_cli.runs.people import people_in, recast
+        from facetrack_cli.runs.people import people_in, recast, save_looks
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.signals import Stop, StoppedError
 
         if self.as_json and self.as_csv:
             raise UsageError("--json and --csv both go to standard output; give one of them")
         people = people_in(self.folder)
-        if changes := self._changes(people.fps):
+        changes = self._changes(people.fps)
+        if changes or self.save is not None:
             with Stop().listening() as stop, progress(self.quiet) as shown:
                 shown.begin(self.folder.name or str(self.folder))
                 try:
-                    people = recast(
-                        self.folder, changes, clip=self.clip, video=not self.no_video, report=shown.looked, stop=stop
-                    )
+                    if changes:
+                        video = not self.no_video
+                        people = recast(
+                            self.folder, changes, clip=self.clip, video=video, report=shown.looked, stop=stop
+                        )
+                    if self.save is not None:
+                        names = save_looks(self.folder, self.save, self.clip, shown.looked, stop)
+                        shown.say(f"{self.save}: {', '.join(names)}")
                 except StoppedError:
                     shown.say(f"{self.folder}: stopped, nothing was written")
                     return stop.code or 0

@@ -200,6 +200,7 @@ class Run:
                     video=not self.no_video and folder is not None,
                     init_frame=self.init_frame,
                     faces=self.faces,
+                    gallery=Path(self.gallery) if self.gallery and self.faces == "all" else None,
                     overwrite=self.overwrite,
                     lag=self.lag or 0,
                     posterior=self.smooth or self.keep_posterior,
@@ -233,7 +234,8 @@ class Run:
 
         seed = () if self.seed is None else (f"seed={self.seed}",)
         config = default_recipe(box=self.extent.box is not None) if self.config is None else self.config
-        return load_recipes([(config, (*self.set, *seed))], self.gallery)[0]
+        gallery = None if self.faces == "all" else self.gallery
+        return load_recipes([(config, (*self.set, *seed))], gallery)[0]
 
     def _live(self) -> int:
         """Track what comes from a camera, a pipe or a clip; the exit code."""

@@ -13,7 +13,7 @@ This is recognition of an open set, without a gallery: Zhou et al. (2003) recogn
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -54,30 +54,34 @@ class Doubt:
 
 @dataclass(frozen=True)
 class Cast:
-    """The person (T,) of each track, counted by first appearance, with its probability `p` (T,); what is in doubt."""
+    """The person (T,) of each track with its probability `p` (T,); what is in doubt.
+
+    The first numbers are of the `known` people, in their order; others are counted by first appearance.
+    """
 
     person: Whole
     p: Array
     doubts: tuple[Doubt, ...]
 
 
-def cast_of(tracks: Sequence[Seen], together: Sequence[tuple[int, int]] = ()) -> Cast:
-    """Who each track is of. `together`: pairs of tracks that are known to be of one person."""
+def cast_of(tracks: Sequence[Seen], known: Sequence[Looks] = ()) -> Cast:
+    """Who each track is of, of `known` people and others."""
     if not tracks:
         return Cast(np.zeros(0, np.int64), np.zeros(0), ())
-    odds = same_person([one.looks for one in tracks])
-    apart = _apart(tracks)
-    odds = np.where(_follows(tracks), np.minimum(odds + _SAME_PLACE, _BOUND), odds)
-    for i, j in together:
-        odds[i, j] = odds[j, i] = _BOUND
-    person = _in_order(clusters(odds, apart))
-    return _judged(person, odds, apart)
+    k = len(known)
+    odds = same_person([*known, *(one.looks for one in tracks)])
+    apart, follows = (np.pad(one, (k, 0)) for one in (_apart(tracks), _follows(tracks)))
+    odds = np.where(follows, np.minimum(odds + _SAME_PLACE, _BOUND), odds)
+    apart[:k, :k] = ~np.eye(k, dtype=bool)
+    found = _judged(_in_order(clusters(odds, apart)), odds, apart)
+    doubts = tuple(replace(one, track=one.track - k) for one in found.doubts if one.track >= k)
+    return Cast(found.person[k:], found.p[k:], doubts)
 
 
 def same_person(looks: Sequence[Looks]) -> Array:
     """(T, T) log odds, bounded, that two tracks show one person, by what is seen in them."""
     full = np.array([np.resize(np.arange(len(one.face)), VIEWS) for one in looks])  # few views stand for more
-    if all(one.embedding.shape[1] for one in looks):
+    if all(one.embedding.shape[1] for one in looks):  # known people may have been saved without
         x = np.concatenate([one.embedding[rows] for one, rows in zip(looks, full, strict=True)])
         squared = np.sum(x**2, axis=1)
         distance = np.sqrt(np.maximum(squared[:, None] + squared - 2 * x @ x.T, 0))

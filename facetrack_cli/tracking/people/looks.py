@@ -8,7 +8,7 @@ face as well: the ResNet of D. King, "High Quality Face Recognition with Deep Me
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import util
@@ -19,6 +19,7 @@ from typing import Any, Final, NamedTuple
 import cv2
 import numpy as np
 
+from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array, Frame, Image
 from facetrack_cli.tracking.face.stabilized import Similarity
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -70,6 +71,32 @@ class Picture:
 def together(looks: Iterable[Looks]) -> Looks:
     """The looks of all views."""
     return Looks(*map(np.concatenate, zip(*looks, strict=True)))
+
+
+KNOWN_PEOPLE: Final = Kind("facetrack-people", 1, "file of known people", "facetrack people RUN --save FILE")
+
+
+def save_people(path: Path, people: Mapping[str, Looks]) -> None:
+    """Write the looks of people by name. Raises OutputError."""
+    which = np.repeat(np.arange(len(people)), [len(one.face) for one in people.values()])
+    arrays = {"names": np.array(list(people)), "which": which.astype("<i8")}
+    KNOWN_PEOPLE.write(path, {**arrays, **together(people.values())._asdict()})
+
+
+def load_people(path: Path) -> dict[str, Looks]:
+    """The people that `save_people` wrote. Raises InputError for anything else."""
+    return KNOWN_PEOPLE.read(path, _people)
+
+
+def _people(stored: Stored) -> dict[str, Looks]:
+    names, which = stored.texts("names"), np.array(stored.whole("which"))
+    every = Looks(*(stored.reals(name, 2) for name in Looks._fields))
+    sizes = {len(values) for values in every} | {len(which)}
+    if len(sizes) > 1 or set(which.tolist()) != set(range(len(names))) or len(set(names)) < len(names):
+        raise ValueError("its arrays do not belong together")
+    if [one.shape[1] for one in every[:4]] != [FACE_PX**2, 3, 3, _BINS**2] or every.embedding.shape[1] not in (0, 128):
+        raise ValueError("its faces have another size than this facetrack reads")
+    return {name: Looks(*(values[which == k] for values in every)) for k, name in enumerate(names)}
 
 
 class View(NamedTuple):
