@@ -25,7 +25,7 @@ from urllib.parse import parse_qs
 from pydantic import TypeAdapter, ValidationError, validate_call
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
-from facetrack_cli.editor.web.session import Answer, RefusedError, Session, internal_error
+from facetrack_cli.editor.web.session import Answer, Page, RefusedError, internal_error
 
 ADDRESS: Final = "127.0.0.1"
 MAX_BODY_BYTES: Final = 256 * 1024  # bytes: the largest draft has fewer
@@ -62,7 +62,7 @@ class Server(ThreadingHTTPServer):
     request_queue_size = 64
     allow_reuse_address = os.name != "nt"  # on Windows it would let two servers share a port
 
-    def __init__(self, session: Session, port: int = 0) -> None:
+    def __init__(self, session: Page, port: int = 0) -> None:
         self.session = session
         self.token = secrets.token_urlsafe(32)
         self.routes: list[tuple[str, re.Pattern[str], Callable[..., Any]]] = []
@@ -91,7 +91,7 @@ class Server(ThreadingHTTPServer):
 
 
 @contextlib.contextmanager
-def serving(session: Session, port: int = 0) -> Iterator[Server]:
+def serving(session: Page, port: int = 0) -> Iterator[Server]:
     """The server of a session, running in its own threads within the `with`."""
     with Server(session, port) as server:
         thread = threading.Thread(target=server.serve_forever, args=(POLL_S,), daemon=True)
@@ -105,7 +105,7 @@ def serving(session: Session, port: int = 0) -> Iterator[Server]:
 
 
 def run_page(
-    session: Session, stop: Callable[[], bool], say: Callable[[str], None], *, port: int = 0, browse: bool = False
+    session: Page, stop: Callable[[], bool], say: Callable[[str], None], *, port: int = 0, browse: bool = False
 ) -> None:
     """Serve the page until it has ended or `stop` says so, and its job is done; `port` as of Server."""
     with serving(session, port) as server:
@@ -201,7 +201,7 @@ class _Handler(BaseHTTPRequestHandler):
             raise RefusedError(403, "the address lacks its token; open the whole address that facetrack printed")
         if not slash:
             return Answer(b"", 308, "text/plain", (("Location", f"/{self.server.token}/"),))
-        asset = assets().get(below or "index.html")
+        asset = assets().get(below or self.server.session.index)
         if asset is not None and method == "GET":
             return asset
         found = [(wanted, pattern.fullmatch(below), handler) for wanted, pattern, handler in self.server.routes]

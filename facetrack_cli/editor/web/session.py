@@ -1,4 +1,4 @@
-"""The base of picking and fixing: one draft, and one job in a thread. All methods are thread-safe."""
+"""What pages have in common: one job in a thread; of picking and fixing, one draft. All methods are thread-safe."""
 
 import threading
 import time
@@ -48,8 +48,95 @@ class Route(NamedTuple):
     handler: Callable[..., Any]
 
 
-class Session(ABC):
-    """One page, until it is saved or stopped. `about`: {"clip", "recipe", "requirements", "free", "saves_to"} and more,
+class Page(ABC):
+    """What a server shows, until it is saved or stopped: one job in a thread, and how it ended."""
+
+    index: ClassVar[str] = "index.html"
+
+    def __init__(self) -> None:
+        self.lock = threading.RLock()
+        self.stopping = threading.Event()  # a job looks at it regularly
+        self.revision = 0
+        self.message: str | None = None
+        self.ended: Json | None = None
+        self.first_error: Exception | None = None  # of the program itself
+        self._job: Json | None = None
+        self._worker: threading.Thread | None = None
+        self._saving = False
+        self._ended_at = 0.0
+
+    @abstractmethod
+    def routes(self) -> Sequence[Route]:
+        """The addresses of the page."""
+
+    @abstractmethod
+    def state(self) -> Json:
+        """What the page shows."""
+
+    def start_job(self, what: str, work: Callable[[Report], None], *, saves: bool = False) -> None:
+        """Run `work` as the job. Its error is shown as the message. RefusedError (409) as of `refuse_if_busy`."""
+        with self.lock:
+            self.refuse_if_busy()
+            self._job = {"what": what, "done": 0, "total": None}
+            self._saving = saves
+            self.message = None
+            self._worker = threading.Thread(target=self._run, args=(work,), daemon=True)
+            self._worker.start()
+
+    def refuse_if_busy(self) -> None:
+        """RefusedError (409) while a job runs, and after the end."""
+        with self.lock:
+            if self.ended is not None:
+                raise RefusedError(409, "everything is saved, and this page has ended", self.state())
+            if self._job is not None:
+                raise RefusedError(409, f"busy: {self._job['what']}; wait until it has finished", self.state())
+
+    def end(self, messages: Sequence[str], next_: str | None) -> None:
+        """End the session: show the `messages`, a line each, and the command to continue with."""
+        with self.lock:
+            self.ended = {"messages": list(messages), "next": next_}
+            self._ended_at = time.monotonic()
+
+    def over(self) -> bool:
+        """Whether the server may stop: the session has ended, and the pages had time to learn of it."""
+        with self.lock:
+            return self.ended is not None and time.monotonic() - self._ended_at >= LINGER_S
+
+    def close(self) -> None:
+        """Stop the job, and wait for it."""
+        self.stopping.set()
+        if self._worker is not None:
+            self._worker.join()
+
+    def record(self, error: Exception) -> str:
+        """The line that reports an internal error; the first one is remembered for the end."""
+        with self.lock:
+            self.first_error = self.first_error or error
+        return internal_error(error)
+
+    def _run(self, work: Callable[[Report], None]) -> None:
+        def report(done: int, total: int | None) -> None:
+            with self.lock:
+                self._job = {**(self._job or {}), "done": done, "total": total}
+
+        message: str | None = None
+        try:
+            work(report)
+        except StoppedError:
+            pass
+        except FacetrackError as e:
+            message = " ".join(str(e).splitlines())
+        except Exception as e:
+            message = self.record(e)
+        finally:
+            with self.lock:
+                self._job = None
+                self._saving = False
+                self.message = message or self.message
+
+
+class Session(Page):
+    """A page of picking or fixing. `about`: {"clip", "recipe", "requirements", "free", "saves_to"} and more,
     for the page. Frames go from `first` to `last`, None for the clip's last one.
     """
 
@@ -58,26 +145,18 @@ class Session(ABC):
     def __init__(
         self, frames: Frames, proposer: Proposer, draft: Draft, about: Json, *, first: int = 0, last: int | None = None
     ) -> None:
+        super().__init__()
         self.frames, self.draft = frames, draft
         self.first, self.last = first, last
-        self.lock = threading.RLock()
-        self.stopping = threading.Event()  # a job looks at it regularly
-        self.revision = self.rows_revision = 0
+        self.rows_revision = 0
         self.can_undo = False
-        self.message: str | None = None
-        self.ended: Json | None = None
-        self.first_error: Exception | None = None  # of the program itself
         self._proposer, self._about = proposer, about
-        self._job: Json | None = None
-        self._worker: threading.Thread | None = None
-        self._saving = False
-        self._ended_at = 0.0
 
     @abstractmethod
     def save(self, draft: Draft) -> None:
         """Begin the job that writes the draft and calls `end`; RefusedError (422) if something is missing. No lock."""
 
-    def check_draft(self, draft: Draft) -> None:  # noqa: B027 -- any draft is valid
+    def check_draft(self, draft: Draft) -> None:
         """RefusedError (400) for a draft that this session cannot hold; called with the lock."""
 
     def proposals(self, frame: int) -> Json:
@@ -91,28 +170,15 @@ class Session(ABC):
             self.revision += 1
 
     def begin(self, what: str, work: Callable[[Report], None], *, saves: Draft | None = None) -> None:
-        """Run `work` as the job. Its error is shown as the message.
+        """As `start_job`; RefusedError (409) if the job `saves` a draft that has changed meanwhile.
 
-        RefusedError (409) as of `refuse_if_busy`, and if the job `saves` a draft that has changed meanwhile. While such
-        a job runs, no draft is accepted.
+        While such a job runs, no draft is accepted.
         """
         with self.lock:
             self.refuse_if_busy()
             if saves is not None and saves is not self.draft:
                 raise self._stale()
-            self._job = {"what": what, "done": 0, "total": None}
-            self._saving = saves is not None
-            self.message = None
-            self._worker = threading.Thread(target=self._run, args=(work,), daemon=True)
-            self._worker.start()
-
-    def refuse_if_busy(self) -> None:
-        """RefusedError (409) while a job runs, and after the end."""
-        with self.lock:
-            if self.ended is not None:
-                raise RefusedError(409, "everything is saved, and this page has ended", self.state())
-            if self._job is not None:
-                raise RefusedError(409, f"busy: {self._job['what']}; wait until it has finished", self.state())
+            self.start_job(what, work, saves=saves is not None)
 
     def current(self, base: int) -> Draft:
         """The draft, if `base` is its revision; else RefusedError (409) with the state."""
@@ -120,12 +186,6 @@ class Session(ABC):
             if base != self.revision:
                 raise self._stale()
             return self.draft
-
-    def end(self, messages: Sequence[str], next_: str | None) -> None:
-        """End the session: show the `messages`, a line each, and the command to continue with."""
-        with self.lock:
-            self.ended = {"messages": list(messages), "next": next_}
-            self._ended_at = time.monotonic()
 
     def routes(self) -> Sequence[Route]:
         return (
@@ -156,43 +216,9 @@ class Session(ABC):
                 "message": self.message,
             }
 
-    def over(self) -> bool:
-        """Whether the server may stop: the session has ended, and the pages had time to learn of it."""
-        with self.lock:
-            return self.ended is not None and time.monotonic() - self._ended_at >= LINGER_S
-
     def close(self) -> None:
-        """Stop the job, and wait for it."""
-        self.stopping.set()
-        if self._worker is not None:
-            self._worker.join()
+        super().close()
         self._proposer.close()
-
-    def record(self, error: Exception) -> str:
-        """The line that reports an internal error; the first one is remembered for the end."""
-        with self.lock:
-            self.first_error = self.first_error or error
-        return internal_error(error)
-
-    def _run(self, work: Callable[[Report], None]) -> None:
-        def report(done: int, total: int | None) -> None:
-            with self.lock:
-                self._job = {**(self._job or {}), "done": done, "total": total}
-
-        message: str | None = None
-        try:
-            work(report)
-        except StoppedError:
-            pass
-        except FacetrackError as e:
-            message = " ".join(str(e).splitlines())
-        except Exception as e:
-            message = self.record(e)
-        finally:
-            with self.lock:
-                self._job = None
-                self._saving = False
-                self.message = message or self.message
 
     def _stale(self) -> RefusedError:
         return RefusedError(409, "another window has changed the draft", self.state())
