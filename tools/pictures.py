@@ -53,7 +53,7 @@ def main(names: list[str]) -> None:
     for name, (width, rows) in GRIDS.items():
         if not names or name in names:
             grid(name, width, rows)
-    for make in (report, pick, guide):
+    for make in (report, film, pick, guide):
         if not names or make.__name__ in names:
             with tempfile.TemporaryDirectory() as folder:
                 os.chdir(folder)
@@ -125,6 +125,26 @@ def report() -> None:
     with browser(1000, 1640) as page:
         page.goto(f"file://{Path.cwd()}/occlusion-factorized_robust/report.html")
         shot(page, "report.jpg", 70)
+
+
+def film() -> None:
+    """The cast in the report, and the page that corrects it."""
+    from tests.support.browser import Command
+
+    command("run", "sample_videos/film.mp4", "--faces", "all", "-q", "-o", "film")
+    command("people", "film", "--rename", "person_1=Eileen", "--rename", "person_2=Grace", "--no-video", "-q")
+    command("report", "film", "-q")
+    with browser(1000, 560) as page:
+        page.goto(f"file://{Path.cwd()}/film/report.html")
+        page.evaluate("document.getElementById('people').parentElement.scrollIntoView()")
+        shot(page, "film.jpg")
+    served = Command("people", "film", "--page")
+    with browser(1140, 760) as page:
+        page.goto(served.url)
+        page.wait_for_selector("#people li")
+        page.click('#timeline .row[data-name="Eileen"] svg', position={"x": 300, "y": 8})
+        shot(page, "page-cast.jpg")
+    served.close()
 
 
 def pick() -> None:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from facetrack_cli.core.files import Folder
     from facetrack_cli.core.types import Box
-    from facetrack_cli.editor.web.session import Session
+    from facetrack_cli.editor.web.session import Page as PageSession
     from facetrack_cli.evaluation.experiments.compare import Comparison
     from facetrack_cli.evaluation.experiments.repeat import Repetition
     from facetrack_cli.evaluation.rows import Pair
@@ -276,7 +276,7 @@ class Page:
         if self.port is not None or self.browse:
             raise UsageError(f"{'--open' if self.port is None else '--port'} is for the page; {remedy}")
 
-    def serve(self, session: Session, stop: Stop) -> bool:
+    def serve(self, session: PageSession, stop: Stop) -> bool:
         """Serve a page until it is saved or stopped, and say what it did; whether it was saved."""
         from facetrack_cli.editor.web.server import run_page
 

@@ -21,6 +21,7 @@ from facetrack_cli.run_folder.manifest import VIDEO, read_run, trajectory_of
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.start import check_start
 from facetrack_cli.trajectory.header import Header, corrections_record, read_header
+from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Ending, Format, ending_of, json_frames
 from facetrack_cli.video.files import brings_rate
@@ -77,6 +78,8 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     the start, a recipe of another version, and a clip or a file of the recipe that is missing.
     """
     main = trajectory_of(folder)
+    if (folder / PEOPLE).is_file():
+        raise InputError(f"{folder}: is of a film; facetrack people {folder} --page corrects who is who")
     files = run_files(folder)
     stamped = {form: (path, stamp(path)) for form, path in files.items()}
     rows = read_files(files)

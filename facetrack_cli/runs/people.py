@@ -17,7 +17,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import make_folder, write_new
-from facetrack_cli.core.types import BOX, Image, Start
+from facetrack_cli.core.types import BOX, Frame, Image, Start
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.run_folder.finished import run_files, write_rows
 from facetrack_cli.run_folder.manifest import VIDEO, check_run, read_manifest, read_run
@@ -151,8 +151,8 @@ def save_looks(folder: Path, path: Path, clip: Path | None, report: Report, stop
 
     Raises InputError where the clip is gone, OutputError, and StoppedError.
     """
-    people, rows = people_in(folder), _rows(folder)
-    where, fps = _clip_of(people, rows, clip)
+    people, rows = people_in(folder), rows_in(folder)
+    where, fps = film_of(people, rows, clip)
     if where is None:
         raise InputError(f"{rows.path}: does not name its clip; give it with --clip")
     first = people.shots[0].first
@@ -167,7 +167,7 @@ def _boxes(rows: Trajectory) -> dict[str, Trajectory]:
     return {name: box for name in rows.targets if (box := rows.find(name, BOX)) is not None}
 
 
-def _clip_of(people: People, rows: Trajectory, clip: Path | None) -> tuple[Path | None, Fraction | None]:
+def film_of(people: People, rows: Trajectory, clip: Path | None) -> tuple[Path | None, Fraction | None]:
     """The clip of a run, if it is known, and its rate if the clip brings none."""
     where = clip or clip_of(rows)
     rate = None if where is None or brings_rate(where) else Fraction(people.fps).limit_denominator(1001)
@@ -229,7 +229,7 @@ def name_run(job: Job, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
     Raises InputError where the film shows nobody. Once `stop` says so, the files stay as they are.
     """
     assert job.out is not None
-    rows = _rows(job.out)
+    rows = rows_in(job.out)
     try:
         found = cast_in(job, rows, stop, looked)
         after = under_names(rows, found.tracks)
@@ -294,7 +294,7 @@ def recast(
     Rows, people.json, pictures and, with `video`, the video are written again. Raises UsageError for a change that
     cannot be, InputError for a run that is of no film or whose clip is gone; nothing is written then.
     """
-    people, rows = people_in(folder), _rows(folder)
+    people, rows = people_in(folder), rows_in(folder)
     tracks = tracks_of(people)
     for _, change in changes:
         tracks = change(tracks)
@@ -310,7 +310,7 @@ def recast(
     stills = {name: f"{STILLS}/{name}.jpg" for name in old}
     after = people_of(people.fps, people.shots, [one for _, one in tracks], stills, fixed, words)
     named = under_names(rows, tracks)
-    where, fps = _clip_of(people, rows, clip)
+    where, fps = film_of(people, rows, clip)
     for name in stills.keys() - pictures.keys():
         pictures[name] = _picture(named, name, where, fps)
     for one in after.doubts:
@@ -324,7 +324,7 @@ def recast(
     return after
 
 
-def _rows(folder: Path) -> Trajectory:
+def rows_in(folder: Path) -> Trajectory:
     """The rows of a run, with their header if a file has one."""
     files = run_files(folder)
     return read_run(files.get("json", files.get("jsonl")) or files["csv"])
@@ -344,17 +344,27 @@ def people_in(folder: Path) -> People:
     return found
 
 
-def _picture(rows: Trajectory, name: str, clip: Path | None, fps: Fraction | None) -> bytes:
-    """A picture of a person who has none yet."""
-    box, reader = rows.find(name, BOX), Reader()
-    best = max(views_of(box) if box is not None else [], key=lambda one: one.quality, default=None)
-    if best is None or clip is None:
-        raise InputError(f"{clip or rows.path}: has no picture of {name}; name the clip with --clip")
-    with open_source(clip, fps=fps, start=best.frame, stop=best.frame + 1) as source:
-        for frame in source:
-            reader.see(frame, best)
+def still_of(rows: Trajectory, target: str, first: int, stop: int, read: Callable[[int], Frame]) -> bytes:
+    """The JPEG of the best view of a target in the frames [first, stop). InputError without any."""
+    box, reader = rows.find(target, BOX), Reader()
+    best = max(views_of(box.between(first, stop)) if box else [], key=lambda one: one.quality, default=None)
+    if best is None:
+        raise InputError(f"{rows.path}: {target} is seen in none of the frames {first} to {stop - 1}")
+    reader.see(read(best.frame), best)
     assert reader.best is not None
     return _jpeg(reader.best[1])
+
+
+def _picture(rows: Trajectory, name: str, clip: Path | None, fps: Fraction | None) -> bytes:
+    """A picture of a person who has none yet."""
+    if clip is None:
+        raise InputError(f"{rows.path}: has no picture of {name}; name the clip with --clip")
+
+    def read(index: int) -> Frame:
+        with open_source(clip, fps=fps, start=index, stop=index + 1) as source:
+            return next(iter(source))
+
+    return still_of(rows, name, 0, int(rows.frame.max()) + 1, read)
 
 
 def cast_line(people: People) -> str:

@@ -181,8 +181,7 @@ def split(tracks: Tracks, name: str, frame: int) -> Tracks:
         spans = ", ".join(f"{one.first} to {one.stop - 1}" for _, one in theirs[:4])
         remedy = f"{name} is seen in frames {spans}; give a frame between the first and the last"
         raise UsageError(f"--split {name}@{frame}f: {remedy}")
-    taken = {one.person for _, one in tracks}
-    new = next(f"{PERSON}{k}" for k in range(1, len(tracks) + 2) if f"{PERSON}{k}" not in taken)
+    new = _new(tracks)
     found: Tracks = []
     for of, one in tracks:
         if one.person != name or one.stop <= frame:
@@ -194,6 +193,31 @@ def split(tracks: Tracks, name: str, frame: int) -> Tracks:
     return found
 
 
+def give(tracks: Tracks, name: str, frame: int, to: str | None) -> Tracks:
+    """With the track of a person that is in a frame given to another one; `to` None: somebody new.
+
+    `to` the person itself settles a doubt. UsageError without such a track, and where the other one is seen as well.
+    """
+    found = [pair for pair in _of(tracks, name) if pair[1].first <= frame < pair[1].stop]
+    if not found:
+        raise UsageError(f"--give {name}@{frame}f: {name} is not seen in frame {frame}; name one in which {name} is")
+    own = found[0]
+    rest = [pair for pair in tracks if pair is not own]
+    if to is not None and to != name:
+        busy = [one for _, one in _of(rest, to) if one.first < own[1].stop and own[1].first < one.stop]
+        if busy:
+            at = max(busy[0].first, own[1].first)
+            raise UsageError(f"--give {name}@{frame}f={to}: {to} is seen in frame {at}, too; give somebody else")
+    person = _new(tracks) if to is None else to
+    return [pair if pair is not own else (pair[0], _given(pair[1], person)) for pair in tracks]
+
+
+def _new(tracks: Tracks) -> str:
+    """A name that nobody has."""
+    taken = {one.person for _, one in tracks}
+    return next(f"{PERSON}{k}" for k in range(1, len(tracks) + 2) if f"{PERSON}{k}" not in taken)
+
+
 def _given(one: TrackRecord, person: str) -> TrackRecord:
     """The track, which somebody has said to be of a person."""
     return TrackRecord(person=person, first=one.first, stop=one.stop, p=1.0, given=True)
@@ -201,7 +225,7 @@ def _given(one: TrackRecord, person: str) -> TrackRecord:
 
 def _of(tracks: Tracks, name: str) -> Tracks:
     """The tracks of a person. UsageError for a name that nobody has."""
-    found = [(of, one) for of, one in tracks if one.person == name]
+    found = [pair for pair in tracks if pair[1].person == name]
     if not found:
         names = ", ".join(dict.fromkeys(one.person for _, one in tracks))
         raise UsageError(f"there is no {name}; there are {names}")

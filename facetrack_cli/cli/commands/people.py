@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, argument, flag, option, verb
-from facetrack_cli.core.errors import UsageError
+from facetrack_cli.cli.options import FILE, Page, argument, flag, group, option, say, verb
+from facetrack_cli.core.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from facetrack_cli.trajectory.people import People, Tracks
@@ -29,6 +29,14 @@ def _moment(value: str) -> tuple[str, str]:
     if not (at and name.strip() and moment.strip()):
         raise click.BadParameter(f"{value!r}: give a name and a time, as person_2@1:23 or person_2@2075f")
     return name.strip(), moment.strip()
+
+
+def _gift(value: str) -> tuple[str, str]:
+    name, at, rest = value.rpartition("@")
+    moment, equals, to = rest.partition("=")
+    if not (at and equals and name.strip() and moment.strip() and to.strip()):
+        raise click.BadParameter(f"{value!r}: give a name, a time and a name, as person_2@1:23=person_1")
+    return name.strip(), f"{moment.strip()}={to.strip()}"
 
 
 def frame_at(moment: str, fps: float) -> int:
@@ -55,6 +63,7 @@ class Cast:
       facetrack people out
       facetrack people out --rename person_1=Anna --rename person_2=Ben
       facetrack people out --merge person_3=person_1
+      facetrack people out --page --open
       facetrack people out --split person_2@1:23
       facetrack people out --json | jq '.people[].name'
       facetrack people out --csv > intervals.csv
@@ -76,6 +85,14 @@ class Cast:
     save: Path | None = option(
         "--save FILE.npz", "Save what these people look like, for run --faces all --gallery FILE.npz.", type=FILE
     )
+    give: tuple[tuple[str, str], ...] = option(
+        "--give A@TIME=B",
+        "The track of A at that time is of B; B may be A, which settles a doubt.",
+        type=_gift,
+        multiple=True,
+    )
+    edit: bool = flag("--page", "Correct the cast on a page in the browser.")
+    page: Page = group(Page)
     clip: Path | None = options.CLIP
     no_video: bool = flag("--no-video", "Do not draw annotated.mp4 again.")
     as_json: bool = flag("--json", "Print people.json.")
@@ -91,6 +108,9 @@ class Cast:
             raise UsageError("--json and --csv both go to standard output; give one of them")
         people = people_in(self.folder)
         changes = self._changes(people.fps)
+        if self.edit:
+            return self._serve()
+        self.page.refuse("give --page")
         if changes or self.save is not None:
             with Stop().listening() as stop, progress(self.quiet) as shown:
                 shown.begin(self.folder.name or str(self.folder))
@@ -112,12 +132,32 @@ class Cast:
             _show(people)
         return 0
 
+    def _serve(self) -> int:
+        """Serve the page until it is saved or stopped; the exit code."""
+        from facetrack_cli.editor.web.cast_session import CastSession
+        from facetrack_cli.runs.people import film_of, people_in, rows_in
+        from facetrack_cli.runs.signals import Stop
+        from facetrack_cli.video.seek import Frames
+
+        clip, fps = film_of(people_in(self.folder), rows_in(self.folder), self.clip)
+        if clip is None:
+            raise UsageError(f"{self.folder}: does not name its clip; give it with --clip")
+        with Frames(clip, fps=fps) as frames, Stop().listening() as stop:
+            if self.page.serve(CastSession(self.folder, frames, clip, video=not self.no_video), stop):
+                return 0
+            say(f"facetrack: {stop.reason}; nothing was written")
+            return stop.code or ExitCode.FAULT
+
     def _changes(self, fps: float) -> list[tuple[str, Callable[[Tracks], Tracks]]]:
         from facetrack_cli.trajectory import people as edits
 
         found: list[tuple[str, Callable[[Tracks], Tracks]]] = []
         for name, moment in self.split:
             found.append((f"split {name}@{moment}", partial(edits.split, name=name, frame=frame_at(moment, fps))))
+        for name, gift in self.give:
+            moment, _, to = gift.partition("=")
+            frame = frame_at(moment, fps)
+            found.append((f"give {name}@{gift}", partial(edits.give, name=name, frame=frame, to=to)))
         found += [(f"merge {a}={b}", partial(edits.merge, name=a, into=b)) for a, b in self.merge]
         return found + [(f"rename {a}={b}", partial(edits.rename, name=a, to=b)) for a, b in self.rename]
 

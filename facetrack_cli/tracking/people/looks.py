@@ -19,6 +19,7 @@ from typing import Any, Final, NamedTuple
 import cv2
 import numpy as np
 
+from facetrack_cli.core.geometry import common_area
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array, Frame, Image
 from facetrack_cli.tracking.face.stabilized import Similarity
@@ -142,7 +143,11 @@ class Reader:
         place = cv2.cvtColor(_upright(frame, self._first, 1.0, FACE_PX), cv2.COLOR_BGR2GRAY)
         self._places.append(np.asarray(place, np.uint8))
         edges = cv2.Laplacian(cv2.cvtColor(picture.chip, cv2.COLOR_BGR2GRAY), cv2.CV_32F)
-        sharp = view.quality * float(np.log1p(edges.var()))
+        (x, y), half = view.face.centre, STILL_SIDES * view.face.scale / 2
+        shown = (
+            common_area((x - half, y - half, 2 * half, 2 * half), (0.0, 0.0, *map(float, frame.size))) / (2 * half) ** 2
+        )
+        sharp = view.quality * float(np.log1p(edges.var())) * shown**2
         if self.best is None or sharp > self.best[0]:
             self.best = sharp, _upright(frame, view.face._replace(angle=0.0), STILL_SIDES, STILL_PX)
 

@@ -1,0 +1,202 @@
+// The page of a film's cast: people are merged, renamed and split, and doubts are settled.
+
+import * as api from "./api.js";
+import { $ } from "./dom.js";
+
+const POLL = 1000; // ms
+const SVG = "http://www.w3.org/2000/svg";
+let now = null; // the state that the server told last
+let chosen = null; // {name, frame} on the timeline
+let doubt = 0; // index of the doubt that is shown
+
+const el = (tag, attributes = {}, ...children) => {
+  const made = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name.startsWith("on")) made.addEventListener(name.slice(2), value);
+    else made.setAttribute(name, value);
+  }
+  made.append(...children);
+  return made;
+};
+const drawn = (tag, attributes) => {
+  const made = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  return made;
+};
+const still = (track) =>
+  `api/still/${track.first}/${track.stop}.jpg?person=${encodeURIComponent(track.person)}`;
+const longest = (name) =>
+  now.tracks.filter((one) => one.person === name).reduce((a, b) => (b.stop - b.first > a.stop - a.first ? b : a));
+const clock = (frame) => {
+  const seconds = frame / now.fps;
+  return `${Math.floor(seconds / 60)}:${(seconds % 60).toFixed(2).padStart(5, "0")}`;
+};
+
+function say(text) {
+  $("message").textContent = text;
+}
+
+async function ask(path, body = {}) {
+  try {
+    show(await api.post(path, { base: now.revision, ...body }));
+    say(now.changes.at(-1) ?? "");
+  } catch (error) {
+    say(error.message);
+    if (error.body?.people) show(error.body);
+    else render();
+  }
+}
+
+const change = (what, name, more) => ask("change", { what, name, ...more });
+
+/** A person may be dragged onto another: both are one. */
+function draggable(part, name) {
+  part.draggable = true;
+  part.addEventListener("dragstart", (event) => event.dataTransfer.setData("text/plain", name));
+  part.addEventListener("dragover", (event) => {
+    event.preventDefault();
+    part.classList.add("over");
+  });
+  part.addEventListener("dragleave", () => part.classList.remove("over"));
+  part.addEventListener("drop", (event) => {
+    event.preventDefault();
+    part.classList.remove("over");
+    const other = event.dataTransfer.getData("text/plain");
+    if (other && other !== name) change("merge", other, { to: name });
+  });
+  return part;
+}
+
+function card(person) {
+  const { name } = person;
+  const picture = el("img", { src: still(longest(name)), alt: name });
+  const label = el("input", { value: name, "aria-label": `name of ${name}`, maxlength: 60 });
+  label.addEventListener("change", () => label.value.trim() && change("rename", name, { to: label.value.trim() }));
+  label.addEventListener("keydown", (event) => event.key === "Enter" && label.blur());
+  const into = el("select", { "aria-label": `${name} is` }, el("option", { value: "" }, "is also..."));
+  for (const other of now.people) if (other.name !== name) into.append(el("option", { value: other.name }, other.name));
+  into.addEventListener("change", () => into.value && change("merge", name, { to: into.value }));
+  const count = `${person.seconds.toFixed(1)} s, ${person.intervals.length} times`;
+  const about = el("small", {}, count, el("br"), `P ${person.p.toFixed(2)}${person.photograph ? ", a photograph" : ""}`);
+  return draggable(el("li", { "data-name": name }, picture, label, about, into), name);
+}
+
+function row(person) {
+  const span = now.last + 1 - now.first;
+  const bar = drawn("svg", { viewBox: `0 0 ${span} 10`, preserveAspectRatio: "none", role: "img" });
+  bar.setAttribute("aria-label", `${person.name}: ${person.intervals.length} times`);
+  for (const track of now.tracks.filter((one) => one.person === person.name)) {
+    const kind = track.doubt && !track.given ? { class: "doubt" } : {};
+    bar.append(drawn("rect", { x: track.first - now.first, y: 0, width: track.stop - track.first, height: 10, ...kind }));
+  }
+  for (const cut of now.cuts) bar.append(drawn("line", { x1: cut - now.first, x2: cut - now.first, y1: 0, y2: 10 }));
+  if (chosen) {
+    const x = chosen.frame - now.first + 0.5;
+    bar.append(drawn("line", { class: "now", x1: x, x2: x, y1: 0, y2: 10 }));
+  }
+  bar.addEventListener("click", (event) => {
+    const box = bar.getBoundingClientRect();
+    const at = Math.floor(((event.clientX - box.left) / box.width) * span);
+    chosen = { name: person.name, frame: now.first + Math.min(Math.max(at, 0), span - 1) };
+    render();
+  });
+  return el("div", { class: "row", "data-name": person.name }, draggable(el("span", {}, person.name), person.name), bar);
+}
+
+function showMoment() {
+  $("moment").hidden = !chosen;
+  if (!chosen) return;
+  $("frame").src = `api/frame/${chosen.frame}.jpg?reduce=2`;
+  $("frame").alt = `Frame ${chosen.frame}`;
+  $("where").textContent = `Frame ${chosen.frame}, ${clock(chosen.frame)}`;
+  $("split").textContent = `From here ${chosen.name} is somebody else`;
+}
+
+function showDoubt() {
+  const open = now.doubts;
+  $("doubts").hidden = !open.length;
+  if (!open.length) return;
+  doubt %= open.length;
+  const track = open[doubt];
+  const choices = [
+    [track.person, track.p, track.person],
+    ...(track.other ? [[track.other, track.p_other, track.other]] : []),
+    ["somebody new", track.other ? null : track.p_other, null],
+  ];
+  const whole = `${doubt + 1} of ${open.length}: frames ${track.first} to ${track.stop - 1}, ${clock(track.first)}`;
+  const figures = choices.map(([name, p, to], index) => {
+    const known = to && now.people.some((one) => one.name === to);
+    const face = known ? el("img", { src: still(longest(to)), alt: name }) : el("div", { class: "nobody" }, "?");
+    const choose = el("button", { type: "button", onclick: () => settle(index) });
+    choose.append(`${index + 1}: ${name}${p === null ? "" : `, P ${p.toFixed(2)}`}`);
+    return el("figure", {}, face, choose);
+  });
+  const own = el("figure", {}, el("img", { src: still(track), alt: "the track in doubt" }), el("small", {}, whole));
+  $("doubt").replaceChildren(own, ...figures);
+  settle.choices = choices.map(([, , to]) => to);
+  settle.track = track;
+}
+
+function settle(index) {
+  const { choices, track } = settle;
+  if (track && index < choices.length) change("give", track.person, { to: choices[index], frame: track.first });
+}
+
+function render() {
+  $("film").textContent = `People in ${now.clip}`;
+  $("people").replaceChildren(...[...now.people].sort((a, b) => b.seconds - a.seconds).map(card));
+  $("timeline").replaceChildren(...now.people.map(row));
+  showMoment();
+  showDoubt();
+  const busy = Boolean(now.job || now.ended);
+  $("undo").disabled = busy || !now.changes.length;
+  $("save").disabled = busy;
+  if (now.job) say(`${now.job.what}${now.job.total ? `, ${now.job.done} of ${now.job.total}` : ""}`);
+  if (now.ended) say(now.ended.messages.join("; "));
+  else if (now.message) say(now.message);
+}
+
+function show(state) {
+  now = state;
+  if (chosen && !now.people.some((one) => one.name === chosen.name)) chosen = null;
+  render();
+}
+
+async function poll() {
+  try {
+    const state = await api.state();
+    const told = (one) => JSON.stringify([one.revision, one.job, one.ended, one.message]);
+    // an answer that was on its way when something was changed is old
+    if (state.revision >= now.revision && told(state) !== told(now)) show(state);
+  } catch (error) {
+    say(now.ended ? now.ended.messages.join("; ") : error.message);
+    if (now.ended) return;
+  }
+  setTimeout(poll, POLL);
+}
+
+const step = (by) => {
+  if (!chosen) return;
+  chosen.frame = Math.min(Math.max(chosen.frame + by, now.first), now.last);
+  render();
+};
+$("undo").addEventListener("click", () => ask("undo"));
+$("save").addEventListener("click", () => ask("save"));
+$("back").addEventListener("click", () => step(-1));
+$("on").addEventListener("click", () => step(1));
+$("split").addEventListener("click", () => change("split", chosen.name, { frame: chosen.frame }));
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey || /INPUT|SELECT/.test(event.target.tagName)) return;
+  const does = {
+    u: () => ask("undo"),
+    s: () => ask("save"),
+    n: () => ((doubt += 1), render()),
+    ArrowLeft: () => step(-1),
+    ArrowRight: () => step(1),
+  };
+  if (does[event.key]) does[event.key]();
+  else if (/^[1-9]$/.test(event.key)) settle(Number(event.key) - 1);
+});
+
+show(await api.state());
+poll();

@@ -1,0 +1,145 @@
+"""The cast of a film on a page: people are merged, renamed and split, and doubts are settled."""
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from pydantic import StrictInt
+
+from facetrack_cli.core.errors import UsageError
+from facetrack_cli.editor.web.frame import jpeg
+from facetrack_cli.editor.web.session import Answer, Page, RefusedError, Route
+from facetrack_cli.runs.people import people_in, recast, rows_in, still_of
+from facetrack_cli.trajectory import people as edits
+from facetrack_cli.trajectory.people import People, Tracks
+from facetrack_cli.video.seek import Frames
+
+MAX_CHANGES: Final = 2000
+Change = tuple[str, Callable[[Tracks], Tracks]]
+
+
+class CastSession(Page):
+    """The people of the run in `folder`, whose frames are at hand. Nothing is written before it is saved."""
+
+    index = "cast.html"
+
+    def __init__(self, folder: Path, frames: Frames, clip: Path, *, video: bool) -> None:
+        super().__init__()
+        self.folder, self.frames, self.clip, self.video = folder, frames, clip, video
+        self.before, self._rows = people_in(folder), rows_in(folder)
+        self._steps: list[tuple[Change, Tracks]] = []
+        self._still = lru_cache(256)(self._picture)
+
+    @property
+    def tracks(self) -> Tracks:
+        """Each track, with the target of the run's rows that it belongs to."""
+        return self._steps[-1][1] if self._steps else edits.tracks_of(self.before)
+
+    def people(self) -> People:
+        """As they are now."""
+        records = [one for _, one in self.tracks]
+        moving = {target for target, _ in self.tracks} - {one.name for one in self.before.people if one.photograph}
+        still = {one.person for target, one in self.tracks if target not in moving}
+        return edits.people_of(self.before.fps, self.before.shots, records, {}, still)
+
+    def routes(self) -> Sequence[Route]:
+        return (
+            Route("GET", "api/state", self.state),
+            Route("GET", "api/still/{first}/{stop}.jpg", self._still_of),
+            Route("GET", "api/frame/{frame}.jpg", self._frame),
+            Route("POST", "api/change", self._change),
+            Route("POST", "api/undo", self._undo),
+            Route("POST", "api/save", self._save),
+        )
+
+    def state(self) -> dict[str, Any]:
+        with self.lock:
+            people = self.people()
+            return {
+                "revision": self.revision,
+                "clip": self.clip.name,
+                "folder": str(self.folder),
+                "people": [one.model_dump(mode="json") for one in people.people],
+                "tracks": [one.model_dump(mode="json") for one in people.tracks],
+                "doubts": [one.model_dump(mode="json") for one in people.doubts],
+                "cuts": [one.first for one in people.shots[1:]],
+                "fps": people.fps,
+                "first": people.shots[0].first,
+                "last": max(int(self._rows.frame.max()), *(one.stop - 1 for one in people.tracks)),
+                "changes": [words for (words, _), _ in self._steps],
+                "job": self._job,
+                "ended": self.ended,
+                "message": self.message,
+            }
+
+    def _change(
+        self,
+        base: StrictInt,
+        what: Literal["merge", "rename", "split", "give"],
+        name: str,
+        to: str | None = None,
+        frame: StrictInt = 0,
+    ) -> dict[str, Any]:
+        """`name` is merged into `to`, renamed to it, split at `frame`, or its track in `frame` is given to `to`."""
+        change: Callable[[Tracks], Tracks]
+        if what == "merge":
+            words, change = f"merge {name}={to}", partial(edits.merge, name=name, into=to or "")
+        elif what == "rename":
+            words, change = f"rename {name}={to}", partial(edits.rename, name=name, to=to or "")
+        elif what == "split":
+            words, change = f"split {name}@{frame}f", partial(edits.split, name=name, frame=frame)
+        else:
+            words, change = f"give {name}@{frame}f={to or ''}", partial(edits.give, name=name, frame=frame, to=to)
+        with self.lock:
+            self._check(base)
+            if len(self._steps) >= MAX_CHANGES:
+                raise UsageError(f"there are {MAX_CHANGES} changes; save them first")
+            self._steps.append(((words, change), change(self.tracks)))
+            self.revision += 1
+            return self.state()
+
+    def _undo(self, base: StrictInt) -> dict[str, Any]:
+        with self.lock:
+            self._check(base)
+            if self._steps:
+                self._steps.pop()
+                self.revision += 1
+            return self.state()
+
+    def _save(self, base: StrictInt) -> Answer:
+        with self.lock:
+            self._check(base)
+            self.start_job("saving", self._write, saves=True)
+            return Answer(self.state(), 202)
+
+    def _write(self, report: Callable[[int, int | None], None]) -> None:
+        changes = [change for change, _ in self._steps]
+        if changes:
+            recast(
+                self.folder, changes, clip=self.clip, video=self.video, stop=self.stopping.is_set,
+                report=lambda done, total, doing="": report(done, total),
+            )  # fmt: skip
+        count = f"{len(changes)} change{'s' if len(changes) != 1 else ''}"
+        self.end([f"{self.folder}: {count} saved"], f"facetrack people {self.folder}")
+
+    def _check(self, base: int) -> None:
+        """RefusedError (409) while a job runs, after the end, and for what was meant for an earlier state."""
+        self.refuse_if_busy()
+        if base != self.revision:
+            raise RefusedError(409, "another window has changed the cast", self.state())
+
+    def _frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
+        return Answer(jpeg(self.frames, frame, int(reduce)), kind="image/jpeg")
+
+    def _still_of(self, first: int, stop: int, person: str) -> Answer:
+        with self.lock:
+            found = [
+                target for target, one in self.tracks if (one.person, one.first, one.stop) == (person, first, stop)
+            ]
+        if not found:
+            raise RefusedError(404, "there is no such track any more")
+        return Answer(self._still(found[0], first, stop), kind="image/jpeg")
+
+    def _picture(self, target: str, first: int, stop: int) -> bytes:
+        return still_of(self._rows, target, first, stop, self.frames.read)

@@ -1,0 +1,146 @@
+"""The cast of a film on a page: what its server does, and the page in a real browser."""
+
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import ExitCode
+from facetrack_cli.editor.web.cast_session import CastSession
+from facetrack_cli.editor.web.server import serving
+from facetrack_cli.runs import clip
+from facetrack_cli.runs.job import Job
+from facetrack_cli.runs.seeds import load_recipes
+from facetrack_cli.runs.signals import Stop
+from facetrack_cli.trajectory.people import read_people
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.video.seek import Frames
+from tests.support.page_client import Client
+from tests.support.samples import FOLDER
+
+FILM = FOLDER / "film.mp4"
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    """The sample film from frame 40 to 150: Collins, a cut, Hopper, a cut, both. A track of Hopper is in doubt."""
+    out = tmp_path_factory.mktemp("cast") / "out"
+    [recipe] = load_recipes([("face", ())], None)
+    assert clip.run(Job(FILM, recipe, out, video=False, faces="all", start=30, stop=150), Stop()).error is None
+    people = read_people(out)
+    at = max(k for k, one in enumerate(people.tracks) if one.person == "person_2")
+    doubt = people.tracks[at].model_copy(update={"doubt": True, "p": 0.6, "other": None, "p_other": 0.4})
+    tracks = (*people.tracks[:at], doubt, *people.tracks[at + 1 :])
+    (out / "people.json").write_bytes(people.model_copy(update={"tracks": tracks}).text())
+    return out
+
+
+@pytest.fixture
+def page(ran, tmp_path):
+    """(folder, session, address) of a page that is served."""
+    folder = shutil.copytree(ran, tmp_path / "out")
+    with Frames(FILM) as frames:
+        session = CastSession(folder, frames, FILM, video=False)
+        with serving(session) as server:
+            yield folder, session, server.url
+
+
+@pytest.fixture
+def client(page):
+    one = Client(page[2])
+    yield one
+    one.close()
+
+
+def change(client, what, name, **more):
+    base = client.get("api/state").json["revision"]
+    return client.ask("POST", "api/change", {"base": base, "what": what, "name": name, **more})
+
+
+def names(state):
+    return [one["name"] for one in state["people"]]
+
+
+def test_the_cast_is_changed_undone_and_saved(page, client):
+    folder, _, _ = page
+    before = (folder / "trajectory.csv").read_bytes()
+    assert b"cast.js" in client.get("").data
+    state = client.get("api/state").json
+    assert names(state) == ["person_1", "person_2"] and state["cuts"] == [45, 90, 140]
+    assert names(change(client, "rename", "person_1", to="Eileen").json) == ["Eileen", "person_2"]
+    assert names(change(client, "split", "Eileen", frame=80).json) == ["Eileen", "person_2", "person_1"]
+    got = change(client, "merge", "person_1", to="person_2")
+    assert got.status == 422 and "both seen in frame 9" in got.json["error"]
+    assert names(change(client, "merge", "person_1", to="Eileen").json) == ["Eileen", "person_2"]
+    undone = client.ask("POST", "api/undo", {"base": 3}).json
+    assert names(undone) == ["Eileen", "person_2", "person_1"] and len(undone["changes"]) == 2
+    assert (folder / "trajectory.csv").read_bytes() == before
+    assert client.save().status == 202
+    ended = client.until(lambda state: state["ended"])["ended"]
+    assert ended["messages"] == [f"{folder}: 2 changes saved"] and ended["next"] == f"facetrack people {folder}"
+    assert read_trajectory(folder / "trajectory.json").targets == ("Eileen", "person_2", "person_1")
+    assert read_people(folder).corrections == ("rename person_1=Eileen", "split Eileen@80f")
+    assert change(client, "rename", "Eileen", to="x").status == 409
+
+
+def test_a_doubt_is_settled(client):
+    [doubt] = client.get("api/state").json["doubts"]
+    frame = doubt["first"]
+    new = change(client, "give", "person_2", frame=frame).json
+    assert not new["doubts"] and names(new) == ["person_1", "person_2", "person_3"]
+    client.ask("POST", "api/undo", {"base": new["revision"]})
+    same = change(client, "give", "person_2", to="person_2", frame=frame).json
+    assert not same["doubts"] and names(same) == ["person_1", "person_2"]
+    for frame, to, message in ((10, None, "is not seen in frame 10"), (100, "person_1", "seen in frame")):
+        got = change(client, "give", "person_2", to=to, frame=frame)
+        assert got.status == 422 and message in got.json["error"]
+
+
+def test_pictures_are_of_tracks(client):
+    track = client.get("api/state").json["tracks"][0]
+    got = client.get(f"api/still/{track['first']}/{track['stop']}.jpg?person={track['person']}")
+    assert cv2.imdecode(np.frombuffer(got.data, np.uint8), 1).shape == (240, 240, 3)
+    assert client.get(f"api/still/{track['first']}/{track['stop']}.jpg?person=nobody").status == 404
+    assert client.get("api/frame/50.jpg?reduce=4").headers["Content-Type"] == "image/jpeg"
+
+
+def test_two_windows_do_not_overwrite_each_other(client):
+    assert change(client, "rename", "person_1", to="Eileen").status == 200
+    late = client.ask("POST", "api/change", {"base": 0, "what": "rename", "name": "person_2", "to": "Grace"})
+    assert late.status == 409 and names(late.json) == ["Eileen", "person_2"]
+
+
+def test_fix_of_a_film_names_the_page(ran, capsys):
+    assert main(["fix", str(ran)]) == ExitCode.INPUT
+    assert f"facetrack people {ran} --page" in capsys.readouterr().err
+    assert main(["people", str(ran), "--port", "8000"]) == ExitCode.USAGE
+
+
+def test_the_page_in_a_browser(page, windows):
+    _, session, url = page
+    window = windows()
+    window.expected = ["422"]
+    view = window.page
+    view.set_default_timeout(10_000)
+    view.goto(url)
+    view.wait_for_selector("#people li")
+
+    def card(name):
+        return f'#people li[data-name="{name}"]'
+
+    view.fill(f"{card('person_1')} input", "Eileen")
+    view.press(f"{card('person_1')} input", "Enter")
+    view.wait_for_selector(card("Eileen"))
+    view.drag_and_drop(f"{card('person_2')} img", card("Eileen"))
+    view.wait_for_selector('#message:has-text("both seen")')
+    view.click('#timeline .row[data-name="person_2"] svg', position={"x": 300, "y": 8})
+    view.wait_for_selector("#moment:not([hidden])")
+    view.keyboard.press("2")  # the doubt: somebody new
+    view.wait_for_selector(card("person_1"))
+    view.keyboard.press("u")
+    view.wait_for_selector(card("person_1"), state="detached")
+    assert [words for (words, _), _ in session._steps] == ["rename person_1=Eileen"]
+    view.keyboard.press("s")
+    view.wait_for_selector('#message:has-text("1 change saved")')
