@@ -12,7 +12,7 @@ This is recognition of an open set, without a gallery: Zhou et al. (2003) recogn
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -84,13 +84,13 @@ def same_person(looks: Sequence[Looks]) -> Array:
     if all(one.embedding.shape[1] for one in looks):  # known people may have been saved without
         x = np.concatenate([one.embedding[rows] for one, rows in zip(looks, full, strict=True)])
         squared = np.sum(x**2, axis=1)
-        distance = np.sqrt(np.maximum(squared[:, None] + squared - 2 * x @ x.T, 0))
         a, b = _BY_EMBEDDING
-        return np.clip(a + b * _of_nearest(distance), -_BOUND, _BOUND)
+        near = _of_nearest(x, lambda dot, rows: np.sqrt(np.maximum(squared[rows, None] + squared - 2 * dot, 0)))
+        return np.clip(a + b * near, -_BOUND, _BOUND)
     x = np.concatenate([one.face[rows] for one, rows in zip(looks, full, strict=True)])
     skin, hair, worn = (np.array([np.median(getattr(one, key), axis=0) for one in looks]) for key in _COLOURS)
     a, face, of_skin, of_hair, of_worn = _BY_LOOK
-    odds = a - face * _of_nearest(-(x @ x.T))
+    odds = a - face * _of_nearest(x, lambda dot, rows: -dot)
     odds += of_skin * np.minimum(_far(skin), _MOST_SKIN) + of_hair * np.minimum(_far(hair), _MOST_HAIR)
     for i, one in enumerate(worn):
         odds[i] += of_worn * 0.5 * np.sum((worn - one) ** 2 / (worn + one + 1e-9), axis=1)
@@ -106,13 +106,17 @@ def _far(colours: Array) -> Array:
     return np.asarray(np.linalg.norm((colours[:, None] - colours) * _LAB, axis=2))
 
 
-def _of_nearest(distance: Array) -> Array:
-    """(T, T): the mean of the smallest eighth of the distances (T * VIEWS, T * VIEWS) between views of two tracks."""
-    t = len(distance) // VIEWS
+def _of_nearest(x: Array, distance: Callable[[Array, slice], Array]) -> Array:
+    """(T, T): the mean of the smallest eighth of the distances between views of two tracks.
+
+    `x` (T * VIEWS, D) are all views; `distance` makes the distances of some rows from their products with all.
+    """
+    t = len(x) // VIEWS
     found = np.empty((t, t))
     for i in range(t):
-        rows = distance[i * VIEWS : (i + 1) * VIEWS].reshape(VIEWS, t, VIEWS).transpose(1, 0, 2).reshape(t, -1)
-        found[i] = np.partition(rows, _NEAREST - 1, axis=1)[:, :_NEAREST].mean(axis=1)
+        rows = slice(i * VIEWS, (i + 1) * VIEWS)
+        each = distance(x[rows] @ x.T, rows).reshape(VIEWS, t, VIEWS).transpose(1, 0, 2).reshape(t, -1)
+        found[i] = np.partition(each, _NEAREST - 1, axis=1)[:, :_NEAREST].mean(axis=1)
     return 0.5 * (found + found.T)
 
 
@@ -126,14 +130,12 @@ def _apart(tracks: Sequence[Seen]) -> Mask:
 
 def _follows(tracks: Sequence[Seen]) -> Mask:
     """(T, T) tracks of one shot of which one begins where the other has ended."""
-    found = np.zeros((len(tracks), len(tracks)), bool)
-    for i, a in enumerate(tracks):
-        for j, b in enumerate(tracks):
-            if a.shot == b.shot and a.stop <= b.first:
-                side = max(a.ends[2], b.begins[2])
-                near = np.hypot(a.ends[0] - b.begins[0], a.ends[1] - b.begins[1]) < 0.7 * side
-                found[i, j] = found[j, i] = near
-    return found
+    shot, first, stop = (np.array([getattr(one, key) for one in tracks]) for key in ("shot", "first", "stop"))
+    begins, ends = (np.array([getattr(one, key) for one in tracks]) for key in ("begins", "ends"))
+    far = np.hypot(*(ends[:, None, :2] - begins[:, :2]).transpose(2, 0, 1))
+    near = far < 0.7 * np.maximum(ends[:, None, 2], begins[:, 2])
+    found = near & (shot[:, None] == shot) & (stop[:, None] <= first)
+    return np.asarray(found | found.T)
 
 
 def clusters(odds: Array, apart: Mask) -> Whole:

@@ -145,7 +145,10 @@ class Reader:
         edges = cv2.Laplacian(cv2.cvtColor(picture.chip, cv2.COLOR_BGR2GRAY), cv2.CV_32F)
         (x, y), half = view.face.centre, STILL_SIDES * view.face.scale / 2
         shown = (
-            common_area((x - half, y - half, 2 * half, 2 * half), (0.0, 0.0, *map(float, frame.size))) / (2 * half) ** 2
+            common_area(
+                (x - half, y - half, 2 * half, 2 * half), (0.0, 0.0, float(frame.size[0]), float(frame.size[1]))
+            )
+            / (2 * half) ** 2
         )
         sharp = view.quality * float(np.log1p(edges.var())) * shown**2
         if self.best is None or sharp > self.best[0]:
