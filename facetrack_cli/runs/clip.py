@@ -9,7 +9,7 @@ from facetrack_cli.core.types import Correction, Frame, Start
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.checkpoint import forget
 from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended, is_tracked, silent
-from facetrack_cli.runs.people import film_results, film_shots, film_start, name_run
+from facetrack_cli.runs.people import crowded, film_results, film_shots, film_start, name_run
 from facetrack_cli.runs.pipeline import decoded_ahead
 from facetrack_cli.runs.recording import ClipFacts, Recorder
 from facetrack_cli.runs.signals import Stop
@@ -85,7 +85,7 @@ def track_clip(job: Job, out: Recorder, stop: Stop, report: Report = silent, loo
         stopped = stop.reason if stop() else None
         if shots and error is None and stopped is None and job.chunk is None and not out.outcome.evidence:
             raise InputError(f"{job.clip}: no face found in frames {begins} to {state.frame - 1}")
-        warnings = (*source.warnings, *state.notes)
+        warnings = (*source.warnings, *state.notes, *(crowded(state.at) if shots else ()))
         if stopped is None and error is None and job.stop is None:
             warnings += past_end(start.corrections, state.frame - 1, start.origin)
         if state.watch is not None and (unseen := state.watch.unseen()):

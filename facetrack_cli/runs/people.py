@@ -28,7 +28,7 @@ from facetrack_cli.runs.start import frames_of
 from facetrack_cli.tracking.loop import TrackState
 from facetrack_cli.tracking.people.identity import SURE, Cast, Seen, cast_of
 from facetrack_cli.tracking.people.looks import Looks, Reader, load_people, save_people, views_of
-from facetrack_cli.tracking.people.presence import Film
+from facetrack_cli.tracking.people.presence import MAX_FACES, Film
 from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.trajectory.header import clip_of, said
 from facetrack_cli.trajectory.people import (
@@ -207,6 +207,13 @@ def _named(
     still = {name: f"{STILLS}/{name}.jpg" for name in pictures}
     people = people_of(fps, told, [one for _, one in records], still, {*names} - moving)
     return Named(people, tuple(records), {name: _jpeg(image) for name, (_, image) in pictures.items()})
+
+
+def crowded(at: TrackState) -> tuple[str, ...]:
+    """A warning after a film that shows more faces at a time than are followed."""
+    if not at.states or at.states[0].crowd is None:
+        return ()
+    return (f"more than {MAX_FACES} faces at a time, first in frame {at.states[0].crowd}; the largest are followed",)
 
 
 def cast_in(job: Job, rows: Trajectory, stop: Stopped, looked: Report) -> Named:

@@ -21,6 +21,7 @@ from facetrack_cli.runs import people as runs_people
 from facetrack_cli.runs.job import Job
 from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop
+from facetrack_cli.tracking.people import presence
 from facetrack_cli.tracking.people.identity import Doubt, cast_of
 from facetrack_cli.trajectory.people import read_people
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -224,6 +225,17 @@ def test_a_film_that_was_tracked_and_not_named_is_named(tmp_path):
     done = clip.run(job(out), Stop())
     assert done.error is None and read_people(out) is not None and tracked
     assert read_trajectory(out / "trajectory.json").targets == ("person_1", "person_2")
+
+
+def test_a_crowd_is_bounded_and_said(tmp_path, monkeypatch):
+    monkeypatch.setattr(presence, "MAX_FACES", 1)
+    monkeypatch.setattr(runs_people, "MAX_FACES", 1)
+    done = clip.run(job(tmp_path / "out"), Stop())
+    assert done.error is None
+    [said] = [line for line in done.warnings if "faces at a time" in line]
+    assert said.startswith("more than 1 faces at a time, first in frame 9")
+    boxes = [one for one in read_trajectory(tmp_path / "out" / "trajectory.json").parts if one.part == "box"]
+    assert np.unique(np.concatenate([one.frame for one in boxes]), return_counts=True)[1].max() == 1
 
 
 def test_a_film_of_nobody(tmp_path, capsys):

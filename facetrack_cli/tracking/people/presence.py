@@ -65,6 +65,7 @@ class Everyone:
     tracks: list[Track] = field(default_factory=list)
     left: list[Track] = field(default_factory=list)
     begun: int = 0
+    crowd: int | None = None  # the first frame with more than MAX_FACES
 
 
 @dataclass(frozen=True)
@@ -162,6 +163,8 @@ class Film:
         able = shot.is_clear(frame.index) and (len(frames) > TWICE_FRAMES or frames[0].index == shot.first)
         new = [one for one in free if able and self._is_new(one, [*kept, *known.left], frames)]
         room = MAX_FACES - len(kept)
+        if len(new) > room and known.crowd is None:
+            known.crowd = frame.index
         begun = [one for face in new[:room] if (one := self._begun(known, face, frame)) is not None]
         passed = frames[-2::-1]
         each = [self._back(track, passed) for track, _ in begun]
