@@ -44,6 +44,8 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) 
         if (known := ended(job)) is not None:  # meanwhile, by another process
             return known
         done = track_clip(job, out, stop, report, looked) if job.split is None else join(job, out, stop, report)
+        if job.split is not None:
+            done.frames_per_s = 0.0  # rows were joined, not tracked
     return name_run(job, done, stop, looked) if _names(job) and done.error is None and done.stopped is None else done
 
 

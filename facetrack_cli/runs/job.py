@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Final, Literal, NamedTuple, TypeAlias
@@ -155,18 +155,28 @@ class Outcome(Ending):
         parts = [f"{self.frames} frames" if self.frames > 1 else "1 frame"]
         if self.again is not None:
             parts.insert(0, "done before")
-        elif self.frames > 1:
+        elif self.frames > 1 and self.frames_per_s:
             parts.append(f"{self.frames_per_s:.1f} frames/s")
         if self.resumed is not None:
             parts.append(f"went on from frame {self.resumed}")
         if self.lost_frames:
-            parts.append("lost: " + ", ".join(f"{part} in {n}" for part, n in self.lost_frames.items()))
+            parts.append(f"lost: {lost_words(self.lost_frames)}")
         if self.stopped or not self.complete:
             parts.append(self.stopped or "incomplete")
         where = "standard output" if self.streamed else "nothing"
         if self.files:
             where = f"{self.files[0].parent}{os.sep} ({', '.join(file.name for file in self.files)})"
         return f"{self.clip} -> {where}: {'; '.join(parts)}"
+
+
+def lost_words(frames: Mapping[str, int]) -> str:
+    """In how many frames each target/part is lost, worst first, with the name of a target once."""
+    by: dict[str, dict[int, list[str]]] = {}
+    for name, count in sorted(frames.items(), key=lambda one: -one[1]):
+        target, _, part = name.rpartition("/")
+        by.setdefault(target, {}).setdefault(count, []).append(part)
+    told = (", ".join(f"{' and '.join(parts)} in {n}" for n, parts in counts.items()) for counts in by.values())
+    return "; ".join(f"{target} {words}".strip() for target, words in zip(by, told, strict=True)) + " frames"
 
 
 def finished(job: Job) -> Manifest | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import errno
 import json
@@ -615,8 +616,9 @@ def interrupted(args: list[object], ready: Callable[[], bool], *signals: int, gr
             assert time.monotonic() < deadline
             time.sleep(0.02)
         for number in signals:
-            os.killpg(process.pid, number) if group else process.send_signal(number)
-            time.sleep(0.02)
+            with contextlib.suppress(ProcessLookupError):  # it has ended
+                os.killpg(process.pid, number) if group else process.send_signal(number)
+            time.sleep(0.1)  # of two that wait at once, Python handles the lower number first
         _, err = process.communicate(timeout=60)
         return process.returncode, err
     finally:

@@ -9,6 +9,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs.job import lost_words
 from facetrack_cli.runs.verdict import EVERY_FRAMES, Watch
 from facetrack_cli.tracking.start.detectors import Found
 from tests.support.results import part, result, target
@@ -106,9 +107,16 @@ def test_a_hand_that_is_taken_for_a_face_is_said_to_be_doubtful(tmp_path, monkey
     assert main([*begin, "--format", "csv", "-o", "d"]) == 0
     assert "facetrack fix" not in capsys.readouterr().err  # which needs the JSON
     assert main([*begin, "-o", "e"]) == 0
-    said = capsys.readouterr().err.splitlines()[-1]
-    assert "recipe correlation_filter is the default for whatever is in a --box, others: facetrack suggest" in said
-    assert said.endswith("--box 10,20,60,60")
+    assert "suggest" not in capsys.readouterr().err, "nothing is doubtful"
+    assert main(["run", clip, "--init", "haar", "--no-video", "--stop", "110", "-o", "f"]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert "doubtful: " in said[-2] and "recipe face is the default for a face and its features" in said[-1]
+    assert said[-1].endswith(f"others: facetrack suggest {clip}")
+
+
+def test_what_was_lost_is_told_once_a_target_worst_first():
+    lost = {"face/nose": 3, "hand/box": 40, "face/lip_upper": 12, "face/lip_lower": 12, "nose": 2}
+    assert lost_words(lost) == "hand box in 40; face lip_upper and lip_lower in 12, nose in 3; nose in 2 frames"
 
 
 @pytest.mark.parametrize("recipe", ["face", "head_hands", "adaptive"])

@@ -445,7 +445,10 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: 
 
 
 def _report(outcome: Outcome, shown: Progress, *, named: bool = False, why: str = "") -> None:
-    """What the search took, warnings, the summary, the verdict; the next step, if no other clip is `named`."""
+    """What the search took, warnings, the summary, the verdict; the next step, if no other clip is `named`.
+
+    `why` this recipe was taken is said of a doubtful run.
+    """
     if outcome.note:
         shown.say(f"{outcome.clip}: {outcome.note}")
     for warning in outcome.warnings:
@@ -457,7 +460,7 @@ def _report(outcome: Outcome, shown: Progress, *, named: bool = False, why: str 
     if outcome.verdict and not (named and not outcome.doubtful):
         shown.say(f"{outcome.clip}: {outcome.verdict}")
     if not named and (what := outcome.next_step()):
-        shown.say(f"{what}{why}")
+        shown.say(f"{what}{why if outcome.doubtful else ''}")
 
 
 command = verb(Run)
