@@ -13,34 +13,41 @@ from click.shell_completion import CompletionItem
 
 from facetrack_cli import __version__
 from facetrack_cli.cli.defaults import option_of, read_defaults
+from facetrack_cli.cli.options import sections
 from facetrack_cli.core.log import VARIABLE
 
 COMMANDS = {
     "run": "Track faces, heads and hands in videos and image folders.",
-    "status": "Tell how far a batch is: done, running, failed, time left.",
     "init": "Write where the track of a clip begins, as a file to edit.",
-    "people": "Show and correct who is in a film.",
-    "fix": "Correct a finished run, on a page.",
-    "smooth": "Smooth a finished run: every row given the whole clip.",
-    "recipes": "List, show and check the recipes of trackers.",
     "suggest": "Try recipes on the start of a clip; say which to take.",
-    "prior": "Learn shape priors from annotated frames, and draw them.",
-    "gallery": "Learn who is who from images and videos, and draw it.",
+    "status": "Tell how far a batch is: done, running, failed, time left.",
+    "fix": "Correct a finished run, on a page.",
+    "people": "Show and correct who is in a film.",
+    "smooth": "Smooth a finished run: every row given the whole clip.",
+    "report": "Write one HTML page about a run.",
+    "plot": "Draw what happened in a trajectory.",
+    "export": "Write a trajectory as other tools read it.",
     "eval": "Measure a trajectory against ground truth.",
     "compare": "Run and rank several recipes on a clip with ground truth.",
     "repeat": "Show how far a recipe's runs differ from seed to seed.",
-    "calibrate": "Learn from ground truth how sure a recipe's rows are.",
-    "tune": "Search settings of a recipe, checked on held-out clips.",
-    "motion": "Learn motion models from annotated tracks.",
     "regress": "Check clips against their golden results, for CI.",
-    "plot": "Draw what happened in a trajectory.",
-    "report": "Write one HTML page about a run.",
-    "export": "Write a trajectory as other tools read it.",
+    "recipes": "List, show and check the recipes of trackers.",
+    "tune": "Search settings of a recipe, checked on held-out clips.",
+    "calibrate": "Learn from ground truth how sure a recipe's rows are.",
+    "motion": "Learn motion models from annotated tracks.",
+    "prior": "Learn shape priors from annotated frames, and draw them.",
+    "gallery": "Learn who is who from images and videos, and draw it.",
     "models": "List and fetch optional networks.",
     "completion": "Print what makes a shell complete command lines.",
     "trax": "Speak TraX, the protocol of the VOT toolkit.",
 }
 """The one-line helps stand here because to ask the commands for theirs would load them."""
+SECTIONS = {
+    "run": "Track", "fix": "Correct", "report": "Look and share", "eval": "Measure", "recipes": "Recipes and models",
+    "models": "Others",
+}  # fmt: skip
+"""The commands with which a section of the help begins."""
+ALIASES = {"track": "run"}
 
 READER_GONE = 141
 """Exit code when the reader of standard output is gone, as in `facetrack ... | head`: the shell's, for SIGPIPE."""
@@ -67,6 +74,7 @@ class LazyGroup(click.Group):
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        cmd_name = ALIASES.get(cmd_name, cmd_name)
         if cmd_name not in COMMANDS:
             return None
         command = import_module(f"facetrack_cli.cli.commands.{cmd_name}").command
@@ -74,12 +82,14 @@ class LazyGroup(click.Group):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+        for title, rows in sections(COMMANDS.items(), lambda row: SECTIONS.get(row[0]), "Commands"):
+            with formatter.section(title):
+                formatter.write_dl(rows, col_max=12)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
+        args = [ALIASES.get(args[0], args[0]), *args[1:]]
         name = args[0]
         if name not in COMMANDS and not name.startswith("-"):
             near = get_close_matches(name, COMMANDS, n=1)

@@ -8,11 +8,11 @@ from __future__ import annotations
 import contextlib
 import inspect
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 import click
 
@@ -55,6 +55,7 @@ class Number(click.FloatRange):
         return found
 
 
+_Row = TypeVar("_Row")
 FRAME = Whole(min=0)
 FIGURES = ("png", "svg", "pdf")  # those that report/figures/style.py renders
 TABLES = ("json", "csv", "md")
@@ -91,7 +92,35 @@ def verb(kind: type[Any], name: str | None = None) -> click.Command:
     def call(**values: Any) -> Any:
         return _filled(kind, values).run()
 
-    return click.Command(name, params=list(_parameters(kind)), callback=call, help=inspect.cleandoc(kind.__doc__ or ""))
+    about = inspect.cleandoc(kind.__doc__ or "")
+    made = Verb(name, params=list(_parameters(kind)), callback=call, help=about)
+    made.sections = getattr(kind, "sections", {})
+    return made
+
+
+class Verb(click.Command):
+    """A command whose help has its options in `sections`: a title by the name of the first option of each."""
+
+    sections: Mapping[str, str]
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        params = [one for one in self.get_params(ctx) if isinstance(one, click.Option)]
+        if self.sections:  # --help is of no section
+            params = [params[-1], *params[:-1]]
+        rows = [(one.name, row) for one in params if (row := one.get_help_record(ctx)) is not None]
+        for title, own in sections(rows, lambda row: self.sections.get(row[0] or ""), "Options"):
+            with formatter.section(title):
+                formatter.write_dl([row for _, row in own])
+
+
+def sections(rows: Iterable[_Row], begins: Callable[[_Row], str | None], title: str) -> list[tuple[str, list[_Row]]]:
+    """The rows below titles: that of `begins` where a section begins, `title` before any does."""
+    found: list[tuple[str, list[_Row]]] = [(title, [])]
+    for row in rows:
+        if (begun := begins(row)) is not None:
+            found.append((begun, []))
+        found[-1][1].append(row)
+    return [(name, own) for name, own in found if own]
 
 
 def given_beside(known: set[str]) -> str:

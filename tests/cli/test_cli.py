@@ -270,3 +270,28 @@ def test_a_signal_outside_a_run(monkeypatch, capsys):
     assert capsys.readouterr().err == "facetrack: terminated\n"
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_help_has_sections_and_every_option_in_one_of_them(capsys):
+    assert cli.SECTIONS.keys() <= cli.COMMANDS.keys()
+    assert main(["--help"]) == 0
+    said = capsys.readouterr().out
+    titles = ["Track:", "Correct:", "Look and share:", "Measure:", "Recipes and models:", "Others:"]
+    assert sorted(titles, key=said.index) == titles
+    for name in cli.COMMANDS:
+        command = cli.cli.get_command(click.Context(cli.cli), name)
+        assert set(getattr(command, "sections", {})) <= {one.name for one in command.params}
+    assert main(["run", "--help"]) == 0
+    said = capsys.readouterr().out
+    assert (
+        said.index("Where the track begins:")
+        < said.index("\n  --box")
+        < said.index("Many clips")
+        < said.index("\n  --shard")
+    )
+    assert said.count("\n  --split") == 1 and "Options:\n  -h, --help" in said
+
+
+def test_track_is_run(capsys):
+    assert main(["track", "--help"]) == 0
+    assert "Usage: facetrack run" in capsys.readouterr().out

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, ClassVar, Literal, TypeAlias
 
 import click
 
@@ -101,20 +101,25 @@ class Run:
     130 interrupted, 143 terminated.
     """
 
+    sections: ClassVar = {
+        "init": "Where the track begins", "config": "How it tracks", "out": "What it writes",
+        "overwrite": "How it runs", "jobs": "Many clips and long clips",
+    }  # fmt: skip
+
     inputs: tuple[Path, ...] = argument("INPUT...", nargs=-1, required=True)
-    config: str | None = options.CONFIG
-    set: tuple[str, ...] = options.OVERRIDES
-    seed: int | None = option("--seed N", "Seed of the random numbers, instead of the recipe's.", type=Whole(min=0))
-    gallery: str | None = options.GALLERY
     extent: Extent = group(Extent)
     faces: Literal["one", "all"] = option(
         "--faces WHICH",
-        "Faces that the search takes: `one`, the largest that stays, or `all` [default: one].",
+        "`one`, the largest face that stays, or `all`: everybody, over cuts, see docs/film.md [default: one].",
         type=click.Choice(["one", "all"]), default="one", show_default=False,
     )  # fmt: skip
     init_frame: int | None = option(
         "--init-frame N", "Frame of --init or --box, or where the search for a face begins.", type=FRAME
     )
+    config: str | None = options.CONFIG
+    set: tuple[str, ...] = options.OVERRIDES
+    seed: int | None = option("--seed N", "Seed of the random numbers, instead of the recipe's.", type=Whole(min=0))
+    gallery: str | None = options.GALLERY
     out: str | None = option(
         "-o --out DIR", "Folder for results [default: ./<clip>-<recipe>, with --set]; - streams to stdout."
     )
@@ -130,10 +135,14 @@ class Run:
     no_resume: bool = flag("--no-resume", "Track from the start what was interrupted, not from its last checkpoint.")
     strict: bool = flag("--strict", "Exit with 3 if a clip is cut short or damaged.")
     fail_on_lost: bool = flag("--fail-on-lost", "Exit with 4 if a part is lost in the last frame.")
+    live: bool = flag(
+        "--live", "Write a JSON line a frame to stdout as it comes; INPUT may be a camera's number, or -."
+    )
+    quiet: bool = options.QUIET
+    jobs: int = options.jobs_option("Clips at a time.")
     threads: int | None = option(
         "--threads N", "Threads a clip [default: the cores, shared by -j].", type=Whole(1, 1000)
     )
-    jobs: int = options.jobs_option("Clips at a time.")
     shard: tuple[int, int] | None = option(
         "--shard I/N", "Track every N-th clip alone, from the I-th on: one of N jobs.", type=_shard
     )
@@ -150,10 +159,6 @@ class Run:
     cluster: str | None = option(
         "--cluster WHERE", "Workers of Dask: local:N, tcp://HOST:PORT, or a scheduler file; see docs/pipelines.md."
     )
-    live: bool = flag(
-        "--live", "Write a JSON line a frame to stdout as it comes; INPUT may be a camera's number, or -."
-    )
-    quiet: bool = options.QUIET
 
     def run(self) -> int:
         from facetrack_cli.run_folder.status import write_batch
