@@ -17,7 +17,7 @@ import argparse
 import csv
 from collections import defaultdict
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import Pool
 from pathlib import Path
 from typing import Any
 
@@ -130,8 +130,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     given = parser.parse_args(argv)
     trackers = ("film", "film without", "face", "face without", "detector")
     jobs = [(clip, one) for one in trackers for clip in given.clips]
-    with ProcessPoolExecutor(given.j, max_tasks_per_child=1) as pool:
-        rows = list(pool.map(measured, *zip(*jobs, strict=True)))
+    with Pool(given.j, maxtasksperchild=1) as pool:
+        rows = pool.starmap(measured, jobs, chunksize=1)
     for tracker in trackers:
         values = np.array([row[2] for row in rows if row[1] == tracker])
         for name, of, own in rows:
