@@ -283,7 +283,9 @@ def test_help_has_sections_and_every_option_in_one_of_them(capsys):
         assert set(getattr(command, "sections", {})) <= {one.name for one in command.params}
     assert main(["run", "--help"]) == 0
     said = capsys.readouterr().out
-    places = [said.index(one) for one in ("Where the track begins:", "\n  --box", "Many clips and long", "\n  --shard")]
+    places = [
+        said.index(one) for one in ("Where the track begins:", "\n  --box X,Y", "Many clips and long", "\n  --shard")
+    ]
     assert places == sorted(places)
     assert said.count("\n  --split") == 1 and "Options:\n  -h, --help" in said
 
