@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, needed
+from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array, Frame, Image, Mask, Start, Texts, Whole
 from facetrack_cli.trajectory.diagnostics import POSTERIOR, SURE, Diagnostics, outlines
 
@@ -221,6 +222,21 @@ class Trajectory:
         told = self.header.get("people")
         return read_people(self.path.parent) if told is None else People.model_validate(told)
 
+    def lost_intervals(self) -> dict[str, list[tuple[int, int]]]:
+        """Frames [first, stop) in which each `target/part` is lost, in the order of time."""
+        return self._intervals(("lost",))
+
+    def visible_intervals(self) -> dict[str, list[tuple[int, int]]]:
+        """Frames [first, stop) in which each `target/part` is seen: neither lost, hidden nor absent."""
+        return self._intervals(SEEN)
+
+    def _intervals(self, statuses: Sequence[str]) -> dict[str, list[tuple[int, int]]]:
+        found = {}
+        for one in self.parts:
+            there = spans(np.isin(one.status, statuses), np.diff(one.frame) > 1)
+            found[one.name] = [(int(one.frame[a]), int(one.frame[b - 1]) + 1) for a, b in there]
+        return found
+
     def columns(self) -> dict[str, Any]:
         """The columns of the CSV as arrays, rows in the order of the file: by frame, then by part."""
         order, _ = self._by_frame
@@ -229,8 +245,9 @@ class Trajectory:
         return {name: (own[name] if name in own else getattr(self, name))[order] for name in COLUMNS}
 
     def to_pandas(self) -> DataFrame:
-        """The columns as a pandas DataFrame; pandas must be installed."""
-        import pandas
+        """The columns as a pandas DataFrame. UsageError without pandas, which the extra `pandas` brings."""
+        with needed("data frames", "pandas", "pandas"):
+            import pandas
 
         return pandas.DataFrame(self.columns())
 

@@ -113,6 +113,7 @@ def test_mistakes_raise_the_line_of_the_command(tmp_path):
 
 def test_only_public_names_are_there():
     assert all(getattr(facetrack, name) is not None for name in facetrack.__all__)
+    assert set(facetrack.__all__) < set(dir(facetrack)) and "import_module" not in dir(facetrack)
     with pytest.raises(AttributeError, match="nothing"):
         facetrack.nothing  # noqa: B018
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import (
     COLUMNS,
@@ -179,6 +180,20 @@ def test_columns_are_the_rows_in_the_order_of_the_file() -> None:
     assert columns["part"].tolist() == ["nose", "lip", "nose", "box", "box", "nose", "lip"]
     assert columns["x"].tolist() == [20, 21, 30, 32, 42, 50, 51]
     assert [row.x for row in rows_of(some())] == columns["x"].tolist()
+
+
+def test_intervals_are_spans_of_frames_without_a_gap() -> None:
+    status = ["init", "tracked", "lost", "lost", "tracked", "lost"]
+    table = build([("face", "nose")], [0] * 6, [3, 4, 5, 6, 9, 12], status=status)
+    assert table.lost_intervals() == {"face/nose": [(5, 7), (12, 13)]}
+    assert table.visible_intervals() == {"face/nose": [(3, 5), (9, 10)]}
+    assert some().visible_intervals() == {"face/nose": [(2, 4)], "face/lip": [(2, 3)], "hand/box": [(3, 5)]}
+
+
+def test_without_pandas_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(UsageError, match=r"facetrack\[pandas\]"):
+        some().to_pandas()
 
 
 def test_a_data_frame_of_pandas_itself() -> None:
