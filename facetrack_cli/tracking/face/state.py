@@ -34,7 +34,8 @@ class FaceState:
     `pose` (4,) is that of the face in its head: roll in radians, the logarithm of its size, and its middle in sizes of
     the head's box; `pose_var` (4,) are their variances. `frames` counts those since the start. `sure` are the log odds
     that the sensors see the face where it is. `looks` are those of the face so far, and so are `pictures`; `sighting`
-    is one of it while it is lost. `passing` is what the frame shows; `cut`: since a cut, the face was not recognised.
+    is one of it while it is lost. `passing` is what the frame shows; `cut`: since a cut, the face was not recognised;
+    `film`: there was a cut, and a lost face is only where it is recognised.
     """
 
     head: ParticleState
