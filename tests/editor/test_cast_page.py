@@ -25,10 +25,10 @@ FILM = FOLDER / "film.mp4"
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory):
-    """The sample film from frame 40 to 150: Collins, a cut, Hopper, a cut, both. A track of Hopper is in doubt."""
+    """The sample film up to frame 150: Collins, a cut, Hopper, a cut, both. A track of Hopper is in doubt."""
     out = tmp_path_factory.mktemp("cast") / "out"
     [recipe] = load_recipes([("face", ())], None)
-    assert clip.run(Job(FILM, recipe, out, video=False, faces="all", start=30, stop=150), Stop()).error is None
+    assert clip.run(Job(FILM, recipe, out, video=False, faces="all", stop=150), Stop()).error is None
     people = read_people(out)
     at = max(k for k, one in enumerate(people.tracks) if one.person == "person_2")
     doubt = people.tracks[at].model_copy(update={"doubt": True, "p": 0.6, "other": None, "p_other": 0.4})
