@@ -37,6 +37,11 @@ def common_area(a: Box, b: Box) -> float:
     return max(across, 0) * max(down, 0)
 
 
+def share_inside(box: Box, size: tuple[int, int]) -> float:
+    """The share of a box's area that is in a picture of this size; the border runs around the outermost pixels."""
+    return common_area(box, (-0.5, -0.5, float(size[0]), float(size[1]))) / (box[2] * box[3])
+
+
 def centre(box: Box) -> Point:
     """The centre of a box over whole pixels, between its first and its last pixel."""
     return box[0] + (box[2] - 1) / 2, box[1] + (box[3] - 1) / 2

@@ -133,6 +133,11 @@ class Recipe(Section):
         return {}
 
     @property
+    def has_head(self) -> bool:
+        """Whether a filter's points are tracked inside of a head."""
+        return any(one.head is not None for one in self.filters.values())
+
+    @property
     def points(self) -> tuple[str, ...]:
         """The points that a start must place in every target; none for a tracker that begins with a box."""
         return ()

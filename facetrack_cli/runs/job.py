@@ -88,8 +88,7 @@ class Job(Begin):
     def everyone(self) -> bool:
         """Whether everybody in a film is followed, from entry to exit, and over cuts."""
         searched = self.box is None and (self.init in DETECTORS or (self.init is None and find_init(self.clip) is None))
-        head = any(one.head is not None for one in self.recipe.filters.values())
-        return self.faces == "all" and searched and head and not self.recipe.followed
+        return self.faces == "all" and searched and self.recipe.has_head and not self.recipe.followed
 
     def digest(self) -> str:
         """A digest of all that is asked for but the clip: of recipe, start, frames, options, and their files."""
@@ -245,6 +244,8 @@ def check(job: Job, *, kept: bool = False) -> None:
         )
     if job.everyone and job.out is None and not kept:
         raise UsageError("--faces all knows who is who at the end, and -o - writes as it goes; name a folder")
+    if job.gallery is not None and not job.everyone:
+        raise UsageError(f"--gallery: {job.clip} has a start, and people are named where faces are searched for")
     if job.gallery is not None:
         load_people(job.gallery)
     if job.lag or job.posterior:

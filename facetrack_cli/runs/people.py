@@ -27,7 +27,7 @@ from facetrack_cli.runs.smooth import Painted, repaint, replace_files
 from facetrack_cli.runs.start import frames_of
 from facetrack_cli.tracking.loop import TrackState
 from facetrack_cli.tracking.people.identity import SURE, Cast, Seen, cast_of
-from facetrack_cli.tracking.people.looks import Looks, Reader, load_people, save_people, views_of
+from facetrack_cli.tracking.people.looks import Looks, Reader, load_people, save_people, still, views_of
 from facetrack_cli.tracking.people.presence import MAX_FACES, Film
 from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.trajectory.header import clip_of, said
@@ -40,6 +40,7 @@ from facetrack_cli.trajectory.people import (
     TrackRecord,
     Tracks,
     people_of,
+    photographs,
     read_people,
     tracks_of,
     under_names,
@@ -204,8 +205,8 @@ def _named(
         for of in (name, track.name) if doubt else (name,):
             pictures[of] = max(pictures.get(of, best), best, key=lambda still: still[0])
     told = [ShotRecord(first=one.first, stop=one.stop) for one in shots]
-    still = {name: f"{STILLS}/{name}.jpg" for name in pictures}
-    people = people_of(fps, told, [one for _, one in records], still, {*names} - moving)
+    paths = {name: f"{STILLS}/{name}.jpg" for name in pictures}
+    people = people_of(fps, told, [one for _, one in records], paths, {*names} - moving)
     return Named(people, tuple(records), {name: _jpeg(image) for name, (_, image) in pictures.items()})
 
 
@@ -313,9 +314,8 @@ def recast(
             if of in before and (name == of or of not in old):
                 pictures[name] = (folder / before[of].still).read_bytes()
     words = (*people.corrections, *(said for said, _ in changes))
-    fixed = [name for name, of in old.items() if before[of].photograph]
     stills = {name: f"{STILLS}/{name}.jpg" for name in old}
-    after = people_of(people.fps, people.shots, [one for _, one in tracks], stills, fixed, words)
+    after = people_of(people.fps, people.shots, [one for _, one in tracks], stills, photographs(people, tracks), words)
     named = under_names(rows, tracks)
     where, fps = film_of(people, rows, clip)
     for name in stills.keys() - pictures.keys():
@@ -353,13 +353,11 @@ def people_in(folder: Path) -> People:
 
 def still_of(rows: Trajectory, target: str, first: int, stop: int, read: Callable[[int], Frame]) -> bytes:
     """The JPEG of the best view of a target in the frames [first, stop). InputError without any."""
-    box, reader = rows.find(target, BOX), Reader()
+    box = rows.find(target, BOX)
     best = max(views_of(box.between(first, stop)) if box else [], key=lambda one: one.quality, default=None)
     if best is None:
         raise InputError(f"{rows.path}: {target} is seen in none of the frames {first} to {stop - 1}")
-    reader.see(read(best.frame), best)
-    assert reader.best is not None
-    return _jpeg(reader.best[1])
+    return _jpeg(still(read(best.frame), best.face))
 
 
 def _picture(rows: Trajectory, name: str, clip: Path | None, fps: Fraction | None) -> bytes:

@@ -95,7 +95,7 @@ class Begin:
                 "change --start or --stop, or begin elsewhere with --init or --box"
             )
         if start is not None:
-            if start.origin not in DETECTORS and any(one.head is not None for one in recipe.filters.values()):
+            if start.origin not in DETECTORS and recipe.has_head:
                 start = replace(start, detector=start.detector or detector().name)
             start = replace(start, frame=at, placed=start.placed and start.frame == at)
             return completed(recipe, start, lambda: self.frame(at, origin), str(self.clip))

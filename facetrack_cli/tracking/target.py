@@ -29,7 +29,7 @@ from facetrack_cli.tracking.models.spaces import (
     Space,
     VisibleBoxSpace,
     evenly,
-)  # fmt: skip
+)
 from facetrack_cli.tracking.models.velocity import Flow, PredictedWalk
 from facetrack_cli.tracking.resampling import effective_sample_size, uniform
 from facetrack_cli.tracking.roles import (

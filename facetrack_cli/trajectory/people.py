@@ -212,6 +212,13 @@ def give(tracks: Tracks, name: str, frame: int, to: str | None) -> Tracks:
     return [pair if pair is not own else (pair[0], _given(pair[1], person)) for pair in tracks]
 
 
+def photographs(before: People, tracks: Tracks) -> list[str]:
+    """Those whose first track is of a photograph."""
+    still = {one.name for one in before.people if one.photograph}
+    first = dict(reversed([(one.person, of) for of, one in tracks]))
+    return [name for name, of in first.items() if of in still]
+
+
 def _new(tracks: Tracks) -> str:
     """A name that nobody has."""
     taken = {one.person for _, one in tracks}

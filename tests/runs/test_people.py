@@ -177,6 +177,15 @@ def test_people_of_another_film_have_their_names(ran, tmp_path, capsys):
     assert "none.npz: there is no such file of known people" in capsys.readouterr().err
 
 
+def test_a_gallery_of_affine_faces_is_for_recipes_that_recognise_by_it(tmp_path, capsys):
+    """Whatever --faces says: it is read as a gallery of `gallery fit`, and the recipe is not said to lack one."""
+    missing = ["--faces", "all", "--gallery", str(tmp_path / "none.npz"), "-o", str(tmp_path / "out")]
+    assert main(["run", str(FILM), "--config", "adaptive_recognition", *missing]) == ExitCode.INPUT
+    assert "none.npz: no such file; correct the name, or make one with facetrack gallery fit" in capsys.readouterr().err
+    assert main(["run", str(FILM), "--box", "10,10,60,60", "--config", "face", *missing]) == ExitCode.USAGE
+    assert "has a start" in capsys.readouterr().err
+
+
 def test_a_film_in_python_is_that_of_the_command_line(ran):
     found = facetrack.track_video(FILM, faces="all", start=80, stop=150)
     assert found.targets == ("person_1", "person_2") and found.people.names == found.targets

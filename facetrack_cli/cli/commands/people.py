@@ -114,17 +114,19 @@ class Cast:
         if changes or self.save is not None:
             with Stop().listening() as stop, progress(self.quiet) as shown:
                 shown.begin(self.folder.name or str(self.folder))
+                written = "nothing was written"
                 try:
                     if changes:
                         video = not self.no_video
                         people = recast(
                             self.folder, changes, clip=self.clip, video=video, report=shown.looked, stop=stop
                         )
+                        written = "the changes are written"
                     if self.save is not None:
                         names = save_looks(self.folder, self.save, self.clip, shown.looked, stop)
                         shown.say(f"{self.save}: {', '.join(names)}")
                 except StoppedError:
-                    shown.say(f"{self.folder}: stopped, nothing was written")
+                    shown.say(f"{self.folder}: stopped, {written}")
                     return stop.code or 0
         if self.as_json or self.as_csv:
             click.echo(people.text().decode() if self.as_json else _intervals(people), nl=False)

@@ -205,7 +205,7 @@ class Run:
                     video=not self.no_video and folder is not None,
                     init_frame=self.init_frame,
                     faces=self.faces,
-                    gallery=Path(self.gallery) if self.gallery and self.faces == "all" else None,
+                    gallery=Path(self.gallery) if self.gallery and self.faces == "all" and recipe.has_head else None,
                     overwrite=self.overwrite,
                     lag=self.lag or 0,
                     posterior=self.smooth or self.keep_posterior,
@@ -235,12 +235,14 @@ class Run:
 
     def _recipe(self) -> Recipe:
         from facetrack_cli.recipe.files import default_recipe
+        from facetrack_cli.recipe.load import load_recipe
         from facetrack_cli.runs.seeds import load_recipes
 
         seed = () if self.seed is None else (f"seed={self.seed}",)
         config = default_recipe(box=self.extent.box is not None) if self.config is None else self.config
-        gallery = None if self.faces == "all" else self.gallery
-        return load_recipes([(config, (*self.set, *seed))], gallery)[0]
+        asked = config, (*self.set, *seed)
+        named = self.faces == "all" and load_recipe(*asked).has_head  # people are named at the end, by the looks of all
+        return load_recipes([asked], None if named else self.gallery)[0]
 
     def _live(self) -> int:
         """Track what comes from a camera, a pipe or a clip; the exit code."""

@@ -11,7 +11,7 @@ from facetrack_cli.core.errors import UsageError
 from facetrack_cli.editor.web.frame import jpeg
 from facetrack_cli.editor.web.session import Answer, Page, RefusedError, Route
 from facetrack_cli.runs.people import people_in, recast, rows_in, still_of
-from facetrack_cli.trajectory import people as edits
+from facetrack_cli.trajectory import people as changes
 from facetrack_cli.trajectory.people import People, Tracks
 from facetrack_cli.video.seek import Frames
 
@@ -22,7 +22,7 @@ Change = tuple[str, Callable[[Tracks], Tracks]]
 class CastSession(Page):
     """The people of the run in `folder`, whose frames are at hand. Nothing is written before it is saved."""
 
-    index = "cast.html"
+    index, edits = "cast.html", "cast"
 
     def __init__(self, folder: Path, frames: Frames, clip: Path, *, video: bool) -> None:
         super().__init__()
@@ -34,14 +34,13 @@ class CastSession(Page):
     @property
     def tracks(self) -> Tracks:
         """Each track, with the target of the run's rows that it belongs to."""
-        return self._steps[-1][1] if self._steps else edits.tracks_of(self.before)
+        return self._steps[-1][1] if self._steps else changes.tracks_of(self.before)
 
     def people(self) -> People:
         """As they are now."""
         records = [one for _, one in self.tracks]
-        moving = {target for target, _ in self.tracks} - {one.name for one in self.before.people if one.photograph}
-        still = {one.person for target, one in self.tracks if target not in moving}
-        return edits.people_of(self.before.fps, self.before.shots, records, {}, still)
+        still = changes.photographs(self.before, self.tracks)
+        return changes.people_of(self.before.fps, self.before.shots, records, {}, still)
 
     def routes(self) -> Sequence[Route]:
         return (
@@ -84,13 +83,13 @@ class CastSession(Page):
         """`name` is merged into `to`, renamed to it, split at `frame`, or its track in `frame` is given to `to`."""
         change: Callable[[Tracks], Tracks]
         if what == "merge":
-            words, change = f"merge {name}={to}", partial(edits.merge, name=name, into=to or "")
+            words, change = f"merge {name}={to}", partial(changes.merge, name=name, into=to or "")
         elif what == "rename":
-            words, change = f"rename {name}={to}", partial(edits.rename, name=name, to=to or "")
+            words, change = f"rename {name}={to}", partial(changes.rename, name=name, to=to or "")
         elif what == "split":
-            words, change = f"split {name}@{frame}f", partial(edits.split, name=name, frame=frame)
+            words, change = f"split {name}@{frame}f", partial(changes.split, name=name, frame=frame)
         else:
-            words, change = f"give {name}@{frame}f={to or ''}", partial(edits.give, name=name, frame=frame, to=to)
+            words, change = f"give {name}@{frame}f={to or ''}", partial(changes.give, name=name, frame=frame, to=to)
         with self.lock:
             self._check(base)
             if len(self._steps) >= MAX_CHANGES:
@@ -114,20 +113,19 @@ class CastSession(Page):
             return Answer(self.state(), 202)
 
     def _write(self, report: Callable[[int, int | None], None]) -> None:
-        changes = [change for change, _ in self._steps]
-        if changes:
+        steps = [change for change, _ in self._steps]
+        if steps:
             recast(
-                self.folder, changes, clip=self.clip, video=self.video, stop=self.stopping.is_set,
+                self.folder, steps, clip=self.clip, video=self.video, stop=self.stopping.is_set,
                 report=lambda done, total, doing="": report(done, total),
             )  # fmt: skip
-        count = f"{len(changes)} change{'s' if len(changes) != 1 else ''}"
+        count = f"{len(steps)} change{'s' if len(steps) != 1 else ''}"
         self.end([f"{self.folder}: {count} saved"], f"facetrack people {self.folder}")
 
     def _check(self, base: int) -> None:
         """RefusedError (409) while a job runs, after the end, and for what was meant for an earlier state."""
         self.refuse_if_busy()
-        if base != self.revision:
-            raise RefusedError(409, "another window has changed the cast", self.state())
+        self.refuse_if_stale(base)
 
     def _frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
         return Answer(jpeg(self.frames, frame, int(reduce)), kind="image/jpeg")

@@ -52,6 +52,7 @@ class Page(ABC):
     """What a server shows, until it is saved or stopped: one job in a thread, and how it ended."""
 
     index: ClassVar[str] = "index.html"
+    edits: ClassVar[str] = "draft"  # what windows change
 
     def __init__(self) -> None:
         self.lock = threading.RLock()
@@ -90,6 +91,14 @@ class Page(ABC):
                 raise RefusedError(409, "everything is saved, and this page has ended", self.state())
             if self._job is not None:
                 raise RefusedError(409, f"busy: {self._job['what']}; wait until it has finished", self.state())
+
+    def refuse_if_stale(self, base: int) -> None:
+        """RefusedError (409) with the state, unless `base` is the revision."""
+        if base != self.revision:
+            raise self._stale()
+
+    def _stale(self) -> RefusedError:
+        return RefusedError(409, f"another window has changed the {self.edits}", self.state())
 
     def end(self, messages: Sequence[str], next_: str | None) -> None:
         """End the session: show the `messages`, a line each, and the command to continue with."""
@@ -183,8 +192,7 @@ class Session(Page):
     def current(self, base: int) -> Draft:
         """The draft, if `base` is its revision; else RefusedError (409) with the state."""
         with self.lock:
-            if base != self.revision:
-                raise self._stale()
+            self.refuse_if_stale(base)
             return self.draft
 
     def routes(self) -> Sequence[Route]:
@@ -219,9 +227,6 @@ class Session(Page):
     def close(self) -> None:
         super().close()
         self._proposer.close()
-
-    def _stale(self) -> RefusedError:
-        return RefusedError(409, "another window has changed the draft", self.state())
 
     def _range(self) -> Json:
         last = max(self.frames.count - 1, self.first) if self.last is None else self.last

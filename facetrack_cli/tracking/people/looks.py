@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 import cv2
 import numpy as np
 
-from facetrack_cli.core.geometry import common_area
+from facetrack_cli.core.geometry import share_inside
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array, Frame, Image
 from facetrack_cli.tracking.face.stabilized import Similarity
@@ -144,15 +144,10 @@ class Reader:
         self._places.append(np.asarray(place, np.uint8))
         edges = cv2.Laplacian(cv2.cvtColor(picture.chip, cv2.COLOR_BGR2GRAY), cv2.CV_32F)
         (x, y), half = view.face.centre, STILL_SIDES * view.face.scale / 2
-        shown = (
-            common_area(
-                (x - half, y - half, 2 * half, 2 * half), (0.0, 0.0, float(frame.size[0]), float(frame.size[1]))
-            )
-            / (2 * half) ** 2
-        )
+        shown = share_inside((x - half, y - half, 2 * half, 2 * half), frame.size)
         sharp = view.quality * float(np.log1p(edges.var())) * shown**2
         if self.best is None or sharp > self.best[0]:
-            self.best = sharp, _upright(frame, view.face._replace(angle=0.0), STILL_SIDES, STILL_PX)
+            self.best = sharp, still(frame, view.face)
 
     def looks(self) -> Looks:
         """What was seen; ValueError if that is nothing."""
@@ -163,6 +158,11 @@ class Reader:
         places = np.array(self._places, np.float64)
         off = np.abs(places - places[0] - np.median(places - places[0], axis=(1, 2), keepdims=True))
         return float(off.mean(axis=(1, 2)).max())
+
+
+def still(frame: Frame, face: Similarity) -> Image:
+    """The picture (STILL_PX, STILL_PX, 3) of a person; the scale of `face` is the side of its box in pixels."""
+    return _upright(frame, face._replace(angle=0.0), STILL_SIDES, STILL_PX)
 
 
 def _upright(frame: Frame, face: Similarity, sides: float, side: int) -> Image:

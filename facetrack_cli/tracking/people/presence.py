@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.geometry import common_area, inside, overlap
+from facetrack_cli.core.geometry import inside, overlap, share_inside
 from facetrack_cli.core.types import BOX, Box, Frame, Start, TargetStart
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.tracking.build.build import tracker_for
@@ -37,6 +37,7 @@ SAME_FACE: Final = 0.3  # overlap of a detection with the track of that face
 INSIDE: Final = 0.7  # share of a face's box that is in the picture at least
 ONE_FACE: Final = 0.5  # overlap of two tracks of one face
 STREAM: Final = "track_"
+_Results: TypeAlias = "dict[int, dict[str, TargetResult]]"  # by frame and track
 # the log odds that a track is of a face: at its start, at most, by a look that finds it, by a look that does not while
 # the tracker sees it and while it does not; a track below the last ends
 _BEGINS, _MOST, _FOUND, _UNFOUND, _LOST, _ENDS = 2.0, 4.0, 3.0, -1.0, -2.0, -3.0
@@ -60,10 +61,9 @@ class Track:
 
 @dataclass
 class Everyone:
-    """The state after a frame: the tracks that go on, those that left since the last look, and how many have begun."""
+    """The state after a frame: the tracks that go on, and how many have begun."""
 
     tracks: list[Track] = field(default_factory=list)
-    left: list[Track] = field(default_factory=list)
     begun: int = 0
     crowd: int | None = None  # the first frame with more than MAX_FACES
 
@@ -99,24 +99,24 @@ class Film:
         """The results of successive frames of one shot, of which the detector looks at the last."""
         if frames:
             at.states = []  # what is between two blocks can be resumed
-            found = self._tracked(known, frames)
-            self._look(known, frames, found, shot)
+            found, left = self._tracked(known, frames)
+            self._look(known, frames, found, left, shot)
             results = [FrameResult(frame, tuple(found[frame.index].values())) for frame in frames]
             frames.clear()
             yield from results[:-1]
             at.states = [known]
             yield results[-1]
 
-    def _tracked(self, known: Everyone, frames: list[Frame]) -> dict[int, dict[str, TargetResult]]:
-        """The results of the tracks that go on, by frame and track."""
+    def _tracked(self, known: Everyone, frames: list[Frame]) -> tuple[_Results, list[Track]]:
+        """The results of the tracks that go on, and the tracks that leave the picture."""
         each = [self._advance(track, frames) for track in known.tracks]
-        found: dict[int, dict[str, TargetResult]] = {frame.index: {} for frame in frames}
+        found: _Results = {frame.index: {} for frame in frames}
         for track, results in zip(known.tracks, each, strict=True):
             for frame, result in zip(frames, results, strict=False):
                 found[frame.index][track.name] = result
-        known.left = [track for track, results in zip(known.tracks, each, strict=True) if len(results) < len(frames)]
-        known.tracks = [track for track in known.tracks if track not in known.left]
-        return found
+        left = [track for track, results in zip(known.tracks, each, strict=True) if len(results) < len(frames)]
+        known.tracks = [track for track in known.tracks if track not in left]
+        return found, left
 
     def _advance(self, track: Track, frames: Iterable[Frame], *, back: bool = False) -> list[TargetResult]:
         """The results of one track in further frames, while it is in the picture; going `back`, while it is seen."""
@@ -126,23 +126,17 @@ class Film:
             before = track.box
             track.see(result)
             at = track.box or before
-            if (back and track.box is None) or (at is not None and self._inside(at) < INSIDE):
+            if (back and track.box is None) or (at is not None and share_inside(at, self.size) < INSIDE):
                 break
             results.append(result)
         return results
-
-    def _inside(self, box: Box) -> float:
-        """The share of a box that is in the picture."""
-        return common_area(box, (-0.5, -0.5, float(self.size[0]), float(self.size[1]))) / (box[2] * box[3])
 
     def _target(self, start: Start) -> FaceTarget:
         [target] = tracker_for(self.recipe, start, self.size, self.fps)
         assert isinstance(target, FaceTarget)
         return replace(target, alone=False)
 
-    def _look(
-        self, known: Everyone, frames: list[Frame], found: dict[int, dict[str, TargetResult]], shot: Shot
-    ) -> None:
+    def _look(self, known: Everyone, frames: list[Frame], found: _Results, left: list[Track], shot: Shot) -> None:
         """Look at the last frame: which tracks go on, and which faces are new."""
         frame, seen = frames[-1], self.detector.find(frames[-1])
         free = list(seen)
@@ -161,7 +155,7 @@ class Film:
         known.tracks = kept
         # a face that comes in when a shot ends is left out, and so is a face that another shot shows
         able = shot.is_clear(frame.index) and (len(frames) > TWICE_FRAMES or frames[0].index == shot.first)
-        new = [one for one in free if able and self._is_new(one, [*kept, *known.left], frames)]
+        new = [one for one in free if able and self._is_new(one, [*kept, *left], frames)]
         room = MAX_FACES - len(kept)
         if len(new) > room and known.crowd is None:
             known.crowd = frame.index
@@ -179,7 +173,11 @@ class Film:
     def _is_new(self, face: Found, kept: Sequence[Track], frames: Sequence[Frame]) -> bool:
         """Whether a face in the picture is of no track, and seen in an earlier frame, too, if there is one."""
         taken = any(track.box is not None and overlap(track.box, face.box) >= SAME_FACE for track in kept)
-        if taken or self._inside(face.box) < INSIDE or face.box[2] < max(MIN_FACE_PX, MIN_FACE_SHARE * min(self.size)):
+        if (
+            taken
+            or share_inside(face.box, self.size) < INSIDE
+            or face.box[2] < max(MIN_FACE_PX, MIN_FACE_SHARE * min(self.size))
+        ):
             return False
         if len(frames) <= TWICE_FRAMES:
             return True

@@ -17,6 +17,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
+from facetrack_cli.core import numbers
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX
 from facetrack_cli.trajectory.analysis.face_events import events_of
@@ -104,8 +105,8 @@ def spans_of(parts: Sequence[Trajectory], status: str = "lost") -> list[tuple[in
 def seen_in(parts: Sequence[Trajectory]) -> list[tuple[int, int]]:
     """The spans of frames in which a target of a film has rows; none of a target that has rows without a gap."""
     frames = np.unique(np.concatenate([part.frame for part in parts]))
-    pieces = np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1)
-    return [(int(one[0]), int(one[-1])) for one in pieces] if len(pieces) > 1 else []
+    found = numbers.spans(np.ones(len(frames), np.bool_), np.diff(frames) > 1)
+    return [(int(frames[a]), int(frames[b - 1])) for a, b in found] if len(found) > 1 else []
 
 
 def _tiers(target: str, parts: Sequence[Trajectory]) -> Iterator[tuple[str, str, list[tuple[int, int, str]]]]:

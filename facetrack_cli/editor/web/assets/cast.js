@@ -1,7 +1,7 @@
 // The page of a film's cast: people are merged, renamed and split, and doubts are settled.
 
 import * as api from "./api.js";
-import { $ } from "./dom.js";
+import { $, make } from "./dom.js";
 
 const POLL = 1000; // ms
 const SVG = "http://www.w3.org/2000/svg";
@@ -9,15 +9,6 @@ let now = null; // the state that the server told last
 let chosen = null; // {name, frame} on the timeline
 let doubt = 0; // index of the doubt that is shown
 
-const el = (tag, attributes = {}, ...children) => {
-  const made = document.createElement(tag);
-  for (const [name, value] of Object.entries(attributes)) {
-    if (name.startsWith("on")) made.addEventListener(name.slice(2), value);
-    else made.setAttribute(name, value);
-  }
-  made.append(...children);
-  return made;
-};
 const drawn = (tag, attributes) => {
   const made = document.createElementNS(SVG, tag);
   for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
@@ -69,16 +60,16 @@ function draggable(part, name) {
 
 function card(person) {
   const { name } = person;
-  const picture = el("img", { src: still(longest(name)), alt: name });
-  const label = el("input", { value: name, "aria-label": `name of ${name}`, maxlength: 60 });
+  const picture = make("img", { src: still(longest(name)), alt: name });
+  const label = make("input", { value: name, "aria-label": `name of ${name}`, maxlength: 60 });
   label.addEventListener("change", () => label.value.trim() && change("rename", name, { to: label.value.trim() }));
   label.addEventListener("keydown", (event) => event.key === "Enter" && label.blur());
-  const into = el("select", { "aria-label": `${name} is` }, el("option", { value: "" }, "is also..."));
-  for (const other of now.people) if (other.name !== name) into.append(el("option", { value: other.name }, other.name));
+  const into = make("select", { "aria-label": `${name} is` }, make("option", { value: "" }, "is also..."));
+  for (const other of now.people) if (other.name !== name) into.append(make("option", { value: other.name }, other.name));
   into.addEventListener("change", () => into.value && change("merge", name, { to: into.value }));
   const count = `${person.seconds.toFixed(1)} s, ${person.intervals.length} times`;
-  const about = el("small", {}, count, el("br"), `P ${person.p.toFixed(2)}${person.photograph ? ", a photograph" : ""}`);
-  return draggable(el("li", { "data-name": name }, picture, label, about, into), name);
+  const about = make("small", {}, count, make("br"), `P ${person.p.toFixed(2)}${person.photograph ? ", a photograph" : ""}`);
+  return draggable(make("li", { "data-name": name }, picture, label, about, into), name);
 }
 
 function row(person) {
@@ -100,7 +91,7 @@ function row(person) {
     chosen = { name: person.name, frame: now.first + Math.min(Math.max(at, 0), span - 1) };
     render();
   });
-  return el("div", { class: "row", "data-name": person.name }, draggable(el("span", {}, person.name), person.name), bar);
+  return make("div", { class: "row", "data-name": person.name }, draggable(make("span", {}, person.name), person.name), bar);
 }
 
 function showMoment() {
@@ -126,12 +117,12 @@ function showDoubt() {
   const whole = `${doubt + 1} of ${open.length}: frames ${track.first} to ${track.stop - 1}, ${clock(track.first)}`;
   const figures = choices.map(([name, p, to], index) => {
     const known = to && now.people.some((one) => one.name === to);
-    const face = known ? el("img", { src: still(longest(to)), alt: name }) : el("div", { class: "nobody" }, "?");
-    const choose = el("button", { type: "button", onclick: () => settle(index) });
+    const face = known ? make("img", { src: still(longest(to)), alt: name }) : make("div", { class: "nobody" }, "?");
+    const choose = make("button", { type: "button", click: () => settle(index) });
     choose.append(`${index + 1}: ${name}${p === null ? "" : `, P ${p.toFixed(2)}`}`);
-    return el("figure", {}, face, choose);
+    return make("figure", {}, face, choose);
   });
-  const own = el("figure", {}, el("img", { src: still(track), alt: "the track in doubt" }), el("small", {}, whole));
+  const own = make("figure", {}, make("img", { src: still(track), alt: "the track in doubt" }), make("small", {}, whole));
   $("doubt").replaceChildren(own, ...figures);
   settle.choices = choices.map(([, , to]) => to);
   settle.track = track;
