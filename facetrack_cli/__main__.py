@@ -26,6 +26,7 @@ import gc  # noqa: E402
 import io  # noqa: E402
 import sys  # noqa: E402
 from collections.abc import Sequence  # noqa: E402
+from typing import TextIO  # noqa: E402
 
 import click  # noqa: E402
 
@@ -52,6 +53,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         with contextlib.suppress(ValueError):
             signal.signal(signal.SIGINT, signal.SIG_IGN)
     if argv is None:
+        try:
+            sys.stderr.flush()
+        except OSError:  # a full disk under the log must not change the exit code
+            _forget(sys.stderr)
         gc.freeze()  # the interpreter's last look through all that numba made, a fifth of a second, frees nothing
     return code
 
@@ -84,7 +89,7 @@ def _run(argv: Sequence[str] | None) -> int:
         _say("terminated")
         return ExitCode.TERMINATED
     except BrokenPipeError:
-        _forget_output()
+        _forget(sys.stdout)
         return READER_GONE
     except Exception as error:
         return _failed(error)
@@ -99,7 +104,7 @@ def _failed(error: Exception) -> int:
     elif (of_system := from_system(error)) is not None:
         code, said = of_system.exit_code, str(of_system)
     elif _is_of_stdout(error):
-        _forget_output()
+        _forget(sys.stdout)
         code = ExitCode.USAGE
         said = f"standard output: cannot be written: {getattr(error, 'strerror', None) or error}; send it elsewhere"
     else:
@@ -131,10 +136,10 @@ def _say(message: str, excerpt: str = "") -> None:
             click.echo(excerpt, err=True)
 
 
-def _forget_output() -> None:
+def _forget(stream: TextIO) -> None:
     """Or the interpreter tries to flush once more while it shuts down, and complains."""
     with contextlib.suppress(OSError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _debugging() -> bool:

@@ -914,11 +914,13 @@ def test_streams_that_the_shell_closed(clip: Path, tmp_path: Path, closed: str, 
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
-def test_a_log_on_a_full_disk_does_not_stop_a_run(clip: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("unbuffered", [False, True])
+def test_a_log_on_a_full_disk_does_not_stop_a_run(clip: Path, tmp_path: Path, unbuffered: bool) -> None:
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    environment |= {"PYTHONUNBUFFERED": "1"} if unbuffered else {}
     with Path("/dev/full").open("w") as full:
-        ended = subprocess.run(
-            [*FACETRACK, "run", str(clip), "--no-video", *SMALL], cwd=tmp_path, stderr=full, check=False
-        )
+        command = [*FACETRACK, "run", str(clip), "--no-video", *SMALL]
+        ended = subprocess.run(command, cwd=tmp_path, stderr=full, env=environment, check=False)
     assert ended.returncode == 0
     assert names(tmp_path / "sway-face") == ["run.json", "trajectory.csv", "trajectory.json"]
 
