@@ -232,4 +232,4 @@ def _named(start: Start, run: Run) -> Start:
     rest = {name: one for name, one in run.start.targets.items() if name not in given and name != names[0]}
     if not given.keys() & {names[0], TARGET}:
         rest[names[0]] = run.start.targets[names[0]]
-    return name_targets(replace(start, targets={**given, **rest}), names, None, left_out=out)
+    return name_targets(replace(start, targets={**given, **rest}), names, None, left_out=out, later=run.recipe.later)

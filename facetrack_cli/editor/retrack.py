@@ -163,9 +163,10 @@ class Tracking:
             if place == one.place:
                 continue
             if other is not None and (other.begun or not ahead):
-                found.append(other.target.footprint(other.state, ahead=ahead))
+                there = other.target.footprint(other.state, ahead=ahead)
             else:
-                found.append(recorded_footprint(rows, max(index - ahead, self._run.first), name))
+                there = recorded_footprint(rows, max(index - ahead, self._run.first), name)
+            found.append(there and there._replace(target=name))
         return [one for one in found if one is not None]
 
 

@@ -11,6 +11,8 @@ from facetrack_cli.core.yaml_tree import Node, Problem
 from facetrack_cli.recipe import sections
 from facetrack_cli.recipe.affine import Recognition
 from facetrack_cli.recipe.face import Head
+from facetrack_cli.recipe.hands import NAMES as HANDS
+from facetrack_cli.recipe.hands import Hands
 from facetrack_cli.recipe.messages import locate
 from facetrack_cli.recipe.sections import Component, Filter, Kind, Likelihood, Motion, Prior, Refusal, Section, Target
 from facetrack_cli.recipe.skin import Exclusion, SkinCloud
@@ -153,6 +155,11 @@ class Recipe(Section):
         return ()
 
     @property
+    def later(self) -> tuple[str, ...]:
+        """Those of `followed` that a start need not have: they are absent until they appear."""
+        return ()
+
+    @property
     def particles(self) -> int | None:
         """Number of particles, None for a tracker without."""
         heads = (one.head.filter.particles for one in self.filters.values() if one.head is not None)
@@ -217,10 +224,24 @@ class ParticlesRecipe(Recipe):
     """A particle filter for each target, by its name in the init file; null for none."""
     exclusion: Exclusion | None = None
     """How targets exclude each other; null: each is followed independently."""
+    hands: Hands | None = None
+    """Two hands of the first target, which is a head: `left_hand` and `right_hand`, absent until they appear."""
 
     @property
     def left_out(self) -> tuple[str, ...]:
         return tuple(name for name, one in self.targets.items() if one is None)
+
+    @property
+    def followed(self) -> tuple[str, ...]:
+        return (*super().followed, *self.later)
+
+    @property
+    def later(self) -> tuple[str, ...]:
+        return () if self.hands is None else HANDS
+
+    @property
+    def particles(self) -> int | None:
+        return (super().particles or 0) + (0 if self.hands is None else self.hands.particles)
 
     @property
     def filters(self) -> Mapping[str, ParticleFilter]:
@@ -242,6 +263,8 @@ class ParticlesRecipe(Recipe):
         for i, name in enumerate(self.exclusion.first if self.exclusion is not None else ()):
             if name not in names:
                 yield Refusal(("exclusion", "first", i), f'there is no target "{name}"; {known}')
+        if self.hands is not None and (taken := [name for name in HANDS if name in self.targets]):
+            yield Refusal(("targets", taken[0]), f"{taken[0]} is one of hands; remove it, or hands")
         hypotheses = sum(one.hypotheses for one in self.filters.values())
         if hypotheses > MAX_HYPOTHESES:
             message = f"the targets have {hypotheses:,} particles; no more than {MAX_HYPOTHESES:,} fit into memory"

@@ -152,10 +152,10 @@ def completed(recipe: Recipe, start: Start, first: Callable[[], Frame], clip: st
     """
     if recipe.followed:
         frame = None
-        if not set(recipe.followed) <= set(start.targets):
+        if not set(recipe.followed) <= {*start.targets, *recipe.later}:
             frame = first()
             check_start(start, frame.size, ())
-        return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, clip=clip)
+        return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, later=recipe.later, clip=clip)
     name, given = next(iter(start.targets.items()))
     if len(start.targets) > 1 or given.points or given.box is None or not recipe.points:
         return start
@@ -176,7 +176,7 @@ def search(
     """The start at the first face in `frames`, if not `whole` in the first ones alone. InputError if there is none."""
 
     def complete(frame: Frame, start: Start) -> Start:
-        return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, clip=clip)
+        return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, later=recipe.later, clip=clip)
 
     look = detector(by)
     return search_start(frames, recipe.points, detector=look, faces=faces, whole=whole, clip=clip, complete=complete)

@@ -14,10 +14,15 @@ from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
 
 
 class Footprint(NamedTuple):
-    """What a target explains: an upright ellipse of `centre` (2,) and `half` axes (2,), in pixels."""
+    """What a target explains: an upright ellipse of `centre` (2,) and `half` axes (2,), in pixels.
+
+    `target` is its name; `known` is what it knows of other targets, too, if their state is one.
+    """
 
     centre: Array
     half: Array
+    known: Any = None
+    target: str = ""
 
 
 class Target(Protocol):
@@ -75,10 +80,12 @@ def track(
         results: list[TargetResult] = []
         if at.states:
             for i, (target, rng) in enumerate(zip(tracker, at.rngs, strict=True)):
-                footprints = [other.footprint(at.states[j], ahead=j > i) for j, other in enumerate(tracker) if j != i]
-                at.states[i], result = target.advance(
-                    rng, at.states[i], frame, [one for one in footprints if one is not None]
-                )
+                footprints = [
+                    one._replace(target=other.name)
+                    for j, other in enumerate(tracker)
+                    if j != i and (one := other.footprint(at.states[j], ahead=j > i)) is not None
+                ]
+                at.states[i], result = target.advance(rng, at.states[i], frame, footprints)
                 results.append(result)
         else:
             try:

@@ -161,7 +161,7 @@ def start_of(
     start = carried(Start(draft.frame, chosen, ORIGIN), begun)
     try:
         if recipe is not None:
-            start = name_targets(start, recipe.followed, None, left_out=recipe.left_out)
+            start = name_targets(start, recipe.followed, None, left_out=recipe.left_out, later=recipe.later)
         check_start(start, size, recipe.points if recipe is not None else PARTS, frames)
         for name, target in start.targets.items():
             if target.box is not None:

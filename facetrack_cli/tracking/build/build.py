@@ -7,10 +7,11 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame, Start, TargetStart
 from facetrack_cli.recipe.affine import PatchLikelihood
 from facetrack_cli.recipe.load import in_frames
-from facetrack_cli.recipe.model import OpenCvRecipe, Recipe, above
+from facetrack_cli.recipe.model import OpenCvRecipe, ParticlesRecipe, Recipe, above
 from facetrack_cli.tracking import opencv
 from facetrack_cli.tracking.build.targets import box_with, face_target, particle_target
 from facetrack_cli.tracking.corrected import CorrectedTarget, RestartPolicy, correctable_parts, is_complete
+from facetrack_cli.tracking.hands.target import HandTarget
 from facetrack_cli.tracking.loop import Target, Tracker
 from facetrack_cli.tracking.models.likelihoods.recognition import find_gallery
 from facetrack_cli.tracking.start.checks import box_of, check_size, check_start, check_windows
@@ -28,7 +29,7 @@ def build_tracker(recipe: Recipe, start: Start, fps: float | Fraction = 25) -> T
     recipe = in_frames(recipe, fps)
     if isinstance(recipe, OpenCvRecipe):
         opencv.check(recipe)
-    if missing := ", ".join(name for name in recipe.followed if name not in start.targets):
+    if missing := ", ".join(name for name in recipe.followed if name not in (*start.targets, *recipe.later)):
         raise InputError(f"{start.origin}: has no {missing}, which the recipe follows; add a box of each")
     targets = [_target(recipe, start, name) for name in recipe.followed or start.targets]
     return tuple(_corrected(recipe, start, target) for target in targets)
@@ -46,6 +47,10 @@ def _target(recipe: Recipe, start: Start, name: str) -> Target:
     """One target, without its corrections."""
     if isinstance(recipe, OpenCvRecipe):
         return opencv.OpenCvTarget(name, box_of(start, name), recipe.tracker, start.origin)
+    if isinstance(recipe, ParticlesRecipe) and recipe.hands is not None and name in recipe.later:
+        first = recipe.followed[0]
+        boxes = [None if (one := start.targets.get(hand)) is None else one.box for hand in recipe.later]
+        return HandTarget(name, first, recipe.later.index(name), recipe.hands, box_of(start, first), (boxes[0], boxes[1]))
     key = name if name in recipe.filters else ""
     given = recipe.filters[key]
     if given.head is not None:
@@ -69,7 +74,8 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
     given = recipe.filters.get(target.name, recipe.filters.get(""))
     kind = None if given is None else given.target  # None of OpenCV's trackers
     points = kind is not None and bool(kind.points)
-    learns = not points and (kind is None or kind.relearns)
+    hand = target.name in recipe.later
+    learns = not points and not hand and (kind is None or kind.relearns)
     absent: set[str] = set()
     for one in corrections:
         origin = f"{start.origin}: the correction of {one.target} at frame {one.frame}"
@@ -81,7 +87,7 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
             continue
         if one.learn and points and absent:
             raise InputError(f"{origin}: {', '.join(sorted(absent))} cannot be learned while absent; leave learn out")
-        if one.learn is False and kind is None:
+        if one.learn is False and kind is None and not hand:
             raise InputError(f"{origin}: OpenCV's trackers begin again in any case; leave learn out")
         if one.learn and not learns and not points:
             raise InputError(f"{origin}: colours are learned in the first frame alone; leave learn out")
@@ -104,7 +110,7 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
 def _check(one: Correction, target: Target, start: Start, origin: str, *, points: bool) -> None:
     """InputError if it speaks of parts that nobody knows, or lacks the box of what is followed as a box."""
     named = [*one.given.points, *one.kept, *(() if one.absent is True else one.absent)]
-    known = {*correctable_parts(target.parts), *start.targets[one.target].points}
+    known = {*correctable_parts(target.parts), *start.targets.get(one.target, TargetStart()).points}
     if unknown := ", ".join(part for part in named if part not in known):
         these = f"these are {', '.join(correctable_parts(target.parts))}: correct the name"
         raise InputError(f"{origin}: has {unknown}, which is no part that is followed; {these}")

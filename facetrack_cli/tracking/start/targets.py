@@ -32,12 +32,18 @@ MAX_REACH: Final = 5.0  # sizes of the face's box: hands are no farther from the
 
 
 def name_targets(
-    start: Start, names: Sequence[str], frame: Frame | None, *, left_out: Sequence[str] = (), clip: str = "the clip"
+    start: Start,
+    names: Sequence[str],
+    frame: Frame | None,
+    *,
+    left_out: Sequence[str] = (),
+    later: Sequence[str] = (),
+    clip: str = "the clip",
 ) -> Start:
     """The start with all targets `names`, in their order; without names, as it is.
 
     A single target, or one called `face`, takes the first name if the recipe does not know its own, with its
-    corrections. Targets in `left_out` are dropped. `frame` is the start's, and may be None if no target is missing.
+    corrections. Targets in `left_out` are dropped, those `later` need not be given. `frame` is the start's, and may be None if no target is missing.
     Raises InputError for unknown targets, no first one, or a grey frame; NotHereError for too few regions of skin.
     """
     if not names:
@@ -58,7 +64,7 @@ def name_targets(
         what = f"has no box of {first}, which the recipe begins with; it follows {known}"
         raise InputError(f"{start.origin}: {what}: {remedy}")
     check_size(start.origin, first, head)
-    if missing := [name for name in names if name not in given]:
+    if missing := [name for name in names if name not in (*given, *later)]:
         assert frame is not None
         taken = [one.box for name, one in given.items() if name != first and one.box is not None]
         try:
@@ -72,7 +78,7 @@ def name_targets(
             message = f"frame {start.frame} shows {shown}; give their boxes in an init file, {remedy}"
             raise NotHereError(f"{clip}: {message}")
         given |= {name: TargetStart(box=box) for name, box in zip(missing, found, strict=True)}
-    return replace(start, targets={name: given[name] for name in names}, corrections=tuple(corrections))
+    return replace(start, targets={name: given[name] for name in names if name in given}, corrections=tuple(corrections))
 
 
 def hand_regions(

@@ -1,0 +1,44 @@
+"""The section of a recipe that follows two hands of a person beside the head (ours, after Gonzalez & Collet).
+
+No numerics are imported here.
+"""
+
+from typing import Annotated, Final
+
+from pydantic import Field
+
+from facetrack_cli.recipe.sections import Section
+
+NAMES: Final = ("left_hand", "right_hand")
+"""The hands: the first one hangs at the left of the picture, where a person faces the camera."""
+Share = Annotated[float, Field(ge=0, le=1)]
+Sizes = Annotated[float, Field(gt=0, le=10)]
+
+
+class Hands(Section):
+    """Two hands of the first target, which is a head: absent until they appear. Lengths are in sizes of its box."""
+
+    particles: Annotated[int, Field(ge=10, le=100_000)] = 400
+    """Particles of the joint state of both hands."""
+    radius: Sizes = 0.36
+    """Radius of a hand."""
+    near: Sizes = 0.18
+    """Standard deviation of most steps from one frame to the next, about where the last velocity leads."""
+    far: Sizes = 0.6
+    """Standard deviation of the other steps."""
+    jumps: Share = 0.1
+    """Share of these."""
+    appears: Share = 0.08
+    """Probability that a hand that is not seen is seen in the next frame."""
+    vanishes: Share = 0.03
+    """Probability that a hand that is seen is not seen in the next frame."""
+    proposed: Annotated[float, Field(ge=0, lt=1)] = 0.3
+    """Share of the particles that are drawn where there is most skin; their weights take it into account."""
+    evidence: Annotated[float, Field(gt=0, le=1000)] = 20.0
+    """What the share of skin in a hand, above `skin`, adds to log p(y | x)."""
+    skin: Share = 0.18
+    """Share of skin in a hand, from which on it is more likely a hand than not."""
+    side: Annotated[float, Field(ge=0, le=10)] = 0.16
+    """What a hand loses of log p(x) for the square of its distance from its own side of the head."""
+    lost_below: Share = 0.65
+    """A hand is lost while its confidence, the probability that it is there, is below this."""

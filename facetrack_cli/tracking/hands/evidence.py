@@ -1,0 +1,162 @@
+"""Where a frame shows skin of the person that is neither background nor face (ours).
+
+p(skin | c) of a colour c = (Cb, Cr) is that of two densities: skin is normal about the median colour of the face, wider
+along the saturation than across it, since cameras and light make faces paler than hands; all else is the histogram of
+the first frame within the reach of an arm. From it is taken away:
+
+- what was skin in all frames so far: the least p of each pixel, which rises slowly. A still camera's shelves and lamps
+  never move, and a hand does. Where hands hang or lie in the first frame, skin counts at once;
+- the face and neck, where they look as before: a hand in front of them changes what is seen.
+
+All of it is on a frame reduced so that the face's box is 10 to 20 pixels large.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Array, Box, Frame, Image, factor_for
+from facetrack_cli.tracking.loop import Footprint
+
+Map = NDArray[np.float32]
+MAX_FACE_PX: Final = 20  # of the face's box in the reduced frame
+LEAST_COLOUR: Final = 3.0  # of Cb and Cr from grey, of the face's median colour
+PALE: Final = 1.25  # saturation of skin over that of the face
+ALONG, ACROSS, NOISE = 0.4, 0.12, 1.5  # standard deviations of skin: in saturations of the face, and in levels
+SKIN_SHARE: Final = 0.03  # of what is not the face
+RISES: Final = 0.002  # of the background's p in a frame
+# grey levels by which the face differs from before, where as much speaks for a hand as against it, and their width
+CHANGED, CHANGED_WIDTH = 5.0, 1.0
+LEARNS: Final = 0.03  # share of a frame in the face's template, where it is as before
+HEAD: Final = (-0.62, -0.85, 0.62, 1.1)  # face and neck about the face's middle, in sizes of the box
+
+
+class Scene(NamedTuple):
+    """What is known of the clip: `odds` (256, 256), log p(skin | c) - log p(not | c) by [Cb, Cr]; `still` (H, W), the p
+    of the background; `face` (h, w, 3), the template of the head; `factor` of the reduced frames, `side` of the face's
+    box in their pixels in the first frame.
+    """
+
+    odds: Map
+    still: Map
+    face: Map
+    factor: int
+    side: float
+
+
+def reduced(frame: Frame, factor: int) -> Image:
+    """The whole frame, reduced."""
+    width, height = frame.size
+    return frame.reduced(factor, (0.0, 0.0, width - 1.0, height - 1.0))[0]
+
+
+def to_map(at: Array, factor: int) -> Array:
+    """Places (..., 2) of the frame in pixels of the reduced one."""
+    return (at + 0.5) / factor - 0.5
+
+
+def begin(frame: Frame, head: Footprint, hands: tuple[Box, ...] = ()) -> tuple[Scene, Map]:
+    """The scene and the evidence of the first frame; `hands` are boxes of hands that are known.
+
+    Raises InputError for a grey clip.
+    """
+    side = 2 * math.sqrt(float(head.half[0] * head.half[1]))
+    factor = factor_for(side, MAX_FACE_PX)
+    small, s = reduced(frame, factor), side / factor
+    colours = cv2.cvtColor(small, cv2.COLOR_BGR2YCrCb)
+    u, v = _from(to_map(head.centre, factor), small, s)
+    face = (u / 0.33) ** 2 + (v / 0.42) ** 2 < 1
+    middle = np.median(colours[face][:, :0:-1].astype(float), axis=0) - 128 if face.any() else np.zeros(2)
+    if math.hypot(*middle) < LEAST_COLOUR:
+        remedy = "hands are found by the colour of skin; follow the face alone, with --config face"
+        raise InputError(f"frame {frame.index}: the face has no colour, as in a grey clip: {remedy}")
+    around = (np.hypot(u, v - 2) < 6) & ~((np.abs(u) < 0.75) & (np.abs(v) < 0.9))
+    odds = _odds(middle, colours[around][:, :0:-1])
+    skin = _skin(odds, colours)
+    # hanging at the sides, or before the chest and in the lap
+    hang = np.exp(-0.5 * ((np.abs(u) - 1.5) / 0.7) ** 2) / (1 + np.exp((3.0 - v) / 0.3))
+    still = skin * (1 - hang)
+    for left, top, w, h in hands:
+        (x0, y0), (x1, y1) = (np.rint(to_map(np.array(at), factor)) for at in ((left, top), (left + w, top + h)))
+        still[max(int(y0), 0) : max(int(y1) + 1, 0), max(int(x0), 0) : max(int(x1) + 1, 0)] = 0
+    scene = Scene(odds, still.astype(np.float32), _head(small, to_map(head.centre, factor), s, s), factor, s)
+    return look(scene, frame, head)
+
+
+def look(scene: Scene, frame: Frame, head: Footprint) -> tuple[Scene, Map]:
+    """The scene after a frame with the head there, and the evidence (H, W): p, 0 to 1, of skin of a hand or an arm."""
+    small = reduced(frame, scene.factor)
+    skin = _skin(scene.odds, cv2.cvtColor(small, cv2.COLOR_BGR2YCrCb))
+    still = np.minimum(skin, scene.still + RISES)
+    at, s = to_map(head.centre, scene.factor), 2 * math.sqrt(float(head.half[0] * head.half[1])) / scene.factor
+    seen = _head(small, at, s, scene.side)
+    # a head that turns a little is no hand: each pixel may come from beside its own
+    least = np.min([np.abs(seen - np.roll(scene.face, shift, (0, 1))).max(axis=2) for shift in _SHIFTS], axis=0)
+    change = cv2.GaussianBlur(least, (0, 0), 1.0)
+    new = 1 / (1 + np.exp(np.clip((CHANGED - change) / CHANGED_WIDTH, -30, 30)))
+    face = np.where((change < CHANGED)[..., None], scene.face + LEARNS * (seen - scene.face), scene.face)
+    height, width = skin.shape
+    covered, changed = (
+        cv2.warpAffine(one.astype(np.float32), _map(at, s, scene.side), (width, height)) for one in (_soft(seen), new)
+    )
+    evidence = np.maximum(skin - still, 0) * (1 - covered) + covered * changed * skin
+    return scene._replace(still=still, face=face), evidence.astype(np.float32)
+
+
+_SHIFTS: Final = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1))
+
+
+def _from(at: Array, image: Image, side: float) -> tuple[Array, Array]:
+    """Of each pixel of an image, how far it is from a place, in sizes: along x and y."""
+    height, width = image.shape[:2]
+    u, v = np.meshgrid((np.arange(width) - at[0]) / side, (np.arange(height) - at[1]) / side)
+    return u, v
+
+
+def _odds(middle: Array, others: Array) -> Map:
+    """Of each colour, where `middle` (2,) is that of the face, from grey, and `others` (n, 2) are the other colours."""
+    length = math.hypot(*middle)
+    way = middle / length
+    along = np.outer(way, way)
+    cov = along * (ALONG * length) ** 2 + (np.eye(2) - along) * (ACROSS * length) ** 2 + np.eye(2) * NOISE**2
+    levels = np.arange(256.0) - 128
+    off = np.stack(np.meshgrid(levels - PALE * middle[0], levels - PALE * middle[1], indexing="ij"), axis=-1)
+    squared = np.einsum("...i,ij,...j", off, np.linalg.inv(cov), off)
+    skin = np.exp(-squared / 2) / (2 * math.pi * math.sqrt(np.linalg.det(cov)))
+    counts = np.zeros((256, 256))
+    np.add.at(counts, (others[:, 0], others[:, 1]), 1.0)
+    rest = cv2.GaussianBlur(counts, (0, 0), 1.5) / max(len(others), 1)
+    rest = (1 - SKIN_SHARE) * rest + SKIN_SHARE * skin
+    return np.clip(np.log((skin + 1e-6) / (rest + 1e-6)), -3, 3).astype(np.float32)
+
+
+def _skin(odds: Map, colours: Image) -> Map:
+    p = 1 / (1 + np.exp(-odds[colours[..., 2], colours[..., 1]]))
+    return np.asarray(cv2.GaussianBlur(p, (0, 0), 0.7), np.float32)
+
+
+def _map(at: Array, side: float, first: float) -> Map:
+    """The map from the head's template, of a box that was `first` pixels large, to the reduced frame."""
+    by = side / first
+    left, top = at + side * np.array(HEAD[:2])
+    return np.array([[by, 0, left], [0, by, top]], np.float32)
+
+
+def _head(small: Image, at: Array, side: float, first: float) -> Map:
+    """The template of the head: face and neck, as large as in the first frame."""
+    size = tuple(round(first * (HEAD[i + 2] - HEAD[i])) for i in (0, 1))
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    patch = cv2.warpAffine(small, _map(at, side, first), size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(patch, np.float32)
+
+
+def _soft(seen: Map) -> Map:
+    """1 within the template, less at its border."""
+    inner = cv2.copyMakeBorder(np.ones(np.array(seen.shape[:2]) - 2, np.float32), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
+    return np.asarray(cv2.GaussianBlur(inner, (0, 0), 1.0, borderType=cv2.BORDER_CONSTANT), np.float32)

@@ -1,0 +1,235 @@
+"""Two hands in one posterior, by a particle filter on the skin that a frame shows (ours).
+
+A particle is both hands: place, velocity, and whether each is seen. Given the evidence e (`evidence.py`), A(x) is the
+mean of e in a disc about x, and a hand that is seen has
+
+    log p(y | x) = evidence * (A(x) - skin)
+
+one that is not seen has 0. Skin counts once: discs that overlap share it, and two places of one bare arm, with skin all
+along the line between them, are one hand (Gonzalez & Collet's mutual exclusion, section 3, for a joint state). A hand
+that is seen moves by a velocity, with steps of a narrow and a wide normal density; it is within the reach of an arm,
+and more often on its own side. One that is not seen drifts to where an arm hangs. Which hand is which is part of the
+state: after a crossing, particles of both orders remain until velocity or side tell.
+
+Particles are proposed by the motion, and where there is most skin; their weights are p(y | x) p(x | x') / q(x).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.random import Generator
+
+from facetrack_cli.core.types import Array, Mask
+from facetrack_cli.recipe.hands import Hands
+from facetrack_cli.tracking.hands.evidence import Map
+from facetrack_cli.tracking.resampling import effective_sample_size, normalise, systematic
+
+DAMPING: Final = 0.7  # share of the velocity that leads to the next frame
+REST: Final = np.array([[-1.4, 4.6], [1.4, 4.6]])  # where hands hang, about the face's middle, in its sizes
+REACH: Final = (0.0, 1.6, 3.2, 3.6)  # ellipse of an arm's reach about the face's middle, in its sizes: x, y, half axes
+BEYOND: Final = 12.0  # what a place beyond 0.8 of that ellipse loses of log p
+PEAKS: Final = 8  # places of most skin, at most
+LEAST: Final = -1.5  # of log p(y | x) at such a place
+SIGNS: Final = np.array([1.0, -1.0])  # of each hand, of the way to the other hand's side
+ARM: Final = (0.8, 0.4, 3.0)  # sizes from one hand to another place of its arm: from, to surely, to at most
+_ALONG: Final = np.array([0.2, 0.35, 0.5, 0.65, 0.8])
+
+
+class Cloud(NamedTuple):
+    """Equally weighted particles: `x` (N, 2, 4) places and velocities in sizes of the face's box, from the corner of
+    the frame, and `seen` (N, 2).
+    """
+
+    x: Array
+    seen: Mask
+
+
+class Belief(NamedTuple):
+    """Of each hand: p that it is `seen`, the place `at` (2, 2) and `cov` (2, 2, 2) of the particles about it, in sizes;
+    `near` (2,), the share of those that see it which are there; `ess` of the filter's step.
+    """
+
+    seen: Array
+    at: Array
+    cov: Array
+    near: Array
+    ess: float
+
+
+class Face(NamedTuple):
+    """The face's middle `at` (2,) in sizes of the first frame, and its size, 1 in the first frame."""
+
+    at: Array
+    size: float
+
+
+def begin(rng: Generator, settings: Hands, face: Face, given: Array) -> Cloud:
+    """Hands that nobody sees, where they hang; or where they are `given` (2, 2), if that is not nan."""
+    known = np.isfinite(given[:, :1])
+    x = np.zeros((settings.particles, 2, 4))
+    x[..., :2] = np.where(known, given, face.at + face.size * REST)
+    x[..., :2] += np.where(known, 0.5 * settings.near, 0.0) * rng.standard_normal(x[..., :2].shape)
+    return Cloud(x, np.repeat(known.T, settings.particles, axis=0))
+
+
+def step(
+    rng: Generator, settings: Hands, cloud: Cloud, evidence: Map, scale: float, face: Face, *, first: bool = False
+) -> tuple[Cloud, Belief]:
+    """One frame, with the `evidence`, of which `scale` pixels are a size."""
+    n = len(cloud.x)
+    share = disc_means(evidence, settings.radius * face.size * scale)
+    fit = settings.evidence * (share - settings.skin) + _reach(evidence.shape, scale, face)
+    peaks = _peaks(fit)
+    x, seen, weight = cloud.x.copy(), cloud.seen.copy(), np.zeros(n)
+    for hand in (0, 1):
+        before, was = cloud.x[:, hand], cloud.seen[:, hand]
+        luck = rng.random(n)
+        now = np.where(was, luck >= settings.vanishes, luck < (0.5 if first else settings.appears)) & (len(peaks[0]) > 0 or was)
+        ahead = before[:, :2] + DAMPING * before[:, 2:]
+        wide = np.where(rng.random(n) < settings.jumps, settings.far, settings.near)
+        at = ahead + wide[:, None] * rng.standard_normal((n, 2))
+        if len(peaks[0]):
+            drawn = peaks[0][rng.choice(len(peaks[0]), n, p=peaks[1])] / scale + _SPREAD / scale * rng.standard_normal((n, 2))
+            born = now & ~was
+            at = np.where((born | (now & (rng.random(n) < settings.proposed)))[:, None], drawn, at)
+            q = _mixture(at, peaks[0] / scale, peaks[1], _SPREAD / scale)
+            moved = _transition(settings, at - ahead)
+            stays = np.log(moved + _TINY) - np.log((1 - settings.proposed) * moved + settings.proposed * q + _TINY)
+            # one that appears is about where it was, or anywhere within reach
+            near = np.exp(-0.5 * np.sum((at - before[:, :2]) ** 2, axis=1)) / (2 * math.pi)
+            comes = np.log(0.5 * near + 0.5 / (math.pi * REACH[2] * REACH[3])) - np.log(q + _TINY)
+            weight += np.where(born, comes, np.where(now, stays, 0.0))
+        drift = before[:, :2] + 0.5 * before[:, 2:] + 0.03 * (face.at + face.size * REST[hand] - before[:, :2])
+        hidden = drift + 0.15 * rng.standard_normal((n, 2))
+        x[:, hand, :2] = np.where(now[:, None], at, hidden)
+        speed = np.where(was[:, None], 0.5 * (at - before[:, :2]) + 0.5 * before[:, 2:], 0.0)
+        x[:, hand, 2:] = np.where(now[:, None], speed, 0.5 * before[:, 2:])
+        seen[:, hand] = now
+    weight += log_likelihood(settings, x, seen, (fit, share, evidence), scale, face)
+    log_w = normalise(weight)
+    belief = _belief(x, seen, np.exp(log_w), float(effective_sample_size(log_w)))
+    kept = systematic(rng, log_w, n)
+    return Cloud(x[kept], seen[kept]), belief
+
+
+_SPREAD: Final = 0.6  # pixels of the reduced frame, about a place of most skin
+_TINY: Final = 1e-12
+
+
+def disc_means(evidence: Map, radius: float) -> Map:
+    """Means of the evidence in a disc about each pixel; beyond the border there is no hand, and a third must be seen."""
+    n = math.ceil(radius + 0.5)
+    y, x = np.mgrid[-n : n + 1, -n : n + 1]
+    disc = np.clip(radius + 0.5 - np.hypot(x, y), 0, 1).astype(np.float32)
+    disc /= disc.sum()
+    mean, inside = (
+        cv2.filter2D(one, -1, disc, borderType=cv2.BORDER_CONSTANT) for one in (evidence, np.ones_like(evidence))
+    )
+    return np.asarray(mean / np.maximum(inside, 0.35), np.float32)
+
+
+def log_likelihood(
+    settings: Hands, x: Array, seen: Mask, maps: tuple[Map, Map, Map], scale: float, face: Face
+) -> Array:
+    """(N,): log p(y, x) of both hands, but for the motion; `maps` are log p(y | x) of one hand, its share of skin, and
+    the evidence.
+    """
+    fit, share, evidence = maps
+    at, both = x[..., :2] * scale, seen.all(axis=1)
+    across = np.maximum(SIGNS * (x[..., 0] - face.at[0]) / face.size + 0.2, 0.0)
+    each = _at(fit, at) - settings.side * across**2
+    total = np.sum(np.where(seen, each, 0.0), axis=1)
+    if both.any():
+        apart = np.hypot(*(x[:, 0, :2] - x[:, 1, :2]).T) / face.size
+        shared = np.minimum(1.3 * np.maximum(1 - apart / (2 * settings.radius), 0.0), 1.0)
+        line = at[:, :1] + _ALONG[:, None] * (at[:, 1:] - at[:, :1])
+        skin = np.clip((np.maximum(_at(evidence, line), 0.0).min(axis=1) - 0.2) / 0.4, 0, 1)
+        nearest, surely, farthest = ARM
+        arm = skin * np.clip((apart - nearest) / surely, 0, 1) * np.clip((farthest - apart) / 0.5, 0, 1)
+        twice = np.maximum(_at(share, at).min(axis=1), 0.0)
+        total -= np.where(both, settings.evidence * (shared + arm) * twice, 0.0)
+    return np.asarray(total)
+
+
+def extent(evidence: Map, at: Array, radius: float) -> Array:
+    """(2,) width and height in pixels of the skin within 1.5 `radius` of a place `at`: of a disc its diameter."""
+    far, (x, y), shape = 1.5 * radius, at, evidence.shape
+    left, right = (min(max(round(x + side), 0), shape[1]) for side in (-far, far + 1))
+    top, bottom = (min(max(round(y + side), 0), shape[0]) for side in (-far, far + 1))
+    part = evidence[top:bottom, left:right].astype(float)
+    total = part.sum()
+    if total < 1e-3:
+        return np.full(2, 2 * radius)
+    found = []
+    for axis in (0, 1):
+        share = part.sum(axis=axis) / total
+        place = np.arange(len(share))
+        found.append(4 * math.sqrt(share @ (place - share @ place) ** 2))
+    return np.clip(found, radius, 3 * radius)
+
+
+def _at(values: Map, at: Array) -> Array:
+    """The values at places (..., 2) in pixels; -9 beyond the border."""
+    height, width = values.shape
+    column, row = np.rint(at[..., 0]).astype(np.int64), np.rint(at[..., 1]).astype(np.int64)
+    out = (column < -1) | (column > width) | (row < -1) | (row > height)
+    return np.where(out, -9.0, values[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)])
+
+
+def _reach(shape: tuple[int, ...], scale: float, face: Face) -> Map:
+    """(H, W): what is lost of log p beyond the reach of an arm."""
+    x, y, a, b = REACH
+    u = ((np.arange(shape[1]) / scale - face.at[0]) / face.size - x) / a
+    v = ((np.arange(shape[0]) / scale - face.at[1]) / face.size - y) / b
+    far = np.sqrt(u[None] ** 2 + v[:, None] ** 2)
+    return np.asarray(-BEYOND * np.maximum(far - 0.8, 0.0), np.float32)
+
+
+def _peaks(fit: Map) -> tuple[Array, Array]:
+    """The places (P, 2) of most skin in pixels, and how often each is proposed (P,)."""
+    top = (fit >= cv2.dilate(fit, np.ones((5, 5)))) & (fit > LEAST)
+    row, column = np.nonzero(top)
+    best = np.argsort(-fit[row, column], kind="stable")[:PEAKS]
+    at = np.stack([column[best], row[best]], axis=1).astype(float)
+    weight = np.exp(0.5 * (fit[row[best], column[best]].astype(float) - fit.max()))
+    return at, weight / max(weight.sum(), _TINY)
+
+
+def _mixture(at: Array, peaks: Array, weights: Array, sigma: float) -> Array:
+    """(N,): the density of proposals about the peaks."""
+    squared = np.sum((at[:, None] - peaks) ** 2, axis=2)
+    return np.asarray((np.exp(-0.5 * squared / sigma**2) @ weights) / (2 * math.pi * sigma**2))
+
+
+def _transition(settings: Hands, off: Array) -> Array:
+    """(N,): the density of steps `off` (N, 2)."""
+    squared = np.sum(off**2, axis=1)
+    narrow, wide = (
+        np.exp(-0.5 * squared / sigma**2) / (2 * math.pi * sigma**2) for sigma in (settings.near, settings.far)
+    )
+    return np.asarray((1 - settings.jumps) * narrow + settings.jumps * wide)
+
+
+def _belief(x: Array, seen: Mask, w: Array, ess: float) -> Belief:
+    """Each hand where most of the particles that see it are; all of them where none does."""
+    p, at, cov, near = np.zeros(2), np.zeros((2, 2)), np.zeros((2, 2, 2)), np.zeros(2)
+    for hand in (0, 1):
+        p[hand] = w @ seen[:, hand]
+        share = w * seen[:, hand] if p[hand] > 1e-6 else w
+        share, places = share / share.sum(), x[:, hand, :2]
+        middle = share @ places
+        for _ in range(5):  # mean shift, from the mean
+            close = share * np.exp(-0.5 * np.sum((places - middle) ** 2, axis=1) / 0.25)
+            if close.sum() < 1e-9:
+                middle = places[share.argmax()]
+                continue
+            middle = close @ places / close.sum()
+        off = places - middle
+        there = share * (np.hypot(*off.T) < 0.5)
+        near[hand], at[hand] = there.sum() if p[hand] > 1e-6 else 0.0, middle
+        cov[hand] = (off.T * there) @ off / max(there.sum(), 1e-9)
+    return Belief(p, at, cov, near, ess)
