@@ -119,7 +119,9 @@ class Init:
 
         def complete(frame: Frame, start: Start) -> Start:
             if recipe is not None:
-                start = name_targets(start, recipe.followed, frame, left_out=recipe.left_out, later=recipe.later, clip=clip)
+                start = name_targets(
+                    start, recipe.followed, frame, left_out=recipe.left_out, later=recipe.later, clip=clip
+                )
             return start
 
         with open_source(self.clip, start=first) as source, progress(self.out == "-") as shown:

@@ -165,7 +165,9 @@ class Proposer:
         [face] = start.targets.values()
         alone = Start(start.frame, {first: face}, start.origin)
         try:
-            return name_targets(alone, self._recipe.followed, frame, left_out=self._recipe.left_out, later=self._recipe.later), ""
+            return name_targets(
+                alone, self._recipe.followed, frame, left_out=self._recipe.left_out, later=self._recipe.later
+            ), ""
         except NotHereError:
             return alone, f"{', '.join(others)}: not found by the colour of the skin; draw the boxes"
         except InputError as e:

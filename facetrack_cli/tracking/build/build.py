@@ -50,7 +50,9 @@ def _target(recipe: Recipe, start: Start, name: str) -> Target:
     if isinstance(recipe, ParticlesRecipe) and recipe.hands is not None and name in recipe.later:
         first = recipe.followed[0]
         boxes = [None if (one := start.targets.get(hand)) is None else one.box for hand in recipe.later]
-        return HandTarget(name, first, recipe.later.index(name), recipe.hands, box_of(start, first), (boxes[0], boxes[1]))
+        return HandTarget(
+            name, first, recipe.later.index(name), recipe.hands, box_of(start, first), (boxes[0], boxes[1])
+        )
     key = name if name in recipe.filters else ""
     given = recipe.filters[key]
     if given.head is not None:

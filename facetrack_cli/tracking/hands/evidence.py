@@ -6,7 +6,7 @@ the first frame within the reach of an arm. From it is taken away:
 
 - what was skin in all frames so far: the least p of each pixel, which rises slowly. A still camera's shelves and lamps
   never move, and a hand does. Where hands hang or lie in the first frame, skin counts at once;
-- the face and neck, where they look as before: a hand in front of them changes what is seen.
+- the face and neck, where they look as before and no arm leads to: a hand in front of them changes what is seen.
 
 All of it is on a frame reduced so that the face's box is 10 to 20 pixels large.
 """
@@ -34,6 +34,7 @@ RISES: Final = 0.002  # of the background's p in a frame
 # grey levels by which the face differs from before, where as much speaks for a hand as against it, and their width
 CHANGED, CHANGED_WIDTH = 5.0, 1.0
 LEARNS: Final = 0.03  # share of a frame in the face's template, where it is as before
+REACHES: Final = 0.45  # sizes of the face, by which skin beside it speaks for a hand before it
 HEAD: Final = (-0.62, -0.85, 0.62, 1.1)  # face and neck about the face's middle, in sizes of the box
 
 
@@ -69,15 +70,15 @@ def begin(frame: Frame, head: Footprint, hands: tuple[Box, ...] = ()) -> tuple[S
     side = 2 * math.sqrt(float(head.half[0] * head.half[1]))
     factor = factor_for(side, MAX_FACE_PX)
     small, s = reduced(frame, factor), side / factor
-    colours = cv2.cvtColor(small, cv2.COLOR_BGR2YCrCb)
+    colours = _colours(small)
     u, v = _from(to_map(head.centre, factor), small, s)
     face = (u / 0.33) ** 2 + (v / 0.42) ** 2 < 1
-    middle = np.median(colours[face][:, :0:-1].astype(float), axis=0) - 128 if face.any() else np.zeros(2)
+    middle = np.median(colours[face].astype(float), axis=0) - 128 if face.any() else np.zeros(2)
     if math.hypot(*middle) < LEAST_COLOUR:
         remedy = "hands are found by the colour of skin; follow the face alone, with --config face"
         raise InputError(f"frame {frame.index}: the face has no colour, as in a grey clip: {remedy}")
     around = (np.hypot(u, v - 2) < 6) & ~((np.abs(u) < 0.75) & (np.abs(v) < 0.9))
-    odds = _odds(middle, colours[around][:, :0:-1])
+    odds = _odds(middle, colours[around])
     skin = _skin(odds, colours)
     # hanging at the sides, or before the chest and in the lap
     hang = np.exp(-0.5 * ((np.abs(u) - 1.5) / 0.7) ** 2) / (1 + np.exp((3.0 - v) / 0.3))
@@ -92,7 +93,7 @@ def begin(frame: Frame, head: Footprint, hands: tuple[Box, ...] = ()) -> tuple[S
 def look(scene: Scene, frame: Frame, head: Footprint) -> tuple[Scene, Map]:
     """The scene after a frame with the head there, and the evidence (H, W): p, 0 to 1, of skin of a hand or an arm."""
     small = reduced(frame, scene.factor)
-    skin = _skin(scene.odds, cv2.cvtColor(small, cv2.COLOR_BGR2YCrCb))
+    skin = _skin(scene.odds, _colours(small))
     still = np.minimum(skin, scene.still + RISES)
     at, s = to_map(head.centre, scene.factor), 2 * math.sqrt(float(head.half[0] * head.half[1])) / scene.factor
     seen = _head(small, at, s, scene.side)
@@ -105,7 +106,10 @@ def look(scene: Scene, frame: Frame, head: Footprint) -> tuple[Scene, Map]:
     covered, changed = (
         cv2.warpAffine(one.astype(np.float32), _map(at, s, scene.side), (width, height)) for one in (_soft(seen), new)
     )
-    evidence = np.maximum(skin - still, 0) * (1 - covered) + covered * changed * skin
+    beside = np.maximum(skin - still, 0) * (1 - covered)
+    size = 2 * round(REACHES * s) + 1
+    arm = cv2.dilate(cv2.GaussianBlur(beside, (0, 0), 0.8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+    evidence = beside + covered * np.maximum(changed, np.minimum(arm, 1)) * skin
     return scene._replace(still=still, face=face), evidence.astype(np.float32)
 
 
@@ -119,7 +123,12 @@ def _from(at: Array, image: Image, side: float) -> tuple[Array, Array]:
     return u, v
 
 
-def _odds(middle: Array, others: Array) -> Map:
+def _colours(image: Image) -> Image:
+    """(H, W, 2) Cb and Cr."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb)[..., :0:-1], np.uint8)
+
+
+def _odds(middle: Array, others: Image) -> Map:
     """Of each colour, where `middle` (2,) is that of the face, from grey, and `others` (n, 2) are the other colours."""
     length = math.hypot(*middle)
     way = middle / length
@@ -130,14 +139,14 @@ def _odds(middle: Array, others: Array) -> Map:
     squared = np.einsum("...i,ij,...j", off, np.linalg.inv(cov), off)
     skin = np.exp(-squared / 2) / (2 * math.pi * math.sqrt(np.linalg.det(cov)))
     counts = np.zeros((256, 256))
-    np.add.at(counts, (others[:, 0], others[:, 1]), 1.0)
+    np.add.at(counts, tuple(others.T), 1.0)
     rest = cv2.GaussianBlur(counts, (0, 0), 1.5) / max(len(others), 1)
     rest = (1 - SKIN_SHARE) * rest + SKIN_SHARE * skin
-    return np.clip(np.log((skin + 1e-6) / (rest + 1e-6)), -3, 3).astype(np.float32)
+    return np.asarray(np.clip(np.log((skin + 1e-6) / (rest + 1e-6)), -3, 3), np.float32)
 
 
 def _skin(odds: Map, colours: Image) -> Map:
-    p = 1 / (1 + np.exp(-odds[colours[..., 2], colours[..., 1]]))
+    p = 1 / (1 + np.exp(-odds[colours[..., 0], colours[..., 1]]))
     return np.asarray(cv2.GaussianBlur(p, (0, 0), 0.7), np.float32)
 
 

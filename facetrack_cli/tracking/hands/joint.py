@@ -88,14 +88,15 @@ def step(
     for hand in (0, 1):
         before, was = cloud.x[:, hand], cloud.seen[:, hand]
         luck = rng.random(n)
-        now = np.where(was, luck >= settings.vanishes, luck < (0.5 if first else settings.appears)) & (len(peaks[0]) > 0 or was)
+        now = np.where(was, luck >= settings.vanishes, luck < (0.5 if first else settings.appears))
+        now &= was | (len(peaks[0]) > 0)
         ahead = before[:, :2] + DAMPING * before[:, 2:]
         wide = np.where(rng.random(n) < settings.jumps, settings.far, settings.near)
         at = ahead + wide[:, None] * rng.standard_normal((n, 2))
         if len(peaks[0]):
-            drawn = peaks[0][rng.choice(len(peaks[0]), n, p=peaks[1])] / scale + _SPREAD / scale * rng.standard_normal((n, 2))
+            drawn = peaks[0][rng.choice(len(peaks[0]), n, p=peaks[1])] + _SPREAD * rng.standard_normal((n, 2))
             born = now & ~was
-            at = np.where((born | (now & (rng.random(n) < settings.proposed)))[:, None], drawn, at)
+            at = np.where((born | (now & (rng.random(n) < settings.proposed)))[:, None], drawn / scale, at)
             q = _mixture(at, peaks[0] / scale, peaks[1], _SPREAD / scale)
             moved = _transition(settings, at - ahead)
             stays = np.log(moved + _TINY) - np.log((1 - settings.proposed) * moved + settings.proposed * q + _TINY)
@@ -121,7 +122,7 @@ _TINY: Final = 1e-12
 
 
 def disc_means(evidence: Map, radius: float) -> Map:
-    """Means of the evidence in a disc about each pixel; beyond the border there is no hand, and a third must be seen."""
+    """Means of the evidence in a disc about each pixel, within the frame; a third of the disc must be there."""
     n = math.ceil(radius + 0.5)
     y, x = np.mgrid[-n : n + 1, -n : n + 1]
     disc = np.clip(radius + 0.5 - np.hypot(x, y), 0, 1).astype(np.float32)

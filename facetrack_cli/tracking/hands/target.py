@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -28,7 +28,7 @@ from facetrack_cli.tracking.models.motion import Linear
 from facetrack_cli.tracking.roles import Names
 from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
 
-CONFIDENCE: Final = (1.5, 0.3, -5.0)  # of the regression: constant, by log odds, by sizes of the face a frame
+CONFIDENCE: Final = (1.6, 0.06, -7.2)  # of the regression: constant, by log odds, by sizes of the face a frame
 GONE: Final = 1.0  # s after which a hand that is not seen counts as absent, and not as lost
 BORDER: Final = 0.6  # sizes of the face, nearer than which to the border a hand that vanishes has left the picture
 
@@ -54,7 +54,7 @@ class HandState(NamedTuple):
 
 @dataclass(frozen=True)
 class HandTarget:
-    """The hand number `hand`, 0 or 1, of a `person`, a target whose box is `head` at first. `given` are boxes of both hands."""
+    """The hand number `hand`, 0 or 1, of a `person`, whose head begins in a box `head`; `given` are boxes of hands."""
 
     name: str
     person: str
@@ -99,7 +99,8 @@ class HandTarget:
         belief = joint.Belief(known * 1.0, at, cov, known * 1.0, float(len(cloud.x)))
         size = np.array([(math.nan, math.nan) if box is None else box[2:] for box in given])
         last = np.where(known, frame.time_s, -math.inf)
-        return HandState(scene, cloud, belief, face, frame.index, (frame.index, frame.time_s), np.zeros(2), size, last, known)
+        now = frame.index, frame.time_s
+        return HandState(scene, cloud, belief, face, frame.index, now, np.zeros(2), size, last, known)
 
     def advance(
         self, rng: Generator, state: HandState, frame: Frame, footprints: Sequence[Footprint] = ()
@@ -123,7 +124,8 @@ class HandTarget:
         known = there & (before.seen >= 0.5)
         speed = np.where(known, np.hypot(*(belief.at - before.at).T) / face.size, 0.0)
         places = belief.at * scene.side
-        size = np.stack([scene.factor * joint.extent(seen, at, self.settings.radius * face.size * scene.side) for at in places])
+        radius = self.settings.radius * face.size * scene.side
+        size = scene.factor * np.stack([joint.extent(seen, at, radius) for at in places])
         height, width = seen.shape
         away = np.minimum(places, np.array([width, height]) - 1 - places).min(axis=1) / (scene.side * face.size)
         return state._replace(
@@ -140,11 +142,13 @@ class HandTarget:
         p = float(belief.seen[i] * belief.near[i])
         constant, by_odds, by_speed = CONFIDENCE
         odds = constant + by_odds * math.log((p + 1e-3) / (1 - p + 1e-3)) + by_speed * min(float(state.speed[i]), 1.0)
-        sure = 1.0 if given else min(p, 1 / (1 + math.exp(-odds)))
+        sure = 1.0 if given else 1 / (1 + math.exp(-odds))
         status = "init" if given else "tracked" if sure >= self.settings.lost_below else "lost"
         if belief.seen[i] < 0.5 and not (state.inside[i] and frame.time_s - state.last[i] < GONE):
             status = "absent"
-        columns = {"status": [status], "confidence": [sure], "particles": [float(len(state.cloud.x))]}
+        columns: dict[str, Any] = {
+            "status": [status], "confidence": [sure], "particles": [float(len(state.cloud.x))]
+        }  # fmt: skip
         cov = belief.cov[i] * unit**2
         if status != "absent":
             (x, y), (w, h), (std_x, std_y) = _in_pixels(state.scene, belief.at[i]), state.size[i], np.sqrt(np.diag(cov))
@@ -156,10 +160,10 @@ class HandTarget:
         cloud = _in_pixels(state.scene, state.cloud.x[state.cloud.seen[:, i], i : i + 1, :2])
         if status == "absent":
             return TargetResult(rows, cloud)
-        steps = ((1 - self.settings.jumps) * self.settings.near**2 + self.settings.jumps * self.settings.far**2) * unit**2
-        motion = Linear(np.eye(2)[None], np.zeros((1, 2)), steps * np.eye(2)[None])
-        mean = np.array([[columns["x"][0], columns["y"][0]]])
-        known = smoothing.Belief(mean, cov[None], motion, np.array([status == "lost"]))
+        near, far, jumps = self.settings.near * unit, self.settings.far * unit, self.settings.jumps
+        steps = ((1 - jumps) * near**2 + jumps * far**2) * np.eye(2)[None]
+        motion = Linear(np.eye(2)[None], np.zeros((1, 2)), steps)
+        known = smoothing.Belief(np.stack([rows.x, rows.y], axis=1), cov[None], motion, np.array([status == "lost"]))
         return TargetResult(rows, cloud, beliefs=lambda: (known,))
 
 

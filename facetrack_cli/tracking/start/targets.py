@@ -43,7 +43,8 @@ def name_targets(
     """The start with all targets `names`, in their order; without names, as it is.
 
     A single target, or one called `face`, takes the first name if the recipe does not know its own, with its
-    corrections. Targets in `left_out` are dropped, those `later` need not be given. `frame` is the start's, and may be None if no target is missing.
+    corrections. Targets in `left_out` are dropped, those `later` need not be given.
+    `frame` is the start's, and may be None if no target is missing.
     Raises InputError for unknown targets, no first one, or a grey frame; NotHereError for too few regions of skin.
     """
     if not names:
@@ -68,17 +69,18 @@ def name_targets(
         assert frame is not None
         taken = [one.box for name, one in given.items() if name != first and one.box is not None]
         try:
-            found = hand_regions(frame, head, learn_skin(frame, head), len(missing), taken, MIN_BOX_PX)
+            regions = hand_regions(frame, head, learn_skin(frame, head), len(missing), taken, MIN_BOX_PX)
         except InputError as e:
             raise InputError(f"{clip}: {first}, {e}") from None
-        if len(found) < len(missing):
-            number = {0: "no region", 1: "one region"}.get(len(found), f"{len(found)} regions")
+        if len(regions) < len(missing):
+            number = {0: "no region", 1: "one region"}.get(len(regions), f"{len(regions)} regions")
             shown = f"{number} of skin beside the {first}, to begin {' and '.join(missing)} with"
             remedy = f"begin elsewhere with --init-frame, or follow fewer, as by --set targets.{missing[-1]}=null"
             message = f"frame {start.frame} shows {shown}; give their boxes in an init file, {remedy}"
             raise NotHereError(f"{clip}: {message}")
-        given |= {name: TargetStart(box=box) for name, box in zip(missing, found, strict=True)}
-    return replace(start, targets={name: given[name] for name in names if name in given}, corrections=tuple(corrections))
+        given |= {name: TargetStart(box=box) for name, box in zip(missing, regions, strict=True)}
+    found = {name: given[name] for name in names if name in given}
+    return replace(start, targets=found, corrections=tuple(corrections))
 
 
 def hand_regions(

@@ -1,0 +1,93 @@
+"""Hands of signers on clips with a reference: how many are followed, with names, and how many rows are on no hand.
+
+usage: python benchmarks/signers.py FOLDER [--config signer] [--config head_hands] [--seeds 5]
+
+FOLDER has a folder for each clip: a video and hands.csv (frame, hand, x, y, w, h), the boxes of hands in it by another
+detector. A hand is followed where a row that is neither lost nor absent has its centre in the box, enlarged by half.
+`on no hand` counts such rows in no box of their frame: of all, and, `where both`, of frames in which the reference
+sees both hands, since it misses hands that are blurred or leave the picture.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from facetrack_cli import track_video
+from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.recipe.hands import NAMES
+from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
+
+Box = tuple[float, float, float, float]
+Reference = Mapping[int, Mapping[str, Box]]
+
+
+def read_reference(path: Path) -> dict[int, dict[str, Box]]:
+    found: dict[int, dict[str, Box]] = {}
+    with path.open(newline="") as file:
+        for row in csv.DictReader(file):
+            x, y, w, h = (float(row[key]) for key in "xywh")
+            found.setdefault(int(row["frame"]), {})[row["hand"]] = x, y, w, h
+    return found
+
+
+def on(at: tuple[float, float], box: Box) -> bool:
+    return all(abs(at[i] - box[i] - box[i + 2] / 2) <= 0.75 * box[i + 2] for i in (0, 1))
+
+
+def measure(rows: Trajectory, reference: Reference) -> np.ndarray:
+    """(5,): hands followed, followed with names, rows on no hand of all and where both are seen, head not lost."""
+    at = {
+        (int(one.frame[i]), one.target): (float(one.x[i]), float(one.y[i]))
+        for one in rows.parts
+        if one.target in NAMES
+        for i in np.flatnonzero(np.isin(one.status, SEEN) & np.isfinite(one.x))
+    }
+    hands = followed = named = 0
+    for frame, boxes in reference.items():
+        rights = []
+        for names in (list(boxes), [NAMES[1 - NAMES.index(hand)] for hand in boxes]):
+            pairs = [(at.get((frame, name)), boxes[hand]) for hand, name in zip(boxes, names, strict=True)]
+            rights.append(sum(place is not None and on(place, box) for place, box in pairs))
+        hands, named, followed = hands + len(boxes), named + rights[0], followed + max(rights)
+    away = {key: not any(on(place, box) for box in reference.get(key[0], {}).values()) for key, place in at.items()}
+    both = [far for (frame, _), far in away.items() if len(reference.get(frame, {})) == 2]
+    head = next(one for one in rows.parts if one.target not in NAMES)
+    shares = followed / max(hands, 1), named / max(hands, 1), float(np.mean([*away.values()])) if away else 0.0
+    return np.array([*shares, float(np.mean(both)) if both else 0.0, float(np.mean(np.isin(head.status, SEEN)))])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--config", action="append")
+    parser.add_argument("--seeds", type=int, default=5)
+    asked = parser.parse_args()
+    for recipe in asked.config or ["signer"]:
+        print(f"{recipe:18s} followed  names  on no hand  where both  head   (mean over {asked.seeds} seeds)")
+        found = []
+        for path in sorted(asked.folder.glob("*/hands.csv")):
+            clip = next(one for one in sorted(path.parent.iterdir()) if one.suffix in (".mkv", ".mp4", ".avi"))
+            reference = read_reference(path)
+            try:
+                each = [measure(track_video(clip, recipe, seed=seed), reference) for seed in range(asked.seeds)]
+            except FacetrackError as e:
+                print(f"{path.parent.name:18s} {e}")
+                each = [np.array([0.0, 0.0, 0.0, 0.0, 0.0])]
+            found.append(each)
+            print(f"{path.parent.name:18s} {_line(np.mean(each, axis=0))}", flush=True)
+        per_seed = [np.mean([each[seed % len(each)] for each in found], axis=0) for seed in range(asked.seeds)]
+        print(f"{'mean':18s} {_line(np.mean(per_seed, axis=0))}")
+        print(f"{'spread of seeds':18s} {_line(np.std(per_seed, axis=0))}\n")
+
+
+def _line(figures: np.ndarray) -> str:
+    return "{:8.3f} {:6.3f} {:11.3f} {:11.3f} {:6.3f}".format(*figures)
+
+
+if __name__ == "__main__":
+    main()
