@@ -113,7 +113,7 @@ def rows_of(pair: Pair, unit: Array) -> Rows:
         lost=ours.status == "lost",
         init=init,
         later=init & ~first,
-        left_out=ours.status == "absent",
+        left_out=(ours.status == "absent") & ~ours.vanished,
         confidence=ours.confidence,
         std=np.stack([ours.std_x, ours.std_y], axis=1),
         cov_xy=np.nan_to_num(ours.cov_xy),

@@ -15,7 +15,7 @@ from facetrack_cli.recipe.sections import suggest
 TASKS: Final[Mapping[str, tuple[str, ...]]] = {
     "a face and its features": ("face", "factorized_robust"),
     "any box: a face, a head, a hand, a thing": ("correlation_filter", "skin_ncc_robust", "adaptive_robust"),
-    "a head and two hands": ("head_hands", "head_hands_cloud"),
+    "a head and two hands": ("signer",),
     "a face, and who of a gallery it is": ("adaptive_recognition",),
     "published: points of a face (Patras & Pantic 2004)": (
         "factorized", "factorized_transition", "auxiliary_prior", "independent", "sir",
@@ -24,6 +24,7 @@ TASKS: Final[Mapping[str, tuple[str, ...]]] = {
         "adaptive", "adaptive_noise", "adaptive_velocity", "adaptive_appearance", "fixed_template",
     ),
     "published: a face by skin and template (Gonzalez & Collet)": ("skin_ncc", "skin", "ncc"),
+    "published: a head and two hands (Gonzalez & Collet)": ("head_hands", "head_hands_cloud"),
     "published: contours and histograms (Odobez et al. 2003)": (
         "contour_histogram_correlation", "contour_histogram_correlation_robust", "contour_histogram",
         "contour_correlation", "contour", "histogram_correlation", "histogram",

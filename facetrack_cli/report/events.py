@@ -85,6 +85,7 @@ class PartHistory:
     judged: bool
     absences: tuple[Stretch, ...]
     frames_absent: int
+    vanishes: bool
 
 
 class Event(NamedTuple):
@@ -197,6 +198,7 @@ def _part(one: Trajectory, name: str, clock: Clock) -> PartHistory:
         judged=bool((status != "init").any() or known.any()),
         absences=tuple(Stretch(frames[a], frames[b - 1]) for a, b in spans(status == "absent")),
         frames_absent=int((status == "absent").sum()),
+        vanishes=bool(one.vanished.any()),
     )
 
 

@@ -89,7 +89,8 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
     if missing := [part for part in history.parts if part.frames_absent]:
         rows = sum(part.frames_absent for part in missing)
         over = count(rows, "frame" if len(missing) == 1 else "row")
-        found.append(f"Marked as absent: {names([part.name for part in missing])}, in {over}.")
+        said = "Absent" if any(part.vanishes for part in missing) else "Marked as absent"
+        found.append(f"{said}: {names([part.name for part in missing])}, in {over}.")
     return " ".join(found)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, needed
 from facetrack_cli.core.numbers import spans
-from facetrack_cli.core.types import Array, Frame, Image, Mask, Start, Texts, Whole
+from facetrack_cli.core.types import BOX, Array, Frame, Image, Mask, Start, Texts, Whole
 from facetrack_cli.trajectory.diagnostics import POSTERIOR, SURE, Diagnostics, outlines
 
 if TYPE_CHECKING:
@@ -186,8 +186,15 @@ class Trajectory:
         return np.stack([self.x - (self.w - 1) / 2, self.y - (self.h - 1) / 2, self.w, self.h], axis=1)
 
     @property
+    def vanished(self) -> Mask:
+        """(R,) rows of boxes that the tracker itself calls absent, as a hand below the picture."""
+        box = np.array([part == BOX for _, part in self.names], np.bool_)
+        return np.asarray((self.status == "absent") & box[self.which] & np.isfinite(self.particles))
+
+    @property
     def corrected(self) -> Mask:
         """(R,) rows of a part that corrections gave; in a CSV `init` after the first row, or where `absent` begins.
+        A box that the tracker itself calls absent has particles.
 
         What begins where chunks of a clip meet, as the header says, was not corrected.
         """
@@ -195,7 +202,7 @@ class Trajectory:
         seams = self.header.get("seams")
         meet = [one.get("frame") for one in seams if isinstance(one, dict)] if isinstance(seams, list) else []
         shown = (self.status == "init") & ~np.isin(self.frame, [one for one in meet if isinstance(one, int)])
-        shown |= absent & ~np.concatenate([absent[:1], absent[:-1]])
+        shown |= absent & ~self.vanished & ~np.concatenate([absent[:1], absent[:-1]])
         found: Mask = self.by_hand | (shown & (np.arange(len(self)) > 0))
         return found
 

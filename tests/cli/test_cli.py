@@ -237,7 +237,7 @@ def test_on_a_terminal_there_are_a_table_and_colours():
     assert "a face and its features" in table and "\x1b[1m" in table and "\t" not in table
     plain = re.sub(r"\x1b\[[0-9;]*m", "", table)
     marked = [line.split()[1] for line in plain.splitlines() if line.startswith("-> ") and "is the one" not in line]
-    assert marked == [*TAKE] == ["face", "correlation_filter", "head_hands", "adaptive_recognition"]
+    assert marked == [*TAKE] == ["face", "correlation_filter", "signer", "adaptive_recognition"]
     assert "\x1b[" in seen("recipes", "show", "sir")
     assert "\x1b[" not in seen("recipes", "show", "sir", NO_COLOR="1")
 

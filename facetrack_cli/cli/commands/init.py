@@ -36,7 +36,7 @@ class Init:
     Examples:
       facetrack init clip.mp4 --preview look.png
       facetrack init clip.mp4 --init-frame 120 --box 310,96,140,140
-      facetrack init clip.mp4 --config head_hands --preview look.png
+      facetrack init clip.mp4 --config signer --preview look.png
       facetrack init clip.mp4 --pick --open
       facetrack init frames/ -o - > start.yaml
     """

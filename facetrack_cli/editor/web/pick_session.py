@@ -136,7 +136,8 @@ def requirements(recipe: Recipe | None) -> list[Json]:
     clouds = {name: one.likelihood for name, one in recipe.filters.items() if isinstance(one.likelihood, SkinCloud)}
     boxed = {first, *(one.learn_from or name for name, one in clouds.items())}
     points_of = {name: one.points for name, one in recipe.filters.items()}
-    return [requirement(name, p, "needed" if name in boxed else _box_for(p)) for name, p in points_of.items()]
+    found = [requirement(name, p, "needed" if name in boxed else _box_for(p)) for name, p in points_of.items()]
+    return [*found, *(requirement(name, (), "optional") for name in recipe.later)]
 
 
 def _box_for(points: Sequence[str]) -> Literal["needed", "optional"]:

@@ -146,15 +146,13 @@ class HandTarget:
         status = "init" if given else "tracked" if sure >= self.settings.lost_below else "lost"
         if belief.seen[i] < 0.5 and not (state.inside[i] and frame.time_s - state.last[i] < GONE):
             status = "absent"
-        columns: dict[str, Any] = {
-            "status": [status], "confidence": [sure], "particles": [float(len(state.cloud.x))]
-        }  # fmt: skip
+        columns: dict[str, Any] = {"status": [status], "particles": [float(len(state.cloud.x))]}
         cov = belief.cov[i] * unit**2
         if status != "absent":
             (x, y), (w, h), (std_x, std_y) = _in_pixels(state.scene, belief.at[i]), state.size[i], np.sqrt(np.diag(cov))
             columns |= {
                 "x": [x], "y": [y], "w": [w], "h": [h], "std_x": [std_x], "std_y": [std_y], "cov_xy": [cov[0, 1]],
-                "ess": [belief.ess],
+                "ess": [belief.ess], "confidence": [sure],
             }  # fmt: skip
         rows = of_frame(((self.name, BOX),), frame, {}, **columns)
         cloud = _in_pixels(state.scene, state.cloud.x[state.cloud.seen[:, i], i : i + 1, :2])

@@ -103,10 +103,12 @@ def spans_of(parts: Sequence[Trajectory], status: str = "lost") -> list[tuple[in
 
 
 def seen_in(parts: Sequence[Trajectory]) -> list[tuple[int, int]]:
-    """The spans of frames in which a target of a film has rows; none of a target that has rows without a gap."""
+    """The spans of frames in which a target of a film has rows, and a hand is not absent; none if that is always."""
     frames = np.unique(np.concatenate([part.frame for part in parts]))
-    found = numbers.spans(np.ones(len(frames), np.bool_), np.diff(frames) > 1)
-    return [(int(frames[a]), int(frames[b - 1])) for a, b in found] if len(found) > 1 else []
+    there = ~np.isin(frames, np.concatenate([part.frame[part.vanished] for part in parts]))
+    found = numbers.spans(there, np.diff(frames) > 1)
+    always = len(found) == 1 and there.all()
+    return [] if always else [(int(frames[a]), int(frames[b - 1])) for a, b in found]
 
 
 def _tiers(target: str, parts: Sequence[Trajectory]) -> Iterator[tuple[str, str, list[tuple[int, int, str]]]]:
@@ -115,7 +117,7 @@ def _tiers(target: str, parts: Sequence[Trajectory]) -> Iterator[tuple[str, str,
     if seen := seen_in(parts):
         yield "seen", name, [(first, last, "seen") for first, last in seen]
     yield "lost", name, spans_of(parts)
-    if absent := spans_of(parts, "absent"):  # only where a correction says so
+    if absent := spans_of([part.take(~part.vanished) for part in parts], "absent"):  # only where a correction says so
         yield "absent", name, absent
     moved = head_motion(parts)
     for kind in kinds_of(parts):
