@@ -22,23 +22,23 @@ class Hands(Section):
     """Particles of the joint state of both hands."""
     radius: Sizes = 0.36
     """Radius of a hand."""
-    near: Sizes = 0.18
+    near: Sizes = 0.15
     """Standard deviation of most steps from one frame to the next, about where the last velocity leads."""
     far: Sizes = 0.6
     """Standard deviation of the other steps."""
-    jumps: Share = 0.1
+    jumps: Share = 0.02
     """Share of these."""
     appears: Share = 0.08
     """Probability that a hand that is not seen is seen in the next frame."""
     vanishes: Share = 0.03
     """Probability that a hand that is seen is not seen in the next frame."""
-    proposed: Annotated[float, Field(ge=0, lt=1)] = 0.3
+    proposed: Annotated[float, Field(ge=0, lt=1)] = 0.15
     """Share of the particles that are drawn where there is most skin; their weights take it into account."""
     evidence: Annotated[float, Field(gt=0, le=1000)] = 20.0
     """What the share of skin in a hand, above `skin`, adds to log p(y | x)."""
     skin: Share = 0.18
     """Share of skin in a hand, from which on it is more likely a hand than not."""
-    side: Annotated[float, Field(ge=0, le=10)] = 0.16
+    side: Annotated[float, Field(ge=0, le=10)] = 0.08
     """What a hand loses of log p(x) for the square of its distance from its own side of the head."""
     lost_below: Share = 0.65
     """A hand is lost while its confidence, the probability that it is there, is below this."""

@@ -481,9 +481,12 @@ def test_every_recipe_is_read_back_from_the_header_as_it_was(tmp_path):
         found = _recipe(tmp_path / "trajectory.json", header, [tmp_path])
         assert found.name == path.stem
         got = to_dict(found)
-        for section, key in (("prior", "file"), ("confidence", "calibration")):
-            if (wanted.get(section) or {}).get(key):
-                assert Path(got[section].pop(key)).samefile(path.parent / wanted[section].pop(key))
+        for mine, theirs in zip(
+            (got, *got.get("targets", {}).values()), (wanted, *wanted.get("targets", {}).values()), strict=True
+        ):
+            for section, key in (("prior", "file"), ("confidence", "calibration")):
+                if (theirs.get(section) or {}).get(key):
+                    assert Path(mine[section].pop(key)).samefile(path.parent / theirs[section].pop(key))
         assert got == wanted
 
 

@@ -51,7 +51,7 @@ def _init(rng: Random, bench: Bench, case: Case) -> list[str]:
     if rng.random() < 0.3:
         shutil.copytree(bench.path("run"), case.folder / "run")
         return ["fix", "run", "--init", file, "--no-video", "-q"]
-    config = rng.choice(("factorized", "factorized_robust", "histogram", "mosse", "head_hands"))
+    config = rng.choice(("factorized", "factorized_robust", "histogram", "mosse", "head_hands", "signer"))
     return ["run", str(bench.path("frames")), "--init", file, "--config", config, *RUN]
 
 

@@ -27,7 +27,7 @@ from facetrack_cli.tracking.start import read_init
 from tests.support.samples import FOLDER as SAMPLES
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-CLIPS = {"head_hands": "signing", "adaptive_recognition": "map"}
+CLIPS = {"head_hands": "signing", "signer": "signing", "adaptive_recognition": "map"}
 EVERY = 8  # frames between checkpoints here
 
 
@@ -86,7 +86,7 @@ def ended_twice(tmp_path, recipe, *settings, **more):
     return out, whole
 
 
-@pytest.mark.parametrize("recipe", ["correlation_filter", "head_hands", "adaptive_recognition"])
+@pytest.mark.parametrize("recipe", ["correlation_filter", "head_hands", "signer", "adaptive_recognition"])
 def test_rows_are_those_of_a_run_that_was_not_ended(tmp_path, recipe):
     out, whole = ended_twice(tmp_path, recipe)
     assert same(out, whole) and read_manifest(out).frames == read_manifest(whole).frames == 26

@@ -35,7 +35,9 @@ class Turn:
 
     def advance(self, rng, state, frame, footprints):
         assert state == frame.index - 1
-        self.told.append((self.name, [tuple(footprint) for footprint in footprints], rng.random()))
+        self.told.append(
+            (self.name, [(one.centre, one.half) for one in footprints if one.target == one.centre], rng.random())
+        )
         return frame.index, self._result()
 
     def footprint(self, state, *, ahead):

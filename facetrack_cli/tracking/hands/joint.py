@@ -28,7 +28,8 @@ from facetrack_cli.recipe.hands import Hands
 from facetrack_cli.tracking.hands.evidence import Map
 from facetrack_cli.tracking.resampling import effective_sample_size, normalise, systematic
 
-DAMPING: Final = 0.7  # share of the velocity that leads to the next frame
+DAMPING: Final = 0.8  # share of the velocity that leads to the next frame
+NEWS: Final = 0.4  # share of the last step in the velocity
 REST: Final = np.array([[-1.4, 4.6], [1.4, 4.6]])  # where hands hang, about the face's middle, in its sizes
 REACH: Final = (0.0, 1.6, 3.2, 3.6)  # ellipse of an arm's reach about the face's middle, in its sizes: x, y, half axes
 BEYOND: Final = 12.0  # what a place beyond 0.8 of that ellipse loses of log p
@@ -107,7 +108,7 @@ def step(
         drift = before[:, :2] + 0.5 * before[:, 2:] + 0.03 * (face.at + face.size * REST[hand] - before[:, :2])
         hidden = drift + 0.15 * rng.standard_normal((n, 2))
         x[:, hand, :2] = np.where(now[:, None], at, hidden)
-        speed = np.where(was[:, None], 0.5 * (at - before[:, :2]) + 0.5 * before[:, 2:], 0.0)
+        speed = np.where(was[:, None], NEWS * (at - before[:, :2]) + (1 - NEWS) * before[:, 2:], 0.0)
         x[:, hand, 2:] = np.where(now[:, None], speed, 0.5 * before[:, 2:])
         seen[:, hand] = now
     weight += log_likelihood(settings, x, seen, (fit, share, evidence), scale, face)

@@ -28,7 +28,7 @@ from facetrack_cli.tracking.models.motion import Linear
 from facetrack_cli.tracking.roles import Names
 from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
 
-CONFIDENCE: Final = (1.6, 0.06, -7.2)  # of the regression: constant, by log odds, by sizes of the face a frame
+CONFIDENCE: Final = (1.9, 0.04, -7.6)  # of the regression: constant, by log odds, by sizes of the face a frame
 GONE: Final = 1.0  # s after which a hand that is not seen counts as absent, and not as lost
 BORDER: Final = 0.6  # sizes of the face, nearer than which to the border a hand that vanishes has left the picture
 

@@ -1,0 +1,235 @@
+"""The recipe `signer`: two hands in one posterior, absent until they appear, on drawn clips whose truth is known."""
+
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Correction, Frame, Start, TargetStart
+from facetrack_cli.recipe.hands import Hands
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.hands import evidence, joint
+from facetrack_cli.tracking.loop import Footprint, track
+from facetrack_cli.trajectory.formats.eaf import seen_in
+from facetrack_cli.trajectory.trajectory import Trajectory, successive
+from facetrack_cli.trajectory.writers import csv_frames
+
+SKIN, HAND, SHELF = (120, 150, 205), (105, 140, 210), (115, 148, 206)  # blue, green, red
+FACE = (140.0, 40.0, 40.0, 40.0)  # left, top, width, height
+HEAD = Footprint(np.array([159.5, 59.5]), np.array([20.0, 20.0]))
+SETTINGS = load_recipe("signer").hands
+
+
+def drawn(index, hands=(), *, arm=None, grey=False, shelf=True):
+    """A person before a wall with a shelf of the colour of skin; `hands` are the middles of discs."""
+    rng = np.random.default_rng(3)
+    image = np.full((240, 320, 3), (150, 140, 130), np.uint8)
+    image[..., :] = np.clip(image + rng.integers(-6, 7, image.shape), 0, 255).astype(np.uint8)
+    cv2.rectangle(image, (110, 100), (210, 239), (60, 40, 35), -1)
+    if shelf:
+        cv2.rectangle(image, (20, 90), (60, 130), SHELF, -1)
+    cv2.ellipse(image, (160, 60), (15, 20), 0, 0, 360, SKIN, -1)
+    for x in (153, 167):
+        cv2.circle(image, (x, 55), 2, (40, 40, 40), -1)
+    cv2.ellipse(image, (160, 70), (5, 2), 0, 0, 360, (80, 80, 150), -1)
+    if arm is not None:
+        cv2.line(image, *arm, HAND, 16)
+    for x, y in hands:
+        cv2.circle(image, (round(x), round(y)), 14, HAND, -1)
+    if grey:
+        image = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
+    return Frame(index, index / 25, image)
+
+
+def rows_of(frames, start=None, seed=0) -> Trajectory:
+    start = start or Start(0, {"head": TargetStart(FACE)}, "x")
+    results = list(track(build_tracker(load_recipe("signer"), start), iter(frames), seed))
+    return successive([one.rows for one in results])
+
+
+def rising(index):
+    """Left and right hand: below the picture until frame 10, then up, then still before the chest."""
+    y = 262 - 9 * min(max(index - 10, 0), 12)
+    return (115.0, float(y)), (205.0, float(y))
+
+
+@pytest.fixture(scope="module")
+def risen() -> Trajectory:
+    return rows_of(drawn(i, rising(i)) for i in range(40))
+
+
+def test_hands_are_absent_until_they_appear_and_then_followed_by_their_names(risen):
+    for name, side in (("left_hand", 0), ("right_hand", 1)):
+        one = risen.find(name, "box")
+        assert {*one.status[:8]} == {"absent"} and np.isnan(one.x[:8]).all() and np.isnan(one.confidence[:8]).all()
+        assert {*one.status[28:]} == {"tracked"}
+        for i in range(24, 40):
+            assert math.dist((one.x[i], one.y[i]), rising(i)[side]) < 10
+        assert (abs(one.w[28:] - 28) < 8).all() and (abs(one.h[28:] - 28) < 8).all()  # of a disc of 29 pixels
+
+
+def test_what_the_tracker_calls_absent_is_no_correction_and_has_no_segment(risen):
+    one = risen.find("left_hand", "box")
+    assert one.vanished[:8].all() and not one.corrected.any()
+    [(first, last)] = seen_in([one])
+    assert 8 <= first <= 18 and last == 39
+    gone = replace(one, status=np.where(np.arange(40) < 30, one.status, "absent"))
+    assert not gone.corrected.any()
+    by_hand = replace(gone, particles=np.where(np.arange(40) < 30, one.particles, np.nan))
+    assert np.flatnonzero(by_hand.corrected).tolist() == [30]
+
+
+def test_a_shelf_of_the_colour_of_skin_is_never_a_hand(risen):
+    for name in ("left_hand", "right_hand"):
+        one = risen.find(name, "box")
+        on = (abs(one.x - 40) < 25) & (abs(one.y - 110) < 25)
+        assert not on.any()
+    alone = rows_of(drawn(i) for i in range(20))
+    for name in ("left_hand", "right_hand"):
+        assert not np.isin(alone.find(name, "box").status, ("tracked", "init")).any()
+
+
+def test_a_hand_that_leaves_the_picture_is_absent_again():
+    frames = [drawn(i, rising(i if i < 30 else max(52 - i, 0))) for i in range(60)]
+    rows = rows_of(frames)
+    for name in ("left_hand", "right_hand"):
+        assert rows.find(name, "box").status[28] == "tracked" and rows.find(name, "box").status[59] == "absent"
+
+
+def test_a_given_hand_begins_there_and_the_other_one_when_it_appears():
+    start = Start(0, {"head": TargetStart(FACE), "right_hand": TargetStart((191.0, 146.0, 29.0, 29.0))}, "x")
+    rows = rows_of((drawn(i, ((205.0, 160.0), rising(i)[0])) for i in range(40)), start)
+    right, left = rows.find("right_hand", "box"), rows.find("left_hand", "box")
+    assert right.status[0] == "init" and (np.hypot(right.x - 205, right.y - 160) < 10).all()
+    assert left.status[0] == "absent" and left.status[39] == "tracked"
+
+
+def test_corrections_place_a_hand_and_say_that_it_is_absent():
+    given = TargetStart((101.0, 140.0, 29.0, 29.0))
+    there = Correction(12, "left_hand", given), Correction(20, "left_hand", absent=True)
+    start = Start(0, {"head": TargetStart(FACE)}, "x", there)
+    frames = [drawn(i, ((115.0, 154.0),) if i >= 12 else ()) for i in range(26)]
+    rows = rows_of(frames, start)
+    left, right = rows.find("left_hand", "box"), rows.find("right_hand", "box")
+    assert left.status[12] == "init" and left.x[12] == pytest.approx(115, abs=3)
+    assert {*left.status[13:20]} == {"tracked"} and {*left.status[20:]} == {"absent"}
+    assert left.corrected[12] and left.corrected[20] and left.corrected.sum() == 2
+    assert not right.corrected.any()
+
+
+def test_equal_seeds_give_equal_rows_and_another_seed_does_not():
+    def texts(seed):
+        return [*csv_frames(rows_of((drawn(i, rising(i)) for i in range(20)), seed=seed))]
+
+    assert texts(1) == texts(1) != texts(2)
+
+
+def test_a_grey_clip_is_refused_in_one_line():
+    with pytest.raises(InputError, match="the face has no colour") as refused:
+        rows_of(drawn(i, grey=True) for i in range(3))
+    assert "\n" not in str(refused.value)
+
+
+def test_disc_means_are_those_of_a_plain_loop():
+    rng = np.random.default_rng(0)
+    e = rng.random((12, 15)).astype(np.float32)
+    radius = 3.3
+    found = joint.disc_means(e, radius)
+    for row in range(12):
+        for column in range(15):
+            total = weight = there = 0.0
+            for y in range(row - 4, row + 5):
+                for x in range(column - 4, column + 5):
+                    w = min(max(radius + 0.5 - math.hypot(x - column, y - row), 0), 1)
+                    weight += w
+                    if 0 <= y < 12 and 0 <= x < 15:
+                        total, there = total + w * e[y, x], there + w
+            assert found[row, column] == pytest.approx(total / weight / max(there / weight, 0.35), abs=1e-5)
+
+
+def test_steps_and_proposals_have_densities_that_integrate_to_one():
+    grid = np.stack(np.meshgrid(np.linspace(-4, 4, 401), np.linspace(-4, 4, 401)), axis=-1).reshape(-1, 2)
+    area = (8 / 400) ** 2
+    assert joint._transition(SETTINGS, grid).sum() * area == pytest.approx(1, abs=1e-3)
+    peaks, weights = np.array([[0.5, 0.2], [-1.0, 1.0]]), np.array([0.7, 0.3])
+    assert joint._mixture(grid, peaks, weights, 0.1).sum() * area == pytest.approx(1, abs=1e-3)
+
+
+def likelihood(blobs, at, *, line=None):
+    """log p of two hands at places in sizes, where `blobs` are discs of skin."""
+    scale, e = 16.0, np.zeros((96, 128), np.float32)
+    for x, y in blobs:
+        cv2.circle(e, (round(x * scale), round(y * scale)), 6, 1.0, -1)
+    if line is not None:
+        cv2.line(e, *(tuple(round(v * scale) for v in place) for place in line), 1.0, 6)
+    share = joint.disc_means(e, SETTINGS.radius * scale)
+    fit = SETTINGS.evidence * (share - SETTINGS.skin)
+    x = np.zeros((1, 2, 4))
+    x[0, :, :2] = at
+    face = joint.Face(np.array([4.0, 1.0]), 1.0)
+    return float(joint.log_likelihood(SETTINGS, x, np.ones((1, 2), bool), (fit, share, e), scale, face)[0])
+
+
+def test_the_likelihood_is_greatest_with_a_hand_at_each_place():
+    two = ((3.0, 3.0), (5.0, 3.5))
+    best = likelihood(two, two)
+    assert best > max(
+        likelihood(two, ((3, 3), (3, 3))), likelihood(two, ((5, 3.5), (5, 3.5))), likelihood(two, two[::-1])
+    )
+    for off in ((0.3, 0), (0, 0.3), (-0.3, 0), (0, -0.3)):
+        assert best > likelihood(two, (np.add(two[0], off), two[1]))
+
+
+def test_two_places_of_one_bare_arm_are_one_hand():
+    ends = ((3.0, 4.5), (3.8, 3.0))
+    apart, arm = likelihood(ends, ends), likelihood(ends, ends, line=ends)
+    assert apart > 20 > arm and arm < SETTINGS.evidence
+
+
+def test_one_step_has_the_posterior_of_a_grid():
+    """p(x_1 | y_1) of one hand that is seen, with the other one never seen, by sums over a grid."""
+    settings = SETTINGS.model_copy(update={"particles": 40_000, "appears": 0.0, "vanishes": 0.0})
+    scale, face = 16.0, joint.Face(np.array([4.0, 1.0]), 1.0)
+    e = np.zeros((96, 128), np.float32)
+    cv2.circle(e, (52, 50), 6, 0.6, -1)
+    given = np.array([[3.1, 3.0], [np.nan, np.nan]])
+    rng = np.random.default_rng(5)
+    cloud = joint.begin(rng, settings, face, given)
+    _, belief = joint.step(rng, settings, cloud, e, scale, face)
+    rows, columns = np.mgrid[0:96:0.5, 0:128:0.5]
+    places = np.stack([columns, rows], axis=-1).reshape(-1, 2)
+    off = np.sum((places / scale - given[0]) ** 2, axis=1)
+    prior = np.zeros(len(places))
+    for sigma, share in ((settings.near, 1 - settings.jumps), (settings.far, settings.jumps)):
+        var = sigma**2 + (0.5 * settings.near) ** 2
+        prior += share * np.exp(-0.5 * off / var) / var
+    x = np.zeros((len(places), 2, 4))
+    x[:, 0, :2] = places / scale
+    share = joint.disc_means(e, settings.radius * scale)
+    fit = settings.evidence * (share - settings.skin) + joint._reach(e.shape, scale, face)
+    only = np.tile([True, False], (len(places), 1))
+    log_p = np.log(prior) + joint.log_likelihood(settings, x, only, (fit, share, e), scale, face)
+    p = np.exp(log_p - log_p.max())
+    p /= p.sum()
+    assert belief.seen.tolist() == pytest.approx([1, 0])
+    assert belief.at[0] == pytest.approx(p @ places / scale, abs=0.02)
+
+
+def test_evidence_is_what_is_new_and_of_this_skin():
+    scene, first = evidence.begin(drawn(0), HEAD)
+    assert first.max() < 0.5 and scene.factor == 2
+    scene, e = evidence.look(scene, drawn(1, ((160.0, 160.0),)), HEAD)
+    assert e[80, 80] > 0.8 and e[55, 20] < 0.05  # the hand, and the shelf
+    _, e = evidence.look(scene, drawn(2, ((160.0, 66.0),)), HEAD)  # before mouth and chin
+    assert e[33, 80] > 0.5
+    assert e[33, 80] > 5 * evidence.look(scene, drawn(2), HEAD)[1][33, 80]
+
+
+def test_settings_of_hands_are_refused_beside_targets_of_their_names():
+    with pytest.raises(Exception, match="left_hand is one of hands"):
+        load_recipe("head_hands", ["hands={}"])
+    assert Hands.model_fields.keys() == SETTINGS.model_dump().keys()
