@@ -16,13 +16,14 @@ from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
 class Footprint(NamedTuple):
     """What a target explains: an upright ellipse of `centre` (2,) and `half` axes (2,), in pixels.
 
-    `target` is its name; `known` is what it knows of other targets, too, if their state is one.
+    `target` is its name, `lost` whether it is lost; `known` is what it knows of other targets, if their state is one.
     """
 
     centre: Array
     half: Array
     known: Any = None
     target: str = ""
+    lost: bool = False
 
 
 class Target(Protocol):

@@ -263,7 +263,8 @@ class ParticleTarget:
             return None  # points between which nobody knows what there is
         mean = state.estimated.state
         centre = self.motion.expect(mean[None])[0] if ahead else mean
-        return Footprint(centre[0, :2], self.space.windows(state.estimated)[0] / 2)
+        lost = state.judgement is not None and state.judgement.status[0] == "lost"
+        return Footprint(centre[0, :2], self.space.windows(state.estimated)[0] / 2, lost=lost)
 
     @cached_property
     def _names(self) -> tuple[tuple[str, str], ...]:

@@ -199,7 +199,7 @@ def test_one_step_has_the_posterior_of_a_grid():
     given = np.array([[3.1, 3.0], [np.nan, np.nan]])
     rng = np.random.default_rng(5)
     cloud = joint.begin(rng, settings, face, given)
-    _, belief = joint.step(rng, settings, cloud, e, scale, face)
+    _, belief = joint.step(rng, settings, cloud, evidence.Seen(e, 0 * e), scale, face)
     rows, columns = np.mgrid[0:96:0.5, 0:128:0.5]
     places = np.stack([columns, rows], axis=-1).reshape(-1, 2)
     off = np.sum((places / scale - given[0]) ** 2, axis=1)
@@ -221,12 +221,12 @@ def test_one_step_has_the_posterior_of_a_grid():
 
 def test_evidence_is_what_is_new_and_of_this_skin():
     scene, first = evidence.begin(drawn(0), HEAD)
-    assert first.max() < 0.5 and scene.factor == 2
-    scene, e = evidence.look(scene, drawn(1, ((160.0, 160.0),)), HEAD)
+    assert first.evidence.max() < 0.5 and scene.factor == 2
+    scene, (e, _) = evidence.look(scene, drawn(1, ((160.0, 160.0),)), HEAD)
     assert e[80, 80] > 0.8 and e[55, 20] < 0.05  # the hand, and the shelf
-    _, e = evidence.look(scene, drawn(2, ((160.0, 66.0),)), HEAD)  # before mouth and chin
+    _, (e, _) = evidence.look(scene, drawn(2, ((160.0, 66.0),)), HEAD)  # before mouth and chin
     assert e[33, 80] > 0.5
-    assert e[33, 80] > 5 * evidence.look(scene, drawn(2), HEAD)[1][33, 80]
+    assert e[33, 80] > 5 * evidence.look(scene, drawn(2), HEAD)[1].evidence[33, 80]
 
 
 def test_settings_of_hands_are_refused_beside_targets_of_their_names():

@@ -33,9 +33,12 @@ SKIN_SHARE: Final = 0.03  # of what is not the face
 RISES: Final = 0.002  # of the background's p in a frame
 # grey levels by which the face differs from before, where as much speaks for a hand as against it, and their width
 CHANGED, CHANGED_WIDTH = 5.0, 1.0
-LEARNS: Final = 0.03  # share of a frame in the face's template, where it is as before
+LEARNS: Final = 0.1  # share of a frame in the face's template, where no hand is before it
 REACHES: Final = 0.45  # sizes of the face, by which skin beside it speaks for a hand before it
 HEAD: Final = (-0.62, -0.85, 0.62, 1.1)  # face and neck about the face's middle, in sizes of the box
+
+
+_NOBODY: Final = np.empty((0, 2))
 
 
 class Scene(NamedTuple):
@@ -62,7 +65,14 @@ def to_map(at: Array, factor: int) -> Array:
     return (at + 0.5) / factor - 0.5
 
 
-def begin(frame: Frame, head: Footprint, hands: tuple[Box, ...] = ()) -> tuple[Scene, Map]:
+class Seen(NamedTuple):
+    """Of a frame: `evidence` (H, W), p that there is skin of a hand or an arm, and `face` (H, W), 1 where the face is."""
+
+    evidence: Map
+    face: Map
+
+
+def begin(frame: Frame, head: Footprint, hands: tuple[Box, ...] = ()) -> tuple[Scene, Seen]:
     """The scene and the evidence of the first frame; `hands` are boxes of hands that are known.
 
     Raises InputError for a grey clip.
@@ -90,8 +100,10 @@ def begin(frame: Frame, head: Footprint, hands: tuple[Box, ...] = ()) -> tuple[S
     return look(scene, frame, head)
 
 
-def look(scene: Scene, frame: Frame, head: Footprint) -> tuple[Scene, Map]:
-    """The scene after a frame with the head there, and the evidence (H, W): p, 0 to 1, of skin of a hand or an arm."""
+def look(
+    scene: Scene, frame: Frame, head: Footprint, hands: Array = _NOBODY, radius: float = 0.0
+) -> tuple[Scene, Seen]:
+    """The scene after a frame with the head there, and what is seen; `hands` (n, 2) were there in the reduced frame."""
     small = reduced(frame, scene.factor)
     skin = _skin(scene.odds, _colours(small))
     still = np.minimum(skin, scene.still + RISES)
@@ -101,7 +113,11 @@ def look(scene: Scene, frame: Frame, head: Footprint) -> tuple[Scene, Map]:
     least = np.min([np.abs(seen - np.roll(scene.face, shift, (0, 1))).max(axis=2) for shift in _SHIFTS], axis=0)
     change = cv2.GaussianBlur(least, (0, 0), 1.0)
     new = 1 / (1 + np.exp(np.clip((CHANGED - change) / CHANGED_WIDTH, -30, 30)))
-    face = np.where((change < CHANGED)[..., None], scene.face + LEARNS * (seen - scene.face), scene.face)
+    free = np.ones(new.shape, np.bool_)
+    for x, y in (hands - at) / s - np.array(HEAD[:2]):
+        row, column = np.ogrid[: new.shape[0], : new.shape[1]]
+        free &= np.hypot(column - x * scene.side, row - y * scene.side) > radius
+    face = np.where(free[..., None], scene.face + LEARNS * (seen - scene.face), scene.face)
     height, width = skin.shape
     covered, changed = (
         cv2.warpAffine(one.astype(np.float32), _map(at, s, scene.side), (width, height)) for one in (_soft(seen), new)
@@ -110,7 +126,8 @@ def look(scene: Scene, frame: Frame, head: Footprint) -> tuple[Scene, Map]:
     size = 2 * round(REACHES * s) + 1
     arm = cv2.dilate(cv2.GaussianBlur(beside, (0, 0), 0.8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
     evidence = beside + covered * np.maximum(changed, np.minimum(arm, 1)) * skin
-    return scene._replace(still=still, face=face), evidence.astype(np.float32)
+    now = Seen(evidence.astype(np.float32), covered.astype(np.float32))
+    return scene._replace(still=still, face=face.astype(np.float32)), now
 
 
 _SHIFTS: Final = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1))

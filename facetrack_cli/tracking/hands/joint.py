@@ -25,7 +25,7 @@ from numpy.random import Generator
 
 from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.recipe.hands import Hands
-from facetrack_cli.tracking.hands.evidence import Map
+from facetrack_cli.tracking.hands.evidence import Map, Seen
 from facetrack_cli.tracking.resampling import effective_sample_size, normalise, systematic
 
 DAMPING: Final = 0.8  # share of the velocity that leads to the next frame
@@ -78,10 +78,10 @@ def begin(rng: Generator, settings: Hands, face: Face, given: Array) -> Cloud:
 
 
 def step(
-    rng: Generator, settings: Hands, cloud: Cloud, evidence: Map, scale: float, face: Face, *, first: bool = False
+    rng: Generator, settings: Hands, cloud: Cloud, looked: Seen, scale: float, face: Face, *, first: bool = False
 ) -> tuple[Cloud, Belief]:
-    """One frame, with the `evidence`, of which `scale` pixels are a size."""
-    n = len(cloud.x)
+    """One frame, of which is `looked`, in pixels of which `scale` are a size. No hand appears before the face."""
+    n, evidence = len(cloud.x), looked.evidence
     share = disc_means(evidence, settings.radius * face.size * scale)
     fit = settings.evidence * (share - settings.skin) + _reach(evidence.shape, scale, face)
     peaks = _peaks(fit)
@@ -104,6 +104,7 @@ def step(
             # one that appears is about where it was, or anywhere within reach
             near = np.exp(-0.5 * np.sum((at - before[:, :2]) ** 2, axis=1)) / (2 * math.pi)
             comes = np.log(0.5 * near + 0.5 / (math.pi * REACH[2] * REACH[3])) - np.log(q + _TINY)
+            comes -= BEYOND * np.maximum(_at(looked.face, at * scale), 0.0)
             weight += np.where(born, comes, np.where(now, stays, 0.0))
         drift = before[:, :2] + 0.5 * before[:, 2:] + 0.03 * (face.at + face.size * REST[hand] - before[:, :2])
         hidden = drift + 0.15 * rng.standard_normal((n, 2))

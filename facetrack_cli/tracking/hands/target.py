@@ -3,8 +3,8 @@
 The first hand's target steps the posterior, and the other takes it over by its footprint, so that both are one state.
 Once a hand is corrected by hand, each has its own: that of the corrected one begins there.
 
-Confidence is the probability that the hand is where the row says, as MediaPipe Hands sees it, by a logistic regression
-on the log odds of the particles and on the speed: a fast hand is blurred. It was fitted on clips of ten signs.
+Confidence is the probability that the hand is where the row says, as MediaPipe Hands sees it: that of the particles
+times a logistic regression on the speed, since a fast hand is blurred. It was fitted on clips of ten signs.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from facetrack_cli.tracking.models.motion import Linear
 from facetrack_cli.tracking.roles import Names
 from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
 
-CONFIDENCE: Final = (1.9, 0.04, -7.6)  # of the regression: constant, by log odds, by sizes of the face a frame
+CONFIDENCE: Final = (2.1, -7.6)  # of the regression: constant, by sizes of the face a frame
+FORGETS: Final = 0.9  # share of p that is left after a frame in which the head is lost
 GONE: Final = 1.0  # s after which a hand that is not seen counts as absent, and not as lost
 BORDER: Final = 0.6  # sizes of the face, nearer than which to the border a hand that vanishes has left the picture
 
@@ -111,12 +112,17 @@ class HandTarget:
             known = one.known
             if isinstance(known, HandState) and known.begun == state.begun and known.now[0] == frame.index:
                 return known, self._result(known, frame)
-        scene, seen = evidence.look(state.scene, frame, state.face)
+        if state.face.lost:
+            belief = state.belief._replace(seen=FORGETS * state.belief.seen)
+            state = state._replace(belief=belief, now=(frame.index, frame.time_s))
+            return state, self._result(state, frame)
+        there, unit = state.belief.at[state.belief.seen >= 0.5], state.scene.side
+        scene, seen = evidence.look(state.scene, frame, state.face, there * unit, 2 * self.settings.radius * unit)
         state = self._step(rng, state._replace(scene=scene), frame, seen)
         return state, self._result(state, frame)
 
     def _step(
-        self, rng: Generator, state: HandState, frame: Frame, seen: evidence.Map, *, first: bool = False
+        self, rng: Generator, state: HandState, frame: Frame, seen: evidence.Seen, *, first: bool = False
     ) -> HandState:
         scene, face, before = state.scene, _face(state.scene, state.face), state.belief
         cloud, belief = joint.step(rng, self.settings, state.cloud, seen, scene.side, face, first=first)
@@ -125,8 +131,8 @@ class HandTarget:
         speed = np.where(known, np.hypot(*(belief.at - before.at).T) / face.size, 0.0)
         places = belief.at * scene.side
         radius = self.settings.radius * face.size * scene.side
-        size = scene.factor * np.stack([joint.extent(seen, at, radius) for at in places])
-        height, width = seen.shape
+        size = scene.factor * np.stack([joint.extent(seen.evidence, at, radius) for at in places])
+        height, width = seen.evidence.shape
         away = np.minimum(places, np.array([width, height]) - 1 - places).min(axis=1) / (scene.side * face.size)
         return state._replace(
             cloud=cloud, belief=belief, now=(frame.index, frame.time_s), speed=speed, size=size,
@@ -140,9 +146,8 @@ class HandTarget:
     def _result(self, state: HandState, frame: Frame, *, given: bool = False) -> TargetResult:
         i, belief, unit = self.hand, state.belief, state.scene.side * state.scene.factor
         p = float(belief.seen[i] * belief.near[i])
-        constant, by_odds, by_speed = CONFIDENCE
-        odds = constant + by_odds * math.log((p + 1e-3) / (1 - p + 1e-3)) + by_speed * min(float(state.speed[i]), 1.0)
-        sure = 1.0 if given else 1 / (1 + math.exp(-odds))
+        constant, by_speed = CONFIDENCE
+        sure = 1.0 if given else p / (1 + math.exp(-constant - by_speed * min(float(state.speed[i]), 1.0)))
         status = "init" if given else "tracked" if sure >= self.settings.lost_below else "lost"
         if belief.seen[i] < 0.5 and not (state.inside[i] and frame.time_s - state.last[i] < GONE):
             status = "absent"
