@@ -30,10 +30,11 @@ LEAST_COLOUR: Final = 3.0  # of Cb and Cr from grey, of the face's median colour
 PALE: Final = 1.25  # saturation of skin over that of the face
 ALONG, ACROSS, NOISE = 0.4, 0.12, 1.5  # standard deviations of skin: in saturations of the face, and in levels
 SKIN_SHARE: Final = 0.03  # of what is not the face
+MOVES: Final = 0.6  # of the peak of the phase correlation, from which on it tells a motion of the camera
 RISES: Final = 0.002  # of the background's p in a frame
 # grey levels by which the face differs from before, where as much speaks for a hand as against it, and their width
 CHANGED, CHANGED_WIDTH = 5.0, 1.0
-LEARNS: Final = 0.1  # share of a frame in the face's template, where no hand is before it
+LEARNS, HELD = 0.1, 0.02  # share of a frame in the face's template, and where a hand is before it
 REACHES: Final = 0.45  # sizes of the face, by which skin beside it speaks for a hand before it
 HEAD: Final = (-0.62, -0.85, 0.62, 1.1)  # face and neck about the face's middle, in sizes of the box
 
@@ -43,12 +44,13 @@ _NOBODY: Final = np.empty((0, 2))
 
 class Scene(NamedTuple):
     """What is known of the clip: `odds` (256, 256), log p(skin | c) - log p(not | c) by [Cb, Cr]; `still` (H, W), the p
-    of the background; `face` (h, w, 3), the template of the head; `factor` of the reduced frames, `side` of the face's
-    box in their pixels in the first frame.
+    of the background; `grey` (H, W), the last frame; `face` (h, w, 3), the template of the head; `factor` of reduced
+    frames, `side` of the face's box in their pixels in the first frame.
     """
 
     odds: Map
     still: Map
+    grey: Map
     face: Map
     factor: int
     side: float
@@ -66,7 +68,7 @@ def to_map(at: Array, factor: int) -> Array:
 
 
 class Seen(NamedTuple):
-    """Of a frame: `evidence` (H, W), p that there is skin of a hand or an arm, and `face` (H, W), 1 where the face is."""
+    """Of a frame, (H, W): `evidence`, p that there is skin of a hand or arm, and `face`, 1 at the face and near it."""
 
     evidence: Map
     face: Map
@@ -96,7 +98,9 @@ def begin(frame: Frame, head: Footprint, hands: tuple[Box, ...] = ()) -> tuple[S
     for left, top, w, h in hands:
         (x0, y0), (x1, y1) = (np.rint(to_map(np.array(at), factor)) for at in ((left, top), (left + w, top + h)))
         still[max(int(y0), 0) : max(int(y1) + 1, 0), max(int(x0), 0) : max(int(x1) + 1, 0)] = 0
-    scene = Scene(odds, still.astype(np.float32), _head(small, to_map(head.centre, factor), s, s), factor, s)
+    scene = Scene(
+        odds, still.astype(np.float32), _grey(small), _head(small, to_map(head.centre, factor), s, s), factor, s
+    )
     return look(scene, frame, head)
 
 
@@ -106,7 +110,8 @@ def look(
     """The scene after a frame with the head there, and what is seen; `hands` (n, 2) were there in the reduced frame."""
     small = reduced(frame, scene.factor)
     skin = _skin(scene.odds, _colours(small))
-    still = np.minimum(skin, scene.still + RISES)
+    grey = _grey(small)
+    still = np.minimum(skin, _followed(scene, grey, skin) + RISES)
     at, s = to_map(head.centre, scene.factor), 2 * math.sqrt(float(head.half[0] * head.half[1])) / scene.factor
     seen = _head(small, at, s, scene.side)
     # a head that turns a little is no hand: each pixel may come from beside its own
@@ -117,7 +122,7 @@ def look(
     for x, y in (hands - at) / s - np.array(HEAD[:2]):
         row, column = np.ogrid[: new.shape[0], : new.shape[1]]
         free &= np.hypot(column - x * scene.side, row - y * scene.side) > radius
-    face = np.where(free[..., None], scene.face + LEARNS * (seen - scene.face), scene.face)
+    face = scene.face + np.where(free, LEARNS, HELD)[..., None] * (seen - scene.face)
     height, width = skin.shape
     covered, changed = (
         cv2.warpAffine(one.astype(np.float32), _map(at, s, scene.side), (width, height)) for one in (_soft(seen), new)
@@ -126,11 +131,27 @@ def look(
     size = 2 * round(REACHES * s) + 1
     arm = cv2.dilate(cv2.GaussianBlur(beside, (0, 0), 0.8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
     evidence = beside + covered * np.maximum(changed, np.minimum(arm, 1)) * skin
-    now = Seen(evidence.astype(np.float32), covered.astype(np.float32))
-    return scene._replace(still=still, face=face.astype(np.float32)), now
+    near = cv2.dilate(covered, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+    now = Seen(evidence.astype(np.float32), near.astype(np.float32))
+    return scene._replace(still=still, grey=grey, face=face.astype(np.float32)), now
 
 
 _SHIFTS: Final = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1))
+
+
+def _grey(image: Image) -> Map:
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.float32)
+
+
+def _followed(scene: Scene, grey: Map, skin: Map) -> Map:
+    """The background where the camera has moved it, by phase correlation; what comes into the picture is background."""
+    height, width = grey.shape
+    (x, y), sure = cv2.phaseCorrelate(scene.grey, grey, cv2.createHanningWindow((width, height), cv2.CV_32F))
+    if sure < MOVES or max(abs(x), abs(y)) < 0.25 or max(abs(x), abs(y)) > scene.side:
+        return scene.still
+    shift = np.array([[1, 0, x], [0, 1, y]], np.float32)
+    there = cv2.warpAffine(np.ones_like(grey), shift, (width, height))
+    return np.asarray(cv2.warpAffine(scene.still, shift, (width, height)) + (1 - there) * skin, np.float32)
 
 
 def _from(at: Array, image: Image, side: float) -> tuple[Array, Array]:
