@@ -36,7 +36,7 @@ RISES: Final = 0.002  # of the background's p in a frame
 CHANGED, CHANGED_WIDTH = 5.0, 1.0
 LEARNS, HELD = 0.1, 0.02  # share of a frame in the face's template, and where a hand is before it
 REACHES: Final = 0.45  # sizes of the face, by which skin beside it speaks for a hand before it
-HEAD: Final = (-0.62, -0.85, 0.62, 1.1)  # face and neck about the face's middle, in sizes of the box
+HEAD: Final = (-0.8, -1.3, 0.8, 1.1)  # head and neck about the face's middle, in sizes of the box
 
 
 _NOBODY: Final = np.empty((0, 2))

@@ -29,7 +29,8 @@ from facetrack_cli.tracking.roles import Names
 from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
 
 CONFIDENCE: Final = (2.1, -7.6)  # of the regression: constant, by sizes of the face a frame
-FORGETS: Final = 0.9  # share of p that is left after a frame in which the head is lost
+HOLDS: Final = 1.0  # s for which hands are followed while the head is lost
+FORGETS: Final = 0.9  # share of p that is left after each later frame
 GONE: Final = 1.0  # s after which a hand that is not seen counts as absent, and not as lost
 BORDER: Final = 0.6  # sizes of the face, nearer than which to the border a hand that vanishes has left the picture
 
@@ -38,7 +39,8 @@ class HandState(NamedTuple):
     """The posterior of both hands after a frame. `begun` is the frame in which it began, `now` this frame and its time.
 
     `last` (2,) are the times when each hand was seen last, -inf if never; `inside` (2,), whether that was within the
-    picture. `speed` (2,) is in sizes of the face a frame, `size` (2, 2) width and height of each hand in pixels.
+    picture; `shown`, when the head was. `speed` (2,) is in sizes of the face a frame, `size` (2, 2) width and height of
+    each hand in pixels.
     """
 
     scene: Scene
@@ -51,6 +53,7 @@ class HandState(NamedTuple):
     size: Array
     last: Array
     inside: Array
+    shown: float
 
 
 @dataclass(frozen=True)
@@ -101,18 +104,21 @@ class HandTarget:
         size = np.array([(math.nan, math.nan) if box is None else box[2:] for box in given])
         last = np.where(known, frame.time_s, -math.inf)
         now = frame.index, frame.time_s
-        return HandState(scene, cloud, belief, face, frame.index, now, np.zeros(2), size, last, known)
+        return HandState(scene, cloud, belief, face, frame.index, now, np.zeros(2), size, last, known, frame.time_s)
 
     def advance(
         self, rng: Generator, state: HandState, frame: Frame, footprints: Sequence[Footprint] = ()
     ) -> tuple[HandState, TargetResult]:
         for one in footprints:
             if one.target == self.person:
-                state = state._replace(face=one)
+                # hands before the face hide it: it is where it was
+                state = state._replace(face=state.face._replace(lost=True) if one.lost else one)
             known = one.known
             if isinstance(known, HandState) and known.begun == state.begun and known.now[0] == frame.index:
                 return known, self._result(known, frame)
-        if state.face.lost:
+        if not state.face.lost:
+            state = state._replace(shown=frame.time_s)
+        if frame.time_s - state.shown > HOLDS:
             belief = state.belief._replace(seen=FORGETS * state.belief.seen)
             state = state._replace(belief=belief, now=(frame.index, frame.time_s))
             return state, self._result(state, frame)
