@@ -32,6 +32,7 @@ DAMPING: Final = 0.8  # share of the velocity that leads to the next frame
 NEWS: Final = 0.4  # share of the last step in the velocity
 REST: Final = np.array([[-1.4, 4.6], [1.4, 4.6]])  # where hands hang, about the face's middle, in its sizes
 REACH: Final = (0.0, 1.6, 3.2, 3.6)  # ellipse of an arm's reach about the face's middle, in its sizes: x, y, half axes
+ANYWHERE: Final = 0.1  # share of the hands that appear anywhere within reach, and not about where they were
 BEYOND: Final = 12.0  # what a place beyond 0.8 of that ellipse loses of log p
 PEAKS: Final = 8  # places of most skin, at most
 LEAST: Final = -1.5  # of log p(y | x) at such a place
@@ -103,7 +104,7 @@ def step(
             stays = np.log(moved + _TINY) - np.log((1 - settings.proposed) * moved + settings.proposed * q + _TINY)
             # one that appears is about where it was, or anywhere within reach
             near = np.exp(-0.5 * np.sum((at - before[:, :2]) ** 2, axis=1)) / (2 * math.pi)
-            comes = np.log(0.5 * near + 0.5 / (math.pi * REACH[2] * REACH[3])) - np.log(q + _TINY)
+            comes = np.log((1 - ANYWHERE) * near + ANYWHERE / (math.pi * REACH[2] * REACH[3])) - np.log(q + _TINY)
             comes -= BEYOND * np.maximum(_at(looked.face, at * scale), 0.0)
             weight += np.where(born, comes, np.where(now, stays, 0.0))
         drift = before[:, :2] + 0.5 * before[:, 2:] + 0.03 * (face.at + face.size * REST[hand] - before[:, :2])
