@@ -6,6 +6,7 @@ import csv
 from pathlib import Path
 from typing import Final
 
+from facetrack_cli.core.types import Box
 from facetrack_cli.tracking.face import descent
 
 MESH: Final = "mesh.csv"
@@ -20,6 +21,22 @@ def points_in(path: Path) -> dict[int, dict[str, tuple[float, float, float]]]:
         for row in csv.DictReader(file):
             found.setdefault(int(row["frame"]), {})[row["part"]] = float(row["x"]), float(row["y"]), float(row["unit"])
     return found
+
+
+def hands_in(path: Path) -> dict[int, dict[str, Box]]:
+    """By frame and hand the boxes of a table with columns frame, hand, x, y, w, h."""
+    found: dict[int, dict[str, Box]] = {}
+    with path.open(encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            box = float(row["x"]), float(row["y"]), float(row["w"]), float(row["h"])
+            found.setdefault(int(row["frame"]), {})[row["hand"]] = box
+    return found
+
+
+def inside(x: float, y: float, box: Box) -> bool:
+    """Whether a point lies in a box enlarged by half."""
+    left, top, width, height = box
+    return abs(x - left - width / 2) <= 0.75 * width and abs(y - top - height / 2) <= 0.75 * height
 
 
 def take_regression(folder: Path | None, name: str) -> None:

@@ -11,35 +11,21 @@ sees both hands, since it misses hands that are blurred or leave the picture.
 from __future__ import annotations
 
 import argparse
-import csv
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from boxes import clip_in
+from reference import HANDS, hands_in, inside
 
 from facetrack_cli import track_video
 from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.core.types import Box
 from facetrack_cli.recipe.hands import NAMES
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
 
-Box = tuple[float, float, float, float]
-Reference = Mapping[int, Mapping[str, Box]]
 
-
-def read_reference(path: Path) -> dict[int, dict[str, Box]]:
-    found: dict[int, dict[str, Box]] = {}
-    with path.open(newline="") as file:
-        for row in csv.DictReader(file):
-            x, y, w, h = (float(row[key]) for key in "xywh")
-            found.setdefault(int(row["frame"]), {})[row["hand"]] = x, y, w, h
-    return found
-
-
-def on(at: tuple[float, float], box: Box) -> bool:
-    return all(abs(at[i] - box[i] - box[i + 2] / 2) <= 0.75 * box[i + 2] for i in (0, 1))
-
-
-def measure(rows: Trajectory, reference: Reference) -> np.ndarray:
+def measure(rows: Trajectory, reference: Mapping[int, Mapping[str, Box]]) -> np.ndarray:
     """(5,): hands followed, followed with names, rows on no hand of all and where both are seen, head not lost."""
     at = {
         (int(one.frame[i]), one.target): (float(one.x[i]), float(one.y[i]))
@@ -52,9 +38,11 @@ def measure(rows: Trajectory, reference: Reference) -> np.ndarray:
         rights = []
         for names in (list(boxes), [NAMES[1 - NAMES.index(hand)] for hand in boxes]):
             pairs = [(at.get((frame, name)), boxes[hand]) for hand, name in zip(boxes, names, strict=True)]
-            rights.append(sum(place is not None and on(place, box) for place, box in pairs))
+            rights.append(sum(place is not None and inside(*place, box) for place, box in pairs))
         hands, named, followed = hands + len(boxes), named + rights[0], followed + max(rights)
-    away = {key: not any(on(place, box) for box in reference.get(key[0], {}).values()) for key, place in at.items()}
+    away = {
+        key: not any(inside(*place, box) for box in reference.get(key[0], {}).values()) for key, place in at.items()
+    }
     both = [far for (frame, _), far in away.items() if len(reference.get(frame, {})) == 2]
     head = next(one for one in rows.parts if one.target not in NAMES)
     shares = followed / max(hands, 1), named / max(hands, 1), float(np.mean([*away.values()])) if away else 0.0
@@ -70,11 +58,13 @@ def main() -> None:
     for recipe in asked.config or ["signer"]:
         print(f"{recipe:18s} followed  names  on no hand  where both  head   (mean over {asked.seeds} seeds)")
         found = []
-        for path in sorted(asked.folder.glob("*/hands.csv")):
-            clip = next(one for one in sorted(path.parent.iterdir()) if one.suffix in (".mkv", ".mp4", ".avi"))
-            reference = read_reference(path)
+        for path in sorted(asked.folder.glob(f"*/{HANDS}")):
+            reference = hands_in(path)
             try:
-                each = [measure(track_video(clip, recipe, seed=seed), reference) for seed in range(asked.seeds)]
+                each = [
+                    measure(track_video(clip_in(path.parent), recipe, seed=seed), reference)
+                    for seed in range(asked.seeds)
+                ]
             except FacetrackError as e:
                 print(f"{path.parent.name:18s} {e}")
                 each = [np.array([0.0, 0.0, 0.0, 0.0, 0.0])]

@@ -38,6 +38,7 @@ GRIDS: dict[str, tuple[int, list[tuple[str, list[str], list[int]]]]] = {
         ("passerby", ["--config", "face", "--init", "haar"], [50, 90, 130]),
     ]),
     "skin-map.jpg": (360, [("map", ["--config", one], [30, 56, 76, 215]) for one in ("skin", "skin_ncc_robust")]),
+    "signer.jpg": (360, [("signing", ["--config", "signer"], [20, 52, 92, 208])]),
     "signing.jpg": (360, [
         ("signing", ["--config", one], [38, 92, 112, 130]) for one in ("head_hands_cloud", "head_hands")
     ]),
