@@ -3,11 +3,12 @@
 No numerics are imported here.
 """
 
+from collections.abc import Iterable
 from typing import Annotated, Final
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import Section
+from facetrack_cli.recipe.sections import Refusal, Section
 
 NAMES: Final = ("left_hand", "right_hand")
 """The hands: the first one hangs at the left of the picture, where a person faces the camera."""
@@ -22,12 +23,10 @@ class Hands(Section):
     """Particles of the joint state of both hands."""
     radius: Sizes = 0.36
     """Radius of a hand."""
-    near: Sizes = 0.15
-    """Standard deviation of most steps from one frame to the next, about where the last velocity leads."""
-    far: Sizes = 0.6
-    """Standard deviation of the other steps."""
-    jumps: Share = 0.02
-    """Share of these."""
+    steps: Annotated[tuple[Sizes, Sizes, Sizes], Field(strict=False)] = (0.05, 0.15, 0.6)
+    """Standard deviations of steps from one frame to the next, about where the last velocity leads."""
+    shares: Annotated[tuple[Share, Share, Share], Field(strict=False)] = (0.5, 0.48, 0.02)
+    """How often each of these steps is taken; they add up to 1."""
     appears: Share = 0.08
     """Probability that a hand that is not seen is seen in the next frame."""
     vanishes: Share = 0.03
@@ -42,3 +41,7 @@ class Hands(Section):
     """What a hand loses of log p(x) for the square of its distance from its own side of the head."""
     lost_below: Share = 0.65
     """A hand is lost while its confidence, the probability that it is there, is below this."""
+
+    def mistakes(self) -> Iterable[Refusal]:
+        if abs(sum(self.shares) - 1) > 1e-6:
+            yield Refusal(("shares",), f"the shares add up to {sum(self.shares):g}; make that 1")

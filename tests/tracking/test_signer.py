@@ -204,8 +204,8 @@ def test_one_step_has_the_posterior_of_a_grid():
     places = np.stack([columns, rows], axis=-1).reshape(-1, 2)
     off = np.sum((places / scale - given[0]) ** 2, axis=1)
     prior = np.zeros(len(places))
-    for sigma, share in ((settings.near, 1 - settings.jumps), (settings.far, settings.jumps)):
-        var = sigma**2 + (0.5 * settings.near) ** 2
+    for sigma, share in zip(settings.steps, settings.shares, strict=True):
+        var = sigma**2 + joint.START**2
         prior += share * np.exp(-0.5 * off / var) / var
     x = np.zeros((len(places), 2, 4))
     x[:, 0, :2] = places / scale
@@ -232,4 +232,6 @@ def test_evidence_is_what_is_new_and_of_this_skin():
 def test_settings_of_hands_are_refused_beside_targets_of_their_names():
     with pytest.raises(Exception, match="left_hand is one of hands"):
         load_recipe("head_hands", ["hands={}"])
+    with pytest.raises(Exception, match="the shares add up to"):
+        load_recipe("signer", ["hands.shares=[0.5, 0.3, 0.1]"])
     assert Hands.model_fields.keys() == SETTINGS.model_dump().keys()

@@ -7,7 +7,7 @@ mean of e in a disc about x, and a hand that is seen has
 
 one that is not seen has 0. Skin counts once: discs that overlap share it, and two places of one bare arm, with skin all
 along the line between them, are one hand (Gonzalez & Collet's mutual exclusion, section 3, for a joint state). A hand
-that is seen moves by a velocity, with steps of a narrow and a wide normal density; it is within the reach of an arm,
+that is seen moves by a velocity, with steps of three normal densities; it is within the reach of an arm,
 and more often on its own side. One that is not seen drifts to where an arm hangs. Which hand is which is part of the
 state: after a crossing, particles of both orders remain until velocity or side tell.
 
@@ -28,7 +28,7 @@ from facetrack_cli.recipe.hands import Hands
 from facetrack_cli.tracking.hands.evidence import Map, Seen
 from facetrack_cli.tracking.resampling import effective_sample_size, normalise, systematic
 
-DAMPING: Final = 0.8  # share of the velocity that leads to the next frame
+START: Final = 0.075  # sizes, standard deviation of a hand that is given
 NEWS: Final = 0.4  # share of the last step in the velocity
 REST: Final = np.array([[-1.4, 4.6], [1.4, 4.6]])  # where hands hang, about the face's middle, in its sizes
 REACH: Final = (0.0, 1.6, 3.2, 3.6)  # ellipse of an arm's reach about the face's middle, in its sizes: x, y, half axes
@@ -74,7 +74,7 @@ def begin(rng: Generator, settings: Hands, face: Face, given: Array) -> Cloud:
     known = np.isfinite(given[:, :1])
     x = np.zeros((settings.particles, 2, 4))
     x[..., :2] = np.where(known, given, face.at + face.size * REST)
-    x[..., :2] += np.where(known, 0.5 * settings.near, 0.0) * rng.standard_normal(x[..., :2].shape)
+    x[..., :2] += np.where(known, START, 0.0) * rng.standard_normal(x[..., :2].shape)
     return Cloud(x, np.repeat(known.T, settings.particles, axis=0))
 
 
@@ -92,8 +92,8 @@ def step(
         luck = rng.random(n)
         now = np.where(was, luck >= settings.vanishes, luck < (0.5 if first else settings.appears))
         now &= was | (len(peaks[0]) > 0)
-        ahead = before[:, :2] + DAMPING * before[:, 2:]
-        wide = np.where(rng.random(n) < settings.jumps, settings.far, settings.near)
+        ahead = before[:, :2] + before[:, 2:]
+        wide = np.array(settings.steps)[rng.choice(3, n, p=settings.shares)]
         at = ahead + wide[:, None] * rng.standard_normal((n, 2))
         if len(peaks[0]):
             drawn = peaks[0][rng.choice(len(peaks[0]), n, p=peaks[1])] + _SPREAD * rng.standard_normal((n, 2))
@@ -154,8 +154,9 @@ def log_likelihood(
         skin = np.clip((np.maximum(_at(evidence, line), 0.0).min(axis=1) - 0.2) / 0.4, 0, 1)
         nearest, surely, farthest = ARM
         arm = skin * np.clip((apart - nearest) / surely, 0, 1) * np.clip((farthest - apart) / 0.5, 0, 1)
-        twice = np.maximum(_at(share, at).min(axis=1), 0.0)
-        total -= np.where(both, settings.evidence * (shared + arm) * twice, 0.0)
+        least = _at(share, at).min(axis=1)
+        twice = shared * np.maximum(least - settings.skin, 0.0) + arm * np.maximum(least, 0.0)
+        total -= np.where(both, settings.evidence * twice, 0.0)
     return np.asarray(total)
 
 
@@ -212,10 +213,8 @@ def _mixture(at: Array, peaks: Array, weights: Array, sigma: float) -> Array:
 def _transition(settings: Hands, off: Array) -> Array:
     """(N,): the density of steps `off` (N, 2)."""
     squared = np.sum(off**2, axis=1)
-    narrow, wide = (
-        np.exp(-0.5 * squared / sigma**2) / (2 * math.pi * sigma**2) for sigma in (settings.near, settings.far)
-    )
-    return np.asarray((1 - settings.jumps) * narrow + settings.jumps * wide)
+    var = np.array(settings.steps) ** 2
+    return np.asarray(np.exp(-0.5 * squared[:, None] / var) @ (settings.shares / (2 * math.pi * var)))
 
 
 def _belief(x: Array, seen: Mask, w: Array, ess: float) -> Belief:

@@ -169,8 +169,7 @@ class HandTarget:
         cloud = _in_pixels(state.scene, state.cloud.x[state.cloud.seen[:, i], i : i + 1, :2])
         if status == "absent":
             return TargetResult(rows, cloud)
-        near, far, jumps = self.settings.near * unit, self.settings.far * unit, self.settings.jumps
-        steps = ((1 - jumps) * near**2 + jumps * far**2) * np.eye(2)[None]
+        steps = unit**2 * np.dot(self.settings.shares, np.square(self.settings.steps)) * np.eye(2)[None]
         motion = Linear(np.eye(2)[None], np.zeros((1, 2)), steps)
         known = smoothing.Belief(np.stack([rows.x, rows.y], axis=1), cov[None], motion, np.array([status == "lost"]))
         return TargetResult(rows, cloud, beliefs=lambda: (known,))
