@@ -29,6 +29,7 @@ from facetrack_cli.tracking.hands.evidence import Map, Seen
 from facetrack_cli.tracking.resampling import effective_sample_size, normalise, systematic
 
 START: Final = 0.075  # sizes, standard deviation of a hand that is given
+HIDES: Final = 0.5  # of `skin`, which two hands that overlap need once: between two discs apart, 0, and a union, 1
 NEWS: Final = 0.4  # share of the last step in the velocity
 REST: Final = np.array([[-1.4, 4.6], [1.4, 4.6]])  # where hands hang, about the face's middle, in its sizes
 REACH: Final = (0.0, 1.6, 3.2, 3.6)  # ellipse of an arm's reach about the face's middle, in its sizes: x, y, half axes
@@ -155,7 +156,7 @@ def log_likelihood(
         nearest, surely, farthest = ARM
         arm = skin * np.clip((apart - nearest) / surely, 0, 1) * np.clip((farthest - apart) / 0.5, 0, 1)
         least = _at(share, at).min(axis=1)
-        twice = shared * np.maximum(least - settings.skin, 0.0) + arm * np.maximum(least, 0.0)
+        twice = shared * np.maximum(least - HIDES * settings.skin, 0.0) + arm * np.maximum(least, 0.0)
         total -= np.where(both, settings.evidence * twice, 0.0)
     return np.asarray(total)
 

@@ -28,7 +28,7 @@ from facetrack_cli.tracking.models.motion import Linear
 from facetrack_cli.tracking.roles import Names
 from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
 
-CONFIDENCE: Final = (2.1, -7.6)  # of the regression: constant, by sizes of the face a frame
+CONFIDENCE: Final = (2.5, -8.9)  # of the regression: constant, by sizes of the face a frame
 HOLDS: Final = 1.0  # s for which hands are followed while the head is lost
 FORGETS: Final = 0.9  # share of p that is left after each later frame
 GONE: Final = 1.0  # s after which a hand that is not seen counts as absent, and not as lost
