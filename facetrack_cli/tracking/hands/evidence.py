@@ -146,7 +146,8 @@ def _grey(image: Image) -> Map:
 def _followed(scene: Scene, grey: Map, skin: Map) -> Map:
     """The background where the camera has moved it, by phase correlation; what comes into the picture is background."""
     height, width = grey.shape
-    (x, y), sure = cv2.phaseCorrelate(scene.grey, grey, cv2.createHanningWindow((width, height), cv2.CV_32F))
+    window = cv2.createHanningWindow((width, height), cv2.CV_32F)
+    (x, y), sure = cv2.phaseCorrelate(scene.grey.copy(), grey.copy(), window)  # it writes into its images
     if sure < MOVES or max(abs(x), abs(y)) < 0.25 or max(abs(x), abs(y)) > scene.side:
         return scene.still
     shift = np.array([[1, 0, x], [0, 1, y]], np.float32)

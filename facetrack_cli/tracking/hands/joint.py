@@ -94,7 +94,7 @@ def step(
         now = np.where(was, luck >= settings.vanishes, luck < (0.5 if first else settings.appears))
         now &= was | (len(peaks[0]) > 0)
         ahead = before[:, :2] + before[:, 2:]
-        wide = np.array(settings.steps)[rng.choice(3, n, p=settings.shares)]
+        wide = np.array(settings.steps)[rng.choice(3, n, p=np.array(settings.shares) / sum(settings.shares))]
         at = ahead + wide[:, None] * rng.standard_normal((n, 2))
         if len(peaks[0]):
             drawn = peaks[0][rng.choice(len(peaks[0]), n, p=peaks[1])] + _SPREAD * rng.standard_normal((n, 2))
@@ -166,16 +166,10 @@ def extent(evidence: Map, at: Array, radius: float) -> Array:
     far, (x, y), shape = 1.5 * radius, at, evidence.shape
     left, right = (min(max(round(x + side), 0), shape[1]) for side in (-far, far + 1))
     top, bottom = (min(max(round(y + side), 0), shape[0]) for side in (-far, far + 1))
-    part = evidence[top:bottom, left:right].astype(float)
-    total = part.sum()
-    if total < 1e-3:
+    of = cv2.moments(evidence[top:bottom, left:right])
+    if of["m00"] < 1e-3:
         return np.full(2, 2 * radius)
-    found = []
-    for axis in (0, 1):
-        share = part.sum(axis=axis) / total
-        place = np.arange(len(share))
-        found.append(4 * math.sqrt(share @ (place - share @ place) ** 2))
-    return np.clip(found, radius, 3 * radius)
+    return np.asarray(np.clip(4 * np.sqrt(np.array([of["mu20"], of["mu02"]]) / of["m00"]), radius, 3 * radius))
 
 
 def _at(values: Map, at: Array) -> Array:
