@@ -247,7 +247,8 @@ def _sought(main: Path, name: str, folders: Sequence[Path]) -> Path:
 def _check_rows(main: Path, run: Run) -> None:
     """InputError if the corrections are not in order, or the rows are not what this recipe makes of this start."""
     start, places = run.start, [(one.frame, one.target) for one in run.start.corrections]
-    ours = all(one.target in start.targets and one.frame > start.frame for one in start.corrections)
+    known = {*start.targets, *run.recipe.later}
+    ours = all(one.target in known and one.frame > start.frame for one in start.corrections)
     if not ours or places != sorted(set(places), key=lambda place: (place[0], places.index(place))):
         raise InputError(f"{main}: init.corrections is not as facetrack run writes it; {_AGAIN}")
     try:

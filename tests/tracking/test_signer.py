@@ -14,6 +14,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.hands import evidence, joint
 from facetrack_cli.tracking.loop import Footprint, track
+from facetrack_cli.tracking.start import read_init
 from facetrack_cli.trajectory.formats.eaf import seen_in
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
 from facetrack_cli.trajectory.writers import csv_frames
@@ -119,6 +120,18 @@ def test_corrections_place_a_hand_and_say_that_it_is_absent():
     assert {*left.status[13:20]} == {"tracked"} and {*left.status[20:]} == {"absent"}
     assert left.corrected[12] and left.corrected[20] and left.corrected.sum() == 2
     assert not right.corrected.any()
+
+
+def test_an_init_file_corrects_hands_that_it_does_not_begin_with(tmp_path):
+    file = tmp_path / "c.yaml"
+    text = "frame: 0\n{}: {{box: [140, 40, 40, 40]}}\ncorrections:\n  - {{frame: 4, left_hand: {{absent: true}}}}\n"
+    file.write_text(text.format("head"))
+    start = read_init(file)
+    assert start.corrections == (Correction(4, "left_hand", absent=True),)
+    assert rows_of((drawn(i) for i in range(6)), start).find("left_hand", "box").corrected[4]
+    file.write_text(text.format("face"))
+    with pytest.raises(InputError, match="corrects left_hand, which the recipe does not follow: it follows face;"):
+        build_tracker(load_recipe("correlation_filter"), read_init(file))
 
 
 def test_equal_seeds_give_equal_rows_and_another_seed_does_not():

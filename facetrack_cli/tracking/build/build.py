@@ -31,7 +31,12 @@ def build_tracker(recipe: Recipe, start: Start, fps: float | Fraction = 25) -> T
         opencv.check(recipe)
     if missing := ", ".join(name for name in recipe.followed if name not in (*start.targets, *recipe.later)):
         raise InputError(f"{start.origin}: has no {missing}, which the recipe follows; add a box of each")
-    targets = [_target(recipe, start, name) for name in recipe.followed or start.targets]
+    names = recipe.followed or tuple(start.targets)
+    for one in start.corrections:
+        if one.target not in names:
+            known = f"it follows {', '.join(names)}; remove that correction"
+            raise InputError(f"{start.origin}: corrects {one.target}, which the recipe does not follow: {known}")
+    targets = [_target(recipe, start, name) for name in names]
     return tuple(_corrected(recipe, start, target) for target in targets)
 
 

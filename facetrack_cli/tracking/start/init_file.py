@@ -34,6 +34,7 @@ from facetrack_cli.core.files import write_new
 from facetrack_cli.core.types import BOX, Correction, Point, Start, TargetStart
 from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems, parse, read_source
 from facetrack_cli.recipe.face import DETECTORS
+from facetrack_cli.recipe.hands import NAMES as HANDS
 from facetrack_cli.recipe.messages import locate, problems
 from facetrack_cli.recipe.sections import suggest
 from facetrack_cli.tracking.start.detectors import placed_by
@@ -246,7 +247,7 @@ def _corrections(node: Node, first: int, targets: Mapping[str, TargetStart]) -> 
                 known = f"{name} has a correction of frame {frame} in line {found[frame, name][1]} already"
                 _refuse(below, f"{known}; join them", at_key=True)
             line = (below.key or below.span).line + 1
-            found[frame, name] = _correction(frame, name, below, targets[name]), line
+            found[frame, name] = _correction(frame, name, below, targets.get(name, TargetStart())), line
     return tuple(one for one, _ in sorted(found.values(), key=lambda pair: pair[0].frame))
 
 
@@ -259,7 +260,7 @@ def _corrected(keys: _KEYS, entry: Node, targets: Mapping[str, TargetStart]) -> 
     if not keys:
         _refuse(entry, "nothing is corrected here; add points: or box: by hand, or absent: true")
     for key, node in keys.items():
-        if key not in targets:
+        if key not in (*targets, *HANDS):  # these may appear after the start
             known = suggest(key, (*targets, *CorrectedTarget.model_fields), "there are the start's targets, and keys")
             _refuse(node, f'unknown key "{key}"; {known}', at_key=True)
     return keys
