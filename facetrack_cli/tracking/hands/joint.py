@@ -38,6 +38,9 @@ BEYOND: Final = 12.0  # what a place beyond 0.8 of that ellipse loses of log p
 PEAKS: Final = 8  # places of most skin, at most
 LEAST: Final = -1.5  # of log p(y | x) at such a place
 SIGNS: Final = np.array([1.0, -1.0])  # of each hand, of the way to the other hand's side
+SHOULDERS: Final = np.array([[-0.9, 1.1], [0.9, 1.1]])  # about the face's middle, in its sizes
+BEYOND_HAND: Final = np.array([1.6, 2.2])  # radii from a hand's middle to where no skin is, seen from the shoulder
+FAR_END: Final = 0.3  # what skin there takes away, of what it would give within the hand
 ARM: Final = (0.8, 0.4, 3.0)  # sizes from one hand to another place of its arm: from, to surely, to at most
 _ALONG: Final = np.array([0.2, 0.35, 0.5, 0.65, 0.8])
 
@@ -147,6 +150,13 @@ def log_likelihood(
     at, both = x[..., :2] * scale, seen.all(axis=1)
     across = np.maximum(SIGNS * (x[..., 0] - face.at[0]) / face.size + 0.2, 0.0)
     each = _at(fit, at) - settings.side * across**2
+    # a hand is the far end of a bare arm: beyond it, seen from the shoulder, is no skin but the other hand's
+    way = x[..., :2] - (face.at + face.size * SHOULDERS)
+    way = way / np.maximum(np.hypot(way[..., 0], way[..., 1]), 1e-6)[..., None]
+    beyond = x[..., None, :2] + (settings.radius * face.size * BEYOND_HAND)[:, None] * way[..., None, :]
+    others = np.hypot(*np.moveaxis(beyond - x[:, ::-1, None, :2], -1, 0)) < 1.2 * settings.radius * face.size
+    skin = np.where(others & seen[:, ::-1, None], 0.0, np.maximum(_at(evidence, beyond * scale), 0.0))
+    each = each - settings.evidence * FAR_END * skin.mean(axis=2)
     total = np.sum(np.where(seen, each, 0.0), axis=1)
     if both.any():
         apart = np.hypot(*(x[:, 0, :2] - x[:, 1, :2]).T) / face.size
