@@ -40,7 +40,7 @@ LEAST: Final = -1.5  # of log p(y | x) at such a place
 SIGNS: Final = np.array([1.0, -1.0])  # of each hand, of the way to the other hand's side
 SHOULDERS: Final = np.array([[-0.9, 1.1], [0.9, 1.1]])  # about the face's middle, in its sizes
 BEYOND_HAND: Final = np.array([1.6, 2.2])  # radii from a hand's middle to where no skin is, seen from the shoulder
-FAR_END: Final = 0.3  # what skin there takes away, of what it would give within the hand
+FAR_END: Final = 0.15  # what skin there takes away, of what it would give within the hand
 ARM: Final = (0.8, 0.4, 3.0)  # sizes from one hand to another place of its arm: from, to surely, to at most
 _ALONG: Final = np.array([0.2, 0.35, 0.5, 0.65, 0.8])
 
@@ -179,7 +179,8 @@ def extent(evidence: Map, at: Array, radius: float) -> Array:
     of = cv2.moments(evidence[top:bottom, left:right])
     if of["m00"] < 1e-3:
         return np.full(2, 2 * radius)
-    return np.asarray(np.clip(4 * np.sqrt(np.array([of["mu20"], of["mu02"]]) / of["m00"]), radius, 3 * radius))
+    var = np.maximum([of["mu20"], of["mu02"]], 0.0) / of["m00"]
+    return np.asarray(np.clip(4 * np.sqrt(var), radius, 3 * radius))
 
 
 def _at(values: Map, at: Array) -> Array:
