@@ -25,20 +25,17 @@ HEAD = Footprint(np.array([159.5, 59.5]), np.array([20.0, 20.0]))
 SETTINGS = load_recipe("signer").hands
 
 
-def drawn(index, hands=(), *, arm=None, grey=False, shelf=True):
+def drawn(index, hands=(), *, grey=False):
     """A person before a wall with a shelf of the colour of skin; `hands` are the middles of discs."""
     rng = np.random.default_rng(3)
     image = np.full((240, 320, 3), (150, 140, 130), np.uint8)
     image[..., :] = np.clip(image + rng.integers(-6, 7, image.shape), 0, 255).astype(np.uint8)
     cv2.rectangle(image, (110, 100), (210, 239), (60, 40, 35), -1)
-    if shelf:
-        cv2.rectangle(image, (20, 90), (60, 130), SHELF, -1)
+    cv2.rectangle(image, (20, 90), (60, 130), SHELF, -1)
     cv2.ellipse(image, (160, 60), (15, 20), 0, 0, 360, SKIN, -1)
     for x in (153, 167):
         cv2.circle(image, (x, 55), 2, (40, 40, 40), -1)
     cv2.ellipse(image, (160, 70), (5, 2), 0, 0, 360, (80, 80, 150), -1)
-    if arm is not None:
-        cv2.line(image, *arm, HAND, 16)
     for x, y in hands:
         cv2.circle(image, (round(x), round(y)), 14, HAND, -1)
     if grey:

@@ -62,6 +62,11 @@ def reduced(frame: Frame, factor: int) -> Image:
     return frame.reduced(factor, (0.0, 0.0, width - 1.0, height - 1.0))[0]
 
 
+def side_of(head: Footprint) -> float:
+    """The mean side of the head's box in pixels: the unit of lengths, in the first frame."""
+    return 2 * math.sqrt(float(head.half[0] * head.half[1]))
+
+
 def to_map(at: Array, factor: int) -> Array:
     """Places (..., 2) of the frame in pixels of the reduced one."""
     return (at + 0.5) / factor - 0.5
@@ -79,7 +84,7 @@ def begin(frame: Frame, head: Footprint, hands: tuple[Box, ...] = ()) -> tuple[S
 
     Raises InputError for a grey clip.
     """
-    side = 2 * math.sqrt(float(head.half[0] * head.half[1]))
+    side = side_of(head)
     factor = factor_for(side, MAX_FACE_PX)
     small, s = reduced(frame, factor), side / factor
     colours = _colours(small)
@@ -112,7 +117,7 @@ def look(
     skin = _skin(scene.odds, _colours(small))
     grey = _grey(small)
     still = np.minimum(skin, _followed(scene, grey, skin) + RISES)
-    at, s = to_map(head.centre, scene.factor), 2 * math.sqrt(float(head.half[0] * head.half[1])) / scene.factor
+    at, s = to_map(head.centre, scene.factor), side_of(head) / scene.factor
     seen = _head(small, at, s, scene.side)
     # a head that turns a little is no hand: each pixel may come from beside its own
     least = np.min([np.abs(seen - np.roll(scene.face, shift, (0, 1))).max(axis=2) for shift in _SHIFTS], axis=0)
@@ -129,10 +134,10 @@ def look(
     )
     beside = np.maximum(skin - still, 0) * (1 - covered)
     size = 2 * round(REACHES * s) + 1
-    arm = cv2.dilate(cv2.GaussianBlur(beside, (0, 0), 0.8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    arm = cv2.dilate(cv2.GaussianBlur(beside, (0, 0), 0.8), disc)
     evidence = beside + covered * np.maximum(changed, np.minimum(arm, 1)) * skin
-    near = cv2.dilate(covered, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
-    now = Seen(evidence.astype(np.float32), near.astype(np.float32))
+    now = Seen(evidence.astype(np.float32), cv2.dilate(covered, disc).astype(np.float32))
     return scene._replace(still=still, grey=grey, face=face.astype(np.float32)), now
 
 

@@ -36,7 +36,7 @@ BORDER: Final = 0.6  # sizes of the face, nearer than which to the border a hand
 
 
 class HandState(NamedTuple):
-    """The posterior of both hands after a frame. `begun` is the frame in which it began, `now` this frame and its time.
+    """The posterior of both hands after a frame. `begun` is the frame in which it began, `now` this frame.
 
     `last` (2,) are the times when each hand was seen last, -inf if never; `inside` (2,), whether that was within the
     picture; `shown`, when the head was. `speed` (2,) is in sizes of the face a frame, `size` (2, 2) width and height of
@@ -48,7 +48,7 @@ class HandState(NamedTuple):
     belief: joint.Belief
     face: Footprint
     begun: int
-    now: tuple[int, float]
+    now: int
     speed: Array
     size: Array
     last: Array
@@ -103,8 +103,8 @@ class HandTarget:
         belief = joint.Belief(known * 1.0, at, cov, known * 1.0, float(len(cloud.x)))
         size = np.array([(math.nan, math.nan) if box is None else box[2:] for box in given])
         last = np.where(known, frame.time_s, -math.inf)
-        now = frame.index, frame.time_s
-        return HandState(scene, cloud, belief, face, frame.index, now, np.zeros(2), size, last, known, frame.time_s)
+        at_first = np.zeros(2), size, last, known, frame.time_s
+        return HandState(scene, cloud, belief, face, frame.index, frame.index, *at_first)
 
     def advance(
         self, rng: Generator, state: HandState, frame: Frame, footprints: Sequence[Footprint] = ()
@@ -114,13 +114,13 @@ class HandTarget:
                 # hands before the face hide it: it is where it was
                 state = state._replace(face=state.face._replace(lost=True) if one.lost else one)
             known = one.known
-            if isinstance(known, HandState) and known.begun == state.begun and known.now[0] == frame.index:
+            if isinstance(known, HandState) and known.begun == state.begun and known.now == frame.index:
                 return known, self._result(known, frame)
         if not state.face.lost:
             state = state._replace(shown=frame.time_s)
         if frame.time_s - state.shown > HOLDS:
             belief = state.belief._replace(seen=FORGETS * state.belief.seen)
-            state = state._replace(belief=belief, now=(frame.index, frame.time_s))
+            state = state._replace(belief=belief, now=frame.index)
             return state, self._result(state, frame)
         there, unit = state.belief.at[state.belief.seen >= 0.5], state.scene.side
         scene, seen = evidence.look(state.scene, frame, state.face, there * unit, 2 * self.settings.radius * unit)
@@ -141,7 +141,7 @@ class HandTarget:
         height, width = seen.evidence.shape
         away = np.minimum(places, np.array([width, height]) - 1 - places).min(axis=1) / (scene.side * face.size)
         return state._replace(
-            cloud=cloud, belief=belief, now=(frame.index, frame.time_s), speed=speed, size=size,
+            cloud=cloud, belief=belief, now=frame.index, speed=speed, size=size,
             last=np.where(there, frame.time_s, state.last), inside=np.where(there, away > BORDER, state.inside),
         )  # fmt: skip
 
@@ -176,8 +176,7 @@ class HandTarget:
 
 
 def _face(scene: Scene, face: Footprint) -> joint.Face:
-    side = 2 * math.sqrt(float(face.half[0] * face.half[1])) / scene.factor
-    return joint.Face(_in_sizes(scene, face.centre), side / scene.side)
+    return joint.Face(_in_sizes(scene, face.centre), evidence.side_of(face) / scene.factor / scene.side)
 
 
 def _in_sizes(scene: Scene, at: Array) -> Array:
