@@ -8,8 +8,8 @@ mean of e in a disc about x, and a hand that is seen has
 one that is not seen has 0. Skin counts once: discs that overlap share it, and two places of one bare arm, with skin all
 along the line between them, are one hand (Gonzalez & Collet's mutual exclusion, section 3, for a joint state). A hand
 that is seen moves by a velocity, with steps of three normal densities; it is within the reach of an arm,
-and more often on its own side. One that is not seen drifts to where an arm hangs. Which hand is which is part of the
-state: after a crossing, particles of both orders remain until velocity or side tell.
+and more often on its own side. One that is not seen drifts to where an arm hangs. Which hand is which is said by
+`names.py`.
 
 Particles are proposed by the motion, and where there is most skin; their weights are p(y | x) p(x | x') / q(x).
 """
@@ -65,6 +65,9 @@ class Belief(NamedTuple):
     near: Array
     ess: float
 
+    def exchanged(self) -> Belief:
+        return Belief(self.seen[::-1], self.at[::-1], self.cov[::-1], self.near[::-1], self.ess)
+
 
 class Face(NamedTuple):
     """The face's middle `at` (2,) in sizes of the first frame, and its size, 1 in the first frame."""
@@ -80,6 +83,10 @@ def begin(rng: Generator, settings: Hands, face: Face, given: Array) -> Cloud:
     x[..., :2] = np.where(known, given, face.at + face.size * REST)
     x[..., :2] += np.where(known, START, 0.0) * rng.standard_normal(x[..., :2].shape)
     return Cloud(x, np.repeat(known.T, settings.particles, axis=0))
+
+
+def exchanged(cloud: Cloud) -> Cloud:
+    return Cloud(cloud.x[:, ::-1], cloud.seen[:, ::-1])
 
 
 def step(

@@ -21,7 +21,7 @@ from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import BOX, Array, Box, Frame, TargetStart
 from facetrack_cli.recipe.hands import Hands
 from facetrack_cli.tracking import smoothing
-from facetrack_cli.tracking.hands import evidence, joint
+from facetrack_cli.tracking.hands import evidence, joint, names
 from facetrack_cli.tracking.hands.evidence import Scene
 from facetrack_cli.tracking.loop import Footprint
 from facetrack_cli.tracking.models.motion import Linear
@@ -40,7 +40,7 @@ class HandState(NamedTuple):
 
     `last` (2,) are the times when each hand was seen last, -inf if never; `inside` (2,), whether that was within the
     picture; `shown`, when the head was. `speed` (2,) is in sizes of the face a frame, `size` (2, 2) width and height of
-    each hand in pixels.
+    each hand in pixels. `named` is the probability that the hands have their own names, at least 0.5.
     """
 
     scene: Scene
@@ -54,6 +54,7 @@ class HandState(NamedTuple):
     last: Array
     inside: Array
     shown: float
+    named: float
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ class HandTarget:
         belief = joint.Belief(known * 1.0, at, cov, known * 1.0, float(len(cloud.x)))
         size = np.array([(math.nan, math.nan) if box is None else box[2:] for box in given])
         last = np.where(known, frame.time_s, -math.inf)
-        at_first = np.zeros(2), size, last, known, frame.time_s
+        at_first = np.zeros(2), size, last, known, frame.time_s, 1.0 if known.any() else 0.5
         return HandState(scene, cloud, belief, face, frame.index, frame.index, *at_first)
 
     def advance(
@@ -132,6 +133,12 @@ class HandTarget:
     ) -> HandState:
         scene, face, before = state.scene, _face(state.scene, state.face), state.belief
         cloud, belief = joint.step(rng, self.settings, state.cloud, seen, scene.side, face, first=first)
+        says = names.log_odds(self.settings, seen.evidence, belief, scene.side, face)
+        named = names.update(state.named, names.exchanged(belief, face), says)
+        last, inside = state.last, state.inside
+        if named < 0.5:
+            named, last, inside = 1 - named, last[::-1], inside[::-1]
+            cloud, belief, before = joint.exchanged(cloud), belief.exchanged(), before.exchanged()
         there = belief.seen >= 0.5
         known = there & (before.seen >= 0.5)
         speed = np.where(known, np.hypot(*(belief.at - before.at).T) / face.size, 0.0)
@@ -142,7 +149,7 @@ class HandTarget:
         away = np.minimum(places, np.array([width, height]) - 1 - places).min(axis=1) / (scene.side * face.size)
         return state._replace(
             cloud=cloud, belief=belief, now=frame.index, speed=speed, size=size,
-            last=np.where(there, frame.time_s, state.last), inside=np.where(there, away > BORDER, state.inside),
+            last=np.where(there, frame.time_s, last), inside=np.where(there, away > BORDER, inside), named=named,
         )  # fmt: skip
 
     def footprint(self, state: HandState, *, ahead: bool) -> Footprint | None:
