@@ -1,7 +1,7 @@
 """Which of two followed hands is which: a hidden Markov model of two states, named as they are or exchanged (ours).
 
-A frame speaks for a name by two cues. A hand is the end of a forearm that comes from its own elbow: the long axis of its
-skin points there. And a hand is more often on its own side. Names may be exchanged where hands meet:
+A frame speaks for a name by two cues. A hand is the end of a forearm that comes from its own elbow: the long axis of
+its skin points there. And a hand is more often on its own side. Names may be exchanged where hands meet:
 
     p(exchanged | before) = ANY + MEET * overlap
 
@@ -58,7 +58,7 @@ def update(p: float, exchanged: float, log_odds: float) -> float:
 
 
 def _axis(evidence: Map, at: Array, radius: float) -> Array:
-    """(2,): cosine and sine of twice the angle of the long axis of the skin about a place, by how long it is: 0 to 1."""
+    """(2,): cosine and sine of twice the angle of the long axis of the skin about a place, times 0 (disc) to 1 (line)."""
     reach = math.ceil(2 * radius)
     (left, top), (height, width) = np.rint(at).astype(int) - reach, evidence.shape
     x, y = (np.arange(max(low, 0), min(low + 2 * reach + 1, n)) for low, n in ((left, width), (top, height)))
