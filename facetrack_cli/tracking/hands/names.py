@@ -58,7 +58,7 @@ def update(p: float, exchanged: float, log_odds: float) -> float:
 
 
 def _axis(evidence: Map, at: Array, radius: float) -> Array:
-    """(2,): cosine and sine of twice the angle of the long axis of the skin about a place, times 0 (disc) to 1 (line)."""
+    """(2,): cosine and sine of twice the angle of the long axis of the skin about a place, 0 to 1 long."""
     reach = math.ceil(2 * radius)
     (left, top), (height, width) = np.rint(at).astype(int) - reach, evidence.shape
     x, y = (np.arange(max(low, 0), min(low + 2 * reach + 1, n)) for low, n in ((left, width), (top, height)))
