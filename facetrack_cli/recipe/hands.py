@@ -37,8 +37,6 @@ class Hands(Section):
     """What the share of skin in a hand, above `skin`, adds to log p(y | x)."""
     skin: Share = 0.18
     """Share of skin in a hand, from which on it is more likely a hand than not."""
-    side: Annotated[float, Field(ge=0, le=10)] = 0.08
-    """What a hand loses of log p(x) for the square of its distance from its own side of the head."""
     lost_below: Share = 0.65
     """A hand is lost while its confidence, the probability that it is there, is below this."""
 

@@ -74,6 +74,8 @@ class PosteriorWriter:
                 flat = [(one.mean, one.cov, *one.motion, one.doubt) for one in those]
                 for name, values in zip(_NAMES, zip(*flat, strict=True), strict=True):
                     arrays[f"{number}/{i}/{j}/{name}"] = np.stack(values).astype("<f8")
+                if named := [one.named for one in those if one.named is not None]:
+                    arrays[f"{number}/{i}/{j}/named"] = np.stack(named).astype("<f8")
             kept.clear()
         block = _block_file(self._folder, number)
         try:
@@ -149,6 +151,8 @@ def _block(stored: Stored, above: str) -> Mapping[int, tuple[Belief, ...]]:
             raise ValueError(f"{above}: the arrays do not go together")
         if not all(np.isfinite(one).all() for one in (mean, offset, *every)) or doubt.shape != (frame_count, k):
             raise ValueError(f"{above}: has numbers that are none")
-        each = zip(mean, cov, map(Linear, matrix, offset, noise), doubt > 0, strict=True)
+        key = f"{above}/{len(groups)}/named"
+        named = stored.reals(key, 2) if key in stored else [None] * frame_count
+        each = zip(mean, cov, map(Linear, matrix, offset, noise), doubt > 0, named, strict=True)
         groups.append([Belief(*one) for one in each])
     return dict(zip(frames, zip(*groups, strict=True), strict=True)) if groups else {}

@@ -30,7 +30,7 @@ from facetrack_cli.run_folder.manifest import (
 from facetrack_cli.runs.job import Report, silent
 from facetrack_cli.runs.posterior import read_posterior
 from facetrack_cli.runs.signals import Stopped, StoppedError, never
-from facetrack_cli.tracking.smoothed import MotionName, smoothed_rows
+from facetrack_cli.tracking.smoothed import MotionName, renamed_hands, smoothed_rows
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded, successive
 from facetrack_cli.video.overlay.overlay import Overlay
@@ -105,7 +105,7 @@ def _read(folder: Path) -> Trajectory:
 def _smoothed(folder: Path, rows: Trajectory, motion: MotionName) -> Trajectory:
     if not (folder / POSTERIOR).exists():
         raise InputError(f"{folder}: has no {POSTERIOR}; run again with --keep-posterior, or --smooth")
-    beliefs = read_posterior(folder / POSTERIOR, rows)
+    rows, beliefs = renamed_hands(rows, read_posterior(folder / POSTERIOR, rows))
     pieces = [smoothed_rows(choose(rows, name), beliefs[name], motion) for name in rows.targets]
     after = successive(pieces, rows)
     return replace(after, header={**rows.header, "smoothed": {"motion": motion}})

@@ -33,6 +33,35 @@ def smoothed_rows(rows: Trajectory, beliefs: Beliefs, motion: MotionName = "reci
     return _SmoothedTarget(rows, beliefs).rows(motion)
 
 
+def renamed_hands(rows: Trajectory, beliefs: Mapping[str, Beliefs]) -> tuple[Trajectory, dict[str, Beliefs]]:
+    """The rows and the beliefs of all targets, those of two hands exchanged in frames whose names later frames deny.
+
+    Where one hand was corrected, both have a filter of their own; names are not exchanged across that frame.
+    """
+    hands = [name for name, each in beliefs.items() if any(one and one[0].named is not None for one in each)]
+    if len(hands) != 2:
+        return rows, dict(beliefs)
+    p, exchanged, held = (np.full(len(rows.frames), value) for value in (1.0, 0.0, 0.0))
+    for t, pair in enumerate(zip(*(beliefs[name] for name in hands), strict=True)):
+        known = [one[0].named for one in pair if one and one[0].named is not None]
+        if not known:
+            p[t] = p[t - 1]
+        elif len(known) == 2 and (known[0] != known[1]).any():
+            held[t], exchanged[t] = 1.0, 0.5
+        else:
+            p[t], exchanged[t] = known[0]
+    changed = (smoothing.names(p, exchanged) < 0.5) & (held == 0)
+    first, second = (np.flatnonzero(rows.which == rows.names.index((name, BOX)))[changed] for name in hands)
+    order = np.arange(len(rows))
+    order[first], order[second] = second, first
+    ours, theirs = (beliefs[name] for name in hands)
+    both = {
+        name: [b if turned else a for a, b, turned in zip(one, other, changed, strict=True)]
+        for name, one, other in zip(hands, (ours, theirs), (theirs, ours), strict=True)
+    }
+    return replace(rows.take(order), which=rows.which), {**beliefs, **both}
+
+
 def lagged(results: Iterable[FrameResult], lag: int) -> Iterator[FrameResult]:
     """Each result when `lag` more are there, at the end when there are no more, with rows that take them into account.
 

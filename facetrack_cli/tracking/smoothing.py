@@ -30,18 +30,21 @@ from facetrack_cli.tracking.models.motion import Linear
 ROUNDS = 5
 TAIL: Final = 1.0  # degrees of freedom of steps in `steadied`
 _MIN_VARIANCE: Final = 1e-9  # of a variance: what is less is rounding
+_TINY: Final = 1e-12
 
 
 class Belief(NamedTuple):
     """What a filter knows of K parts after a frame: `mean` (K, D) and `cov` (K, D, D) of D coordinates of the state.
 
-    `motion` is that from the frame before; `doubt` (K,) says which parts the frame may not show.
+    `motion` is that from the frame before; `doubt` (K,) says which parts the frame may not show. Of a hand, `named`
+    (2,) are the probability that both hands have their own names, and that these are others than in the frame before.
     """
 
     mean: Array
     cov: Array
     motion: Linear
     doubt: Mask
+    named: Array | None = None
 
 
 class Chain(NamedTuple):
@@ -69,6 +72,18 @@ def belief(particles: Particles, motion: Linear, cov: Array, doubt: Mask) -> Bel
     # the estimate's counts how few particles it stands on; without particles that differ there is nothing to count
     more = np.divide(theirs, ours, out=np.ones(len(ours)), where=ours > _MIN_VARIANCE)
     return Belief(mean, spread * more[:, None, None], motion, doubt)
+
+
+def names(p: Array, exchanged: Array) -> Array:
+    """(T,): the probability, given all T frames, of the one of two states that was filtered to `p` (T,); `exchanged`
+    (T,) is the probability that the state of a frame is not that of the frame before.
+    """
+    found = p.copy()
+    for t in range(len(p) - 1, 0, -1):
+        stay, change = p[t - 1] * (1 - exchanged[t]), p[t - 1] * exchanged[t]
+        ahead = stay + (1 - p[t - 1]) * exchanged[t]
+        found[t - 1] = stay * found[t] / max(ahead, _TINY) + change * (1 - found[t]) / max(1 - ahead, _TINY)
+    return found
 
 
 def chain(beliefs: Sequence[Belief], lost: Mask, gone: Mask, given: Mask | None = None) -> Chain:

@@ -9,11 +9,14 @@ import pytest
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame, Start, TargetStart
-from facetrack_cli.recipe.hands import Hands
+from facetrack_cli.recipe.hands import NAMES, Hands
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.hands import evidence, joint
+from facetrack_cli.tracking.hands import evidence, joint, names
 from facetrack_cli.tracking.loop import Footprint, track
+from facetrack_cli.tracking.models.motion import Linear
+from facetrack_cli.tracking.smoothed import renamed_hands
+from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.tracking.start import read_init
 from facetrack_cli.trajectory.formats.eaf import seen_in
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
@@ -23,10 +26,14 @@ SKIN, HAND, SHELF = (120, 150, 205), (105, 140, 210), (115, 148, 206)  # blue, g
 FACE = (140.0, 40.0, 40.0, 40.0)  # left, top, width, height
 HEAD = Footprint(np.array([159.5, 59.5]), np.array([20.0, 20.0]))
 SETTINGS = load_recipe("signer").hands
+COV, DOUBT = np.eye(2)[None], np.zeros(1, bool)
+STAY = Linear(COV, np.zeros((1, 2)), COV)
 
 
 def drawn(index, hands=(), *, grey=False):
-    """A person before a wall with a shelf of the colour of skin; `hands` are the middles of discs."""
+    """A person before a wall with a shelf of the colour of skin; `hands` are the middles of discs, or
+    of ellipses with the angle of their long axis in degrees.
+    """
     rng = np.random.default_rng(3)
     image = np.full((240, 320, 3), (150, 140, 130), np.uint8)
     image[..., :] = np.clip(image + rng.integers(-6, 7, image.shape), 0, 255).astype(np.uint8)
@@ -36,8 +43,9 @@ def drawn(index, hands=(), *, grey=False):
     for x in (153, 167):
         cv2.circle(image, (x, 55), 2, (40, 40, 40), -1)
     cv2.ellipse(image, (160, 70), (5, 2), 0, 0, 360, (80, 80, 150), -1)
-    for x, y in hands:
-        cv2.circle(image, (round(x), round(y)), 14, HAND, -1)
+    for x, y, *angle in hands:
+        half = (22, 8) if angle else (14, 14)
+        cv2.ellipse(image, (round(x), round(y)), half, angle[0] if angle else 0, 0, 360, HAND, -1)
     if grey:
         image = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
     return Frame(index, index / 25, image)
@@ -119,6 +127,72 @@ def test_corrections_place_a_hand_and_say_that_it_is_absent():
     assert not right.corrected.any()
 
 
+MEETING = (160.0, 130.0)
+
+
+def meeting(index, side):
+    """Left and right hand: together in frames 10 to 12, and from frame 22 on each on the other (1) or own side (-1)."""
+    to = side if index > 11 else -1
+    away = 40 * min(max(abs(index - 11) - 1, 0) / 9, 1)
+    found = []
+    for sign in (1, -1):
+        found.append((MEETING[0] + sign * to * away, MEETING[1], -sign * 60))
+    return found
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_forearms_say_which_hand_is_which_after_a_crossing_and_after_a_touch(side):
+    given = {
+        name: TargetStart((x - 14, y - 14, 29, 29)) for name, (x, y, _) in zip(NAMES, meeting(0, side), strict=True)
+    }
+    start = Start(0, {"head": TargetStart(FACE), **given}, "x")
+    for seed in range(3):
+        rows = rows_of((drawn(i, meeting(i, side)) for i in range(44)), start, seed)
+        for name, sign in zip(NAMES, (1, -1), strict=True):
+            one = rows.find(name, "box")
+            assert (np.hypot(one.x - MEETING[0] - sign * side * 40, one.y - MEETING[1])[28:] < 14).all()
+
+
+def test_the_lean_of_skin_is_that_of_a_plain_loop_and_of_a_line():
+    rng = np.random.default_rng(2)
+    e, at, radius = rng.random((20, 24)).astype(np.float32), np.array([9.3, 3.8]), 4.0
+    weight, places = [], []
+    for y in range(max(4 - 8, 0), 4 + 9):
+        for x in range(9 - 8, 9 + 9):
+            squared = (x - at[0]) ** 2 + (y - at[1]) ** 2
+            weight.append(float(e[y, x]) * math.exp(-0.5 * squared / (names.WINDOW * radius) ** 2))
+            places.append((x, y))
+    cov = np.cov(np.array(places, float).T, aweights=weight, ddof=0)
+    expected = 2 * cov[0, 1] / np.trace(cov)
+    assert names._lean(e, at, radius) == pytest.approx(expected, abs=1e-4)
+    line = np.zeros((40, 40), np.float32)
+    cv2.line(line, (10, 10), (30, 30), 1.0, 1)
+    assert names._lean(line, np.array([20.0, 20.0]), 5.0) == pytest.approx(1, abs=0.05)
+    assert names._lean(line[::-1].copy(), np.array([20.0, 19.0]), 5.0) == pytest.approx(-1, abs=0.05)
+    assert names._lean(line, np.array([200.0, 20.0]), 5.0) == 0
+
+
+def test_smoothing_exchanges_names_that_later_frames_deny():
+    rows = rows_of(drawn(i, rising(i)) for i in range(24))
+    left, right = (rows.find(name, "box") for name in NAMES)
+    seen = np.isfinite(left.x) & np.isfinite(right.x)
+    beliefs = {}
+    for one in (left, right):
+        whole = np.array([0.55 if i < 20 else 1.0 for i in range(24)])
+        beliefs[one.target] = [
+            (Belief(np.array([[x, y]]), COV, STAY, DOUBT, np.array([p, 1.0 if i == 20 else 0.0])),)
+            if np.isfinite(x) else ()
+            for i, (x, y, p) in enumerate(zip(one.x, one.y, whole, strict=True))
+        ]  # fmt: skip
+    after, known = renamed_hands(rows, {"head": [()] * 24, **beliefs})
+    changed = after.find("left_hand", "box")
+    assert seen[18:].all()
+    assert (changed.x[18:20] == right.x[18:20]).all() and (changed.x[20:] == left.x[20:]).all()
+    assert (after.find("right_hand", "box").x[18:20] == left.x[18:20]).all()
+    assert known["left_hand"][19] == beliefs["right_hand"][19] and known["left_hand"][20] == beliefs["left_hand"][20]
+    assert after.find("head", "box").x.tolist() == rows.find("head", "box").x.tolist()
+
+
 def test_an_init_file_corrects_hands_that_it_does_not_begin_with(tmp_path):
     file = tmp_path / "c.yaml"
     text = "frame: 0\n{}: {{box: [140, 40, 40, 40]}}\ncorrections:\n  - {{frame: 4, left_hand: {{absent: true}}}}\n"
@@ -187,9 +261,7 @@ def likelihood(blobs, at, *, line=None):
 def test_the_likelihood_is_greatest_with_a_hand_at_each_place():
     two = ((3.0, 3.0), (5.0, 3.5))
     best = likelihood(two, two)
-    assert best > max(
-        likelihood(two, ((3, 3), (3, 3))), likelihood(two, ((5, 3.5), (5, 3.5))), likelihood(two, two[::-1])
-    )
+    assert best == likelihood(two, two[::-1]) > max(likelihood(two, (one, one)) for one in two)
     for off in ((0.3, 0), (0, 0.3), (-0.3, 0), (0, -0.3)):
         assert best > likelihood(two, (np.add(two[0], off), two[1]))
 

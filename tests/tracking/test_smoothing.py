@@ -1,7 +1,11 @@
 """The smoother against the exact posterior of linear-Gaussian models, given a batch of all frames at once."""
 
+import itertools
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Particles
 from facetrack_cli.recipe import affine, correlation_filter
@@ -240,3 +244,24 @@ def test_what_is_hidden_or_absent_stays_as_it_is_and_parts_before_from_after():
     np.testing.assert_allclose(smoothing.steadied(other, shown)[:20, 2], found[:20, 2])
     for few in (1, 2):
         np.testing.assert_allclose(smoothing.steadied(at[:few], shown[:few]), at[:few])
+
+
+@given(st.integers(1, 6).flatmap(lambda n: st.lists(st.tuples(*[st.floats(0.05, 0.95)] * 2), min_size=n, max_size=n)))
+def test_names_are_smoothed_to_the_sum_over_all_sequences(frames):
+    likelihood, change = (
+        np.array(each) for each in zip(*frames, strict=True)
+    )  # p(y | first) of p(y | first or second)
+    change[0] = 0.5
+    p, now = np.empty(len(frames)), 0.5
+    for t in range(len(frames)):
+        ahead = now * (1 - change[t]) + (1 - now) * change[t]
+        now = p[t] = ahead * likelihood[t] / (ahead * likelihood[t] + (1 - ahead) * (1 - likelihood[t]))
+    total = np.zeros((len(frames), 2))
+    for sequence in itertools.product((0, 1), repeat=len(frames)):
+        weight = 1.0
+        for t, state in enumerate(sequence):
+            weight *= (1 - likelihood[t]) if state else likelihood[t]
+            weight *= 0.5 if t == 0 else change[t] if state != sequence[t - 1] else 1 - change[t]
+        for t, state in enumerate(sequence):
+            total[t, state] += weight
+    assert smoothing.names(p, change) == pytest.approx(total[:, 0] / total.sum(axis=1), abs=1e-9)

@@ -40,7 +40,8 @@ class HandState(NamedTuple):
 
     `last` (2,) are the times when each hand was seen last, -inf if never; `inside` (2,), whether that was within the
     picture; `shown`, when the head was. `speed` (2,) is in sizes of the face a frame, `size` (2, 2) width and height of
-    each hand in pixels. `named` is the probability that the hands have their own names, at least 0.5.
+    each hand in pixels. `named` (2,) are the probability that the hands have their own names, at least 0.5, and that
+    these are others than in the frame before.
     """
 
     scene: Scene
@@ -54,7 +55,7 @@ class HandState(NamedTuple):
     last: Array
     inside: Array
     shown: float
-    named: float
+    named: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ class HandTarget:
         belief = joint.Belief(known * 1.0, at, cov, known * 1.0, float(len(cloud.x)))
         size = np.array([(math.nan, math.nan) if box is None else box[2:] for box in given])
         last = np.where(known, frame.time_s, -math.inf)
-        at_first = np.zeros(2), size, last, known, frame.time_s, 1.0 if known.any() else 0.5
+        at_first = np.zeros(2), size, last, known, frame.time_s, (1.0 if known.any() else 0.5, 0.5)
         return HandState(scene, cloud, belief, face, frame.index, frame.index, *at_first)
 
     def advance(
@@ -134,10 +135,10 @@ class HandTarget:
         scene, face, before = state.scene, _face(state.scene, state.face), state.belief
         cloud, belief = joint.step(rng, self.settings, state.cloud, seen, scene.side, face, first=first)
         says = names.log_odds(self.settings, seen.evidence, belief, scene.side, face)
-        named = names.update(state.named, names.exchanged(belief, face), says)
-        last, inside = state.last, state.inside
+        changed, last, inside = names.exchanged(belief, face), state.last, state.inside
+        named = names.update(state.named[0], changed, says)
         if named < 0.5:
-            named, last, inside = 1 - named, last[::-1], inside[::-1]
+            named, changed, last, inside = 1 - named, 1 - changed, last[::-1], inside[::-1]
             cloud, belief, before = joint.exchanged(cloud), belief.exchanged(), before.exchanged()
         there = belief.seen >= 0.5
         known = there & (before.seen >= 0.5)
@@ -149,7 +150,8 @@ class HandTarget:
         away = np.minimum(places, np.array([width, height]) - 1 - places).min(axis=1) / (scene.side * face.size)
         return state._replace(
             cloud=cloud, belief=belief, now=frame.index, speed=speed, size=size,
-            last=np.where(there, frame.time_s, last), inside=np.where(there, away > BORDER, inside), named=named,
+            last=np.where(there, frame.time_s, last), inside=np.where(there, away > BORDER, inside),
+            named=(named, changed),
         )  # fmt: skip
 
     def footprint(self, state: HandState, *, ahead: bool) -> Footprint | None:
@@ -178,7 +180,8 @@ class HandTarget:
             return TargetResult(rows, cloud)
         steps = unit**2 * np.dot(self.settings.shares, np.square(self.settings.steps)) * np.eye(2)[None]
         motion = Linear(np.eye(2)[None], np.zeros((1, 2)), steps)
-        known = smoothing.Belief(np.stack([rows.x, rows.y], axis=1), cov[None], motion, np.array([status == "lost"]))
+        at, doubt = np.stack([rows.x, rows.y], axis=1), np.array([status == "lost"])
+        known = smoothing.Belief(at, cov[None], motion, doubt, np.array(state.named))
         return TargetResult(rows, cloud, beliefs=lambda: (known,))
 
 
