@@ -6,10 +6,9 @@ mean of e in a disc about x, and a hand that is seen has
     log p(y | x) = evidence * (A(x) - skin)
 
 one that is not seen has 0. Skin counts once: discs that overlap share it, and two places of one bare arm, with skin all
-along the line between them, are one hand (Gonzalez & Collet's mutual exclusion, section 3, for a joint state). Skin
-that no hand is on speaks against a particle. A hand that is seen moves by a velocity, with steps of three normal
-densities; it is within the reach of an arm. One that is not seen drifts to where an arm hangs. `names.py` says which
-hand is which.
+along the line between them, are one hand (Gonzalez & Collet's mutual exclusion, section 3, for a joint state). A hand
+that is seen moves by a velocity, with steps of three normal densities; it is within the reach of an arm. One that is
+not seen drifts to where an arm hangs. `names.py` says which hand is which.
 
 Particles are proposed by the motion, and where there is most skin; their weights are p(y | x) p(x | x') / q(x).
 """
@@ -41,7 +40,6 @@ SHOULDERS: Final = np.array([[-0.9, 1.1], [0.9, 1.1]])  # about the face's middl
 BEYOND_HAND: Final = np.array([1.6, 2.2])  # radii from a hand's middle to where no skin is, seen from the shoulder
 FAR_END: Final = 0.15  # what skin there takes away, of what it would give within the hand
 ARM: Final = (0.8, 0.4, 3.0)  # sizes from one hand to another place of its arm: from, to surely, to at most
-LEFT_OVER, SKIN = 0.3, 0.35  # share of what a hand would give where there is skin and no hand; evidence of such skin
 _ALONG: Final = np.array([0.2, 0.35, 0.5, 0.65, 0.8])
 
 
@@ -125,7 +123,6 @@ def step(
         x[:, hand, 2:] = np.where(now[:, None], speed, 0.5 * before[:, 2:])
         seen[:, hand] = now
     weight += log_likelihood(settings, x, seen, (fit, share, evidence), scale, face)
-    weight -= _left_over(evidence, fit, peaks[0], x[..., :2] * scale, seen)
     log_w = normalise(weight)
     belief = _belief(x, seen, np.exp(log_w), float(effective_sample_size(log_w)))
     kept = systematic(rng, log_w, n)
@@ -181,18 +178,6 @@ def log_likelihood(
         twice = shared * np.maximum(least - HIDES * settings.skin, 0.0) + arm * np.maximum(least, 0.0)
         total -= np.where(both, settings.evidence * twice, 0.0)
     return np.asarray(total)
-
-
-def _left_over(evidence: Map, fit: Map, peaks: Array, at: Array, seen: Mask) -> Array:
-    """(N,): what is lost of log p for a hand in a stretch of skin that no hand `at` (N, 2, 2) is on, the best such."""
-    count, stretch = cv2.connectedComponents((evidence > SKIN).astype(np.uint8), connectivity=4)
-    column, row = peaks.T.astype(np.int64)
-    best = np.zeros(count)
-    np.maximum.at(best, stretch[row, column], fit[row, column])
-    best[0] = 0.0  # all that is not skin
-    first = np.argsort(-best, kind="stable")[:3]  # two of them may have a hand
-    on = np.where(seen, _at(stretch, at), -1.0)[..., None] == first
-    return np.asarray(LEFT_OVER * np.max(np.where(on.any(axis=1), 0.0, best[first]), axis=1))
 
 
 def extent(evidence: Map, at: Array, radius: float) -> Array:
