@@ -30,12 +30,13 @@ from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
+import signers
 from boxes import clip_in
-from reference import HANDS, MESH, hands_in, inside, points_in
+from reference import HANDS, MESH, hands_in, points_in
 
 from facetrack_cli import track_video
 from facetrack_cli.core.models import VARIABLE
-from facetrack_cli.core.types import Box, Start, TargetStart
+from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.evaluation.boxes import measure_boxes
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -81,7 +82,10 @@ def measure(folder: Path, case: Case, seed: int) -> dict[str, float]:
         true = truth.take(np.isin(truth.frame, ours.frame))
         mine = ours.take(np.isin(ours.frame, truth.frame))
         return {"auc": float(measure_boxes(mine.boxes, true.boxes).success_auc or 0.0)}
-    return signer(hands, ours) if hands else face(points_in(clip / MESH), ours)
+    if hands:
+        _, named, off, *_ = signers.measure(ours, hands).tolist()
+        return {"hands": named, "on hand": 1 - off}
+    return face(points_in(clip / MESH), ours)
 
 
 def face(true: Mapping[int, Mapping[str, tuple[float, float, float]]], ours: Trajectory) -> dict[str, float]:
@@ -99,21 +103,6 @@ def face(true: Mapping[int, Mapping[str, tuple[float, float, float]]], ours: Tra
     if np.std(true_lips) >= MIN_VARIATION:
         found["opening"] = float(np.corrcoef(lips, true_lips)[0, 1])
     return found
-
-
-def signer(true: Mapping[int, Mapping[str, Box]], ours: Trajectory) -> dict[str, float]:
-    named, on = [], []
-    for name in ("left_hand", "right_hand"):
-        part = ours.find(name, "box")
-        for frame, hands in true.items():
-            row = None if part is None else part.row(frame)
-            held = part is not None and row is not None and part.status[row] not in ("lost", "absent")
-            x, y = (part.x[row].item(), part.y[row].item()) if part is not None and held else (np.nan, np.nan)
-            if name in hands:
-                named.append(inside(x, y, hands[name]))
-            if held:
-                on.append(any(inside(x, y, box) for box in hands.values()))
-    return {"hands": float(np.mean(named)), "on hand": float(np.mean(on)) if on else 0.0}
 
 
 def check_whole(clip: Path) -> str:

@@ -1,18 +1,25 @@
 """Hands of signers on clips with a reference: how many are followed, with names, and how many rows are on no hand.
 
-usage: python benchmarks/signers.py FOLDER [--config signer] [--config head_hands] [--seeds 5]
+usage: python benchmarks/signers.py FOLDER [--config signer] [--config head_hands] [--seeds 5] [--smooth]
 
 FOLDER has a folder for each clip: a video and hands.csv (frame, hand, x, y, w, h), the boxes of hands in it by another
 detector. A hand is followed where a row that is neither lost nor absent has its centre in the box, enlarged by half.
 `on no hand` counts such rows in no box of their frame: of all, and, `where both`, of frames in which the reference
 sees both hands, since it misses hands that are blurred or leave the picture.
+
+Or FOLDER has rendered clips with their ground truth beside them (benchmarks/signing_clips.py). Then rows that are
+called lost count, too, since the ground truth knows every hand.
 """
 
 from __future__ import annotations
 
 import argparse
+import subprocess
+import sys
 from collections.abc import Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import numpy as np
 from boxes import clip_in
@@ -21,17 +28,64 @@ from reference import HANDS, hands_in, inside
 from facetrack_cli import track_video
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Box
+from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.recipe.hands import NAMES
+from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
 
 
-def measure(rows: Trajectory, reference: Mapping[int, Mapping[str, Box]]) -> np.ndarray:
+class Clip(NamedTuple):
+    """`reference` is by frame and hand; `all_rows`, whether rows that are called lost count."""
+
+    name: str
+    video: Path
+    reference: Mapping[int, Mapping[str, Box]]
+    all_rows: bool = False
+
+
+def clips_in(folder: Path) -> list[Clip]:
+    found = [Clip(one.parent.name, clip_in(one.parent), hands_in(one)) for one in sorted(folder.glob(f"*/{HANDS}"))]
+    for video in sorted(folder.glob("*.mp4")):
+        truth = read_truth(default_truth(video))
+        hands = [one for one in truth.parts if one.target in NAMES]
+        known: dict[int, dict[str, Box]] = {}
+        for one in hands:
+            for frame, x, y, w, h in zip(one.frame.tolist(), one.x, one.y, one.w, one.h, strict=True):
+                known.setdefault(frame, {})[one.target] = (x - w / 2, y - h / 2, w, h)
+        if hands:
+            found.append(Clip(video.stem, video, known, all_rows=True))
+    return found
+
+
+def tracked(clip: Clip, recipe: str, seed: int, smooth: bool) -> Trajectory:
+    if not smooth:
+        return track_video(clip.video, recipe, seed=seed)
+    with TemporaryDirectory() as out:
+        words = [
+            "run",
+            clip.video,
+            "--config",
+            recipe,
+            "--seed",
+            seed,
+            "--smooth",
+            "--no-video",
+            "-q",
+            "-o",
+            f"{out}/run",
+        ]
+        subprocess.run([sys.executable, "-m", "facetrack_cli", *map(str, words)], check=True)
+        return read_trajectory(f"{out}/trajectory.json")
+
+
+def measure(rows: Trajectory, reference: Mapping[int, Mapping[str, Box]], all_rows: bool = False) -> np.ndarray:
     """(5,): hands followed, followed with names, rows on no hand of all and where both are seen, head not lost."""
     at = {
         (int(one.frame[i]), one.target): (float(one.x[i]), float(one.y[i]))
         for one in rows.parts
         if one.target in NAMES
-        for i in np.flatnonzero(np.isin(one.status, SEEN) & np.isfinite(one.x))
+        for i in np.flatnonzero((all_rows | np.isin(one.status, SEEN)) & np.isfinite(one.x))
     }
     hands = followed = named = 0
     for frame, boxes in reference.items():
@@ -54,22 +108,22 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--config", action="append")
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--smooth", action="store_true")
     asked = parser.parse_args()
     for recipe in asked.config or ["signer"]:
         print(f"{recipe:18s} followed  names  on no hand  where both  head   (mean over {asked.seeds} seeds)")
         found = []
-        for path in sorted(asked.folder.glob(f"*/{HANDS}")):
-            reference = hands_in(path)
+        for clip in clips_in(asked.folder):
             try:
                 each = [
-                    measure(track_video(clip_in(path.parent), recipe, seed=seed), reference)
+                    measure(tracked(clip, recipe, seed, asked.smooth), clip.reference, clip.all_rows)
                     for seed in range(asked.seeds)
                 ]
             except FacetrackError as e:
-                print(f"{path.parent.name:18s} {e}")
+                print(f"{clip.name:18s} {e}")
                 each = [np.array([0.0, 0.0, 0.0, 0.0, 0.0])]
             found.append(each)
-            print(f"{path.parent.name:18s} {_line(np.mean(each, axis=0))}", flush=True)
+            print(f"{clip.name:18s} {_line(np.mean(each, axis=0))}", flush=True)
         per_seed = [np.mean([each[seed % len(each)] for each in found], axis=0) for seed in range(asked.seeds)]
         print(f"{'mean':18s} {_line(np.mean(per_seed, axis=0))}")
         print(f"{'spread of seeds':18s} {_line(np.std(per_seed, axis=0))}\n")
