@@ -61,22 +61,11 @@ def clips_in(folder: Path) -> list[Clip]:
 def tracked(clip: Clip, recipe: str, seed: int, smooth: bool) -> Trajectory:
     if not smooth:
         return track_video(clip.video, recipe, seed=seed)
-    with TemporaryDirectory() as out:
-        words = [
-            "run",
-            clip.video,
-            "--config",
-            recipe,
-            "--seed",
-            seed,
-            "--smooth",
-            "--no-video",
-            "-q",
-            "-o",
-            f"{out}/run",
-        ]
+    with TemporaryDirectory() as folder:
+        out = Path(folder) / "run"
+        words = ["run", clip.video, "--config", recipe, "--seed", seed, "--smooth", "--no-video", "-q", "-o", out]
         subprocess.run([sys.executable, "-m", "facetrack_cli", *map(str, words)], check=True)
-        return read_trajectory(f"{out}/trajectory.json")
+        return read_trajectory(out / "trajectory.json")
 
 
 def measure(rows: Trajectory, reference: Mapping[int, Mapping[str, Box]], all_rows: bool = False) -> np.ndarray:
