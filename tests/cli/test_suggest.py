@@ -15,6 +15,7 @@ from facetrack_cli.evaluation.experiments.suggest import MARGIN, Trial, is_grey,
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.video.writer import VideoWriter
 
+SAMPLES = Path(__file__).parents[2] / "sample_videos"
 BOX = (40.0, 30.0, 24.0, 24.0)
 
 
@@ -77,12 +78,17 @@ def test_the_table_ends_with_the_command_to_run(clip, capsys):
     lines = out.splitlines()
     assert "frames 0 to 11" in lines[0] and lines[2].split()[:3] == ["recipe", "agreement", "lost"]
     assert err == ""
-    words = shlex.split(lines[-1].removeprefix("take: "))
+    assert lines[-1] == "hands: not looked for"
+    words = shlex.split(lines[-2].removeprefix("take: "))
     assert words[:3] == ["facetrack", "run", str(clip)] and words[3:5] == ["--config", lines[4].split()[0]]
     assert main([*words[1:], "--no-video", "--stop", "3", "-q", "-o", str(clip.parent / "out")]) == 0
     assert main([*asked, "--frames", "12", "--json", "-q"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["frames"] == 12 and {one["recipe"] for one in told["trials"]} == {"correlation_filter", "ncc"}
+    assert (
+        told["frames"] == 12
+        and told["hands_seen"] is None
+        and {one["recipe"] for one in told["trials"]} == {"correlation_filter", "ncc"}
+    )
     assert told["trials"][0]["score"] + MARGIN >= told["trials"][1]["score"]
 
 
@@ -93,3 +99,11 @@ def test_what_cannot_be_tried(clip, capsys):
     assert main(["suggest", str(clip), *twice]) == 2
     assert "given twice" in capsys.readouterr().err
     assert main(["suggest", str(Path("none.mp4")), "--box", "1,1,20,20"]) == 3
+
+
+@pytest.mark.parametrize(("name", "says"), [("signing", "with hands: "), ("expressions", "too few to follow")])
+def test_hands_are_looked_for_beside_a_face(name, says, capsys):
+    assert main(["suggest", str(SAMPLES / f"{name}.mp4"), "--frames", "30", "-q"]) == 0
+    *_, take, hands = capsys.readouterr().out.splitlines()
+    assert take.startswith("take: facetrack run ") and hands.startswith("hands: ") and says in hands
+    assert ("--config signer" in hands) == (name == "signing")

@@ -17,8 +17,8 @@ class Suggest:
     Without ground truth: each recipe tracks the first frames forwards, then backwards from where it ended. Recipes
     are ranked by how well both tracks agree, times the share of frames in which the target is not called lost. For a
     face that is searched for these are face, correlation_filter and skin_ncc_robust; for a --box, all but face.
-    Another than the first must be better by .05. --config tries others. The log evidence is shown, and is not
-    comparable between recipes.
+    The first one is taken unless another one is better by .05. --config tries others. The log evidence is shown, and
+    is not comparable between recipes. Where a face is searched for, hands of its colour are looked for, too.
 
     \b
     Examples:
@@ -45,8 +45,11 @@ class Suggest:
         from facetrack_cli.evaluation.experiments.suggest import (
             ANY,
             FACE,
+            HANDS,
             NO_SKIN,
+            SIGNER,
             as_json,
+            hands_seen,
             is_grey,
             piece,
             sheet_of,
@@ -81,13 +84,21 @@ class Suggest:
                 if not stop():
                     raise
                 return stop.code or ExitCode.FAULT
+            searched = not self.config and self.extent.box is None
+            hands = hands_seen(frames, start, str(self.clip)) if searched else None
         command = self._command(trials[0].recipe)
         if self.json:
-            click.echo(json.dumps(as_json(str(self.clip), frames, trials, command), indent=2))
+            click.echo(json.dumps(as_json(str(self.clip), frames, trials, command, hands), indent=2))
         else:
             where = f"{self.clip.name}, frames {frames[0].index} to {frames[-1].index}"
             sheet_of(where, trials).show()
             click.echo(f"take: {command}")
+            if hands is None:
+                click.echo("hands: not looked for" + (", as they are by their colour" if searched else ""))
+            elif hands < HANDS:
+                click.echo(f"hands: too few to follow, {hands:.0%} of both are seen")
+            else:
+                click.echo(f"hands: {hands:.0%} of both are seen; with hands: {self._command(SIGNER)}")
         return ExitCode.DONE
 
     def _command(self, recipe: str) -> str:

@@ -20,11 +20,13 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start, TargetStart
 from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet, rounded
+from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.start import Begin, completed, frames_of
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
+from facetrack_cli.trajectory.trajectory import SEEN
 from facetrack_cli.video.source import FOLDER_FPS
 
 FACE: Final = ("face", "correlation_filter", "skin_ncc_robust")
@@ -32,6 +34,8 @@ ANY: Final = ("correlation_filter", "skin_ncc_robust")
 MARGIN: Final = 0.05  # of the score, by which another recipe must be better than the default, the first
 NO_SKIN: Final = "likelihood.skin=null"  # of skin_ncc_robust where a clip is grey
 FRAMES: Final = 100
+SIGNER: Final = "signer"
+HANDS: Final = 0.65  # of `hands_seen`, from which on there are hands to follow
 MAX_BYTES: Final = 512 << 20  # of the frames that are kept
 MAX_GREY: Final = 3.0  # mean difference of colour channels, in grey levels, of a clip without colour
 
@@ -105,6 +109,18 @@ def suggest(
     return sorted(found, key=lambda one: (-one.score - MARGIN * (one.recipe == recipes[0][0]), one.ms))
 
 
+def hands_seen(frames: Sequence[Frame], start: Start, clip: str) -> float | None:
+    """The share of both hands of `signer` that are seen over all frames; None where it cannot begin, as in grey."""
+    recipe = load_recipe(SIGNER)
+    try:
+        own = completed(recipe, start, lambda: frames[0], clip)
+        results = list(track(tracker_for(recipe, own, frames[0].size, FOLDER_FPS), iter(frames), recipe.seed))
+    except InputError:
+        return None
+    status = [row for one in results for target in one.targets[1:] for row in target.rows.status.tolist()]
+    return float(np.isin(status, SEEN).mean())
+
+
 def _trial(name: str, recipe: Recipe, start: Start, frames: Sequence[Frame], forwards: _Track) -> Trial:
     there = np.flatnonzero(~forwards.lost & np.isfinite(forwards.boxes).all(axis=1))
     last = int(there[-1]) if there.size else 0
@@ -159,8 +175,12 @@ def sheet_of(where: str, trials: Sequence[Trial]) -> Sheet:
     return Sheet(where, ("recipe", "agreement", "lost", "confidence", "evidence", "ms a frame"), tuple(rows))
 
 
-def as_json(clip: str, frames: Sequence[Frame], trials: Sequence[Trial], command: str) -> dict[str, Any]:
+def as_json(
+    clip: str, frames: Sequence[Frame], trials: Sequence[Trial], command: str, hands: float | None
+) -> dict[str, Any]:
     """What --json prints; figures to four decimals, null where there is none."""
     rows = [asdict(one) | {"score": one.score} for one in trials]
     plain = [{k: v if isinstance(v, str) else rounded(v, 4) for k, v in row.items()} for row in rows]
-    return {"clip": clip, "first": frames[0].index, "frames": len(frames), "trials": plain, "command": command}
+    seen = None if hands is None else rounded(hands, 4)
+    found = {"clip": clip, "first": frames[0].index, "frames": len(frames), "trials": plain, "command": command}
+    return found | {"hands_seen": seen}
