@@ -43,6 +43,8 @@ class Watch:
     first: tuple[int, float] = (0, 0.0)
     looks: int = 0
     seen: int = 0
+    lost_looks: int = 0  # at whole frames in which all parts are lost
+    lost_seen: int = 0
     several: bool = False  # parts
     judged: int = 0  # frames with a confidence
     sure: float = 0.0  # the sum of their means
@@ -64,7 +66,12 @@ class Watch:
     def count(self, result: FrameResult) -> None:
         """Take in one more frame, and look at every few."""
         self.take(result.rows)
-        if self.detector is not None and self.frames % EVERY_FRAMES == 0 and not (result.rows.status == "lost").all():
+        if self.detector is None or self.frames % EVERY_FRAMES:
+            return
+        if (result.rows.status == "lost").all():
+            self.lost_looks += 1
+            self.lost_seen += bool(self.detector.find(result.frame))
+        else:
             self._look(result)
 
     def take(self, rows: Trajectory) -> None:
@@ -101,7 +108,13 @@ class Watch:
         begun = f"begins in frame {index} ({clock(time_s)}), by {self.start.origin}{skipped}"
         parts = [f"doubtful: {why}" if why else lost if self.lost_frames else "never called lost", begun]
         if self.detector is not None and not why and self.looks:
-            parts.append(f"{self.detector.name} sees a face there in {self.seen} of {self.looks} looks")
+            parts.append(
+                f"while it is followed, {self.detector.name} sees a face there in {self.seen} of {self.looks} looks"
+            )
+        if self.detector is not None and self.lost_seen:
+            parts.append(
+                f"while it is lost, {self.detector.name} sees a face in {self.lost_seen} of {self.lost_looks} looks"
+            )
         places = [f"{a} to {b}" if b > a else str(a) for a, b in sorted(self.lost)]
         look = [f"{', '.join(places)} (lost)"] if places else []
         if self.least[0] < SURE:

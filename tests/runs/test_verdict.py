@@ -29,6 +29,9 @@ class Sees:
         self.count += 1
         return Found(box, {}) if self.every and self.count % self.every == 0 else None
 
+    def find(self, frame):
+        return [one for one in [self.measure(frame.bgr, (0.0, 0.0, 9.0, 9.0))] if one is not None]
+
 
 def watched(statuses, confidences, *, sees=None, first=0, origin="--box", calibrated=True):
     start = Start(first, {"face": TargetStart((30.0, 20.0, 20.0, 20.0))}, origin)
@@ -55,6 +58,11 @@ def test_a_track_that_no_detector_confirms_is_doubtful():
     assert not good.doubts() and "haar sees a face there in 10 of 10 looks" in good.line()
     bad = watched(["tracked"] * n, [1.0] * n, sees=Sees(4), origin="haar")
     assert bad.line().startswith("doubtful: haar sees a face there in 2 of 10 looks alone")
+    assert good.line().count("looks") == 1
+    gone = watched(["tracked"] * 5 * EVERY_FRAMES + ["lost"] * 4 * EVERY_FRAMES, [1.0] * 9 * EVERY_FRAMES, sees=Sees(1))
+    assert (
+        "followed, haar sees a face there in 5 of 5 looks; while it is lost, haar sees a face in 4 of 4" in gone.line()
+    )
     few = watched(["tracked"] * EVERY_FRAMES, [1.0] * EVERY_FRAMES, sees=Sees(0), origin="haar")
     assert not few.doubts()
 
