@@ -16,9 +16,10 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import MAX_FILE_BYTES, cannot_write, check_readable, make_folder, replacing
 from facetrack_cli.core.numbers import document
 from facetrack_cli.run_folder.lock import LOCK, holder
-from facetrack_cli.run_folder.manifest import NAME, as_text, read_manifest
+from facetrack_cli.run_folder.manifest import NAME, Manifest, as_text, read_manifest
 
 State: TypeAlias = Literal["done", "running", "interrupted", "failed", "not begun"]
+MAX_ROWS: Final = 20  # of the table of clips to look at
 STATES: Final[tuple[State, ...]] = ("done", "running", "interrupted", "failed", "not begun")
 
 
@@ -64,8 +65,9 @@ def batches(folder: Path) -> Iterator[BatchFile]:
 class ClipStatus:
     """One clip: its `folder` below that of the batch, and how far it is.
 
-    `frames` are those that are tracked, `of` those in all, where known; `since` and `ended` are UTC; `error` and the
-    last lines of its `log` say why it failed.
+    `frames` are those that are tracked, `of` those in all, where known; `lost` is the share of them in which the part
+    that is lost most is lost, and `look` says what to look at first. `since` and `ended` are UTC; `error` and the last
+    lines of its `log` say why it failed.
     """
 
     clip: str
@@ -79,6 +81,8 @@ class ClipStatus:
     seconds: float | None = None
     frames_per_s: float | None = None
     complete: bool | None = None
+    lost: float | None = None
+    look: str = ""
     error: str | None = None
     exit_code: int | None = None
     log: tuple[str, ...] = ()
@@ -128,6 +132,7 @@ class Status:
         yield f"{self.folder}: {len(self.clips)} {'clip' if len(self.clips) == 1 else 'clips'}"
         width = max(map(len, STATES))
         yield from (f"  {state:<{width}}  {n}" for state, n in self.counts.items() if n)
+        yield from worst(self.clips)
         for one in self.clips:
             if one.state == "running":
                 of = "" if one.of is None else f" of about {one.of}"
@@ -159,6 +164,23 @@ class Status:
         return f"{clips} left: about {duration(self.remaining_s)}, {running} at a time"
 
 
+def worst(clips: Sequence[ClipStatus]) -> Iterator[str]:
+    """A table of the clips that are done and that somebody should look at, the one that is lost most first."""
+    rows = sorted((one for one in clips if one.look), key=lambda one: -(one.lost or 0.0))
+    if not rows:
+        return
+    width = max(len("clip"), *(len(_name(one)) for one in rows[:MAX_ROWS]))
+    yield f"{'clip':<{width}}  frames  lost  look at"
+    for one in rows[:MAX_ROWS]:
+        yield f"{_name(one):<{width}}  {one.frames:>6}  {one.lost or 0.0:>4.0%}  {one.look}"
+    if len(rows) > MAX_ROWS:
+        yield f"and {len(rows) - MAX_ROWS} more; --json of facetrack status has all"
+
+
+def _name(one: ClipStatus) -> str:
+    return one.folder if one.folder != "." else Path(one.clip).name
+
+
 def survey(folder: Path) -> Status:
     """How far the runs in the folder of a batch, or of one run, are. Raises InputError for any other path."""
     try:
@@ -166,7 +188,7 @@ def survey(folder: Path) -> Status:
             what = "is a file" if folder.exists() else "no such folder"
             raise InputError(f"{folder}: {what}; name the folder that --out named")
         if _is_run(folder):
-            return Status(folder, (_look(folder, ".", ""),))
+            return Status(folder, (clip_status(folder, ".", ""),))
         named: dict[str, str] = {}
         for batch in batches(folder):
             named |= {name: clip for clip, name in batch.clips if name not in named}
@@ -176,7 +198,7 @@ def survey(folder: Path) -> Status:
     if not named and not there:
         raise InputError(f"{folder}: holds no results of facetrack run; name the folder that --out named")
     named |= dict.fromkeys(map(as_text, there), "")
-    return Status(folder, tuple(_look(folder / name, name, clip) for name, clip in named.items()))
+    return Status(folder, tuple(clip_status(folder / name, name, clip) for name, clip in named.items()))
 
 
 def duration(seconds: float) -> str:
@@ -199,7 +221,8 @@ def _is_run(folder: Path) -> bool:
     return (folder / NAME).is_file() or (folder / LOCK).is_file()
 
 
-def _look(folder: Path, name: str, clip: str) -> ClipStatus:
+def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
+    """How far the run in a `folder` is, which has this `name` in its batch."""
     try:
         known = read_manifest(folder)
     except InputError as e:
@@ -224,6 +247,7 @@ def _look(folder: Path, name: str, clip: str) -> ClipStatus:
         return ClipStatus(clip or name, name, "interrupted" if begun else "not begun")
     state: State = "failed" if known.error is not None else "done" if known.stopped is None else "interrupted"
     took = known.seconds if known.frames else None
+    lost, look = _worst_part(known)
     return ClipStatus(
         clip=clip or (known.clip.path if known.clip is not None else name),
         folder=name,
@@ -235,10 +259,24 @@ def _look(folder: Path, name: str, clip: str) -> ClipStatus:
         seconds=known.seconds,
         frames_per_s=round(known.frames / took, 2) if took else None,
         complete=known.complete,
+        lost=lost,
+        look=look if state == "done" else "",
         error=known.error,
         exit_code=known.exit_code,
         log=known.log,
     )
+
+
+def _worst_part(known: Manifest) -> tuple[float | None, str]:
+    """The share of frames in which the part that is lost most is lost, and what to look at first."""
+    if not known.frames:
+        return None, ""
+    part, frames = max(known.lost_frames.items(), key=lambda one: one[1], default=("", 0))
+    part = part.replace("/", " ")
+    said = [*known.warnings[:1], *([f"{part} is lost in {frames}"] if frames else [])]
+    if known.lost_at_end:
+        said.append("and at the end")
+    return round(frames / known.frames, 4), "; ".join(said)
 
 
 def _number(note: Any, key: str) -> float | None:

@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.run_folder import lock as locks
 from facetrack_cli.run_folder.lock import LOCK, FolderLock
 from facetrack_cli.run_folder.manifest import read_manifest
-from facetrack_cli.run_folder.status import duration
+from facetrack_cli.run_folder.status import MAX_ROWS, ClipStatus, duration, worst
 from facetrack_cli.runs.job import Outcome
 from tests.runs.test_run import FACETRACK, SMALL, make_clip
 
@@ -264,6 +265,35 @@ def test_status_of_one_run_and_of_none(clips, capsys):
         assert len(capsys.readouterr().err.splitlines()) == 1
     Path("one/run.json").write_text("[]")
     assert [one["state"] for one in status("one", capsys)["clips"]] == ["failed"]
+
+
+def test_the_table_has_the_clip_that_is_lost_most_first():
+    often = ClipStatus("b.mp4", "b-face", "done", 10, lost=0.9, look="face nose is lost in 9")
+    never, once = ClipStatus("a.mp4", "a-face", "done", 10, lost=0.0), replace(often, folder="c-face", lost=0.1)
+    assert [*worst([never, once, often])] == [
+        "clip    frames  lost  look at",
+        "b-face      10   90%  face nose is lost in 9",
+        "c-face      10   10%  face nose is lost in 9",
+    ]
+    assert [*worst([never])] == []
+    *_, more = worst([often] * (MAX_ROWS + 3))
+    assert more.startswith("and 3 more")
+
+
+def test_a_batch_ends_with_the_clips_to_look_at(clips, capsys):
+    for name in ("c0", "c1"):
+        folder = Path("out") / f"{name}-face"
+        assert run(f"clips/{name}.mp4", "-o", folder, "-q") == 0
+        known = read_manifest(folder)
+        said = replace(known, lost_frames={"face/nose": 5, "face/box": 2}, lost_at_end=("face/nose",))
+        if name == "c1":
+            (folder / "run.json").write_text(json.dumps(said.record()))
+    capsys.readouterr()
+    found = {one["folder"]: one for one in status("out", capsys)["clips"]}
+    assert found["c1-face"]["lost"] == round(5 / 6, 4) and found["c0-face"]["look"] == ""
+    assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 0
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == "c1-face       6   83%  face nose is lost in 5; and at the end"
 
 
 @pytest.mark.parametrize(

@@ -110,7 +110,7 @@ def test_a_belief_has_the_motion_that_the_filter_predicts_by():
     for z in zs[1:]:
         before = before.after(z, VISIBLE)
     after = before.after(None, UNSEEN)
-    mean, cov, motion, doubt = after.belief()
+    mean, cov, motion, doubt, _ = after.belief()
     np.testing.assert_array_equal(mean, after.at)
     np.testing.assert_array_equal(cov, after.var[:, None, None] * np.eye(2))
     np.testing.assert_allclose(np.einsum("jde,je->jd", motion.matrix, before.at) + motion.offset, after.at)

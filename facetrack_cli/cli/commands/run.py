@@ -419,6 +419,7 @@ def _chunks(job: Job, workers: int, stop: Stop, shown: Progress, shard: tuple[in
 def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: After | None) -> ExitCode:
     """Run a batch; each clip's line is printed as it ends, and the failures are counted."""
     from facetrack_cli.core.log import about
+    from facetrack_cli.run_folder.status import clip_status, worst
     from facetrack_cli.runs.batch import check_all
 
     decided, left = check_all(jobs)
@@ -445,6 +446,8 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: 
     shown.close()
     if stop.code is not None:
         return stop.code
+    for line in worst([clip_status(job.out, job.out.name, str(job.clip)) for job in jobs if job.out is not None]):
+        shown.say(line)
     if failed:
         again = f", {before} of them before; --retry-failed tries those again" if before else ""
         shown.say(f"{failed} of {len(jobs)} inputs failed{again}")
