@@ -122,7 +122,7 @@ class HandTarget:
             state = state._replace(shown=frame.time_s)
         if frame.time_s - state.shown > HOLDS:
             belief = state.belief._replace(seen=FORGETS * state.belief.seen)
-            state = state._replace(belief=belief, now=frame.index)
+            state = state._replace(belief=belief, now=frame.index, named=(state.named[0], 0.0))
             return state, self._result(state, frame)
         there, unit = state.belief.at[state.belief.seen >= 0.5], state.scene.side
         scene, seen = evidence.look(state.scene, frame, state.face, there * unit, 2 * self.settings.radius * unit)
