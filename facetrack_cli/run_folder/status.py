@@ -165,8 +165,8 @@ class Status:
 
 
 def worst(clips: Sequence[ClipStatus]) -> Iterator[str]:
-    """A table of the clips that are done and that somebody should look at, the one that is lost most first."""
-    rows = sorted((one for one in clips if one.look), key=lambda one: -(one.lost or 0.0))
+    """A table of the clips that are done and that somebody should look at: incomplete ones, then by how much is lost."""
+    rows = sorted((one for one in clips if one.look), key=lambda one: (one.complete is not False, -(one.lost or 0.0)))
     if not rows:
         return
     width = max(len("clip"), *(len(_name(one)) for one in rows[:MAX_ROWS]))

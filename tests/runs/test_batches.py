@@ -276,6 +276,8 @@ def test_the_table_has_the_clip_that_is_lost_most_first():
         "c-face      10   10%  face nose is lost in 9",
     ]
     assert [*worst([never])] == []
+    cut = replace(often, folder="d-face", lost=0.0, complete=False, look="cut short")
+    assert next(line for line in [*worst([often, cut])][1:]).startswith("d-face")
     *_, more = worst([often] * (MAX_ROWS + 3))
     assert more.startswith("and 3 more")
 
