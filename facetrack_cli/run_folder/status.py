@@ -165,7 +165,7 @@ class Status:
 
 
 def worst(clips: Sequence[ClipStatus]) -> Iterator[str]:
-    """A table of the clips that are done and that somebody should look at: incomplete ones, then by how much is lost."""
+    """A table of the clips that are done and that somebody should look at: incomplete ones, then those lost most."""
     rows = sorted((one for one in clips if one.look), key=lambda one: (one.complete is not False, -(one.lost or 0.0)))
     if not rows:
         return
