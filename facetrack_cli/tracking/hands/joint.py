@@ -51,6 +51,9 @@ class Cloud(NamedTuple):
     x: Array
     seen: Mask
 
+    def exchanged(self) -> Cloud:
+        return Cloud(self.x[:, ::-1], self.seen[:, ::-1])
+
 
 class Belief(NamedTuple):
     """Of each hand: p that it is `seen`, the place `at` (2, 2) and `cov` (2, 2, 2) of the particles about it, in sizes;
@@ -81,10 +84,6 @@ def begin(rng: Generator, settings: Hands, face: Face, given: Array) -> Cloud:
     x[..., :2] = np.where(known, given, face.at + face.size * REST)
     x[..., :2] += np.where(known, START, 0.0) * rng.standard_normal(x[..., :2].shape)
     return Cloud(x, np.repeat(known.T, settings.particles, axis=0))
-
-
-def exchanged(cloud: Cloud) -> Cloud:
-    return Cloud(cloud.x[:, ::-1], cloud.seen[:, ::-1])
 
 
 def step(
@@ -180,12 +179,18 @@ def log_likelihood(
     return np.asarray(total)
 
 
-def extent(evidence: Map, at: Array, radius: float) -> Array:
-    """(2,) width and height in pixels of the skin within 1.5 `radius` of a place `at`: of a disc its diameter."""
-    far, (x, y), shape = 1.5 * radius, at, evidence.shape
+def crop(evidence: Map, at: Array, far: float) -> tuple[Map, tuple[int, int]]:
+    """The evidence within `far` pixels of a place along x and y, and its left and top."""
+    (x, y), shape = at, evidence.shape
     left, right = (min(max(round(x + side), 0), shape[1]) for side in (-far, far + 1))
     top, bottom = (min(max(round(y + side), 0), shape[0]) for side in (-far, far + 1))
-    of = cv2.moments(evidence[top:bottom, left:right])
+    return evidence[top:bottom, left:right], (left, top)
+
+
+def extent(evidence: Map, at: Array, radius: float) -> Array:
+    """(2,) width and height in pixels of the skin within 1.5 `radius` of a place `at`: of a disc its diameter."""
+    near, _ = crop(evidence, at, 1.5 * radius)
+    of = cv2.moments(near)
     if of["m00"] < 1e-3:
         return np.full(2, 2 * radius)
     var = np.maximum([of["mu20"], of["mu02"]], 0.0) / of["m00"]

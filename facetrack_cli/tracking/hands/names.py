@@ -17,12 +17,13 @@ from __future__ import annotations
 import math
 from typing import Final
 
+import cv2
 import numpy as np
 
 from facetrack_cli.core.types import Array
 from facetrack_cli.recipe.hands import Hands
 from facetrack_cli.tracking.hands.evidence import Map
-from facetrack_cli.tracking.hands.joint import Belief, Face
+from facetrack_cli.tracking.hands.joint import Belief, Face, crop
 
 SIGNS: Final = (1.0, -1.0)  # of each hand, of the way to the other hand's side
 WEIGHTS: Final = np.array([0.4, -1.3, -7.0])  # of u, u v, and l sin 2a
@@ -59,15 +60,9 @@ def update(p: float, exchanged: float, log_odds: float) -> float:
 
 def _lean(evidence: Map, at: Array, radius: float) -> float:
     """l sin 2a of the long axis of the skin about a place, y down."""
-    reach = math.ceil(2 * radius)
-    (left, top), (height, width) = np.rint(at).astype(int) - reach, evidence.shape
-    x, y = (np.arange(max(low, 0), min(low + 2 * reach + 1, n)) for low, n in ((left, width), (top, height)))
-    if not (len(x) and len(y)):
+    near, (left, top) = crop(evidence, at, math.ceil(2 * radius))
+    if not near.size:
         return 0.0
-    window = evidence[y[0] : y[-1] + 1, x[0] : x[-1] + 1].astype(float)
-    u, v = x - at[0], (y - at[1])[:, None]
-    window = window * np.exp(-0.5 * (u**2 + v**2) / (WINDOW * radius) ** 2)
-    mass = window.sum() + 1e-3
-    u, v = u - (window * u).sum() / mass, v - (window * v).sum() / mass
-    xx, yy, xy = ((window * each).sum() for each in (u * u, v * v, u * v))
-    return float(2 * xy / (xx + yy + 1e-6))
+    x, y = np.arange(left, left + near.shape[1]) - at[0], np.arange(top, top + near.shape[0]) - at[1]
+    of = cv2.moments(near * np.exp(-0.5 * (x**2 + y[:, None] ** 2) / (WINDOW * radius) ** 2))
+    return float(2 * of["mu11"] / (of["mu20"] + of["mu02"] + 1e-6))

@@ -139,7 +139,7 @@ class HandTarget:
         named = names.update(state.named[0], changed, says)
         if named < 0.5:
             named, changed, last, inside = 1 - named, 1 - changed, last[::-1], inside[::-1]
-            cloud, belief, before = joint.exchanged(cloud), belief.exchanged(), before.exchanged()
+            cloud, belief, before = cloud.exchanged(), belief.exchanged(), before.exchanged()
         there = belief.seen >= 0.5
         known = there & (before.seen >= 0.5)
         speed = np.where(known, np.hypot(*(belief.at - before.at).T) / face.size, 0.0)
