@@ -10,6 +10,7 @@
             out.write(result)
             image = facetrack.draw(result)                  # a new image with what the tracker says
     facetrack.read_trajectory("clip-sir").to_pandas()       # what `facetrack run` wrote
+    facetrack.plot(facetrack.read_trajectory("clip-sir"))   # a figure of matplotlib
 
 docs/python.md has the whole of it.
 """
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from facetrack_cli.core.errors import FacetrackError, InputError, RecipeError
     from facetrack_cli.core.types import Frame, Start, TargetStart
     from facetrack_cli.recipe.load import load_recipe
+    from facetrack_cli.report.figures.page import page_figure as plot
     from facetrack_cli.run_folder.manifest import read_run as read_trajectory
     from facetrack_cli.runs.api import Recording, draw, track_frames, track_video
     from facetrack_cli.runs.smooth import smooth
@@ -44,6 +46,7 @@ __all__ = [
     "Trajectory",
     "draw",
     "load_recipe",
+    "plot",
     "read_trajectory",
     "read_truth",
     "smooth",
@@ -56,6 +59,7 @@ _PLACES = {
     "core.types": ("Frame", "Start", "TargetStart"),
     "runs.smooth": ("smooth",),
     "recipe.load": ("load_recipe",),
+    "report.figures.page": ("page_figure",),
     "run_folder.manifest": ("read_run",),
     "runs.api": ("Recording", "draw", "track_frames", "track_video"),
     "trajectory.formats.read": ("read_truth",),
@@ -66,7 +70,7 @@ _PLACES = {
 
 def __getattr__(name: str) -> Any:
     """The public names, imported when they are first used: numba and OpenCV take half a second."""
-    own_name = "read_run" if name == "read_trajectory" else name
+    own_name = {"read_trajectory": "read_run", "plot": "page_figure"}.get(name, name)
     for module, names in _PLACES.items():
         if own_name in names:
             return getattr(import_module(f"facetrack_cli.{module}"), own_name)

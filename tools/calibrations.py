@@ -67,9 +67,10 @@ def render(folder: Path) -> list[Path]:
     return clips
 
 
-def real() -> list[Path]:
+def real(recipe: Recipe) -> list[Path]:
+    """The real clips; of those with the points of a mesh there are no boxes."""
     folder = Path(os.environ.get("FACETRACK_CLIPS", os.devnull))
-    kinds = "*/groundtruth.csv", f"people/*/{MESH}"
+    kinds = "*/groundtruth.csv", *([f"people/*/{MESH}"] if recipe.points else [])
     return [clip_in(file.parent) for kind in kinds for file in sorted(folder.glob(kind))]
 
 
@@ -77,7 +78,7 @@ def clips_of(recipe: Recipe, rendered: Sequence[Path]) -> list[Path]:
     """The clips that the recipe is made for."""
     goldens = sorted((SAMPLES / "goldens").glob(f"*.{recipe.name}.json"))
     samples = [SAMPLES / f"{golden.name.partition('.')[0]}.mp4" for golden in goldens]
-    return samples if len(recipe.followed) > 1 else [*rendered, *samples, *real()]
+    return samples if len(recipe.followed) > 1 else [*rendered, *samples, *real(recipe)]
 
 
 def truth_of(clip: Path, recipe: Recipe) -> Trajectory:

@@ -54,7 +54,7 @@ def main(names: list[str]) -> None:
     for name, (width, rows) in GRIDS.items():
         if not names or name in names:
             grid(name, width, rows)
-    for make in (report, film, pick, guide):
+    for make in (moving, report, film, pick, guide):
         if not names or make.__name__ in names:
             with tempfile.TemporaryDirectory() as folder:
                 os.chdir(folder)
@@ -71,6 +71,29 @@ def command(*words: str) -> None:
 def save(image: Any, name: str, quality: int = 82) -> None:
     cv2.imwrite(str(DOCS / name), image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     print(name, image.shape, (DOCS / name).stat().st_size // 1000, "kB")
+
+
+def moving() -> None:
+    """The moving picture of README: three annotated videos, six seconds at eight frames per second."""
+    from PIL import Image
+
+    panels = []
+    for clip, first, more in (
+        ("occlusion", 38, []), ("film", 60, ["--faces", "all"]), ("signing", 38, ["--config", "signer"]),
+    ):  # fmt: skip
+        rate, frames = 3.125, list[Any]()
+        command("run", f"sample_videos/{clip}.mp4", *more, "--stop", "240", "-q", "-o", clip)
+        video, n = cv2.VideoCapture(f"{clip}/annotated.mp4"), 0
+        while (read := video.read())[0]:
+            if n == first + int(rate * len(frames)) and len(frames) < 48:
+                frames.append(cv2.resize(read[1], (300, 225), interpolation=cv2.INTER_AREA))
+            n += 1
+        panels.append(frames)
+    images = [Image.fromarray(joined(list(row), 1)[..., ::-1]) for row in zip(*panels, strict=True)]
+    images[0].save(
+        DOCS / "tracks.webp", save_all=True, append_images=images[1:], duration=125, loop=0, quality=50, method=6
+    )
+    print("tracks.webp", images[0].size, (DOCS / "tracks.webp").stat().st_size // 1000, "kB")
 
 
 def grid(name: str, width: int, rows: list[tuple[str, list[str], list[int]]]) -> None:

@@ -46,6 +46,11 @@ def spans(mask: Mask, apart: Mask | None = None) -> list[tuple[int, int]]:
     return list(zip(begins.tolist(), ends.tolist(), strict=True))
 
 
+def places(spans: Iterable[tuple[int, int]]) -> str:
+    """Spans of frames, first and last, in words: `12 to 20, 31`."""
+    return ", ".join(f"{a} to {b}" if b > a else str(a) for a, b in spans)
+
+
 def union(found: Iterable[tuple[_Number, _Number]], gap: float = 0.0) -> list[tuple[_Number, _Number]]:
     """The spans, in order, joined where they overlap, touch, or are at most `gap` apart."""
     joined: list[tuple[_Number, _Number]] = []

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, TypeVar
+from typing import Annotated, Any, Final, Literal, TypeAlias, TypeVar
 
 from pydantic import Field, PrivateAttr, ValidationError
 
@@ -23,6 +23,10 @@ MAX_HYPOTHESES = 5_000_000  # particles times parts: some gigabytes
 TargetName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 
 
+LIKELY: Final = 0.5
+"""With a calibration a part is lost where the probability that its place is right is below this."""
+
+
 class Confidence(Section):
     """When a part counts as lost."""
 
@@ -35,7 +39,7 @@ class Confidence(Section):
     beside: Annotated[float, Field(ge=0, le=1)] = 0.5
     """Quantile of the windows beside the part in the first frame that counts as no match; the lower, the stricter."""
     calibration: Annotated[str, Field(min_length=1)] | None = None
-    """File of `facetrack calibrate` by which `confidence` is a probability and the spread covers; null: neither."""
+    """File of `facetrack calibrate`: `confidence` is a probability, lost below 1/2, and the spread covers."""
 
 
 class ParticleFilter(Section):
@@ -181,6 +185,12 @@ class Recipe(Section):
         """Whether it may call a part lost."""
         return not self.filters or any(one.likelihood.judges for one in self.filters.values())
 
+    def lost_below(self, target: str) -> float:
+        """A part of this target is lost while its confidence stays below this."""
+        one = self.filters.get(target) or next(iter(self.filters.values()), None)
+        judged = Confidence() if one is None else one.confidence
+        return judged.lost_below if judged.calibration is None else LIKELY
+
     def error(self, key: str, message: str) -> RecipeError:
         """An error that points at a key of this recipe, as in `prior.file`; for rules that only building can check."""
         if self._root is None:
@@ -238,6 +248,9 @@ class ParticlesRecipe(Recipe):
     @property
     def later(self) -> tuple[str, ...]:
         return () if self.hands is None else HANDS
+
+    def lost_below(self, target: str) -> float:
+        return self.hands.lost_below if self.hands is not None and target in HANDS else super().lost_below(target)
 
     @property
     def particles(self) -> int | None:

@@ -13,7 +13,9 @@ from facetrack_cli.core.types import Array
 from facetrack_cli.trajectory.header import SeamHeader
 from facetrack_cli.trajectory.trajectory import Trajectory
 
-Kind: TypeAlias = Literal["start", "corrected", "seam", "lost", "back", "opening", "smile", "blink", "worst", "end"]
+Kind: TypeAlias = Literal[
+    "start", "corrected", "seam", "lost", "hidden", "back", "opening", "smile", "blink", "worst", "end"
+]
 """Why a frame is shown, in the order in which the reasons of one frame stand."""
 MAX_KEY_FRAMES: Final = 12
 _OF_EPISODES: Final = 2 / 3  # of the frames beside start, worst and end, where there are too many events
@@ -84,6 +86,7 @@ class PartHistory:
     last_status: str
     judged: bool
     absences: tuple[Stretch, ...]
+    hidings: tuple[LostSpan, ...]
     frames_absent: int
     vanishes: bool
 
@@ -136,6 +139,9 @@ class RunHistory:
                 if frame is not None:
                     before = found.get((frame, kind), Event(kind))
                     found[frame, kind] = Event(kind, (*before.spans, span))
+        for span in sorted(one for part in self.parts for one in part.hidings):
+            before = found.get((span.first, "hidden"), Event("hidden"))
+            found[span.first, "hidden"] = Event("hidden", (*before.spans, span))
         found |= {(one.frame, "seam"): Event("seam", seam=one) for one in self.seams if not one.agrees}
         return found | {(one.frame, "corrected"): Event("corrected", corrected=one) for one in self.corrections}
 
@@ -178,19 +184,20 @@ def _peaks(table: Trajectory) -> Iterator[tuple[int, Event]]:
 
 def _part(one: Trajectory, name: str, clock: Clock) -> PartHistory:
     sure, frames, status = one.confidence, one.frame.tolist(), one.status
-    lost = []
-    for a, b in spans(status == "lost"):
+    unseen: dict[str, list[LostSpan]] = {"lost": [], "hidden": []}
+    for kind, (a, b) in ((one, span) for one in unseen for span in spans(status == one)):
         ends = b < len(frames)
         stop = clock.at(frames[b]) if ends else clock.after(frames[b - 1])
         back = frames[b] if ends and status[b] != "absent" else None
         seconds, by_hand = stop - clock.at(frames[a]), ends and bool(one.corrected[b])
-        lost.append(LostSpan(name, frames[a], frames[b - 1], back, b - a, seconds, _least(sure[a:b]), by_hand))
+        unseen[kind].append(LostSpan(name, frames[a], frames[b - 1], back, b - a, seconds, _least(sure[a:b]), by_hand))
     known = np.isfinite(sure)
     tracked = sure[(status != "init") & known]
     return PartHistory(
         name=name,
         rows=len(one),
-        spans=tuple(lost),
+        spans=tuple(unseen["lost"]),
+        hidings=tuple(unseen["hidden"]),
         mean=float(tracked.mean()) if len(tracked) else math.nan,
         lowest=_least(sure),
         worst=frames[np.nanargmin(sure)] if known.any() else frames[0],

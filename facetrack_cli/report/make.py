@@ -71,7 +71,7 @@ def make_report(
     truth that does not fit; UsageError without matplotlib or Jinja2.
     """
     plots.need_matplotlib()
-    template = _template()
+    template = page_template("report.html.j2")
     table = read_run(trajectory_of(run))
     header = read_header(table)
     clock = Clock(table, header.source.fps)
@@ -118,11 +118,16 @@ def make_report(
         words=shlex.split(again),
         relative=not Path(header.source.path).is_absolute(),
     )
-    return ReportPage(_UNFIT.sub("\ufffd", document).encode(), tuple(found.notes))
+    return ReportPage(encoded(document), tuple(found.notes))
 
 
-def _template() -> Any:
-    """The page's jinja2.Template, which escapes whatever is put into it. UsageError without Jinja2."""
+def encoded(document: str) -> bytes:
+    """The bytes of a page, without characters that HTML forbids."""
+    return _UNFIT.sub("\ufffd", document).encode()
+
+
+def page_template(name: str) -> Any:
+    """A page's jinja2.Template, which escapes whatever is put into it. UsageError without Jinja2."""
     with needed("reports", "jinja2"):
         import jinja2
         from markupsafe import Markup
@@ -137,7 +142,7 @@ def _template() -> Any:
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
     environment.globals |= {"style": Markup(style), "style_hash": f"sha256-{digest}", "version": __version__}
     environment.globals |= {"bins": _BINS, "max_parts": MAX_PARTS, "max_spans": MAX_SPANS, "corrected": CORRECTED}
-    return environment.get_template("report.html.j2")
+    return environment.get_template(name)
 
 
 def _measured(table: Trajectory, header: Header, truth: TruthFile) -> tuple[list[Pair], Mapping[str, Any]]:

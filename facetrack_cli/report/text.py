@@ -78,6 +78,10 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
             found.append(
                 f"In the last frame {('it is called lost' if gone else 'it is not called lost') if one else end}."
             )
+    if hidden := len(np.unique(table.frame[table.status == "hidden"])):
+        found.append(
+            f"{'It' if one else 'At least one part'} was hidden, at a likely place, in {count(hidden, 'frame')}."
+        )
     if (mean := confidence_of(table)) is not None:
         found.append(_trust(calibrated(header.recipe), mean))
     if history.seams:
@@ -154,6 +158,12 @@ def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) 
                 share = None if event.seam is None else event.seam.agreement
                 agree = f"they agree in {percent(share)} of the frames that both have"
                 return "Two chunks differ", "none of the frames is in both" if share is None else agree
+            case "hidden":
+                covered = [
+                    f"{s.name} for {lasting(s.seconds)} (confidence {number(confidence.get(s.name))})"
+                    for s in event.spans
+                ]
+                return "Hidden", names(covered, 5)
             case "lost":
                 lost = [f"{s.name} (confidence {number(confidence.get(s.name))})" for s in event.spans]
                 return "Called lost", names(lost, 5)

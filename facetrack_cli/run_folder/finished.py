@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 from pydantic import ValidationError
@@ -22,12 +22,12 @@ from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.start import check_start
 from facetrack_cli.trajectory.header import Header, corrections_record, read_header
 from facetrack_cli.trajectory.people import PEOPLE
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.trajectory import Status, Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Ending, Format, ending_of, json_frames
 from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.images import listing
 
-STATUS: Final = ("init", "tracked", "lost", "absent")
+STATUS: Final = get_args(Status)
 _AGAIN: Final = "make the run again"
 
 

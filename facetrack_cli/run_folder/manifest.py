@@ -72,8 +72,9 @@ class Manifest(Ending):
     """The contents of run.json. `asked`: a digest of all that was asked for.
 
     `networks` are those that placed points: `mesh`, or the file that the recipe names.
-    `began` and `ended` are UTC; `seconds` is the time between them. In a batch a clip that failed has its `error`, and
-    `log`, the last lines of a process that died.
+    `doubts` is what speaks against the track, `look` the first and last frames to look at, the longest span first.
+    `began` and `ended` are UTC; `seconds` is the time between them, in which all but `resumed` frames were tracked. In
+    a batch a clip that failed has its `error`, and `log`, the last lines of a process that died.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
@@ -82,6 +83,9 @@ class Manifest(Ending):
     facetrack: str = __version__
     asked: str = ""
     networks: tuple[str, ...] = ()
+    doubts: str = ""
+    look: tuple[tuple[int, int], ...] = ()
+    resumed: int = 0
     clip: Clip | None = None
     smoothed: bool = False
     host: str = ""

@@ -14,11 +14,12 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import MAX_FILE_BYTES, cannot_write, check_readable, make_folder, replacing
-from facetrack_cli.core.numbers import document
+from facetrack_cli.core.numbers import document, places
 from facetrack_cli.run_folder.lock import LOCK, holder
 from facetrack_cli.run_folder.manifest import NAME, Manifest, as_text, read_manifest
 
 State: TypeAlias = Literal["done", "running", "interrupted", "failed", "not begun"]
+_BATCHES: Final = "batch-????????.json"
 MAX_ROWS: Final = 20  # of the table of clips to look at
 STATES: Final[tuple[State, ...]] = ("done", "running", "interrupted", "failed", "not begun")
 
@@ -53,7 +54,7 @@ def write_batch(out: Path, recipe: str, clips: Sequence[Path], names: Sequence[s
 
 def batches(folder: Path) -> Iterator[BatchFile]:
     """Those of a folder. Raises InputError for one that is not as we write it, and OSError."""
-    for path in sorted(folder.glob("batch-????????.json")):
+    for path in sorted(folder.glob(_BATCHES)):
         check_readable(path, MAX_FILE_BYTES)
         try:
             yield BatchFile.model_validate_json(path.read_bytes())
@@ -66,7 +67,8 @@ class ClipStatus:
     """One clip: its `folder` below that of the batch, and how far it is.
 
     `frames` are those that are tracked, `of` those in all, where known; `lost` is the share of them in which the part
-    that is lost most is lost, and `look` says what to look at first. `since` and `ended` are UTC; `error` and the last
+    that is lost most is lost, `doubtful` says whether something speaks against the track, `look` what to look at
+    first, and `still` which frame shows it. `since` and `ended` are UTC; `error` and the last
     lines of its `log` say why it failed.
     """
 
@@ -82,7 +84,9 @@ class ClipStatus:
     frames_per_s: float | None = None
     complete: bool | None = None
     lost: float | None = None
+    doubtful: bool = False
     look: str = ""
+    still: int | None = None
     error: str | None = None
     exit_code: int | None = None
     log: tuple[str, ...] = ()
@@ -165,19 +169,24 @@ class Status:
 
 
 def worst(clips: Sequence[ClipStatus]) -> Iterator[str]:
-    """A table of the clips that are done and that somebody should look at: incomplete ones, then those lost most."""
-    rows = sorted((one for one in clips if one.look), key=lambda one: (one.complete is not False, -(one.lost or 0.0)))
+    """A table of the clips that are done and that somebody should look at, worst first."""
+    rows = sorted((one for one in clips if one.look), key=badness)
     if not rows:
         return
-    width = max(len("clip"), *(len(_name(one)) for one in rows[:MAX_ROWS]))
+    width = max(len("clip"), *(len(name_of(one)) for one in rows[:MAX_ROWS]))
     yield f"{'clip':<{width}}  frames  lost  look at"
     for one in rows[:MAX_ROWS]:
-        yield f"{_name(one):<{width}}  {one.frames:>6}  {one.lost or 0.0:>4.0%}  {one.look}"
+        yield f"{name_of(one):<{width}}  {one.frames:>6}  {one.lost or 0.0:>4.0%}  {one.look}"
     if len(rows) > MAX_ROWS:
         yield f"and {len(rows) - MAX_ROWS} more; --json of facetrack status has all"
 
 
-def _name(one: ClipStatus) -> str:
+def badness(one: ClipStatus) -> tuple[bool, bool, bool, float]:
+    """A key to sort clips by: failed, incomplete, doubtful, and then those in which a part is lost most."""
+    return one.state != "failed", one.complete is not False, not one.doubtful, -(one.lost or 0.0)
+
+
+def name_of(one: ClipStatus) -> str:
     return one.folder if one.folder != "." else Path(one.clip).name
 
 
@@ -199,6 +208,11 @@ def survey(folder: Path) -> Status:
         raise InputError(f"{folder}: holds no results of facetrack run; name the folder that --out named")
     named |= dict.fromkeys(map(as_text, there), "")
     return Status(folder, tuple(clip_status(folder / name, name, clip) for name, clip in named.items()))
+
+
+def is_batch(folder: Path) -> bool:
+    """Whether a folder holds the runs of a batch, and is not that of a run."""
+    return not _is_run(folder) and any(folder.glob(_BATCHES))
 
 
 def duration(seconds: float) -> str:
@@ -246,8 +260,9 @@ def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
         begun = (folder / LOCK).is_file()  # a process that is gone has left it
         return ClipStatus(clip or name, name, "interrupted" if begun else "not begun")
     state: State = "failed" if known.error is not None else "done" if known.stopped is None else "interrupted"
-    took = known.seconds if known.frames else None
+    tracked, took = known.frames - known.resumed, known.seconds
     lost, look = _worst_part(known)
+    a, b = max(known.look, key=lambda one: one[1] - one[0], default=(None, None))
     return ClipStatus(
         clip=clip or (known.clip.path if known.clip is not None else name),
         folder=name,
@@ -257,10 +272,12 @@ def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
         since=known.began,
         ended=known.ended,
         seconds=known.seconds,
-        frames_per_s=round(known.frames / took, 2) if took else None,
+        frames_per_s=round(tracked / took, 2) if tracked and took else None,
         complete=known.complete,
         lost=lost,
+        doubtful=bool(known.doubts),
         look=look if state == "done" else "",
+        still=None if a is None or b is None else (a + b) // 2,
         error=known.error,
         exit_code=known.exit_code,
         log=known.log,
@@ -273,9 +290,12 @@ def _worst_part(known: Manifest) -> tuple[float | None, str]:
         return None, ""
     part, frames = max(known.lost_frames.items(), key=lambda one: one[1], default=("", 0))
     part = part.replace("/", " ")
-    said = [*known.warnings[:1], *([f"{part} is lost in {frames}"] if frames else [])]
-    if known.lost_at_end:
-        said.append("and at the end")
+    said = [*known.warnings[:1]] if known.warnings else [known.doubts] if known.doubts else []
+    if frames:
+        at_end = " and at the end" if known.lost_at_end else ""
+        said.append(f"{part} is lost in {frames}{at_end}, frames {places(sorted(known.look))}")
+    elif said and known.look:
+        said.append(f"frames {places(known.look)}")
     return round(frames / known.frames, 4), "; ".join(said)
 
 

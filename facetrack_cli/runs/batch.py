@@ -137,10 +137,10 @@ def _turn(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> 
             progress.begin(f"[{i}/{len(jobs)}] {job.clip.name}", "frames", None)
             yield job, attempt(job, stop, progress.update, progress.looked)
         return
-    with Precompiler(to_dict(jobs[0].recipe), cores()) as compiler:  # or each of the workers would compile them
-        compiler.finish(stop)
-    began, finished = time.monotonic(), 0
     progress.begin(f"{len(jobs)} clips", "clips", len(jobs))
+    with Precompiler(to_dict(jobs[0].recipe), cores()) as compiler:  # or each of the workers would compile them
+        compiler.finish(stop, progress.looked)
+    began, finished = time.monotonic(), 0
 
     def report(frames: int) -> None:
         progress.update(finished, len(jobs), frames / (time.monotonic() - began))

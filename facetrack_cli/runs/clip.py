@@ -111,7 +111,7 @@ def _find_start(job: Job, stop: Stop, looked: Report) -> tuple[Start, list[Shot]
                 start, shots = film_start(job.first), film_shots(job, job.first, stop, looked)
             else:
                 start, shots = job.find(job.recipe, stopped=stop, looked=looked), []
-            compiler.finish(stop)
+            compiler.finish(stop, looked)
             return start, shots
     except InputError:
         if not stop():

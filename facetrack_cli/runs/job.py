@@ -42,7 +42,7 @@ Report: TypeAlias = Callable[..., None]  # frames done, frames in all if that is
 Starts: TypeAlias = Literal["detect", "init"]
 
 
-def silent(done: int, total: int | None, doing: str = "") -> None:
+def silent(*_: object) -> None:
     """Where nobody listens."""
 
 

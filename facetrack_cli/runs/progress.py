@@ -31,23 +31,25 @@ class Progress:
         self._name, self._unit, self._doing = name, unit, ""
         self._began = self._last = time.monotonic()
 
-    def looked(self, done: int, total: int | None, doing: str = "looking for a face") -> None:
+    def looked(self, done: int, total: int | None, doing: str = "looking for a face", unit: str = "frames") -> None:
         """As `update`, while something else is done: what is tracked later is counted, and timed, anew."""
         if self._doing != f", {doing}":
             self._doing, self._began = f", {doing}", time.monotonic()
-        self._show(done, total, None)
+        self._show(done, total, None, unit)
 
     def update(self, done: int, total: int | None, rate: float | None = None) -> None:
         """Called as often as one likes; `total` None or 0 is not known."""
         if self._doing:
             self._doing, self._began = "", time.monotonic()
-        self._show(done, total, rate)
+            return  # there is no rate yet
+        self._show(done, total, rate, self._unit)
 
-    def _show(self, done: int, total: int | None, rate: float | None) -> None:
+    def _show(self, done: int, total: int | None, rate: float | None, unit: str) -> None:
         if not self._quiet and self._due(EVERY_S):
             # the length that a file states is a guess
-            of = "" if not total else f" of about {total}" if self._unit == "frames" else f" of {total}"
-            self.say(f"{self._name}{self._doing}: {done}{of} {self._unit}, {self._rate(done, rate)}")
+            of = "" if not total else f" of about {total}" if unit == "frames" else f" of {total}"
+            speed = "" if unit == "kernels" else f", {self._rate(done, rate)}"
+            self.say(f"{self._name}{self._doing}: {done}{of} {unit}{speed}")
 
     def say(self, line: str) -> None:
         """A line that stays."""
@@ -79,7 +81,7 @@ class Events(Progress):
 
     _name = _unit = _doing = ""
 
-    def _show(self, done: int, total: int | None, rate: float | None) -> None:
+    def _show(self, done: int, total: int | None, rate: float | None, unit: str) -> None:
         if not self._quiet and self._due(EVERY_JSON_S):
             speed = float(self._rate(done, rate).split()[0])
             write_line(
@@ -87,8 +89,8 @@ class Events(Progress):
                 clip=self._clip(),
                 done=done,
                 total=total or None,
-                unit=self._unit,
-                frames_per_s=speed,
+                unit=unit,
+                frames_per_s=None if unit == "kernels" else speed,
             )
 
     def error(self, line: str) -> None:
@@ -118,12 +120,12 @@ class Bar(Progress):
         self._bar.add_task(flat(name), total=total, count="", rate="")
         self._bar.start()
 
-    def _show(self, done: int, total: int | None, rate: float | None) -> None:
+    def _show(self, done: int, total: int | None, rate: float | None, unit: str) -> None:
         if self._bar.task_ids and self._due(0.1):
             total = total if total and done <= total else None  # a stated length may be wrong
-            count = f"{done}{f'/{total}' if total else ''} {self._unit}"
+            count = f"{done}{f'/{total}' if total else ''} {unit}"
             [task] = self._bar.task_ids
-            name, speed = flat(f"{self._name}{self._doing}"), self._rate(done, rate)
+            name, speed = flat(f"{self._name}{self._doing}"), "" if unit == "kernels" else self._rate(done, rate)
             self._bar.update(task, description=name, completed=done, total=total, count=count, rate=speed)
 
     def say(self, line: str) -> None:

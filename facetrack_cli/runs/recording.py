@@ -291,7 +291,7 @@ class Recorder:
         `stopped` says why the run ended early, `error` goes into the outcome; `ended` are further fields of it. The
         video comes first, so that the tables can tell what was wrong with it.
         """
-        done = self.outcome
+        done, watch = self.outcome, self.state.watch
         for name, value in ended.items():
             setattr(done, name, value)
         done.stopped = stopped or (None if error is None else str(error))
@@ -309,7 +309,11 @@ class Recorder:
             told = {name: getattr(done, name) for name in ("frames", "lost_frames", "lost_at_end", "warnings")}
             halted = done.stopped or next((str(e) for e in errors), None)
             run = replace(self._run, **told, clip=clip, stopped=halted, complete=done.complete and halted is None)
-            run = replace(run, ended=utc_now(), seconds=round(time.monotonic() - self._entered_s, 3))
+            if watch is not None:
+                run = replace(run, doubts=watch.doubts(), look=watch.look)
+            run = replace(
+                run, resumed=self._before, ended=utc_now(), seconds=round(time.monotonic() - self._entered_s, 3)
+            )
             if self.job.batch and error is not None and not isinstance(error, OutputError):
                 run = failed(run, error)
             older = self._commit(self.job.out, run, errors)
@@ -321,7 +325,6 @@ class Recorder:
         done.stopped = done.stopped if error is None else None
         done.complete = done.complete and error is None
         done.error = error or self._missing  # said last, as the command's error
-        watch = self.state.watch
         if watch is not None:
             done.verdict, done.doubtful = watch.line(), bool(watch.doubts())
         unseen = "" if watch is None else watch.unseen()  # which the verdict says

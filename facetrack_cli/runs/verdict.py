@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from facetrack_cli.core.geometry import centre, square
-from facetrack_cli.core.numbers import clock
+from facetrack_cli.core.numbers import clock, places
 from facetrack_cli.core.snapshot import STORED
 from facetrack_cli.core.types import BOX, Box, Point, Start
 from facetrack_cli.recipe.calibrated import calibrated, fitted
@@ -50,6 +50,7 @@ class Watch:
     sure: float = 0.0  # the sum of their means
     least: tuple[float, int] = (np.inf, 0)
     lost_frames: int = 0
+    hidden_frames: int = 0
     lost: list[tuple[int, int]] = field(default_factory=list)  # first and last frames, the longest ones
     now: tuple[int, int] | None = None
 
@@ -90,6 +91,7 @@ class Watch:
             self.now = (index if self.now is None else self.now[0], index)
         else:
             self._ended()
+        self.hidden_frames += bool((rows.status == "hidden").any())
         known = rows.confidence[np.isfinite(rows.confidence) & (rows.status != "init")]
         if known.size:
             mean = float(known.mean())
@@ -102,11 +104,16 @@ class Watch:
         self._ended()
         why = self.doubts()
         who = "some part " if self.several else ""
-        lost = f"{who}called lost in {self.lost_frames} of {self.frames} frames"
+        lost = (
+            f"{who}called lost in {self.lost_frames} of {self.frames} frames"
+            if self.lost_frames
+            else "never called lost"
+        )
+        hidden = f", {who}hidden in {self.hidden_frames}" if self.hidden_frames else ""
         index, time_s = self.first
         skipped = f", {index} frame{'s' * (index > 1)} of the clip are before it" if index else ""
         begun = f"begins in frame {index} ({clock(time_s)}), by {self.start.origin}{skipped}"
-        parts = [f"doubtful: {why}" if why else lost if self.lost_frames else "never called lost", begun]
+        parts = [f"doubtful: {why}" if why else lost + hidden, begun]
         if self.detector is not None and not why and self.looks:
             parts.append(
                 f"while it is followed, {self.detector.name} sees a face there in {self.seen} of {self.looks} looks"
@@ -115,14 +122,19 @@ class Watch:
             parts.append(
                 f"while it is lost, {self.detector.name} sees a face in {self.lost_seen} of {self.lost_looks} looks"
             )
-        places = [f"{a} to {b}" if b > a else str(a) for a, b in sorted(self.lost)]
-        look = [f"{', '.join(places)} (lost)"] if places else []
+        look = [f"{places(sorted(self.lost))} (lost)"] if self.lost else []
         if self.least[0] < SURE:
             raw = "" if self.calibrated else ", not calibrated"
             look.append(f"{self.least[1]} (lowest confidence, {self.least[0]:.2f}{raw})")
         if look:
             parts.append(f"look at frames {', '.join(look)}")
         return "; ".join(parts)
+
+    @property
+    def look(self) -> tuple[tuple[int, int], ...]:
+        """First and last frames to look at first: the longest in which a part is lost, else the least sure one."""
+        self._ended()
+        return tuple(self.lost) or ((self.least[1],) * 2,) * (self.least[0] < SURE)
 
     def doubts(self) -> str:
         """What speaks against the track; "" if nothing does."""

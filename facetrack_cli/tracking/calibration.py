@@ -30,6 +30,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import MAX_FILE_BYTES, check_readable
 from facetrack_cli.core.types import BOX, Array, Mask
+from facetrack_cli.recipe.model import LIKELY
 from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.trajectory.trajectory import SPREAD, Trajectory
 
@@ -119,6 +120,7 @@ class CrossChecked(_StoredPart):
 class Calibration(_StoredPart):
     """A map for each kind of part, and what it was fitted to: a recipe's runs, `seeds` of each clip.
 
+    `lost`: the share of the rows of lost boxes that are right; p of such a row, and of its points, is no greater.
     `spread`: by what the standard deviations are multiplied, so that of the rows that are right and visible 90 % are in
     the ellipse that should hold so many.
     """
@@ -128,6 +130,7 @@ class Calibration(_StoredPart):
     recipe: str
     right: Literal["error of the centre below 1/4 of the size"] = "error of the centre below 1/4 of the size"
     maps: dict[PartKind, Map]
+    lost: Annotated[float, Field(ge=0, lt=LIKELY)]
     spread: dict[PartKind, Annotated[float, Field(gt=0, le=MAX_SPREAD_FACTOR)]]
     checked: dict[PartKind, CrossChecked]
     clips: list[str]
@@ -140,20 +143,26 @@ class Calibration(_StoredPart):
         return one._replace(cov=one.cov * by, motion=motion)
 
     def applied(self, rows: Trajectory, size: float) -> Trajectory:
-        """The rows with p as their confidence, for points whose largest distance was `size` pixels at the start.
+        """The rows of a target in a frame, p their confidence; `size`: the largest distance of points, in pixels.
 
         What was given to the tracker (status init), and what has no particles, keeps its own; p is unknown where
-        confidence is, or there is no map.
+        confidence is, or there is no map. A row is lost where p is below 1/2. Of the other rows those that the tracker
+        does not see are hidden: their target is seen, or their place is likely right.
         """
+        lost = rows.status == "lost"
         boxes, p, by = boxes_of(rows), np.full(len(rows), np.nan), np.ones(len(rows))
         known = features(rows, boxes, size)
         for kind, of in self.maps.items():
             mine = boxes if kind == "box" else ~boxes
             if mine.any():
                 p, by = np.where(mine, of(known), p), np.where(mine, self.spread[kind], by)
+        if (lost & boxes).any():
+            p = np.where(lost, np.minimum(p, self.lost), p)
         given = (rows.status == "init") | np.isnan(rows.confidence) | np.isnan(rows.ess)
         spread = {name: getattr(rows, name) * (by**2 if name == "cov_xy" else by) for name in SPREAD}
-        return replace(rows, confidence=np.where(given, rows.confidence, p), **spread)
+        judged = np.where(p < LIKELY, "lost", np.where(lost, "hidden", rows.status))
+        status = np.where(given | np.isnan(p), rows.status, judged)
+        return replace(rows, confidence=np.where(given, rows.confidence, p), status=status, **spread)
 
     def to_json(self) -> str:
         return json.dumps(self.model_dump(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"

@@ -16,7 +16,7 @@ from facetrack_cli.tracking.face.stabilized import FACE, MIDDLE
 from facetrack_cli.tracking.models.motion import Linear
 from facetrack_cli.tracking.smoothing import Belief, Chain
 from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostics, outlines
-from facetrack_cli.trajectory.trajectory import SPREAD, FrameResult, Trajectory, successive
+from facetrack_cli.trajectory.trajectory import SPREAD, UNSEEN, FrameResult, Trajectory, successive
 
 MotionName: TypeAlias = Literal["recipe", "fitted"]
 _Moments: TypeAlias = tuple[Array, Array]  # means (T, K, D), covariances (T, K, D, D)
@@ -111,7 +111,8 @@ class _SmoothedTarget:
         table = {name: getattr(rows, name).reshape(k, t).T for name in (*_SMOOTHED, "status", "by_hand")}
         self.of = table
         self.gone: Mask = np.isnan(table["x"])
-        lost: Mask = table["status"] == "lost"
+        # of a calibrated recipe a part that is seen may be lost
+        lost: Mask = np.isin(table["status"], UNSEEN)
         given = (table["by_hand"] | (table["status"] == "init")).any(axis=1)
         self.fixed: Mask = self.gone | given[:, None]
         known = next((each for each in beliefs if each), ())
@@ -122,7 +123,12 @@ class _SmoothedTarget:
         self.sizes = [len(one.mean) for one in known]
         ends = np.cumsum([0, *self.sizes])
         self.chains = [
-            smoothing.chain([each[i] for each in whole], lost[:, a:b], self.gone[:, a:b], given)
+            smoothing.chain(
+                of := [each[i] for each in whole],
+                lost[:, a:b] & np.stack([one.doubt for one in of]),
+                self.gone[:, a:b],
+                given,
+            )
             for i, (a, b) in enumerate(pairwise(ends.tolist()))
         ]
 

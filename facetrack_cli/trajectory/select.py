@@ -8,7 +8,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import BOX, Array, Texts
-from facetrack_cli.trajectory.trajectory import Trajectory, aligned, joined, one_part
+from facetrack_cli.trajectory.trajectory import UNSEEN, Trajectory, aligned, joined, one_part
 
 Around: TypeAlias = Literal["windows", "points"]
 
@@ -76,5 +76,7 @@ def _together(status: Texts) -> list[str]:
         of_tracker = bool(said & {"tracked", "init", "lost"})
         if of_tracker:
             said.discard("absent")
+        if said == {*UNSEEN}:
+            said.discard("lost")
         found.append(said.pop() if len(said) == 1 else "tracked" if of_tracker else "visible" if said else "")
     return found

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from facetrack_cli.trajectory.analysis.measures import Measured
     from facetrack_cli.trajectory.people import People
 
-Status: TypeAlias = Literal["init", "tracked", "lost", "absent"]
+Status: TypeAlias = Literal["init", "tracked", "hidden", "lost", "absent"]
+UNSEEN: Final = ("hidden", "lost")  # statuses of parts that the tracker does not see, and has a place for
 SEEN: Final = ("", "visible", "init", "tracked")  # statuses, also of ground truth, of what can be seen
 SPREAD: Final = ("std_x", "std_y", "cov_xy", "std_w", "std_h")
 _OF_POSTERIOR: Final = {**dict.fromkeys(SPREAD, 3), "ess": 1, "identity_prob": 4}
@@ -50,7 +51,7 @@ class Trajectory:
     `names` are the (target, part) pairs, `which` the index of each row's pair, `frame` the 0-based source frame. (x, y)
     is the centre and (w, h) the size in pixels; `angle` in degrees; `confidence` 0..1; `std_x`, `std_y` the posterior's
     standard deviations in pixels, `cov_xy` its covariance of x and y in square pixels, `std_w`, `std_h` those of a
-    box's size. `status` is init, tracked, lost or absent in a
+    box's size. `status` is init, tracked, hidden, lost or absent in a
     trajectory; visible, hidden or absent in ground truth; "" where nothing is said. `by_hand` marks rows that a
     correction gave, which a CSV does not tell. `corners` (R, 4, 2), clockwise from the top left, are there for rotated
     boxes and polygons. `header` is what a JSON file says of its run, `diagnostics` what a tracker reports of each

@@ -214,7 +214,7 @@ def test_the_overview_tells_where_a_run_is_least_certain():
         parts = part("box", 1, 1, 1, 1, how, one), part("odd", 1, 1, 1, 1, "tracked")
         collected.add(result(frame + 5, [target("a", parts, 1)]).rows)
     rows = collected.trajectory()
-    found = overview(rows, 5, (Correction(8, "a", absent=True),))
+    found = overview(rows, 5, (Correction(8, "a", absent=True),), lost_below={"a": 0.5})
     assert (found["first"], found["last"], found["bins"]) == (5, 14, 5)
     first, second = found["parts"]
     assert first["least"] == [0.9, 0.2, 0.6, 0.1, 0.1] and second["least"] == [None] * 5
@@ -224,6 +224,6 @@ def test_the_overview_tells_where_a_run_is_least_certain():
     told = [(one["frame"], one["confidence"], one["status"]) for one in found["doubtful"]]
     assert told == [(11, 0.1, "tracked"), (13, 0.1, "tracked"), (8, 0.2, "tracked")]
     assert {one["part"] for one in found["doubtful"]} == {"box"}
-    assert [one["frame"] for one in doubtful(rows, 0.15)] == [11, 13]
-    assert overview(rows, 999)["bins"] == 10
+    assert [one["frame"] for one in doubtful(rows, {"a": 0.15})] == [11, 13]
+    assert overview(rows, 999, lost_below={"a": 0.5})["bins"] == 10
     json.dumps(found)

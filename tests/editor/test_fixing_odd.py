@@ -119,7 +119,9 @@ def test_a_correction_past_the_end_is_kept_for_a_longer_run(short, tmp_path):
     run(CLIP, "-o", tmp_path / "again", "--init", out / CORRECTED, "--stop", "12")
     assert (out / "trajectory.csv").read_bytes() == (tmp_path / "again" / "trajectory.csv").read_bytes()
     with fixing(out) as fixer:
-        assert [one["frame"] for one in overview(fixer.rows, 3, fixer.corrections)["corrections"]] == [5, 8]
+        assert [
+            one["frame"] for one in overview(fixer.rows, 3, fixer.corrections, lost_below={"face": 0.5})["corrections"]
+        ] == [5, 8]
         fixer.remove(31, "face")
         assert fixer.changed and [one.frame for one in fixer.corrections] == [5, 8]
         with pytest.raises(InputError, match="frame 31 cannot be corrected; the run can be from 1 to 11"):
@@ -177,7 +179,7 @@ def test_steps_that_can_be_taken_back_hold_nothing_of_every_frame(short, tmp_pat
     with fixing(copied(short, tmp_path / "out")) as fixer:
         for frame in (8, 9, 10):
             before = fixer.rows
-            overview(before, 5)
+            overview(before, 5, lost_below={"face": 0.5})
             fixer.put([nose(frame, 159, 140)])
         gone = weakref.ref(fixer.rows)
         assert len(fixer._past) == 3 and len(pickle.dumps(fixer._past)) < 5_000  # rows of 12 frames are 15,000 bytes

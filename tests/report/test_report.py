@@ -215,7 +215,7 @@ def test_the_page_is_whole_accessible_and_alone(tmp_path):
 
 
 def test_the_template_escapes_what_is_put_into_it():
-    environment = report._template().environment
+    environment = report.page_template("report.html.j2").environment
     made = environment.from_string('<a href="{{ x }}">{{ y }}{{ z | names }}</a>').render(x='"', y="<&>", z=["<b>"])
     assert made == '<a href="&#34;">&lt;&amp;&gt;&lt;b&gt;</a>'
     with pytest.raises(jinja2.UndefinedError):

@@ -276,6 +276,8 @@ def test_the_table_has_the_clip_that_is_lost_most_first():
         "c-face      10   10%  face nose is lost in 9",
     ]
     assert [*worst([never])] == []
+    doubtful = replace(once, folder="e-face", doubtful=True)
+    assert next(line for line in [*worst([often, doubtful])][1:]).startswith("e-face")
     cut = replace(often, folder="d-face", lost=0.0, complete=False, look="cut short")
     assert next(line for line in [*worst([often, cut])][1:]).startswith("d-face")
     *_, more = worst([often] * (MAX_ROWS + 3))
@@ -288,14 +290,16 @@ def test_a_batch_ends_with_the_clips_to_look_at(clips, capsys):
         assert run(f"clips/{name}.mp4", "-o", folder, "-q") == 0
         known = read_manifest(folder)
         said = replace(known, lost_frames={"face/nose": 5, "face/box": 2}, lost_at_end=("face/nose",))
+        said = replace(said, look=((1, 4), (5, 5)), resumed=2, seconds=2.0)
         if name == "c1":
             (folder / "run.json").write_text(json.dumps(said.record()))
     capsys.readouterr()
     found = {one["folder"]: one for one in status("out", capsys)["clips"]}
     assert found["c1-face"]["lost"] == round(5 / 6, 4) and found["c0-face"]["look"] == ""
+    assert found["c1-face"]["still"] == 2 and found["c1-face"]["frames_per_s"] == 2.0, "of the frames since it went on"
     assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 0
     last = capsys.readouterr().err.splitlines()[-1]
-    assert last == "c1-face       6   83%  face nose is lost in 5; and at the end"
+    assert last == "c1-face       6   83%  face nose is lost in 5 and at the end, frames 1 to 4, 5"
 
 
 @pytest.mark.parametrize(

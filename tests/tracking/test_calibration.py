@@ -27,7 +27,9 @@ BY = {"points": 2.0, "box": 0.5}
 def calibration(**maps):
     checked = dict.fromkeys(maps, NUMBERS)
     spread = {kind: BY[kind] for kind in maps}
-    return Calibration(recipe="sir", maps=maps, spread=spread, checked=checked, clips=["a.mp4", "b.mp4"], seeds=2)
+    return Calibration(
+        recipe="sir", maps=maps, lost=0.3, spread=spread, checked=checked, clips=["a.mp4", "b.mp4"], seeds=2
+    )
 
 
 BOTH = calibration(points=POINTS, box=BOX)
@@ -123,10 +125,27 @@ def test_points_and_boxes_have_maps_of_their_own():
     np.testing.assert_allclose(found.confidence, [1.0, point, np.nan, 0.475])
     assert replace(found, confidence=given.confidence).columns().keys() == given.columns().keys()
     for name, values in given.columns().items():
-        if name != "confidence" and name not in SPREAD:
+        if name not in ("confidence", "status", *SPREAD):
             np.testing.assert_array_equal(found.columns()[name], values)
+    # of the point that is lost p is above 1/2, of the tracked box below
+    assert given.status.tolist() == ["init", "lost", "absent", "tracked"] and point > 0.5
+    assert found.status.tolist() == ["init", "hidden", "absent", "lost"]
     np.testing.assert_allclose(found.std_x, given.std_x * [2, 2, 2, 0.5])
     np.testing.assert_allclose(found.cov_xy, given.cov_xy * [4, 4, 4, 0.25])
+
+
+def test_of_a_lost_box_and_its_points_nothing_is_likely():
+    """Three points and a box, all in one frame: as long as the box is seen a point is hidden, and after that lost."""
+    names = [("face", part) for part in ("nose", "mouth_left", "box")]
+    columns = {"w": [8.0, 8.0, 40.0], "h": [8.0, 8.0, 10.0], "std_x": [0.1] * 3, "std_y": [0.1] * 3, "ess": [90.0] * 3}
+    columns |= {"particles": [100.0] * 3, "cov_xy": [0.0] * 3, "confidence": [0.9] * 3}
+    both = calibration(points=Logistic(intercept=2.0, coefficients={}, least=0.01), box=BOX)
+    for box, point, sure in (("tracked", "hidden", 1 / (1 + np.exp(-2))), ("lost", "lost", 0.3)):
+        given = build(names, [0, 1, 2], [4, 4, 4], status=["tracked", "lost", box], **columns)
+        found = both.applied(given, 50.0)
+        assert found.status.tolist() == ["tracked", point, box]
+        np.testing.assert_allclose(found.confidence[1], sure)
+        assert found.confidence[0] > 0.8 and (found.confidence[2] > 0.5) == (box == "tracked")
 
 
 def test_without_a_map_for_a_part_its_confidence_is_not_known():
@@ -137,7 +156,7 @@ def test_without_a_map_for_a_part_its_confidence_is_not_known():
 
 # --- recipes --------------------------------------------------------------------------------------------------------
 
-COLUMNS = ("x", "y", "w", "h", "angle", "ess", "particles", "status")
+COLUMNS = ("x", "y", "w", "h", "angle", "ess", "particles")
 
 
 @pytest.mark.parametrize(

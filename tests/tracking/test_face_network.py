@@ -19,7 +19,7 @@ from facetrack_cli.tracking.face.mesh import NAMES
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.smoothed import smoothed_rows
 from facetrack_cli.trajectory.reader import read_trajectory
-from facetrack_cli.trajectory.trajectory import successive
+from facetrack_cli.trajectory.trajectory import UNSEEN, successive
 from tests.support import moving_face as moving
 from tests.support.fake_mesh import IN_CLIP, FakeMesh, clip
 from tests.support.moving_face import PARTS, Pose
@@ -120,11 +120,14 @@ def test_points_of_a_network_are_lost_while_it_sees_no_face_and_with_the_head(fi
     seen = [None if 10 <= t < 24 else pose for t, pose in enumerate(still)]
     shown = [pose if t < 28 else None for t, pose in enumerate(still)]
     results = results_of(file, FakeMesh(seen), shown)
-    gone = column(results, "status", FEATURES) == "lost"
+    gone = np.isin(column(results, "status", FEATURES), UNSEEN)
     assert gone[20:24].all() and gone[:11].mean() < 0.2 and gone[27].mean() < 0.2
     assert (column(results[:28], "status", (BOX,)) != "lost").all()
     confidence = column(results, "confidence", FEATURES)
     assert (confidence[23] < confidence[9]).mean() > 0.9
+    status = column(results, "status", FEATURES)
+    known = np.isfinite(confidence) & (status != "init")
+    assert ((status == "lost") == (confidence < 0.5))[known].all(), "one rule"
     assert gone[head_gone].all() and (column(results[head_gone], "status", (BOX,)) == "lost").all()
 
 

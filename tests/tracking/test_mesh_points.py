@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from facetrack_cli.tracking.face.mesh_points import MOVES, OFF, TREMBLES, UNSEEN, MeshPoints
+from facetrack_cli.tracking.face.mesh_points import MOVES, NO_FACE, OFF, TREMBLES, MeshPoints
 from facetrack_cli.tracking.face.stabilized import EYES, MIDDLE, Similarity
 
 REST = MIDDLE + 30 * np.random.default_rng(7).standard_normal((30, 2))
@@ -109,7 +109,7 @@ def test_a_belief_has_the_motion_that_the_filter_predicts_by():
     before = MeshPoints.begin(zs[0])
     for z in zs[1:]:
         before = before.after(z, VISIBLE)
-    after = before.after(None, UNSEEN)
+    after = before.after(None, NO_FACE)
     mean, cov, motion, doubt, _ = after.belief()
     np.testing.assert_array_equal(mean, after.at)
     np.testing.assert_array_equal(cov, after.var[:, None, None] * np.eye(2))
@@ -118,7 +118,7 @@ def test_a_belief_has_the_motion_that_the_filter_predicts_by():
     np.testing.assert_allclose(motion.matrix @ own @ motion.matrix + motion.cov, after.var[:, None, None] * np.eye(2))
     assert not doubt.any()
     for _ in range(30):
-        after = after.after(None, UNSEEN)
+        after = after.after(None, NO_FACE)
     # what is unseen for long is known as its motion says: more would let a smoother add up what is wrong
     cov, motion = after.belief()[1:3]
     np.testing.assert_allclose(motion.matrix @ cov @ motion.matrix + motion.cov, cov)

@@ -15,7 +15,7 @@ from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.models.motion import RandomWalk
 from facetrack_cli.tracking.smoothed import lagged, smoothed_rows
 from facetrack_cli.tracking.smoothing import Belief
-from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult, build, successive
+from facetrack_cli.trajectory.trajectory import UNSEEN, FrameResult, TargetResult, build, successive
 from facetrack_cli.trajectory.writers import csv_frames
 from tests.support.samples import TrackClip
 
@@ -67,7 +67,7 @@ def test_points_are_as_near_and_quieter_and_an_occlusion_is_bridged(points):
     assert errors(quiet, hidden=False) < errors(before, hidden=False)
     for name in ("status", "confidence", "w", "h", "ess", "particles"):
         np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
-    lost = before.status == "lost"
+    lost = np.isin(before.status, UNSEEN)
     assert lost.sum() > 50
     assert after.std_x[lost].mean() > 3 * after.std_x[~lost].mean()  # the bridge's
 

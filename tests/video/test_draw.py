@@ -335,6 +335,9 @@ def test_what_the_bar_says() -> None:
     whole = [gone, part("thumb", status="lost")]
     assert in_the_bar(face=[good], hand=whole)[1][0] == "lost: hand"
     assert in_the_bar(face=[good, gone], hand=whole)[1][:2] == ["lost: face/lip upper, hand", "lost: face/lip upper +1"]
+    covered = part("lip_upper", status="hidden")
+    assert in_the_bar(face=[good, covered]) == ("hidden", ["hidden: lip upper", "hidden 1/2", "hidden"])
+    assert in_the_bar(face=[good, gone, covered])[0] == "lost"
     assert in_the_bar() == ("lost", ["no target", "none"])
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
+
+import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, FRAME, Page, argument, flag, group, option, say, verb
-from facetrack_cli.core.errors import ExitCode, InputError, OutputError
+from facetrack_cli.core.errors import ExitCode, InputError, OutputError, UsageError
 
 if TYPE_CHECKING:
     from facetrack_cli.core.types import Box, Frame, Start
@@ -37,6 +39,7 @@ class Init:
       facetrack init clip.mp4 --preview look.png
       facetrack init clip.mp4 --init-frame 120 --box 310,96,140,140
       facetrack init clip.mp4 --config signer --preview look.png
+      facetrack init panel.mp4 --faces all --preview look.png
       facetrack init clip.mp4 --pick --open
       facetrack init frames/ -o - > start.yaml
     """
@@ -46,6 +49,10 @@ class Init:
     init_frame: int | None = option(
         "--init-frame N", "Frame where the search begins, of --box, or shown first on the page.", type=FRAME
     )
+    faces: Literal["one", "all"] = option(
+        "--faces WHICH", "`one`, the largest face that stays, or `all` that are there with it [default: one].",
+        type=click.Choice(["one", "all"]), default="one", show_default=False,
+    )  # fmt: skip
     box: Box | None = options.box_option("The face's box in that frame: place the points in it.")
     config: str | None = option(
         "--config RECIPE",
@@ -65,6 +72,8 @@ class Init:
 
         if self.out == "":
             raise OutputError("--out is empty; name a file, or - for standard output")
+        if self.faces == "all" and (self.box is not None or self.pick):
+            raise UsageError("--faces all is of a search; leave out --box and --pick")
         if not self.pick:
             self.page.refuse("add --pick")
         self.path = None if self.out == "-" else Path(self.out) if self.out else default_path(self.clip)
@@ -128,7 +137,9 @@ class Init:
             if self.box is None:
                 shown.begin(f"{self.clip.name}: looking for a face")
                 frames = _told(source, shown)
-                start = search_start(frames, points, detector=detector(), clip=clip, complete=complete)
+                start = search_start(
+                    frames, points, detector=detector(), faces=self.faces, clip=clip, complete=complete
+                )
             else:
                 frame = next(iter(source), None)
                 if frame is None:

@@ -69,28 +69,30 @@ def _formats(value: str) -> tuple[Format, ...]:
 class Run:
     """Track faces, heads and hands in videos and image folders.
 
+    \b
+      facetrack run clip.mp4                           # find and follow a face
+      facetrack run clip.mp4 --box 110,93,56,64        # follow what is in a box
+      facetrack run clips/ -j 4 --no-video -o results  # many clips
+
     Each clip gets a folder with annotated.mp4, trajectory.csv and trajectory.json. An INPUT is a video, a folder of
     images, a folder of such clips, a quoted glob, or @list.txt with a path a line (@- reads it from standard input).
-    The track starts from --init or --box, else from <clip>.init.yaml beside the clip, else from the first face that a
-    detector finds in several frames.
 
-    Without --config, whatever is in --box is followed as a box; else the features of a face are. Recipes of points
-    look for these features within --box.
+    The track begins at --init or --box, else at <clip>.init.yaml beside the clip, else at the first face that a
+    detector finds in several frames. Without --config, what is in --box is followed as a box, else the features of a
+    face are.
 
-    With several clips, --out holds a folder for each; one that fails does not stop the others. The same command
-    again skips those that are done, goes on with those that were interrupted, and reports those that failed. Run
-    twice at once, also on two machines, it shares the clips. facetrack status tells how far they are.
+    With several clips, --out holds a folder for each; a clip that fails does not stop the others. The same command
+    again skips clips that are done, and goes on with clips that were interrupted. Run twice at once, also on two
+    machines, it shares the clips. facetrack status tells how far they are.
 
     \b
     Examples:
-      facetrack run clip.mp4
+      facetrack run clip.mp4 --config signer --smooth
+      facetrack run film.mp4 --faces all -o film
       facetrack run clip.mp4 --config sir --set filter.particles=500 -o out
-      facetrack run clip.mp4 --box 110,93,56,64
       facetrack run clip.mp4 --config adaptive_recognition --gallery people.npz
-      facetrack run clip.mp4 --smooth
       facetrack run frames/ --fps 25 -o - | head
       facetrack run 0 --live
-      facetrack run clips/ -j 4 --no-video -o results
       facetrack run @list.txt --shard 3/20 -o results
       facetrack run day.mp4 --split 10m --starts detect -j 8 -o day
 

@@ -117,7 +117,7 @@ class CastSession(Page):
         if steps:
             recast(
                 self.folder, steps, clip=self.clip, video=self.video, stop=self.stopping.is_set,
-                report=lambda done, total, doing="": report(done, total),
+                report=lambda done, total, *_: report(done, total),
             )  # fmt: skip
         count = f"{len(steps)} change{'s' if len(steps) != 1 else ''}"
         self.end([f"{self.folder}: {count} saved"], f"facetrack people {self.folder}")

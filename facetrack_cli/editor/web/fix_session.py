@@ -1,7 +1,7 @@
 """Correcting a run on the page: a part that is dragged is a correction, and its target is tracked again from there."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Annotated, Any, ClassVar, Final, Literal
@@ -29,7 +29,6 @@ from facetrack_cli.video.seek import Frames
 
 MAX_ROWS: Final = 600
 MAX_DOUBTFUL: Final = 100
-DOUBT: Final = 0.5  # a row of less confidence is listed for review
 
 
 class FixSession(Session):
@@ -47,6 +46,7 @@ class FixSession(Session):
         about = {
             "clip": run.header.clip_name,
             "recipe": run.recipe.name,
+            "lost_below": {name: run.recipe.lost_below(name) for name in self._parts},
             "requirements": [_requirement(name, parts) for name, parts in self._parts.items()],
             "free": False,
             "saves_to": str(run.folder),
@@ -106,7 +106,7 @@ class FixSession(Session):
 
     def _overview(self, bins: Annotated[int, Field(ge=1, le=4000)] = 400) -> Json:
         corrections, rows = self.fixer.now
-        return overview(rows, bins, corrections)
+        return overview(rows, bins, corrections, lost_below=self._about["lost_below"])
 
     def _track(self, base: StrictInt, learn: StrictBool | Literal["keep"] | None = "keep") -> Answer:
         """Make the draft a correction of its frame. `learn` as of Correction; "keep" leaves that as it is."""
@@ -187,7 +187,9 @@ def _requirement(target: str, parts: tuple[str, ...]) -> Json:
     return requirement(target, parts, "optional" if set(parts) <= set(PARTS) else "no")
 
 
-def overview(rows: Trajectory, bins: int, corrections: tuple[Correction, ...] = ()) -> dict[str, Any]:
+def overview(
+    rows: Trajectory, bins: int, corrections: tuple[Correction, ...] = (), *, lost_below: Mapping[str, float]
+) -> dict[str, Any]:
     """Ready for JSON: of each part and each of `bins` equal spans the least confidence, None if unknown, and the shares
     of frames in which it is lost and absent; the doubtful frames; the corrections.
     """
@@ -211,15 +213,17 @@ def overview(rows: Trajectory, bins: int, corrections: tuple[Correction, ...] = 
             absent = True if one.absent is True else list(one.absent)
             corrected.append({"frame": one.frame, "target": one.target, "parts": given, "absent": absent})
     found = {"first": first, "last": last, "bins": bins, "parts": parts}
-    return {**found, "doubtful": doubtful(rows), "corrections": corrected}
+    return {**found, "doubtful": doubtful(rows, lost_below), "corrections": corrected}
 
 
-def doubtful(rows: Trajectory, level: float = DOUBT) -> list[dict[str, Any]]:
-    """The worst frame of each span in which a part is lost or its confidence below `level`, worst first."""
+def doubtful(rows: Trajectory, lost_below: Mapping[str, float]) -> list[dict[str, Any]]:
+    """The worst frame of each span in which a part is lost, or its confidence below that of its target, worst first."""
     found = []
     for column, one in enumerate(rows.parts):
         sure = one.confidence
-        doubt = np.isfinite(sure) & (one.status != "absent") & ((one.status == "lost") | (sure < level))
+        doubt = (
+            np.isfinite(sure) & (one.status != "absent") & ((one.status == "lost") | (sure < lost_below[one.target]))
+        )
         worst = [begin + int(np.argmin(sure[begin:end])) for begin, end in spans(doubt)]
         found += sorted((float(sure[at]), at, column) for at in worst)[:MAX_DOUBTFUL]
     keys, first = ("frame", "target", "part", "confidence", "status"), int(rows.frame[0])

@@ -49,7 +49,10 @@ class Calibrated:
         checked = {kind: one.checked for kind, one in self.fitted.items()}
         spread = {kind: one.sample.spread for kind, one in self.fitted.items()}
         clips = sorted(self.clips)
-        return Calibration(recipe=self.recipe, maps=maps, spread=spread, checked=checked, clips=clips, seeds=self.seeds)
+        lost = self.fitted["box"].sample.lost if "box" in self.fitted else 0.0
+        return Calibration(
+            recipe=self.recipe, maps=maps, lost=lost, spread=spread, checked=checked, clips=clips, seeds=self.seeds
+        )
 
     def sheets(self) -> list[Sheet]:
         """A reliability table for each kind."""
@@ -125,7 +128,9 @@ def of_runs(
     samples = collect(list(runs.values()), [kinds.index(kind_of(clip)) for clip in runs])
     # a kind of a single clip has no map, unless it is the only one: then that is the error
     several = {kind: one for kind, one in samples.items() if len(one.clips) > 1} or samples
-    return Calibrated(recipe, tuple(map(clip_name, runs)), seeds, {kind: fit(one) for kind, one in several.items()})
+    return Calibrated(
+        recipe, tuple(map(clip_name, runs)), seeds, {kind: fit(one, boxes=kind == BOX) for kind, one in several.items()}
+    )
 
 
 def uncalibrated(recipe: Recipe) -> Recipe:

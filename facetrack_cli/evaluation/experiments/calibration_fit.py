@@ -23,6 +23,7 @@ from facetrack_cli.evaluation.reliability import (
     calibration_error,
     reliability_bins,
 )
+from facetrack_cli.recipe.model import LIKELY
 from facetrack_cli.tracking.calibration import MAX_SPREAD_FACTOR, RISES, CrossChecked, Feature, Isotonic, Logistic, Map
 
 ALIKE: Final = 20
@@ -71,6 +72,14 @@ class Sample:
     def take(self, rows: Mask | Whole) -> "Sample":
         known = {name: values[rows] for name, values in self.known.items()}
         return Sample(known, self.right[rows], self.visible[rows], self.clip[rows], self.far[rows])
+
+    @property
+    def lost(self) -> float:
+        """The share of the lost rows that are right, as of rows with that probability; below `LIKELY`."""
+        rows = self.known["lost"] > 0
+        n = ALIKE * self.weight[rows].sum()
+        right = float(self.weight[rows] @ self.right[rows]) * ALIKE
+        return _short(min((right + 1) / (n + 2), LIKELY - 0.01))
 
     @property
     def spread(self) -> float:
@@ -247,24 +256,30 @@ CANDIDATES: Final[Mapping[str, Fit]] = {
 }
 
 
-def fit(sample: Sample) -> Fitted:
-    """The best candidate, fitted to all rows. Raises InputError for a single clip, of which none can be left out."""
+def fit(sample: Sample, *, boxes: bool = False) -> Fitted:
+    """The best candidate, fitted to all rows; p of lost `boxes` is bounded.
+
+    Raises InputError for a single clip, of which none can be left out.
+    """
     if len(sample.clips) < 2:
         raise InputError(
             "a calibration is checked on clips that are left out; give two clips or more with ground truth"
         )
-    every = {name: left_out(sample, one) for name, one in CANDIDATES.items()}
+    every = {name: left_out(sample, one, boxes=boxes) for name, one in CANDIDATES.items()}
     losses = {name: figures(sample, p).log_loss for name, p in every.items()}
     best = min(losses, key=lambda name: round(losses[name], 6))  # of equals the first
     return Fitted(CANDIDATES[best](sample), best, sample, every[best], losses)
 
 
-def left_out(sample: Sample, one: Fit) -> Array:
+def left_out(sample: Sample, one: Fit, *, boxes: bool = False) -> Array:
     """(R,) p of each clip, by the map that was fitted to the others."""
     p = np.empty(len(sample))
     for clip in sample.clips:
         mine = sample.clip == clip
-        p[mine] = one(sample.take(~mine))({name: values[mine] for name, values in sample.known.items()})
+        others, known = sample.take(~mine), {name: values[mine] for name, values in sample.known.items()}
+        p[mine] = one(others)(known)
+        if boxes:
+            p[mine] = np.where(known["lost"] > 0, np.minimum(p[mine], others.lost), p[mine])
     return p
 
 

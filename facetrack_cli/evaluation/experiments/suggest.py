@@ -26,7 +26,7 @@ from facetrack_cli.runs.start import Begin, completed, frames_of
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
-from facetrack_cli.trajectory.trajectory import SEEN
+from facetrack_cli.trajectory.trajectory import SEEN, UNSEEN
 from facetrack_cli.video.source import FOLDER_FPS
 
 FACE: Final = ("face", "correlation_filter", "skin_ncc_robust")
@@ -154,7 +154,7 @@ def _tracked(recipe: Recipe, start: Start, frames: Sequence[Frame]) -> _Track:
         names = [rows.names[i][1] for i in rows.which.tolist()]
         k = names.index(BOX) if BOX in names else 0
         boxes.append(rows.boxes[k])
-        lost.append(bool(rows.status[k] == "lost"))
+        lost.append(str(rows.status[k]) in UNSEEN)
         sure.append(rows.confidence[k])
         if target in rows.diagnostics:
             nats += float(np.nansum(rows.diagnostics[target].get(EVIDENCE.name)))

@@ -20,7 +20,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from facetrack_cli.core.types import Array
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.trajectory import UNSEEN, Trajectory
 
 Name: TypeAlias = Literal[
     "x", "y", "w", "h", "angle", "std_x", "std_y", "ess", "step", "particles", "confidence", "lost", "identity"
@@ -57,7 +57,7 @@ QUANTITIES: Final[dict[Name, Quantity]] = {
     "step": Quantity(0.03, "mean step", " px", 0.05, quarters=True),
     "particles": Quantity(0.01, "mean number of particles", "", 0.0, quarters=True),
     "confidence": Quantity(0.02, "mean confidence", quarters=True),
-    "lost": Quantity(0.03, "share of frames lost", quarters=True),
+    "lost": Quantity(0.03, "share of frames lost or hidden", quarters=True),
     "identity": Quantity(0.02, "mean probability of who it is", quarters=True),
 }
 _MAY_BE_FIXED: Final = ("w", "h", "angle", "particles")
@@ -196,7 +196,7 @@ def _values(quantity: Name, one: Trajectory, named: Mapping[str, str]) -> Array:
         same = one.identity == named.get(one.target, "")
         return np.where(one.identity == "", np.nan, np.where(same, one.identity_prob, 0.0))
     if quantity == "lost":
-        return np.asarray(one.status == "lost", dtype=float)
+        return np.isin(one.status, UNSEEN).astype(float)
     if quantity == "step":
         values = np.hypot(np.diff(one.x, prepend=math.nan), np.diff(one.y, prepend=math.nan))
     else:

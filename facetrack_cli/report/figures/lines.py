@@ -136,7 +136,7 @@ class Pen:
         truth = not many and any(line.pair is not None for line in lines)
         top, tall = (-0.5, 1.0) if many else (-0.4, 0.44) if truth else (-0.38, 0.76)
         for row, line in enumerate(lines):
-            for status in ("tracked", "lost", "absent"):
+            for status in ("tracked", "hidden", "lost", "absent"):
                 self._bars(axes, line.ours, status, (row + top, tall))
             if many:
                 continue

@@ -76,7 +76,7 @@ class _Page:
         bins = max(300, min(BINS, 60_000 // len(self.lines))) if self.many else BINS  # more take long, show no more
         self.pen = Pen(bins, float(self.frames[-1] - self.frames[0] + 1) / BINS)
         self.judged = bool((table.status != "").any())
-        self.gone = [status for status in ("lost", "absent") if (table.status == status).any()]
+        self.gone = [status for status in ("hidden", "lost", "absent") if (table.status == status).any()]
         self.truth = {status for _, pair, _ in self.paired for status in {*pair.truth.status.tolist()}}
         self.alone = len(self.lines) == 1 and bool(self.paired) and known(spread(table))
         self.corrected = np.unique(np.concatenate([line.ours.frame[line.ours.corrected] for line in self.lines]))

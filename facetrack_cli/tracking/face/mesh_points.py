@@ -23,7 +23,7 @@ from facetrack_cli.tracking.models.motion import Linear
 from facetrack_cli.tracking.smoothing import Belief
 
 KEEP: Final = 0.5
-UNSEEN: Final = -1.0  # log odds where the network sees no face
+NO_FACE: Final = -1.0  # log odds where the network sees no face
 MEMORY: Final = 100.0  # frames over which s and r are learned, and four times that for the place at rest
 MOVES, TREMBLES = 0.05 * EYES, 0.015 * EYES  # s and r at first, pixels
 MIN_MOVES, MIN_TREMBLES, MAX_TREMBLES = 0.02 * EYES, 0.005 * EYES, 0.05 * EYES

@@ -32,7 +32,7 @@ from facetrack_cli.recipe.face import Head
 from facetrack_cli.tracking.calibration import Calibration
 from facetrack_cli.tracking.face import stabilized
 from facetrack_cli.tracking.face.found_again import NEW, STAYS, Sighting, kept, likeness, look_of, recognised, sighted
-from facetrack_cli.tracking.face.mesh_points import UNSEEN, MeshPoints
+from facetrack_cli.tracking.face.mesh_points import NO_FACE, MeshPoints
 from facetrack_cli.tracking.face.senses import Senses
 from facetrack_cli.tracking.face.sensors import Facing, apart, common_shift, joined
 from facetrack_cli.tracking.face.stabilized import EYES, FACE, Similarity
@@ -45,7 +45,7 @@ from facetrack_cli.tracking.roles import Names
 from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.tracking.target import ParticleState, ParticleTarget
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnostics
-from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, of_frame
+from facetrack_cli.trajectory.trajectory import UNSEEN, TargetResult, Trajectory, of_frame
 from facetrack_cli.video.shots import Passing, small
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
@@ -231,7 +231,7 @@ class FaceTarget:
         facing = state.facing if self.senses.detector is None else state.facing.predicted()
         others, far, similarity, head = state.others, view.others, view.similarity, state.head
         if others is not None:
-            others = others.after(None, UNSEEN) if far is None else others.after(*far)
+            others = others.after(None, NO_FACE) if far is None else others.after(*far)
         elif far is not None:
             others = MeshPoints.begin(far.at)
         if box is None:
@@ -353,7 +353,8 @@ class FaceTarget:
         blank = {name: np.full((1, *one.shape[1:]), np.nan) for name, one in face.items() if name != "status"}
         sections = [points, face]
         if self.senses.others and (mesh := state.others) is not None:
-            sections.append(self._rows(state, mesh.at, mesh.cov, mesh.visible, mesh.visible < self.settings.lost_below))
+            covered = mesh.visible < self.settings.lost_below
+            sections.append(self._rows(state, mesh.at, mesh.cov, mesh.visible, covered, placed=True))
         elif self.senses.others:
             sections.append({"status": np.full(len(self.senses.others), "lost")})
         counts = len(rows), 1, len(self.senses.others)
@@ -374,13 +375,19 @@ class FaceTarget:
         values[EVIDENCE.name] = sum(float(one.diagnostics[self.name].get(EVIDENCE.name)[0]) for one in seen)
         found = {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
         faces = of_frame(self._names, frame, found, **columns)
+        unseen: Mask = np.isin(faces.status, UNSEEN)
         if self.calibration is not None:
             faces = self.calibration.applied(faces, self.features.size * self.side / FACE)
         cloud = similarity.to_frame(state.points.cloud)
-        return TargetResult(faces, cloud, (), box.notes, lambda: self.beliefs(state))
+        return TargetResult(faces, cloud, (), box.notes, lambda: self.beliefs(state, unseen))
 
-    def _rows(self, state: FaceState, at: Array, cov: Array, visible: Array, lost: Mask) -> dict[str, Any]:
-        """Columns of points of the stabilized image: places (K, 2), covariances (K, 2, 2), visibility, lost or not."""
+    def _rows(
+        self, state: FaceState, at: Array, cov: Array, visible: Array, unseen: Mask, *, placed: bool = False
+    ) -> dict[str, Any]:
+        """Columns of points of the stabilized image: places (K, 2), covariances (K, 2, 2), visibility, seen or not.
+
+        With `placed` the confidence is that of the place alone, and what is not seen is hidden.
+        """
         similarity = self._map(state.head.estimated.state, state.pose)
         shown = state.facing.shown * sure_of(state.head)
         known = visible * shown
@@ -390,24 +397,30 @@ class FaceTarget:
         near = 1 - np.exp(-((OFF * EYES * similarity.scale) ** 2) / np.maximum(var.sum(axis=1), 1e-9))
         x, y = similarity.to_frame(at).T
         std_x, std_y = np.sqrt(var).T
-        lost = lost | (shown * near < self.settings.lost_below)
+        status = np.where(unseen, "hidden" if placed else "lost", "tracked")
+        status = np.where(shown * near < self.settings.lost_below, "lost", status)
         return {
-            "x": x, "y": y, "std_x": std_x, "std_y": std_y, "cov_xy": cov[:, 0, 1], "confidence": known * near,
-            "status": np.where(lost, "lost", "tracked"),
+            "x": x, "y": y, "std_x": std_x, "std_y": std_y, "cov_xy": cov[:, 0, 1],
+            "confidence": (shown if placed else known) * near, "status": status,
         }  # fmt: skip
 
-    def beliefs(self, state: FaceState) -> tuple[Belief, ...]:
-        """What is known of the points in the stabilized image, of the head, and of the network's points."""
+    def beliefs(self, state: FaceState, unseen: Mask) -> tuple[Belief, ...]:
+        """What is known of the points in the stabilized image, of the head, and of the network's points.
+
+        Which of them are `unseen` (K,) is in doubt.
+        """
         found, names = [*self.features.beliefs(state.features), *self.head.beliefs(state.head)], self.senses.others
         if self.calibration is not None:
             found = list(map(self.calibration.believed, (self.features.parts, self.head.parts), found))
         if names:
-            unseen = MeshPoints.begin(np.full((len(names), 2), stabilized.MIDDLE))
-            unseen = unseen._replace(visible=np.zeros(len(names)))
-            others = (state.others or unseen).belief()
+            nobody = MeshPoints.begin(np.full((len(names), 2), stabilized.MIDDLE))
+            nobody = nobody._replace(visible=np.zeros(len(names)))
+            others = (state.others or nobody).belief()
             # what returns to rest is never less known than its motion says
             found.append(others if self.calibration is None else self.calibration.believed(names, others, moves=True))
-        return tuple(found)
+        ends = np.cumsum([len(one.mean) for one in found])[:-1]
+        each = zip(found, np.split(unseen, ends), strict=True)
+        return tuple(one._replace(doubt=one.doubt | gone) for one, gone in each)
 
     def _slope(self, pair: list[int]) -> float:
         """Of the line between two parts when the face is upright."""

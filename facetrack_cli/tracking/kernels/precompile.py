@@ -129,9 +129,9 @@ class Precompiler:
     def __enter__(self) -> "Precompiler":
         return self
 
-    def finish(self, stopped: Callable[[], bool] = lambda: False) -> None:
-        """Compile or load all kernels, until all are there or `stopped`."""
-        compile_kernels(self._names, stopped)
+    def finish(self, stopped: Callable[[], bool] = lambda: False, report: Callable[..., None] | None = None) -> None:
+        """Compile or load all kernels, until all are there or `stopped`; `report` takes how many, of how many."""
+        compile_kernels(self._names, stopped, report)
 
     def __exit__(self, *_: object) -> None:
         if self._process is not None:
@@ -139,10 +139,14 @@ class Precompiler:
             self._process.wait()
 
 
-def compile_kernels(names: list[str], stopped: Callable[[], bool] = lambda: False) -> None:
-    for name in names:
+def compile_kernels(
+    names: list[str], stopped: Callable[[], bool] = lambda: False, report: Callable[..., None] | None = None
+) -> None:
+    for done, name in enumerate(names):
         if stopped():
             return
+        if report is not None:
+            report(done, len(names), "compiling", "kernels")
         with contextlib.suppress(Exception):  # the call of the kernel raises it again
             kernel(name).compile(signature(name))
 

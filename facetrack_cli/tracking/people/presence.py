@@ -26,7 +26,7 @@ from facetrack_cli.tracking.face.target import FaceTarget
 from facetrack_cli.tracking.loop import TrackState
 from facetrack_cli.tracking.start.detectors import MIN_FACE_SHARE, Detector, Found
 from facetrack_cli.tracking.start.points import place
-from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
+from facetrack_cli.trajectory.trajectory import UNSEEN, FrameResult, TargetResult
 from facetrack_cli.video.shots import Shot
 
 LOOK_FRAMES: Final = 5  # frames from one look of the detector to the next
@@ -56,7 +56,7 @@ class Track:
 
     def see(self, rows: TargetResult) -> None:
         face = rows.rows.parts[[part for _, part in rows.rows.names].index(BOX)]
-        self.box = None if face.status[0] == "lost" else tuple(face.boxes[0].tolist())
+        self.box = None if face.status[0] in UNSEEN else tuple(face.boxes[0].tolist())
 
 
 @dataclass
@@ -165,7 +165,8 @@ class Film:
         for (track, first), back in zip(begun, each, strict=True):
             ordered = [*reversed(back), first]
             for at, result in zip(frames[len(frames) - len(ordered) :], ordered, strict=True):
-                status = np.where(result.rows.status == "lost", "lost", "init" if result is ordered[0] else "tracked")
+                status = result.rows.status
+                status = np.where(np.isin(status, UNSEEN), status, "init" if result is ordered[0] else "tracked")
                 found[at.index][track.name] = result._replace(rows=replace(result.rows, status=status))
             track.see(first)
             known.tracks.append(track)

@@ -23,7 +23,7 @@ import numpy as np
 
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.trajectory.trajectory import Trajectory, aligned, joined
+from facetrack_cli.trajectory.trajectory import UNSEEN, Trajectory, aligned, joined
 
 LIGHT_S = 0.04  # smoothing of swings: a nod of 6 Hz keeps a third of its height
 GAP_S = 0.25  # a pause between rows that ends a stretch
@@ -90,7 +90,7 @@ def kinds_of(parts: Sequence[Trajectory]) -> tuple[str, ...]:
 def _pose(parts: Sequence[Trajectory]) -> Pose:
     """The signals of one target from its parts, which may have rows in different frames."""
     frame, columns = aligned(parts, "x", "y", "w", "h", "angle", "status")
-    seen = columns.pop("status") != "lost"
+    seen = ~np.isin(columns.pop("status"), UNSEEN)
     x, y, w, h, angle = (np.where(seen, values, np.nan) for values in columns.values())
     with np.errstate(invalid="ignore", divide="ignore"):
         side = np.where((w > 0) & (h > 0), 0.5 * np.log(w * h), np.nan)

@@ -117,6 +117,8 @@ def _tiers(target: str, parts: Sequence[Trajectory]) -> Iterator[tuple[str, str,
     if seen := seen_in(parts):
         yield "seen", name, [(first, last, "seen") for first, last in seen]
     yield "lost", name, spans_of(parts)
+    if hidden := spans_of(parts, "hidden"):
+        yield "hidden", name, hidden
     if absent := spans_of([part.take(~part.vanished) for part in parts], "absent"):  # only where a correction says so
         yield "absent", name, absent
     moved = head_motion(parts)

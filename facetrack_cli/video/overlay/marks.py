@@ -72,9 +72,9 @@ def dashes(corners: Array, pitch: float) -> Array:
 
 def mark(image: Image, at: Point, status: Status, colour: Ink, size: float, line: int, by_hand: bool) -> None:
     """The sign of `status` at (x, y), about `size` pixels to each side, with lines `line` wide, in place."""
-    if status == "tracked":
+    if status in ("tracked", "hidden"):
         x, y, radius = (round(value * (1 << _SHIFT)) for value in (*at, size))
-        cv2.circle(image, (x, y), radius, colour, -1, cv2.LINE_AA, _SHIFT)
+        cv2.circle(image, (x, y), radius, colour, -1 if status == "tracked" else line, cv2.LINE_AA, _SHIFT)
     else:
         shape = {"lost": _CROSS, "absent": _DASH}.get(status, _DIAMOND)
         strokes = list(fixed(size * shape + at))

@@ -94,16 +94,18 @@ def summary(rows: Trajectory) -> tuple[Status, list[str]]:
     """The status of all that is not absent, and ways to say it, from the longest to the shortest."""
     if not len(rows):
         return "lost", ["no target", "none"]
-    absent, lost = (int(np.sum(rows.status == status)) for status in ("absent", "lost"))
+    absent, lost, hidden = (int(np.sum(rows.status == status)) for status in ("absent", "lost", "hidden"))
     if absent == len(rows):
         return "absent", ["absent"]
     missing = f"{', '.join(_named(rows, rows.status == 'absent'))} absent" if absent else ""
-    if lost:
-        names = _named(rows, rows.status == "lost")
-        whole = "lost: " + ", ".join(names)
-        several = [f"lost: {names[0]} +{len(names) - 1}"] if len(names) > 1 else []
-        both = [f"{whole}; {missing}"] if missing else []
-        return "lost", [*both, whole, *several, f"lost {lost}/{len(rows)}", "lost"]
+    unseen: Status
+    for unseen, count in (("lost", lost), ("hidden", hidden)):
+        if count:
+            names = _named(rows, rows.status == unseen)
+            whole = f"{unseen}: {', '.join(names)}"
+            several = [f"{unseen}: {names[0]} +{len(names) - 1}"] if len(names) > 1 else []
+            both = [f"{whole}; {missing}"] if missing else []
+            return unseen, [*both, whole, *several, f"{unseen} {count}/{len(rows)}", unseen]
     init = rows.status == "init"
     status: Status = "init" if (init | (rows.status == "absent")).all() else "tracked"
     given = rows.by_hand & init

@@ -6,7 +6,7 @@ import { isUncertain } from "./fix_store.js";
 import { PartList } from "./list.js";
 import { BOX, sameSlot, slotId } from "./store.js";
 
-const MARKS = { moved: "hand", marked: "absent", absent: "absent", lost: "lost", init: "init", tracked: "tracked" };
+const MARKS = { moved: "hand", marked: "absent", absent: "absent", hidden: "hidden", lost: "lost", init: "init", tracked: "tracked" };
 
 /** The report of a part in a few words. */
 export function describe({ kind, confidence, byHand }) {
@@ -14,7 +14,7 @@ export function describe({ kind, confidence, byHand }) {
   if (kind === "moved") return "moved";
   if (kind === "marked" || kind === "absent") return "absent";
   if (kind === "init") return byHand ? "by hand" : "start";
-  if (kind === "lost") return `lost ${certain}`.trim();
+  if (kind === "lost" || kind === "hidden") return `${kind} ${certain}`.trim();
   return certain || (kind === "tracked" ? "tracked" : "");
 }
 

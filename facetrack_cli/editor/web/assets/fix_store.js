@@ -4,7 +4,6 @@ import { BOX, emptyTarget, round, Store } from "./store.js";
 
 // the members of a part's cell, as in api/rows
 export const CELL = { x: 0, y: 1, w: 2, h: 3, confidence: 5, status: 6, byHand: 7, corners: 8 };
-const DOUBT = 0.5; // a confidence below this is uncertain, as on the server
 
 /** Where a cell has a part: [x, y] of a point, [left, top, width, height] of a box; null if it has no place. */
 export function placeOf(cell, part) {
@@ -14,7 +13,7 @@ export function placeOf(cell, part) {
 }
 
 /** Whether a part should be reviewed, by what is reported of it. */
-export const isUncertain = ({ kind, confidence }) => kind === "lost" || (confidence ?? 1) < DOUBT;
+export const isUncertain = ({ kind, confidence, below }) => kind === "lost" || (confidence ?? 1) < below;
 
 export class FixStore extends Store {
   rows = null; // a Rows, once it is there
@@ -55,13 +54,15 @@ export class FixStore extends Store {
     return this.drafted(slot) ?? placeOf(this.cell(slot), slot.part);
   }
 
-  /** {kind: marked, moved, init, tracked, lost, absent or unknown; confidence, byHand} in the frame that is shown. */
+  /** {kind: marked, moved, init, tracked, hidden, lost, absent or unknown; confidence, byHand,
+   * below: what a lost part's confidence is below} in the frame that is shown. */
   report(slot) {
     if (this.markedAbsent(slot)) return { kind: "marked" };
     if (this.drafted(slot)) return { kind: "moved" };
     const cell = this.cell(slot);
     if (!cell) return { kind: "unknown" };
-    return { kind: cell[CELL.status], confidence: cell[CELL.confidence], byHand: cell[CELL.byHand] };
+    const below = this.session.lost_below[slot.target];
+    return { kind: cell[CELL.status], confidence: cell[CELL.confidence], byHand: cell[CELL.byHand], below };
   }
 
   isAbsent(slot) {

@@ -93,7 +93,7 @@ export class Review {
     }
     setText($("review-count"), frames.length ? String(frames.length) : "");
     setText($("corrections-count"), corrections.length ? String(corrections.length) : "");
-    const none = "No part is lost, and none has a confidence below 50 %.";
+    const none = "No part is lost or doubtful.";
     setText($("review-note"), frames.length ? "The worst frame first. Frames in grey are reviewed." : none);
     $("corrections-note").hidden = corrections.length > 0;
     $("review-next").disabled = $("review-previous").disabled = !frames.length;

@@ -1,5 +1,5 @@
 // The run over the frame: boxes, and points with their windows and trails.
-// The mark shows the status, as in facetrack's videos: a dot where tracked, a cross where lost, a diamond at a start.
+// The mark shows the status, as in facetrack's videos: a dot where tracked, a ring where hidden, a cross where lost, a diamond at a start.
 
 import { colour, diamond, drawBox, drawHandles, drawLabel, label, LOST, ring, stroke } from "./draw.js";
 import { CELL, placeOf } from "./fix_store.js";
@@ -104,6 +104,7 @@ function drawStatus(context, x, y, cell, ink, size) {
   }
   context.beginPath();
   context.arc(x, y, size, 0, 2 * Math.PI);
+  if (status === "hidden") return stroke(context, ink, Math.min(2.5, size / 2));
   context.lineWidth = size < 3.5 ? 1 : 2;
   context.strokeStyle = "rgb(0 0 0 / 70%)";
   context.stroke();
