@@ -47,7 +47,7 @@ GRIDS: dict[str, tuple[int, list[tuple[str, list[str], list[int]]]]] = {
         for one in ("contour_correlation", "contour_histogram_correlation_robust")
     ]),
 }  # fmt: skip
-DRAGGED, AFTER = 208, 230  # where the guide corrects the corner of the mouth, and a frame after it
+DRAGGED, AFTER = 102, 124  # where the guide corrects the lower lip, and a frame after it
 
 
 def main(names: list[str]) -> None:
@@ -194,7 +194,7 @@ def guide() -> None:
     command("run", "sample_videos/occlusion.mp4", "-q")
     command("report", "occlusion-face", "-q")
     shutil.copytree("occlusion-face", "before")
-    part = "mouth_right"
+    part = "lip_lower"
     truth = facetrack.read_truth("sample_videos/occlusion.truth.csv").find("face", part)
     was = facetrack.read_trajectory("occlusion-face").find("face", part)
     assert truth is not None and was is not None
@@ -253,7 +253,7 @@ def tiers() -> None:
             if end - begin > 0.06 * len(words):
                 axes.text(begin + 0.03, k, words, va="center", fontsize=8, clip_on=True)
     axes.set_yticks(range(len(names)), names)
-    axes.invert_yaxis()
+    axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlabel("seconds")
     figure.savefig(DOCS / "first_track-tiers.png", dpi=100)
 
