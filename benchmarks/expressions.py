@@ -35,6 +35,7 @@ from facetrack_cli.core.types import Array
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.runs.seeds import variant
+from facetrack_cli.trajectory.trajectory import UNSEEN
 
 PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 VARIES, RIGHT, ELLIPSE = 0.03, 0.35, 4.605  # the last: chi squared of two degrees of freedom, 90 %
@@ -73,7 +74,7 @@ def score(clip: Path, config: str, seed: int, regressions: Path | None) -> Score
     def column(name: str) -> Array:
         return np.array([[getattr(one, name)[i] for one, i in zip(parts, rows[t], strict=True)] for t in kept])
 
-    at, lost = np.stack([column("x"), column("y")], axis=2), column("status") == "lost"
+    at, lost = np.stack([column("x"), column("y")], axis=2), np.isin(column("status"), UNSEEN)
     off = (at - true) / unit[..., None]
     error = np.hypot(*np.moveaxis(off - np.median(off, axis=0), 2, 0))
     spread = np.stack([column("std_x"), column("std_y")], axis=2) / unit[..., None]

@@ -53,7 +53,7 @@ from facetrack_cli.tracking.start import read_init
 from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory
-from facetrack_cli.trajectory.trajectory import Trajectory, aligned
+from facetrack_cli.trajectory.trajectory import UNSEEN, Trajectory, aligned
 
 NAMES = (".35", ".2", "off, lost", "lost, off", "false", "back")
 TRUE_NAMES = ("visible", "hidden", "partly", "recall", "false")
@@ -107,7 +107,7 @@ def against_reference(ours: Trajectory, path: Path) -> Points:
             at = None if one is None else one.row(frame)
             if one is not None and at is not None and part in known:
                 x, y, unit = known[part]
-                error[t, k], lost[t, k] = np.hypot(one.x[at] - x, one.y[at] - y) / unit, one.status[at] == "lost"
+                error[t, k], lost[t, k] = np.hypot(one.x[at] - x, one.y[at] - y) / unit, one.status[at] in UNSEEN
     return Points(error, lost, np.zeros_like(lost), np.zeros_like(lost))
 
 
@@ -121,7 +121,7 @@ def against_truth(ours: Trajectory, truth: Trajectory) -> Points:
     left, right = (names.index(name) for name in ("mouth_left", "mouth_right"))
     width = float(np.hypot(x[0, left] - x[0, right], y[0, left] - y[0, right]))
     error = np.hypot(x[:, :k] - x[:, k:], y[:, :k] - y[:, k:]) / width
-    lost, hidden = np.asarray(status[:, k:] == "lost"), np.asarray(status[:, :k] == "hidden")
+    lost, hidden = np.isin(status[:, k:], UNSEEN), np.asarray(status[:, :k] == "hidden")
     box = truth.find("face", "box")
     gone = np.zeros(len(frames), np.bool_) if box is None else np.isin(frames, box.frame[box.status == "hidden"])
     return Points(error, lost, hidden, np.repeat(gone[kept, None], k, axis=1))

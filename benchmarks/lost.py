@@ -67,7 +67,14 @@ def main() -> None:
     given = parser.parse_args()
     recipes = {
         f"{config} | {below} | {patience}": load_recipe(
-            config, (*given.overrides, f"confidence.lost_below={below}", f"confidence.patience={patience}")
+            config,
+            # with a calibration lost does not follow from the raw confidence
+            (
+                "confidence.calibration=null",
+                *given.overrides,
+                f"confidence.lost_below={below}",
+                f"confidence.patience={patience}",
+            ),
         )
         for config, below, patience in itertools.product(
             given.config, given.lost_below.split(","), given.patience.split(",")

@@ -39,7 +39,7 @@ from facetrack_cli.core.models import VARIABLE
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.evaluation.boxes import measure_boxes
 from facetrack_cli.trajectory.formats.read import read_truth
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.trajectory import UNSEEN, Trajectory
 from facetrack_cli.video.source import open_source
 
 LIMITS: Final = Path(__file__).with_suffix(".csv")
@@ -96,7 +96,7 @@ def face(true: Mapping[int, Mapping[str, tuple[float, float, float]]], ours: Tra
         at = {name: np.array([parts[name].x[i], parts[name].y[i]]) for name, i in rows.items() if i is not None}
         unit = known["nose"][2]
         near.append(all(name in at and math.dist(at[name], known[name][:2]) <= 0.2 * unit for name in CORNERS))
-        if all(rows[name] is not None and parts[name].status[rows[name]] != "lost" for name in LIPS):
+        if all(rows[name] is not None and parts[name].status[rows[name]] not in UNSEEN for name in LIPS):
             lips.append(math.dist(*(at[name] for name in LIPS)) / unit)
             true_lips.append(math.dist(*(known[name][:2] for name in LIPS)) / unit)
     found = {"within": float(np.mean(near))}

@@ -39,6 +39,7 @@ from facetrack_cli.core.types import Array, Image
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.runs.seeds import variant
+from facetrack_cli.trajectory.trajectory import UNSEEN
 from facetrack_cli.video.source import open_source
 
 FRAMES, PUT_ON, LONGEST = 180, 20, 640  # of a variant; the frame of the change; pixels of its longer side
@@ -334,7 +335,7 @@ def score(path: Path, config: str, seed: int, regressions: Path | None) -> Score
         off = math.inf
         if one is not None and at is not None:
             off = math.hypot(one.x[at] - float(row["x"]), one.y[at] - float(row["y"])) / float(row["unit"])
-            lost[hidden].append(bool(one.status[at] == "lost"))
+            lost[hidden].append(str(one.status[at]) in UNSEEN)
         if hidden:
             errors.append(off)
         elif row["part"] in CORE:

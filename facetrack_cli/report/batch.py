@@ -18,6 +18,7 @@ from facetrack_cli.run_folder.status import ClipStatus, badness, name_of, survey
 from facetrack_cli.trajectory.header import read_header
 
 PAGE = "batch.html"
+MAX_NOTES = 5  # lines on clips without a picture
 _WIDE = 320  # pixels of a still
 
 
@@ -54,6 +55,8 @@ def make_batch_report(
     if not rows:
         raise InputError(f"{batch}: has no runs yet; wait for the first, or look at facetrack status {batch}")
     title = f"{batch.resolve().name}, {len(rows)} clips" if title is None else title
+    if len(notes) > MAX_NOTES:
+        notes[MAX_NOTES:] = [f"and {len(notes) - MAX_NOTES} more clips without a picture"]
     return ReportPage(encoded(template.render(title=title, rows=rows, counts=found.counts)), tuple(notes))
 
 
