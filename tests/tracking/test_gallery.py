@@ -344,7 +344,7 @@ def test_people_who_are_hardly_told_apart_are_told():
     x, _ = people(1, 24)
     mixed = [f"person {k % 4}" for k in range(24)]  # one face under four names
     [note] = fit_gallery(x, mixed, SHAPE).notes
-    assert "hardly told apart" in note and "% of either error" in note
+    assert "hardly told apart" in note and "equal error rate" in note
 
 
 def test_one_person_is_no_gallery():

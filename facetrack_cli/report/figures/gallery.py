@@ -107,8 +107,8 @@ def calibrated(gallery: Gallery) -> str:
 
 def stranger(gallery: Gallery) -> str:
     """When a face is called a stranger, in words."""
-    errors = f"{100 * gallery.errors:.0f} % of either error here"
-    return f"none of them: below a log ratio of {gallery.threshold:.0f}; {errors}"
+    errors = f"equal error rate {100 * gallery.errors:.0f} %"
+    return f"a face is of none of them below a log likelihood ratio of {gallery.threshold:.0f} ({errors})"
 
 
 def _total(space: Subspace) -> float:

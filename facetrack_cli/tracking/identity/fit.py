@@ -119,7 +119,7 @@ def _notes(names: Sequence[str], counts: Sequence[int], errors: float) -> tuple[
         each, their = (" each", "their faces change") if len(single) > 1 else ("", "this face changes")
         found.append(f"{', '.join(single)}: one image{each}: {_CHANGES.format(their)}; add further images")
     if errors > MAX_ERRORS:
-        share = f"{100 * errors:.0f} % of either error for somebody who is not among those learned from"
+        share = f"the equal error rate is {100 * errors:.0f} % for a person who is not in the gallery"
         remedy = "look whether each is in one folder alone, and add people and images"
         found.append(f"by these images people are hardly told apart: {share}; {remedy}")
     return tuple(found)

@@ -45,7 +45,7 @@ class Gallery:
     """Who is known, and how faces differ. P persons, patches of d = rows * cols points, flattened by rows.
 
     `faces` (P, d) are the I_n. `calibration` is (a, b) of p_f and `most_frontal` its upper bound; `threshold` the log
-    ratio of "none of them", and `errors` the share of either error there. `counts` (P,) are the images of each person,
+    ratio of "none of them", and `errors` the equal error rate there. `counts` (P,) are the images of each person,
     `proportion` is the width of a face's box over its height, if known. Raises ValueError for what is no gallery.
     """
 
