@@ -14,7 +14,7 @@ import numpy as np
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.core.geometry import iou, size_of_points
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.trajectory.trajectory import UNSEEN, Trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 NEAR = 1 / 6  # of the normalising length: a point is near if its error is less
 RIGHT = 1 / 4  # of the size: a row is right, as calibration has it, if the error of its centre is less
@@ -109,8 +109,8 @@ def rows_of(pair: Pair, unit: Array) -> Rows:
         near=near & placed & known,
         right=(error < RIGHT * size) & placed & known,
         judged=(placed & known) | absent,
-        stated=np.isin(ours.status, ("tracked", *UNSEEN)),
-        lost=np.isin(ours.status, UNSEEN),
+        stated=(ours.status == "tracked") | ours.unseen,
+        lost=ours.unseen,
         init=init,
         later=init & ~first,
         left_out=(ours.status == "absent") & ~ours.vanished,

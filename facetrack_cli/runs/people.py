@@ -45,7 +45,7 @@ from facetrack_cli.trajectory.people import (
     tracks_of,
     under_names,
 )
-from facetrack_cli.trajectory.trajectory import UNSEEN, FrameResult, Trajectory
+from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import ending_of
 from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.shots import Shot, find_cuts, shots_of
@@ -131,7 +131,7 @@ def cast(
     """Who the tracks of `rows` are of, by what the frames of `source` show. Raises StoppedError once `stop` says so."""
     boxes = _boxes(rows)
     least = min(MIN_FRAMES, len(rows.frames))
-    boxes = {name: box for name, box in boxes.items() if (~np.isin(box.status, UNSEEN)).sum() >= least}
+    boxes = {name: box for name, box in boxes.items() if (~box.unseen).sum() >= least}
     readers, known = looks_in(boxes, source, report, stop), known or {}
     begins = np.array([shot.first for shot in shots])
     tracks = [
@@ -176,7 +176,7 @@ def film_of(people: People, rows: Trajectory, clip: Path | None) -> tuple[Path |
 
 
 def _ends(box: Trajectory) -> tuple[Any, Any]:
-    there = box.take(~np.isin(box.status, UNSEEN)).boxes
+    there = box.take(~box.unseen).boxes
     return tuple(there[0].tolist()), tuple(there[-1].tolist())
 
 

@@ -111,7 +111,6 @@ class _SmoothedTarget:
         table = {name: getattr(rows, name).reshape(k, t).T for name in (*_SMOOTHED, "status", "by_hand")}
         self.of = table
         self.gone: Mask = np.isnan(table["x"])
-        # of a calibrated recipe a part that is seen may be lost
         lost: Mask = np.isin(table["status"], UNSEEN)
         given = (table["by_hand"] | (table["status"] == "init")).any(axis=1)
         self.fixed: Mask = self.gone | given[:, None]
@@ -122,6 +121,7 @@ class _SmoothedTarget:
             given[0] = False
         self.sizes = [len(one.mean) for one in known]
         ends = np.cumsum([0, *self.sizes])
+        # a calibration may call a part lost that the filter sees: then nothing is in doubt
         self.chains = [
             smoothing.chain(
                 of := [each[i] for each in whole],

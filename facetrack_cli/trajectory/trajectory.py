@@ -187,6 +187,11 @@ class Trajectory:
         return np.stack([self.x - (self.w - 1) / 2, self.y - (self.h - 1) / 2, self.w, self.h], axis=1)
 
     @property
+    def unseen(self) -> Mask:
+        """(R,) which rows the tracker has a place for and does not see: those that are lost or hidden."""
+        return np.isin(self.status, UNSEEN)
+
+    @property
     def vanished(self) -> Mask:
         """(R,) rows of boxes that the tracker itself calls absent, as a hand below the picture."""
         box = np.array([part == BOX for _, part in self.names], np.bool_)

@@ -20,7 +20,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from facetrack_cli.core.types import Array
-from facetrack_cli.trajectory.trajectory import UNSEEN, Trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 Name: TypeAlias = Literal[
     "x", "y", "w", "h", "angle", "std_x", "std_y", "ess", "step", "particles", "confidence", "lost", "identity"
@@ -196,7 +196,7 @@ def _values(quantity: Name, one: Trajectory, named: Mapping[str, str]) -> Array:
         same = one.identity == named.get(one.target, "")
         return np.where(one.identity == "", np.nan, np.where(same, one.identity_prob, 0.0))
     if quantity == "lost":
-        return np.isin(one.status, UNSEEN).astype(float)
+        return one.unseen.astype(float)
     if quantity == "step":
         values = np.hypot(np.diff(one.x, prepend=math.nan), np.diff(one.y, prepend=math.nan))
     else:

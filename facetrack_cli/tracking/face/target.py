@@ -45,7 +45,7 @@ from facetrack_cli.tracking.roles import Names
 from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.tracking.target import ParticleState, ParticleTarget
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnostics
-from facetrack_cli.trajectory.trajectory import UNSEEN, TargetResult, Trajectory, of_frame
+from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, of_frame
 from facetrack_cli.video.shots import Passing, small
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
@@ -375,7 +375,7 @@ class FaceTarget:
         values[EVIDENCE.name] = sum(float(one.diagnostics[self.name].get(EVIDENCE.name)[0]) for one in seen)
         found = {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
         faces = of_frame(self._names, frame, found, **columns)
-        unseen: Mask = np.isin(faces.status, UNSEEN)
+        unseen = faces.unseen
         if self.calibration is not None:
             faces = self.calibration.applied(faces, self.features.size * self.side / FACE)
         cloud = similarity.to_frame(state.points.cloud)

@@ -23,7 +23,7 @@ from facetrack_cli.core.geometry import share_inside
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array, Frame, Image
 from facetrack_cli.tracking.face.stabilized import Similarity
-from facetrack_cli.trajectory.trajectory import UNSEEN, Trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory
 
 VIEWS: Final = 8  # frames of a track that are looked at
 CHIP_PX: Final = 150  # sides of the face that dlib's network sees
@@ -110,7 +110,7 @@ class View(NamedTuple):
 
 def views_of(box: Trajectory) -> list[View]:
     """The frames in which to look at a track, of the rows of its box."""
-    good = np.flatnonzero(~np.isin(box.status, UNSEEN) & np.isfinite(box.x))
+    good = np.flatnonzero(~box.unseen & np.isfinite(box.x))
     if not len(good):
         return []
     sure = np.where(np.isnan(box.confidence[good]), 1.0, box.confidence[good])

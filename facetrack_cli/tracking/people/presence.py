@@ -165,9 +165,9 @@ class Film:
         for (track, first), back in zip(begun, each, strict=True):
             ordered = [*reversed(back), first]
             for at, result in zip(frames[len(frames) - len(ordered) :], ordered, strict=True):
-                status = result.rows.status
-                status = np.where(np.isin(status, UNSEEN), status, "init" if result is ordered[0] else "tracked")
-                found[at.index][track.name] = result._replace(rows=replace(result.rows, status=status))
+                rows, how = result.rows, "init" if result is ordered[0] else "tracked"
+                status = np.where(rows.unseen, rows.status, how)
+                found[at.index][track.name] = result._replace(rows=replace(rows, status=status))
             track.see(first)
             known.tracks.append(track)
 
