@@ -148,8 +148,8 @@ class Status:
                 kept = f"{one.frames} frames are" if one.frames else "what it had tracked is"
                 yield f"interrupted: {one.clip}: {kept} kept"
         for one in self.clips:
-            if one.state == "failed":
-                yield f"failed: {'' if one.clip in (one.error or '') else f'{one.clip}: '}{one.error}"
+            if one.log:
+                yield f"the last lines of {one.clip}:"
                 yield from (f"    {line}" for line in one.log[-5:])
         yield self._remaining()
 
@@ -169,14 +169,15 @@ class Status:
 
 
 def worst(clips: Sequence[ClipStatus]) -> Iterator[str]:
-    """A table of the clips that are done and that somebody should look at, worst first."""
+    """A table of the clips that failed, and of those that somebody should look at, worst first."""
     rows = sorted((one for one in clips if one.look), key=badness)
     if not rows:
         return
     width = max(len("clip"), *(len(name_of(one)) for one in rows[:MAX_ROWS]))
     yield f"{'clip':<{width}}  frames  lost  look at"
     for one in rows[:MAX_ROWS]:
-        yield f"{name_of(one):<{width}}  {one.frames:>6}  {one.lost or 0.0:>4.0%}  {one.look}"
+        lost = "–" if one.lost is None else f"{one.lost:.0%}"
+        yield f"{name_of(one):<{width}}  {one.frames:>6}  {lost:>4}  {one.look}"
     if len(rows) > MAX_ROWS:
         yield f"and {len(rows) - MAX_ROWS} more; --json of facetrack status has all"
 
@@ -240,7 +241,8 @@ def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
     try:
         known = read_manifest(folder)
     except InputError as e:
-        return ClipStatus(clip or name, name, "failed", error=str(e), exit_code=int(e.exit_code))
+        look = f"failed: {e}"
+        return ClipStatus(clip or name, name, "failed", look=look, error=str(e), exit_code=int(e.exit_code))
     note = holder(folder)
     if note is not None:
         seconds = _number(note, "seconds")
@@ -276,7 +278,7 @@ def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
         complete=known.complete,
         lost=lost,
         doubtful=bool(known.doubts),
-        look=look if state == "done" else "",
+        look=f"failed: {known.error}" if state == "failed" else look if state == "done" else "",
         still=None if a is None or b is None else (a + b) // 2,
         error=known.error,
         exit_code=known.exit_code,

@@ -14,6 +14,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.cli import app as cli
 from facetrack_cli.core.errors import ExitCode, InputError, OutputError, RecipeError
 from facetrack_cli.recipe.files import TAKE, TASKS, default_recipe, shipped_recipes
+from facetrack_cli.tracking.start import read_init
 from tests.support.terminal import read_all
 
 HEAVY = {"numpy", "cv2", "numba", "pydantic", "rich", "imageio", "imageio_ffmpeg", "ruamel"}
@@ -293,3 +294,14 @@ def test_help_has_sections_and_every_option_in_one_of_them(capsys):
 def test_track_is_run(capsys):
     assert main(["track", "--help"]) == 0
     assert "Usage: facetrack run" in capsys.readouterr().out
+
+
+def test_init_finds_all_faces_of_a_frame(tmp_path, capsys):
+    film = Path(__file__).parents[2] / "sample_videos" / "film.mp4"
+    for faces, targets in (("one", ["face"]), ("all", ["face", "face_2"])):
+        path = tmp_path / f"{faces}.init.yaml"
+        assert main(["init", str(film), "--faces", faces, "--init-frame", "92", "-o", str(path)]) == 0
+        assert list(read_init(path).targets) == targets
+    capsys.readouterr()
+    assert main(["init", str(film), "--faces", "all", "--box", "1,1,50,50"]) == ExitCode.USAGE
+    assert "leave out --box" in capsys.readouterr().err

@@ -99,6 +99,14 @@ def test_a_dump_has_lengths_as_they_were_written():
     assert settings["motion"]["position"]["B"] == [[0.1, "2px"], [0.0, 0.05]]
 
 
+@pytest.mark.parametrize(
+    ("name", "target", "below"),
+    [("signer", "left_hand", 0.65), ("signer", "head", 0.5), ("face", "face", 0.5), ("head_hands", "left_hand", 0.4)],
+)
+def test_a_target_is_lost_below_one_number(name, target, below):
+    assert load_recipe(name).lost_below(target) == below
+
+
 def test_each_step_from_the_fixed_template_adapts_one_thing_more():
     recipes = [to_dict(load_recipe(name)) for name in STEPS]
     changed = [

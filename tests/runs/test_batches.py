@@ -244,7 +244,7 @@ def test_status_in_each_state(clips, capsys):
     assert done["frames"] == 6 and done["seconds"] > 0 and done["ended"] >= done["since"] > "2"
     assert found["work_s"] == pytest.approx(2.5 * done["seconds"], abs=0.1)
     assert found["remaining_s"] == found["work_s"]
-    assert "out: 5 clips" in text and "failed: clips/c1.mp4: not a video" in text
+    assert "out: 5 clips" in text and "c1-face       0     –  failed: clips/c1.mp4: not a video" in text
     assert f"running: clips/c3.mp4: on {locks.here()[0]} since 2" in text and "3 of about 6 frames" in text
     assert "interrupted: clips/c2.mp4: what it had tracked is kept" in text
     assert "3 clips left: about" in text and ", 1 at a time" in text

@@ -11,6 +11,7 @@ import time
 from fractions import Fraction
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -81,6 +82,15 @@ def test_variable_rate_stays_in_step_with_the_source(tmp_path: Path) -> None:
         if min(abs(times - moment)) > 0.003:
             assert media.number(pictures[np.searchsorted(shown, moment, side="right") - 1][1]) == expected
     assert onset(tmp_path / "out.mp4") == pytest.approx(0.5, abs=0.03)
+
+
+def test_a_variable_rate_is_sought_by_number_in_opencv(tmp_path: Path) -> None:
+    times = np.round(np.cumsum(np.random.default_rng(1).uniform(0.033, 0.043, 40)), 3)  # as of a telephone
+    copy(media.write_video(tmp_path / "vfr.mp4", frames=40, times=times.tolist()), tmp_path / "out.mp4")
+    capture = cv2.VideoCapture(str(tmp_path / "out.mp4"))
+    for index in np.random.default_rng(0).permutation(40):
+        capture.set(cv2.CAP_PROP_POS_FRAMES, int(index))
+        assert media.number(capture.read()[1]) == index
 
 
 def test_every_source_gives_as_many_frames_as_it_has(tmp_path: Path) -> None:

@@ -13,10 +13,9 @@ from facetrack_cli.core.errors import ExitCode, flat
 class Status:
     """Tell how far a batch is, and how long it still takes.
 
-    RESULTS is the folder that --out of facetrack run named, or that of a single run. What runs is told with its
-    machine, since when, and how far it is; what failed with the reason. A table names the clips to look at:
-    incomplete clips first, then those in which a part is lost most. The time that is left is reckoned from the clips
-    that are done, and from how many are being tracked now. Nothing is written.
+    RESULTS is the folder that --out of facetrack run named, or that of a single run. A table names the clips to look
+    at, the worst first: clips that failed, with the reason; incomplete clips; clips in which a part is lost most. What
+    runs is told with its machine, since when, and how far it is. Nothing is written.
 
     \b
     Examples:
