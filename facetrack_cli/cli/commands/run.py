@@ -448,8 +448,10 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: 
     shown.close()
     if stop.code is not None:
         return stop.code
-    for line in worst([clip_status(job.out, job.out.name, str(job.clip)) for job in jobs if job.out is not None]):
-        shown.say(line)
+    found = [clip_status(job.out, job.out.name, str(job.clip)) for job in jobs if job.out is not None]
+    if any(one.look and one.state == "done" for one in found):  # what failed has been told
+        for line in worst(found):
+            shown.say(line)
     if failed:
         again = f", {before} of them before; --retry-failed tries those again" if before else ""
         shown.say(f"{failed} of {len(jobs)} inputs failed{again}")
