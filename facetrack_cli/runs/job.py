@@ -17,7 +17,7 @@ from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.files import default_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.run_folder.fingerprint import clip_stat, job_digest, previous_run
-from facetrack_cli.run_folder.lock import FolderLock, here
+from facetrack_cli.run_folder.lock import LOCK, FolderLock, here
 from facetrack_cli.run_folder.manifest import (
     OWNED,
     VIDEO,
@@ -233,10 +233,11 @@ def default_reason(box: Box | None, clip: Path) -> str:
     return f"; recipe {name} is the default {why}, others: facetrack suggest {shlex.quote(str(clip))}{said}"
 
 
-def check(job: Job, *, kept: bool = False) -> None:
+def check(job: Job, *, kept: bool = False, locked: bool = False) -> None:
     """Refuse what cannot work before anything is opened: results in the way, an output that is the input.
 
-    `kept`: without a folder the rows stay in memory, and do not go to standard output.
+    `kept`: without a folder the rows stay in memory, and do not go to standard output. `locked`: the folder's lock is
+    ours, so that nobody else writes there.
     """
     if job.everyone and (job.lag or job.posterior):
         raise UsageError(
@@ -258,7 +259,11 @@ def check(job: Job, *, kept: bool = False) -> None:
         # what is cut short is replaced, and what failed
         overwrite = job.overwrite or job.previous() is not None or (there is not None and there.is_failure)
         init = job.init if isinstance(job.init, Path) else None
-        check_folder(job.out, OWNED, overwrite=overwrite, inputs=(job.clip, init, job.recipe.path))
+        try:
+            check_folder(job.out, OWNED, overwrite=overwrite, inputs=(job.clip, init, job.recipe.path))
+        except OutputError:  # another facetrack may have written the same results since, or be writing them
+            if locked or not (is_there(job.out / LOCK) or job.previous() is not None):
+                raise
 
 
 def check_lag(job: Job, source: Source) -> None:

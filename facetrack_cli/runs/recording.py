@@ -133,7 +133,7 @@ class Recorder:
             self._run = Manifest(
                 asked=self.job.digest(), networks=self.job.recipe.networks, host=here()[0], began=utc_now()
             )
-            check(self.job)  # again, as somebody may have written since
+            check(self.job, locked=True)  # again, as somebody may have written since
             self._sinks += [FileSink(out / f"trajectory.{form}") for form in self.job.formats]
         except OutputError:
             self.__exit__()

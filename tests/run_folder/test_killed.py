@@ -23,10 +23,9 @@ from facetrack_cli.run_folder.lock import LOCK, FolderLock
 from facetrack_cli.run_folder.manifest import NAME, read_manifest, read_run, recover_interrupted
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, side_by_side
-from tests.runs.test_run import FACETRACK, SMALL, make_clip
+from tests.runs.test_run import FACETRACK, ROWS, SMALL, make_clip
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and locks of POSIX")
-ROWS = 6  # of a frame
 TABLES = ["--no-video", "--format", "csv,json,jsonl"]
 
 

@@ -18,6 +18,7 @@ from facetrack_cli.run_folder import lock as locks
 from facetrack_cli.run_folder.lock import LOCK, FolderLock
 from facetrack_cli.run_folder.manifest import read_manifest
 from facetrack_cli.run_folder.status import MAX_ROWS, ClipStatus, duration, worst
+from facetrack_cli.runs import job as jobs
 from facetrack_cli.runs.job import Outcome
 from tests.runs.test_run import FACETRACK, SMALL, make_clip
 
@@ -65,6 +66,19 @@ def test_two_at_once_share_the_clips_and_do_none_twice(clips, workers):
     assert sum("done before" not in line for line in lines) == 12, said
     assert all(sum(f"c{i}.mp4 -> " in line for line in text.splitlines()) == 1 for text in said for i in range(12))
     assert len(tracked(Path("out"))) == 12 and len(list(Path("out").glob("batch-*.json"))) == 1
+
+
+def test_results_that_another_writes_between_two_looks_are_no_obstacle(clips, capfd, monkeypatch):
+    check = jobs.check_folder
+
+    def late(*given, **more):
+        monkeypatch.setattr(jobs, "check_folder", check)
+        assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 0
+        check(*given, **more)
+
+    monkeypatch.setattr(jobs, "check_folder", late)
+    assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 0
+    assert capfd.readouterr().err.count("done before") == 2
 
 
 @posix

@@ -39,7 +39,8 @@ INIT = """\
 frame: 0
 points: {nose: [60, 40], mouth_left: [48, 62], mouth_right: [72, 62], lip_upper: [60, 58], lip_lower: [60, 68]}
 """
-SMALL = ["--config", str(Path(__file__).parents[1] / "support" / "face.yaml")]  # the default with few particles
+SMALL = ["--config", str(Path(__file__).parents[1] / "support" / "face.yaml")]  # five points, fast
+ROWS = 5  # of a frame
 
 Runner = Callable[..., tuple[int, str, str]]
 
@@ -114,12 +115,12 @@ def test_a_clip_gets_a_folder_with_three_files(run: Runner, clip: Path) -> None:
     folder = Path("sway-face")
     assert names(folder) == ["annotated.mp4", "run.json", "trajectory.csv", "trajectory.json"]
     table = file_rows(folder / "trajectory.csv")
-    assert [row.frame for row in table] == [i for i in range(30) for _ in range(6)]
-    assert {row.status for row in table[:6]} == {"init"}
+    assert [row.frame for row in table] == [i for i in range(30) for _ in range(ROWS)]
+    assert {row.status for row in table[:ROWS]} == {"init"}
     assert count(folder / "annotated.mp4") == 30
     data = json.loads((folder / "trajectory.json").read_text())
     assert (data["complete"], data["frames_tracked"], data["variable_fps"]) == (True, 30, False)
-    assert (data["recipe"]["name"], data["recipe"]["filter"]["particles"]) == ("face", 30)
+    assert (data["recipe"]["name"], data["recipe"]["filter"]["particles"]) == ("face", 20)
     assert data["source"] == {"path": str(clip), "size": [128, 96], "fps": 25.0}
     assert data["init"]["targets"]["face"]["points"]["nose"] == [60, 40]
     assert data["frames"][0]["targets"][0]["particles"] == 130
@@ -252,7 +253,7 @@ def test_an_init_file_with_a_box_alone_is_enough(run: Runner) -> None:
     Path("box.yaml").write_text("frame: 2\nbox: [110, 93, 99, 99]\n")
     code, out, _ = run(SAMPLE, *SMALL, "--init", "box.yaml", "--stop", 4, "-o", "-")
     assert code == 0
-    assert len(out.splitlines()) == 1 + 2 * 6
+    assert len(out.splitlines()) == 1 + 2 * ROWS
 
 
 # --- what is refused ---
@@ -403,7 +404,7 @@ def test_a_full_disk_keeps_what_was_tracked(run: Runner, clip: Path, monkeypatch
     folder = Path("sway-face")
     assert names(folder) == ["annotated.mp4", "run.json", "trajectory.csv", "trajectory.json"]
     kept = file_rows(folder / "trajectory.csv")
-    assert [row.frame for row in kept] == [i for i in range(len(kept) // 6) for _ in range(6)]
+    assert [row.frame for row in kept] == [i for i in range(len(kept) // ROWS) for _ in range(ROWS)]
     assert 0 < len(kept) < 150
 
 
@@ -533,7 +534,7 @@ def test_a_batch_goes_on_past_a_bad_clip(run: Runner, clip: Path, tmp_path: Path
     ]  # fmt: skip
     assert names(Path("all/bad-face")) == ["run.json"]
     assert count(Path("all/sway-face/annotated.mp4")) == 30
-    assert len(file_rows(Path("all/other-face/trajectory.csv"))) == 60
+    assert len(file_rows(Path("all/other-face/trajectory.csv"))) == 10 * ROWS
     lines = err.splitlines()
     assert sum("facetrack: error: bad.mp4: not a video" in line for line in lines) == 1
     assert lines[-1] == "1 of 3 inputs failed"
@@ -564,7 +565,7 @@ def test_what_was_done_otherwise_is_refused(run: Runner, tmp_path: Path) -> None
         ["--seed", "9"],
         ["--stop", "5"],
         ["--no-video"],
-        ["--set", "confidence.patience=3", "-o", "sway-face"],
+        ["--set", "confidence.patience=4", "-o", "sway-face"],
     ):
         assert "exists already" in one_line(run(clip, *SMALL, *change)[2])
     clip.write_bytes(make_clip(tmp_path / "another.mp4", 11).read_bytes())
@@ -636,7 +637,7 @@ def check_interrupted(folder: Path, all_frames: int, reason: str) -> None:
     done = data["frames_tracked"]
     assert 0 < done < all_frames
     assert (data["complete"], data["stopped"], len(data["frames"])) == (False, reason, done)
-    assert len(file_rows(folder / "trajectory.csv")) == 6 * done
+    assert len(file_rows(folder / "trajectory.csv")) == ROWS * done
     assert count(folder / "annotated.mp4") == done
 
 
@@ -859,7 +860,7 @@ def test_an_encoder_that_is_killed(run: Runner, clip: Path, monkeypatch: pytest.
     assert "(trajectory.csv, trajectory.json): 30 frames" in summary and "incomplete" not in summary
     assert "annotated.mp4: the video cannot be written (ffmpeg was killed by signal 9); run it again" in error
     assert names(Path("sway-face")) == ["run.json", "trajectory.csv", "trajectory.json"]
-    assert len(file_rows(Path("sway-face/trajectory.csv"))) == 30 * 6
+    assert len(file_rows(Path("sway-face/trajectory.csv"))) == 30 * ROWS
     data = json.loads(Path("sway-face/trajectory.json").read_text())
     assert data["complete"] is True and "stopped" not in data
     assert ["annotated.mp4: the video cannot be written" in line for line in data["warnings"]] == [True]
