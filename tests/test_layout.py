@@ -27,23 +27,24 @@ NO_FILE_IS_LONGER = 600
 
 def imports(source):
     """(module, line, whether it is executed on import) of every import, `from facetrack_cli import x` as module x."""
-    tree = ast.parse(source)
-    later = {
-        id(below)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef) or (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test))
-        for below in ast.walk(node)
-    }
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            assert not node.level, "imports are absolute"
-            base = node.module or ""
-            names = [f"{base}.{alias.name}" for alias in node.names] if base == "facetrack_cli" else [base]
-        else:
-            continue
-        yield from ((name, node.lineno, id(node) not in later) for name in names if name != "facetrack_cli.__version__")
+    yield from imports_of(ast.parse(source), True)
+
+
+def imports_of(node, at_once):
+    if isinstance(node, ast.Import):
+        yield from ((alias.name, node.lineno, at_once) for alias in node.names)
+    elif isinstance(node, ast.ImportFrom):
+        assert not node.level, "imports are absolute"
+        base = node.module or ""
+        names = [f"{base}.{alias.name}" for alias in node.names] if base == "facetrack_cli" else [base]
+        yield from ((name, node.lineno, at_once) for name in names if name != "facetrack_cli.__version__")
+    elif not isinstance(node, ast.expr):
+        if isinstance(node, ast.FunctionDef) or (
+            isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        ):
+            at_once = False
+        for below in ast.iter_child_nodes(node):
+            yield from imports_of(below, at_once)
 
 
 FILES = {path.relative_to(PACKAGE): path.read_text(encoding="utf-8") for path in sorted(PACKAGE.rglob("*.py"))}

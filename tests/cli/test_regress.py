@@ -292,7 +292,7 @@ def test_a_likelihood_shifted_by_a_pixel_and_a_half_fails(stem: str, monkeypatch
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stem", [*ONE_BY_DAY, "map.skin_ncc_robust"])
+@pytest.mark.parametrize("stem", [*ONE_BY_DAY, pytest.param("map.skin_ncc_robust", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("first_seed", [300, *(pytest.param(n, marks=pytest.mark.nightly) for n in (400, 500))])
 def test_unseen_seeds_pass(stem: str, first_seed: int) -> None:
     (found,) = verdicts(stem, first_seed=first_seed)

@@ -268,7 +268,12 @@ def test_page_names_itself():
 
 @pytest.mark.parametrize(
     ("frames", "parts", "targets"),
-    [(1, 5, ("face",)), (2, 1, ("",)), (40, 68, ("face",)), (40, 3, ("a", "b", "c")), (9, 9, ("_a", "b_", "漢"))],
+    [
+        (1, 5, ("face",)),
+        (9, 9, ("_a", "b_", "漢")),
+        pytest.param(2, 1, ("",), marks=pytest.mark.nightly),
+        pytest.param(40, 68, ("face",), marks=pytest.mark.nightly),
+    ],
 )
 def test_page_of_any_shape(frames, parts, targets):
     table = track(frames, parts, targets)

@@ -127,8 +127,17 @@ def test_how_many_kernels_are_compiled_is_told():
     assert told == [(0, 2, "compiling", "kernels"), (1, 2, "compiling", "kernels")]
 
 
-@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
-@pytest.mark.parametrize("left", ["nothing", "half", "zeros"])
+@pytest.mark.parametrize(
+    ("suffix", "left"),
+    [
+        (".nbi", "zeros"),
+        (".nbc", "half"),
+        pytest.param(".nbi", "nothing", marks=pytest.mark.nightly),
+        pytest.param(".nbi", "half", marks=pytest.mark.nightly),
+        pytest.param(".nbc", "nothing", marks=pytest.mark.nightly),
+        pytest.param(".nbc", "zeros", marks=pytest.mark.nightly),
+    ],
+)
 def test_files_that_power_loss_cuts_are_compiled_anew_with_one_warning(package, suffix, left):
     run, folder = package
     run()
