@@ -39,6 +39,7 @@ class Frame:
     time_s: float
     pixels: Image
     _bgr: Image | None = field(default=None, repr=False, compare=False)
+    _part: tuple[Image, int, int, Extent] | None = field(default=None, repr=False, compare=False)
     _reduced: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
     _luma: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
     _grey: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
@@ -66,8 +67,25 @@ class Frame:
         of the image, so that a block has the same mean whatever is asked for; an incomplete last block is left out.
         """
         if factor == 1:
-            return self.bgr, 0, 0
+            return self._colours(extent)
         return self._smaller(self.reduced, self._reduced, factor, extent)
+
+    def _colours(self, extent: Extent) -> tuple[Image, int, int]:
+        """As `reduced` by 1. Of planes a part of the image is converted, where it is less than half of the whole."""
+        if self._part is not None and _within(extent, self._part[3]):
+            return self._part[:3]
+        width, height = self.size
+        asked = _widened(extent, 6.0)
+        x0, x1 = (2 * at for at in _blocks(asked[0], asked[2], 2, max(width // 2, 1)))
+        y0, y1 = (2 * at for at in _blocks(asked[1], asked[3], 2, max(height // 2, 1)))
+        if self._bgr is not None or self.pixels.ndim == 3 or 2 * (x1 - x0) * (y1 - y0) > width * height:
+            return self.bgr, 0, 0
+        y, u, v = np.split(self.pixels.ravel(), [width * height, width * height // 4 * 5])
+        chroma = (one.reshape(-1, width // 2)[y0 // 2 : y1 // 2, x0 // 2 : x1 // 2].ravel() for one in (u, v))
+        planes = np.concatenate([y.reshape(-1, width)[y0:y1, x0:x1].ravel(), *chroma])
+        image = cv2.cvtColor(planes.reshape(-1, x1 - x0), cv2.COLOR_YUV2BGR_I420)
+        self._part = np.asarray(image, np.uint8), x0, y0, asked
+        return self._part[:3]
 
     def grey(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         """The image in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""

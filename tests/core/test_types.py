@@ -88,3 +88,16 @@ def test_a_picture_smaller_than_a_block_is_one_block(shape):
 )
 def test_the_factor_is_the_least_power_of_two_that_brings_a_length_below_its_bound(longest, most, factor):
     assert factor_for(longest, most) == factor
+
+
+@given(calls=st.lists(anywhere, min_size=1, max_size=4), width=st.integers(1, 70), height=st.integers(1, 50))
+def test_a_part_of_planes_has_the_colours_of_the_whole(calls, width, height):
+    planes = np.random.default_rng(2).integers(0, 256, (3 * height, 2 * width), dtype=np.uint8)
+    frame, whole = Frame(0, 0.0, planes), Frame(0, 0.0, planes).bgr
+    for x, y, w, h in calls:
+        part, left, top = frame.reduced(1, (x, y, x + w, y + h))
+        assert np.array_equal(part, whole[top : top + part.shape[0], left : left + part.shape[1]])
+        right, bottom = left + part.shape[1] - 1, top + part.shape[0] - 1
+        assert left <= max(x, 0) or x > 2 * width - 1
+        assert top <= max(y, 0) or y > 2 * height - 1
+        assert right >= min(x + w, 2 * width - 1) and bottom >= min(y + h, 2 * height - 1)
