@@ -86,13 +86,16 @@ def ended_twice(tmp_path, recipe, *settings, **more):
     return out, whole
 
 
-@pytest.mark.parametrize("recipe", ["correlation_filter", "head_hands", "signer", "adaptive_recognition"])
+@pytest.mark.parametrize(
+    "recipe",
+    ["correlation_filter", pytest.param("head_hands", marks=pytest.mark.nightly), "signer", "adaptive_recognition"],
+)
 def test_rows_are_those_of_a_run_that_was_not_ended(tmp_path, recipe):
     out, whole = ended_twice(tmp_path, recipe)
     assert same(out, whole) and read_manifest(out).frames == read_manifest(whole).frames == 26
 
 
-@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("threads", [pytest.param(1, marks=pytest.mark.nightly), 2])
 def test_so_are_the_frames_of_the_video_and_the_posterior(tmp_path, threads, monkeypatch):
     monkeypatch.setattr(posterior, "_BLOCK_FRAMES", 5)
     more = {"video": True, "threads": threads, "posterior": True, "formats": ("csv", "json", "jsonl")}

@@ -270,6 +270,7 @@ def test_moments():
             frame_at(odd, 25.0)
 
 
+@pytest.mark.nightly
 def test_threads_change_nothing(tmp_path):
     one, two = tmp_path / "one", tmp_path / "two"
     assert clip.run(job(one, threads=1), Stop()).error is None
