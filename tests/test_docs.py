@@ -90,6 +90,7 @@ def test_generated_pages_are_fresh(capsys):
     assert load_tool().main(["--check"]) == 0, capsys.readouterr().out
 
 
+@pytest.mark.nightly
 def test_a_stale_page_is_told(tmp_path, monkeypatch, capsys):
     tool = load_tool()
     monkeypatch.setattr(tool, "DOCS", tmp_path)
@@ -223,6 +224,7 @@ def expanded(words):
     return [path for word in words for path in (sorted(map(str, Path().glob(word))) if "*" in word else [word])]
 
 
+@pytest.mark.nightly
 def test_documented_commands_run_on_the_sample_clips(tmp_path, monkeypatch, capfd):
     (tmp_path / "sample_videos").symlink_to(ROOT / "sample_videos")
     monkeypatch.chdir(tmp_path)

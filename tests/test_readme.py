@@ -28,7 +28,7 @@ SHORT = {
     "REPEAT_STOP": "12", "REPEAT_SEEDS": "2",
 }  # fmt: skip
 MORE = {
-    "film.md": {"RUN_STOP": "110"},  # until a person is split
+    "film.md": {"RUN_STOP": "60"},  # until both people are there
     "page.md": {"RUN_STOP": "105"},  # until a point is corrected
     "measure.md": {"PLOT_PARTIAL": "1", "REPORT_PARTIAL": "1"},
 }

@@ -125,6 +125,7 @@ def test_a_worker_that_is_killed(dask, place):
     check_equal(place, "killed")
 
 
+@pytest.mark.nightly
 def test_ctrl_c_closes_the_files_on_the_workers(dask, place):
     words = [*SIR, "-o", "stopped", "--cluster", dask.file, *names()]
     head = dask.run(*words, cwd=place, wait=False)

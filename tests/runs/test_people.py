@@ -166,7 +166,7 @@ def test_people_of_another_film_have_their_names(ran, tmp_path, capsys):
     out, known = shutil.copytree(ran, tmp_path / "out"), tmp_path / "people.npz"
     given = ["--rename", "person_1=Eileen", "--rename", "person_2=Grace", "--no-video", "--save", str(known), "-q"]
     assert main(["people", str(out), *given]) == 0
-    again = ["run", str(FILM), "--faces", "all", "--start", "45", "--no-video", "--gallery"]
+    again = ["run", str(FILM), "--faces", "all", "--start", "45", "--stop", "190", "--no-video", "--gallery"]
     assert main([*again, str(known), "-o", str(tmp_path / "named"), "-q"]) == 0
     rows = read_trajectory(tmp_path / "named" / "trajectory.json")
     assert rows.targets == ("Grace", "Eileen"), "Grace is seen first"

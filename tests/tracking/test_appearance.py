@@ -133,6 +133,7 @@ def test_learning_equals_the_plain_twin(off, laplace, outlier, seed, alpha, leas
     st.sampled_from([1e-3, 0.05, 1.0]), st.sampled_from(["gaussian", "laplace"]), st.sampled_from([None, 0.1]),
     st.sampled_from([(0.3, 0.3, 0.4), (0, 0, 1), (0, 1, 0), (1, 0, 0), (0.5, 0.5, 0)]),
 )  # fmt: skip
+@pytest.mark.nightly
 def test_nothing_drifts_away_in_thousands_of_frames(seed, alpha, floor, least_sigma, density, outlier, mixing):
     rng = np.random.default_rng(seed)
     f, model = frame(smooth(1)), changed(MODEL, density=density, outlier=outlier, mixing=components(*mixing))

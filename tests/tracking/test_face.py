@@ -49,7 +49,7 @@ def lost(rows):
 # --- the whole ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("overrides", [(), ALONE])
+@pytest.mark.parametrize("overrides", [(), pytest.param(ALONE, marks=pytest.mark.nightly)])
 def test_the_head_carries_its_points(overrides):
     poses = [Pose(110 + 1.6 * t, 110 + 12 * np.sin(t / 9), 80 * 1.006**t) for t in range(60)]
     rows = run(moving.clip(poses), replace(moving.start(poses[0]), origin="haar"), overrides)
