@@ -72,19 +72,22 @@ class Frame:
 
     def _colours(self, extent: Extent) -> tuple[Image, int, int]:
         """As `reduced` by 1. Of planes a part of the image is converted, where it is less than half of the whole."""
+        if self.pixels.ndim == 3 or self._bgr is not None:
+            return self.bgr, 0, 0
         if self._part is not None and _within(extent, self._part[3]):
             return self._part[:3]
         width, height = self.size
         asked = _widened(extent, 6.0)
-        x0, x1 = (2 * at for at in _blocks(asked[0], asked[2], 2, max(width // 2, 1)))
-        y0, y1 = (2 * at for at in _blocks(asked[1], asked[3], 2, max(height // 2, 1)))
-        if self._bgr is not None or self.pixels.ndim == 3 or 2 * (x1 - x0) * (y1 - y0) > width * height:
+        # pairs of columns and rows, each of which has one value of U and of V
+        x0, x1 = _blocks(asked[0], asked[2], 2, width // 2)
+        y0, y1 = _blocks(asked[1], asked[3], 2, height // 2)
+        if 8 * (x1 - x0) * (y1 - y0) > width * height:
             return self.bgr, 0, 0
-        y, u, v = np.split(self.pixels.ravel(), [width * height, width * height // 4 * 5])
-        chroma = (one.reshape(-1, width // 2)[y0 // 2 : y1 // 2, x0 // 2 : x1 // 2].ravel() for one in (u, v))
-        planes = np.concatenate([y.reshape(-1, width)[y0:y1, x0:x1].ravel(), *chroma])
-        image = cv2.cvtColor(planes.reshape(-1, x1 - x0), cv2.COLOR_YUV2BGR_I420)
-        self._part = np.asarray(image, np.uint8), x0, y0, asked
+        y, u, v = planes_of(self.pixels)
+        parts = y[2 * y0 : 2 * y1, 2 * x0 : 2 * x1], u[y0:y1, x0:x1], v[y0:y1, x0:x1]
+        planes = np.concatenate([part.ravel() for part in parts]).reshape(-1, 2 * (x1 - x0))
+        image = np.asarray(cv2.cvtColor(planes, cv2.COLOR_YUV2BGR_I420), np.uint8)
+        self._part = image, 2 * x0, 2 * y0, asked
         return self._part[:3]
 
     def grey(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
@@ -142,6 +145,13 @@ class Frame:
         if len(self._patches) >= MAX_REMEMBERED:
             del self._patches[next(iter(self._patches))]
         self._patches[key] = of, values
+
+
+def planes_of(pixels: Image) -> tuple[Image, Image, Image]:
+    """Y (H, W), U and V (H / 2, W / 2) of the planes of 4:2:0 in one array (H * 3 / 2, W)."""
+    width, height = pixels.shape[1], pixels.shape[0] * 2 // 3
+    y, u, v = np.split(pixels.ravel(), [width * height, width * height // 4 * 5])
+    return y.reshape(height, width), u.reshape(-1, width // 2), v.reshape(-1, width // 2)
 
 
 def factor_for(longest: float, most: float | None) -> int:

@@ -170,14 +170,15 @@ class Status:
 
 def worst(clips: Sequence[ClipStatus]) -> Iterator[str]:
     """A table of the clips that failed, and of those that somebody should look at, worst first."""
-    rows = sorted((one for one in clips if one.look), key=badness)
+    rows = sorted((one for one in clips if one.look or one.error), key=badness)
     if not rows:
         return
     width = max(len("clip"), *(len(name_of(one)) for one in rows[:MAX_ROWS]))
     yield f"{'clip':<{width}}  frames  lost  look at"
     for one in rows[:MAX_ROWS]:
         lost = "–" if one.lost is None else f"{one.lost:.0%}"
-        yield f"{name_of(one):<{width}}  {one.frames:>6}  {lost:>4}  {one.look}"
+        said = f"failed: {one.error}" if one.error else one.look
+        yield f"{name_of(one):<{width}}  {one.frames:>6}  {lost:>4}  {said}"
     if len(rows) > MAX_ROWS:
         yield f"and {len(rows) - MAX_ROWS} more; --json of facetrack status has all"
 
@@ -241,8 +242,7 @@ def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
     try:
         known = read_manifest(folder)
     except InputError as e:
-        look = f"failed: {e}"
-        return ClipStatus(clip or name, name, "failed", look=look, error=str(e), exit_code=int(e.exit_code))
+        return ClipStatus(clip or name, name, "failed", error=str(e), exit_code=int(e.exit_code))
     note = holder(folder)
     if note is not None:
         seconds = _number(note, "seconds")
@@ -278,7 +278,7 @@ def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
         complete=known.complete,
         lost=lost,
         doubtful=bool(known.doubts),
-        look=f"failed: {known.error}" if state == "failed" else look if state == "done" else "",
+        look=look if state == "done" else "",
         still=None if a is None or b is None else (a + b) // 2,
         error=known.error,
         exit_code=known.exit_code,

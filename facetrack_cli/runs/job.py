@@ -259,11 +259,13 @@ def check(job: Job, *, kept: bool = False, locked: bool = False) -> None:
         # what is cut short is replaced, and what failed
         overwrite = job.overwrite or job.previous() is not None or (there is not None and there.is_failure)
         init = job.init if isinstance(job.init, Path) else None
+        inputs = (job.clip, init, job.recipe.path)
         try:
-            check_folder(job.out, OWNED, overwrite=overwrite, inputs=(job.clip, init, job.recipe.path))
+            check_folder(job.out, OWNED, overwrite=overwrite, inputs=inputs)
         except OutputError:  # another facetrack may have written the same results since, or be writing them
             if locked or not (is_there(job.out / LOCK) or job.previous() is not None):
                 raise
+            check_folder(job.out, OWNED, overwrite=True, inputs=inputs)
 
 
 def check_lag(job: Job, source: Source) -> None:

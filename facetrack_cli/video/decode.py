@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, reason
-from facetrack_cli.core.types import Array, Image, Whole
+from facetrack_cli.core.types import Array, Image, Whole, planes_of
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -244,11 +244,8 @@ def pixels(raw: VideoFrame) -> Image:
     planes = np.asarray(raw.to_ndarray(), np.uint8)
     if not turns:
         return planes
-    width, height = sides
-    y, u, v = np.split(planes.ravel(), [width * height, width * height // 4 * 5])
-    parts = y.reshape(height, width), u.reshape(height // 2, -1), v.reshape(height // 2, -1)
-    turned = np.concatenate([np.rot90(part, turns).ravel() for part in parts])
-    return turned.reshape(-1, height if turns % 2 else width)
+    turned = np.concatenate([np.rot90(part, turns).ravel() for part in planes_of(planes)])
+    return turned.reshape(-1, sides[turns % 2])
 
 
 def read_index(path: Path, stopped: Callable[[], bool] = lambda: False) -> Index | None:

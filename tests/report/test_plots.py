@@ -273,6 +273,7 @@ def test_page_names_itself():
         (9, 9, ("_a", "b_", "漢")),
         pytest.param(2, 1, ("",), marks=pytest.mark.nightly),
         pytest.param(40, 68, ("face",), marks=pytest.mark.nightly),
+        pytest.param(40, 3, ("a", "b", "c"), marks=pytest.mark.nightly),
     ],
 )
 def test_page_of_any_shape(frames, parts, targets):

@@ -74,7 +74,7 @@ def test_points_of_another_likelihood_or_motion_are_carried_too(overrides):
 
 
 @pytest.mark.skipif(detectors.yunet_model() is None, reason="needs the extra detect")
-@pytest.mark.parametrize("degrees", [0.2, *(pytest.param(n, marks=pytest.mark.nightly) for n in (0.0, -0.2))])
+@pytest.mark.parametrize("degrees", [0.226, *(pytest.param(n, marks=pytest.mark.nightly) for n in (0.0, -0.226))])
 def test_a_head_that_rolls_says_so(degrees):
     """And one that does not roll does not drift."""
     poses = [Pose(160, 120, 90, degrees * t) for t in range(80)]

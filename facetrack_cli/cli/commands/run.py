@@ -449,7 +449,7 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: 
     if stop.code is not None:
         return stop.code
     found = [clip_status(job.out, job.out.name, str(job.clip)) for job in jobs if job.out is not None]
-    if any(one.look and one.state == "done" for one in found):  # what failed has been told
+    if any(one.look for one in found):  # what failed has been told
         for line in worst(found):
             shown.say(line)
     if failed:
