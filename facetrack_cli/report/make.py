@@ -33,8 +33,8 @@ from facetrack_cli.trajectory.trajectory import Trajectory
 
 MAX_PARTS, MAX_SPANS = 100, 100  # rows of a table by part, and of the table of lost spans
 _VIDEO: Final = "annotated.mp4"
-_MAX_SVG_BYTES: Final = 400_000  # a larger drawing becomes a PNG
-_WIDE_INCHES, _NARROW_INCHES = 10.0, 4.6
+_MAX_SVG_BYTES: Final = 1_000_000  # a larger drawing becomes a PNG
+_WIDTH_INCHES: Final = 10.0
 _BINS: Final = 1000  # of the bar that shows when a part was lost
 # what HTML forbids, and lone surrogates, which names of files may hold and UTF-8 may not
 _UNFIT = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufdd0-\ufdef\ufffe\uffff]")
@@ -156,16 +156,15 @@ def _measured(table: Trajectory, header: Header, truth: TruthFile) -> tuple[list
     return pairs, {"path": str(theirs.path), **words, "notes": found.notes}
 
 
-def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Mapping[str, Image]:
-    """The plots: `wide`, as a drawing that scales if it is small, and `narrow`, for phones."""
-    figure = plots.page_figure(table, pairs, title=title, width=_WIDE_INCHES)
+def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Image:
+    """The plots, as a drawing that scales if it is small."""
+    figure = plots.page_figure(table, pairs, title=title, width=_WIDTH_INCHES)
     width, height = figure.get_size_inches()
     size = (round(96 * width), round(96 * height))
-    wide = Image(plots.render(figure, "svg"), size, "image/svg+xml")
-    if len(wide.data) > _MAX_SVG_BYTES:
-        wide = Image(plots.render(figure, "png", dpi=150), size, "image/png")
-    narrow = plots.render(plots.page_figure(table, pairs, title=title, width=_NARROW_INCHES), "png", dpi=180)
-    return {"wide": wide, "narrow": Image(narrow, (442, 0), "image/png")}
+    drawing = plots.render(figure, "svg")
+    if len(drawing) <= _MAX_SVG_BYTES:
+        return Image(drawing, size, "image/svg+xml")
+    return Image(plots.render(figure, "png", dpi=150), size, "image/png")
 
 
 def _bars(spans: Sequence[LostSpan | Stretch], first: int, scale: float) -> list[tuple[float, float]]:

@@ -70,7 +70,7 @@ def test_who_stays_in_doubt_or_is_not_named(tmp_path: Path) -> None:
 
 def test_the_page_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     dot = Image(b"", (1, 1), "image/png")
-    monkeypatch.setattr(report, "_plot", lambda *_: {"wide": dot, "narrow": dot})
+    monkeypatch.setattr(report, "_plot", lambda *_: dot)
     run = write_run(tmp_path / "run", write_video(tmp_path / "clip.mp4", frames=25))
     assert b"is named" not in report.make_report(run).html
     page = report.make_report(with_more(run)).html.decode()
