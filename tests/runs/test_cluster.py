@@ -34,12 +34,12 @@ from tests.support.terminal import refusal  # noqa: E402
 
 FILES = ["trajectory.csv", "trajectory.json"]
 SIR = ["--no-video", "--config", "sir"]
-COUNT, FRAMES = 3, 500
+COUNT, FRAMES = 3, 250
 
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """A folder with clips, and in `plain` what a run without a cluster makes of them."""
+    """A folder with clips that show the same, and in `plain` what a run without a cluster makes of them."""
     folder = tmp_path_factory.mktemp("cluster")
     first = make_clip(folder / "c0.mp4", FRAMES)
     for i in range(1, COUNT):
@@ -47,7 +47,7 @@ def place(tmp_path_factory):
             shutil.copy(first.with_suffix(suffix), folder / f"c{i}{suffix}")
     with pytest.MonkeyPatch.context() as patched:
         patched.chdir(folder)
-        assert main(["run", *names(), *SIR, "-o", "plain", "-q"]) == 0
+        assert main(["run", "c0.mp4", *SIR, "-o", "plain", "-q"]) == 0
     return folder
 
 
@@ -56,12 +56,6 @@ def dask(tmp_path_factory):
     with Dask(tmp_path_factory.mktemp("dask")) as found:
         found.work(count=2)
         yield found
-
-
-@pytest.fixture
-def clips(place):
-    """What `IN` stands for in command lines."""
-    return place
 
 
 def names():
@@ -74,7 +68,7 @@ def check_equal(place, out):
         folder = place / out / f"c{i}-sir"
         assert sorted(one.name for one in folder.iterdir()) == [NAME, *FILES]
         for name in FILES:
-            assert (folder / name).read_bytes() == (place / "plain" / folder.name / name).read_bytes()
+            assert (folder / name).read_bytes() == (place / "plain" / name).read_bytes().replace(b"c0.", b"c%d." % i)
 
 
 def holder(folder):
@@ -106,8 +100,7 @@ def test_the_results_are_those_of_a_plain_run_and_are_not_made_twice(dask, place
     [error] = [line for line in lines if line.startswith("facetrack: error: ")]
     assert error.startswith("facetrack: error: bad.mp4: not a video") and lines[-1] == "1 of 5 inputs failed"
     for i in range(COUNT):
-        table = f"c{i}-sir/trajectory.csv"
-        assert Path("first", table).read_bytes() == Path("plain", table).read_bytes()
+        assert Path(f"first/c{i}-sir/trajectory.csv").read_bytes() == Path("plain/trajectory.csv").read_bytes()
     before = {path: path.stat().st_ino for path in Path("first").rglob("*.*")}
     assert main([*words, json.loads(dask.file.read_text())["address"], *names()]) == 0
     assert capfd.readouterr().err.count("done before") == COUNT
@@ -177,25 +170,13 @@ def test_a_clip_that_ends_its_workers_is_alone_at_fault(dask, place):
     check_equal(place, "worse")
 
 
-@pytest.mark.nightly
-def test_a_scheduler_that_is_gone_and_comes_back(place, tmp_path):
-    with Dask(tmp_path) as dask:
-        dask.work(count=2)
-        head = dask.run(*SIR, "-o", "again", "--cluster", dask.file, *names(), cwd=place, wait=False)
-        begun(place / "again" / "c2-sir")
-        done = {path: path.stat().st_ino for path in place.glob("again/*/run.json")}
-        dask.scheduler.kill()
-        dask.scheduler.wait()
-        dask.schedule()
-        dask.work(count=2)
-        said = head.communicate(timeout=100)[1]
-        assert head.returncode == 0, said
-        assert "is gone; waiting for it" in said and "is back" in said
-        check_equal(place, "again")
-        assert {path: path.stat().st_ino for path in done} == done != {}
-
-
 # --- what is refused --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    """What `IN` stands for in command lines."""
+    return make_clip(tmp_path_factory.mktemp("refused") / "c0.mp4", 6).parent
 
 
 @pytest.mark.parametrize(
@@ -243,9 +224,21 @@ def test_what_a_worker_refuses(worker, tmp_path, monkeypatch):
     with pytest.raises(FacetrackError, match=r"No such file .* all machines must see the same folders"):
         cluster._on_worker(__version__, str(tmp_path / "none"), "batch", sent)
     monkeypatch.setattr(cluster, "_ended_batches", {"told"})
-    assert cluster._on_worker(__version__, str(tmp_path), "told", sent) == (None, worker.address)
+    assert cluster._on_worker(__version__, str(tmp_path), "told", sent) is None
     worker.status.name = "closing"
-    assert cluster._on_worker(__version__, str(tmp_path), "batch", sent) == (None, worker.address)
+    assert cluster._on_worker(__version__, str(tmp_path), "batch", sent) is None
+
+
+@pytest.mark.parametrize(("error", "again"), [(FacetrackError("no space left"), True), (InputError("no video"), False)])
+def test_dask_tries_again_what_is_not_the_clip_s_fault(worker, tmp_path, monkeypatch, error, again):
+    monkeypatch.setattr(cluster, "attempt", lambda job, stop: Outcome(error=error))
+    sent = pickle.dumps((Job(tmp_path / "a.mp4", load_recipe("sir"), tmp_path / "a"), None))
+    monkeypatch.chdir(tmp_path)
+    if not again:
+        assert cluster._on_worker(__version__, str(tmp_path), "batch", sent).error is error
+        return
+    with pytest.raises(FacetrackError, match="no space left"):
+        cluster._on_worker(__version__, str(tmp_path), "batch", sent)
 
 
 class Answer(SimpleNamespace):
@@ -261,17 +254,17 @@ class Scheduler:
         self.scripts, self.sent = {f"{name}.mp4": [*answers] for name, answers in scripts.items()}, []
 
     def nthreads(self):
-        return {"tcp://one:1": 1, "tcp://one:2": 1, "tcp://two:1": 1}
+        return {"tcp://one:1": 1}
 
-    def submit(self, function, version, folder, batch, sent, pure, **prefer):
+    def submit(self, function, version, folder, batch, sent, pure, retries):
         job, _ = pickle.loads(sent)
-        self.sent.append((job, prefer.get("workers")))
+        self.sent.append(job)
         answer = self.scripts[job.clip.name].pop(0)
 
         def result(timeout):
             if isinstance(answer, BaseException):
                 raise answer
-            return answer, "tcp://one:1"
+            return answer
 
         status = "cancelled" if isinstance(answer, CancelledError) else "finished"
         return Answer(done=lambda: True, result=result, status=status)
@@ -280,68 +273,46 @@ class Scheduler:
         pass
 
 
-def outcomes(monkeypatch, scheduler, tmp_path, connect=True):
-    """The outcomes of a batch by clip, and the lines that were said."""
-    said, progress = [], Progress()
-    monkeypatch.setattr(progress, "say", said.append)
+def outcomes(monkeypatch, scheduler, tmp_path):
+    """The outcomes of a batch by clip."""
     monkeypatch.setattr(cluster, "_client", lambda address, patience_s: scheduler)
     monkeypatch.setattr(cluster, "LOOK_S", 0.0)
     recipe = load_recipe("sir")
     jobs = [Job(Path(name), recipe, tmp_path / name, batch=True, overwrite=True) for name in scheduler.scripts]
-    found = {one.clip.stem: one for one in cluster.run_cluster(jobs, "tcp://one:9", Stop(), progress)}
-    assert not any(scheduler.scripts.values()), "each answer was asked for"
-    return found, said
+    return {one.clip.stem: one for one in cluster.run_cluster(jobs, "tcp://one:9", Stop(), Progress(quiet=True))}
 
 
 def answer(name, error=None, **more):
     return Outcome(clip=Path(f"{name}.mp4"), frames=9, error=error, **more)
 
 
-def test_what_fails_is_tried_again_elsewhere(tmp_path, monkeypatch):
-    full, bad = FacetrackError("no space left"), InputError("not a video")
+def test_what_becomes_of_each_answer(tmp_path, monkeypatch):
+    killed = distributed.KilledWorker("key", SimpleNamespace(address="tcp://one:1"), 3)
     scheduler = Scheduler(
-        a=[answer("a", full), answer("a")],
-        b=[answer("b", bad)],
-        c=[answer("c", full)] * 3,
-        d=[CancelledError(), None, answer("d", stopped="terminated"), answer("d")],
+        a=[FacetrackError("no space left")],
+        b=[answer("b", InputError("not a video"))],
+        c=[CancelledError(), None, answer("c", stopped="terminated"), answer("c")],
+        d=[killed, killed],
+        e=[killed, answer("e")],
     )
-    found, said = outcomes(monkeypatch, scheduler, tmp_path)
-    assert found["a"].error is None and found["d"].error is None and found["d"].stopped is None
+    found = outcomes(monkeypatch, scheduler, tmp_path)
+    assert not any(scheduler.scripts.values()), "each answer was asked for"
+    assert str(found["a"].error).startswith("a.mp4: no space left; tried 3 times")
     assert str(found["b"].error) == "not a video"
-    assert str(found["c"].error) == "no space left; tried 3 times, at last on tcp://one:1"
-    assert said.count("facetrack: warning: a.mp4: failed on tcp://one:1 and is tried again: no space left") == 1
-    of_a = [(job.retry_failed, workers) for job, workers in scheduler.sent if job.clip.stem == "a"]
-    assert of_a == [(False, None), (True, ["tcp://two:1"])]
-
-
-def test_a_clip_that_ends_workers_is_tried_once_more_and_told(tmp_path, monkeypatch):
-    worker = SimpleNamespace(address="tcp://one:1")
-    killed = distributed.KilledWorker("key", worker, 3)
-    scheduler = Scheduler(a=[killed, killed], b=[killed, answer("b")])
-    found, _ = outcomes(monkeypatch, scheduler, tmp_path)
-    assert "it ended worker after worker" in str(found["a"].error) and found["b"].error is None
-    assert "ended worker after worker" in read_manifest(tmp_path / "a.mp4").error
+    assert found["c"].error is None and found["c"].stopped is None and found["e"].error is None
+    assert [job.overwrite for job in scheduler.sent if job.clip.stem == "c"] == [True, False, False, False]
+    assert "it ended worker after worker" in str(found["d"].error)
+    assert "ended worker after worker" in read_manifest(tmp_path / "d.mp4").error
 
 
 def test_workers_that_write_elsewhere_are_noticed(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "UNSEEN_S", 0.1)
-    scheduler = Scheduler(a=[answer("a", files=[tmp_path / "none.csv"])])
-    found, _ = outcomes(monkeypatch, scheduler, tmp_path)
+    found = outcomes(monkeypatch, Scheduler(a=[answer("a", files=[tmp_path / "none.csv"])]), tmp_path)
     assert "does not show it here; all machines must see the same folders" in str(found["a"].error)
 
 
-def test_a_scheduler_that_does_not_come_back(tmp_path, monkeypatch):
+def test_a_scheduler_that_is_gone(tmp_path, monkeypatch):
     scheduler = Scheduler(a=[answer("a")])
-    scheduler.status = "closed"
-
-    def gone(address, patience_s):
-        raise OSError("nobody there")
-
-    def submit(*task, **more):
-        monkeypatch.setattr(cluster, "_client", gone)
-        return Scheduler.submit(scheduler, *task, **more)
-
-    scheduler.submit = submit
-    monkeypatch.setattr(cluster, "PATIENCE_S", 0.0)
-    found, _ = outcomes(monkeypatch, scheduler, tmp_path)
-    assert "not tracked, as the scheduler did not come back" in str(found["a"].error)
+    monkeypatch.setattr(scheduler, "status", "closed", raising=False)
+    found = outcomes(monkeypatch, scheduler, tmp_path)
+    assert "not tracked, as the scheduler is gone; the same command again goes on" in str(found["a"].error)
