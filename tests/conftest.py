@@ -2,6 +2,7 @@
 
 import os
 import signal
+from collections import Counter
 
 import cv2
 import pytest
@@ -36,6 +37,17 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 def pytest_xdist_auto_num_workers():
     """A process more than there are cores: many tests wait for others that they started."""
     return (os.cpu_count() or 1) + 1
+
+
+def pytest_collection_modifyitems(items):
+    """Of a test that is marked `one_in(n)`, every n-th case runs by day, and all with `nightly`."""
+    seen = Counter()
+    for item in items:
+        if marked := item.get_closest_marker("one_in"):
+            of = item.nodeid.partition("[")[0]
+            if seen[of] % marked.args[0]:
+                item.add_marker(pytest.mark.nightly)
+            seen[of] += 1
 
 
 @pytest.fixture

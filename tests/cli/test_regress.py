@@ -267,6 +267,7 @@ def verdicts(stem: str, *overrides: str, first_seed: int = 0) -> list[regress.Ch
     return list(regress.check(SAMPLES, goldens, (), overrides, first_seed=first_seed))
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.slow
 @pytest.mark.parametrize("stem", ONE_BY_DAY)
 @pytest.mark.parametrize(

@@ -101,6 +101,7 @@ def test_what_cannot_be_tried(clip, capsys):
     assert main(["suggest", str(Path("none.mp4")), "--box", "1,1,20,20"]) == 3
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(("name", "says"), [("signing", "with hands: "), ("expressions", "too few to follow")])
 def test_hands_are_looked_for_beside_a_face(name, says, capsys):
     assert main(["suggest", str(SAMPLES / f"{name}.mp4"), "--frames", "30", "-q"]) == 0

@@ -55,6 +55,7 @@ def test_a_file_that_is_too_large(tmp_path):
         check_readable(tmp_path / "rows.csv", files.MAX_FILE_BYTES)
 
 
+@pytest.mark.nightly
 def test_an_archive_that_inflates(tmp_path):
     block = io.BytesIO()
     np.save(block, np.zeros(16 << 20))

@@ -318,15 +318,6 @@ def test_what_is_stopped_or_fails_leaves_the_rows_as_they_were(fixed):
     assert (text_of(one.fixer), one.fixer.corrections) == (before, corrections)
 
 
-def test_progress_is_told_to_the_end(fixed):
-    one, told = fixed("two"), []
-    both = [points("ben", 9, nose=(158.0, 140.0)), points("anna", 9, nose=(158.0, 140.0))]
-    one.fixer.put(both, report=lambda done, total: told.append((done, total)))
-    assert [done for done, _ in told] == list(range(1, STOP - 9 + 1))
-    assert one.read == [2, *range(9, STOP)]  # both in the same images
-    assert {total for _, total in told} == {STOP - 9}  # images, not rows
-
-
 def test_a_clip_with_other_times_is_refused(fixed):
     one = fixed("face")
     one.frames[12] = replace(one.frames[12], time_s=9.0)
@@ -452,26 +443,6 @@ def test_what_is_dragged_goes_over_what_its_frame_has():
 
 
 # --- other clips, other folders --------------------------------------------------------------------------------------
-
-
-def test_a_folder_of_images_cut_at_both_ends_and_json_lines_alone(tmp_path):
-    pictures = tmp_path / "shots"
-    pictures.mkdir()
-    with open_source(FOLDER / "expressions.mp4", stop=STOP) as source:
-        for frame in source:
-            cv2.imwrite(str(pictures / f"{frame.index}.png"), frame.bgr)
-    init = tmp_path / "i.yaml"
-    init.write_text(TWO.replace("frame: 2", "frame: 6"))
-    args = ["--fps", "30000/1001", "--init", init, *FEW]
-    out = run(tmp_path / "o", pictures, *args, "--start", "4", "--stop", "20", forms="jsonl")
-    one = Fixed(out, tmp_path / "copy")
-    assert (one.run.first, one.run.last, str(one.run.fps)) == (6, 19, "30000/1001")
-    one.fixer.put([points("anna", 12, nose=(150.0, 130.0))])
-    save(one.fixer)
-    assert sorted(path.name for path in one.folder.iterdir()) == [CORRECTED, "run.json", "trajectory.jsonl"]
-    again = one.again(tmp_path / "again", "--fps", "30000/1001")
-    assert frames_of(one.folder, "jsonl") == frames_of(again, "jsonl")
-    one.close()
 
 
 def test_every_recipe_is_read_back_from_the_header_as_it_was(tmp_path):

@@ -1,14 +1,8 @@
 """Runs that are corrected though they are unusual; what is tracked again; and saves that are interrupted."""
 
 import contextlib
-import errno
-import gc
 import json
-import os
-import pickle
 import shutil
-import tempfile
-import weakref
 from pathlib import Path
 
 import cv2
@@ -174,22 +168,6 @@ def test_an_init_file_means_the_targets_that_a_run_takes_it_for(tmp_path, called
             corrections_of(init, fixer.run)
 
 
-def test_steps_that_can_be_taken_back_hold_nothing_of_every_frame(short, tmp_path):
-    """The overview is asked for after each of them, and there may be a thousand."""
-    with fixing(copied(short, tmp_path / "out")) as fixer:
-        for frame in (8, 9, 10):
-            before = fixer.rows
-            overview(before, 5, lost_below={"face": 0.5})
-            fixer.put([nose(frame, 159, 140)])
-        gone = weakref.ref(fixer.rows)
-        assert len(fixer._past) == 3 and len(pickle.dumps(fixer._past)) < 5_000  # rows of 12 frames are 15,000 bytes
-        assert len(pickle.dumps(before)) > 10_000
-        fixer.undo()
-        gc.collect()
-        assert gone() is None  # it lies in the temporary file
-        assert [*csv_frames(fixer.rows)] == [*csv_frames(before)] != [*csv_frames(fixer.run.rows)]
-
-
 def test_a_frame_that_is_corrected_again_has_one_correction_and_the_same_again_is_no_step(short, tmp_path):
     with fixing(copied(short, tmp_path / "out")) as fixer:
         for x in (159, 157, 157):
@@ -207,87 +185,13 @@ def test_a_frame_that_is_corrected_again_has_one_correction_and_the_same_again_i
 # --- folders that are not as a run left them --------------------------------------------------------------------------
 
 
-def header_changed(folder, change):
-    """JSON lines alone, with another header."""
-    (folder / "trajectory.json").unlink()
-    (folder / "run.json").unlink()
-    path = folder / "trajectory.jsonl"
-    first, rest = path.read_text().split("\n", 1)
-    header = json.loads(first)
-    change(header)
-    path.write_text(json.dumps(header) + "\n" + rest)
-
-
 CORRECTION = {"frame": 5, "target": "face", "absent": True}
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda h: h["recipe"].update(type=["a"]), r"does not know its recipe \(type: "),
-        (lambda h: h["recipe"]["prior"].update(file="a" * 5000), "its recipe names the file "),
-        (lambda h: h["source"].update(path="b" * 5000), "is not there, and the run in"),
-        (lambda h: h.update(version=2), "is of version 2, and this facetrack reads 1; update facetrack"),
-        (lambda h: h["init"].update(corrections=[CORRECTION] * 2), "init.corrections is not as facetrack run writes"),
-        (lambda h: h["init"].update(corrections=[CORRECTION, {**CORRECTION, "frame": 4}]), "init.corrections is not"),
-        (
-            lambda h: h["init"].update(corrections=[{**CORRECTION, "absent": ["chin"]}]),
-            "frame 5: has chin",
-        ),
-    ],
-)
-def test_headers_that_nobody_writes_are_refused_in_one_line(short, tmp_path, change, said):
-    out = copied(short, tmp_path / "out")
-    header_changed(out, change)
-    with pytest.raises(InputError, match=said) as refused:
-        open_run(out)
-    assert "\n" not in str(refused.value)
 
 
 def test_a_file_is_no_run(tmp_path):
     (tmp_path / "out").write_text("x")
     with pytest.raises(InputError, match="out: is a file; name the folder of a run"):
         open_run(tmp_path / "out")
-
-
-def test_without_any_place_for_a_while_it_is_said_so(short, tmp_path, monkeypatch):
-    out = copied(short, tmp_path / "out")
-    nowhere = FileNotFoundError(errno.ENOENT, "No usable temporary directory found")
-    monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: (_ for _ in ()).throw(nowhere))
-    monkeypatch.setattr(tempfile, "gettempdir", lambda: (_ for _ in ()).throw(nowhere))
-    with pytest.raises(OutputError, match="No usable temporary directory found; set TMPDIR to a folder"):
-        put(out)
-
-
-def test_a_disk_that_is_full_for_a_while_leaves_the_rows_as_they_were(short, tmp_path):
-    with fixing(copied(short, tmp_path / "out")) as fixer:
-        fixer.put([nose(8, 159, 140)])
-        before, file = [*csv_frames(fixer.rows)], fixer._store._file
-
-        class Full:
-            """It takes some bytes, and no more."""
-
-            def __init__(self):
-                self.left = 1000
-
-            def write(self, data):
-                if not self.left:
-                    raise OSError(errno.ENOSPC, "No space left on device")
-                self.left -= (written := file.write(data[: self.left]))
-                return written
-
-            def __getattr__(self, name):
-                return getattr(file, name)
-
-        fixer._store._file = Full()
-        with pytest.raises(OutputError, match="No space left on device; free some space, or set TMPDIR"):
-            fixer.put([nose(9, 159, 140)])
-        assert [*csv_frames(fixer.rows)] == before and [one.frame for one in fixer.corrections] == [5, 8, 31]
-        fixer._store._file = file
-        fixer.put([nose(9, 159, 140)])
-        assert [*csv_frames(fixer.rows)][:9] == before[:9] and [*csv_frames(fixer.rows)] != before
-        fixer.undo()
-        assert [*csv_frames(fixer.rows)] == before
 
 
 def test_a_report_that_is_there_is_said_to_be_of_before(short, tmp_path):
@@ -312,30 +216,6 @@ def test_frames_that_several_tasks_want_are_read_once():
     assert frames((5, 8), (8, 10)) == frames((5, 9), (7, 10)) == [(5, 10)]
     assert frames((9, 12), (1, 3), (1, 2)) == [(1, 3), (9, 12)]
     assert frames() == []
-
-
-def test_a_run_with_another_seed_is_put_right_with_that_seed(tmp_path):
-    words = ["--seed", "7", "--stop", "10"]
-    run(CLIP, "-o", tmp_path / "out", *words)
-    put(tmp_path / "out", nose(4, 158, 140))
-    run(CLIP, "-o", tmp_path / "again", *words, "--init", tmp_path / "out" / CORRECTED)
-    ours, theirs = ((tmp_path / name / "trajectory.csv").read_bytes() for name in ("out", "again"))
-    assert ours == theirs
-
-
-def test_a_name_that_is_no_text_goes_through(tmp_path):
-    """Names of files are bytes; those that are no UTF-8 stand escaped in JSON."""
-    init = tmp_path / os.fsdecode(b"\xff.yaml")
-    try:
-        shutil.copy(CLIP.with_suffix(".init.yaml"), init)
-    except OSError:
-        pytest.skip("this file system wants UTF-8")
-    run(CLIP, "-o", tmp_path / "out", "--init", init, "--stop", "6", "--format", "csv,json,jsonl")
-    put(tmp_path / "out", nose(4, 158, 140))
-    for name in ("trajectory.json", "trajectory.jsonl"):
-        assert b"/\\udcff.yaml" in (tmp_path / "out" / name).read_bytes()
-    with fixing(tmp_path / "out") as fixer:
-        assert [one.frame for one in fixer.corrections] == [4] and corrections_of(init, fixer.run) == ()
 
 
 @pytest.fixture(scope="module")

@@ -169,6 +169,7 @@ def test_a_lost_head_is_corrected_with_the_mouse(command, windows, out):
     assert by_hand(folder) == [(CUT, "head", "box")]
 
 
+@pytest.mark.nightly
 def test_a_lost_head_is_corrected_by_keys_alone(fix, windows, out):
     folder = out("head")
     before = lines(folder)
@@ -326,6 +327,7 @@ def test_drags_and_corrections_are_undone_and_removed(fix, windows, out):
 # --- more than one window, and none ----------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_the_slower_of_two_windows_shows_the_draft_of_the_other(fix, windows, out):
     session, url = fix(out("face"))
     one, other = windows(url), windows(url)
@@ -393,26 +395,7 @@ def test_the_timeline_leads_to_frames_and_shows_what_is_corrected(fix, windows, 
     assert window.get("frame") == 10
 
 
-def test_it_plays_and_stops(fix, windows, out):
-    _, url = fix(out("face"))
-    window = windows(url)
-    go_to(window, 3)
-    window.click_on("play")
-    window.until("window.facetrack.frame > 6")
-    window.press("k")
-    frame = window.get("frame")
-    window.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-    assert window.get("frame") == frame < FRAMES - 1 and not window.get("playing")
-    window.press("k")
-    window.until(f"window.facetrack.frame > {frame}")
-    window.press("Home")  # whoever goes elsewhere wants to look
-    assert not window.get("playing") and window.get("frame") == 0
-    go_to(window, FRAMES - 4)
-    window.press("k")
-    window.until("!window.facetrack.playing")
-    window.until_shown(FRAMES - 1)
-
-
+@pytest.mark.nightly
 def test_what_was_moved_and_not_tracked_is_kept(fix, windows, out):
     folder = out("face")
     before = files(folder)
@@ -492,7 +475,10 @@ def through(window):
     yield "saved"
 
 
-@pytest.mark.parametrize("screens", [[DESK], [PHONE, SMALL]], ids=["mouse", "fingers"])
+SCREENS = [pytest.param([DESK], id="mouse"), pytest.param([PHONE, SMALL], id="fingers", marks=pytest.mark.nightly)]
+
+
+@pytest.mark.parametrize("screens", SCREENS)
 def test_all_is_in_the_window_large_enough_and_legible(fix, windows, out, screens):
     _, url = fix(out("face"))
     window = windows(url, **screens[0])

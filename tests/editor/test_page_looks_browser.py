@@ -101,18 +101,6 @@ def test_fingers_draw_place_move_and_zoom(clips, pick, windows, tmp_path):
     assert set(read_init(tmp_path / "a.yaml").targets["face"].points) == set(POINTS)
 
 
-def test_a_second_finger_cancels_what_the_first_began(clips, pick, windows):
-    _, url = pick(clips / "face", begun=BEGUN)
-    window = windows(url, **PHONE)
-    before = window.get("draft")
-    window.touch("start", (137, 154))
-    assert window.get("draft") != before
-    window.touch("start", (137, 154), (200, 60))
-    assert window.get("draft") == before
-    window.touch("end")
-    assert window.get("draft") == before and window.here("undo").is_disabled()
-
-
 # --- layout and contrast --------------------------------------------------------------------
 
 
@@ -154,24 +142,6 @@ def test_all_is_in_the_window_large_enough_and_legible(clips, pick, windows, tmp
     window.expected = ["422"]
     found = [(face, *one) for face in through(window) for one in wrong_looks(window, screens)]
     assert found == []
-
-
-def test_reduced_motion_is_respected(clips, pick, windows):
-    _, url = pick(clips / "face", begun=BEGUN)
-    window = windows(url)
-    window.press(".")
-    window.until_shown(1)
-    for motion, moves in [("no-preference", True), ("reduce", False)]:
-        window.page.emulate_media(reduced_motion=motion)
-        window.evaluate("document.getElementById('elsewhere').classList.remove('flash')")
-        window.press("Enter")
-        assert window.evaluate("document.getElementById('elsewhere').classList.contains('flash')")
-        names = "document.getAnimations().map((one) => one.animationName ?? one.transitionProperty)"
-        # the flash is short: whether there is one at all
-        style = "getComputedStyle(document.getElementById('elsewhere')).animationName"
-        assert (window.evaluate(style) != "none") == moves
-        window.evaluate("document.getElementById('view').classList.add('loading')")
-        assert bool(window.evaluate(names)) == moves
 
 
 # --- clips -----------------------------------------------------------------------------------------------------------

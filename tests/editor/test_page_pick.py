@@ -18,13 +18,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.cli.commands import init as init_command
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
 from facetrack_cli.editor.web import server as server_module
 from facetrack_cli.editor.web import session as session_module
 from facetrack_cli.editor.web.frame import Draft, DraftTarget
-from facetrack_cli.editor.web.pick_session import PickSession, requirements, start_of
+from facetrack_cli.editor.web.pick_session import PickSession, start_of
 from facetrack_cli.editor.web.server import serving
 from facetrack_cli.editor.web.session import RefusedError
 from facetrack_cli.recipe.load import load_recipe
@@ -33,7 +32,7 @@ from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.video.seek import Frames
 from tests.support.media import write_pictures
 from tests.support.page_client import Client, wait_for
-from tests.support.samples import FOLDER, read_pictures
+from tests.support.samples import read_pictures
 from tests.support.terminal import refusal
 
 NOBODY = np.full((240, 320, 3), 90, np.uint8)
@@ -101,14 +100,6 @@ def test_what_a_recipe_requires(clips, config, expected):
     assert "brows to the chin" in about["requirements"][0]["about"]["box"]
 
 
-def test_a_single_point_requires_a_box_as_unit_of_length(tmp_path):
-    text = (FOLDER.parent / "configs" / "factorized_transition.yaml").read_text()
-    path = tmp_path / "one.yaml"
-    path.write_text(re.sub(r"parts: .*", "parts: [nose]", text))
-    [one] = requirements(load_recipe(str(path)))
-    assert (one["box"], one["points"]) == ("needed", ["nose"])
-
-
 # --- proposals -------------------------------------------------------------------------------------------------------
 
 
@@ -165,30 +156,6 @@ def test_hands_are_proposed_with_the_head(clips):
     assert "colour" in grey["note"]
 
 
-def test_requests_at_the_same_time_look_for_faces_once(clips, monkeypatch):
-    from threading import Event, Thread
-
-    began, go, looked = Event(), Event(), []
-
-    def slow(frame):
-        looked.append(1)
-        began.set()
-        assert go.wait(60)
-        return []
-
-    looking(monkeypatch, slow)
-    with picking(clips / "face") as (_, session):
-        got = []
-        threads = [Thread(target=lambda: got.append(session.proposals(1))) for _ in range(4)]
-        for thread in threads:
-            thread.start()
-        assert began.wait(60)
-        go.set()
-        for thread in threads:
-            thread.join()
-    assert len(got) == 4 and len(looked) == 1
-
-
 # --- what may be saved -----------------------------------------------------------------------------------------------
 
 
@@ -223,6 +190,7 @@ def test_what_a_draft_lacks_is_said_in_one_line(clips, tmp_path, config, targets
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     ("config", "targets"),
     [
@@ -426,6 +394,7 @@ def test_picked_saved_and_run(clips, command, tmp_path, facetrack):
         assert np.allclose((part["x"], part["y"]), POINTS[part["part"]], atol=0.01)
 
 
+@pytest.mark.nightly
 def test_stopped_before_it_is_saved(clips, command, tmp_path):
     interrupted, terminated = (130, "interrupted"), (143, "terminated")
     cases = [("SIGINT", *interrupted, True), ("SIGTERM", *terminated, True), ("SIGINT", *interrupted, False)]
@@ -566,9 +535,3 @@ def test_an_internal_error_is_reported_at_the_end(clips, tmp_path, monkeypatch, 
     code, _, err = facetrack("init", "IN/face", "--pick", "--open", "-o", tmp_path / "a.yaml")
     assert code == 0 and "while the page was open: internal error; please report it: ZeroDivisionError: odd" in err
     assert "Traceback" not in err
-
-
-def test_what_cannot_be_kept_is_said(clips, tmp_path):
-    start = Start(0, {"face": TargetStart(points={"nose": (1, 2)})}, "")
-    said = init_command._keep_unsaved(start, clips / "face", tmp_path / "none" / "a.unsaved.yaml")
-    assert said.startswith("what was chosen is lost: ") and "cannot be written" in said

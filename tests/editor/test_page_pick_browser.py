@@ -71,6 +71,7 @@ def test_a_box_and_five_points_are_picked_and_saved(command, windows, tmp_path):
     assert code == 0 and not running.said and f"{saved}: written" in err
 
 
+@pytest.mark.nightly
 def test_a_point_is_dragged_under_the_magnifier(clips, pick, windows):
     session, url = pick(clips / "grain", begun=BEGUN)
     window = windows(url)
@@ -204,20 +205,6 @@ def add(window, name):
     window.press("Enter")
 
 
-def test_what_is_missing_is_said_and_shown(clips, pick, windows, tmp_path):
-    _, url = pick(clips / "face", tmp_path / "a.yaml", frame=1)
-    window = windows(url)
-    window.expected = ["422"]
-    window.click(160, 138)
-    window.click_on("part-face-nose")
-    window.click_on("save")
-    window.until_visible("problem")
-    assert window.text("problem") == "still to choose: mouth_left, mouth_right, lip_upper and lip_lower of face"
-    assert window.get("current.part") == "mouth_left" and not list(tmp_path.iterdir())
-    window.click(137, 154)
-    assert not window.visible("problem") and window.here("save").is_enabled()
-
-
 # --- by keys alone ---------------------------------------------------------------------------------------------------
 
 
@@ -298,6 +285,7 @@ def test_slider_and_keys_show_the_right_frame(clips, pick, windows):
     assert window.get("draft.frame") == shown, "without marks, a start would be in this frame"
 
 
+@pytest.mark.nightly
 def test_fast_dragging_requests_few_frames_and_ends_with_the_right_one(clips, pick, windows, monkeypatch):
     _, url = pick(clips / "numbered.mp4")
     go, jpeg = threading.Event(), session_module.jpeg
@@ -415,6 +403,7 @@ def test_targets_are_renamed_added_and_removed(clips, pick, windows, tmp_path):
 # --- more than one window, and none ----------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_a_command_that_was_stopped_is_reported(command, windows, tmp_path):
     running = command("init", CLIP, "--pick", "-o", tmp_path / "a.init.yaml")
     window = windows(running.url)

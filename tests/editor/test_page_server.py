@@ -9,7 +9,6 @@ from fractions import Fraction
 from importlib import resources
 from itertools import product
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Literal
 
 import cv2
@@ -18,10 +17,9 @@ import pytest
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame
-from facetrack_cli.editor.web import session as session_module
 from facetrack_cli.editor.web.frame import Draft, DraftTarget, crop, jpeg
 from facetrack_cli.editor.web.server import ADDRESS, HEADERS, MAX_BODY_BYTES, MAX_REFUSED_BYTES, Server, assets, serving
-from facetrack_cli.editor.web.session import Answer, RefusedError, Route, Session
+from facetrack_cli.editor.web.session import Answer, Route, Session
 from facetrack_cli.video.seek import Frames as ClipFrames
 from tests.support import media
 from tests.support.page_client import Client, wait_for
@@ -215,15 +213,6 @@ def test_another_origin_changes_nothing(shared):
         assert (state["revision"], state["job"]) == (0, None)
 
 
-def test_an_origin_that_the_browser_hides_is_known_by_another_header(client):
-    headers = {"Origin": "null", "Sec-Fetch-Site": "same-site"}
-    body = {"base": 0, "draft": EMPTY}
-    assert client.ask("PUT", "api/draft", body, headers).status == 403
-    assert client.ask("PUT", "api/draft", body, {**headers, "Sec-Fetch-Site": "same-origin"}).status == 200
-    evil = {"Origin": "http://evil.example", "Sec-Fetch-Site": "same-origin"}
-    assert client.ask("PUT", "api/draft", body, evil).status == 403
-
-
 def test_every_answer_has_the_headers(client):
     for method, path, status in [
         ("GET", "api/state", 200), ("GET", "api/frame/1.jpg", 200), ("GET", "nothing", 404), ("GET", "/", 403),
@@ -394,25 +383,6 @@ def test_a_job_that_fails_says_so_and_may_be_tried_again(client, session, error)
     assert client.until(lambda state: state["ended"])["message"] is None
 
 
-def test_a_draft_that_changed_while_it_was_checked_is_not_saved(session):
-    before = session.draft
-    session.change(Draft(1, {}))
-    with pytest.raises(RefusedError) as refused:
-        session.save(before)
-    assert refused.value.code == 409 and refused.value.more["draft"]["frame"] == 1
-
-
-def test_it_stays_for_a_while_after_the_end(session, monkeypatch):
-    now = [100.0]
-    monkeypatch.setattr(session_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
-    assert not session.over()
-    session.end(["a"], None)
-    now[0] += session_module.LINGER_S - 0.1
-    assert not session.over()
-    now[0] += 0.1
-    assert session.over()
-
-
 # --- who goes away, and what goes wrong ------------------------------------------------------------------------------
 
 
@@ -444,13 +414,6 @@ def test_an_internal_error_is_one_line_and_remembered(client, session, capfd):
     assert client.ask("POST", "api/input", {}).status == 422
     assert client.get("api/state").status == 200
     assert capfd.readouterr() == ("", "")
-
-
-def test_a_request_that_meets_the_end_gets_no_answer_and_is_no_error(client, session, capfd):
-    session.stopping.set()
-    with pytest.raises(ConnectionError):
-        client.ask("POST", "api/boom", {})
-    assert session.first_error is None and capfd.readouterr() == ("", "")
 
 
 # --- images of a clip's frames ---

@@ -53,6 +53,7 @@ def test_a_reader_who_leaves_is_no_fault_of_ours():
     assert (done.returncode, done.stdout, done.stderr) == (141, "a title\n", "")
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
 def test_letters_that_an_encoding_lacks(encoding):
     done = subprocess.run(

@@ -54,8 +54,10 @@ class Bench(NamedTuple):
             return {key: file[key] for key in file.files}
 
 
-def make(folder: Path) -> Bench:
-    """Write the files. The commands that do so run here, so that what they load is loaded, and compiled, once."""
+def make(folder: Path, *, warm: bool) -> Bench:
+    """Write the files. The commands that do so run here, so that what they load is loaded, and compiled, once; if
+    `warm`, those of every family of recipes do.
+    """
     pictures = read_pictures("occlusion")[:FRAMES]
     (folder / "frames").mkdir()
     for index, picture in enumerate(pictures):
@@ -93,7 +95,8 @@ def make(folder: Path) -> Bench:
             shutil.copy(FOLDER / "gallery" / "ines" / f"{index + 1}.jpg", folder / "people" / person)
     (folder / "goldens").mkdir()
     shutil.copy(FOLDER / "goldens" / "occlusion.factorized.json", folder / "goldens")
-    warm_up(folder)
+    if warm:
+        warm_up(folder)
     return Bench(folder)
 
 

@@ -18,11 +18,11 @@ def _tried(count: int, first: int) -> str:
 
 
 def test_hostile_inputs_are_answered():
-    """Those with names, and one of every kind."""
-    assert _tried(17, 0) == ""
+    """Those with names."""
+    assert _tried(0, 0) == ""
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("first", range(1, 330, 30))
+@pytest.mark.parametrize("first", range(0, 330, 30))
 def test_more_hostile_inputs_are_answered(first):
     assert _tried(510, first) == ""

@@ -23,6 +23,7 @@ def test_twelve_lines_differ_in_colour_or_dash():
     assert not {plot_style.line_style(i)["color"] for i in range(12)} & {plot_style.STATUS["lost"]}
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("form", FIGURES)
 def test_same_numbers_give_the_same_bytes_whatever_the_user_has_set(form):
     import matplotlib

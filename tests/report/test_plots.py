@@ -166,6 +166,7 @@ def test_labels_of_ticks_have_equal_decimals():
     assert numbers([-0.0, 1000, -2000]) == ["0", "1,000", "−2,000"]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("names", [12, 15, 31])
 def test_legends_stand_in_the_page(names):
     labels = ["a name of some length", *(f"part {i}" for i in range(names))]

@@ -185,6 +185,7 @@ def test_any_header_will_do(header: dict[str, Any]) -> None:
     assert notes(plots.page_figure(table(reported(), header=header)), "particles") == "mean 91"
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize(("people", "frames", "width"), [(2, 1, 10), (1, 2, 4.6), (10, 5000, 10), (29, 30, 4.6)])
 def test_page_of_any_shape(people: int, frames: int, width: float) -> None:
     figure = plots.page_figure(table(reported(people, frames), frames=frames), width=width)

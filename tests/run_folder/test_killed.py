@@ -127,6 +127,7 @@ def test_a_recovery_that_is_killed_is_made_again(torn, tmp_path, monkeypatch, mo
     assert len(read_run(tmp_path).frames) == read_manifest(tmp_path).frames >= 19
 
 
+@pytest.mark.one_in(3)
 @posix
 @pytest.mark.parametrize("left", [b"", b'{"process": 1}', b'{"process": 1, "run": {"format": "no"}}'])
 def test_a_lock_that_says_nothing_is_no_harm(clip, tmp_path, left):
@@ -202,6 +203,7 @@ def _ask_until_killed(task, stop, report):
     return stop()
 
 
+@pytest.mark.nightly
 @posix
 def test_a_worker_that_is_killed_while_it_asks_whether_to_stop_holds_up_no_other():
     ended = dict(side_by_side(range(10), _ask_until_killed, 2, Stop()))
@@ -354,8 +356,7 @@ def disk(tmp_path):
 def test_what_exits_with_0_survives_a_power_loss(clip, disk):
     folder, lose_power = disk
     command = [*FACETRACK, "run", clip, "--config", "sir", "--stop", "20", "-q", *SMALL, "-o", folder / "out"]
-    cache = folder / "kernels"
-    done = subprocess.run(command, env={**os.environ, "NUMBA_CACHE_DIR": str(cache)}, check=False)
+    done = subprocess.run(command, check=False)
     left = lose_power()
     assert done.returncode == 0
     found = [name for name in names(left / "out") if name != LOCK]  # whose removal need not be on the disk
@@ -363,8 +364,3 @@ def test_what_exits_with_0_survives_a_power_loss(clip, disk):
     for name in found:
         assert (left / "out" / name).read_bytes() == (folder / "out" / name).read_bytes() != b""
     assert len(read_run(left / "out").frames) == 20
-    # compiled kernels need not be on the disk: damaged ones are compiled anew
-    again = [*command[:-1], left / "again"]
-    assert (
-        subprocess.run(again, env={**os.environ, "NUMBA_CACHE_DIR": str(left / "kernels")}, check=False).returncode == 0
-    )

@@ -100,6 +100,7 @@ def test_signs_of_life(tmp_path, monkeypatch):
         assert holder(tmp_path)["run"] == ""
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("without", [(), ("no_flock",)])
 @pytest.mark.parametrize("hours", [0, -5, 5])
 def test_another_machine_is_believed_for_a_minute(tmp_path, without, hours, request, monkeypatch):
@@ -195,7 +196,8 @@ def _take(folders, barrier, mine):
             barrier.wait(60)
 
 
-@pytest.mark.parametrize("silent_s", [None, 70])
+@pytest.mark.one_in(2)
+@pytest.mark.parametrize("silent_s", [70, None])
 def test_of_two_at_once_one_wins(tmp_path, silent_s):
     folders = [tmp_path / f"{i}" for i in range(15)]
     for folder in folders:

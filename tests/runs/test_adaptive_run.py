@@ -239,6 +239,7 @@ def test_several_clips_are_each_told_who_is_in_them(facetrack):
 SEVEN = [path.stem for path in shipped_recipes() if re.match("adaptive|fixed_template", path.stem)]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("config", SEVEN)
 def test_clips_and_boxes_of_every_kind(facetrack, config):
     known = ["--gallery=IN/people.npz"] if config == "adaptive_recognition" else []

@@ -56,7 +56,7 @@ def tracked(folder):
 
 
 @posix
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.nightly), 2])
 def test_two_at_once_share_the_clips_and_do_none_twice(clips, workers):
     command = [*FACETRACK, "run", "clips", "-o", "out", "-j", str(workers), *OPTIONS]
     both = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(2)]
@@ -97,6 +97,7 @@ def test_clips_of_another_machine_are_waited_for(clips, capfd, monkeypatch):
     ]
 
 
+@pytest.mark.nightly
 @posix
 def test_ctrl_c_ends_the_waiting(clips):
     with FolderLock(Path("out/c0-face")):
@@ -110,6 +111,7 @@ def test_ctrl_c_ends_the_waiting(clips):
         process.stderr.close()
 
 
+@pytest.mark.nightly
 @posix
 def test_one_that_was_suspended_and_taken_over_replaces_nothing(tmp_path, monkeypatch):
     clip, out = make_clip(tmp_path / "sway.mp4", 300), tmp_path / "out"

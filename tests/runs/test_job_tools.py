@@ -12,7 +12,7 @@ import pytest
 from tests.runs.test_run import make_clip
 from tests.test_docs import ROOT, blocks
 
-CLIPS = 5
+CLIPS = 3
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def done(folder):
 def test_gnu_parallel(folder):
     said = subprocess.run(["sh", "-ec", block("sh", "| parallel")], capture_output=True, text=True, check=False)
     assert said.returncode == 0, said.stderr
-    assert done(folder) and re.search(r"done +5\n", said.stdout)
+    assert done(folder) and re.search(rf"done +{CLIPS}\n", said.stdout)
 
 
 @pytest.mark.skipif(shutil.which("snakemake") is None, reason="Snakemake is not installed")

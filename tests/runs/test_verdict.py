@@ -116,10 +116,6 @@ def test_a_hand_that_is_taken_for_a_face_is_said_to_be_doubtful(tmp_path, monkey
     assert "facetrack fix" not in capsys.readouterr().err  # which needs the JSON
     assert main([*begin, "-o", "e"]) == 0
     assert "suggest" not in capsys.readouterr().err, "nothing is doubtful"
-    assert main(["run", clip, "--init", "haar", "--no-video", "--stop", "110", "-o", "f"]) == 0
-    said = capsys.readouterr().err.splitlines()
-    assert "doubtful: " in said[-2] and "recipe face is the default for a face and its features" in said[-1]
-    assert said[-1].endswith(f"others: facetrack suggest {clip}")
 
 
 def test_what_was_lost_is_told_once_a_target_worst_first():

@@ -180,6 +180,7 @@ def test_a_run_writes_who_it_is_into_table_json_and_video(tmp_path: Path) -> Non
     assert colour[0] < 25 < 50 < colour[1]
 
 
+@pytest.mark.nightly
 def test_threads_and_processes_change_nothing(tmp_path: Path) -> None:
     asked = ["--config", "adaptive_recognition", "--gallery", PEOPLE, "--stop", 6, "--no-video", "-q", "--seed", 3]
     for threads in (1, 2):

@@ -127,6 +127,7 @@ def test_learning_equals_the_plain_twin(off, laplace, outlier, seed, alpha, leas
         np.testing.assert_allclose(mine, np.array(theirs).T, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.nightly
 @settings(max_examples=25)
 @given(
     st.integers(0, 10**6), st.sampled_from([1e-3, 0.05, 0.5, 1.0]), st.sampled_from([0.0, 1e-3, 0.05, 0.5]),

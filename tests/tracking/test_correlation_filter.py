@@ -104,6 +104,7 @@ def test_small_targets_and_long_ones_are_followed(size):
     assert_followed(run(clip(places, size), start(places[0], size)), places)
 
 
+@pytest.mark.one_in(4)
 @pytest.mark.parametrize(("key", "values"), [
     ("likelihood.window", (2, 10)), ("likelihood.sharpness", (0.01, 100)), ("likelihood.peak", (0.01, 1)),
     ("likelihood.evidence", (0, 20)), ("likelihood.hidden_rate", (0, 1)), ("likelihood.components", (2, 34)),

@@ -104,6 +104,7 @@ def test_a_face_that_leaves_and_returns_elsewhere():
     assert confidence[38:44, 5].max() < 0.4
 
 
+@pytest.mark.nightly
 def test_it_does_not_come_back_on_what_is_no_face():
     poses = [Pose(90, 110)] * 20 + [None] * 40
     rows = run(moving.clip(poses), moving.start(poses[0]))
@@ -132,6 +133,7 @@ def test_a_tiny_face_at_the_border_and_a_flat_frame_are_survived():
     assert all(np.isfinite(np.stack([row.x, row.y, row.w, row.confidence])).all() for row in rows)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("learn", [None, False, True])
 def test_a_correction_puts_the_whole_face_right(learn):
     poses = [Pose(90, 110)] * 10 + [Pose(190, 120)] * 15

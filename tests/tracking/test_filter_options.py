@@ -17,6 +17,7 @@ from tests.support.parts import adaptive, auxiliary, factorized, sir
 from tests.tracking.test_filters import APART, FRAMES, K, LinearGaussian, Q, R, kalman, rmse, run, simulate
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
     ("step", "most"),
     [

@@ -209,6 +209,7 @@ def clip(people):
     return people
 
 
+@pytest.mark.nightly
 def test_frames_of_a_clip_are_spread_between_start_and_stop(clip):
     faces, said = faces_of(clip, frames=3, start=0, stop=12)
     assert said == [] and faces.used == {"collins": 2, "hopper": 6}

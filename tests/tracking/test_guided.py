@@ -178,6 +178,7 @@ def sampled(model, particles, n, share, seed):
     return {"mean": mean, "all": w @ x, "spread": spread, "visible": w @ v}
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9])
 @pytest.mark.parametrize("tops", [(0.5, 0.0), (3.0, 2.5), (-3.0, 1.0)])
 def test_one_step_is_the_posterior_on_a_grid_whatever_the_share(tops, share):

@@ -187,6 +187,7 @@ def test_what_is_seen_once_late_is_no_face():
         search_start(short, detector=Fake(lambda t: [(60, 30, 40)] * (t == 259)))
 
 
+@pytest.mark.nightly
 def test_two_real_faces_by_the_command_line(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     frames = []

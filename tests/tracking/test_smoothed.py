@@ -100,6 +100,7 @@ def test_a_lag_is_the_smoother_of_the_frames_up_to_then(name, points):
                 np.testing.assert_allclose(getattr(after[t].rows, column), getattr(exact, column), atol=1e-6)
 
 
+@pytest.mark.nightly
 def test_a_lag_keeps_no_more_than_it_needs():
     walk, cov = RandomWalk(np.array([2.0])), np.eye(2)[None]
 

@@ -67,6 +67,7 @@ def test_a_slow_plain_twin_agrees(names):
         np.testing.assert_allclose(np.degrees(np.degrees(wide[:3, :3])), covariance[t], rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("names", [FIVE, MOUTH])
 @pytest.mark.parametrize("angles", [(0, 0, 0), (12, -20, 8), (-15, 25, -30)])
 def test_the_spread_is_what_noise_of_points_and_people_makes(names, angles):

@@ -101,6 +101,7 @@ def test_lengths_stay_where_the_head_turns(yaw):
         assert found[name][1] == pytest.approx(found[name][0], rel=0.03), name
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("names", [POINTS, FIVE])
 def test_the_spread_is_what_noise_of_the_points_makes(names):
     moves = {"open": np.full(4000, 0.3), "smile": np.full(4000, 0.05), "shut": np.zeros(4000)}

@@ -143,6 +143,7 @@ def test_a_source_is_read_once(tmp_path: Path) -> None:
         iter(source)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".webm", ".avi"])
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
 def test_a_cut_video_gives_what_is_there_and_says_so(tmp_path: Path, suffix: str, share: float) -> None:

@@ -57,6 +57,7 @@ def test_a_clock_that_begins_late(tmp_path: Path) -> None:
     assert (source.complete, source.warnings, count) == (True, [], 50)
 
 
+@pytest.mark.one_in(2)
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
 def test_sound_that_outlasts_the_images_by_far(tmp_path: Path, suffix: str) -> None:
     whole = media.write_video(tmp_path / f"whole{suffix}", frames=30, options=("-c:v", "libx264", "-bf", "3"))
@@ -89,6 +90,7 @@ def test_a_clip_that_is_removed_while_it_is_read(tmp_path: Path) -> None:
         assert 1 + sum(1 for _ in frames) == 60
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("kept", [0, 3000])
 @pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".avi"])
 def test_a_clip_that_is_cut_while_it_is_read(tmp_path: Path, suffix: str, kept: int) -> None:
