@@ -23,8 +23,8 @@ from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.start import search_start
 from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.tracking.start.search import search_start
 from facetrack_cli.video.source import open_source
 
 

@@ -49,8 +49,8 @@ from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.runs.seeds import variant
 from facetrack_cli.runs.start import Begin
-from facetrack_cli.tracking.start import read_init
 from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.tracking.start.init_file import read_init
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import UNSEEN, Trajectory, aligned

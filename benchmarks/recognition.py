@@ -38,7 +38,7 @@ from facetrack_cli.evaluation.experiments.compare import default_truth
 from facetrack_cli.runs.start import truth_start
 from facetrack_cli.tracking.identity.gallery import NONE, load_gallery
 from facetrack_cli.tracking.models.spaces import Patches
-from facetrack_cli.tracking.start import search_start
+from facetrack_cli.tracking.start.search import search_start
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.video.source import open_source
 

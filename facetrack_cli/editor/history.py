@@ -13,8 +13,8 @@ from facetrack_cli.run_folder.finished import Run
 from facetrack_cli.runs.job import Report, silent
 from facetrack_cli.runs.signals import Stopped, never
 from facetrack_cli.tracking.corrected import all_or, completed, is_complete
-from facetrack_cli.tracking.start import name_targets, read_init
-from facetrack_cli.tracking.start.init_file import TARGET
+from facetrack_cli.tracking.start.init_file import TARGET, read_init
+from facetrack_cli.tracking.start.targets import name_targets
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory
 

@@ -13,8 +13,7 @@ from facetrack_cli.runs.clip import past_end
 from facetrack_cli.runs.job import Report, silent
 from facetrack_cli.runs.signals import Stopped, never
 from facetrack_cli.runs.smooth import Write, repaint, replace_files
-from facetrack_cli.tracking.start import write_init
-from facetrack_cli.tracking.start.init_file import as_yaml
+from facetrack_cli.tracking.start.init_file import as_yaml, write_init
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from facetrack_cli.trajectory.writers import ending_of
 

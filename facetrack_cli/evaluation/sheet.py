@@ -16,7 +16,7 @@ from rich.text import Text
 
 from facetrack_cli.core.errors import flat, visible
 from facetrack_cli.core.files import absolute
-from facetrack_cli.runs.seeds import OVERRIDES
+from facetrack_cli.recipe.load import OVERRIDES
 
 WIDTH: Final = 100  # columns of a table that is not printed on a terminal
 MAX_WIDTH: Final = 10_000  # more columns than any table needs

@@ -17,6 +17,8 @@ from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, above, err
 from facetrack_cli.recipe.sections import suggest
 from facetrack_cli.recipe.times import FPS, times
 
+OVERRIDES = r",(?=[\w.]+=)"  # a comma before a key, which those in windows=[25,25] are not
+
 
 def load_recipe(
     name_or_path: str, overrides: Sequence[str] | Mapping[str, Any] = (), *, installed: bool = True

@@ -19,8 +19,7 @@ from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import completed, to_dict
-from facetrack_cli.tracking.start import read_init
-from facetrack_cli.tracking.start.init_file import as_yaml
+from facetrack_cli.tracking.start.init_file import as_yaml, read_init
 from facetrack_cli.trajectory.header import CORRECTED, ClipHeader, Header, InitHeader
 from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.source import FOLDER_FPS

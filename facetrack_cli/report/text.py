@@ -10,8 +10,7 @@ import numpy as np
 from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.recipe.calibrated import calibrated, fitted
 from facetrack_cli.report.events import Clock, Event, KeyFrame, RunHistory
-from facetrack_cli.runs.verdict import DOUBTFUL
-from facetrack_cli.trajectory.diagnostics import SURE
+from facetrack_cli.trajectory.diagnostics import DOUBTFUL, SURE
 from facetrack_cli.trajectory.header import Header
 from facetrack_cli.trajectory.trajectory import Trajectory
 

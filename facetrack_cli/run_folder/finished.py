@@ -19,7 +19,7 @@ from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe
 from facetrack_cli.run_folder.fingerprint import other_clip
 from facetrack_cli.run_folder.manifest import VIDEO, read_run, trajectory_of
 from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.start import check_start
+from facetrack_cli.tracking.start.checks import check_start
 from facetrack_cli.trajectory.header import Header, corrections_record, read_header
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.trajectory import Status, Trajectory

@@ -26,7 +26,7 @@ from facetrack_cli.runs.start import completed, search
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.smoothed import lagged
-from facetrack_cli.tracking.start import read_init
+from facetrack_cli.tracking.start.init_file import read_init
 from facetrack_cli.trajectory.people import under_names
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import Format

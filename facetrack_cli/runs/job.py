@@ -31,7 +31,7 @@ from facetrack_cli.run_folder.manifest import (
 from facetrack_cli.runs.posterior import check_smoothing
 from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.people.looks import load_people
-from facetrack_cli.tracking.start import find_init
+from facetrack_cli.tracking.start.init_file import find_init
 from facetrack_cli.trajectory.header import is_there
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.writers import Ending, Format

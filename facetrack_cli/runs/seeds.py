@@ -21,7 +21,7 @@ import numpy as np
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.types import Frame, Start, Whole
 from facetrack_cli.recipe.gallery_option import with_gallery
-from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.load import OVERRIDES, load_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, cores, side_by_side
@@ -31,7 +31,6 @@ from facetrack_cli.trajectory.trajectory import Collector, Trajectory, joined, o
 from facetrack_cli.video.source import FOLDER_FPS, open_source
 
 Report: TypeAlias = Callable[[int, int], None]  # frames tracked over all seeds, and in all; 0 where that is not known
-OVERRIDES = r",(?=[\w.]+=)"  # a comma before a key, which those in windows=[25,25] are not
 _ENDED = "a process of -j ended by itself (too little memory?); run without -j"
 
 

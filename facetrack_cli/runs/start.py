@@ -15,9 +15,11 @@ from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
 from facetrack_cli.recipe.face import DETECTORS, DetectorName
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.signals import never
-from facetrack_cli.tracking.start import box_start, check_start, find_init, name_targets, read_init, search_start
+from facetrack_cli.tracking.start.checks import check_start
 from facetrack_cli.tracking.start.detectors import detector
-from facetrack_cli.tracking.start.search import Faces
+from facetrack_cli.tracking.start.init_file import find_init, read_init
+from facetrack_cli.tracking.start.search import Faces, box_start, search_start
+from facetrack_cli.tracking.start.targets import name_targets
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
 from facetrack_cli.trajectory.writers import by_frame
 from facetrack_cli.video.source import Source, open_source

@@ -22,10 +22,10 @@ from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.tracking.face.stabilized import BOX as STILL
 from facetrack_cli.tracking.face.stabilized import FACE, Similarity
 from facetrack_cli.tracking.start.detectors import Detector, detector
+from facetrack_cli.trajectory.diagnostics import DOUBTFUL
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 
 EVERY_FRAMES: Final = 15  # between two looks
-DOUBTFUL: Final = 0.5  # share of looks, and of rows that a calibrated confidence expects to be right: less is doubtful
 SURE: Final = 0.9  # the frame of the lowest mean confidence is named if that is less
 MIN_LOOKS: Final = 3  # fewer looks than this say nothing
 _MAX_SPANS: Final = 3  # the longest ones, which are named

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 SURE: Final = 0.9
 """The probability at which an identity counts as recognised (Zhou et al. 2003, figure 2c)."""
+DOUBTFUL: Final = 0.5  # share of looks, and of rows that a calibrated confidence expects to be right: less is doubtful
 
 
 @dataclass(frozen=True)

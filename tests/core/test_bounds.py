@@ -16,7 +16,7 @@ from facetrack_cli.core.files import check_readable
 from facetrack_cli.runs.posterior import KIND
 from facetrack_cli.tracking.calibration import load_calibration
 from facetrack_cli.tracking.identity.gallery import load_gallery, name_problem
-from facetrack_cli.tracking.start import read_init
+from facetrack_cli.tracking.start.init_file import read_init
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory
 

@@ -20,6 +20,8 @@ from facetrack_cli.video.seek import Frames
 from tests.support.page_client import Client
 from tests.support.samples import FOLDER
 
+pytestmark = pytest.mark.xdist_group("cast")  # what its fixtures make is costly
+
 FILM = FOLDER / "film.mp4"
 
 

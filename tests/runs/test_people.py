@@ -29,6 +29,8 @@ from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
 from tests.support.samples import FOLDER, read_rows
 
+pytestmark = pytest.mark.xdist_group("people")  # what its fixtures make is costly
+
 FILM = FOLDER / "film.mp4"
 CUTS = [45, 90, 140, 190, 253]
 

@@ -17,7 +17,7 @@ from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.corrected import is_complete
 from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.start import read_init, write_init
+from facetrack_cli.tracking.start.init_file import read_init, write_init
 from facetrack_cli.trajectory.header import CORRECTED
 from tests.support.samples import FOLDER
 from tests.tracking.test_corrected import PARTS, Clip, lines, part, run

@@ -26,7 +26,7 @@ from facetrack_cli.report import make
 from facetrack_cli.report.command_line import command, init_yaml
 from facetrack_cli.report.events import Clock, history_of, key_frames
 from facetrack_cli.report.frames import Image
-from facetrack_cli.tracking.start import read_init
+from facetrack_cli.tracking.start.init_file import read_init
 from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot
 from facetrack_cli.trajectory.formats.eaf import spans_of
 from facetrack_cli.trajectory.formats.keypoints import write_coco, write_dlc
@@ -349,7 +349,7 @@ corrections:
 def test_a_run_with_corrections_is_reported_and_repeated(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     dot = Image(b"", (1, 1), "image/png")
-    monkeypatch.setattr(make, "_plot", lambda *_: {"wide": dot, "narrow": dot})  # plots take long
+    monkeypatch.setattr(make, "_plot", lambda *_: dot)  # plots take long
     Path("start.yaml").write_text(START)
     options = ["--config", "factorized", "--set", "filter.particles=15", "--no-video", "-q"]
     assert main(["run", str(SAMPLE), "--init", "start.yaml", *options, "--stop", "10", "-o", "run"]) == 0

@@ -19,7 +19,7 @@ from facetrack_cli.recipe.model import completed, rebuild, register, to_dict
 from facetrack_cli.recipe.schema import json_schema
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.start import read_init
+from facetrack_cli.tracking.start.init_file import read_init
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
 from facetrack_cli.video.source import open_source
 from tests.support.results import rows_of

@@ -15,7 +15,8 @@ from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.face.stabilized import BOX as STILL_BOX
 from facetrack_cli.tracking.face.stabilized import EYES, FACE, MIDDLE, SIDE, Similarity, change_between
 from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.start import detectors, write_init
+from facetrack_cli.tracking.start import detectors
+from facetrack_cli.tracking.start.init_file import write_init
 from facetrack_cli.tracking.start.points import place
 from facetrack_cli.trajectory.header import StartRecord, to_record
 from facetrack_cli.trajectory.trajectory import UNSEEN

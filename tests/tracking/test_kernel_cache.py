@@ -1,6 +1,5 @@
 """Compiled kernels: where they are kept, what damaged files do, and which are compiled before they are called."""
 
-import itertools
 import json
 import os
 import stat

@@ -8,7 +8,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.seeds import Plan, run_plans
 from facetrack_cli.tracking.models import motion_fit
 from facetrack_cli.tracking.models.motion_fit import Dynamics, as_yaml, fit_dynamics, fit_motion, log_likelihood
-from facetrack_cli.tracking.start import read_init
+from facetrack_cli.tracking.start.init_file import read_init
 from tests.support.samples import FOLDER
 
 TRUE = Dynamics(speed=0.8, share=0.4, step=0.05, jitter=0.02)

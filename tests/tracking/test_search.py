@@ -8,9 +8,8 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.tracking.start import search as module
-from facetrack_cli.tracking.start import search_start
 from facetrack_cli.tracking.start.detectors import Found
-from facetrack_cli.tracking.start.search import MAX_STEP_FRAMES, MIN_FRAMES, SEARCHED_FRAMES, WAIT_FRAMES
+from facetrack_cli.tracking.start.search import MAX_STEP_FRAMES, MIN_FRAMES, SEARCHED_FRAMES, WAIT_FRAMES, search_start
 from tests.support import moving_face as moving
 from tests.support.moving_face import PARTS, Pose
 

@@ -17,7 +17,7 @@ from facetrack_cli.tracking.loop import Footprint, track
 from facetrack_cli.tracking.models.motion import Linear
 from facetrack_cli.tracking.smoothed import renamed_hands
 from facetrack_cli.tracking.smoothing import Belief
-from facetrack_cli.tracking.start import read_init
+from facetrack_cli.tracking.start.init_file import read_init
 from facetrack_cli.trajectory.formats.eaf import seen_in
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
 from facetrack_cli.trajectory.writers import csv_frames

@@ -68,7 +68,7 @@ class Init:
 
     def run(self) -> int:
         from facetrack_cli.recipe.load import load_recipe
-        from facetrack_cli.tracking.start import default_path
+        from facetrack_cli.tracking.start.init_file import default_path
 
         if self.out == "":
             raise OutputError("--out is empty; name a file, or - for standard output")
@@ -101,7 +101,7 @@ class Init:
 
     def _find(self) -> int:
         """Write what the cascades find; the exit code."""
-        from facetrack_cli.tracking.start import write_init
+        from facetrack_cli.tracking.start.init_file import write_init
         from facetrack_cli.tracking.start.preview import write_preview
 
         start, frame = self._start()
@@ -119,8 +119,9 @@ class Init:
     def _start(self) -> tuple[Start, Frame]:
         """The start, and its frame."""
         from facetrack_cli.runs.progress import progress
-        from facetrack_cli.tracking.start import PARTS, box_start, name_targets, search_start
-        from facetrack_cli.tracking.start.detectors import detector
+        from facetrack_cli.tracking.start.detectors import PARTS, detector
+        from facetrack_cli.tracking.start.search import box_start, search_start
+        from facetrack_cli.tracking.start.targets import name_targets
         from facetrack_cli.video.source import open_source
 
         recipe, clip, first = self.recipe, str(self.clip), self.init_frame or 0
@@ -151,7 +152,7 @@ class Init:
     def _next(self) -> str:
         """The command that begins with the file, once it is there."""
         from facetrack_cli.recipe.gallery_option import wants_gallery
-        from facetrack_cli.tracking.start import default_path, find_init
+        from facetrack_cli.tracking.start.init_file import default_path, find_init
 
         found = (find_init(self.clip) or default_path(self.clip)) == self.path
         named = "" if found else f" --init {'FILE' if self.path is None else self.path}"
@@ -163,7 +164,7 @@ class Init:
         """Let somebody choose on the page; the exit code."""
         from facetrack_cli.editor.web.pick_session import PickSession
         from facetrack_cli.runs.signals import Stop
-        from facetrack_cli.tracking.start import default_path, read_init, write_init
+        from facetrack_cli.tracking.start.init_file import default_path, read_init, write_init
         from facetrack_cli.video.seek import Frames
 
         beside = self.path or default_path(self.clip)
@@ -208,7 +209,7 @@ def _told(source: Source, shown: Progress) -> Iterator[Frame]:
 
 def _keep_unsaved(start: Start | None, clip: Path, kept: Path) -> str:
     """Write what was chosen and not saved, if anything was; what became of it."""
-    from facetrack_cli.tracking.start import write_init
+    from facetrack_cli.tracking.start.init_file import write_init
 
     if start is None:
         return f"what was chosen the last time is still in {kept}" if kept.is_file() else "nothing was written"

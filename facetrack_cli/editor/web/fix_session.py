@@ -20,7 +20,7 @@ from facetrack_cli.editor.web.session import Answer, RefusedError, Route, Sessio
 from facetrack_cli.recipe.model import OpenCvRecipe
 from facetrack_cli.runs.job import Report
 from facetrack_cli.tracking.corrected import correctable_parts
-from facetrack_cli.tracking.start import PARTS
+from facetrack_cli.tracking.start.detectors import PARTS
 from facetrack_cli.trajectory.diagnostics import outlines
 from facetrack_cli.trajectory.header import FrameNumber
 from facetrack_cli.trajectory.trajectory import Trajectory

@@ -14,10 +14,11 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import inside
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.tracking.start import PARTS, box_start, name_targets
-from facetrack_cli.tracking.start.detectors import NotHereError, detector
+from facetrack_cli.tracking.start.detectors import PARTS, NotHereError, detector
 from facetrack_cli.tracking.start.init_file import NAME, TARGET
 from facetrack_cli.tracking.start.points import place
+from facetrack_cli.tracking.start.search import box_start
+from facetrack_cli.tracking.start.targets import name_targets
 from facetrack_cli.trajectory.header import FrameNumber, Pixels, Side
 from facetrack_cli.video.seek import Frames
 

@@ -14,10 +14,19 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
 from facetrack_cli.recipe.skin import SkinCloud
 from facetrack_cli.report.text import names as listed
-from facetrack_cli.tracking.start import PARTS, check_size, check_start, name_targets, write_init
-from facetrack_cli.tracking.start.detectors import detector, placed_by
-from facetrack_cli.tracking.start.init_file import KEYS, OF_CORRECTIONS, OF_FILES, TARGET, WHAT_PARTS_ARE
+from facetrack_cli.tracking.start.checks import check_size, check_start
+from facetrack_cli.tracking.start.detectors import PARTS, detector
+from facetrack_cli.tracking.start.init_file import (
+    KEYS,
+    OF_CORRECTIONS,
+    OF_FILES,
+    TARGET,
+    WHAT_PARTS_ARE,
+    placed_by,
+    write_init,
+)
 from facetrack_cli.tracking.start.preview import write_preview
+from facetrack_cli.tracking.start.targets import name_targets
 from facetrack_cli.video.seek import Frames
 
 ORIGIN: Final = "the page"

@@ -15,8 +15,9 @@ from facetrack_cli.tracking.hands.target import HandTarget
 from facetrack_cli.tracking.loop import Target, Tracker
 from facetrack_cli.tracking.models.likelihoods.recognition import find_gallery
 from facetrack_cli.tracking.start.checks import box_of, check_size, check_start, check_windows
-from facetrack_cli.tracking.start.detectors import PARTS, detector_of
+from facetrack_cli.tracking.start.detectors import PARTS
 from facetrack_cli.tracking.start.init_file import TARGET as FACE
+from facetrack_cli.tracking.start.init_file import detector_of
 from facetrack_cli.tracking.start.search import box_start
 
 

