@@ -184,6 +184,7 @@ def test_a_truth_of_other_frames_is_told_after_the_first_recipe(facetrack):
     assert code == 0 and err.count("warning: cut.mp4: cut short or damaged") == 1
 
 
+@pytest.mark.nightly
 def test_a_disk_that_fills_up_costs_files_not_the_table(facetrack, monkeypatch):
     original = Path.replace
 

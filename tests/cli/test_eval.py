@@ -330,6 +330,7 @@ def test_results_of_another_tracker_are_measured_as_ours(folder, capsys):
     assert json.loads(out)["all"]["boxes"]["success_auc"] < expected["success_auc"]  # a pixel off
 
 
+@pytest.mark.nightly
 def test_as_a_process_in_another_encoding(folder):
     done = subprocess.run(
         [sys.executable, "-m", "facetrack_cli", "eval", "ours.csv", "--truth", "truth.csv"],

@@ -68,6 +68,7 @@ def test_the_page_lies_beside_the_trajectory_and_is_not_overwritten(capsys, run)
     assert sorted(p.name for p in run.iterdir()) == ["plot.png", "trajectory.csv"]
 
 
+@pytest.mark.one_in(3)
 @pytest.mark.parametrize("form", FIGURES)
 def test_every_form_by_its_ending(capsys, run, form):
     path = run / f"page.{form.upper()}"

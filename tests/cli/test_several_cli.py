@@ -207,6 +207,7 @@ def test_fail_on_lost_has_its_exit_code(facetrack):
     assert "left_hand/box" in json.loads(Path("gone/trajectory.json").read_text())["lost_frames"]
 
 
+@pytest.mark.nightly
 def test_an_interrupted_stream_ends_in_whole_lines():
     words = [sys.executable, "-m", "facetrack_cli", "run", FOLDER / "signing.mp4", "--config", "head_hands"]
     with subprocess.Popen(
