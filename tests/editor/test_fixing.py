@@ -32,8 +32,6 @@ from facetrack_cli.video.writer import VideoWriter
 from tests.support.results import rows_of as objects_of
 from tests.support.samples import FOLDER
 
-pytestmark = pytest.mark.xdist_group("fixing")  # what its fixtures make is costly
-
 STOP = 24
 FEW = ["--set", "filter.particles=20"]
 PLACES = {"nose": 141, "mouth_left": 154, "mouth_right": 154, "lip_upper": 153, "lip_lower": 169}

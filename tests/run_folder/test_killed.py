@@ -25,8 +25,6 @@ from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, side_by_side
 from tests.runs.test_run import FACETRACK, ROWS, SMALL, make_clip
 
-pytestmark = pytest.mark.xdist_group("killed")  # what its fixtures make is costly
-
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and locks of POSIX")
 TABLES = ["--no-video", "--format", "csv,json,jsonl"]
 

@@ -32,8 +32,6 @@ from tests.runs.test_run import make_clip  # noqa: E402
 from tests.support.dask import Dask, until  # noqa: E402
 from tests.support.terminal import refusal  # noqa: E402
 
-pytestmark = pytest.mark.xdist_group("cluster")  # what its fixtures make is costly
-
 FILES = ["trajectory.csv", "trajectory.json"]
 SIR = ["--no-video", "--config", "sir"]
 COUNT, FRAMES = 3, 250

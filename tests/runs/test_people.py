@@ -27,20 +27,16 @@ from facetrack_cli.trajectory.people import read_people
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
-from tests.support.samples import FOLDER, read_rows
+from tests.support.film_run import FILM, film_run
+from tests.support.samples import read_rows
 
-pytestmark = pytest.mark.xdist_group("people")  # what its fixtures make is costly
-
-FILM = FOLDER / "film.mp4"
 CUTS = [45, 90, 140, 190, 253]
 
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory):
     """A run of the sample film."""
-    out = tmp_path_factory.mktemp("film") / "out"
-    assert main(["run", str(FILM), "--faces", "all", "-o", str(out), "-q"]) == 0
-    return out
+    return film_run(tmp_path_factory)
 
 
 def matched(rows):

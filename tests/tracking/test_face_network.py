@@ -25,8 +25,6 @@ from tests.support.fake_mesh import IN_CLIP, FakeMesh, clip
 from tests.support.moving_face import PARTS, Pose
 from tests.support.samples import FOLDER
 
-pytestmark = pytest.mark.xdist_group("network")  # what its fixtures make is costly
-
 FEATURES = tuple(part for part in POINTS if part not in PARTS)
 ALL = tuple(name for name in NAMES if name not in PARTS)
 POSES = [Pose(120 + 1.2 * t, 112 + 6 * np.sin(t / 6), 100 * 1.003**t) for t in range(40)]
