@@ -125,7 +125,7 @@ def test_the_page_in_a_browser(page, windows):
     view.fill(f"{card('person_1')} input", "Eileen")
     view.press(f"{card('person_1')} input", "Enter")
     view.wait_for_selector(card("Eileen"))
-    view.wait_for_function("[...document.querySelectorAll('#people img')].every((one) => one.naturalWidth)")
+    window.until("[...document.querySelectorAll('#people img')].every((one) => one.naturalWidth)")
     view.drag_and_drop(f"{card('person_2')} img", card("Eileen"))
     view.wait_for_selector('#message:has-text("both seen")')
     view.click('#timeline .row[data-name="person_2"] svg', position={"x": 300, "y": 8})

@@ -66,7 +66,7 @@ def watch(model, patches, seed=0):
     return path
 
 
-@settings(max_examples=25)
+@settings(max_examples=settings().max_examples // 3)
 @given(st.integers(0, 999), st.booleans(), st.sampled_from([0.0, 0.1]), st.sampled_from([1.0, 0.02]))
 def test_weights_and_posterior_agree_with_figure_1(shown, gallery, seed, none, switch, sharpness):
     rng = np.random.default_rng(seed)

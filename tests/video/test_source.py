@@ -211,6 +211,7 @@ def test_stopping_early_says_nothing_of_a_cut(tmp_path: Path) -> None:
     assert len(frames) == 10 and source.complete and source.warnings == []
 
 
+@pytest.mark.nightly
 @pytest.mark.clips
 def test_real_clips_raise_no_alarm() -> None:
     if not CLIPS.is_dir():
