@@ -135,7 +135,7 @@ def test_the_report_shows_the_cast_and_doubts_side_by_side(tmp_path, monkeypatch
     assert html.index('id="people"') < html.index('id="summary"')
     section = html[html.index('id="people"') : html.index('id="summary"')]
     assert section.count("<img ") == 2 + 3 + 2 and section.count(">?</span>") == 1
-    assert "2 people in 3 shots" in section and "somebody new with P 0.30" in section
+    assert "2 people in 2 shots" in section and "somebody new with P 0.30" in section
     assert "Who is on the screen with whom" in section and "corrected by hand" not in html
     # a correction keeps the pictures of what is still in doubt
     assert main(["people", str(out), "--rename", "person_1=Eileen", "-q"]) == 0
@@ -198,7 +198,7 @@ def test_a_run_of_one_face_has_no_cast(tmp_path, capsys):
 
 def job(out, **more):
     [recipe] = load_recipes([("face", ())], None)
-    return Job(FILM, recipe, out, video=False, faces="all", start=80, stop=150, **more)
+    return Job(FILM, recipe, out, video=False, faces="all", start=80, stop=120, **more)
 
 
 def test_a_film_that_was_interrupted_goes_on_with_the_same_rows(tmp_path, monkeypatch):
