@@ -19,10 +19,8 @@ from facetrack_cli.runs.seeds import variant
 from facetrack_cli.tracking.start.init_file import read_init
 
 ROOT = Path(__file__).parent.parent
-BENCHMARKS = ROOT / "benchmarks"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(r"^( *)```(\w*)\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
-OPERATORS = {"|", "||", "&&", "&", ";", ">", ">>", "<", "2>", "(", ")", "<(", "then", "do"}
 
 
 def load_tool():

@@ -185,9 +185,6 @@ def test_a_frame_that_is_corrected_again_has_one_correction_and_the_same_again_i
 # --- folders that are not as a run left them --------------------------------------------------------------------------
 
 
-CORRECTION = {"frame": 5, "target": "face", "absent": True}
-
-
 def test_a_file_is_no_run(tmp_path):
     (tmp_path / "out").write_text("x")
     with pytest.raises(InputError, match="out: is a file; name the folder of a run"):
