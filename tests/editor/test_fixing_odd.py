@@ -1,8 +1,13 @@
 """Runs that are corrected though they are unusual; what is tracked again; and saves that are interrupted."""
 
 import contextlib
+import errno
+import gc
 import json
+import pickle
 import shutil
+import tempfile
+import weakref
 from pathlib import Path
 
 import cv2
@@ -168,6 +173,23 @@ def test_an_init_file_means_the_targets_that_a_run_takes_it_for(tmp_path, called
             corrections_of(init, fixer.run)
 
 
+@pytest.mark.nightly
+def test_steps_that_can_be_taken_back_hold_nothing_of_every_frame(short, tmp_path):
+    """The overview is asked for after each of them, and there may be a thousand."""
+    with fixing(copied(short, tmp_path / "out")) as fixer:
+        for frame in (8, 9, 10):
+            before = fixer.rows
+            overview(before, 5, lost_below={"face": 0.5})
+            fixer.put([nose(frame, 159, 140)])
+        gone = weakref.ref(fixer.rows)
+        assert len(fixer._past) == 3 and len(pickle.dumps(fixer._past)) < 5_000  # rows of 12 frames are 15,000 bytes
+        assert len(pickle.dumps(before)) > 10_000
+        fixer.undo()
+        gc.collect()
+        assert gone() is None  # it lies in the temporary file
+        assert [*csv_frames(fixer.rows)] == [*csv_frames(before)] != [*csv_frames(fixer.run.rows)]
+
+
 def test_a_frame_that_is_corrected_again_has_one_correction_and_the_same_again_is_no_step(short, tmp_path):
     with fixing(copied(short, tmp_path / "out")) as fixer:
         for x in (159, 157, 157):
@@ -189,6 +211,46 @@ def test_a_file_is_no_run(tmp_path):
     (tmp_path / "out").write_text("x")
     with pytest.raises(InputError, match="out: is a file; name the folder of a run"):
         open_run(tmp_path / "out")
+
+
+def test_without_any_place_for_a_while_it_is_said_so(short, tmp_path, monkeypatch):
+    out = copied(short, tmp_path / "out")
+    nowhere = FileNotFoundError(errno.ENOENT, "No usable temporary directory found")
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: (_ for _ in ()).throw(nowhere))
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: (_ for _ in ()).throw(nowhere))
+    with pytest.raises(OutputError, match="No usable temporary directory found; set TMPDIR to a folder"):
+        put(out)
+
+
+def test_a_disk_that_is_full_for_a_while_leaves_the_rows_as_they_were(short, tmp_path):
+    with fixing(copied(short, tmp_path / "out")) as fixer:
+        fixer.put([nose(8, 159, 140)])
+        before, file = [*csv_frames(fixer.rows)], fixer._store._file
+
+        class Full:
+            """It takes some bytes, and no more."""
+
+            def __init__(self):
+                self.left = 1000
+
+            def write(self, data):
+                if not self.left:
+                    raise OSError(errno.ENOSPC, "No space left on device")
+                self.left -= (written := file.write(data[: self.left]))
+                return written
+
+            def __getattr__(self, name):
+                return getattr(file, name)
+
+        fixer._store._file = Full()
+        with pytest.raises(OutputError, match="No space left on device; free some space, or set TMPDIR"):
+            fixer.put([nose(9, 159, 140)])
+        assert [*csv_frames(fixer.rows)] == before and [one.frame for one in fixer.corrections] == [5, 8, 31]
+        fixer._store._file = file
+        fixer.put([nose(9, 159, 140)])
+        assert [*csv_frames(fixer.rows)][:9] == before[:9] and [*csv_frames(fixer.rows)] != before
+        fixer.undo()
+        assert [*csv_frames(fixer.rows)] == before
 
 
 def test_a_report_that_is_there_is_said_to_be_of_before(short, tmp_path):

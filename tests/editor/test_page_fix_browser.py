@@ -397,6 +397,27 @@ def test_the_timeline_leads_to_frames_and_shows_what_is_corrected(fix, windows, 
 
 
 @pytest.mark.nightly
+def test_it_plays_and_stops(fix, windows, out):
+    _, url = fix(out("face"))
+    window = windows(url)
+    go_to(window, 3)
+    window.click_on("play")
+    window.until("window.facetrack.frame > 6")
+    window.press("k")
+    frame = window.get("frame")
+    window.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    assert window.get("frame") == frame < FRAMES - 1 and not window.get("playing")
+    window.press("k")
+    window.until(f"window.facetrack.frame > {frame}")
+    window.press("Home")  # whoever goes elsewhere wants to look
+    assert not window.get("playing") and window.get("frame") == 0
+    go_to(window, FRAMES - 4)
+    window.press("k")
+    window.until("!window.facetrack.playing")
+    window.until_shown(FRAMES - 1)
+
+
+@pytest.mark.nightly
 def test_what_was_moved_and_not_tracked_is_kept(fix, windows, out):
     folder = out("face")
     before = files(folder)

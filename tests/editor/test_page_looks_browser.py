@@ -147,6 +147,25 @@ def test_all_is_in_the_window_large_enough_and_legible(clips, pick, windows, tmp
 # --- clips -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
+def test_reduced_motion_is_respected(clips, pick, windows):
+    _, url = pick(clips / "face", begun=BEGUN)
+    window = windows(url)
+    window.press(".")
+    window.until_shown(1)
+    for motion, moves in [("no-preference", True), ("reduce", False)]:
+        window.page.emulate_media(reduced_motion=motion)
+        window.evaluate("document.getElementById('elsewhere').classList.remove('flash')")
+        window.press("Enter")
+        assert window.evaluate("document.getElementById('elsewhere').classList.contains('flash')")
+        names = "document.getAnimations().map((one) => one.animationName ?? one.transitionProperty)"
+        # the flash is short: whether there is one at all
+        style = "getComputedStyle(document.getElementById('elsewhere')).animationName"
+        assert (window.evaluate(style) != "none") == moves
+        window.evaluate("document.getElementById('view').classList.add('loading')")
+        assert bool(window.evaluate(names)) == moves
+
+
 def test_a_rotated_clip_is_upright(clips, pick, windows, tmp_path):
     session, url = pick(clips / "turned.mp4", tmp_path / "a.yaml", "contour_histogram")
     window = windows(url)

@@ -19,7 +19,7 @@ from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.editor.web.frame import Draft, DraftTarget, crop, jpeg
 from facetrack_cli.editor.web.server import ADDRESS, HEADERS, MAX_BODY_BYTES, MAX_REFUSED_BYTES, Server, assets, serving
-from facetrack_cli.editor.web.session import Answer, Route, Session
+from facetrack_cli.editor.web.session import Answer, RefusedError, Route, Session
 from facetrack_cli.video.seek import Frames as ClipFrames
 from tests.support import media
 from tests.support.page_client import Client, wait_for
@@ -213,6 +213,15 @@ def test_another_origin_changes_nothing(shared):
         assert (state["revision"], state["job"]) == (0, None)
 
 
+def test_an_origin_that_the_browser_hides_is_known_by_another_header(client):
+    headers = {"Origin": "null", "Sec-Fetch-Site": "same-site"}
+    body = {"base": 0, "draft": EMPTY}
+    assert client.ask("PUT", "api/draft", body, headers).status == 403
+    assert client.ask("PUT", "api/draft", body, {**headers, "Sec-Fetch-Site": "same-origin"}).status == 200
+    evil = {"Origin": "http://evil.example", "Sec-Fetch-Site": "same-origin"}
+    assert client.ask("PUT", "api/draft", body, evil).status == 403
+
+
 def test_every_answer_has_the_headers(client):
     for method, path, status in [
         ("GET", "api/state", 200), ("GET", "api/frame/1.jpg", 200), ("GET", "nothing", 404), ("GET", "/", 403),
@@ -384,6 +393,14 @@ def test_a_job_that_fails_says_so_and_may_be_tried_again(client, session, error)
 
 
 # --- who goes away, and what goes wrong ------------------------------------------------------------------------------
+
+
+def test_a_draft_that_changed_while_it_was_checked_is_not_saved(session):
+    before = session.draft
+    session.change(Draft(1, {}))
+    with pytest.raises(RefusedError) as refused:
+        session.save(before)
+    assert refused.value.code == 409 and refused.value.more["draft"]["frame"] == 1
 
 
 def test_a_tab_that_is_closed_in_the_middle_of_a_frame_is_nothing(server, client, session, capfd):
