@@ -107,6 +107,7 @@ def test_records_reach_every_rule():
     assert RECORDED["two polygons"][0].our_corners is not None
 
 
+@pytest.mark.nightly
 def test_measures_are_those_of_the_toolkits_now(peers):
     given, said = peers
     for name, case in given.items():
@@ -116,6 +117,7 @@ def test_measures_are_those_of_the_toolkits_now(peers):
             raise AssertionError(f"{name}: {e}") from e
 
 
+@pytest.mark.nightly
 def test_records_are_what_the_toolkits_say_now(peers):
     _, said = peers
     for name, (_, held) in RECORDED.items():
