@@ -7,7 +7,7 @@ whenever the models are imported, at the start of every command.
 import ast
 import inspect
 import textwrap
-from collections.abc import Iterator
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -33,7 +33,7 @@ class _Described(GenerateJsonSchema):
     def model_schema(self, schema: Any) -> dict[str, Any]:
         found = super().model_schema(schema)
         cls = schema["cls"]
-        said = {name: text for base in reversed(cls.__mro__) for name, text in _docstrings(base)}
+        said = {name: text for base in reversed(cls.__mro__) for name, text in _docstrings(base).items()}
         if type_of(cls):
             said.setdefault("type", (inspect.getdoc(cls) or "").partition("\n\n")[0])
         for name, field in found.get("properties", {}).items():
@@ -42,17 +42,20 @@ class _Described(GenerateJsonSchema):
         return found
 
 
-def _docstrings(model: type) -> Iterator[tuple[str, str]]:
+@cache
+def _docstrings(model: type) -> dict[str, str]:
     """The attributes of a model's own body and the docstrings below them; none without its source."""
     if not issubclass(model, BaseModel) or model is BaseModel:
-        return
+        return {}
     try:
         source = inspect.getsource(model)
     except (OSError, TypeError):
-        return
+        return {}
     body = ast.parse(textwrap.dedent(source)).body[0]
     assert isinstance(body, ast.ClassDef)
+    found = {}
     for field, below in pairwise(body.body):
         match field, below:
             case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                yield name, inspect.cleandoc(text)
+                found[name] = inspect.cleandoc(text)
+    return found
