@@ -35,7 +35,9 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     files[folder / CORRECTED] = lambda write: write(as_yaml(fixer.start, run.clip.name).encode())
     known = read_manifest(folder)
     ended = known and replace(known, lost_frames=ending_of(rows).lost_frames)
-    paint = partial(repaint, run, rows=rows, report=report, stop=stop) if video and run.video is not None else None
+    paint = (
+        partial(repaint, run.painted, rows=rows, report=report, stop=stop) if video and run.video is not None else None
+    )
     written, notes = replace_files(folder, files, ended, [folder / UNSAVED], paint, lambda: _check(run))
     notes += past_end(fixer.corrections, run.last, str(folder / CORRECTED))
     if run.video is not None and not video:

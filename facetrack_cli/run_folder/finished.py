@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Any, Final, NamedTuple, get_args
 
 import numpy as np
 from pydantic import ValidationError
@@ -29,6 +29,16 @@ from facetrack_cli.video.images import listing
 
 STATUS: Final = get_args(Status)
 _AGAIN: Final = "make the run again"
+
+
+class Painted(NamedTuple):
+    """What an annotated video is drawn on: the frames `first` to `last` of a clip, with a title."""
+
+    clip: Path
+    fps: Fraction | None
+    first: int
+    last: int
+    title: str
 
 
 @dataclass(frozen=True)
@@ -61,8 +71,9 @@ class Run:
         return {name: tuple(part for target, part in self.rows.names if target == name) for name in self.rows.targets}
 
     @property
-    def title(self) -> str:
-        return self.recipe.name
+    def painted(self) -> Painted:
+        """What its video is drawn on."""
+        return Painted(self.clip, self.fps, self.first, self.last, self.recipe.name)
 
     @property
     def video(self) -> Path | None:

@@ -19,11 +19,11 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import make_folder, write_new
 from facetrack_cli.core.types import BOX, Frame, Image, Start
 from facetrack_cli.recipe.face import DETECTORS
-from facetrack_cli.run_folder.finished import run_files, write_rows
+from facetrack_cli.run_folder.finished import Painted, run_files, write_rows
 from facetrack_cli.run_folder.manifest import VIDEO, check_run, read_manifest, read_run
 from facetrack_cli.runs.job import Job, Outcome, Report, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
-from facetrack_cli.runs.smooth import Painted, repaint, replace_files
+from facetrack_cli.runs.smooth import repaint, replace_files
 from facetrack_cli.runs.start import frames_of
 from facetrack_cli.tracking.loop import TrackState
 from facetrack_cli.tracking.people.identity import SURE, Cast, Seen, cast_of
@@ -55,16 +55,6 @@ ORIGIN: Final = "--faces all"
 MIN_FRAMES: Final = 5  # of a track in which its face is seen; of fewer nothing is kept
 _MOST_NAMED: Final = 6  # people, in a line
 STILL_CHANGE: Final = 2.5  # grey levels; a face that changes by less is of a photograph
-
-
-class Drawn(NamedTuple):
-    """What `repaint` draws on."""
-
-    clip: Path
-    fps: Fraction | None
-    first: int
-    last: int
-    title: str
 
 
 class Named(NamedTuple):
@@ -242,7 +232,7 @@ def name_run(job: Job, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
         found = cast_in(job, rows, stop, looked)
         after = under_names(rows, found.tracks)
         last = job.first + outcome.frames - 1
-        paint = Drawn(job.clip, job.fps, job.first, last, job.recipe.name) if job.video else None
+        paint = Painted(job.clip, job.fps, job.first, last, job.recipe.name) if job.video else None
         write_people(job.out, after, found.people, found.stills, paint, lambda n, of: looked(n, of, "drawing"), stop)
     except StoppedError:
         outcome.stopped = stop.reason
@@ -326,7 +316,7 @@ def recast(
     paint = None
     if video and (folder / VIDEO).is_file() and where is not None:
         first = people.shots[0].first
-        paint = Drawn(where, fps, first, first + _frames(folder) - 1, str(said(rows, "recipe", "name") or ""))
+        paint = Painted(where, fps, first, first + _frames(folder) - 1, str(said(rows, "recipe", "name") or ""))
     write_people(folder, named, after, pictures, paint, report, stop)
     return after
 

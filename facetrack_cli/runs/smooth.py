@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import FULL, check_folder, discard, make_folder, remove_folders, temporary_path
-from facetrack_cli.run_folder.finished import open_run, read_files, run_files, write_rows
+from facetrack_cli.run_folder.finished import Painted, open_run, read_files, run_files, write_rows
 from facetrack_cli.run_folder.lock import FolderLock, sweep
 from facetrack_cli.run_folder.manifest import (
     FILTERED,
@@ -87,7 +86,7 @@ def save_smoothed(
         files[place / FILTERED] = partial(write_rows, "csv", rows=rows)
         stays.pop(POSTERIOR, None)  # smoothed rows are not smoothed again
     ended = known and replace(known, smoothed=True, files=stays)
-    paint = None if run is None else partial(repaint, run, rows=after, report=report, stop=stop)
+    paint = None if run is None else partial(repaint, run.painted, rows=after, report=report, stop=stop)
     made = make_folder(place)
     try:
         written, notes = replace_files(place, files, ended, [folder / POSTERIOR] if in_place else [], paint)
@@ -150,23 +149,8 @@ def replace_files(
     return written, notes
 
 
-class Painted(Protocol):
-    """The frames `first` to `last` of a clip, and the title that stands on them."""
-
-    @property
-    def clip(self) -> Path: ...
-    @property
-    def fps(self) -> Fraction | None: ...
-    @property
-    def first(self) -> int: ...
-    @property
-    def last(self) -> int: ...
-    @property
-    def title(self) -> str: ...
-
-
 def repaint(
-    run: Painted, path: Path, rows: Trajectory, report: Report, stop: Stopped, order: Sequence[str] = ()
+    on: Painted, path: Path, rows: Trajectory, report: Report, stop: Stopped, order: Sequence[str] = ()
 ) -> tuple[str, ...]:
     """Write the annotated video into its temporary file, without particles, which rows do not have; its warnings.
 
@@ -174,9 +158,9 @@ def repaint(
 
     Raises StoppedError once `stop` says so, InputError if the clip lacks frames of the run; nothing is written then.
     """
-    total, done = run.last - run.first + 1, 0
-    with open_source(run.clip, fps=run.fps, start=run.first, stop=run.last + 1) as source:
-        overlay = Overlay(source.size, fps=float(source.fps), title=run.title, order=order)
+    total, done = on.last - on.first + 1, 0
+    with open_source(on.clip, fps=on.fps, start=on.first, stop=on.last + 1) as source:
+        overlay = Overlay(source.size, fps=float(source.fps), title=on.title, order=order)
         sound = source.path if source.is_video else None
         video = VideoWriter(path, source.size, source.fps, audio_from=sound, replace=False)
         try:
@@ -186,8 +170,8 @@ def repaint(
                 video.write(overlay.draw(FrameResult(frame, recorded(frame.index, rows.at(frame.index)))), frame.time_s)
                 report(done, total)
             if done < total:
-                missing = run.first + done
-                raise InputError(f"{run.clip}: has no frame {missing}, which the run has; name its clip with --clip")
+                missing = on.first + done
+                raise InputError(f"{on.clip}: has no frame {missing}, which the run has; name its clip with --clip")
         except BaseException:
             video.discard()
             raise
