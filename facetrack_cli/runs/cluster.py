@@ -91,7 +91,7 @@ def _turn(
         sent = pickle.dumps((replace(job, retry_failed=True), after))
         return client.submit(_on_worker, __version__, folder, batch, sent, pure=False, retries=RETRIES)
 
-    began, ended, frames, deadline = time.monotonic(), 0, 0, math.inf
+    began, ended, frames, deadline, patience_s = time.monotonic(), 0, 0, math.inf, UNSEEN_S
     progress.begin(f"{len(jobs)} clips", "clips", len(jobs))
     out = {submit(job): job for job in jobs}
     while out and time.monotonic() < deadline and client.status == "running":
@@ -99,14 +99,20 @@ def _turn(
             deadline = time.monotonic() + STOP_S
             _tell(client, batch)
         for future in [future for future in out if future.done()]:
-            job = out.pop(future)
-            outcome = _outcome(job, future, killed, stop)
-            if outcome is None and not stop():
-                out[submit(replace(job, overwrite=False))] = job  # what is there is of this batch
+            job, outcome = out[future], _outcome(out[future], future, killed)
+            left = outcome is None or (outcome.stopped is not None and outcome.error is None)  # by its worker
+            if left and not stop():
+                if client.status != "running":
+                    break
+                if outcome is not None and outcome.files:
+                    job = replace(job, overwrite=False)  # what is there is of this batch
+                out[submit(job)] = job
             elif outcome is not None:
-                outcome = _shown(job, outcome, stop)
-                ended, frames = ended + 1, frames + outcome.frames
-                yield job, outcome
+                shown = _shown(job, outcome, stop, patience_s)
+                patience_s = patience_s if shown is outcome else 0.0
+                ended, frames = ended + 1, frames + shown.frames
+                yield job, shown
+            del out[future]
         progress.update(ended, len(jobs), frames / (time.monotonic() - began))
         time.sleep(LOOK_S)
     for job in () if stop() else out.values():
@@ -114,13 +120,13 @@ def _turn(
         yield job, Outcome(clip=job.clip, error=FacetrackError(f"{job.clip}: {gone}"))
 
 
-def _outcome(job: Job, future: Any, killed: set[Path], stop: Stop) -> Outcome | None:
-    """What became of a job; None if it is to be tried again: its worker was told to leave, or ended."""
+def _outcome(job: Job, future: Any, killed: set[Path]) -> Outcome | None:
+    """What became of a job; None if its worker ended, or was told to leave, before it had begun."""
     from distributed import KilledWorker
 
     try:
-        outcome: Outcome | None = future.result(timeout=ANSWER_S)
-        return None if outcome is not None and outcome.stopped and outcome.error is None and not stop() else outcome
+        found: Outcome | None = future.result(timeout=ANSWER_S)
+        return found
     except KilledWorker as e:
         if job.clip not in killed:  # Dask suspects all clips that the workers had, so each is tried once more
             killed.add(job.clip)
@@ -136,9 +142,9 @@ def _outcome(job: Job, future: Any, killed: set[Path], stop: Stop) -> Outcome | 
     return died(job, error)
 
 
-def _shown(job: Job, outcome: Outcome, stop: Stop) -> Outcome:
-    """The outcome, once what the worker wrote shows here."""
-    until = time.monotonic() + UNSEEN_S
+def _shown(job: Job, outcome: Outcome, stop: Stop, patience_s: float) -> Outcome:
+    """The outcome, once what the worker wrote shows here; another one if it does not within `patience_s`."""
+    until = time.monotonic() + patience_s
     while outcome.files and not (outcome.files[0].parent / NAME).exists() and not stop():
         if time.monotonic() > until:
             said = f"{job.clip}: was tracked, but {job.out} does not show it here"

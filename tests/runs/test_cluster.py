@@ -170,6 +170,23 @@ def test_a_clip_that_ends_its_workers_is_alone_at_fault(dask, place):
     check_equal(place, "worse")
 
 
+@pytest.mark.nightly
+def test_a_scheduler_that_is_killed(place, tmp_path):
+    with Dask(tmp_path) as dask:
+        dask.work(count=2)
+        words = [*SIR, "-o", "again", "--cluster", dask.file, *names()]
+        head = dask.run(*words, cwd=place, wait=False)
+        begun(place / "again" / "c0-sir")
+        dask.scheduler.kill()
+        dask.scheduler.wait()
+        said = head.communicate(timeout=100)[1]
+        assert head.returncode == 5 and "the scheduler is gone; the same command again goes on" in said
+        dask.schedule()
+        dask.work(count=2)
+        assert dask.run(*words, cwd=place).returncode == 0
+        check_equal(place, "again")
+
+
 # --- what is refused --------------------------------------------------------------------------------------------------
 
 
@@ -291,7 +308,7 @@ def test_what_becomes_of_each_answer(tmp_path, monkeypatch):
     scheduler = Scheduler(
         a=[FacetrackError("no space left")],
         b=[answer("b", InputError("not a video"))],
-        c=[CancelledError(), None, answer("c", stopped="terminated"), answer("c")],
+        c=[CancelledError(), None, answer("c", stopped="terminated", files=[tmp_path / "c.csv"]), answer("c")],
         d=[killed, killed],
         e=[killed, answer("e")],
     )
@@ -300,15 +317,19 @@ def test_what_becomes_of_each_answer(tmp_path, monkeypatch):
     assert str(found["a"].error).startswith("a.mp4: no space left; tried 3 times")
     assert str(found["b"].error) == "not a video"
     assert found["c"].error is None and found["c"].stopped is None and found["e"].error is None
-    assert [job.overwrite for job in scheduler.sent if job.clip.stem == "c"] == [True, False, False, False]
+    assert [job.overwrite for job in scheduler.sent if job.clip.stem == "c"] == [True, True, True, False]
     assert "it ended worker after worker" in str(found["d"].error)
     assert "ended worker after worker" in read_manifest(tmp_path / "d.mp4").error
 
 
 def test_workers_that_write_elsewhere_are_noticed(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "UNSEEN_S", 0.1)
-    found = outcomes(monkeypatch, Scheduler(a=[answer("a", files=[tmp_path / "none.csv"])]), tmp_path)
-    assert "does not show it here; all machines must see the same folders" in str(found["a"].error)
+    both = {name: [answer(name, files=[tmp_path / name / "none.csv"])] for name in "ab"}
+    patience, shown = [], cluster._shown
+    monkeypatch.setattr(cluster, "_shown", lambda *given: patience.append(given[-1]) or shown(*given))
+    found = outcomes(monkeypatch, Scheduler(**both), tmp_path)
+    assert all("does not show it here; all machines must see the same" in str(found[name].error) for name in "ab")
+    assert patience == [0.1, 0.0], "the second is not waited for"
 
 
 def test_a_scheduler_that_is_gone(tmp_path, monkeypatch):
