@@ -257,6 +257,15 @@ def test_standard_output_on_a_full_disk(args):
     )
 
 
+def test_out_of_memory_is_no_fault_of_ours(monkeypatch, capsys):
+    def refuse(*_):
+        raise MemoryError("Unable to allocate 73 TiB")
+
+    monkeypatch.setattr("facetrack_cli.recipe.files.shipped_recipes", refuse)
+    assert main(["recipes"]) == 1
+    assert capsys.readouterr().err.startswith("facetrack: error: not enough memory (Unable to allocate 73 TiB); take")
+
+
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_a_signal_outside_a_run(monkeypatch, capsys):
     monkeypatch.setattr("facetrack_cli.recipe.files.shipped_recipes", lambda: os.kill(os.getpid(), signal.SIGTERM))

@@ -219,6 +219,17 @@ def test_while_a_job_runs_nothing_else_is_begun_and_rows_are_read(page, monkeypa
     assert one.state()["draft"]["frame"] == 9 and one.state()["rows_revision"] == 1
 
 
+def test_an_error_while_tracking_leaves_all_as_it_was(page, monkeypatch):
+    one = page()
+    before = one.rows(0, STOP - 1)
+    read = one.frames.read
+    monkeypatch.setattr(one.fixer._tracking, "_read", lambda n: read(n) if n < 12 else read(99_999))
+    one.track(8, face=NOSE)
+    state = one.state()
+    assert "there is no frame 99999" in state["message"] and state["draft"]["frame"] == 8
+    assert (state["rows_revision"], state["can_undo"]) == (0, False) and one.rows(0, STOP - 1) == before
+
+
 def test_save_writes_the_run_and_ends(page, out, monkeypatch):
     one = page()
     before = {path.name: path.read_bytes() for path in out.iterdir()}

@@ -433,6 +433,13 @@ def test_an_internal_error_is_one_line_and_remembered(client, session, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_a_request_that_meets_the_end_gets_no_answer_and_is_no_error(client, session, capfd):
+    session.stopping.set()
+    with pytest.raises(ConnectionError):
+        client.ask("POST", "api/boom", {})
+    assert session.first_error is None and capfd.readouterr() == ("", "")
+
+
 # --- images of a clip's frames ---
 
 SIZE = (83, 46)  # divisible by none of the reductions but 2, and that only its height
