@@ -156,7 +156,7 @@ def test_command_lines_parse():
 
 def test_scripts_named_are_there():
     for page in PAGES:
-        for script in re.findall(r"\b(?:benchmarks|tools)/[\w/]+\.py", page.read_text(encoding="utf-8")):
+        for script in re.findall(r"\b(?:benchmarks|tests|tools)/[\w/]+\.py", page.read_text(encoding="utf-8")):
             assert (ROOT / script).exists(), f"{page.name}: {script}"
 
 
