@@ -64,6 +64,7 @@ def _connect(where: str, stop: Stop, progress: Progress) -> Any:
     while not stop():
         try:
             client = _client(address_of(where), ANSWER_S / 6)
+            threads = client.nthreads().values()
         except (OSError, UsageError) as e:  # of a file that is being written, too
             if time.monotonic() > deadline:
                 said = f"no scheduler of Dask answers at {address_of(where)} within {ANSWER_S:.0f} s"
@@ -71,7 +72,6 @@ def _connect(where: str, stop: Stop, progress: Progress) -> Any:
                 raise UsageError(f"--cluster {where}: {said} ({reason(e)}); {remedy}") from e
             time.sleep(LOOK_S)
             continue
-        threads = client.nthreads().values()
         if not threads:
             progress.say(f"facetrack: the scheduler of {where} has no worker; waiting for one")
         elif max(threads) > 1:
@@ -98,15 +98,15 @@ def _turn(
         if stop() and deadline == math.inf:
             deadline = time.monotonic() + STOP_S
             _tell(client, batch)
-        for future in [future for future in out if future.done()]:
-            job, outcome = out[future], _outcome(out[future], future, killed)
+        for future, job in [(future, job) for future, job in out.items() if future.done()]:
+            outcome = _outcome(job, future, killed)
             left = outcome is None or (outcome.stopped is not None and outcome.error is None)  # by its worker
             if left and not stop():
                 if client.status != "running":
                     break
-                if outcome is not None and outcome.files:
-                    job = replace(job, overwrite=False)  # what is there is of this batch
-                out[submit(job)] = job
+                begun = outcome is not None and outcome.files  # what is there is of this batch
+                again = replace(job, overwrite=False) if begun else job
+                out[submit(again)] = again
             elif outcome is not None:
                 shown = _shown(job, outcome, stop, patience_s)
                 patience_s = patience_s if shown is outcome else 0.0
@@ -131,7 +131,8 @@ def _outcome(job: Job, future: Any, killed: set[Path]) -> Outcome | None:
         if job.clip not in killed:  # Dask suspects all clips that the workers had, so each is tried once more
             killed.add(job.clip)
             return None
-        error = FacetrackError(f"it ended worker after worker, as by taking all of the memory, at last {e.last_worker}")
+        last = e.last_worker.address
+        error = FacetrackError(f"it ended worker after worker, as by taking all of the memory, at last {last}")
     except ModuleNotFoundError as e:
         error = FacetrackError(f"{reason(e)}; install facetrack {__version__} on the workers, as it is here")
     except Exception as e:
