@@ -219,11 +219,15 @@ class ParticleTarget:
         state = replace(state, particles=particles, estimated=self.space.estimate(particles, ess, best=self.best))
         return state, self._result(state, frame, Info(ess), "tracked")
 
-    def unseen(self, rng: Generator, state: ParticleState, frame: Frame) -> tuple[ParticleState, TargetResult]:
-        """As `advance`, of a box that nobody sees, and that may be anywhere in the frame."""
+    def unseen(
+        self, rng: Generator, state: ParticleState, frame: Frame, *, anywhere: bool
+    ) -> tuple[ParticleState, TargetResult]:
+        """As `advance`, of a box that nobody sees: it stays, or may be `anywhere` in the frame."""
         assert isinstance(self.space, VisibleBoxSpace) and self.confidence is not None and state.judgement is not None
         x = state.particles.x.copy()
-        x[:, 0, :2], x[:, 0, VISIBLE] = rng.random((len(x), 2)) * frame.size - 0.5, 0.0
+        x[:, 0, VISIBLE] = 0.0
+        if anywhere:
+            x[:, 0, :2] = rng.random((len(x), 2)) * frame.size - 0.5
         particles = state.particles._replace(x=x)
         ess = np.full(1, effective_sample_size(particles.log_w))
         estimated = self.space.estimate(particles, ess, best=self.best)

@@ -95,6 +95,11 @@ class Passing(NamedTuple):
         return Passing(image, step), able and float(_alike(before, now)) < SAME_STRUCTURE
 
 
+def alike(one: Image, other: Image) -> float:
+    """The correlation in brightness of two small images, whatever the light."""
+    return float(_alike(*(image.astype(np.float32).ravel() for image in (one, other))))
+
+
 def find_cuts(frames: Iterable[Frame], looked: Callable[[int], None] = lambda done: None) -> Iterator[Cut]:
     """The cuts and dissolves of a clip, in order. Memory is bounded; `looked` hears of the frames gone by."""
     waiting: list[NDArray[np.float32]] = []

@@ -31,7 +31,19 @@ from facetrack_cli.core.types import BOX, Array, Frame, Mask, TargetStart
 from facetrack_cli.recipe.face import Head
 from facetrack_cli.tracking.calibration import Calibration
 from facetrack_cli.tracking.face import stabilized
-from facetrack_cli.tracking.face.found_again import NEW, STAYS, Sighting, kept, likeness, look_of, recognised, sighted
+from facetrack_cli.tracking.face.evidence import (
+    HEAD,
+    MAYBE,
+    NEW,
+    STAYS,
+    LastSeen,
+    Sighting,
+    by_looks,
+    kept,
+    likeness,
+    look_of,
+    probabilities,
+)
 from facetrack_cli.tracking.face.mesh_points import NO_FACE, MeshPoints
 from facetrack_cli.tracking.face.senses import Senses
 from facetrack_cli.tracking.face.sensors import Facing, apart, common_shift, joined
@@ -46,10 +58,11 @@ from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.tracking.target import ParticleState, ParticleTarget
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, of_frame
-from facetrack_cli.video.shots import Passing, small
+from facetrack_cli.video.shots import Passing, alike, small
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
-SOMEBODY_ELSE: Final = -2.0  # log odds that a face is the target, below which it is no longer followed
+SAME_SCENE: Final = 0.8  # correlation of two small images of one scene
+COMPANY: Final = 2  # looks at several faces, from which the clip has shown somebody else
 LOOK: Final = 3  # frames from one look of the head's filter to the next, where the points are seen in between
 EASY: Final = 8.0  # log odds that the points are seen where they are
 DOUBT: Final = 8.0  # log odds, below which the detector looks at once
@@ -102,7 +115,7 @@ class FaceTarget:
         points = points._replace(beliefs=None)
         state = FaceState(
             head, features, points, sensor, second, facing, self.pose, np.zeros(4), others, (look_of(seen),),
-            (self._picture(frame, similarity),), Passing(small(frame)),
+            (self._picture(frame, similarity),), LastSeen(small(frame), similarity), Passing(small(frame)),
         )  # fmt: skip
         return state, self._result(state, box, frame)
 
@@ -134,41 +147,60 @@ class FaceTarget:
         points = rows._replace(beliefs=None)
         state = FaceState(
             head, features, points, sensor, second, Facing(), pose, np.zeros(4), others, first.looks, first.pictures,
-            Passing(small(frame)),
+            LastSeen(small(frame), similarity), Passing(small(frame)),
         )  # fmt: skip
         return state, self._result(state, boxed, frame)
 
     def advance(
         self, rng: Generator, state: FaceState, frame: Frame, footprints: Sequence[Footprint] = ()
     ) -> tuple[FaceState, TargetResult]:
-        state, detections = replace(state, frames=state.frames + 1), self.settings.detections
-        if self.alone and self.senses.detector is not None and detections is not None:
-            passing, cut = state.passing.after(frame)
-            state = replace(state, passing=passing, cut=state.cut or (cut and not self._stays(state, frame)))
-            if state.cut:
-                state = replace(state, film=True)
-                if (cut or state.frames % detections.every == 0) and (face := self._recognised(state, frame)):
-                    return self._returned(rng, replace(state, cut=False), face, frame)
-                head, box = self.head.unseen(rng, state.head, frame)
-                state = replace(state, head=head, sighting=None, sure=_FORGETS * state.sure)
-                return state, self._result(state, box, frame)
-        due, shown = False, sure_of(state.head) >= self.settings.lost_below
-        if self.senses.detector is not None and detections is not None:
-            due = state.frames % detections.every == 0 or (shown and state.sure <= DOUBT)
+        state = replace(state, frames=state.frames + 1)
+        if not self._searches:
+            return self._step(rng, state, frame, footprints)
+        passing, cut = state.passing.after(frame)
+        since = frame.time_s if cut else state.cut
+        if since is not None and alike(state.seen.scene, passing.image) >= SAME_SCENE:
+            cut, since = False, None
+        state = replace(state, passing=passing, cut=since)
+        if state.cut is None or frame.time_s - state.cut <= STAYS:
+            after, result = self._step(rng, state, frame, footprints)
+            if state.cut is None:
+                return after, result
+            if after.cut is None or self._stays(after, frame):
+                return replace(after, cut=None), result
+        if cut or self._is_due(state):
+            state = self._sighted(state, frame)
+            if (seen := state.sighting) is not None and seen.is_target(frame):
+                return self._returned(rng, state, seen, frame)
+        assert state.cut is not None
+        head, box = self.head.unseen(rng, state.head, frame, anywhere=frame.time_s - state.cut > STAYS)
+        state = replace(state, head=head, sure=_FORGETS * state.sure)
+        return state, self._result(state, box, frame)
+
+    @cached_property
+    def _searches(self) -> bool:
+        """Whether a detector looks for the face anywhere in the frame while it is lost."""
+        return self.alone and self.senses.detector is not None and self.settings.detections is not None
+
+    def _is_due(self, state: FaceState) -> bool:
+        detections = self.settings.detections
+        return self.senses.detector is not None and detections is not None and state.frames % detections.every == 0
+
+    def _step(
+        self, rng: Generator, state: FaceState, frame: Frame, footprints: Sequence[Footprint]
+    ) -> tuple[FaceState, TargetResult]:
+        """A frame later, in the same scene."""
+        shown = sure_of(state.head) >= self.settings.lost_below
+        due = self._is_due(state)
+        if self.senses.detector is not None and self.settings.detections is not None:
+            due |= shown and state.sure <= DOUBT
         if shown and state.sure >= EASY and state.frames % LOOK:
             view = self._view(state, self.head.motion.expect(state.head.estimated.state[None])[0], frame, due=due)
             if view.parts.sure >= EASY and math.hypot(*view.shift) < STEADY:
                 return self._followed(rng, state, view, frame, None)
         if due and not shown and self.alone:
             state = self._sighted(state, frame)
-            if state.film:
-                if face := self._recognised(state, frame):
-                    return self._returned(rng, replace(state, sighting=None), face, frame)
-            elif (
-                (seen := state.sighting) is not None
-                and frame.time_s - seen.since >= STAYS
-                and self._gone(state.head, seen)
-            ):
+            if (seen := state.sighting) is not None and seen.is_target(frame):
                 return self._returned(rng, state, seen, frame)
         told = 0.0 if state.sighting is not None else state.facing.odds(state.sure)
         before = replace(state.head, learned=state.head.learned._replace(told=told))
@@ -180,18 +212,17 @@ class FaceTarget:
         return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=due), frame, box)
 
     def _stays(self, state: FaceState, frame: Frame) -> bool:
-        """Whether the face is seen where it is expected, in a frame that differs much from the last."""
-        if sure_of(state.head) < self.settings.lost_below:
+        """Whether what is followed, in a frame that differs much from the last, is the face of before."""
+        if sure_of(state.head) < self.settings.lost_below or state.sure <= 0:
             return False
-        view = self._view(state, self.head.motion.expect(state.head.estimated.state[None])[0], frame, due=False)
-        return view.parts.sure > 0 and recognised(state.pictures, [view.similarity], frame) is not None
+        face = self._map(state.head.estimated.state, state.pose)
+        return self._probability(state, face, frame) > 0.5
 
-    def _recognised(self, state: FaceState, frame: Frame) -> Sighting | None:
-        """The face, among those that the detector sees anywhere in the frame."""
-        assert self.senses.detector is not None
-        faces = [Sighting.of(one, frame) for one in self.senses.detector.find(frame)[:_FACES]]
-        best = recognised(state.pictures, [one.similarity() for one in faces], frame)
-        return None if best is None else faces[best]
+    def _probability(self, state: FaceState, face: Similarity, frame: Frame) -> float:
+        """That a face which the head's filter follows is the target."""
+        place = state.seen.place(state.passing.image, [face], covered=False) + HEAD
+        [p] = probabilities(by_looks(state.pictures, [face], frame), place, company=state.several >= COMPANY)
+        return float(p)
 
     def _picture(self, frame: Frame, face: Similarity) -> Picture:
         return Picture.of(frame, face._replace(scale=face.scale * FACE))
@@ -240,12 +271,15 @@ class FaceTarget:
             state, head=head, features=features, points=points, sensor=sensor, second=second, facing=facing,
             others=others, sure=view.sure,
         )  # fmt: skip
-        if view.found is not None and view.sure >= EASY and likeness(state.looks, look := look_of(view.seen)) < NEW:
-            if state.film and recognised(state.pictures, [similarity], frame, SOMEBODY_ELSE) is None:
-                state = replace(state, cut=True)
+        if view.found is not None and view.sure >= EASY:
+            new = likeness(state.looks, look := look_of(view.seen)) < NEW
+            if new and self._searches and self._probability(state, similarity, frame) <= 0.5:
+                state = replace(state, cut=frame.time_s)
             else:
-                picture = self._picture(frame, similarity)
-                state = replace(state, looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
+                state = replace(state, seen=LastSeen(state.passing.image, similarity))
+                if new:
+                    picture = self._picture(frame, similarity)
+                    state = replace(state, looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
         state = self._moved(self._posed(state, view), similarity)
         return state, self._result(state, box, frame)
 
@@ -261,25 +295,32 @@ class FaceTarget:
         return Similarity(middle, self.side * scale * math.exp(pose[1]) / FACE, float(pose[0]))
 
     def _sighted(self, state: FaceState, frame: Frame) -> FaceState:
-        """The state of a face that is lost, with the places where a detector sees faces."""
+        """The state of a face that is lost, with the places where a detector sees faces, and the likeliest of them."""
         assert self.senses.detector is not None
         faces, pose = self.senses.detector.find(frame)[:_FACES], state.pose
         places = tuple(
             np.array([*(np.array(centre(one.box)) - one.box[2] * pose[2:]), math.log(one.box[2] / self.side)])
             for one in faces
         )
+        state = replace(state, several=state.several + (len(faces) > 1))
+        seen = [Sighting.of(one, frame) for one in faces]
+        if seen:
+            lie = [one.similarity for one in seen]
+            place = state.seen.place(state.passing.image, lie, covered=self._is_covered(state.head))
+            looks = by_looks(state.pictures, lie, frame)
+            p = probabilities(looks, place, company=state.several >= COMPANY)
+            best = int(p.argmax())
+            found = seen[best]._replace(p=float(p[best]), by_looks=float(looks[best])).after(state.sighting)
+        sighting = found if seen and found.p > MAYBE else None
+        facing = state.facing.looked(found=False) if sighting is None else state.facing
         head = replace(state.head, learned=state.head.learned._replace(sighted=places))
-        seen = sighted(state.sighting, faces, frame, state.looks)
-        facing = state.facing.looked(found=False) if seen is None else state.facing
-        return replace(state, head=head, sighting=seen, facing=facing)
+        return replace(state, head=head, sighting=sighting, facing=facing)
 
-    def _gone(self, head: ParticleState, seen: Sighting) -> bool:
-        """Whether a head that is lost may be where a face is seen: there, or no longer known to be covered."""
+    def _is_covered(self, head: ParticleState) -> bool:
+        """Whether a head that is not seen is held to be where it was."""
         middle, half = head.estimated.state[0, :2], 0.5 * self.head.space.windows(head.estimated)[0]
-        if (np.abs(np.array(centre(seen.box)) - middle) < half).all():
-            return True
         near = (np.abs(head.particles.x[:, 0, :2] - middle) < half).all(axis=1)
-        return float(np.exp(head.particles.log_w) @ near) < 0.5
+        return float(np.exp(head.particles.log_w) @ near) >= 0.5
 
     def _returned(
         self, rng: Generator, state: FaceState, seen: Sighting, frame: Frame
@@ -290,7 +331,7 @@ class FaceTarget:
         head, boxed = self.head.restart(rng, frame, state.head, TargetStart(square(middle, side)))
         pose, rest = np.array([seen.roll, *state.pose[1:]]), self.features.x0
         features = shifted(state.features, lambda x: x + (rest - state.features.estimated.state))
-        state = replace(state, head=head, features=features, pose=pose, facing=Facing(), sighting=None)
+        state = replace(state, head=head, features=features, pose=pose, facing=Facing(), sighting=None, cut=None)
         return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=True), frame, boxed)
 
     def _posed(self, state: FaceState, view: View) -> FaceState:

@@ -1,0 +1,149 @@
+"""Which face of a frame is the target: all that speaks for it and against it, added in one place (ours).
+
+A detector sees faces anywhere in a frame, or the points are seen where the face is expected. That face k of K is the
+target has the log odds
+
+    prior + head + grey + embedding + place,      p_k = exp(odds_k) / (1 + sum_j exp(odds_j))
+
+    prior       LONE / K while the clip has shown nobody else, 0 after that: a lone face is most likely the target
+    head        HEAD where the filter of the head sees it
+    grey        what the face looks like in grey, its skin, its hair and its clothes, against views of the target
+    embedding   the same by dlib's network, with the extra `people`
+    place       NEAR where the target was, in the same scene; -AWAY elsewhere while the target is known to be covered
+
+No term has a veto. Each is bounded by how often it is wrong: grey and skin change with the light, hair with a hat. Over
+a cut the place says nothing. A scene that comes back after a flash, a hand across the lens, a whip pan or lost frames
+is the same scene, however much the frames in between differ.
+
+Looks are small grey pictures of the upright face, without mean and of unit norm. They cost little, and say when the
+face looks otherwise than in all views so far: then it is asked who it is, and the view is kept.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple, TypeVar
+
+import cv2
+import numpy as np
+
+from facetrack_cli.core.geometry import centre
+from facetrack_cli.core.types import Array, Box, Frame, Image
+from facetrack_cli.tracking.face.stabilized import BOX, FACE, Similarity, slope
+from facetrack_cli.tracking.people.identity import same_person
+from facetrack_cli.tracking.people.looks import Picture, together
+from facetrack_cli.tracking.start.detectors import Found
+from facetrack_cli.video.shots import alike
+
+LONE: Final = 2.5  # log odds that the one face of a frame is the target
+BOUND: Final = 4.0  # of the log odds by grey, and of those by the embedding
+BOTH: Final = 5.0  # of their sum
+HEAD: Final = 1.0  # log odds of a face that the filter of the head follows
+NEAR: Final = 3.0  # log odds of a face where the target was
+AWAY: Final = 2.0  # ... less, of a face elsewhere while the target is covered
+STAYS: Final = 0.5  # seconds that a face is seen before it is the target, and after which a cut was one
+KNOWN: Final = 2.0  # log odds by looks above which a face is the target at once
+MAYBE: Final = 0.2  # probability below which a face is no sighting
+SAME: Final = 0.6  # sizes of a face within which it is the same one at the next look
+NEW: Final = 0.6  # correlation with all looks below which another one is kept
+MAX_LOOKS: Final = 6  # looks that are kept
+SIDE: Final = 16  # pixels of a look
+_T = TypeVar("_T")
+
+
+class LastSeen(NamedTuple):
+    """Where the target was last seen for sure: the frame as a small image, and its place in it."""
+
+    scene: Image
+    face: Similarity
+
+    def place(self, now: Image, faces: Sequence[Similarity], *, covered: bool) -> Array:
+        """The log odds (K,) of faces by where they lie, in a frame of which `now` is the small image.
+
+        `covered`: whether the target is held to be where it was, and not seen.
+        """
+        same_scene = float(np.clip((alike(self.scene, now) - 0.5) / 0.4, 0, 1))
+        x, scale = np.array([one.centre for one in faces]), np.array([one.scale for one in faces])
+        off = np.hypot(*(x - self.face.centre).T) / (FACE * self.face.scale)
+        near = (off < 1) & (np.abs(np.log(scale / self.face.scale)) < math.log(1.6))
+        return np.asarray(same_scene * np.where(near, NEAR, -AWAY * covered))
+
+
+class Sighting(NamedTuple):
+    """A face that is seen while the target is lost.
+
+    Its box, its roll in radians, since when it is seen in s, the probability `p` that it is the target, and the log
+    odds of that by its looks alone.
+    """
+
+    box: Box
+    roll: float
+    since: float
+    p: float = 0.0
+    by_looks: float = 0.0
+
+    @classmethod
+    def of(cls, face: Found, frame: Frame) -> Sighting:
+        return cls(face.box, 0.0 if face.eyes is None else slope(np.array(face.eyes)), frame.time_s)
+
+    @property
+    def similarity(self) -> Similarity:
+        return Similarity(np.array(centre(self.box)), self.box[2] / FACE, self.roll)
+
+    def after(self, before: Sighting | None) -> Sighting:
+        """With the time since when it is seen, if the sighting `before` is of the same face."""
+        if before is None:
+            return self
+        near = math.dist(centre(before.box), centre(self.box)) < SAME * max(before.box[2], self.box[2])
+        return self._replace(since=before.since) if near else self
+
+    def is_target(self, frame: Frame) -> bool:
+        """Whether it is followed from this frame on: at once if it looks so, else if it stays."""
+        return self.p > 0.5 and (self.by_looks > KNOWN or frame.time_s - self.since >= STAYS)
+
+
+def probabilities(by_looks: Array, others: Array, *, company: bool) -> Array:
+    """The probabilities (K,) that the faces of a frame are the target, from their log odds (K,).
+
+    Parameters
+    ----------
+    by_looks : log odds by grey and embedding, as `by_looks` gives them.
+    others : log odds by place and head.
+    company : whether the clip has shown another face at the same time.
+    """
+    odds = by_looks + others + (0.0 if company else LONE / max(len(others), 1))
+    most = max(float(odds.max(initial=0.0)), 0.0)
+    p = np.exp(odds - most)
+    return np.asarray(p / (math.exp(-most) + p.sum()))
+
+
+def by_looks(known: Sequence[Picture], faces: Sequence[Similarity], frame: Frame) -> Array:
+    """The bounded log odds (K,) that the faces, upright in stabilized images, are that of the `known` pictures."""
+    if not faces:
+        return np.zeros(0)
+    looks = [together(one.looks for one in known)]
+    looks += [Picture.of(frame, face._replace(scale=face.scale * FACE)).looks for face in faces]
+    odds = np.clip(same_person([one._replace(embedding=one.embedding[:, :0]) for one in looks])[0, 1:], -BOUND, BOUND)
+    if looks[0].embedding.size:
+        odds = np.clip(odds + np.clip(same_person(looks)[0, 1:], -BOUND, BOUND), -BOTH, BOTH)
+    return np.asarray(odds)
+
+
+def look_of(still: Frame) -> Array:
+    """The look (SIDE^2,) of an upright face, from a stabilized image."""
+    left, top, width, height = (round(value) for value in BOX)
+    grey = cv2.cvtColor(still.bgr[top : top + height, left : left + width], cv2.COLOR_BGR2GRAY)
+    small = cv2.resize(grey, (SIDE, SIDE), interpolation=cv2.INTER_AREA).astype(np.float64).ravel()
+    small -= small.mean()
+    return np.asarray(small / max(float(np.linalg.norm(small)), 1e-9))
+
+
+def likeness(looks: tuple[Array, ...], look: Array) -> float:
+    """The highest correlation of a look with the known looks."""
+    return max(float(one @ look) for one in looks)
+
+
+def kept(looks: tuple[_T, ...], look: _T) -> tuple[_T, ...]:
+    """The last looks with a further one; that of the start stays."""
+    return (*looks, look) if len(looks) < MAX_LOOKS else (looks[0], *looks[2:], look)
