@@ -9,8 +9,8 @@ in the papers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from typing import Final, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Final, Literal, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -27,6 +27,9 @@ SPANS: Final = (6, 8, 12, 16, 24, 36)  # frames of a dissolve
 UNEVEN: Final = 0.3  # lengths of the line by which a step of a dissolve is early or late at most
 SURE: Final = 3.0  # log odds of a dissolve
 ONE_FRAMES: Final = 6  # between two dissolves, at most, that are one
+SAME_SCENE: Final = 0.7  # correlation of two images between which there is no dissolve
+_LATE: Final = 12  # frames after which a dissolve is known to have ended
+_KEPT: Final = SPANS[-1] + 2 * _LATE  # images that are kept of a clip that passes
 _READ: Final = 5  # pixels a row and column that a pixel of a small image is the mean of, at least
 _MARGIN: Final = 2 * SPANS[-1]  # frames on either side that a decision rests on
 _BLOCK: Final = 1000  # frames that are decided at a time
@@ -77,27 +80,36 @@ class Shot(NamedTuple):
         return frame >= self.clear and (self.until is None or frame < self.until)
 
 
-class Passing(NamedTuple):
-    """The last image of a clip that passes, and the step to it: cuts without what comes after them.
+Event: TypeAlias = Literal["", "maybe", "none", "cut"]
 
-    Flashes and fast motion may be among them.
+
+class Passing(NamedTuple):
+    """Cuts and dissolves of a clip as it passes; `images` are the last small ones, `waits` the frames to a decision.
+
+    A cut is known when some frames after it are there. Until then it is a `maybe`, since a flash and fast motion look
+    alike; then it was a "cut" or "none". A dissolve is known half a second after its end.
     """
 
-    image: Image
-    step: float = 0.0
+    images: tuple[Image, ...]
+    frames: int = 0
+    waits: int = 0
 
-    def after(self, frame: Frame) -> tuple[Passing, bool]:
-        """With the next frame, and whether a shot may begin with it."""
-        image = small(frame)
-        before, now = (one.astype(np.float32).ravel() for one in (self.image, image))
+    def after(self, frame: Frame) -> tuple[Passing, Event]:
+        """With the next frame, and what is known with it."""
+        images = (*self.images[-_KEPT:], small(frame))
+        passing = Passing(images, self.frames + 1, max(self.waits - 1, 0))
+        before, now = (one.astype(np.float32).ravel() for one in images[-2:])
         step = float(np.abs(now - before).mean())
-        able = step >= MIN_STEP and self.step <= BESIDE * step
-        return Passing(image, step), able and float(_alike(before, now)) < SAME_STRUCTURE
-
-
-def alike(one: Image, other: Image) -> float:
-    """The correlation in brightness of two small images, whatever the light."""
-    return float(_alike(*(image.astype(np.float32).ravel() for image in (one, other))))
+        earlier = float(np.abs(before - images[-3].astype(np.float32).ravel()).mean()) if len(images) > 2 else 0.0
+        if step >= MIN_STEP and earlier <= BESIDE * step and float(_alike(before, now)) < SAME_STRUCTURE:
+            return passing._replace(waits=FLASH_FRAMES - 1), "maybe"
+        if self.waits == 1:
+            last = images[-2 * FLASH_FRAMES - 2 :]
+            return passing, "cut" if len(last) - FLASH_FRAMES in _hard(_flat(last)) else "none"
+        if passing.frames % _LATE == 0 and len(images) > SPANS[0] and _alike(_flat(images[:1])[0], now) < SAME_SCENE:
+            ends = [last - len(images) for _, _, last in _dissolves(_flat(images))]
+            return passing, "cut" if any(-2 * _LATE <= one < -_LATE for one in ends) else ""
+        return passing, ""
 
 
 def find_cuts(frames: Iterable[Frame], looked: Callable[[int], None] = lambda done: None) -> Iterator[Cut]:
@@ -137,6 +149,11 @@ def small(frame: Frame) -> Image:
     (width, height), planes = frame.size, frame.pixels
     colours = planes[height:].reshape(2, height // 2, width // 2)
     return np.stack([_shrunk(one) for one in (planes[:height], *colours)], axis=2)
+
+
+def _flat(images: Sequence[Image]) -> NDArray[np.float32]:
+    """(T, P): small images side by side."""
+    return np.asarray(images, np.float32).reshape(len(images), -1)
 
 
 def _shrunk(image: Image) -> Image:

@@ -5,15 +5,15 @@ target has the log odds
 
     prior + head + grey + embedding + place,      p_k = exp(odds_k) / (1 + sum_j exp(odds_j))
 
-    prior       LONE / K while the clip has shown nobody else, 0 after that: a lone face is most likely the target
+    prior       SHOT / K, after a cut CUT / K: a lone face is most likely the target; 0 where the clip has shown others
     head        HEAD where the filter of the head sees it
     grey        what the face looks like in grey, its skin, its hair and its clothes, against views of the target
     embedding   the same by dlib's network, with the extra `people`
-    place       NEAR where the target was, in the same scene; -AWAY elsewhere while the target is known to be covered
+    place       NEAR where the target was last seen, -AWAY elsewhere while it is held to be covered; 0 after a cut
 
-No term has a veto. Each is bounded by how often it is wrong: grey and skin change with the light, hair with a hat. Over
-a cut the place says nothing. A scene that comes back after a flash, a hand across the lens, a whip pan or lost frames
-is the same scene, however much the frames in between differ.
+No term has a veto. Each is bounded by how often it is wrong: grey and skin change with the light, hair with a hat.
+People change places over cuts, so the looks decide there, and hardly elsewhere. What looks like a cut and was a flash,
+a whip pan, a hand across the lens or lost frames, is none as soon as the frames after it say so, or the face is seen.
 
 Looks are small grey pictures of the upright face, without mean and of unit norm. They cost little, and say when the
 face looks otherwise than in all views so far: then it is asked who it is, and the view is kept.
@@ -29,14 +29,13 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.geometry import centre
-from facetrack_cli.core.types import Array, Box, Frame, Image
+from facetrack_cli.core.types import Array, Box, Frame
 from facetrack_cli.tracking.face.stabilized import BOX, FACE, Similarity, slope
 from facetrack_cli.tracking.people.identity import same_person
 from facetrack_cli.tracking.people.looks import Picture, together
 from facetrack_cli.tracking.start.detectors import Found
-from facetrack_cli.video.shots import alike
 
-LONE: Final = 2.5  # log odds that the one face of a frame is the target
+SHOT, CUT = 5.0, 2.5  # log odds that the one face of a frame is the target, in one shot and after a cut
 BOUND: Final = 4.0  # of the log odds by grey, and of those by the embedding
 BOTH: Final = 5.0  # of their sum
 HEAD: Final = 1.0  # log odds of a face that the filter of the head follows
@@ -50,24 +49,6 @@ NEW: Final = 0.6  # correlation with all looks below which another one is kept
 MAX_LOOKS: Final = 6  # looks that are kept
 SIDE: Final = 16  # pixels of a look
 _T = TypeVar("_T")
-
-
-class LastSeen(NamedTuple):
-    """Where the target was last seen for sure: the frame as a small image, and its place in it."""
-
-    scene: Image
-    face: Similarity
-
-    def place(self, now: Image, faces: Sequence[Similarity], *, covered: bool) -> Array:
-        """The log odds (K,) of faces by where they lie, in a frame of which `now` is the small image.
-
-        `covered`: whether the target is held to be where it was, and not seen.
-        """
-        same_scene = float(np.clip((alike(self.scene, now) - 0.5) / 0.4, 0, 1))
-        x, scale = np.array([one.centre for one in faces]), np.array([one.scale for one in faces])
-        off = np.hypot(*(x - self.face.centre).T) / (FACE * self.face.scale)
-        near = (off < 1) & (np.abs(np.log(scale / self.face.scale)) < math.log(1.6))
-        return np.asarray(same_scene * np.where(near, NEAR, -AWAY * covered))
 
 
 class Sighting(NamedTuple):
@@ -103,16 +84,31 @@ class Sighting(NamedTuple):
         return self.p > 0.5 and (self.by_looks > KNOWN or frame.time_s - self.since >= STAYS)
 
 
-def probabilities(by_looks: Array, others: Array, *, company: bool) -> Array:
-    """The probabilities (K,) that the faces of a frame are the target, from their log odds (K,).
+def by_place(last: Similarity, faces: Sequence[Similarity], *, covered: bool) -> Array:
+    """The log odds (K,) of faces of one shot by where they lie; the target was `last` seen there.
+
+    `covered`: whether it is held to be where it was.
+    """
+    if not faces:
+        return np.zeros(0)
+    x, scale = np.array([one.centre for one in faces]), np.array([one.scale for one in faces])
+    off = np.hypot(*(x - last.centre).T) / (FACE * last.scale)
+    near = (off < 1) & (np.abs(np.log(scale / last.scale)) < math.log(1.6))
+    return np.asarray(np.where(near, NEAR, -AWAY * covered))
+
+
+def probabilities(looks: Array, others: Array, *, cut: bool, company: bool) -> Array:
+    """The probabilities (K,) that the faces of a frame are the target.
 
     Parameters
     ----------
-    by_looks : log odds by grey and embedding, as `by_looks` gives them.
-    others : log odds by place and head.
-    company : whether the clip has shown another face at the same time.
+    looks : (K,) log odds, as `by_looks` gives them.
+    others : (K,) log odds by place and head.
+    cut : whether the target was not seen since a cut.
+    company : whether the clip has shown several faces in one frame.
     """
-    odds = by_looks + others + (0.0 if company else LONE / max(len(others), 1))
+    prior = 0.0 if company else CUT if cut else SHOT
+    odds = looks + others + prior / max(len(looks), 1)
     most = max(float(odds.max(initial=0.0)), 0.0)
     p = np.exp(odds - most)
     return np.asarray(p / (math.exp(-most) + p.sum()))

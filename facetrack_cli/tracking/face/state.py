@@ -11,7 +11,7 @@ import numpy as np
 
 from facetrack_cli.core.types import Array, Frame
 from facetrack_cli.tracking.face.descent import PlacedPoints
-from facetrack_cli.tracking.face.evidence import LastSeen, Sighting
+from facetrack_cli.tracking.face.evidence import Sighting
 from facetrack_cli.tracking.face.mesh_points import MeshPoints
 from facetrack_cli.tracking.face.sensors import Facing, Sensor
 from facetrack_cli.tracking.face.stabilized import Similarity
@@ -34,9 +34,9 @@ class FaceState:
     `pose` (4,) is that of the face in its head: roll in radians, the logarithm of its size, and its middle in sizes of
     the head's box; `pose_var` (4,) are their variances. `frames` counts those since the start. `sure` are the log odds
     that the sensors see the face where it is. `looks` are those of the face so far, and so are `pictures`; `sighting`
-    is one of it while it is lost, `seen` where it was last seen for sure. `passing` is what the frame shows; `cut` is
-    the time of what looked like a cut, None while the face is followed or the scene is that of before; `several` counts
-    looks at several faces in one frame.
+    is one of it while it is lost, `seen` where it was last seen for sure. `passing` is what the frames show; `cut` is
+    the time of a cut, or what may be one, since which the face was not seen; `several` counts looks at several faces in
+    one frame.
     """
 
     head: ParticleState
@@ -50,7 +50,7 @@ class FaceState:
     others: MeshPoints | None
     looks: tuple[Array, ...]
     pictures: tuple[Picture, ...]
-    seen: LastSeen
+    seen: Similarity
     passing: Passing
     frames: int = 0
     sure: float = 0.0

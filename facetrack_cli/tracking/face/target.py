@@ -36,9 +36,9 @@ from facetrack_cli.tracking.face.evidence import (
     MAYBE,
     NEW,
     STAYS,
-    LastSeen,
     Sighting,
     by_looks,
+    by_place,
     kept,
     likeness,
     look_of,
@@ -58,10 +58,9 @@ from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.tracking.target import ParticleState, ParticleTarget
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, of_frame
-from facetrack_cli.video.shots import Passing, alike, small
+from facetrack_cli.video.shots import Passing, small
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
-SAME_SCENE: Final = 0.8  # correlation of two small images of one scene
 COMPANY: Final = 2  # looks at several faces, from which the clip has shown somebody else
 LOOK: Final = 3  # frames from one look of the head's filter to the next, where the points are seen in between
 EASY: Final = 8.0  # log odds that the points are seen where they are
@@ -115,7 +114,7 @@ class FaceTarget:
         points = points._replace(beliefs=None)
         state = FaceState(
             head, features, points, sensor, second, facing, self.pose, np.zeros(4), others, (look_of(seen),),
-            (self._picture(frame, similarity),), LastSeen(small(frame), similarity), Passing(small(frame)),
+            (self._picture(frame, similarity),), similarity, Passing((small(frame),)),
         )  # fmt: skip
         return state, self._result(state, box, frame)
 
@@ -147,7 +146,7 @@ class FaceTarget:
         points = rows._replace(beliefs=None)
         state = FaceState(
             head, features, points, sensor, second, Facing(), pose, np.zeros(4), others, first.looks, first.pictures,
-            LastSeen(small(frame), similarity), Passing(small(frame)),
+            similarity, Passing((small(frame),)),
         )  # fmt: skip
         return state, self._result(state, boxed, frame)
 
@@ -157,23 +156,18 @@ class FaceTarget:
         state = replace(state, frames=state.frames + 1)
         if not self._searches:
             return self._step(rng, state, frame, footprints)
-        passing, cut = state.passing.after(frame)
-        since = frame.time_s if cut else state.cut
-        if since is not None and alike(state.seen.scene, passing.image) >= SAME_SCENE:
-            cut, since = False, None
-        state = replace(state, passing=passing, cut=since)
-        if state.cut is None or frame.time_s - state.cut <= STAYS:
+        passing, event = state.passing.after(frame)
+        cut = {"": state.cut, "none": None}.get(event, frame.time_s)
+        state = replace(state, passing=passing, cut=cut)
+        if cut is None or frame.time_s - cut <= STAYS:
             after, result = self._step(rng, state, frame, footprints)
-            if state.cut is None:
-                return after, result
-            if after.cut is None or self._stays(after, frame):
+            if cut is None or after.cut is None or self._stays(after, frame):
                 return replace(after, cut=None), result
-        if cut or self._is_due(state):
+        if event or self._is_due(state):
             state = self._sighted(state, frame)
             if (seen := state.sighting) is not None and seen.is_target(frame):
                 return self._returned(rng, state, seen, frame)
-        assert state.cut is not None
-        head, box = self.head.unseen(rng, state.head, frame, anywhere=frame.time_s - state.cut > STAYS)
+        head, box = self.head.unseen(rng, state.head, frame, anywhere=frame.time_s - cut > STAYS)
         state = replace(state, head=head, sure=_FORGETS * state.sure)
         return state, self._result(state, box, frame)
 
@@ -212,17 +206,12 @@ class FaceTarget:
         return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=due), frame, box)
 
     def _stays(self, state: FaceState, frame: Frame) -> bool:
-        """Whether what is followed, in a frame that differs much from the last, is the face of before."""
+        """Whether what is followed, after what may be a cut, is the face of before."""
         if sure_of(state.head) < self.settings.lost_below or state.sure <= 0:
             return False
-        face = self._map(state.head.estimated.state, state.pose)
-        return self._probability(state, face, frame) > 0.5
-
-    def _probability(self, state: FaceState, face: Similarity, frame: Frame) -> float:
-        """That a face which the head's filter follows is the target."""
-        place = state.seen.place(state.passing.image, [face], covered=False) + HEAD
-        [p] = probabilities(by_looks(state.pictures, [face], frame), place, company=state.several >= COMPANY)
-        return float(p)
+        looks = by_looks(state.pictures, [self._map(state.head.estimated.state, state.pose)], frame)
+        [p] = probabilities(looks, np.array([HEAD]), cut=True, company=state.several >= COMPANY)
+        return bool(p > 0.5)
 
     def _picture(self, frame: Frame, face: Similarity) -> Picture:
         return Picture.of(frame, face._replace(scale=face.scale * FACE))
@@ -271,15 +260,11 @@ class FaceTarget:
             state, head=head, features=features, points=points, sensor=sensor, second=second, facing=facing,
             others=others, sure=view.sure,
         )  # fmt: skip
-        if view.found is not None and view.sure >= EASY:
-            new = likeness(state.looks, look := look_of(view.seen)) < NEW
-            if new and self._searches and self._probability(state, similarity, frame) <= 0.5:
-                state = replace(state, cut=frame.time_s)
-            else:
-                state = replace(state, seen=LastSeen(state.passing.image, similarity))
-                if new:
-                    picture = self._picture(frame, similarity)
-                    state = replace(state, looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
+        if view.found is not None and view.sure >= EASY and state.cut is None:
+            state = replace(state, seen=similarity)
+            if likeness(state.looks, look := look_of(view.seen)) < NEW:
+                picture = self._picture(frame, similarity)
+                state = replace(state, looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
         state = self._moved(self._posed(state, view), similarity)
         return state, self._result(state, box, frame)
 
@@ -306,9 +291,9 @@ class FaceTarget:
         seen = [Sighting.of(one, frame) for one in faces]
         if seen:
             lie = [one.similarity for one in seen]
-            place = state.seen.place(state.passing.image, lie, covered=self._is_covered(state.head))
-            looks = by_looks(state.pictures, lie, frame)
-            p = probabilities(looks, place, company=state.several >= COMPANY)
+            cut, looks = state.cut is not None, by_looks(state.pictures, lie, frame)
+            place = by_place(state.seen, lie, covered=self._is_covered(state.head)) * (not cut)
+            p = probabilities(looks, place, cut=cut, company=state.several >= COMPANY)
             best = int(p.argmax())
             found = seen[best]._replace(p=float(p[best]), by_looks=float(looks[best])).after(state.sighting)
         sighting = found if seen and found.p > MAYBE else None
