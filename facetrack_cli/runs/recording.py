@@ -14,7 +14,7 @@ from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import cv2
 import numba
@@ -60,6 +60,7 @@ from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import Source
 from facetrack_cli.video.writer import VideoWriter
 
+_MAX_NOTES: Final = 5  # lines that the tracker has for the user, which are kept
 _Closed: TypeAlias = VideoWriter | FileSink | StreamSink | PosteriorWriter
 
 
@@ -192,7 +193,7 @@ class Recorder:
 
     def write(self, result: FrameResult) -> None:
         """Write one more frame."""
-        self.state.notes = self.state.notes or result.notes
+        self.state.notes = (*self.state.notes, *result.notes)[:_MAX_NOTES]
         self.write_rows(result.rows)
         if self._posterior is not None:
             self._posterior.add(result)

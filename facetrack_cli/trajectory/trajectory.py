@@ -363,8 +363,8 @@ class TargetResult(NamedTuple):
     """What a tracker says of one target in one frame: a row for each of its K parts, with its diagnostics.
 
     `cloud` (N, K, 2) are the particles' centres in pixels; `insets` are small grey images of what the tracker knows,
-    each with its name; `notes` are lines for the user, said in the first frame. `beliefs` gives what the smoother needs
-    (`tracking.smoothing.Belief`); None of what has none.
+    each with its name; `notes` are lines for the user, of the frame in which they arise. `beliefs` gives what the
+    smoother needs (`tracking.smoothing.Belief`); None of what has none.
     """
 
     rows: Trajectory

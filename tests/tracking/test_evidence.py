@@ -1,22 +1,31 @@
-"""Which face of a frame is the one that was lost: places, time and looks of faces that somebody has drawn."""
+"""Which face of a frame is the target: what looks, places, cuts and company add, of faces that somebody has drawn."""
 
 import cv2
 import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Frame
-from facetrack_cli.tracking.face import found_again
-from facetrack_cli.tracking.face.found_again import (
+from facetrack_cli.tracking.face import evidence
+from facetrack_cli.tracking.face.evidence import (
+    AWAY,
+    BOTH,
+    BOUND,
+    CUT,
+    HEAD,
     MAX_LOOKS,
+    NEAR,
     NEW,
-    OTHER,
+    SHOT,
     SIDE,
+    STAYS,
+    Sighting,
+    by_looks,
+    by_place,
     kept,
     likeness,
     look_of,
-    recognised,
-    sighted,
-)  # fmt: skip
+    probabilities,
+)
 from facetrack_cli.tracking.face.stabilized import Similarity
 from facetrack_cli.tracking.people import looks as people_looks
 from facetrack_cli.tracking.people.looks import Picture
@@ -47,7 +56,7 @@ def shown(*faces, time_s=0.0, turn=0.0, light=1.0):
 
 def look(box, seed, **how):
     middle = np.array([box[0] + (box[2] - 1) / 2, box[1] + (box[2] - 1) / 2])
-    return look_of(Similarity(middle, box[2] / found_again.FACE, how.get("turn", 0.0)).read(shown((box, seed), **how)))
+    return look_of(Similarity(middle, box[2] / evidence.FACE, how.get("turn", 0.0)).read(shown((box, seed), **how)))
 
 
 def seen(box, turn=0.0):
@@ -80,36 +89,66 @@ def test_the_last_looks_are_kept_and_that_of_the_start_stays():
     assert looks[-1] @ look(BOX, 11) == pytest.approx(1)
 
 
-def test_of_several_faces_the_likeliest_is_the_target_and_time_runs_from_its_first_sighting():
-    frame = shown((BOX, 5), (ELSEWHERE, 1), time_s=2.0, turn=0.3)
-    first = sighted(None, [seen(BOX, 0.3), seen(ELSEWHERE, 0.3)], frame, OWN)
-    assert first is not None and first.box == ELSEWHERE and first.since == 2.0 and first.roll == pytest.approx(0.3)
+def place(box, turn=0.0):
+    return Similarity(np.array([box[0] + (box[2] - 1) / 2, box[1] + (box[2] - 1) / 2]), box[2] / evidence.FACE, turn)
+
+
+def test_time_runs_from_the_first_sighting_of_a_face():
+    first = Sighting.of(seen(ELSEWHERE, 0.3), shown(time_s=2.0))
+    assert first.after(None) == first and first.since == 2.0 and first.roll == pytest.approx(0.3)
     near = (ELSEWHERE[0] + 20, *ELSEWHERE[1:])
-    later = sighted(first, [seen(near)], shown((near, 1), time_s=2.4), OWN)
-    assert later is not None and later.box == near and later.since == 2.0
-    away = sighted(later, [seen(BOX)], shown((BOX, 1), time_s=2.8), OWN)
-    assert away is not None and away.since == 2.8, "another face: time begins anew"
+    assert Sighting.of(seen(near), shown(time_s=2.4)).after(first).since == 2.0
+    assert Sighting.of(seen(BOX), shown(time_s=2.4)).after(first).since == 2.4, "another face: time begins anew"
 
 
-def test_somebody_else_is_no_sighting():
-    strangers = [seed for seed in range(2, 40) if likeness(OWN, look(BOX, seed)) < OTHER]
-    assert len(strangers) > 10
-    for seed in strangers:
-        assert sighted(None, [seen(BOX)], shown((BOX, seed)), OWN) is None
-    assert sighted(None, [], shown(), OWN) is None
+def test_a_face_is_followed_at_once_if_it_looks_so_else_if_it_stays_and_never_if_it_is_unlikely():
+    face = Sighting(BOX, 0.0, 1.0, p=0.7, by_looks=3.0)
+    assert face.is_target(shown(time_s=1.0)) and not face._replace(p=0.4).is_target(shown(time_s=9.0))
+    waits = face._replace(by_looks=-3.0)
+    assert not waits.is_target(shown(time_s=1.0 + 0.9 * STAYS)) and waits.is_target(shown(time_s=1.0 + STAYS))
+
+
+def p_of(looks, others=0.0, *, cut=False, company=False):
+    return probabilities(np.atleast_1d(looks), np.atleast_1d(others), cut=cut, company=company)
+
+
+def test_no_look_denies_the_one_face_of_a_shot():
+    for looks in np.linspace(-BOTH, BOTH, 9):
+        assert p_of(looks, -AWAY * (looks > -2)) > 0.4 and p_of(looks, HEAD) > 0.5
+    assert p_of(-BOUND) > 0.5
+
+
+def test_after_a_cut_or_in_company_looks_decide():
+    assert p_of(-1.0, cut=True) > 0.5 > p_of(-BOUND, cut=True)
+    assert p_of(1.0, cut=True, company=True) > 0.5 > p_of(-1.0, company=True)
+    assert p_of(-BOUND + 0.1, NEAR + HEAD, company=True) > 0.5, "it is where it was: that counts as much as the looks"
+    assert (p_of(0.0, cut=True), p_of(0.0)) == pytest.approx((1 / (1 + np.exp(-CUT)), 1 / (1 + np.exp(-SHOT))))
+
+
+def test_of_several_faces_the_likeliest_is_the_target_and_the_rest_is_nobody():
+    p = p_of([2.0, -2.0, 0.5], 0.0, company=True)
+    w = np.exp([2.0, -2.0, 0.5])
+    np.testing.assert_allclose(p, w / (1 + w.sum()))
+    assert len(p_of([], [])) == 0
+
+
+def test_places_speak_for_a_face_where_the_target_was_and_against_others_while_it_is_covered():
+    there = [place(BOX), place(ELSEWHERE), place((*BOX[:2], 2 * BOX[2], 2 * BOX[3]))]
+    np.testing.assert_array_equal(by_place(place(BOX), there, covered=False), [NEAR, 0, 0])
+    np.testing.assert_array_equal(by_place(place(BOX), there, covered=True), [NEAR, -AWAY, -AWAY])
+    assert len(by_place(place(BOX), [], covered=True)) == 0
 
 
 @pytest.mark.parametrize("embedding", [0, 128])
-def test_after_a_cut_the_likeliest_face_is_the_target_if_it_is_likely(monkeypatch, embedding):
-    def place(box):
-        return Similarity(np.array([box[0] + (box[2] - 1) / 2, box[1] + (box[2] - 1) / 2]), box[2] / found_again.FACE)
-
+def test_looks_are_bounded_each_and_together(monkeypatch, embedding):
     monkeypatch.setattr(people_looks, "embedded", lambda chip: np.full(embedding, chip.mean() / 1000))
     known = [Picture.of(shown((BOX, 1)), place(BOX)._replace(scale=BOX[2]))]
-    monkeypatch.setattr(
-        found_again, "same_person", lambda each: 5 * np.array([one.face[0] @ each[0].face[0] for one in each])[None]
-    )
-    frame = shown((BOX, 5), (ELSEWHERE, 1))
-    assert recognised(known, [place(BOX), place(ELSEWHERE)], frame) == 1
-    assert recognised(known, [place(BOX)], frame) is None and recognised(known, [], frame) is None
-    assert recognised(known, [place(BOX)], frame, least=-20) == 0
+
+    def odds(looks):
+        like = np.array([one.face[0] @ looks[0].face[0] for one in looks])
+        return (100 * (like - 0.5) if looks[0].embedding.size == 0 else np.full(len(looks), 9.0))[None]
+
+    monkeypatch.setattr(evidence, "same_person", odds)
+    found = by_looks(known, [place(BOX), place(ELSEWHERE)], shown((BOX, 5), (ELSEWHERE, 1)))
+    np.testing.assert_allclose(found, [-BOUND, BOUND] if not embedding else [0.0, BOTH])
+    assert len(by_looks(known, [], shown())) == 0

@@ -43,6 +43,7 @@ NEAR: Final = 3.0  # log odds of a face where the target was
 AWAY: Final = 2.0  # ... less, of a face elsewhere while the target is covered
 STAYS: Final = 0.5  # seconds that a face is seen before it is the target, and after which a cut was one
 KNOWN: Final = 2.0  # log odds by looks above which a face is the target at once
+SURE: Final = 0.9  # probability below which it is said that the face may be another one
 MAYBE: Final = 0.2  # probability below which a face is no sighting
 SAME: Final = 0.6  # sizes of a face within which it is the same one at the next look
 NEW: Final = 0.6  # correlation with all looks below which another one is kept

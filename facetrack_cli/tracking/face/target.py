@@ -36,6 +36,7 @@ from facetrack_cli.tracking.face.evidence import (
     MAYBE,
     NEW,
     STAYS,
+    SURE,
     Sighting,
     by_looks,
     by_place,
@@ -315,6 +316,11 @@ class FaceTarget:
         middle = np.array(centre(seen.box)) - side * state.pose[2:]
         head, boxed = self.head.restart(rng, frame, state.head, TargetStart(square(middle, side)))
         pose, rest = np.array([seen.roll, *state.pose[1:]]), self.features.x0
+        if seen.p < SURE:
+            doubt = (
+                f"from frame {frame.index} on the face may be another one than before (probability {1 - seen.p:.2f})"
+            )
+            boxed = boxed._replace(notes=(*boxed.notes, doubt))
         features = shifted(state.features, lambda x: x + (rest - state.features.estimated.state))
         state = replace(state, head=head, features=features, pose=pose, facing=Facing(), sighting=None, cut=None)
         return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=True), frame, boxed)
