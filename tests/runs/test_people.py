@@ -121,7 +121,7 @@ def test_the_cast_is_shown_and_corrected(ran, tmp_path, capsys):
 
 
 def test_the_report_shows_the_cast_and_doubts_side_by_side(tmp_path, monkeypatch):
-    def unsure(tracks, known):
+    def unsure(tracks, known, fps):
         found = cast_of(tracks)
         return replace(found, doubts=(Doubt(0, 1, 0.4), Doubt(1, None, 0.3)))
 
