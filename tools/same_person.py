@@ -4,10 +4,13 @@
     python tools/same_person.py views.npz...
 
 Each CLIP, a file or a folder of images, shows one person, whose name is that of the file. Tracks are cut out of it at
-random. What the frames of a track show is changed as films do: small, blurred, turned, dark or in coloured light, partly
-covered, with other clothes and ground. Pairs of tracks are then told apart by logistic regressions, one for each sense.
-Pairs of one person and of two weigh alike, each person does, and so do pairs of clear faces and of others. Each person is left out once: what is printed of how
-often a sense is right is of people whom it was not fitted to.
+random. What the frames of a track show is changed as films do: small, blurred, turned, dark or in coloured light,
+partly covered, with other clothes and ground. The views of tracks of real films may be added: files of `save_people`
+with the names PERSON/TRACK.
+
+Pairs of tracks are told apart by logistic regressions, one for each sense. Pairs of one person and of two weigh alike,
+each person does, and so do pairs of clear faces and of others. Each person is left out once: how often a sense is right
+is printed of people whom it was not fitted to.
 """
 
 import argparse
@@ -158,9 +161,8 @@ def report(known: Mapping[str, Looks]) -> None:
         p = 1 / (1 + np.exp(-odds))
         bins = [(p >= lo) & (p < lo + 0.1) for lo in np.arange(0, 1, 0.1)]
         error = sum(abs(float(weight[b] @ (p[b] - same[b]))) for b in bins)
-        print(
-            f"{name:10s} right {weight[(odds > 0) == same].sum():.3f}, log loss {loss:.3f}, calibration error {error:.3f}"
-        )
+        right = weight[(odds > 0) == same].sum()
+        print(f"{name:10s} right {right:.3f}, log loss {loss:.3f}, calibration error {error:.3f}")
 
 
 def main() -> None:

@@ -1,14 +1,18 @@
 """Who is who in a film: tracks, their log odds, and what excludes."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Frame
+from facetrack_cli.tracking.face.stabilized import Similarity
 from facetrack_cli.tracking.people import identity
 from facetrack_cli.tracking.people.identity import SENSES, SURE, UNKNOWN, Seen, cast_of, clusters, same_person
-from facetrack_cli.tracking.people.looks import VIEWS, Looks, load_people, save_people, together
+from facetrack_cli.tracking.people.looks import VIEWS, Looks, Reader, View, load_people, save_people, together
+from facetrack_cli.tracking.start.detectors import Found
 
 
 def unit(seed, size):
@@ -52,7 +56,7 @@ def slow_odds(a, b):
     ends = [[np.median(getattr(one, key), axis=0) for key in ("skin", "hair", "worn")] for one in (a, b)]
     far = [np.linalg.norm((x - y) * [0.4, 1, 1]) for x, y in zip(ends[0][:2], ends[1][:2], strict=True)]
     far.append(0.5 * np.sum((ends[0][2] - ends[1][2]) ** 2 / (ends[0][2] + ends[1][2] + 1e-9)))
-    return total + np.clip(at + np.dot(by, np.exp(-np.array(far) / identity._NEAR)), -against, speaks_for)
+    return total + np.clip(at + np.dot(by, np.exp(-np.array([far[0], *far]) / identity._NEAR)), -against, speaks_for)
 
 
 def test_log_odds_are_those_of_the_slow_twin():
@@ -177,6 +181,13 @@ def test_known_people_are_read_as_they_were_saved(tmp_path):
             np.testing.assert_array_equal(mine, theirs)
 
 
+def test_a_file_that_was_saved_before_views_had_a_worth_is_read(tmp_path):
+    save_people(tmp_path / "people.npz", {"Ann": looks(1)})
+    with np.load(tmp_path / "people.npz") as held:
+        np.savez(tmp_path / "old.npz", **{key: held[key] for key in held.files if key != "worth"})
+    assert (load_people(tmp_path / "old.npz")["Ann"].worth == 1).all()
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -193,6 +204,41 @@ def test_a_file_of_other_arrays_is_refused(tmp_path, change, message):
     np.savez(tmp_path / "other.npz", **arrays)
     with pytest.raises(InputError, match=message):
         load_people(tmp_path / "other.npz")
+
+
+class Sees:
+    """A detector that gives a face in the middle of what it measures one score after another; of 0 it sees none."""
+
+    name = "scores"
+
+    def __init__(self, *scores):
+        self.scores = iter(scores)
+
+    def measure(self, image, box):
+        score = next(self.scores)
+        return Found(box, score=score) if score else None
+
+
+def reader_of(*scores, blur=0.0):
+    rng = np.random.default_rng(0)
+    large, fine = (cv2.resize(rng.random((n, n, 3)), (200, 200), interpolation=cv2.INTER_CUBIC) for n in (6, 60))
+    image = np.clip(160 * large + 80 * fine, 0, 255).astype(np.uint8)
+    image = cv2.GaussianBlur(image, (0, 0), blur) if blur else image
+    reader = Reader(Sees(*scores))
+    for k in range(len(scores)):
+        reader.see(Frame(k, k / 25, image), View(k, Similarity(np.array([100.0, 100.0]), 90.0), 1.0))
+    return reader
+
+
+def test_a_fist_is_no_face_and_a_face_that_turns_away_is_one():
+    assert reader_of(*[0.92] * 8).is_face and reader_of(0.9, 0.9, 0, 0.88, 0, 0, 0, 0).is_face
+    assert not reader_of(0, 0.78, 0, 0, 0.66, 0, 0, 0).is_face and not reader_of(*[0.0] * 5).is_face
+
+
+def test_a_blurred_view_and_one_that_the_detector_is_unsure_of_are_worth_less():
+    whole, unsure, none = (reader_of(score).looks().worth.item() for score in (0.95, 0.8, 0.0))
+    assert whole > 0.5 and 0 < unsure < 0.5 * whole and none == 0
+    assert reader_of(0.95, blur=4.0).looks().worth.item() < 0.5 * whole
 
 
 def slow_clusters(odds, apart):

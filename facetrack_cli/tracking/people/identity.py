@@ -37,11 +37,16 @@ class _Sense(NamedTuple):
 
 
 SENSES: Final = {  # by tools/same_person.py
-    "grey": _Sense(-5.55, (-1.66, -15.27), 3.8, 3.2),
-    "embedding": _Sense(23.05, (-1.98, -40.82), 3.3, 4.2),
-    "colour": _Sense(-0.68, (3.9, 1.24, 1.79), 0.2, 3.5),  # skin, hair and clothes
+    "grey": _Sense(-6.15, (-1.53, -14.53), 3.0, 4.0),
+    "embedding": _Sense(38.12, (-7.16, -61.17), 3.5, 4.5),
+    "colour": _Sense(-0.98, (20.36, -8.14, 2.79, 3.04), 3.1, 3.2),  # skin, closely and at all, hair, clothes
 }
-_NEAR: Final = (5.0, 10.0, 0.3)  # of skin, hair (both in Lab) and clothes: what is this far off is near by 1 / e
+_NEAR: Final = (
+    3.0,
+    10.0,
+    10.0,
+    0.3,
+)  # of skin, closely and at all, hair (both in Lab), and clothes: what is this far off is near by 1 / e
 _SAME_PLACE: Final = 3.0  # log odds of a track that begins where another one of its shot has ended
 _GOES_ON: Final = 1.0  # the same over a cut
 _IN_PLACE, _AS_LARGE = (
@@ -145,7 +150,7 @@ def _senses(looks: Sequence[Looks]) -> Array:
 
 
 def distances(looks: Sequence[Looks]) -> dict[str, Array]:
-    """(1 + D, T, T) what SENSES weigh: what a pair of tracks is worth, and that times what it is worth and how far it is.
+    """(1 + D, T, T) what SENSES weigh of each pair of tracks: its worth, and that times its worth and its distance.
 
     A face that is blurred, small, covered or turned away says less, whatever it looks like; its colours say as much.
     """
@@ -165,7 +170,8 @@ def distances(looks: Sequence[Looks]) -> dict[str, Array]:
     )
     clothes = 0.5 * np.array([np.sum((worn - one) ** 2 / (worn + one + 1e-9), axis=1) for one in worn])
     # colours that differ say little: the light may be another one, and so may the clothes
-    near = [np.exp(-far / scale) for far, scale in zip((_far(skin), _far(hair), clothes), _NEAR, strict=True)]
+    far = (_far(skin), _far(skin), _far(hair), clothes)
+    near = [np.exp(-one / scale) for one, scale in zip(far, _NEAR, strict=True)]
     return found | {"colour": np.array([np.ones_like(worth), *near])}
 
 
