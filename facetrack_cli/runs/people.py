@@ -40,7 +40,6 @@ from facetrack_cli.trajectory.people import (
     ShotRecord,
     TrackRecord,
     Tracks,
-    is_nobody,
     people_of,
     photographs,
     read_people,
@@ -93,10 +92,10 @@ def film_results(
 
 
 def looks_in(
-    boxes: Mapping[str, Trajectory], source: Source, report: Callable[[int], None], stop: Stopped, by: str | None = None
+    boxes: Mapping[str, Trajectory], source: Source, report: Callable[[int], None], stop: Stopped
 ) -> dict[str, Reader]:
     """What the frames of `source` show of each of these boxes. Raises StoppedError once `stop` says so."""
-    readers, wanted = {name: Reader(detector(by)) for name in boxes}, defaultdict(list)
+    readers, wanted = {name: Reader(detector()) for name in boxes}, defaultdict(list)
     for name, box in boxes.items():
         for view in views_of(box):
             wanted[view.frame].append((name, view))
@@ -119,13 +118,12 @@ def cast(
     report: Callable[[int], None],
     stop: Stopped,
     known: Mapping[str, Looks] | None = None,
-    by: str | None = None,
 ) -> Named:
     """Who the tracks of `rows` are of, by what the frames of `source` show. Raises StoppedError once `stop` says so."""
     boxes = _boxes(rows)
     least = min(MIN_FRAMES, len(rows.frames))
     boxes = {name: box for name, box in boxes.items() if (~box.unseen).sum() >= least}
-    readers, known = looks_in(boxes, source, report, stop, by), known or {}
+    readers, known = looks_in(boxes, source, report, stop), known or {}
     begins = np.array([shot.first for shot in shots])
     tracks = [
         Seen(
@@ -154,7 +152,7 @@ def save_looks(folder: Path, path: Path, clip: Path | None, report: Report, stop
     with open_source(where, fps=fps, start=first) as source:
         total = source.frames_hint
         readers = looks_in(_boxes(rows), source, lambda at: report(at - first, total, "looking at people"), stop)
-    names = tuple(name for name in people.names if not is_nobody(name))
+    names = tuple(name for name in people.names if not name.startswith(NOBODY))
     save_people(path, {name: readers[name].looks() for name in names})
     return names
 
@@ -238,8 +236,7 @@ def cast_in(job: Job, rows: Trajectory, stop: Stopped, looked: Report) -> Named:
     with job.open(first) as source:
         total = source.frames_hint
         known = None if job.gallery is None else load_people(job.gallery)
-        by = next((name for name in DETECTORS if name == job.init), None)
-        found = cast(rows, shots, source, lambda at: looked(at - first, total, "looking at people"), stop, known, by)
+        found = cast(rows, shots, source, lambda at: looked(at - first, total, "looking at people"), stop, known)
     if not found.tracks:
         frames = len(rows.frames)
         raise InputError(f"{job.clip}: no face is seen in {MIN_FRAMES} frames of {frames}; is this the right film?")
@@ -389,10 +386,10 @@ def _picture(rows: Trajectory, name: str, clip: Path | None, fps: Fraction | Non
 
 def cast_line(people: People) -> str:
     """Who is in a film, in one line."""
-    known = [one for one in people.people if not is_nobody(one.name)]
+    known = [one for one in people.people if not one.name.startswith(NOBODY)]
     shown = ", ".join(f"{one.name} {one.seconds:.1f} s" for one in sorted(known, key=lambda one: -one.seconds)[:6])
     more = len(known) - 6
-    doubts, unknown = len(people.doubts), sum(is_nobody(one.person) for one in people.tracks)
+    doubts, unknown = len(people.doubts), sum(one.person.startswith(NOBODY) for one in people.tracks)
     unsure = f"; {doubts} of {len(people.tracks)} tracks are in doubt (P < {SURE:g})" if doubts else ""
     unsure += f"; {unknown} show{'s' * (unknown == 1)} no face that could be told again ({NOBODY})" if unknown else ""
     shots = len(people.shots)

@@ -20,7 +20,7 @@ from facetrack_cli.trajectory.trajectory import Trajectory, successive
 
 PEOPLE: Final = "people.json"
 PERSON: Final = "person_"
-NOBODY: Final = "unknown"  # whose face could not be told again; of several at a time unknown_2, unknown_3
+NOBODY: Final = "unknown"  # begins the names of those whose face could not be told again: also unknown_2, unknown_3
 STILLS: Final = "people"  # the folder of the pictures, in that of a run
 _P: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 _Frame: TypeAlias = Annotated[int, Field(ge=0)]
@@ -148,11 +148,6 @@ def people_of(
 
 
 Tracks: TypeAlias = "list[tuple[str, TrackRecord]]"  # each with the target whose rows it has
-
-
-def is_nobody(name: str) -> bool:
-    """Whether tracks of that name show no face that could be told again."""
-    return name == NOBODY or (name.startswith(f"{NOBODY}_") and name[len(NOBODY) + 1 :].isdigit())
 
 
 def tracks_of(people: People) -> Tracks:

@@ -47,12 +47,11 @@ def slow_odds(a, b):
     """The sum of what each sense says, bounded, one pair of tracks after another."""
     worth = min(a.worth.mean(), b.worth.mean())
     total = 0.0
-    for name, views in (("grey", lambda one: one.face), ("embedding", lambda one: one.embedding)):
-        at, (own, by), against, speaks_for = SENSES[name]
-        far = slow_nearest(views(a), views(b))
-        far = far if name == "embedding" else far**2 / 2 - 1
+    for key in ("face", "embedding"):
+        (at, own, by), against, speaks_for = SENSES[key]
+        far = slow_nearest(getattr(a, key), getattr(b, key))
         total += np.clip(worth * (at + own * worth + by * far), -against, speaks_for)
-    at, by, against, speaks_for = SENSES["colour"]
+    (at, *by), against, speaks_for = SENSES["colour"]
     ends = [[np.median(getattr(one, key), axis=0) for key in ("skin", "hair", "worn")] for one in (a, b)]
     far = [np.linalg.norm((x - y) * [0.4, 1, 1]) for x, y in zip(ends[0][:2], ends[1][:2], strict=True)]
     far.append(0.5 * np.sum((ends[0][2] - ends[1][2]) ** 2 / (ends[0][2] + ends[1][2] + 1e-9)))

@@ -12,7 +12,7 @@ This is recognition of an open set, without a gallery: Zhou et al. (2003) recogn
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -27,32 +27,16 @@ _NEAREST: Final = VIEWS * VIEWS // 8  # of the distances between the views of tw
 _AS_GOOD: Final = 0.5  # of the best view's worth, what another view that is looked at has at least
 
 
-class _Sense(NamedTuple):
-    """Log odds `at + by @ distances`, bounded by how often they are wrong about people left out: both ways."""
-
-    at: float
-    by: tuple[float, ...]
-    against: float
-    speaks_for: float
-
-
-SENSES: Final = {  # by tools/same_person.py
-    "grey": _Sense(-6.15, (-1.53, -14.53), 3.0, 4.0),
-    "embedding": _Sense(38.12, (-7.16, -61.17), 3.5, 4.5),
-    "colour": _Sense(-0.98, (20.36, -8.14, 2.79, 3.04), 3.1, 3.2),  # skin, closely and at all, hair, clothes
+# by tools/same_person.py: weights of what `distances` gives, the most that it says against one person, and for one
+SENSES: Final = {
+    "face": ((14.84, -1.12, -14.23), 3.1, 3.9),
+    "embedding": ((37.09, -6.67, -59.58), 4.2, 4.4),
+    "colour": ((-1.06, 19.55, -6.99, 2.56, 2.89), 2.6, 3.2),
 }
-_NEAR: Final = (
-    3.0,
-    10.0,
-    10.0,
-    0.3,
-)  # of skin, closely and at all, hair (both in Lab), and clothes: what is this far off is near by 1 / e
+_NEAR: Final = (3.0, 10.0, 10.0, 0.3)  # scales: of skin, twice, and hair, all in Lab, and of clothes
 _SAME_PLACE: Final = 3.0  # log odds of a track that begins where another one of its shot has ended
 _GOES_ON: Final = 1.0  # the same over a cut
-_IN_PLACE, _AS_LARGE = (
-    0.25,
-    0.2,
-)  # sides of the box, and of the logarithm of its side, within which it is the same place
+_IN_PLACE, _AS_LARGE = 0.25, 0.2  # sides of the box by which it has moved then, and its growth, at most
 AT_ONCE_S: Final = 0.5
 LEAST: Final = 0.15  # worth of a track below which its face cannot be told again
 UNKNOWN: Final = -1
@@ -110,13 +94,11 @@ def cast_of(tracks: Sequence[Seen], known: Sequence[Looks] = (), fps: float = 25
     odds = np.clip(odds + _SAME_PLACE * follows + _GOES_ON * goes_on, -_BOUND, _BOUND)
     apart = np.pad(_apart(tracks), (k, 0))
     apart[:k, :k] = ~np.eye(k, dtype=bool)
-    nobody = np.array([worth_of(one) < LEAST for one in every])
-    nobody[:k] = False
+    nobody = np.array([i >= k and worth_of(one) < LEAST for i, one in enumerate(every)])
     nothing = (nobody[:, None] | nobody) & ~(follows | goes_on)
     label = _in_order(clusters(odds, apart | nothing))
-    shown = np.bincount(label, ~nobody) > 0  # people of whom a face can be told again
-    found = _judged(label, odds, apart)
-    person = np.where(shown, np.cumsum(shown) - 1, UNKNOWN)  # of each cluster
+    found, shown = _judged(label, odds, apart), np.bincount(label, ~nobody) > 0
+    person = np.where(shown, np.cumsum(shown) - 1, UNKNOWN)  # of each cluster, where a face of it can be told again
     doubts = [replace(one, track=one.track - k) for one in found.doubts if one.track >= k]
     others = [None if one.other is None or not shown[one.other] else int(person[one.other]) for one in doubts]
     told = tuple(replace(one, other=other) for one, other in zip(doubts, others, strict=True))
@@ -128,54 +110,45 @@ def same_person(looks: Sequence[Looks]) -> Array:
     return np.asarray(_senses(looks).sum(axis=0))
 
 
-def worth_of(looks: Looks) -> float:
-    """How much of a face the best views of a track show, 0..1."""
-    return float(np.mean(looks.worth[_best(looks)]))
-
-
 def _best(looks: Looks) -> Whole:
     """The views (VIEWS,) that are worth most; few stand for more."""
     worth = looks.worth[:, 0]
     return np.resize(np.flatnonzero(worth >= _AS_GOOD * worth.max()), VIEWS)
 
 
+def worth_of(looks: Looks) -> float:
+    """How much of a face the best views of a track show, 0..1."""
+    return float(np.mean(looks.worth[_best(looks)]))
+
+
 def _senses(looks: Sequence[Looks]) -> Array:
     """(S, T, T) the log odds by each sense."""
-    found = []
-    for name, far in distances(looks).items():
-        at, by, against, speaks_for = SENSES[name]
-        odds = np.tensordot((at, *by), far, 1)
-        found.append(np.clip(odds, -against, speaks_for))
-    return np.array(found)
+    each = [(*SENSES[name], far) for name, far in distances(looks).items()]
+    return np.array([np.clip(np.tensordot(by, far, 1), -against, most) for by, against, most, far in each])
 
 
 def distances(looks: Sequence[Looks]) -> dict[str, Array]:
-    """(1 + D, T, T) what SENSES weigh of each pair of tracks: its worth, and that times its worth and its distance.
+    """(D, T, T) what SENSES weigh of each pair of tracks: its worth, and that times its worth and its distance.
 
     A face that is blurred, small, covered or turned away says less, whatever it looks like; its colours say as much.
+    Colours that are far apart say little: the light may be another one, and so may the clothes.
     """
-    full = [_best(one) for one in looks]
+    best, found = [_best(one) for one in looks], dict[str, Array]()
     worth = np.array([worth_of(one) for one in looks])
     worth = np.minimum(worth[:, None], worth)
-    x = np.concatenate([one.face[rows] for one, rows in zip(looks, full, strict=True)])
-    found = {"grey": worth * np.array([np.ones_like(worth), worth, _of_nearest(x, lambda dot, rows: -dot)])}
-    if all(one.embedding.shape[1] for one in looks):  # known people may have been saved without
-        y = np.concatenate([one.embedding[rows] for one, rows in zip(looks, full, strict=True)])
-        squared = np.sum(y**2, axis=1)
-        near = _of_nearest(y, lambda dot, rows: np.sqrt(np.maximum(squared[rows, None] + squared - 2 * dot, 0)))
-        found["embedding"] = worth * np.array([np.ones_like(worth), worth, near])
+    for key in ("face", "embedding"):  # known people may have been saved without
+        if all(getattr(one, key).shape[1] for one in looks):
+            x = np.concatenate([getattr(one, key)[rows] for one, rows in zip(looks, best, strict=True)])
+            found[key] = worth * np.array([np.ones_like(worth), worth, _nearest(x)])
     skin, hair, worn = (
-        np.array([np.median(getattr(one, key)[rows], axis=0) for one, rows in zip(looks, full, strict=True)])
-        for key in _COLOURS
+        np.array([np.median(getattr(one, key)[rows], axis=0) for one, rows in zip(looks, best, strict=True)])
+        for key in ("skin", "hair", "worn")
     )
-    clothes = 0.5 * np.array([np.sum((worn - one) ** 2 / (worn + one + 1e-9), axis=1) for one in worn])
-    # colours that differ say little: the light may be another one, and so may the clothes
-    far = (_far(skin), _far(skin), _far(hair), clothes)
-    near = [np.exp(-one / scale) for one, scale in zip(far, _NEAR, strict=True)]
-    return found | {"colour": np.array([np.ones_like(worth), *near])}
+    clothes = [0.5 * np.sum((worn - one) ** 2 / (worn + one + 1e-9), axis=1) for one in worn]
+    far = np.array([_far(skin), _far(skin), _far(hair), clothes]) / np.reshape(_NEAR, (4, 1, 1))
+    return found | {"colour": np.array([np.ones_like(worth), *np.exp(-far)])}
 
 
-_COLOURS: Final = ("skin", "hair", "worn")
 _LAB: Final = np.array([0.4, 1.0, 1.0])  # brightness changes with the light
 
 
@@ -184,16 +157,14 @@ def _far(colours: Array) -> Array:
     return np.asarray(np.linalg.norm((colours[:, None] - colours) * _LAB, axis=2))
 
 
-def _of_nearest(x: Array, distance: Callable[[Array, slice], Array]) -> Array:
-    """(T, T): the mean of the smallest eighth of the distances between views of two tracks.
-
-    `x` (T * VIEWS, D) are all views; `distance` makes the distances of some rows from their products with all.
-    """
-    t = len(x) // VIEWS
+def _nearest(x: Array) -> Array:
+    """(T, T): the mean of the smallest eighth of the distances between views x (T * VIEWS, D) of two tracks."""
+    t, squared = len(x) // VIEWS, np.sum(x**2, axis=1)
     found = np.empty((t, t))
     for i in range(t):
         rows = slice(i * VIEWS, (i + 1) * VIEWS)
-        each = distance(x[rows] @ x.T, rows).reshape(VIEWS, t, VIEWS).transpose(1, 0, 2).reshape(t, -1)
+        each = np.sqrt(np.maximum(squared[rows, None] + squared - 2 * x[rows] @ x.T, 0))
+        each = each.reshape(VIEWS, t, VIEWS).transpose(1, 0, 2).reshape(t, -1)
         found[i] = np.partition(each, _NEAREST - 1, axis=1)[:, :_NEAREST].mean(axis=1)
     return 0.5 * (found + found.T)
 
