@@ -6,7 +6,7 @@
 Each CLIP, a file or a folder of images, shows one person, whose name is that of the file. Tracks are cut out of it at
 random. What the frames of a track show is changed as films do: small, blurred, turned, dark or in coloured light,
 partly covered, with other clothes and ground. The views of tracks of real films may be added: files of `save_people`
-with the names PERSON/TRACK.
+with the names PERSON/TRACK. Needs SciPy.
 
 Pairs of tracks are told apart by logistic regressions, one for each sense. Pairs of one person and of two weigh alike,
 each person does, and so do pairs of clear faces and of others. Each person is left out once: how often a sense is right
@@ -21,7 +21,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import minimize  # type: ignore[import-untyped, unused-ignore]
 
 from facetrack_cli.core.geometry import overlap
 from facetrack_cli.core.types import Array, Frame, Mask
@@ -57,10 +57,10 @@ class Change:
         side, middle = int(4.4 * size), 2.2 * size
         around = Similarity(face.centre, 4.4 * face.scale / side, math.radians(self.turn)).read(frame, side).bgr
         wide = np.array([[self.narrow, 0, middle * (1 - self.narrow)], [0, 1, 0]])
-        image = cv2.warpAffine(around, wide, (side, side), borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
-        head = np.zeros((side, side), np.float32)
-        cv2.ellipse(head, (side // 2, side // 2), (int(0.55 * size), int(0.75 * size)), 0, 0, 360, 1, -1)
-        head = cv2.GaussianBlur(head, (0, 0), 0.08 * size + 0.5)[..., None]
+        image: Array = cv2.warpAffine(around, wide, (side, side), borderMode=cv2.BORDER_REPLICATE).astype(np.float64)
+        mask = np.zeros((side, side), np.float32)
+        cv2.ellipse(mask, (side // 2, side // 2), (int(0.55 * size), int(0.75 * size)), 0, 0, 360, 1, -1)
+        head: Array = cv2.GaussianBlur(mask, (0, 0), 0.08 * size + 0.5)[..., None].astype(np.float64)
         image = image * head + np.clip(image * self.clothes, 0, 255) * (1 - head)
         if self.covered:
             skin = np.median(image[side // 2 :, side // 2 - 2 : side // 2 + 3][: max(int(size / 6), 1)], axis=(0, 1))
@@ -70,7 +70,7 @@ class Change:
             image = image * (1 - hand) + (skin * 0.9 + rng.normal(0, 6, image.shape)) * hand
         image = image * self.light * self.dark + rng.normal(0, 3, image.shape) * (self.dark < 1)
         if self.blur:
-            image = cv2.GaussianBlur(image, (0, 0), self.blur * size)
+            image = np.asarray(cv2.GaussianBlur(image, (0, 0), self.blur * size), np.float64)
         packed = cv2.imencode(".jpg", np.clip(image, 0, 255).astype(np.uint8), (cv2.IMWRITE_JPEG_QUALITY, 88))[1]
         there = np.full(2, (side - 1) / 2) + rng.normal(0, 0.015 * size, 2)
         found = Similarity(there, size * math.exp(rng.normal(0, 0.03)), face.angle - math.radians(self.turn))

@@ -183,7 +183,7 @@ def places(tracks: Sequence[Seen], fps: float) -> tuple[Mask, Mask]:
     Over a cut it begins within half a second, as large as it was.
     """
     shot, first, stop = (np.array([getattr(one, key) for one in tracks]) for key in ("shot", "first", "stop"))
-    begins, ends = (np.array([getattr(one, key) for one in tracks]) for key in ("begins", "ends"))
+    begins, ends = (np.array([getattr(one, key) for one in tracks]).reshape(-1, 4) for key in ("begins", "ends"))
     side, other = ends[:, None, 2], begins[:, 2]
     off = np.hypot(*(ends[:, None, :2] - begins[:, :2]).transpose(2, 0, 1)) / np.maximum(side, other)
     wait, alike = first - stop[:, None], np.abs(np.log(side / other)) < _AS_LARGE
