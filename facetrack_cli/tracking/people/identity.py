@@ -1,9 +1,9 @@
 """Who is who: the tracks of a whole film, each given to a person, or to somebody new (ours).
 
-Two tracks are of one person with log odds that come from what is seen in both: with dlib's embeddings from the mean of
-the smallest eighth of the distances between their views, else from the face in grey, skin, hair and clothes. Both are
-logistic regressions on pairs of tracks of edited clips. Tracks that are seen at the same time are of two people. Where
-one ends and another begins in the same place of the same shot, that speaks for one person.
+Two tracks are of one person with log odds that are the sum of what three senses say: the face in grey, dlib's embedding
+of it where that is there, and the colours of skin, hair and clothes. Each is a logistic regression on pairs of tracks,
+and says no more than it is right about people left out. Tracks that are seen at the same time are of two people. Where
+one begins in the place where another has ended, in one shot or over a cut, that speaks for one person.
 
 Clusters of tracks are joined while the mean log odds between them favour it, the likeliest first, whatever the order of
 time. Then each track has a posterior over the people of the film and "somebody new", and what is not clear is a doubt.
