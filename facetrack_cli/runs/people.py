@@ -54,7 +54,6 @@ from facetrack_cli.video.source import Source, open_source
 
 ORIGIN: Final = "--faces all"
 MIN_FRAMES: Final = 5  # of a track in which its face is seen; of fewer nothing is kept
-_MOST_NAMED: Final = 6  # people, in a line
 STILL_CHANGE: Final = 2.5  # grey levels; a face that changes by less is of a photograph
 
 
