@@ -26,12 +26,13 @@ from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.runs.smooth import repaint, replace_files
 from facetrack_cli.runs.start import frames_of
 from facetrack_cli.tracking.loop import TrackState
-from facetrack_cli.tracking.people.identity import SURE, Cast, Seen, cast_of
+from facetrack_cli.tracking.people.identity import AT_ONCE_S, SURE, UNKNOWN, Cast, Seen, cast_of, places
 from facetrack_cli.tracking.people.looks import Looks, Reader, load_people, save_people, still, views_of
 from facetrack_cli.tracking.people.presence import MAX_FACES, Film
 from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.trajectory.header import clip_of, said
 from facetrack_cli.trajectory.people import (
+    NOBODY,
     PEOPLE,
     PERSON,
     STILLS,
@@ -53,7 +54,6 @@ from facetrack_cli.video.source import Source, open_source
 
 ORIGIN: Final = "--faces all"
 MIN_FRAMES: Final = 5  # of a track in which its face is seen; of fewer nothing is kept
-_MOST_NAMED: Final = 6  # people, in a line
 STILL_CHANGE: Final = 2.5  # grey levels; a face that changes by less is of a photograph
 
 
@@ -70,7 +70,7 @@ def film_shots(job: Job, first: int, stop: Stopped, looked: Report) -> list[Shot
     with job.open(first) as source:
         frames = frames_of(source, first, "the film", stop)
         total = source.frames_hint
-        cuts = list(find_cuts(frames, lambda done: looked(done, total, "finding shots")))
+        cuts = list(find_cuts(frames, lambda done: looked(done, total, "finding shots"), float(source.fps)))
     if stop():
         raise InputError(f"{job.clip}: stopped before its shots were found")
     return shots_of(cuts, first, job.stop)
@@ -94,7 +94,7 @@ def looks_in(
     boxes: Mapping[str, Trajectory], source: Source, report: Callable[[int], None], stop: Stopped
 ) -> dict[str, Reader]:
     """What the frames of `source` show of each of these boxes. Raises StoppedError once `stop` says so."""
-    readers, wanted = {name: Reader() for name in boxes}, defaultdict(list)
+    readers, wanted = {name: Reader(detector()) for name in boxes}, defaultdict(list)
     for name, box in boxes.items():
         for view in views_of(box):
             wanted[view.frame].append((name, view))
@@ -130,8 +130,9 @@ def cast(
             int(np.searchsorted(begins, box.frame[0], "right")), readers[name].looks(),
         )
         for name, box in sorted(boxes.items(), key=lambda one: int(one[1].frame[0]))
+        if readers[name].is_face
     ]  # fmt: skip
-    found = cast_of(tracks, list(known.values()))
+    found = cast_of(tracks, list(known.values()), float(source.fps))
     new = iter(one for k in range(1, len(tracks) + len(known) + 1) if (one := f"{PERSON}{k}") not in known)
     names = [*known, *(next(new) for _ in range(int(found.person.max(initial=-1)) + 1 - len(known)))]
     return _named(tracks, found, names, readers, shots, float(source.fps))
@@ -150,8 +151,9 @@ def save_looks(folder: Path, path: Path, clip: Path | None, report: Report, stop
     with open_source(where, fps=fps, start=first) as source:
         total = source.frames_hint
         readers = looks_in(_boxes(rows), source, lambda at: report(at - first, total, "looking at people"), stop)
-    save_people(path, {name: readers[name].looks() for name in people.names})
-    return people.names
+    names = tuple(name for name in people.names if not name.startswith(NOBODY))
+    save_people(path, {name: readers[name].looks() for name in names})
+    return names
 
 
 def _boxes(rows: Trajectory) -> dict[str, Trajectory]:
@@ -178,7 +180,12 @@ def _named(
     shots: Sequence[Shot],
     fps: float,
 ) -> Named:
-    names = [called[k] for k in found.person.tolist()]
+    names, lanes = list[str](), list[int]()  # until when each of those is seen whose face cannot be told again
+    for track, k in zip(tracks, found.person.tolist(), strict=True):
+        lane = next((n for n, until in enumerate(lanes) if until <= track.first), len(lanes))
+        if k == UNKNOWN:
+            lanes[lane : lane + 1] = [track.stop]
+        names.append(called[k] if k != UNKNOWN else NOBODY if not lane else f"{NOBODY}_{lane + 1}")
     doubts = {one.track: one for one in found.doubts}
     records: Tracks = []
     pictures: dict[str, tuple[float, Image]] = {}
@@ -194,10 +201,24 @@ def _named(
         assert best is not None
         for of in (name, track.name) if doubt else (name,):
             pictures[of] = max(pictures.get(of, best), best, key=lambda still: still[0])
-    told = [ShotRecord(first=one.first, stop=one.stop) for one in shots]
+    told = [ShotRecord(first=one.first, stop=one.stop) for one in _true(shots, tracks, names, fps)]
     paths = {name: f"{STILLS}/{name}.jpg" for name in pictures}
     people = people_of(fps, told, [one for _, one in records], paths, {*names} - moving)
     return Named(people, tuple(records), {name: _jpeg(image) for name, (_, image) in pictures.items()})
+
+
+def _true(shots: Sequence[Shot], tracks: Sequence[Seen], names: Sequence[str], fps: float) -> list[Shot]:
+    """The shots without cuts after which the same faces go on in the same places, as after a flash."""
+    found, goes_on = list(shots[:1]), places(tracks, fps)[1]
+    for shot in shots[1:]:
+        before = [i for i, one in enumerate(tracks) if one.stop == shot.first]
+        after = [j for j, one in enumerate(tracks) if shot.first <= one.first <= shot.first + AT_ONCE_S * fps]
+        pairs = [(i, j) for i in before for j in after if goes_on[i, j] and names[i] == names[j]]
+        if before and len(before) == len(after) == len(pairs):
+            found[-1] = found[-1]._replace(stop=shot.stop, until=shot.until)
+        else:
+            found.append(shot)
+    return found
 
 
 def crowded(at: TrackState) -> tuple[str, ...]:
@@ -364,14 +385,14 @@ def _picture(rows: Trajectory, name: str, clip: Path | None, fps: Fraction | Non
 
 def cast_line(people: People) -> str:
     """Who is in a film, in one line."""
-    shown = ", ".join(
-        f"{one.name} {one.seconds:.1f} s" for one in sorted(people.people, key=lambda one: -one.seconds)[:6]
-    )
-    more = len(people.people) - 6
-    doubts = len(people.doubts)
+    known = [one for one in people.people if not one.name.startswith(NOBODY)]
+    shown = ", ".join(f"{one.name} {one.seconds:.1f} s" for one in sorted(known, key=lambda one: -one.seconds)[:6])
+    more = len(known) - 6
+    doubts, unknown = len(people.doubts), sum(one.person.startswith(NOBODY) for one in people.tracks)
     unsure = f"; {doubts} of {len(people.tracks)} tracks are in doubt (P < {SURE:g})" if doubts else ""
+    unsure += f"; {unknown} show{'s' * (unknown == 1)} no face that could be told again ({NOBODY})" if unknown else ""
     shots = len(people.shots)
     return (
-        f"{len(people.people)} {'people' if len(people.people) != 1 else 'person'} in {shots} shot{'s' * (shots > 1)}: "
+        f"{len(known)} {'people' if len(known) != 1 else 'person'} in {shots} shot{'s' * (shots > 1)}: "
         f"{shown}{f' and {more} more' if more > 0 else ''}{unsure}"
     )

@@ -20,6 +20,7 @@ from facetrack_cli.trajectory.trajectory import Trajectory, successive
 
 PEOPLE: Final = "people.json"
 PERSON: Final = "person_"
+NOBODY: Final = "unknown"  # begins the names of those whose face could not be told again: also unknown_2, unknown_3
 STILLS: Final = "people"  # the folder of the pictures, in that of a run
 _P: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 _Frame: TypeAlias = Annotated[int, Field(ge=0)]

@@ -1,7 +1,7 @@
 """Shots of an edited clip: where one camera's image follows another's, at once (a cut) or by blending (a dissolve).
 
 A frame is compared as a small image in brightness and colour. At a cut the images before and after differ far more than
-neighbours do, for longer than a flash lasts, and by more than brightness. In a dissolve the images lie on the line from
+neighbours do, for more than half a second, and by more than brightness. In a dissolve the images lie on the line from
 the last image of the one shot to the first image of the other, at even steps, and have less texture than both: edges of
 two images that are blended fade. A pan or a person that moves leaves that line and keeps its texture. None of this is
 in the papers.
@@ -21,7 +21,7 @@ from facetrack_cli.core.types import Frame, Image
 SIDE: Final = (32, 18)  # pixels of the small images
 MIN_STEP: Final = 5.0  # grey levels, mean over the image, that two shots differ by at least
 BESIDE: Final = 0.5  # share of the step at a cut that its neighbours' steps reach at most
-FLASH_FRAMES: Final = 4  # frames that a flash lasts at most
+FLASH_S: Final = 0.5  # seconds that a flash, a whip pan and back, or a hand before the lens last at most
 SAME_STRUCTURE: Final = 0.93  # correlation of two images that differ in brightness alone
 SPANS: Final = (6, 8, 12, 16, 24, 36)  # frames of a dissolve
 UNEVEN: Final = 0.3  # lengths of the line by which a step of a dissolve is early or late at most
@@ -112,8 +112,11 @@ class Passing(NamedTuple):
         return passing, ""
 
 
-def find_cuts(frames: Iterable[Frame], looked: Callable[[int], None] = lambda done: None) -> Iterator[Cut]:
+def find_cuts(
+    frames: Iterable[Frame], looked: Callable[[int], None] = lambda done: None, fps: float = 25.0
+) -> Iterator[Cut]:
     """The cuts and dissolves of a clip, in order. Memory is bounded; `looked` hears of the frames gone by."""
+    flash = min(max(round(FLASH_S * fps), 1), _MARGIN)
     waiting: list[NDArray[np.float32]] = []
     first, decided = 0, 0  # of the clip: the first that waits, the first that is not decided
     for done, frame in enumerate(frames, 1):
@@ -123,12 +126,12 @@ def find_cuts(frames: Iterable[Frame], looked: Callable[[int], None] = lambda do
         looked(done)
         if len(waiting) == _BLOCK + 2 * _MARGIN:
             until = first + len(waiting) - _MARGIN
-            yield from (cut for cut in _cuts(np.array(waiting), first) if decided <= cut.frame < until)
+            yield from (cut for cut in _cuts(np.array(waiting), first, flash) if decided <= cut.frame < until)
             decided = until
             del waiting[:_BLOCK]
             first += _BLOCK
     if waiting:
-        yield from (cut for cut in _cuts(np.array(waiting), first) if decided <= cut.frame)
+        yield from (cut for cut in _cuts(np.array(waiting), first, flash) if decided <= cut.frame)
 
 
 def shots_of(cuts: Iterable[Cut], first: int, stop: int | None) -> list[Shot]:
@@ -161,15 +164,16 @@ def _shrunk(image: Image) -> Image:
     return np.asarray(cv2.resize(image[::few, ::few], SIDE, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _cuts(images: NDArray[np.float32], first: int) -> list[Cut]:
+def _cuts(images: NDArray[np.float32], first: int, flash: int) -> list[Cut]:
     """The cuts of successive images (T, P), of which the first is frame `first`."""
-    hard = [Cut(first + at, first + at, first + at - 1) for at in _hard(images)]
+    hard = [Cut(first + at, first + at, first + at - 1) for at in _hard(images, flash)]
     soft = [Cut(first + at, first + a, first + b) for at, a, b in _dissolves(images)]
     soft = [one for one in soft if not any(one.first - 1 <= cut.frame <= one.last + 1 for cut in hard)]
     return sorted([*hard, *soft])
 
 
-def _hard(images: NDArray[np.float32]) -> list[int]:
+def _hard(images: NDArray[np.float32], flash: int) -> list[int]:
+    """The first frames after cuts; what is followed by what was before, within `flash` frames, was none."""
     steps = np.abs(np.diff(images, axis=0)).mean(axis=1)  # [t]: from t to t + 1
     found = []
     for before in np.flatnonzero(steps >= MIN_STEP).tolist():
@@ -177,8 +181,8 @@ def _hard(images: NDArray[np.float32]) -> list[int]:
         beside = np.concatenate([steps[max(before - 2, 0) : before], steps[before + 1 : before + 3]])
         if beside.size and beside.max() > BESIDE * step:
             continue
-        earlier = images[max(before + 1 - FLASH_FRAMES, 0) : before + 1]
-        later = images[before + 1 : before + 1 + FLASH_FRAMES]
+        earlier = images[max(before + 1 - flash, 0) : before + 1]
+        later = images[before + 1 : before + 1 + flash]
         apart = np.abs(earlier[:, None] - later[None]).mean(axis=2)
         if apart.min() >= BESIDE * step and _alike(earlier[:, None], later[None]).max() < SAME_STRUCTURE:
             found.append(before + 1)

@@ -5,6 +5,7 @@ import json
 import shutil
 from collections import Counter, defaultdict
 from dataclasses import replace
+from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
 import cv2
@@ -22,9 +23,10 @@ from facetrack_cli.runs.job import Job
 from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.tracking.people import presence
-from facetrack_cli.tracking.people.identity import Doubt, cast_of
+from facetrack_cli.tracking.people.identity import UNKNOWN, Cast, Doubt, Seen, cast_of
 from facetrack_cli.trajectory.people import read_people
 from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.video.shots import Shot
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
 from tests.support.film_run import FILM, film_run
@@ -121,7 +123,7 @@ def test_the_cast_is_shown_and_corrected(ran, tmp_path, capsys):
 
 
 def test_the_report_shows_the_cast_and_doubts_side_by_side(tmp_path, monkeypatch):
-    def unsure(tracks, known):
+    def unsure(tracks, known, fps):
         found = cast_of(tracks)
         return replace(found, doubts=(Doubt(0, 1, 0.4), Doubt(1, None, 0.3)))
 
@@ -273,3 +275,37 @@ def test_threads_change_nothing(tmp_path):
     assert clip.run(job(one, threads=1), Stop()).error is None
     assert clip.run(job(two, threads=2), Stop()).error is None
     assert (one / "trajectory.csv").read_bytes() == (two / "trajectory.csv").read_bytes()
+
+
+def seen(name, first, stop, x=100.0, side=50.0, shot=1):
+    return Seen(name, first, stop, (x, 40.0, side, side), (x, 40.0, side, side), shot, None)
+
+
+SHOTS = [Shot(0, 40, 0, 40), Shot(40, 90, 40, 90)]
+
+
+def test_a_cut_after_which_the_same_faces_go_on_in_the_same_places_was_none():
+    before, after = (
+        [seen("a", 0, 40), seen("b", 5, 40, x=300)],
+        [seen("c", 40, 90, shot=2), seen("d", 48, 90, 303, shot=2)],
+    )
+    assert runs_people._true(SHOTS, [*before, *after], ["Ann", "Bob", "Ann", "Bob"], 25.0) == [Shot(0, 90, 0, 90)]
+    for tracks, names in (
+        ([*before, *after], ["Ann", "Bob", "Cleo", "Bob"]),
+        ([*before, after[0]], ["Ann", "Bob", "Ann"]),
+        ([before[0], after[1]], ["Ann", "Ann"]),
+        ([before[0], seen("c", 60, 90, shot=2)], ["Ann", "Ann"]),
+        ([], []),
+    ):
+        assert runs_people._true(SHOTS, tracks, names, 25.0) == SHOTS
+
+
+def test_faces_that_cannot_be_told_again_are_unknown_and_those_of_one_frame_have_two_names():
+    tracks = [seen("a", 0, 40), seen("b", 0, 30, x=300), seen("c", 10, 20, x=500), seen("d", 35, 40, x=300)]
+    reader = SimpleNamespace(change=lambda: 9.0, best=(1.0, np.zeros((8, 8, 3), np.uint8)))
+    found = Cast(np.array([0, UNKNOWN, UNKNOWN, UNKNOWN]), np.array([1.0, 0.4, 0.4, 0.4]), (Doubt(1, 0, 0.3),))
+    named = runs_people._named(tracks, found, ["person_1"], defaultdict(lambda: reader), SHOTS[:1], 25.0)
+    assert [one.person for _, one in named.tracks] == ["person_1", "unknown", "unknown_2", "unknown"]
+    line = runs_people.cast_line(named.people)
+    assert line.startswith("1 person in 1 shot: person_1 1.6 s; 1 of 4 tracks are in doubt")
+    assert line.endswith("; 3 show no face that could be told again (unknown)")

@@ -52,6 +52,13 @@ def test_a_fade_by_way_of_black_is_one():
     assert len(found(mixed(mixed(still(1, 60), dark, 10), still(2, 60), 10))) == 1
 
 
+@pytest.mark.parametrize("lasts", [6, 11])
+def test_what_is_followed_by_what_was_before_within_half_a_second_is_no_cut(lasts):
+    hand = still(7, lasts)
+    assert found(still(1, 30) + hand + still(1, 30)) == []
+    assert len(found(still(1, 30) + still(7, 20) + still(1, 30))) == 2
+
+
 @pytest.mark.parametrize("lasts", [1, 2, 3])
 def test_a_flash_is_no_cut(lasts):
     pictures = still(1, 60)

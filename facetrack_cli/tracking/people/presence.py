@@ -25,7 +25,7 @@ from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.face.target import FaceTarget
 from facetrack_cli.tracking.loop import TrackState
 from facetrack_cli.tracking.start.detectors import MIN_FACE_SHARE, Detector, Found
-from facetrack_cli.tracking.start.points import place
+from facetrack_cli.tracking.start.points import EYES_IN_BOX, MOUTH_Y, place
 from facetrack_cli.trajectory.trajectory import UNSEEN, FrameResult, TargetResult
 from facetrack_cli.video.shots import Shot
 
@@ -34,7 +34,7 @@ TWICE_FRAMES: Final = 2  # frames before a look, in which a new face is seen too
 MIN_FACE_PX: Final = 20  # pixels of a face's box; smaller faces have no features to track
 MAX_FACES: Final = 12  # tracks at a time; of more faces the largest are followed
 SAME_FACE: Final = 0.3  # overlap of a detection with the track of that face
-INSIDE: Final = 0.7  # share of a face's box that is in the picture at least
+INSIDE: Final = 0.9  # share of what lies between eyes and mouth that is in the picture at least
 ONE_FACE: Final = 0.5  # overlap of two tracks of one face
 STREAM: Final = "track_"
 _Results: TypeAlias = "dict[int, dict[str, TargetResult]]"  # by frame and track
@@ -126,7 +126,7 @@ class Film:
             before = track.box
             track.see(result)
             at = track.box or before
-            if (back and track.box is None) or (at is not None and share_inside(at, self.size) < INSIDE):
+            if (back and track.box is None) or (at is not None and not in_view(at, self.size)):
                 break
             results.append(result)
         return results
@@ -174,11 +174,7 @@ class Film:
     def _is_new(self, face: Found, kept: Sequence[Track], frames: Sequence[Frame]) -> bool:
         """Whether a face in the picture is of no track, and seen in an earlier frame, too, if there is one."""
         taken = any(track.box is not None and overlap(track.box, face.box) >= SAME_FACE for track in kept)
-        if (
-            taken
-            or share_inside(face.box, self.size) < INSIDE
-            or face.box[2] < max(MIN_FACE_PX, MIN_FACE_SHARE * min(self.size))
-        ):
+        if taken or not in_view(face.box, self.size) or face.box[2] < max(MIN_FACE_PX, MIN_FACE_SHARE * min(self.size)):
             return False
         if len(frames) <= TWICE_FRAMES:
             return True
@@ -203,6 +199,13 @@ class Film:
         """The results of a track in the frames before, the last of them first."""
         rng = np.random.default_rng(track.rng.bit_generator.random_raw())
         return self._advance(replace(track, rng=rng), passed, back=True)
+
+
+def in_view(face: Box, size: tuple[int, int]) -> bool:
+    """Whether eyes, nose and mouth of the face in a box are in a picture of that size, whatever the border cuts off."""
+    (x, y, w, h), ((left, top), (right, _)) = face, EYES_IN_BOX
+    down = MOUTH_Y * (right - left)
+    return share_inside((x + left * w, y + top * h, (right - left) * w, down * h), size) >= INSIDE
 
 
 def _own(frame: Frame) -> Frame:
