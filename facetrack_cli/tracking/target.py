@@ -176,9 +176,9 @@ class ParticleTarget:
         state: ParticleState,
         frame: Frame,
         footprints: Sequence[Footprint] = (),
-        measured: SensorReading | None = None,
+        measured: Sequence[SensorReading] | None = None,
     ) -> tuple[ParticleState, TargetResult]:
-        """As a `Target` does; `measured` is what a sensor says of the parts of a target that moves by a JumpingWalk."""
+        """As a `Target` does; `measured` is what sensors say of the parts of a target that moves by a JumpingWalk."""
         if self._prepares is not None:
             expected = self.motion.expect(state.estimated.state[None])[0]
             state = replace(state, learned=self._prepares.look(state.learned, frame, expected))
@@ -343,7 +343,7 @@ class Bound:
     state: ParticleState
     frame: Frame
     footprints: Sequence[Footprint] = ()
-    measured: SensorReading | None = None
+    measured: Sequence[SensorReading] | None = None
 
     @cached_property
     def ahead(self) -> Prediction:

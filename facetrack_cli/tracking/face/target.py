@@ -59,6 +59,7 @@ _FACES: Final = 4  # that are compared with the one that is lost
 # standard deviations of the pose in a frame, of that by a detected box, and of that by parts left and right
 _POSE: Final = np.array([math.radians(1.5), 0.012, 0.004, 0.004])
 _BY_BOX: Final = np.array([np.inf, 0.15, 0.1, 0.1])
+_BY_EYES: Final = 0.06  # of its size, where the detector sees the eyes
 _BY_PAIRS: Final = np.array([math.radians(3), np.inf, np.inf, np.inf])
 
 
@@ -96,12 +97,12 @@ class FaceTarget:
         seen = similarity.read(frame)
         features, points = self.features.begin(rng, seen)
         facing, found = Facing(), self.senses.detected(seen)
-        sensor, second, others = self.senses.begin(frame, similarity, seen, found, self.features.x0)
+        sensors, others = self.senses.begin(frame, similarity, seen, found, self.features.x0)
         if self.senses.detector is not None and not self.senses.searched and found is None:
             facing = facing.unseen()
         points = points._replace(beliefs=None)
         state = FaceState(
-            head, features, points, sensor, second, facing, self.pose, np.zeros(4), others, (look_of(seen),),
+            head, features, points, sensors, facing, self.pose, np.zeros(4), others, (look_of(seen),),
             (self._picture(frame, similarity),), Passing(small(frame)),
         )  # fmt: skip
         return state, self._result(state, box, frame)
@@ -130,10 +131,10 @@ class FaceTarget:
         seen, there = similarity.read(frame), TargetStart(points=moved)
         features, rows = self.features.restart(rng, seen, first.features, there, absent, anew)
         found, at = self.senses.detected(seen), features.estimated.state
-        sensor, second, others = self.senses.begin(frame, similarity, seen, found, at)
+        sensors, others = self.senses.begin(frame, similarity, seen, found, at)
         points = rows._replace(beliefs=None)
         state = FaceState(
-            head, features, points, sensor, second, Facing(), pose, np.zeros(4), others, first.looks, first.pictures,
+            head, features, points, sensors, Facing(), pose, np.zeros(4), others, first.looks, first.pictures,
             Passing(small(frame)),
         )  # fmt: skip
         return state, self._result(state, boxed, frame)
@@ -205,28 +206,31 @@ class FaceTarget:
         around, told = [before.mean(axis=0)], np.isfinite(z2).all(axis=1)
         if told.any():
             around.append((before + (z2 - before)[told].mean(axis=0)).mean(axis=0))
-        sensed, visible = self.senses.sensed(frame, similarity, seen, around), self._visible(state.features)
-        measured, agree = state.sensor.measured(sensed.parts.at, visible), True
-        upright = np.where(measured.sure[:, None] > 0, measured.z, np.nan)
-        if found is not None:
-            second = state.second.measured(z2, visible)
-            agree, measured = not apart(measured, second).any(), joined(measured, second)
-        shift, sure = common_shift(measured, before), sensed.parts.sure if agree else 0.0
-        return View(similarity, seen, due, found, z2, *sensed, measured, upright, shift, sure)
+        (parts, network, others), visible = (
+            self.senses.sensed(frame, similarity, seen, around),
+            self._visible(state.features),
+        )
+        places = parts.at, z2, network
+        measured = tuple(one.measured(z, visible) for one, z in zip(state.sensors, places, strict=True))
+        first, second = joined(measured[0], measured[2]), measured[1]
+        upright = np.where(first.sure[:, None] > 0, first.z, np.nan)
+        shift, sure = common_shift(joined(first, second), before), 0.0 if apart(first, second).any() else parts.sure
+        return View(similarity, seen, due, found, parts, others, places, measured, upright, shift, sure)
 
     def _followed(
         self, rng: Generator, state: FaceState, view: View, frame: Frame, box: TargetResult | None
     ) -> tuple[FaceState, TargetResult]:
         """The points in a frame of which there is a `view`; a head without a `box` goes with them."""
-        (z, odds), features, shift = view.parts, state.features, view.shift
+        odds, features, shift = view.parts.odds, state.features, view.shift
         if isinstance(features.learned, window_ncc.WindowState):
-            features = replace(features, learned=features.learned._replace(told=odds))
+            contested = np.any([one.contests for one in state.sensors], axis=0)
+            features = replace(features, learned=features.learned._replace(told=odds, contested=contested))
         features = shifted(features, lambda x: x + shift)
         given = view.measured if isinstance(self.features.motion, JumpingWalk) else None  # others have the shift alone
         features, points = self.features.advance(rng, features, view.seen, (), given)
         estimated, visible = features.estimated, self._visible(features)
-        sensor = state.sensor.learned(z, estimated.state, estimated.cov, visible)
-        second = state.second.learned(view.z2, estimated.state, estimated.cov, visible)
+        each = zip(state.sensors, view.places, strict=True)
+        sensors = tuple(one.learned(z, estimated.state, estimated.cov, visible) for one, z in each)
         points = points._replace(beliefs=None)  # those are of the state
         facing = state.facing if self.senses.detector is None else state.facing.predicted()
         others, far, similarity, head = state.others, view.others, view.similarity, state.head
@@ -237,8 +241,8 @@ class FaceTarget:
         if box is None:
             head, box = self.head.carried(rng, head, frame, similarity.matrix @ shift)
         state = replace(
-            state, head=head, features=features, points=points, sensor=sensor, second=second, facing=facing,
-            others=others, sure=view.sure,
+            state, head=head, features=features, points=points, sensors=sensors, facing=facing, others=others,
+            sure=view.sure,
         )  # fmt: skip
         if view.found is not None and view.sure >= EASY and likeness(state.looks, look := look_of(view.seen)) < NEW:
             if state.film and recognised(state.pictures, [similarity], frame, SOMEBODY_ELSE) is None:
@@ -310,7 +314,8 @@ class FaceTarget:
             box = view.found.box
             # how the detected face lies in the head's box, along the axes of the frame
             lies = Similarity(np.zeros(2), math.exp(pose[1]) / FACE, float(pose[0])).to_frame(np.array(centre(box)))
-            pose, var = updated(pose, var, np.array([0.0, math.log(box[2] / FACE), *lies]), _BY_BOX)
+            std = _BY_BOX if view.found.eyes is None else np.array([np.inf, _BY_EYES, *_BY_BOX[2:]])
+            pose, var = updated(pose, var, np.array([0.0, math.log(box[2] / FACE), *lies]), std)
         return replace(state, pose=pose, pose_var=var)
 
     def _moved(self, state: FaceState, old: Similarity) -> FaceState:
@@ -321,12 +326,12 @@ class FaceTarget:
             return new.to_stabilized(old.to_frame(x))
 
         origin = moved(np.zeros(2))
-        sensor, second = (one._replace(bias=moved(one.bias) - origin) for one in (state.sensor, state.second))
+        sensors = tuple(one._replace(bias=moved(one.bias) - origin) for one in state.sensors)
         others = state.others and state.others.mapped(moved)
         x, y = moved(np.stack([rows.x, rows.y], axis=1)).T
         points = state.points._replace(rows=replace(rows, x=x, y=y), cloud=moved(state.points.cloud))
         features = shifted(state.features, moved)
-        return replace(state, features=features, points=points, sensor=sensor, second=second, others=others)
+        return replace(state, features=features, points=points, sensors=sensors, others=others)
 
     def footprint(self, state: FaceState, *, ahead: bool) -> Footprint | None:
         return self.head.footprint(state.head, ahead=ahead)

@@ -1,5 +1,8 @@
 """Motion models: how a particle moves from one frame to the next, and the density of that move."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -67,6 +70,30 @@ class SensorReading(NamedTuple):
     area: float
 
 
+class _Modes(NamedTuple):
+    """p(z | a) of all sensors as sum_m exp(log_w_m - precision_m |a - z_m|^2 / 2): z (M, K, 2), others (M, K)."""
+
+    z: Array
+    precision: Array
+    log_w: Array
+
+
+def _modes(measured: Sequence[SensorReading], parts: int) -> _Modes:
+    """Each mode: which of the sensors say something. With none there is one mode, which says nothing."""
+    modes = _Modes(np.zeros((1, parts, 2)), np.zeros((1, parts)), np.zeros((1, parts)))
+    for one in measured:
+        sure, new = np.clip(one.sure, 1e-6, 1 - 1e-6), 1 / one.var
+        total = modes.precision + new
+        apart = np.sum((one.z - modes.z) ** 2, axis=2) * modes.precision * new / total
+        z = (modes.precision[..., None] * modes.z + new[:, None] * one.z) / total[..., None]
+        says = modes.log_w + np.log(sure) - 0.5 * apart - np.log(2 * np.pi * one.var)
+        silent = modes.log_w + np.log1p(-sure) - np.log(one.area)
+        modes = _Modes(
+            np.concatenate([z, modes.z]), np.concatenate([total, modes.precision]), np.concatenate([says, silent])
+        )
+    return modes
+
+
 @dataclass(frozen=True)
 class JumpingWalk:
     """A random walk with heavy tails around `rest` (K, 2) (ours; see the recipe's section).
@@ -74,7 +101,7 @@ class JumpingWalk:
     p(a | a^-) = (1 - jumps) N(m, sigma^2 I) + jumps N(m, jump^2 I), m = rest + keep (a^- - rest); `sigma` (K,) and
     `jump` (K,) in pixels. Where a sensor has measured the parts, particles are drawn from p(a | a^-, z), which is a
     mixture of normal densities, and weighted by p(z | a^-): the proposal of least variance (Doucet, Godsill & Andrieu,
-    Statistics and Computing 2000).
+    Statistics and Computing 2000). Of several sensors, each may be the one that says nothing.
     """
 
     sigma: Array
@@ -92,32 +119,34 @@ class JumpingWalk:
         step = np.where(rng.random(x.shape[:2]) < self.jumps, self.jump, self.sigma)
         return np.asarray(self.expect(x) + step[..., None] * rng.standard_normal(x.shape))
 
-    def propagate_given(self, rng: np.random.Generator, x: Array, measured: SensorReading) -> Array:
-        """x (N, K, 2) moved by one frame, given what was measured in it."""
-        mean, log_p = self.expect(x), self._components(x, measured)
+    def propagate_given(self, rng: np.random.Generator, x: Array, measured: Sequence[SensorReading]) -> Array:
+        """x (N, K, 2) moved by one frame, given what sensors measured in it."""
+        modes = _modes(measured, x.shape[1])
+        mean, log_p = self.expect(x), self._components(x, modes)
         p = np.exp(log_p - log_p.max(axis=0))
         below = np.cumsum(p, axis=0) / p.sum(axis=0)
-        chosen = (rng.random(x.shape[:2]) > below[:-1]).sum(axis=0)  # step or jump, and whether z says something
-        var = np.where(chosen % 2, self.jump, self.sigma) ** 2
-        gain = np.where(chosen < 2, var / (var + measured.var), 0.0)
+        chosen = (rng.random(x.shape[:2]) > below[:-1]).sum(axis=0)  # step or jump, and who says something
+        var, k = np.where(chosen % 2, self.jump, self.sigma) ** 2, np.arange(x.shape[1])
+        precision = modes.precision[chosen // 2, k]
+        gain = var * precision / (1 + var * precision)
         noise = np.sqrt((1 - gain) * var)[..., None] * rng.standard_normal(x.shape)
-        return np.asarray(mean + gain[..., None] * (measured.z - mean) + noise)
+        return np.asarray(mean + gain[..., None] * (modes.z[chosen // 2, k] - mean) + noise)
 
-    def log_measured(self, x: Array, measured: SensorReading) -> Array:
+    def log_measured(self, x: Array, measured: Sequence[SensorReading]) -> Array:
         """log p(z | a^-) of each part, x (N, K, 2) -> (N, K)."""
-        log_p = self._components(x, measured)
+        log_p = self._components(x, _modes(measured, x.shape[1]))
         highest = log_p.max(axis=0)
         return np.asarray(highest + np.log(np.exp(log_p - highest).sum(axis=0)))
 
-    def _components(self, x: Array, measured: SensorReading) -> Array:
-        """(4, N, K): of a step and of a jump, log p(z and that | a^-); the same where z says nothing."""
-        squared = np.sum((measured.z - self.expect(x)) ** 2, axis=2)
+    def _components(self, x: Array, modes: _Modes) -> Array:
+        """(2 M, N, K): of each mode, with a step and with a jump, log p(z and that | a^-)."""
+        squared = np.sum((modes.z[:, None] - self.expect(x)) ** 2, axis=3)[:, None]  # (M, 1, N, K)
         share = np.array([max(1 - self.jumps, 1e-12), max(self.jumps, 1e-12)])
-        var = np.stack([self.sigma**2, self.jump**2]) + measured.var  # (2, K)
-        log_n = -0.5 * squared / var[:, None] - np.log(2 * np.pi * var)[:, None]
-        sure = np.clip(measured.sure, 1e-6, 1 - 1e-6)
-        blind = np.broadcast_to(np.log1p(-sure) - np.log(measured.area), log_n.shape)
-        return np.asarray(np.concatenate([np.log(sure) + log_n, blind]) + np.log(np.tile(share, 2))[:, None, None])
+        # N(z; m, var + 1 / precision) over its value where precision is 0
+        narrow = 1 + np.stack([self.sigma**2, self.jump**2]) * modes.precision[:, None]  # (M, 2, K)
+        fits = -0.5 * squared * (modes.precision[:, None] / narrow)[:, :, None] - np.log(narrow)[:, :, None]
+        found = fits + modes.log_w[:, None, None] + np.log(share)[:, None, None]
+        return np.asarray(found.reshape(-1, *x.shape[:2]))
 
     def log_transition(self, x: Array, parents: Array) -> Array:
         """log p(x_n | parents_m) of each part: x (N, K, 2), parents (M, K, 2) -> (N, M, K)."""
