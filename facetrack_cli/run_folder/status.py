@@ -12,7 +12,7 @@ from typing import Any, Final, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.files import MAX_FILE_BYTES, cannot_write, check_readable, make_folder, replacing
 from facetrack_cli.core.numbers import document, places
 from facetrack_cli.run_folder.lock import LOCK, holder
@@ -50,6 +50,19 @@ def write_batch(out: Path, recipe: str, clips: Sequence[Path], names: Sequence[s
     except OSError as e:
         raise cannot_write(path, e) from e
     return path
+
+
+def check_networks(out: Path, recipe: str, suffix: str, networks: Sequence[str]) -> None:
+    """Refuse to mix runs of one batch with and without a network. UsageError tells how to decide."""
+    for batch in batches(out):
+        for clip, name in batch.clips if batch.recipe == recipe else ():
+            run = read_manifest(out / name) if name.endswith(f"-{suffix}") else None
+            if run is not None and run.files and sorted(run.networks) != sorted(networks):
+                was, now = (Manifest(networks=tuple(one)).network or "without" for one in (run.networks, networks))
+                raise UsageError(
+                    f"{out / name}: {clip} was tracked {was}, and this run is {now}; name another folder, or track "
+                    "all anew with --overwrite"
+                )
 
 
 def batches(folder: Path) -> Iterator[BatchFile]:

@@ -44,7 +44,7 @@ from facetrack_cli.tracking.people.looks import Picture
 from facetrack_cli.tracking.roles import Names
 from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.tracking.target import ParticleState, ParticleTarget
-from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnostics
+from facetrack_cli.trajectory.diagnostics import EVIDENCE, NETWORK, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, of_frame
 from facetrack_cli.video.shots import Passing, small
 
@@ -338,7 +338,7 @@ class FaceTarget:
 
     @property
     def diagnostics(self) -> tuple[Any, ...]:
-        return SCALE, ROLL, EVIDENCE
+        return (SCALE, ROLL, EVIDENCE) if self.senses.mesh is None else (SCALE, ROLL, EVIDENCE, NETWORK)
 
     def _result(self, state: FaceState, box: TargetResult, frame: Frame) -> TargetResult:
         """Rows of the points, as last seen in the stabilized image, of the box, and of the network's points."""
@@ -378,6 +378,7 @@ class FaceTarget:
         # both likelihoods are ratios, which are 1 where the head is lost and nothing is compared
         seen = [one for one in (box.rows, rows) if one.frame[0] == frame.index]
         values[EVIDENCE.name] = sum(float(one.diagnostics[self.name].get(EVIDENCE.name)[0]) for one in seen)
+        values[NETWORK.name] = float(state.sensors[2].right.mean())
         found = {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
         faces = of_frame(self._names, frame, found, **columns)
         unseen = faces.unseen

@@ -64,7 +64,8 @@ class PartTemplates(NamedTuple):
 class WindowState(NamedTuple):
     """Templates of each part, g and b (K,), v (K,); `told` (K,), what a sensor says of them in this frame, and `usual`.
 
-    `contested` (K,): of which parts a sensor that is mostly right says that they are elsewhere. Of the frame that was looked at last, r and where it begins.
+    `contested` (K,): of which parts a sensor that is mostly right says that they are elsewhere.
+    Of the frame that was looked at last, r and where it begins.
 
     `maps` (K, S, S): r on a grid of whole pixels; `corner` (K, 2): the place of the first value of each map.
     """
@@ -150,7 +151,9 @@ class WindowNcc:
         w = np.exp(particles.log_w)
         spread = np.sqrt(np.einsum("n,nkd->kd", w, (particles.x - state) ** 2)).max(axis=1)
         usual = learned.usual + visible / MEMORY * (np.clip(learned.told, *BY_TOLD) - learned.usual)
-        clear = (visible > 0.5) & (spread < SURE * 2 * self.reach) & (learned.told >= usual - UNLIKE) & ~learned.contested
+        clear = (
+            (visible > 0.5) & (spread < SURE * 2 * self.reach) & (learned.told >= usual - UNLIKE) & ~learned.contested
+        )
         templates = []
         for k, known in enumerate(learned.templates):
             untried = TRIED if learned.contested[k] else YOUNG if visible[k] < 0.5 else 0
