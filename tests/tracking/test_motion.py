@@ -61,6 +61,12 @@ MEASURED = SensorReading(
     np.array([0.95, 0.9, 0.8]),
     1600.0,
 )
+OTHER = SensorReading(MEASURED.z + (3.0, 1.0), np.array([0.5, 9.0, 1.0]), np.array([0.7, 0.95, 0.5]), 400.0)
+
+
+def all_sensed(measured, part):
+    """What all sensors say of the places of GRID."""
+    return np.prod([sensed(one.z[part], GRID[:, 0], one, part) for one in measured], axis=0)
 
 
 def test_jumping_draws_are_the_mixture_that_is_stated():
@@ -92,18 +98,20 @@ def test_the_density_of_a_jump_is_the_formula_and_integrates_to_one():
 
 
 @pytest.mark.parametrize("part", range(3))
-def test_what_a_sensor_says_of_a_parent_is_the_integral_over_all_steps(part):
+@pytest.mark.parametrize("measured", [[], [MEASURED], [MEASURED, OTHER], [OTHER, MEASURED, MEASURED]])
+def test_what_sensors_say_of_a_parent_is_the_integral_over_all_steps(part, measured):
     for parent in (PARENT, PARENT + 3):
         p = jump_density(GRID[:, 0], parent[part], part)
-        whole = (p * sensed(MEASURED.z[part], GRID[:, 0], MEASURED, part)).sum() * STEP**2
-        assert JUMPS.log_measured(parent[None], MEASURED)[0, part] == pytest.approx(np.log(whole), abs=2e-3)
+        whole = (p * all_sensed(measured, part)).sum() * STEP**2
+        assert JUMPS.log_measured(parent[None], measured)[0, part] == pytest.approx(np.log(whole), abs=2e-3)
 
 
 @pytest.mark.parametrize("part", range(3))
-def test_draws_given_a_sensor_are_of_the_posterior(part):
-    p = jump_density(GRID[:, 0], PARENT[part], part) * sensed(MEASURED.z[part], GRID[:, 0], MEASURED, part)
+@pytest.mark.parametrize("measured", [[MEASURED], [MEASURED, OTHER]])
+def test_draws_given_sensors_are_of_the_posterior(part, measured):
+    p = jump_density(GRID[:, 0], PARENT[part], part) * all_sensed(measured, part)
     p /= p.sum()
-    draws = JUMPS.propagate_given(np.random.default_rng(1), PARENT[None].repeat(60_000, axis=0), MEASURED)[:, part]
+    draws = JUMPS.propagate_given(np.random.default_rng(1), PARENT[None].repeat(60_000, axis=0), measured)[:, part]
     mean = p @ GRID[:, 0]
     cov = (GRID[:, 0] - mean).T @ ((GRID[:, 0] - mean) * p[:, None])
     np.testing.assert_allclose(draws.mean(axis=0), mean, atol=0.05)
@@ -125,5 +133,5 @@ def test_a_walk_that_never_or_always_jumps_is_a_gaussian_one(jumps):
     linear, plain = walk.linear(PARENT), same.linear(PARENT)
     for one, other in zip(linear, plain, strict=True):
         np.testing.assert_allclose(one, other)
-    assert np.isfinite(walk.log_measured(x, MEASURED)).all()
-    assert np.isfinite(walk.propagate_given(np.random.default_rng(6), x + 1e5, MEASURED)).all()
+    assert np.isfinite(walk.log_measured(x, [MEASURED])).all()
+    assert np.isfinite(walk.propagate_given(np.random.default_rng(6), x + 1e5, [MEASURED])).all()
