@@ -61,7 +61,7 @@ MEASURED = SensorReading(
     np.array([0.95, 0.9, 0.8]),
     1600.0,
 )
-OTHER = SensorReading(MEASURED.z + (3.0, 1.0), np.array([0.5, 9.0, 1.0]), np.array([0.7, 0.95, 0.5]), 400.0)
+OTHER = SensorReading(MEASURED.z + np.array([3.0, 1.0]), np.array([0.5, 9.0, 1.0]), np.array([0.7, 0.95, 0.5]), 400.0)
 
 
 def all_sensed(measured, part):

@@ -23,6 +23,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.types import Array, Mask
+from facetrack_cli.tracking.face.descent import PlacedPoints
 from facetrack_cli.tracking.face.stabilized import EYES
 from facetrack_cli.tracking.models.motion import SensorReading
 
@@ -96,6 +97,12 @@ class Sensor(NamedTuple):
         noise = np.clip(self.noise + LEARNS * use * (np.nan_to_num(squared) - self.noise), self.least**2, MAX_NOISE**2)
         bias = before + gain[:, None] * np.nan_to_num(off)
         return self._replace(bias=bias, var=(1 - gain) * var, noise=noise, right=right, wrong=wrong)
+
+    def near(self, others: PlacedPoints, at: Array) -> Array:
+        """The log odds (J,) that `others` are visible, less where it is wrong of the nearest of the parts at (K, 2)."""
+        away = np.hypot(*(others.at[:, None] - at).transpose(2, 0, 1))
+        right = self.right[np.where(np.isnan(away), np.inf, away).argmin(axis=1)]
+        return np.asarray(others.odds + np.minimum(np.log(right / (1 - right)), 0))
 
     @property
     def contests(self) -> Mask:

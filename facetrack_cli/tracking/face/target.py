@@ -235,7 +235,11 @@ class FaceTarget:
         facing = state.facing if self.senses.detector is None else state.facing.predicted()
         others, far, similarity, head = state.others, view.others, view.similarity, state.head
         if others is not None:
-            others = others.after(None, NO_FACE) if far is None else others.after(*far)
+            others = (
+                others.after(None, NO_FACE)
+                if far is None
+                else others.after(far.at, sensors[2].near(far, view.places[2]))
+            )
         elif far is not None:
             others = MeshPoints.begin(far.at)
         if box is None:
