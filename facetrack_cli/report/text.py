@@ -10,7 +10,7 @@ import numpy as np
 from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.recipe.calibrated import calibrated, fitted
 from facetrack_cli.report.events import Clock, Event, KeyFrame, RunHistory
-from facetrack_cli.trajectory.diagnostics import DOUBTFUL, SURE, borne_out
+from facetrack_cli.trajectory.diagnostics import DOUBTFUL, SURE
 from facetrack_cli.trajectory.header import Header
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -83,9 +83,6 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
         )
     if (mean := confidence_of(table)) is not None:
         found.append(_trust(calibrated(header.recipe), mean))
-    if (shares := borne_out(table)).size:
-        share = percent(float(shares.mean()))
-        found.append(f"A landmark network placed points, too; the other senses bear out {share} of them.")
     if history.seams:
         differ = sum(not seam.agrees for seam in history.seams)
         those = f"{differ or 'none'} of the {count(len(history.seams), 'place')} where they meet"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import statistics
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
@@ -52,17 +52,14 @@ def write_batch(out: Path, recipe: str, clips: Sequence[Path], names: Sequence[s
     return path
 
 
-def check_networks(out: Path, recipe: str, suffix: str, networks: Sequence[str]) -> None:
-    """Refuse to mix runs of one batch with and without a network. UsageError tells how to decide."""
-    for batch in batches(out):
-        for clip, name in batch.clips if batch.recipe == recipe else ():
-            run = read_manifest(out / name) if name.endswith(f"-{suffix}") else None
-            if run is not None and run.files and sorted(run.networks) != sorted(networks):
-                was, now = (Manifest(networks=tuple(one)).network or "without" for one in (run.networks, networks))
-                raise UsageError(
-                    f"{out / name}: {clip} was tracked {was}, and this run is {now}; name another folder, or track "
-                    "all anew with --overwrite"
-                )
+def check_networks(folders: Iterable[Path], networks: Sequence[str]) -> None:
+    """Refuse to go on with a batch whose runs took other networks. UsageError."""
+    for folder in folders:
+        run = read_manifest(folder)
+        if run is not None and run.files and sorted(run.networks) != sorted(networks):
+            was, now = (one.network or "without a network" for one in (run, Manifest(networks=tuple(networks))))
+            remedy = "name another folder, or track all anew with --overwrite"
+            raise UsageError(f"{folder}: its clip was tracked {was}, and this batch would be {now}; {remedy}")
 
 
 def batches(folder: Path) -> Iterator[BatchFile]:

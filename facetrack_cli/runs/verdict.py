@@ -22,7 +22,7 @@ from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.tracking.face.stabilized import BOX as STILL
 from facetrack_cli.tracking.face.stabilized import FACE, Similarity
 from facetrack_cli.tracking.start.detectors import Detector, detector
-from facetrack_cli.trajectory.diagnostics import DOUBTFUL, borne_out
+from facetrack_cli.trajectory.diagnostics import DOUBTFUL, NETWORK
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 
 EVERY_FRAMES: Final = 15  # between two looks
@@ -82,8 +82,9 @@ class Watch:
         if not len(rows):  # nobody is there
             self._ended()
             return
-        shares = borne_out(rows)
-        self.placed, self.borne_out = self.placed + shares.size, self.borne_out + float(shares.sum())
+        for one in rows.diagnostics.values():
+            share = one.get(NETWORK.name)[-1]
+            self.placed, self.borne_out = self.placed + np.isfinite(share), self.borne_out + np.nan_to_num(share)
         index = int(rows.frame[0])
         if not self.frames:
             self.first = index, float(rows.time_s[0])
@@ -143,7 +144,7 @@ class Watch:
     @property
     def bears_out(self) -> float | None:
         """The share of a network's points that the other senses bear out; None without a network."""
-        return round(self.borne_out / self.placed, 4) if self.placed else None
+        return round(float(self.borne_out / self.placed), 4) if self.placed else None
 
     def doubts(self) -> str:
         """What speaks against the track; "" if nothing does."""

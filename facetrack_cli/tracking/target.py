@@ -381,7 +381,7 @@ class Bound:
         log_p = self.target.likelihood.score(self.state.learned, self.frame, x, parents)
         if self.measured is not None:
             assert isinstance(self.target.motion, JumpingWalk)
-            log_p = log_p + self.target.motion.log_measured(parents, self.measured)
+            log_p = log_p + self.target.motion.log_measured(x, parents, self.measured)
         log_p = self._of_present(log_p)
         exclusion = self.target.exclusion
         return log_p if exclusion is None else log_p + log_weights(exclusion, x, self.footprints)

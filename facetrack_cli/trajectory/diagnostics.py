@@ -133,13 +133,6 @@ class Diagnostics:
         return found
 
 
-def borne_out(rows: Trajectory) -> Array:
-    """Of each frame and target with a landmark network, the share of its points that the other senses bear out."""
-    each = [one.get(NETWORK.name) for one in rows.diagnostics.values()]
-    found = np.concatenate(each) if each else np.empty(0)
-    return found[np.isfinite(found)]
-
-
 def outlines(rows: Trajectory) -> Array | None:
     """(R, 4, 2) corners that follow from the affine maps that targets report; nan, or None, where there is none."""
     found = np.full((len(rows), 4, 2), np.nan)

@@ -140,22 +140,27 @@ def test_a_part_that_the_sensor_does_not_know_has_no_bias_and_is_not_measured():
     assert np.isfinite([*after.bias.ravel(), *after.var, *after.noise]).all() and after.noise[1] == one.noise[1]
 
 
-def test_a_sensor_that_takes_something_else_for_a_part_contests_its_place_and_is_believed_again_when_it_is_back():
-    """Of the part alone; and less, the more often it did."""
+def test_a_sensor_that_takes_something_else_for_a_part_is_believed_again_when_it_is_back():
+    """Of the part alone; how often it does is learned."""
     rng, astray = np.random.default_rng(4), np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 10.0]])
     good = fed(begun(PLACES, PLACES, 2.0), 0.0, 100, rng)
-    assert not good.contests.any()
     gone = fed(good, astray, 3, rng)
-    assert gone.contests.tolist() == [False, False, True] and gone.measured(PLACES, VISIBLE).sure[2] < 0.2
+    assert (gone.right > 0.5).tolist() == [True, True, False] and gone.measured(PLACES, VISIBLE).sure[2] < 0.2
     back = fed(fed(good, astray, 30, rng), 0.0, 4, rng)
-    assert not back.contests.any() and back.measured(PLACES, VISIBLE).sure[2] > 0.9
+    assert (back.measured(PLACES, VISIBLE).sure > 0.9).all()
     np.testing.assert_allclose(back.bias, good.bias, atol=1.0)
     often = good
     for _ in range(10):
         often = fed(fed(often, astray, 20, rng), 0.0, 10, rng)
-    gone = fed(often, astray, 5, rng)
     assert often.wrong[2] > 0.5 > 0.02 > often.wrong[:2].max()
-    assert not gone.contests.any(), "one that is mostly wrong contests nothing"
+
+
+def test_windows_that_see_a_part_elsewhere_speak_against_a_sensor():
+    sensor = begun(PLACES, PLACES, 2.0)
+    told = [sensor.learned(PLACES, PLACES, EXACT, VISIBLE, np.full(3, said)).right[0] for said in (-9.0, -3.0, 0.0)]
+    assert told[0] < 0.5 < told[1] < told[2]
+    hidden = sensor.learned(PLACES, PLACES, EXACT, np.zeros(3), np.full(3, -9.0))
+    assert (hidden.right > 0.9).all(), "of what is hidden they say nothing"
 
 
 # --- two sensors ----------------------------------------------------------------------------------------------------

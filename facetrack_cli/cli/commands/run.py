@@ -192,7 +192,7 @@ class Run:
         places, formats = self._places(given, several, variant_name(recipe.name, self.set))
         self._check_smoothing(recipe, formats)
         if several and self.out and not self.overwrite:
-            check_networks(Path(self.out), recipe.name, variant_name(recipe.name, self.set), recipe.networks)
+            check_networks(filter(None, places), recipe.networks)
         if several and self.out:
             write_batch(Path(self.out), recipe.name, given, [folder.name for folder in places if folder])
         first, step = (1, 1) if split else self.shard or (1, 1)

@@ -28,7 +28,7 @@ from facetrack_cli.tracking.face.stabilized import EYES
 from facetrack_cli.tracking.models.motion import SensorReading
 
 DRIFT: Final = 0.001 * EYES  # standard deviation of b in a frame, pixels
-REGRESSION, NETWORK, DETECTOR = 0.05 * EYES, 0.01 * EYES, 0.05 * EYES  # the least r of a sensor
+REGRESSION, NETWORK, DETECTOR = 0.05 * EYES, 0.02 * EYES, 0.05 * EYES  # the least r of a sensor
 MAX_NOISE: Final = 0.1 * EYES  # and the greatest
 FADES: Final = 0.98  # k of a start that a sensor has placed
 MISLED: Final = 0.1 * EYES  # r in a face of which a part is hidden: a sensor places all parts together
@@ -41,7 +41,6 @@ ASTRAY: Final = 0.25 * EYES  # standard deviation of z where a sensor takes some
 AREA: Final = 4 * math.pi * ASTRAY**2  # square pixels
 ENDS: Final = 0.1  # probability a frame that it no longer does
 OFTEN: Final = 0.01  # share of a frame in how often it does
-OFTEN_WRONG: Final = 0.3
 LIMITS: Final = (0.01, 0.9)  # of that
 TOLD: Final = 4.0  # bound of what a frame says of it, in log odds
 _HIDE, _SHOW = 0.01, 0.05  # probabilities a frame
@@ -79,15 +78,18 @@ class Sensor(NamedTuple):
         noise = self.noise + MISLED**2 * (1 - visible.min())
         return SensorReading(at, self._ahead + noise, sure, AREA)
 
-    def learned(self, z: Array, state: Array, cov: Array, visible: Array) -> Sensor:
-        """After z (K, 2), where the filter has the parts at `state` (K, 2), with `cov` (K, 2, 2)."""
+    def learned(self, z: Array, state: Array, cov: Array, visible: Array, told: Array | float = 0.0) -> Sensor:
+        """After z (K, 2), where the filter has the parts at `state` (K, 2), with `cov` (K, 2, 2).
+
+        `told` (K,): by how much windows rather see the parts where it says, in log odds.
+        """
         var, spread, before = self._ahead, 0.5 * np.trace(cov, axis1=1, axis2=2), self.keep * self.bias
         off = z - before - state
         squared = 0.5 * np.sum(off**2, axis=1)
         total = var + self.noise + spread
         use = np.where(np.isfinite(squared) & (squared < MAX_SQUARED_DISTANCE * total), visible * visible.min(), 0.0)
         far = total + ASTRAY**2
-        evidence = np.log(far / total) - squared * (1 / total - 1 / far)
+        evidence = told + np.log(far / total) - squared * (1 / total - 1 / far)
         ahead = self._right_ahead
         odds = np.log(ahead / (1 - ahead)) + visible * np.nan_to_num(np.clip(evidence, -TOLD, TOLD))
         right = 1 / (1 + np.exp(-odds))
@@ -103,11 +105,6 @@ class Sensor(NamedTuple):
         away = np.hypot(*(others.at[:, None] - at).transpose(2, 0, 1))
         right = self.right[np.where(np.isnan(away), np.inf, away).argmin(axis=1)]
         return np.asarray(others.odds + np.minimum(np.log(right / (1 - right)), 0))
-
-    @property
-    def contests(self) -> Mask:
-        """(K,): whether it sees another place for a part, and is mostly right."""
-        return np.asarray((self.right < 0.5) & (self.wrong < OFTEN_WRONG))
 
     @property
     def _right_ahead(self) -> Array:

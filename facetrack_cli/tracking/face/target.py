@@ -21,6 +21,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import permutations
 from typing import Any, Final
 
 import numpy as np
@@ -34,12 +35,13 @@ from facetrack_cli.tracking.face import stabilized
 from facetrack_cli.tracking.face.found_again import NEW, STAYS, Sighting, kept, likeness, look_of, recognised, sighted
 from facetrack_cli.tracking.face.mesh_points import NO_FACE, MeshPoints
 from facetrack_cli.tracking.face.senses import Senses
-from facetrack_cli.tracking.face.sensors import Facing, apart, common_shift, joined
+from facetrack_cli.tracking.face.sensors import AREA, TOLD, Facing, apart, common_shift, joined
 from facetrack_cli.tracking.face.stabilized import EYES, FACE, Similarity
 from facetrack_cli.tracking.face.state import FaceState, View, shifted, sure_of, updated
 from facetrack_cli.tracking.loop import Footprint
 from facetrack_cli.tracking.models.likelihoods import window_ncc
-from facetrack_cli.tracking.models.motion import JumpingWalk
+from facetrack_cli.tracking.models.motion import JumpingWalk, SensorReading
+from facetrack_cli.tracking.models.spaces import Estimate
 from facetrack_cli.tracking.people.looks import Picture
 from facetrack_cli.tracking.roles import Names
 from facetrack_cli.tracking.smoothing import Belief
@@ -223,14 +225,14 @@ class FaceTarget:
         """The points in a frame of which there is a `view`; a head without a `box` goes with them."""
         odds, features, shift = view.parts.odds, state.features, view.shift
         if isinstance(features.learned, window_ncc.WindowState):
-            contested = np.any([one.contests for one in state.sensors], axis=0)
-            features = replace(features, learned=features.learned._replace(told=odds, contested=contested))
+            features = replace(features, learned=features.learned._replace(told=odds))
         features = shifted(features, lambda x: x + shift)
         given = view.measured if isinstance(self.features.motion, JumpingWalk) else None  # others have the shift alone
         features, points = self.features.advance(rng, features, view.seen, (), given)
         estimated, visible = features.estimated, self._visible(features)
-        each = zip(state.sensors, view.places, strict=True)
-        sensors = tuple(one.learned(z, estimated.state, estimated.cov, visible) for one, z in each)
+        told = self._rather(state.features, view, estimated)
+        each = zip(state.sensors, view.places, told, strict=True)
+        sensors = tuple(one.learned(z, estimated.state, estimated.cov, visible, more) for one, z, more in each)
         points = points._replace(beliefs=None)  # those are of the state
         facing = state.facing if self.senses.detector is None else state.facing.predicted()
         others, far, similarity, head = state.others, view.others, view.similarity, state.head
@@ -261,6 +263,23 @@ class FaceTarget:
         """(K,) how visible the parts are, where their likelihood says so."""
         known = isinstance(features.learned, window_ncc.WindowState)
         return np.asarray(features.learned.visible if known else np.ones(len(self.features.parts)))
+
+    def _rather(self, features: ParticleState, view: View, found: Estimate) -> Array:
+        """(S, K): by how much windows see parts rather where a sensor says than where others or the estimate are.
+
+        In log odds; 0 where they are not apart.
+        """
+        likelihood, own, each = self.features.likelihood, found.state, view.measured
+        told = np.zeros((len(each), len(own)))
+        if isinstance(likelihood, window_ncc.WindowNcc):
+            learned = likelihood.look(features.learned, view.seen, own)
+            var = 0.5 * np.trace(found.cov, axis1=1, axis2=2)
+            places = *each, SensorReading(own, var, np.ones(len(own)), AREA)
+            score = likelihood.score(learned, view.seen, np.stack([one.z for one in places]), own)
+            for i, j in permutations(range(len(places)), 2):
+                if i < len(each):
+                    told[i] += np.where(apart(places[i], places[j]), np.clip(score[i] - score[j], -TOLD, TOLD), 0)
+        return told
 
     def _map(self, head: Array, pose: Array) -> Similarity:
         """Of the face that lies so in a head at `head` (1, D)."""

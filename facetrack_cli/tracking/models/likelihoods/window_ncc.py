@@ -16,8 +16,7 @@ hidden, whose evidence in a frame is
 where `told` is what a sensor says of it. Both terms are bounded.
 
 A part that is visible, and looks like none of its templates, gives a new one: an open mouth, a smile. It may be what
-covers the part: it does not count in q for three frames, and is forgotten if the part is hidden before. It may also be
-what a sensor took for the part: it is forgotten if a sensor contests the place within 25 frames. The first
+covers the part: it does not count in q for three frames, and is forgotten if the part is hidden before. The first
 frame's template stays; of the others the one that has matched least is replaced when there is no room.
 
 A frame is looked at once: r is computed on a grid of whole pixels around the estimate, and read bilinearly.
@@ -44,7 +43,6 @@ SURE: Final = 0.06  # standard deviation of a part, in reaches, up to which a ne
 HIDDEN, SOFT = 0.45, 0.1
 BY_WINDOW, BY_TOLD = (-1.0, 6.0), (-4.0, 4.0)  # bounds of the terms of the evidence: looks change
 YOUNG: Final = 3  # frames
-TRIED: Final = 25  # frames
 UNLIKE: Final = 2.0  # below what a sensor usually says of a part, which then may be half covered
 HIDE, SHOW = 0.01, 0.1  # probabilities a frame
 BOUNDS: Final = (0.001, 0.98)  # of v
@@ -64,7 +62,6 @@ class PartTemplates(NamedTuple):
 class WindowState(NamedTuple):
     """Templates of each part, g and b (K,), v (K,); `told` (K,), what a sensor says of them in this frame, and `usual`.
 
-    `contested` (K,): of which parts a sensor that is mostly right says that they are elsewhere.
     Of the frame that was looked at last, r and where it begins.
 
     `maps` (K, S, S): r on a grid of whole pixels; `corner` (K, 2): the place of the first value of each map.
@@ -76,7 +73,6 @@ class WindowState(NamedTuple):
     visible: Array
     told: Array
     usual: Array
-    contested: Mask
     maps: NDArray[np.float32] | None = None
     corner: Array | None = None
 
@@ -93,10 +89,10 @@ class WindowNcc:
     def init(self, frame: Frame, x0: Array) -> WindowState:
         """Templates at x0 (K, 2) in the first frame."""
         templates = tuple(
-            PartTemplates((_unit(self._window(frame, k, at)),), (1.0,), (TRIED,)) for k, at in enumerate(x0)
+            PartTemplates((_unit(self._window(frame, k, at)),), (1.0,), (YOUNG,)) for k, at in enumerate(x0)
         )
         ones = np.ones(len(x0))
-        learned = WindowState(templates, 0.9 * ones, 0 * ones, ones, 0 * ones, 0 * ones, ones < 0)
+        learned = WindowState(templates, 0.9 * ones, 0 * ones, ones, 0 * ones, 0 * ones)
         return learned._replace(beside=self._beside(self.look(learned, frame, x0), x0).mean(axis=1))
 
     def look(self, learned: WindowState, frame: Frame, expected: Array) -> WindowState:
@@ -151,14 +147,11 @@ class WindowNcc:
         w = np.exp(particles.log_w)
         spread = np.sqrt(np.einsum("n,nkd->kd", w, (particles.x - state) ** 2)).max(axis=1)
         usual = learned.usual + visible / MEMORY * (np.clip(learned.told, *BY_TOLD) - learned.usual)
-        clear = (
-            (visible > 0.5) & (spread < SURE * 2 * self.reach) & (learned.told >= usual - UNLIKE) & ~learned.contested
-        )
+        clear = (visible > 0.5) & (spread < SURE * 2 * self.reach) & (learned.told >= usual - UNLIKE)
         templates = []
         for k, known in enumerate(learned.templates):
-            untried = TRIED if learned.contested[k] else YOUNG if visible[k] < 0.5 else 0
-            templates.append(self._kept(known, windows[k] if clear[k] else None, untried))
-        return WindowState(tuple(templates), good, beside, visible, learned.told, usual, learned.contested)
+            templates.append(self._kept(known, windows[k] if clear[k] else None, hidden=bool(visible[k] < 0.5)))
+        return WindowState(tuple(templates), good, beside, visible, learned.told, usual)
 
     def relearn(self, learned: WindowState, frame: Frame, x0: Array, parts: Mask) -> WindowState:
         """With all that is known of `parts` (K,) as they look in `frame` at x0 (K, 2)."""
@@ -169,14 +162,11 @@ class WindowNcc:
             np.where(parts, new, old)
             for new, old in ((anew.good, learned.good), (anew.beside, learned.beside), (anew.visible, learned.visible))
         )
-        return WindowState(templates, good, beside, visible, learned.told, learned.usual, learned.contested & ~parts)
+        return WindowState(templates, good, beside, visible, learned.told, learned.usual)
 
-    def _kept(self, known: PartTemplates, window: Channels | None, untried: int) -> PartTemplates:
-        """The templates after one more frame, without those younger than `untried` frames.
-
-        `window`, of unit norm: how the part looks, where it is clear.
-        """
-        each = [one for one in zip(*known, strict=True) if one[2] >= untried]
+    def _kept(self, known: PartTemplates, window: Channels | None, *, hidden: bool) -> PartTemplates:
+        """The templates after one more frame; `window`, of unit norm: how the part looks, where it is clear."""
+        each = [one for one in zip(*known, strict=True) if not (hidden and one[2] < YOUNG)]
         windows, used, age = zip(*((w, n, age + 1) for w, n, age in each), strict=True)
         if window is None:
             return PartTemplates(windows, used, age)
