@@ -78,10 +78,13 @@ class Sensor(NamedTuple):
         noise = self.noise + MISLED**2 * (1 - visible.min())
         return SensorReading(at, self._ahead + noise, sure, AREA)
 
-    def learned(self, z: Array, state: Array, cov: Array, visible: Array, told: Array | float = 0.0) -> Sensor:
+    def learned(
+        self, z: Array, state: Array, cov: Array, visible: Array, told: Array | float = 0.0, cross: Array | float = 0.0
+    ) -> Sensor:
         """After z (K, 2), where the filter has the parts at `state` (K, 2), with `cov` (K, 2, 2).
 
-        `told` (K,): by how much windows rather see the parts where it says, in log odds.
+        `told` (K,): by how much windows rather see the parts where it says, in log odds. `cross` (K,): its share of the
+        squared distance from an independent sensor, since the filter's state is partly what it has said itself.
         """
         var, spread, before = self._ahead, 0.5 * np.trace(cov, axis1=1, axis2=2), self.keep * self.bias
         off = z - before - state
@@ -96,7 +99,11 @@ class Sensor(NamedTuple):
         wrong = np.clip(self.wrong + OFTEN * np.isfinite(squared) * visible * (1 - right - self.wrong), *LIMITS)
         use = use * right
         gain = use * var / total
-        noise = np.clip(self.noise + LEARNS * use * (np.nan_to_num(squared) - self.noise), self.least**2, MAX_NOISE**2)
+        noise = np.clip(
+            self.noise + LEARNS * use * (np.maximum(np.nan_to_num(squared), cross) - self.noise),
+            self.least**2,
+            MAX_NOISE**2,
+        )
         bias = before + gain[:, None] * np.nan_to_num(off)
         return self._replace(bias=bias, var=(1 - gain) * var, noise=noise, right=right, wrong=wrong)
 

@@ -231,8 +231,10 @@ class FaceTarget:
         features, points = self.features.advance(rng, features, view.seen, (), given)
         estimated, visible = features.estimated, self._visible(features)
         told = self._rather(state.features, view, estimated)
-        each = zip(state.sensors, view.places, told, strict=True)
-        sensors = tuple(one.learned(z, estimated.state, estimated.cov, visible, more) for one, z, more in each)
+        regression, _, network = view.measured
+        cross = 0.25 * np.sum((network.z - regression.z) ** 2, axis=1) * (np.minimum(network.sure, regression.sure) > 0)
+        each = zip(state.sensors, view.places, told, (cross, 0.0, cross), strict=True)
+        sensors = tuple(one.learned(z, estimated.state, estimated.cov, visible, *more) for one, z, *more in each)
         points = points._replace(beliefs=None)  # those are of the state
         facing = state.facing if self.senses.detector is None else state.facing.predicted()
         others, far, similarity, head = state.others, view.others, view.similarity, state.head
