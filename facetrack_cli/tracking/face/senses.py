@@ -1,4 +1,4 @@
-"""What sees the points of a face in the stabilized image: the regression or the network, and the detector of faces."""
+"""What sees the points of a face in the stabilized image: the regression, the network and the detector of faces."""
 
 from __future__ import annotations
 

@@ -6,9 +6,9 @@ the face hardly moves. What is left to track is expression, and what the head tu
 T is constant, and that filter is the published one (Patras & Pantic, FG 2004). The shape prior is that of the
 stabilized image, so it is registered by the head: translation, scale and roll.
 
-In each frame a sensor places the points in the stabilized image: a regression (`descent.py`), or a network if its file
-is there (`mesh.py`). Windows are exact and may be lost. The sensor is less exact and has no memory. The points' filter
-joins both (`sensors.py`, `models/motion.py`). Further points of the network have no windows (`mesh_points.py`).
+In each frame sensors place the points in the stabilized image: a regression (`descent.py`), and a network if its file
+is there (`mesh.py`). Windows are exact and may be lost. Sensors are less exact and have no memory. The points' filter
+joins all (`sensors.py`, `models/motion.py`). Further points of the network have no windows (`mesh_points.py`).
 
 A detector of faces measures the face's box every so many frames. Of a head that is lost, it is asked as often where in
 the frame faces are; the head's filter compares them with what the first frames showed, and what it recognises is where
