@@ -137,7 +137,8 @@ def joined(one: SensorReading, other: SensorReading) -> SensorReading:
 def apart(one: SensorReading, other: SensorReading) -> Mask:
     """(K,): of which parts two sensors cannot both be right."""
     return np.asarray(
-        (other.sure > 0) & (np.sum((one.z - other.z) ** 2, axis=1) > MAX_SQUARED_DISTANCE * (one.var + other.var))
+        (np.minimum(one.sure, other.sure) > 0)
+        & (np.sum((one.z - other.z) ** 2, axis=1) > MAX_SQUARED_DISTANCE * (one.var + other.var))
     )
 
 

@@ -21,7 +21,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import permutations
 from typing import Any, Final
 
 import numpy as np
@@ -272,15 +271,14 @@ class FaceTarget:
         In log odds; 0 where they are not apart.
         """
         likelihood, own, each = self.features.likelihood, found.state, view.measured
-        told = np.zeros((len(each), len(own)))
-        if isinstance(likelihood, window_ncc.WindowNcc):
+        told, var = np.zeros((len(each), len(own))), 0.5 * np.trace(found.cov, axis1=1, axis2=2)
+        places = *each, SensorReading(own, var, np.ones(len(own)), AREA)
+        differ = {(i, j): apart(places[i], places[j]) for i in range(len(each)) for j in range(len(places)) if i != j}
+        if isinstance(likelihood, window_ncc.WindowNcc) and any(one.any() for one in differ.values()):
             learned = likelihood.look(features.learned, view.seen, own)
-            var = 0.5 * np.trace(found.cov, axis1=1, axis2=2)
-            places = *each, SensorReading(own, var, np.ones(len(own)), AREA)
             score = likelihood.score(learned, view.seen, np.stack([one.z for one in places]), own)
-            for i, j in permutations(range(len(places)), 2):
-                if i < len(each):
-                    told[i] += np.where(apart(places[i], places[j]), np.clip(score[i] - score[j], -TOLD, TOLD), 0)
+            for (i, j), those in differ.items():
+                told[i] += np.where(those, np.clip(score[i] - score[j], -TOLD, TOLD), 0)
         return told
 
     def _map(self, head: Array, pose: Array) -> Similarity:

@@ -86,7 +86,7 @@ def _log_sum(values: Array) -> Array:
 def _modes(measured: Sequence[SensorReading], parts: int) -> tuple[Array, Array, Array]:
     """p(z | a) as sum_m exp(w_m - p_m |a - z_m|^2 / 2), a mode for each set of sensors that say something."""
     z, p, w = np.zeros((1, parts, 2)), np.zeros((1, parts)), np.zeros((1, parts))
-    for one in measured:
+    for one in (each for each in measured if each.sure.any()):
         sure, new = np.clip(one.sure, 1e-6, 1 - 1e-6), 1 / one.var
         total = p + new
         apart = np.sum((one.z - z) ** 2, axis=2) * p * new / total
