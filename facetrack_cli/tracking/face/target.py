@@ -231,7 +231,8 @@ class FaceTarget:
         estimated, visible = features.estimated, self._visible(features)
         told = self._rather(state.features, view, estimated)
         regression, _, network = view.measured
-        cross = 0.25 * np.sum((network.z - regression.z) ** 2, axis=1) * (np.minimum(network.sure, regression.sure) > 0)
+        off = np.sum((network.z - regression.z) ** 2, axis=1)
+        cross = np.where((network.sure > 0) & ~apart(network, regression), 0.25 * off, 0.0)
         each = zip(state.sensors, view.places, told, (cross, 0.0, cross), strict=True)
         sensors = tuple(one.learned(z, estimated.state, estimated.cov, visible, *more) for one, z, *more in each)
         points = points._replace(beliefs=None)  # those are of the state
