@@ -43,7 +43,7 @@ class Detections(Section):
 
 
 class Landmarks(Section):
-    """What places the points of the face in every frame: a regression, or a network where its file is there."""
+    """What places the points of the face in every frame: a regression, and a network where its file is there."""
 
     network: Annotated[str, Field(min_length=1)] | None = "auto"
     """MediaPipe's face mesh, which adds points: `mesh`, brought by `facetrack models get mesh`, or the path of its

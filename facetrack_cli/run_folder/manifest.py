@@ -32,6 +32,7 @@ from facetrack_cli.trajectory.reader import read_table, read_trajectory, table_i
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Ending, Format, ending_of, tail
 
+BORNE_OUT: Final = 0.95  # share of points; it is said if it is less
 NAME: Final = "run.json"
 VIDEO: Final = "annotated.mp4"
 POSTERIOR: Final = "posterior.npz"
@@ -71,7 +72,8 @@ class Clip(File):
 class Manifest(Ending):
     """The contents of run.json. `asked`: a digest of all that was asked for.
 
-    `networks` are those that placed points: `mesh`, or the file that the recipe names.
+    `networks` are those that placed points: `mesh`, or the file that the recipe names; `borne_out` is the share of
+    their points that the other senses bear out, None without one.
     `doubts` is what speaks against the track, `look` the first and last frames to look at, the longest span first.
     `began` and `ended` are UTC; `seconds` is the time between them, in which all but `resumed` frames were tracked. In
     a batch a clip that failed has its `error`, and `log`, the last lines of a process that died.
@@ -83,6 +85,7 @@ class Manifest(Ending):
     facetrack: str = __version__
     asked: str = ""
     networks: tuple[str, ...] = ()
+    borne_out: float | None = None
     doubts: str = ""
     look: tuple[tuple[int, int], ...] = ()
     resumed: int = 0
@@ -96,6 +99,14 @@ class Manifest(Ending):
     exit_code: int | None = None
     log: tuple[str, ...] = ()
     files: dict[str, File] = field(default_factory=dict)
+
+    @property
+    def network(self) -> str:
+        """Which networks placed points, and whether the other senses bear them out; "" without one."""
+        said = f"with the network {' and '.join(map(os.path.basename, self.networks))}" if self.networks else ""
+        if self.borne_out is None or self.borne_out >= BORNE_OUT:
+            return said
+        return f"{said}, but for {1 - self.borne_out:.0%} of its points, which the other senses contradict"
 
     def record(self) -> dict[str, Any]:
         """The contents as JSON has them. What the tables say of the ending and the clip is not repeated."""

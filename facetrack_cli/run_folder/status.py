@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 import statistics
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.files import MAX_FILE_BYTES, cannot_write, check_readable, make_folder, replacing
 from facetrack_cli.core.numbers import document, places
 from facetrack_cli.run_folder.lock import LOCK, holder
@@ -50,6 +50,16 @@ def write_batch(out: Path, recipe: str, clips: Sequence[Path], names: Sequence[s
     except OSError as e:
         raise cannot_write(path, e) from e
     return path
+
+
+def check_networks(folders: Iterable[Path], networks: Sequence[str]) -> None:
+    """Refuse to go on with a batch whose runs took other networks. UsageError."""
+    for folder in folders:
+        run = read_manifest(folder)
+        if run is not None and run.files and sorted(run.networks) != sorted(networks):
+            was, now = (one.network or "without a network" for one in (run, Manifest(networks=tuple(networks))))
+            remedy = "name another folder, or track all anew with --overwrite"
+            raise UsageError(f"{folder}: its clip was tracked {was}, and this batch would be {now}; {remedy}")
 
 
 def batches(folder: Path) -> Iterator[BatchFile]:

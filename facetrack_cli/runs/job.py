@@ -110,6 +110,7 @@ class Outcome(Ending):
 
     `error` ended the run early; what was tracked until then is kept. `note` says where the search for a face began it.
     `again`: the run was done before, and nothing was tracked now. `resumed`: the frame from which it went on.
+    `network` says which one placed points.
     `doubtful`: whether something that was measured speaks against the track, as the `verdict` says.
     """
 
@@ -123,6 +124,7 @@ class Outcome(Ending):
     doubtful: bool = False
     again: Manifest | None = None
     resumed: int | None = None
+    network: str = ""
 
     @classmethod
     def of(cls, job: Job, known: Manifest) -> Outcome:
@@ -137,6 +139,7 @@ class Outcome(Ending):
             files=[job.out / name for name in known.files],
             error=error_of(known) or (InputError(known.warnings[-1]) if job.strict and not known.complete else None),
             again=known,
+            network=known.network,
         )
 
     def next_step(self) -> str:
@@ -156,6 +159,8 @@ class Outcome(Ending):
             parts.insert(0, "done before")
         elif self.frames > 1 and self.frames_per_s:
             parts.append(f"{self.frames_per_s:.1f} frames/s")
+        if self.network:
+            parts.append(self.network)
         if self.resumed is not None:
             parts.append(f"went on from frame {self.resumed}")
         if self.lost_frames:

@@ -311,7 +311,8 @@ class Recorder:
             halted = done.stopped or next((str(e) for e in errors), None)
             run = replace(self._run, **told, clip=clip, stopped=halted, complete=done.complete and halted is None)
             if watch is not None:
-                run = replace(run, doubts=watch.doubts(), look=watch.look)
+                run = replace(run, doubts=watch.doubts(), look=watch.look, borne_out=watch.bears_out)
+            done.network = run.network
             run = replace(
                 run, resumed=self._before, ended=utc_now(), seconds=round(time.monotonic() - self._entered_s, 3)
             )

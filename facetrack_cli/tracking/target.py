@@ -176,9 +176,9 @@ class ParticleTarget:
         state: ParticleState,
         frame: Frame,
         footprints: Sequence[Footprint] = (),
-        measured: SensorReading | None = None,
+        measured: Sequence[SensorReading] | None = None,
     ) -> tuple[ParticleState, TargetResult]:
-        """As a `Target` does; `measured` is what a sensor says of the parts of a target that moves by a JumpingWalk."""
+        """As a `Target` does; `measured` is what sensors say of the parts of a target that moves by a JumpingWalk."""
         if self._prepares is not None:
             expected = self.motion.expect(state.estimated.state[None])[0]
             state = replace(state, learned=self._prepares.look(state.learned, frame, expected))
@@ -347,7 +347,7 @@ class Bound:
     state: ParticleState
     frame: Frame
     footprints: Sequence[Footprint] = ()
-    measured: SensorReading | None = None
+    measured: Sequence[SensorReading] | None = None
 
     @cached_property
     def ahead(self) -> Prediction:
@@ -385,7 +385,7 @@ class Bound:
         log_p = self.target.likelihood.score(self.state.learned, self.frame, x, parents)
         if self.measured is not None:
             assert isinstance(self.target.motion, JumpingWalk)
-            log_p = log_p + self.target.motion.log_measured(parents, self.measured)
+            log_p = log_p + self.target.motion.log_measured(x, parents, self.measured)
         log_p = self._of_present(log_p)
         exclusion = self.target.exclusion
         return log_p if exclusion is None else log_p + log_weights(exclusion, x, self.footprints)

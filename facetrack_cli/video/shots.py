@@ -28,6 +28,7 @@ UNEVEN: Final = 0.3  # lengths of the line by which a step of a dissolve is earl
 SURE: Final = 3.0  # log odds of a dissolve
 ONE_FRAMES: Final = 6  # between two dissolves, at most, that are one
 SAME_SCENE: Final = 0.7  # correlation of two images between which there is no dissolve
+_AFTER: Final = 4  # frames after which a cut of a clip that passes is decided
 _LATE: Final = 12  # frames after which a dissolve is known to have ended
 _KEPT: Final = SPANS[-1] + 2 * _LATE  # images that are kept of a clip that passes
 _READ: Final = 5  # pixels a row and column that a pixel of a small image is the mean of, at least
@@ -102,10 +103,10 @@ class Passing(NamedTuple):
         step = float(np.abs(now - before).mean())
         earlier = float(np.abs(before - images[-3].astype(np.float32).ravel()).mean()) if len(images) > 2 else 0.0
         if step >= MIN_STEP and earlier <= BESIDE * step and float(_alike(before, now)) < SAME_STRUCTURE:
-            return passing._replace(waits=FLASH_FRAMES - 1), "maybe"
+            return passing._replace(waits=_AFTER - 1), "maybe"
         if self.waits == 1:
-            last = images[-2 * FLASH_FRAMES - 2 :]
-            return passing, "cut" if len(last) - FLASH_FRAMES in _hard(_flat(last)) else "none"
+            last = images[-2 * _AFTER - 2 :]
+            return passing, "cut" if len(last) - _AFTER in _hard(_flat(last), _AFTER) else "none"
         if passing.frames % _LATE == 0 and len(images) > SPANS[0] and _alike(_flat(images[:1])[0], now) < SAME_SCENE:
             ends = [last - len(images) for _, _, last in _dissolves(_flat(images))]
             return passing, "cut" if any(-2 * _LATE <= one < -_LATE for one in ends) else ""

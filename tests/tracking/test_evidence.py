@@ -8,7 +8,6 @@ from facetrack_cli.core.types import Frame
 from facetrack_cli.tracking.face import evidence
 from facetrack_cli.tracking.face.evidence import (
     AWAY,
-    BOTH,
     BOUND,
     CUT,
     HEAD,
@@ -27,7 +26,6 @@ from facetrack_cli.tracking.face.evidence import (
     probabilities,
 )
 from facetrack_cli.tracking.face.stabilized import Similarity
-from facetrack_cli.tracking.people import looks as people_looks
 from facetrack_cli.tracking.people.looks import Picture
 from facetrack_cli.tracking.start.detectors import Found
 
@@ -113,7 +111,7 @@ def p_of(looks, others=0.0, *, cut=False, company=False):
 
 
 def test_no_look_denies_the_one_face_of_a_shot():
-    for looks in np.linspace(-BOTH, BOTH, 9):
+    for looks in np.linspace(-BOUND, BOUND, 9):
         assert p_of(looks, -AWAY * (looks > -2)) > 0.4 and p_of(looks, HEAD) > 0.5
     assert p_of(-BOUND) > 0.5
 
@@ -139,16 +137,10 @@ def test_places_speak_for_a_face_where_the_target_was_and_against_others_while_i
     assert len(by_place(place(BOX), [], covered=True)) == 0
 
 
-@pytest.mark.parametrize("embedding", [0, 128])
-def test_looks_are_bounded_each_and_together(monkeypatch, embedding):
-    monkeypatch.setattr(people_looks, "embedded", lambda chip: np.full(embedding, chip.mean() / 1000))
+def test_looks_are_bounded(monkeypatch):
     known = [Picture.of(shown((BOX, 1)), place(BOX)._replace(scale=BOX[2]))]
-
-    def odds(looks):
-        like = np.array([one.face[0] @ looks[0].face[0] for one in looks])
-        return (100 * (like - 0.5) if looks[0].embedding.size == 0 else np.full(len(looks), 9.0))[None]
-
-    monkeypatch.setattr(evidence, "same_person", odds)
+    like = lambda looks: np.array([[100 * (one.face[0] @ looks[0].face[0] - 0.5) for one in looks]])  # noqa: E731
+    monkeypatch.setattr(evidence, "same_person", like)
     found = by_looks(known, [place(BOX), place(ELSEWHERE)], shown((BOX, 5), (ELSEWHERE, 1)))
-    np.testing.assert_allclose(found, [-BOUND, BOUND] if not embedding else [0.0, BOTH])
+    np.testing.assert_allclose(found, [-BOUND, BOUND])
     assert len(by_looks(known, [], shown())) == 0

@@ -3,15 +3,15 @@
 A detector sees faces anywhere in a frame, or the points are seen where the face is expected. That face k of K is the
 target has the log odds
 
-    prior + head + grey + embedding + place,      p_k = exp(odds_k) / (1 + sum_j exp(odds_j))
+    prior + head + looks + place,      p_k = exp(odds_k) / (1 + sum_j exp(odds_j))
 
     prior       SHOT / K, after a cut CUT / K: a lone face is most likely the target; 0 where the clip has shown others
     head        HEAD where the filter of the head sees it
-    grey        what the face looks like in grey, its skin, its hair and its clothes, against views of the target
-    embedding   the same by dlib's network, with the extra `people`
+    looks       the face in grey, its colours and, with the extra `people`, dlib's embedding, against views of the
+                target: `same_person` in people/identity.py, where each is bounded by how often it is wrong
     place       NEAR where the target was last seen, -AWAY elsewhere while it is held to be covered; 0 after a cut
 
-No term has a veto. Each is bounded by how often it is wrong: grey and skin change with the light, hair with a hat.
+No term has a veto: skin changes with the light, hair with a hat.
 People change places over cuts, so the looks decide there, and hardly elsewhere. What looks like a cut and was a flash,
 a whip pan, a hand across the lens or lost frames, is none as soon as the frames after it say so, or the face is seen.
 
@@ -36,8 +36,7 @@ from facetrack_cli.tracking.people.looks import Picture, together
 from facetrack_cli.tracking.start.detectors import Found
 
 SHOT, CUT = 5.0, 2.5  # log odds that the one face of a frame is the target, in one shot and after a cut
-BOUND: Final = 4.0  # of the log odds by grey, and of those by the embedding
-BOTH: Final = 5.0  # of their sum
+BOUND: Final = 4.0  # of the log odds by looks
 HEAD: Final = 1.0  # log odds of a face that the filter of the head follows
 NEAR: Final = 3.0  # log odds of a face where the target was
 AWAY: Final = 2.0  # ... less, of a face elsewhere while the target is covered
@@ -121,10 +120,7 @@ def by_looks(known: Sequence[Picture], faces: Sequence[Similarity], frame: Frame
         return np.zeros(0)
     looks = [together(one.looks for one in known)]
     looks += [Picture.of(frame, face._replace(scale=face.scale * FACE)).looks for face in faces]
-    odds = np.clip(same_person([one._replace(embedding=one.embedding[:, :0]) for one in looks])[0, 1:], -BOUND, BOUND)
-    if looks[0].embedding.size:
-        odds = np.clip(odds + np.clip(same_person(looks)[0, 1:], -BOUND, BOUND), -BOTH, BOTH)
-    return np.asarray(odds)
+    return np.clip(same_person(looks)[0, 1:], -BOUND, BOUND)
 
 
 def look_of(still: Frame) -> Array:

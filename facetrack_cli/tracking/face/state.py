@@ -27,9 +27,9 @@ _MAX_POSE: Final = np.array([math.radians(60), 0.7, 0.3, 0.3])
 
 @dataclass(frozen=True)
 class FaceState:
-    """The states of head and points, the last `points` as rows of the stabilized image; what is known of their sensor.
+    """The states of head and points, the last `points` as rows of the stabilized image; what is known of their sensors.
 
-    `second` is that of the detector; `others` are the points of the network, None before it has seen the face.
+    `sensors` are regression, detector, network; `others` the network's points, None before it has seen the face.
 
     `pose` (4,) is that of the face in its head: roll in radians, the logarithm of its size, and its middle in sizes of
     the head's box; `pose_var` (4,) are their variances. `frames` counts those since the start. `sure` are the log odds
@@ -42,8 +42,7 @@ class FaceState:
     head: ParticleState
     features: ParticleState
     points: TargetResult
-    sensor: Sensor
-    second: Sensor
+    sensors: tuple[Sensor, ...]
     facing: Facing
     pose: Array
     pose_var: Array
@@ -62,19 +61,19 @@ class FaceState:
 class View(NamedTuple):
     """A frame as `seen` from the head, and what sensors say of the points there.
 
-    `z2` (K, 2) are the detector's places. `measured`: what all sensors say together; `upright` (K, 2): the first one
-    alone, without its bias; `shift` (2,): how far the face is from where the head was expected; `sure`: log odds
-    that it is there.
+    `places` are those (K, 2) by each sensor, `measured` what they say without their bias; `upright` (K, 2): what
+    regression and network say together; `shift` (2,): how far the face is from where the head was expected; `sure`:
+    log odds that it is there.
     """
 
     similarity: Similarity
     seen: Frame
     due: bool
     found: Found | None
-    z2: Array
     parts: PlacedPoints
     others: PlacedPoints | None
-    measured: SensorReading
+    places: tuple[Array, ...]
+    measured: tuple[SensorReading, ...]
     upright: Array
     shift: Array
     sure: float
