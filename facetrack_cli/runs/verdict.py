@@ -21,6 +21,7 @@ from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.tracking.face.stabilized import BOX as STILL
 from facetrack_cli.tracking.face.stabilized import FACE, Similarity
+from facetrack_cli.tracking.start.closer import TURNS
 from facetrack_cli.tracking.start.detectors import Detector, detector
 from facetrack_cli.trajectory.diagnostics import DOUBTFUL
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
@@ -163,9 +164,9 @@ class Watch:
         rows = next((one.rows for one in result.targets if one.rows.target == name), None)
         box = None if rows is None or given.box is None else _face(rows, given.box, given.points)
         if box is not None:
-            seen = Similarity(np.array(centre(box)), box[2] / FACE).read(result.frame)
+            views = (Similarity(np.array(centre(box)), box[2] / FACE, turn * np.pi / 2) for turn in TURNS)
             self.looks += 1
-            self.seen += self.detector.measure(seen.bgr, STILL) is not None
+            self.seen += any(self.detector.measure(one.read(result.frame).bgr, STILL) is not None for one in views)
 
 
 def _face(rows: Trajectory, began: Box, points: Mapping[str, Point]) -> Box | None:

@@ -188,8 +188,8 @@ class FaceTarget:
 
     def _recognised(self, state: FaceState, frame: Frame) -> Sighting | None:
         """The face, among those that the detector sees anywhere in the frame."""
-        assert self.senses.detector is not None
-        faces = [Sighting.of(one, frame) for one in self.senses.detector.find(frame)[:_FACES]]
+        here = self._map(state.head.estimated.state, state.pose)
+        faces = [Sighting.of(one, frame) for one in self.senses.faces(frame, here)[:_FACES]]
         best = recognised(state.pictures, [one.similarity() for one in faces], frame)
         return None if best is None else faces[best]
 
@@ -262,8 +262,8 @@ class FaceTarget:
 
     def _sighted(self, state: FaceState, frame: Frame) -> FaceState:
         """The state of a face that is lost, with the places where a detector sees faces."""
-        assert self.senses.detector is not None
-        faces, pose = self.senses.detector.find(frame)[:_FACES], state.pose
+        here, pose = self._map(state.head.estimated.state, state.pose), state.pose
+        faces = self.senses.faces(frame, here)[:_FACES]
         places = tuple(
             np.array([*(np.array(centre(one.box)) - one.box[2] * pose[2:]), math.log(one.box[2] / self.side)])
             for one in faces

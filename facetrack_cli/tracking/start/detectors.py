@@ -47,6 +47,7 @@ class Found(NamedTuple):
 
     `eyes`: the left one of the upright face first. `points`: the nose and the corners of the mouth. `sure` if the
     detector has seen the face's features. `turn`: the quarter turns, clockwise, after which an upright face lies so.
+    `closer`: it was seen in a part of the frame, or turned.
     """
 
     box: Box
@@ -54,6 +55,7 @@ class Found(NamedTuple):
     points: Mapping[str, Point] = {}
     sure: bool = False
     turn: int = 0
+    closer: bool = False
 
     @property
     def roll(self) -> float:

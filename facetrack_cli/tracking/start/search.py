@@ -12,6 +12,7 @@ first frame: noise averages out, and a mouth that moves keeps its first shape. N
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import islice, takewhile
 from math import isfinite
@@ -66,12 +67,11 @@ class _Candidate:
     """A candidate for a face: boxes, points and contrast of the frames that show it, and where a track can begin.
 
     `change`: the largest change of the image in its first box since then, in grey levels; `deformed`: that of the first
-    `compared` of its `views`, each laid on the first one. `certain`: the regression has seen nose and mouth. `closer`:
-    it is seen in a closer look alone, after `turn` quarter turns.
+    `compared` of its `views`, each laid on the first one. `certain`: the regression has seen nose and mouth. `face`: as
+    it was found first.
     """
 
-    closer: bool = False
-    turn: int = 0
+    face: Found
     boxes: list[tuple[int, Box]] = field(default_factory=list)
     points: list[dict[str, Point]] = field(default_factory=list)
     contrast: list[float] = field(default_factory=list)
@@ -137,11 +137,13 @@ def _deformation(first: Image, view: Image) -> float:
     """The change of a face since the first view of it that no affine map explains."""
     core = np.ascontiguousarray(first[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX])
     _, _, _, (x, y) = cv2.minMaxLoc(cv2.matchTemplate(view, core, cv2.TM_CCOEFF_NORMED))
-    warp, ends = np.array([[1, 0, x], [0, 1, y]], np.float32), (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-3)
-    try:
-        _, warp = cv2.findTransformECC(core, view, warp, cv2.MOTION_AFFINE, ends, None, 1)
-    except cv2.error:  # it did not converge: what is left by the shift counts
-        pass
+    warp, ends = (
+        np.array([[1, 0, x], [0, 1, y]], np.float32),
+        (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-3),
+    )
+    whole = np.full(view.shape, 255, np.uint8)
+    with suppress(cv2.error):  # where it does not converge, what is left by the shift counts
+        warp = np.asarray(cv2.findTransformECC(core, view, warp, cv2.MOTION_AFFINE, ends, whole, 1)[1], np.float32)
     how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return _change(np.asarray(cv2.warpAffine(view, warp, core.shape[::-1], flags=how), np.uint8), core)
 
@@ -185,6 +187,10 @@ def search_start(
     if not found:
         raise first.nobody(clip, last)
     return search.start(found if faces == "all" else found[:1], found)
+
+
+def _same(one: _Candidate, face: Found) -> bool:
+    return bool(one.boxes) and overlap(one.boxes[-1][1], face.box) > BESIDE
 
 
 def _within(frames: Iterator[Frame], seconds: float) -> Iterator[Frame]:
@@ -234,10 +240,10 @@ class _Search:
         self.times.append(frame.time_s)
         open_, found = self._open(), self.detector.find(frame)
         for one in open_:
-            if one.closer:
+            if one.face.closer:
                 box = one.boxes[-1][1]
                 found = [face for face in found if overlap(face.box, box) < BESIDE]
-                again = near(self.detector, frame, box, one.turn)
+                again = near(self.detector, frame, box, one.face.turn)
                 found += [] if again is None else [again]
         for face in found:
             mine = max(open_, key=lambda one: overlap(one.boxes[-1][1], face.box), default=None)
@@ -245,27 +251,20 @@ class _Search:
                 mine = None
             else:
                 open_.remove(mine)
-            if mine is None or not (mine.certain or mine.closer or len(mine.boxes) > TURNED_LOOKS):
+            if mine is None or not (mine.certain or mine.face.closer or len(mine.boxes) > TURNED_LOOKS):
                 lies = righted(self.detector, frame, face)
                 if mine is None or lies.turn:
-                    self._drop(mine)
-                    face, mine = lies, _Candidate(lies.turn > 0, lies.turn)
+                    self.candidates = [one for one in self.candidates if one is not mine]
+                    face, mine = lies, _Candidate(lies)
                     self.candidates.append(mine)
             self._add(mine, frame, face)
-        self.candidates = [one for one in self.candidates if one.boxes]
-        if frame.time_s >= self.closer_from and not any(one.certain for one in self._open()):
+        if frame.time_s >= self.closer_from and not any(one.certain for one in self.candidates):
             self.closer_from = frame.time_s + max(CLOSER_S, CLOSER_STEP * frame.time_s)
             for face in everywhere(self.detector, frame):
-                for one in self._open():
-                    if not one.certain and overlap(one.boxes[-1][1], face.box) > BESIDE:
-                        self._drop(one)
-                self.candidates.append(_Candidate(True, face.turn))
+                self.candidates = [one for one in self.candidates if one.certain or not _same(one, face)]
+                self.candidates.append(_Candidate(face))
                 self._add(self.candidates[-1], frame, face)
-            self.candidates = [one for one in self.candidates if one.boxes]
-
-    def _drop(self, candidate: _Candidate | None) -> None:
-        if candidate is not None:
-            self.candidates.remove(candidate)
+        self.candidates = [one for one in self.candidates if one.boxes]
 
     def _place(self, frame: int) -> int:
         return self.frames.index(frame)
@@ -282,9 +281,7 @@ class _Search:
         candidate.contrast.append(float(grey.std()))
         candidate.see(frame, alone=len(self.candidates) < 2)
         candidate.certain = candidate.certain or placed.sure > 0
-        candidate.features = (
-            candidate.features or face.sure or candidate.certain or shows_eye(frame.bgr, face.box)
-        )
+        candidate.features = candidate.features or face.sure or candidate.certain or shows_eye(frame.bgr, face.box)
         start = Start(frame.index, {"face": TargetStart(face.box, points)}, self.detector.name)
         try:
             candidate.begins[frame.index] = self.complete(frame, start)
@@ -329,7 +326,7 @@ class _Search:
         for i, one in enumerate(others):
             targets[f"face_{i + 2}"] = self._settled(one, at)
         note = f"begins in frame {at} with a face {best.said()} by {self.detector.name}"
-        note += f", turned by {90 * best.turn} degrees clockwise" if best.turn else ""
+        note += f", turned by {90 * best.face.turn} degrees clockwise" if best.face.turn else ""
         passed = [one for one in self.candidates if one not in rivals]
         left = [one for one in rivals if one not in chosen]
         if others:
