@@ -164,7 +164,7 @@ class Watch:
         rows = next((one.rows for one in result.targets if one.rows.target == name), None)
         box = None if rows is None or given.box is None else _face(rows, given.box, given.points)
         if box is not None:
-            views = (Similarity(np.array(centre(box)), box[2] / FACE, turn * np.pi / 2) for turn in TURNS)
+            views = (Similarity(np.array(centre(box)), box[2] / FACE, turn * np.pi / 4) for turn in TURNS)
             self.looks += 1
             self.seen += any(self.detector.measure(one.read(result.frame).bgr, STILL) is not None for one in views)
 

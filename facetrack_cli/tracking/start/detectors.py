@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.geometry import overlap
 from facetrack_cli.core.types import Box, Frame, Image, Point, factor_for
+from facetrack_cli.recipe.face import DetectorName
 from facetrack_cli.tracking.face.descent import PlacedPoints
 from facetrack_cli.tracking.face.stabilized import slope
 from facetrack_cli.tracking.start.points import EYES_IN_BOX, MOUTH_Y, cascade, place, placed
@@ -46,8 +47,8 @@ class Found(NamedTuple):
     """A face: its box as the frontal cascades draw it, and what else the detector says of it.
 
     `eyes`: the left one of the upright face first. `points`: the nose and the corners of the mouth. `sure` if the
-    detector has seen the face's features. `turn`: the quarter turns, clockwise, after which an upright face lies so.
-    `closer`: it was seen in a part of the frame, or turned.
+    detector has seen the face's features. `turn`: by how many eighths of a turn, clockwise, it is turned. `closer`: it
+    was seen in a part of the frame, or turned.
     """
 
     box: Box
@@ -60,7 +61,7 @@ class Found(NamedTuple):
     @property
     def roll(self) -> float:
         """How far it is turned, in radians."""
-        return self.turn * math.pi / 2 if self.eyes is None else slope(np.array(self.eyes))
+        return self.turn * math.pi / 4 if self.eyes is None else slope(np.array(self.eyes))
 
     def placed(self, frame: Frame) -> PlacedPoints:
         """Its five points, placed by the regression."""
@@ -69,7 +70,7 @@ class Found(NamedTuple):
 
 class Detector(Protocol):
     @property
-    def name(self) -> str: ...
+    def name(self) -> DetectorName: ...
 
     def find(self, frame: Frame) -> list[Found]:
         """All faces of a frame, the best first."""

@@ -1,5 +1,6 @@
 """The five points of a face, placed by a regression (`face/descent.py`) in the face as it is seen upright."""
 
+import cmath
 import math
 from collections.abc import Mapping
 from functools import lru_cache
@@ -39,18 +40,13 @@ def _load(name: str, thread: int) -> cv2.CascadeClassifier:
 
 
 def place(
-    image: Image,
-    box: Box,
-    eyes: tuple[Point, Point] | None = None,
-    points: Mapping[str, Point] | None = None,
-    turn: int = 0,
+    image: Image, box: Box, eyes: tuple[Point, Point] | None = None, points: Mapping[str, Point] | None = None
 ) -> dict[str, Point]:
-    """All five points of the face that fills `box` as the frontal cascade draws it, in pixels of `image` (BGR).
+    """All five points of the upright face that fills `box` as the frontal cascade draws it, in pixels of `image` (BGR).
 
-    `eyes`, the left one of the upright face first, and `points`: where a detector sees them. `turn`: the quarter turns
-    of a face without eyes.
+    `eyes`, the left one in the image first, and `points`: where a detector sees them.
     """
-    return named(placed(Frame(0, 0.0, image), box, eyes, points or {}, turn))
+    return named(placed(Frame(0, 0.0, image), box, eyes, points or {}))
 
 
 def named(points: PlacedPoints) -> dict[str, Point]:
@@ -61,7 +57,7 @@ def named(points: PlacedPoints) -> dict[str, Point]:
 def placed(
     frame: Frame, box: Box, eyes: tuple[Point, Point] | None, points: Mapping[str, Point], turn: int = 0
 ) -> PlacedPoints:
-    """The face in `box` where the regression sees most of it; arguments as of `place`.
+    """The face in `box` where the regression sees most of it; it is turned by eighths of a turn.
 
     Without `eyes` they are taken to be where they are on average, and the face of one of three sizes: the boxes of
     cascades say neither how a face is tilted, nor well how large it is. Then the face is laid upright by its points,
@@ -93,15 +89,12 @@ def placed(
 
 
 def mean_eyes(box: Box, turn: int = 0) -> tuple[Point, Point]:
-    """Where the eyes are in a face's box on average, in pixels; the face lies there after quarter turns clockwise."""
+    """Where the eyes are in a face's box on average, in pixels; it is turned by eighths of a turn clockwise."""
     x, y, w, h = box
     left, right = ((x + across * w - 0.5, y + down * h - 0.5) for across, down in EYES_IN_BOX)
     if turn:
-        mx, my = x + w / 2 - 0.5, y + h / 2 - 0.5
-        cos, sin = (1, 0, -1, 0)[turn], (0, 1, 0, -1)[turn]
-        left, right = (
-            (mx + cos * (u - mx) - sin * (v - my), my + sin * (u - mx) + cos * (v - my)) for u, v in (left, right)
-        )
+        middle, by = complex(x + w / 2 - 0.5, y + h / 2 - 0.5), cmath.exp(0.25j * math.pi * turn)
+        left, right = ((z.real, z.imag) for z in (middle + by * (complex(*eye) - middle) for eye in (left, right)))
     return left, right
 
 

@@ -11,11 +11,11 @@ first frame: noise averages out, and a mouth that moves keeps its first shape. N
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import islice, takewhile
-from math import isfinite
+from itertools import chain, islice
+from math import degrees, isfinite
 from typing import Final, Literal, TypeAlias
 
 import cv2
@@ -39,22 +39,20 @@ from facetrack_cli.tracking.start.detectors import (
 from facetrack_cli.tracking.start.points import named, shows_eye
 
 SEARCHED_FRAMES: Final = 250  # frames that are searched, of images that are all kept
-SEARCHED_S: Final = 9.99  # seconds in which all frames are searched
-MAX_STEP_S: Final = 2.0  # seconds from one look to the next later on, at most
-STEP: Final = 0.02  # before, this share of the time gone by
+SEARCHED_S: Final = 10.0  # seconds in which all frames are searched; of later ones some, in steps of
+STEP, MAX_STEP_S = 0.02, 2.0  # this share of the time gone by, and at most so many seconds
 LOOK_S: Final = 0.03  # seconds from one look to the next, at least: a camera may be fast
 MIN_LOOKS: Final = 5  # in which a face is found, at least
 WAIT_S: Final = 0.35  # seconds for rivals from the first look that finds a candidate
 ALONE_S, STILL_S = 1.0, 3.0  # if it keeps still: alone, or beside a smaller one that moves; all of them
 WAITING_S: Final = 0.2  # seconds from one look to the next in that time
-CLOSER_S: Final = 0.5  # seconds from one closer look for anybody to the next
+CLOSER_S, CLOSER_STEP = 1.0, 0.1  # from one closer look for anybody to the next; or this share of the time gone by
 MAX_GAP: Final = 4  # looks in which a candidate may be missed
 MIN_CHANGE: Final = 2.5  # grey levels; a face that changes by less from frame to frame may be a picture
 MIN_DEFORMED: Final = 2.0  # so is one whose change is less when it is laid on its first picture: 0.7 to 1.6, faces 2.2
 PATCH_PX: Final = 24  # pixels of a side of the patch in which that is seen
 VIEW_PX, MARGIN_PX = 48, 6  # sides and margins of the picture that is laid on the first
-TURNED_LOOKS: Final = 2  # further looks that ask how a face lies in which neither nose nor mouth is seen
-CLOSER_STEP: Final = 0.1  # share of the time gone by, from one closer look for anybody to the next, if that is more
+TURNED_LOOKS: Final = 3  # that ask how a face lies in which neither nose nor mouth is seen
 BESIDE: Final = 0.1  # overlap below which an upright face is another one than a turned one
 SAME_PLACE: Final = 0.02  # sizes of the box; a part that is farther off has moved, nearer it is noise
 MIN_OVERLAP: Final = 0.3  # overlap with where it was last found
@@ -62,7 +60,7 @@ _ALL_OF_IT: Final = "draw it from the brows to the chin"
 Faces: TypeAlias = Literal["one", "all"]
 
 
-@dataclass
+@dataclass(eq=False)
 class _Candidate:
     """A candidate for a face: boxes, points and contrast of the frames that show it, and where a track can begin.
 
@@ -137,11 +135,8 @@ def _deformation(first: Image, view: Image) -> float:
     """The change of a face since the first view of it that no affine map explains."""
     core = np.ascontiguousarray(first[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX])
     _, _, _, (x, y) = cv2.minMaxLoc(cv2.matchTemplate(view, core, cv2.TM_CCOEFF_NORMED))
-    warp, ends = (
-        np.array([[1, 0, x], [0, 1, y]], np.float32),
-        (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-3),
-    )
-    whole = np.full(view.shape, 255, np.uint8)
+    warp, whole = np.array([[1, 0, x], [0, 1, y]], np.float32), np.full(view.shape, 255, np.uint8)
+    ends = cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-3
     with suppress(cv2.error):  # where it does not converge, what is left by the shift counts
         warp = np.asarray(cv2.findTransformECC(core, view, warp, cv2.MOTION_AFFINE, ends, whole, 1)[1], np.float32)
     how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -168,20 +163,16 @@ def search_start(
     """
     check_parts(parts)
     finder, coming = detector or Haar(), iter(frames)
-    search = first = _Search(parts, finder, complete)
-    found = search.through(_within(coming, SEARCHED_S) if whole else islice(coming, SEARCHED_FRAMES))
+    search = first = _Search(parts, finder, complete, 0.0)
+    found = search.through(coming if whole else islice(coming, SEARCHED_FRAMES), SEARCHED_S)
     last, looked = (first.frames[-1], first.times[-1]) if first.frames else (0, 0.0)
     for frame in coming if whole and not found else ():
         last = frame.index
         if frame.time_s - looked < min(max(STEP * frame.time_s, LOOK_S), MAX_STEP_S):
             continue
         search = _Search(parts, finder, complete, search.closer_from)
-        search.look(frame)
-        looked = frame.time_s
-        if search.candidates:
-            found = search.through(_within(coming, WAIT_S + STILL_S), least=WAIT_S, late=True)
-            first.lacking, last = first.lacking or search.lacking, search.frames[-1]
-            looked = search.times[-1]
+        found = search.through(chain([frame], coming), WAIT_S + STILL_S, least=WAIT_S)
+        first.lacking, last, looked = first.lacking or search.lacking, search.frames[-1], search.times[-1]
         if found:
             break
     if not found:
@@ -189,25 +180,9 @@ def search_start(
     return search.start(found if faces == "all" else found[:1], found)
 
 
-def _same(one: _Candidate, face: Found) -> bool:
-    return bool(one.boxes) and overlap(one.boxes[-1][1], face.box) > BESIDE
-
-
-def _within(frames: Iterator[Frame], seconds: float) -> Iterator[Frame]:
-    """The frames of so long a time; one more is taken and lost."""
-    first = next(frames, None)
-    if first is not None:
-        yield first
-        yield from takewhile(lambda one: one.time_s - first.time_s < seconds, frames)
-
-
 class _Search:
     def __init__(
-        self,
-        parts: Sequence[str],
-        detector: Detector,
-        complete: Callable[[Frame, Start], Start],
-        closer_from: float = 0.0,
+        self, parts: Sequence[str], detector: Detector, complete: Callable[[Frame, Start], Start], closer_from: float
     ) -> None:
         self.parts, self.detector, self.complete, self.closer_from = parts, detector, complete, closer_from
         self.candidates: list[_Candidate] = []
@@ -216,19 +191,19 @@ class _Search:
         self.ready: int | None = None  # the frame from which on it waits only for somebody to move
         self.lacking: NotHereError | None = None
 
-    def through(self, frames: Iterable[Frame], *, least: float = 0.0, late: bool = False) -> list[_Candidate]:
-        """The faces in `frames`, as soon as they are certain; none if the looks end before `least` seconds.
+    def through(self, frames: Iterable[Frame], most: float, *, least: float = 0.0) -> list[_Candidate]:
+        """The faces in `most` seconds of the frames, as soon as they are certain.
 
-        If it is `late`, they end where nobody is left.
+        None if the looks are of less than `least` seconds; those end where nobody is left.
         """
         for frame in frames:
-            pause = LOOK_S if self.ready is None else WAITING_S
-            if self.times and 0 < frame.time_s - self.times[-1] < pause:
+            since = frame.time_s - self.times[-1] if self.times else 0.0
+            if 0 < since < (LOOK_S if self.ready is None else WAITING_S):
                 continue
             self.look(frame)
             if found := self.faces():
                 return found
-            if late and not self._open():
+            if (least and not self._open()) or self.times[-1] - self.times[0] >= most - LOOK_S:
                 break
         return self.faces(ended=True) if self.times and self.times[-1] - self.times[0] >= least else []
 
@@ -251,20 +226,19 @@ class _Search:
                 mine = None
             else:
                 open_.remove(mine)
-            if mine is None or not (mine.certain or mine.face.closer or len(mine.boxes) > TURNED_LOOKS):
-                lies = righted(self.detector, frame, face)
-                if mine is None or lies.turn:
-                    self.candidates = [one for one in self.candidates if one is not mine]
-                    face, mine = lies, _Candidate(lies)
-                    self.candidates.append(mine)
+            if mine is None or not (mine.certain or mine.face.closer or len(mine.boxes) >= TURNED_LOOKS):
+                face = righted(self.detector, frame, face)
+                if mine is not None and face.turn:
+                    self.candidates.remove(mine)
+                mine = _Candidate(face) if mine is None or face.turn else mine
             self._add(mine, frame, face)
-        if frame.time_s >= self.closer_from and not any(one.certain for one in self.candidates):
+        if frame.time_s >= self.closer_from and not any(one.certain for one in self._open()):
             self.closer_from = frame.time_s + max(CLOSER_S, CLOSER_STEP * frame.time_s)
             for face in everywhere(self.detector, frame):
-                self.candidates = [one for one in self.candidates if one.certain or not _same(one, face)]
-                self.candidates.append(_Candidate(face))
-                self._add(self.candidates[-1], frame, face)
-        self.candidates = [one for one in self.candidates if one.boxes]
+                for one in self._open():
+                    if not one.certain and overlap(one.boxes[-1][1], face.box) > BESIDE:
+                        self.candidates.remove(one)
+                self._add(_Candidate(face), frame, face)
 
     def _place(self, frame: int) -> int:
         return self.frames.index(frame)
@@ -274,6 +248,8 @@ class _Search:
         points = named(placed)
         if not all(inside(points[part], frame.size) for part in self.parts):
             return
+        if not candidate.boxes:
+            self.candidates.append(candidate)
         x, y, w, h = (round(side) for side in face.box)
         grey = cv2.cvtColor(frame.bgr[max(y, 0) : y + h, max(x, 0) : x + w], cv2.COLOR_BGR2GRAY)
         candidate.boxes.append((frame.index, face.box))
@@ -326,7 +302,8 @@ class _Search:
         for i, one in enumerate(others):
             targets[f"face_{i + 2}"] = self._settled(one, at)
         note = f"begins in frame {at} with a face {best.said()} by {self.detector.name}"
-        note += f", turned by {90 * best.face.turn} degrees clockwise" if best.face.turn else ""
+        note += f", turned by {round(degrees(best.face.roll)) % 360} degrees clockwise" if best.face.turn else ""
+        note += "" if best.certain else ", which shows neither nose nor mouth clearly: see whether it is upright"
         passed = [one for one in self.candidates if one not in rivals]
         left = [one for one in rivals if one not in chosen]
         if others:
