@@ -14,7 +14,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import inside
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.tracking.start.closer import everywhere, righted
+from facetrack_cli.tracking.start.closer import righted
 from facetrack_cli.tracking.start.detectors import PARTS, NotHereError, detector
 from facetrack_cli.tracking.start.init_file import NAME, TARGET
 from facetrack_cli.tracking.start.points import named
@@ -142,8 +142,8 @@ class Proposer:
         frame = self._frames.read(index)
         notes, proposals = [], []
         look = detector()
-        faces = [righted(look, frame, one) for one in look.find(frame)] or everywhere(look, frame)
-        for number, found in enumerate(faces[:MAX_FACES], start=1):
+        for number, seen in enumerate(look.find(frame)[:MAX_FACES], start=1):
+            found = righted(look, frame, seen)
             placed = named(found.placed(frame))
             points = {part: (round(placed[part][0], 2), round(placed[part][1], 2)) for part in self._points}
             visible = {part: at for part, at in points.items() if inside(at, frame.size)}

@@ -52,7 +52,8 @@ def near(detector: Detector, frame: Frame, box: Box, turn: int) -> Found | None:
 def righted(detector: Detector, frame: Frame, face: Found) -> Found:
     """The face as it lies and as large as it is, where a closer view shows its nose and mouth; else as it is."""
     best, odds = face, face.placed(frame).sure
-    small = face.box[2] < LEAST_PX[detector.name] * factor_for(max(frame.size), MAX_SEARCHED_PX)
+    factor = factor_for(max(frame.size), MAX_SEARCHED_PX)
+    small = factor > 1 and face.box[2] < LEAST_PX[detector.name] * factor
     for turn in TURNS if odds <= 0 or small else ():
         one = near(detector, frame, face.box, turn)
         if one is not None and (sure := one.placed(frame).sure) > max(odds, CERTAIN):
