@@ -439,9 +439,9 @@ class FaceTarget:
 
     def _face(self, row: Trajectory, face: Similarity) -> dict[str, Array]:
         """Columns of the head's box: it is where the face is in it, as large as that, and turned by its roll."""
-        roll, grown = face.angle, face.scale * FACE / np.sqrt(row.w * row.h)
+        roll, grown = math.remainder(face.angle, math.tau), face.scale * FACE / np.sqrt(row.w * row.h)
         found = {name: getattr(row, name) * grown for name in ("w", "h", "std_w", "std_h")}
-        found |= {"x": face.centre[:1], "y": face.centre[1:], "angle": np.array([math.degrees(math.remainder(roll, math.tau))])}
+        found |= {"x": face.centre[:1], "y": face.centre[1:], "angle": np.array([math.degrees(roll)])}
         way = np.array([[math.cos(roll), -math.sin(roll), math.sin(roll), math.cos(roll)]])
         # the border runs through the middle of the outermost pixels
         size = np.stack([found["w"] - 1, found["h"] - 1], axis=1)
