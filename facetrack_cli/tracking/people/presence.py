@@ -194,7 +194,9 @@ class Film:
         if len(frames) <= TWICE_FRAMES:
             return True
         before = frames[-1 - TWICE_FRAMES]
-        return _taken(face, self.detector.find(before)) or near(self.detector, before, face.box, face.turn) is not None
+        if face.closer:
+            return near(self.detector, before, face.box, face.turn) is not None
+        return _taken(face, self.detector.find(before))
 
     def _begun(self, known: Everyone, face: Found, frame: Frame) -> tuple[Track, TargetResult] | None:
         """A track that begins with a face; None where its points are not in the picture."""
