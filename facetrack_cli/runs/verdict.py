@@ -20,7 +20,7 @@ from facetrack_cli.recipe.calibrated import calibrated, fitted
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.tracking.face.stabilized import BOX as STILL
-from facetrack_cli.tracking.face.stabilized import FACE, Similarity
+from facetrack_cli.tracking.face.stabilized import FACE, Similarity, slope
 from facetrack_cli.tracking.start.detectors import Detector, detector
 from facetrack_cli.trajectory.diagnostics import DOUBTFUL, NETWORK
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
@@ -172,8 +172,12 @@ class Watch:
         name, given = next(iter(self.start.targets.items()))  # the first is that of the face that was searched for
         rows = next((one.rows for one in result.targets if one.rows.target == name), None)
         box = None if rows is None or given.box is None else _face(rows, given.box, given.points)
-        if box is not None:
-            seen = Similarity(np.array(centre(box)), box[2] / FACE).read(result.frame)
+        if rows is not None and box is not None:
+            ends = [given.points[part] for part in ("mouth_left", "mouth_right") if part in given.points]
+            begun = slope(np.array(ends)) if len(ends) == 2 else 0.0
+            roll = next(iter(np.radians(rows.angle[np.isfinite(rows.angle)])), begun)
+            quarter = np.pi / 2 * round(2 * roll / np.pi)  # a detector sees faces that are less turned
+            seen = Similarity(np.array(centre(box)), box[2] / FACE, quarter).read(result.frame)
             self.looks += 1
             self.seen += self.detector.measure(seen.bgr, STILL) is not None
 

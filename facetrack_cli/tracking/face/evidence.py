@@ -30,7 +30,7 @@ import numpy as np
 
 from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Frame
-from facetrack_cli.tracking.face.stabilized import BOX, FACE, Similarity, slope
+from facetrack_cli.tracking.face.stabilized import BOX, FACE, Similarity
 from facetrack_cli.tracking.people.identity import same_person
 from facetrack_cli.tracking.people.looks import Picture, together
 from facetrack_cli.tracking.start.detectors import Found
@@ -66,7 +66,7 @@ class Sighting(NamedTuple):
 
     @classmethod
     def of(cls, face: Found, frame: Frame) -> Sighting:
-        return cls(face.box, 0.0 if face.eyes is None else slope(np.array(face.eyes)), frame.time_s)
+        return cls(face.box, face.roll, frame.time_s)
 
     @property
     def similarity(self) -> Similarity:

@@ -16,6 +16,7 @@ from facetrack_cli.tracking.face.mesh import NAMES, Mesh
 from facetrack_cli.tracking.face.mesh_points import MeshPoints
 from facetrack_cli.tracking.face.sensors import DETECTOR, FADES, NETWORK, REGRESSION, Sensor
 from facetrack_cli.tracking.face.stabilized import Similarity
+from facetrack_cli.tracking.start.closer import again
 from facetrack_cli.tracking.start.detectors import Detector, Found
 
 
@@ -53,6 +54,10 @@ class Senses:
     def detected(self, seen: Frame) -> Found | None:
         """The face that the detector sees in the stabilized image."""
         return None if self.detector is None else self.detector.measure(seen.bgr, stabilized.BOX)
+
+    def faces(self, frame: Frame, face: Similarity) -> list[Found]:
+        """The faces that the detector sees anywhere in a frame, which lie as the `face` did."""
+        return [] if self.detector is None else again(self.detector, frame, face)
 
     def named(self, points: Mapping[str, Point]) -> Array:
         """The places (K, 2) of the parts; nan for a part that is missing."""

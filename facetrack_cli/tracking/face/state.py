@@ -22,7 +22,7 @@ from facetrack_cli.tracking.target import ParticleState
 from facetrack_cli.trajectory.trajectory import TargetResult
 from facetrack_cli.video.shots import Passing
 
-_MAX_POSE: Final = np.array([math.radians(60), 0.7, 0.3, 0.3])
+_MAX_POSE: Final = np.array([math.inf, 0.7, 0.3, 0.3])  # a face may lie, and a head may turn over
 
 
 @dataclass(frozen=True)

@@ -310,8 +310,8 @@ class FaceTarget:
 
     def _sighted(self, state: FaceState, frame: Frame) -> FaceState:
         """The state of a face that is lost, with the places where a detector sees faces, and the likeliest of them."""
-        assert self.senses.detector is not None
-        faces, pose = self.senses.detector.find(frame)[:_FACES], state.pose
+        here, pose = self._map(state.head.estimated.state, state.pose), state.pose
+        faces = self.senses.faces(frame, here)[:_FACES]
         places = tuple(
             np.array([*(np.array(centre(one.box)) - one.box[2] * pose[2:]), math.log(one.box[2] / self.side)])
             for one in faces
@@ -501,7 +501,7 @@ class FaceTarget:
 
     def _face(self, row: Trajectory, face: Similarity) -> dict[str, Array]:
         """Columns of the head's box: it is where the face is in it, as large as that, and turned by its roll."""
-        roll, grown = face.angle, face.scale * FACE / np.sqrt(row.w * row.h)
+        roll, grown = math.remainder(face.angle, math.tau), face.scale * FACE / np.sqrt(row.w * row.h)
         found = {name: getattr(row, name) * grown for name in ("w", "h", "std_w", "std_h")}
         found |= {"x": face.centre[:1], "y": face.centre[1:], "angle": np.array([math.degrees(roll)])}
         way = np.array([[math.cos(roll), -math.sin(roll), math.sin(roll), math.cos(roll)]])

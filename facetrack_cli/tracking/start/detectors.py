@@ -17,7 +17,10 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.geometry import overlap
 from facetrack_cli.core.types import Box, Frame, Image, Point, factor_for
-from facetrack_cli.tracking.start.points import EYES_IN_BOX, MOUTH_Y, cascade, place
+from facetrack_cli.recipe.face import DetectorName
+from facetrack_cli.tracking.face.descent import PlacedPoints
+from facetrack_cli.tracking.face.stabilized import slope
+from facetrack_cli.tracking.start.points import EYES_IN_BOX, MOUTH_Y, cascade, place, placed
 
 PARTS: Final = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 """What can be placed; left and right as seen in the image."""
@@ -43,8 +46,9 @@ def check_parts(parts: Sequence[str]) -> None:
 class Found(NamedTuple):
     """A face: its box as the frontal cascades draw it, and what else the detector says of it.
 
-    `eyes`: the left one in the image first. `points`: the nose and the corners of the mouth. `sure` if the detector has
-    seen the face's features. `score`: how sure the detector is, 0..1; 1 of one that does not say.
+    `eyes`: the left one of the upright face first. `points`: the nose and the corners of the mouth. `sure` if the
+    detector has seen the face's features. `score`: how sure the detector is, 0..1; 1 of one that does not say. `turn`:
+    by how many eighths of a turn, clockwise, it is turned. `closer`: it was seen in a part of the frame, or turned.
     """
 
     box: Box
@@ -52,11 +56,22 @@ class Found(NamedTuple):
     points: Mapping[str, Point] = {}
     sure: bool = False
     score: float = 1.0
+    turn: int = 0
+    closer: bool = False
+
+    @property
+    def roll(self) -> float:
+        """How far it is turned, in radians."""
+        return self.turn * math.pi / 4 if self.eyes is None else slope(np.array(self.eyes))
+
+    def placed(self, frame: Frame) -> PlacedPoints:
+        """Its five points, placed by the regression."""
+        return placed(frame, self.box, self.eyes, self.points, self.turn)
 
 
 class Detector(Protocol):
     @property
-    def name(self) -> str: ...
+    def name(self) -> DetectorName: ...
 
     def find(self, frame: Frame) -> list[Found]:
         """All faces of a frame, the best first."""
