@@ -39,7 +39,7 @@ def seen(detector: Detector, frame: Frame, view: Similarity, side: int) -> Itera
         x, y, w, h = (round(value, 2) for value in box)  # to 0.01 px, as in an init file
         eyes = None if one.eyes is None else (at(one.eyes[0]), at(one.eyes[1]))
         points = {name: at(point) for name, point in one.points.items()}
-        yield Found((x, y, w, h), eyes, points, one.sure, eighths(view.angle), closer=True)
+        yield Found((x, y, w, h), eyes, points, one.sure, one.score, eighths(view.angle), closer=True)
 
 
 def near(detector: Detector, frame: Frame, box: Box, turn: int) -> Found | None:
