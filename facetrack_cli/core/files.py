@@ -1,7 +1,8 @@
 """Writing results: files that appear, or are replaced, when they are whole; streams; the folder of a command's results.
 
 Every file is written under its temporary path, brought to the disk and then renamed. A symbolic link
-stays one: the file that it leads to is replaced. On a full disk `FileSink` keeps the records that fit: the end of the
+stays one, and the file that it leads to is replaced; in the folder of a run, which may be a stranger's, it is refused,
+by `check_plain`. On a full disk `FileSink` keeps the records that fit: the end of the
 file is written over the last of them, in space that the file already has, so a finished file is always valid.
 """
 
@@ -11,6 +12,7 @@ import contextlib
 import errno
 import hashlib
 import os
+import secrets
 import stat
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -22,7 +24,11 @@ from facetrack_cli.core.errors import InputError, OutputError, reason
 _TAIL_BYTES = 1 << 17  # of whole records at the end of a file, in which there is space for its end
 MAX_TABLE_BYTES = 1 << 30  # of a table of rows: ten hours of a face and its points
 MAX_FILE_BYTES = 1 << 26  # of any other file that is read whole
+TABLES = ("trajectory.csv", "trajectory.json", "trajectory.jsonl")  # by one of which the folder of a run is known
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+_SECRET = secrets.token_hex(8)  # a file that lies there already under a name that was guessed is never written to
 
 
 class ReaderGoneError(BrokenPipeError):
@@ -35,10 +41,15 @@ def cannot_write(path: Path, error: OSError, remedy: str = "choose another place
     return OutputError(f"{path}: {full if error.errno in FULL else f'cannot be written: {reason(error)}; {remedy}'}")
 
 
-def temporary_path(path: Path, process: int | None = None) -> Path:
-    """The temporary name under which this process, or the one of that number, writes what will replace `path`."""
+def own_mark() -> str:
+    """What the temporary names of this process have in common."""
+    return f"{os.getpid()}-{_SECRET}"
+
+
+def temporary_path(path: Path, mark: str | None = None) -> Path:
+    """The temporary name under which this process, or the one of that mark, writes what will replace `path`."""
     whole = Path(os.path.realpath(path))
-    return whole.with_name(f".{whole.stem}-{os.getpid() if process is None else process}.part{whole.suffix}")
+    return whole.with_name(f".{whole.stem}-{own_mark() if mark is None else mark}.part{whole.suffix}")
 
 
 def sync(path: Path) -> None:
@@ -238,8 +249,17 @@ def check_file(
             raise OutputError(f"{path}: is read here, and would be replaced; {remedy}")
         if os.path.lexists(path) and not overwrite and not _is_stream(path):
             raise OutputError(f"{path}: exists already; replace it with --overwrite, or {remedy}")
+        if any((path.parent / name).exists() for name in TABLES):
+            check_plain(path)
     except OSError as e:
         raise cannot_write(path, e, remedy) from None
+
+
+def check_plain(*paths: Path) -> None:
+    """OutputError for links: what is written there would land elsewhere, where whoever made the folder wishes."""
+    for path in paths:
+        if path.is_symlink():
+            raise OutputError(f"{path}: is a link, and what it leads to is not replaced; remove it, and run again")
 
 
 def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
@@ -290,6 +310,13 @@ def check_readable(path: Path, most: int, what: str = "file") -> None:
         raise InputError(f"{path}: is too large for a {what}: {size}; name the right file, or split it")
 
 
+def read_bounded(path: Path, most: int = MAX_FILE_BYTES, what: str = "file") -> bytes:
+    """The bytes of a file. InputError as `check_readable`, before they take memory. OSError."""
+    check_readable(path, most, what)
+    with path.open("rb") as file:
+        return file.read(most)
+
+
 def absolute(path: Path) -> Path:
     """The whole path under the name that was given: a link keeps its own."""
     return Path(os.path.abspath(path))  # noqa: PTH100 -- Path.resolve follows links
@@ -319,6 +346,7 @@ def check_folder(path: Path, names: Sequence[str], *, overwrite: bool, inputs: S
         raise cannot_write(path, e) from e
     for name in names:
         check_file(path / name, overwrite=overwrite, inputs=inputs, remedy="name another folder with --out")
+        check_plain(path / name)
 
 
 def make_folder(path: Path, remedy: str = "choose another place with --out") -> list[Path]:

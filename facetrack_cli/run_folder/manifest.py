@@ -24,9 +24,19 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from facetrack_cli import __version__
 from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, from_system
-from facetrack_cli.core.files import FULL, MAX_FILE_BYTES, BytesSink, check_readable, digest, discard, temporary_path
+from facetrack_cli.core.files import (
+    FULL,
+    MAX_TABLE_BYTES,
+    TABLES,
+    BytesSink,
+    check_plain,
+    digest,
+    discard,
+    read_bounded,
+    temporary_path,
+)
 from facetrack_cli.core.log import LINES
-from facetrack_cli.run_folder.lock import LOCK, FolderLock, finish_replacing, left_in, sweep, utc_now
+from facetrack_cli.run_folder.lock import LOCK, FolderLock, finish_replacing, left_in, mark_of, sweep, utc_now
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.reader import read_table, read_trajectory, table_in
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -36,7 +46,6 @@ NAME: Final = "run.json"
 VIDEO: Final = "annotated.mp4"
 POSTERIOR: Final = "posterior.npz"
 FILTERED: Final = "trajectory.filtered.csv"
-TABLES: Final = tuple(f"trajectory.{form}" for form in ("csv", "json", "jsonl"))
 OWNED: Final = (VIDEO, POSTERIOR, FILTERED, PEOPLE, *TABLES, NAME)  # the files that a run writes, or replaces
 REPORT: Final = "report.html"
 PLOT: Final = "plot.png"
@@ -123,8 +132,7 @@ def read_manifest(folder: Path) -> Manifest | None:
     """The run.json of a folder; None if there is none. InputError for a file that is not as we write it."""
     path = folder / NAME
     try:
-        check_readable(path, MAX_FILE_BYTES)
-        return _adapter().validate_json(path.read_bytes())
+        return _adapter().validate_json(read_bounded(path))
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as e:
@@ -176,6 +184,7 @@ def commit(
     Raises OSError; OutputError if the lock was taken over, and nothing is replaced then.
     """
     files, gone, path = list(files), list(gone), folder / NAME
+    check_plain(path, *files)
     try:
         if known is not None:
             new = {one.name: _file(temporary_path(one)) for one in files if one.name in OWNED}
@@ -287,22 +296,23 @@ def recover(folder: Path, lock: FolderLock) -> int:
     note, frames = lock.stale_note, 0
     finish_replacing(folder, note)
     with contextlib.suppress(ValueError, InputError):  # a note need not be ours
-        known, process = from_record(note.get("run")), note.get("process")
-        if isinstance(process, int):
-            frames = _end_tables(folder, lock, process, known)
+        known, mark = from_record(note.get("run")), mark_of(note)
+        if mark is not None:
+            frames = _end_tables(folder, lock, mark, known)
     lock.note({"before": None})
     sweep(folder)
     return frames
 
 
-def _end_tables(folder: Path, lock: FolderLock, process: int, known: Manifest) -> int:
+def _end_tables(folder: Path, lock: FolderLock, mark: str, known: Manifest) -> int:
     """Write the tables of a process anew with their whole frames, and run.json; the number of these frames."""
-    parts = {form: temporary_path(folder / f"trajectory.{form}", process) for form in FORMATS}
+    check_plain(*(folder / name for name in TABLES))
+    parts = {form: temporary_path(folder / f"trajectory.{form}", mark) for form in FORMATS}
     forms = [form for form in FORMATS if parts[form].is_file()]
     if not forms:
         return 0
     first = forms[-1]  # JSON also has the header, and its lines are the last of the three to be written
-    text, frames = _whole_frames(first, parts[first].read_bytes())
+    text, frames = _whole_frames(first, read_bounded(parts[first], MAX_TABLE_BYTES))
     before = read_manifest(folder)
     if not frames or (before is not None and before.asked == known.asked and before.frames >= frames):
         return 0

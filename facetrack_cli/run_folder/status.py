@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import MAX_FILE_BYTES, cannot_write, check_readable, make_folder, replacing
+from facetrack_cli.core.files import cannot_write, check_plain, make_folder, read_bounded, replacing
 from facetrack_cli.core.numbers import document, places
 from facetrack_cli.run_folder.lock import LOCK, holder
 from facetrack_cli.run_folder.manifest import NAME, Manifest, as_text, read_manifest
@@ -43,6 +43,7 @@ def write_batch(out: Path, recipe: str, clips: Sequence[Path], names: Sequence[s
     data = BatchFile(recipe=recipe, clips=tuple(pairs)).model_dump_json(indent=1).encode() + b"\n"
     path = out / f"batch-{hashlib.sha256(data).hexdigest()[:8]}.json"
     make_folder(out)
+    check_plain(path)
     try:
         if not path.exists():
             with replacing(path) as file:
@@ -55,9 +56,8 @@ def write_batch(out: Path, recipe: str, clips: Sequence[Path], names: Sequence[s
 def batches(folder: Path) -> Iterator[BatchFile]:
     """Those of a folder. Raises InputError for one that is not as we write it, and OSError."""
     for path in sorted(folder.glob(_BATCHES)):
-        check_readable(path, MAX_FILE_BYTES)
         try:
-            yield BatchFile.model_validate_json(path.read_bytes())
+            yield BatchFile.model_validate_json(read_bounded(path))
         except ValidationError as e:
             raise InputError(f"{path}: is not as facetrack run writes it; remove it, and run again") from e
 

@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, OutputError, UsageError
+from facetrack_cli.core.files import check_plain
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Array, Start, Whole
 from facetrack_cli.recipe.face import DETECTORS
@@ -87,6 +88,7 @@ def _planned(job: Job, stop: Stop, progress: Progress) -> Plan:
     assert job.out is not None and job.split is not None
     check(job)
     clip, folder = clip_stat(job.clip), job.out / CHUNKS
+    check_plain(folder)
     # the chunks are the same whatever is made of them
     of_chunks = replace(job, formats=(), video=False, strict=False).digest()
     key = hashlib.sha256(dumps([of_chunks, clip and (clip.bytes, clip.changed_ns)]).encode()).hexdigest()

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError
-from facetrack_cli.core.files import cannot_write, make_folder, replacing
+from facetrack_cli.core.files import cannot_write, make_folder, read_bounded, replacing
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start
 from facetrack_cli.run_folder.manifest import read_manifest, read_run
@@ -81,7 +81,7 @@ def read_plan(out: Path) -> Plan:
     """The plan of a run's folder. Raises InputError."""
     path = out / CHUNKS / PLAN
     try:
-        return Plan.model_validate_json(path.read_bytes())
+        return Plan.model_validate_json(read_bounded(path))
     except (OSError, ValidationError) as e:
         raise InputError(f"{path}: is not as facetrack run --split writes it; give --overwrite") from e
 

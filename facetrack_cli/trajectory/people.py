@@ -4,25 +4,47 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Final, Literal, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.numbers import union
-from facetrack_cli.trajectory.reader import not_as_written
+from facetrack_cli.core.types import checked_name
+from facetrack_cli.trajectory.reader import MAX_FRAME, not_as_written
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
 
 PEOPLE: Final = "people.json"
 PERSON: Final = "person_"
 STILLS: Final = "people"  # the folder of the pictures, in that of a run
+_MAX_STILL_BYTES: Final = 1 << 20
 _P: TypeAlias = Annotated[float, Field(ge=0, le=1)]
-_Frame: TypeAlias = Annotated[int, Field(ge=0)]
+_Name: TypeAlias = Annotated[str, AfterValidator(checked_name)]
+_Frame: TypeAlias = Annotated[int, Field(ge=0, le=MAX_FRAME)]
+
+
+def _checked_span(span: tuple[int, int]) -> tuple[int, int]:
+    if span[0] >= span[1]:
+        raise ValueError(f"frames {span[0]} to {span[1]} are none")
+    return span
+
+
+def _checked_still(still: str) -> str:
+    folder, _, name = still.partition("/")
+    if still and (folder != STILLS or not name.isprintable() or checked_name(name) != Path(name).name):
+        raise ValueError(f"{still!r} is no picture in {STILLS}/")
+    return still
+
+
+_Span: TypeAlias = Annotated[tuple[_Frame, _Frame], AfterValidator(_checked_span)]
+_Still: TypeAlias = Annotated[str, AfterValidator(_checked_still)]
 
 
 class _Record(BaseModel):
@@ -43,14 +65,14 @@ class TrackRecord(_Record):
     `given`: by hand.
     """
 
-    person: str
+    person: _Name
     first: _Frame
     stop: _Frame
     p: _P
     doubt: bool = False
-    other: str | None = None
+    other: _Name | None = None
     p_other: _P = 0.0
-    still: str = ""
+    still: _Still = ""
     given: bool = False
 
 
@@ -60,11 +82,11 @@ class PersonRecord(_Record):
     `still` is the picture; `photograph`: it never moves.
     """
 
-    name: str
-    seconds: float
+    name: _Name
+    seconds: Annotated[float, Field(ge=0, allow_inf_nan=False)]
     p: _P
-    intervals: tuple[tuple[_Frame, _Frame], ...]
-    still: str = ""
+    intervals: Annotated[tuple[_Span, ...], Field(min_length=1)]
+    still: _Still = ""
     photograph: bool = False
 
 
@@ -73,11 +95,19 @@ class People(_Record):
 
     format: Literal["facetrack-people"] = "facetrack-people"
     version: Literal[1] = 1
-    fps: float
-    shots: tuple[ShotRecord, ...]
-    people: tuple[PersonRecord, ...]
+    fps: Annotated[float, Field(gt=0, le=1e6)]
+    shots: Annotated[tuple[ShotRecord, ...], Field(min_length=1)]
+    people: Annotated[tuple[PersonRecord, ...], Field(min_length=1)]
     tracks: tuple[TrackRecord, ...]
     corrections: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _whole(self) -> People:
+        for track in self.tracks:
+            _checked_span((track.first, track.stop))
+        if len({*self.names}) < len(self.names) or {*self.names} != {one.person for one in self.tracks}:
+            raise ValueError("its people are not those of its tracks, each once")
+        return self
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -105,13 +135,21 @@ def read_people(path: Path) -> People | None:
     """The people.json of a run's folder; None without. InputError for a file that is not as we write it."""
     file = path if path.name == PEOPLE else path / PEOPLE
     try:
-        return People.model_validate_json(file.read_bytes())
+        return People.model_validate_json(read_bounded(file))
     except FileNotFoundError:
         return None
     except OSError as e:
         raise InputError(f"{file}: cannot be read: {e.strerror or e}; make it readable") from None
     except ValidationError as e:
         raise not_as_written(file, e) from None
+
+
+def read_still(run: Path, still: str) -> bytes:
+    """The picture of a person in a run's folder; b"" where it is none of that folder's own files."""
+    with suppress(OSError, InputError):
+        if still and not (run / still).is_symlink() and not (run / STILLS).is_symlink():
+            return read_bounded(run / still, _MAX_STILL_BYTES)
+    return b""
 
 
 def people_of(
@@ -167,8 +205,10 @@ def merge(tracks: Tracks, name: str, into: str) -> Tracks:
 def rename(tracks: Tracks, name: str, to: str) -> Tracks:
     """With another name of a person. UsageError for a name that somebody has, or that is none."""
     _of(tracks, name)
-    if not to.strip() or any(c in to for c in '/\\\r\n\t"') or to.startswith(".") or len(to) > 60:
-        raise UsageError(f"--rename {name}={to}: is no name; give up to 60 characters without / and \\")
+    try:
+        checked_name(to)
+    except ValueError as e:
+        raise UsageError(f"--rename {name}={to}: {e}") from None
     if any(one.person == to for _, one in tracks):
         raise UsageError(f"--rename {name}={to}: {to} is there; --merge {name}={to} makes them one person")
     return [(of, one.model_copy(update={"person": to}) if one.person == name else one) for of, one in tracks]

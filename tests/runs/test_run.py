@@ -840,6 +840,30 @@ def test_a_link_to_nowhere_is_a_result_that_is_there(run: Runner, clip: Path) ->
     assert code == ExitCode.USAGE and "exists already" in one_line(err)
 
 
+@pytest.mark.parametrize("name", ["annotated.mp4", "trajectory.csv", "run.json", ".checkpoint", ".facetrack.lock"])
+def test_what_is_replaced_in_a_folder_is_no_link(run: Runner, clip: Path, name: str) -> None:
+    """Whoever shares a folder may have left a link in it to a file of the user's."""
+    Path("mine").mkdir()
+    mine = Path("mine/file")
+    mine.write_text("mine")
+    assert run(clip, *SMALL, "-o", "o")[0] == 0
+    Path("o", name).unlink(missing_ok=True)
+    Path("o", name).symlink_to("../mine" if name == ".checkpoint" else "../mine/file")
+    code, _, err = run(clip, *SMALL, "--seed", "5", "-o", "o", "--overwrite")
+    assert code == ExitCode.USAGE and f"o/{name}: is a link" in one_line(err)
+    assert mine.read_text() == "mine" and [*Path("mine").iterdir()] == [mine]
+
+
+@pytest.mark.parametrize("words", [("report",), ("plot",), ("export", "--to", "mot")])
+def test_what_is_made_beside_a_run_is_no_link(run: Runner, clip: Path, words: tuple[str, ...]) -> None:
+    assert run(clip, *SMALL, "-o", "o")[0] == 0
+    Path("mine").write_text("mine")
+    for name in ("report.html", "plot.png", "trajectory.mot.txt", "trajectory.mot"):
+        Path("o", name).symlink_to("../mine")
+    assert main([words[0], "o", *words[1:], "--overwrite"]) in (0, 2)
+    assert Path("mine").read_text() == "mine"
+
+
 @pytest.mark.parametrize("threads", [1, 2])
 def test_an_encoder_that_is_killed(run: Runner, clip: Path, monkeypatch: pytest.MonkeyPatch, threads: int) -> None:
     write = VideoWriter.write

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationEr
 
 from facetrack_cli import __version__
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import MAX_FILE_BYTES, check_readable, digest, write_new
+from facetrack_cli.core.files import digest, read_bounded, write_new
 from facetrack_cli.core.types import Start
 from facetrack_cli.evaluation.goldens import bands
 from facetrack_cli.evaluation.goldens.bands import RUNS, Band
@@ -200,8 +200,7 @@ def read_golden(path: Path) -> Golden:
     """Raises InputError, in one line, for a file that is no golden of this version."""
     anew = "record it again with facetrack regress --update"
     try:
-        check_readable(path, MAX_FILE_BYTES, "golden")
-        golden = Golden.model_validate_json(path.read_bytes())
+        golden = Golden.model_validate_json(read_bounded(path, what="golden"))
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable, or {anew}") from e
     except ValidationError as e:
