@@ -6,6 +6,7 @@ import contextlib
 import errno
 import io
 import shutil
+import zipfile
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import (
+    MAX_DIRECTORY_BYTES,
     MAX_FILE_BYTES,
     MAX_TABLE_BYTES,
     cannot_write,
@@ -27,6 +29,7 @@ from facetrack_cli.core.files import (
 )
 
 T = TypeVar("T")
+_DIRECTORY = zipfile._ECD_SIZE  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)
@@ -82,11 +85,19 @@ class Kind:
 
 def check_inflated(path: Path, raw: BinaryIO, what: str) -> None:
     """InputError for an archive of a few bytes that holds very many; arrays of numbers are not packed so tightly."""
+    check_directory(path, raw)
     with contextlib.suppress(BadZipFile), ZipFile(raw) as archive:
         whole, packed = sum(one.file_size for one in archive.infolist()), path.stat().st_size
         if whole > MAX_FILE_BYTES and whole > 100 * packed:
             raise InputError(f"{path}: is no {what}: its {packed} bytes hold {whole / 1e6:.0f} MB; name the right file")
     raw.seek(0)
+
+
+def check_directory(path: Path, raw: BinaryIO) -> None:
+    """InputError for an archive that lists very many files, each of which takes memory, before the list is read."""
+    if (end := zipfile._EndRecData(raw)) and end[_DIRECTORY] > MAX_DIRECTORY_BYTES:  # type: ignore[attr-defined]
+        held = f"lists files in {end[_DIRECTORY] / 1e6:.0f} MB, and at most {MAX_DIRECTORY_BYTES / 1e6:.0f} MB are read"
+        raise InputError(f"{path}: {held}; unpack it")
 
 
 @dataclass(frozen=True)

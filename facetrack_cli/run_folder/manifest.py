@@ -33,6 +33,7 @@ from facetrack_cli.core.files import (
     digest,
     discard,
     read_bounded,
+    sampled,
     temporary_path,
 )
 from facetrack_cli.core.log import LINES
@@ -49,6 +50,7 @@ FILTERED: Final = "trajectory.filtered.csv"
 OWNED: Final = (VIDEO, POSTERIOR, FILTERED, PEOPLE, *TABLES, NAME)  # the files that a run writes, or replaces
 REPORT: Final = "report.html"
 PLOT: Final = "plot.png"
+LARGE_BYTES = 1 << 26
 KILLED: Final = "killed"
 _FRAME: Final[Mapping[Format, re.Pattern[bytes]]] = {
     "csv": re.compile(rb"(\d{1,15}),.*"),
@@ -83,7 +85,8 @@ class Manifest(Ending):
     `networks` are those that placed points: `mesh`, or the file that the recipe names.
     `doubts` is what speaks against the track, `look` the first and last frames to look at, the longest span first.
     `began` and `ended` are UTC; `seconds` is the time between them, in which all but `resumed` frames were tracked. In
-    a batch a clip that failed has its `error`, and `log`, the last lines of a process that died.
+    a batch a clip that failed has its `error`, and `log`, the last lines of a process that died. Of `files` of more
+    than `LARGE_BYTES` `samples` has the digest by which they are known again, since that of all takes seconds.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
@@ -105,6 +108,7 @@ class Manifest(Ending):
     exit_code: int | None = None
     log: tuple[str, ...] = ()
     files: dict[str, File] = field(default_factory=dict)
+    samples: dict[str, str] = field(default_factory=dict)
 
     def record(self) -> dict[str, Any]:
         """The contents as JSON has them. What the tables say of the ending and the clip is not repeated."""
@@ -188,7 +192,9 @@ def commit(
     try:
         if known is not None:
             new = {one.name: _file(temporary_path(one)) for one in files if one.name in OWNED}
-            known = replace(known, files={**known.files, **new})
+            large = {name: sampled(temporary_path(folder / name)) for name in new if new[name].bytes > LARGE_BYTES}
+            samples = {name: one for name, one in known.samples.items() if name not in new}
+            known = replace(known, files={**known.files, **new}, samples={**samples, **large})
             gone += [folder / name for name in OWNED if name not in known.files and folder / name not in files]
             try:
                 text = _adapter().dump_json(known, indent=1, exclude={"variable_fps", "evidence", "source_sha256"})

@@ -12,8 +12,6 @@ true box is below 0.1.
 """
 
 import contextlib
-import csv
-import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,7 +21,7 @@ from typing import Any, Final
 import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
-from facetrack_cli.core.numbers import document
+from facetrack_cli.core.numbers import csv_text, document
 from facetrack_cli.core.types import Array, Start, Whole
 from facetrack_cli.evaluation import summary
 from facetrack_cli.evaluation.boxes import share_up_to
@@ -432,19 +430,15 @@ class Comparison:
     def csv(self) -> str:
         """A row for each recipe and seed with all figures; a recipe that did not run has a row that says why."""
         measured = [name for name in MEASURES if any(name in s.figures for e in self.entries for s in e.scores)]
-        out = io.StringIO()
-        writer = csv.DictWriter(
-            out, ["recipe", "seed", "failed", "frames_per_s", *measured, "error"], lineterminator="\n"
-        )
-        writer.writeheader()
+        rows: list[list[Any]] = []
         for entry in self.entries:
             for score in entry.scores:
-                own = {"recipe": entry.label, "seed": score.seed, "failed": int(score.failed)}
                 figures = {name: f"{value:.6f}".rstrip("0").rstrip(".") for name, value in score.figures.items()}
-                writer.writerow({**own, "frames_per_s": f"{score.frames_per_s:.2f}", **figures})
+                own = [entry.label, score.seed, int(score.failed), f"{score.frames_per_s:.2f}"]
+                rows.append([*own, *(figures.get(name, "") for name in measured), ""])
             if entry.error:
-                writer.writerow({"recipe": entry.label, "error": entry.error})
-        return out.getvalue()
+                rows.append([entry.label, *[""] * (3 + len(measured)), entry.error])
+        return csv_text(["recipe", "seed", "failed", "frames_per_s", *measured, "error"], rows)
 
     def json(self) -> str:
         """Everything, with the recipes in full. No time but frames_per_s is in it."""
