@@ -173,9 +173,6 @@ def _filled(kind: type[Any], values: dict[str, Any]) -> Any:
     return made
 
 
-# --- options that mean the same in several commands ----------------------------------------------------------------
-
-
 def _box(value: str) -> Box:
     """`left,top,width,height` in pixels."""
     try:
@@ -341,9 +338,6 @@ class Page:
         for line in (*session.ended["messages"], f"next: {session.ended['next']}"):
             say(line)
         return True
-
-
-# --- what commands write -------------------------------------------------------------------------------------------
 
 
 def say(line: str) -> None:

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from facetrack_cli.core.errors import InputError, OutputError, reason
+from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, reason
 
 _TAIL_BYTES = 1 << 17  # of whole records at the end of a file, in which there is space for its end
 MAX_TABLE_BYTES = 1 << 30  # of a table of rows: ten hours of a face and its points
@@ -40,6 +40,24 @@ def cannot_write(path: Path, error: OSError, remedy: str = "choose another place
     """The one line for a file that cannot be written."""
     full = f"the disk is full ({reason(error)}); free some space or {remedy}"
     return OutputError(f"{path}: {full if error.errno in FULL else f'cannot be written: {reason(error)}; {remedy}'}")
+
+
+@contextlib.contextmanager
+def writing(path: Path, remedy: str = "choose another place with --out") -> Iterator[None]:
+    """OutputError, in its one line, where the system refuses to write a path."""
+    try:
+        yield
+    except OSError as e:
+        raise cannot_write(path, e, remedy) from e
+
+
+@contextlib.contextmanager
+def reading(path: Path, remedy: str = "make it readable", kind: type[FacetrackError] = InputError) -> Iterator[None]:
+    """InputError, in its one line, where the system refuses to read a path."""
+    try:
+        yield
+    except OSError as e:
+        raise kind(f"{path}: cannot be read: {e.strerror or e}; {remedy}") from e
 
 
 def own_mark() -> str:
@@ -111,10 +129,8 @@ class FileSink:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
+        with writing(path):
             self._file: BinaryIO = self._open()
-        except OSError as e:
-            raise cannot_write(path, e) from e
         self._written = self._records = 0  # bytes in the file, and records
         self._ends: deque[int] = deque()  # where the last records end
         self._full = False
@@ -243,7 +259,7 @@ def check_file(
     path: Path, *, overwrite: bool, inputs: Iterable[Path | None] = (), remedy: str = "name another file"
 ) -> None:
     """As `check_new`, for a file in a folder that is still to be made."""
-    try:
+    with writing(path, remedy):
         if path.is_dir():
             raise OutputError(f"{path}: is a folder, where a file is to be; {remedy}")
         if any(same_file(path, given) for given in inputs if given is not None):
@@ -252,8 +268,6 @@ def check_file(
             raise OutputError(f"{path}: exists already; replace it with --overwrite, or {remedy}")
         if any((path.parent / name).exists() for name in TABLES):
             check_plain(path)
-    except OSError as e:
-        raise cannot_write(path, e, remedy) from None
 
 
 def check_plain(*paths: Path) -> None:
@@ -266,14 +280,12 @@ def check_plain(*paths: Path) -> None:
 def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
     """Write a small file whole or not at all; a device or a pipe is written to. Raises OutputError as `check_file`."""
     check_file(path, overwrite=overwrite)
-    try:
+    with writing(path, "write it elsewhere"):
         if _is_stream(path):
             path.write_bytes(data)
         else:
             with replacing(path) as file:
                 file.write(data)
-    except OSError as e:
-        raise cannot_write(path, e, "write it elsewhere") from None
 
 
 def digest(files: Iterable[Path], *, names: bool = False, stopped: Callable[[], bool] = lambda: False) -> str:
@@ -349,13 +361,11 @@ def _is_stream(path: Path) -> bool:
 
 def check_folder(path: Path, names: Sequence[str], *, overwrite: bool, inputs: Sequence[Path | None]) -> None:
     """OutputError if files of these names cannot go into the folder `path`, or would replace or mix with `inputs`."""
-    try:
+    with writing(path):
         if path.exists() and not path.is_dir():
             raise OutputError(f"{path}: is a file, where a folder for the results is to be; name another with --out")
         if any(same_file(path, given) for given in inputs if given is not None):
             raise OutputError(f"{path}: the results would go among the frames of the input; name another with --out")
-    except OSError as e:
-        raise cannot_write(path, e) from e
     for name in names:
         check_file(path / name, overwrite=overwrite, inputs=inputs, remedy="name another folder with --out")
         check_plain(path / name)
@@ -363,13 +373,11 @@ def check_folder(path: Path, names: Sequence[str], *, overwrite: bool, inputs: S
 
 def make_folder(path: Path, remedy: str = "choose another place with --out") -> list[Path]:
     """Make a folder and return those that were made, the innermost first. OutputError if it cannot be written to."""
-    try:
+    with writing(path, remedy):
         made = [folder for folder in (path, *path.parents) if not folder.exists()]
         path.mkdir(parents=True, exist_ok=True)
         if not os.access(path, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-    except OSError as e:
-        raise cannot_write(path, e, remedy) from e
     return made
 
 

@@ -25,9 +25,7 @@ from facetrack_cli.video.images import listing
 
 
 def previous_run(folder: Path, asked: Callable[[], str], clip: Path) -> Manifest | None:
-    """The run.json of a folder, if its run is of the same job, by its digest `asked`, and of the same clip, and its
-    files are there; else None.
-    """
+    """The run.json of a folder, if it is of the same job (`asked`) and clip, and its files are whole; else None."""
     known = read_manifest(folder) if is_there(folder) else None
     if known is None or known.clip is None or known.asked != asked():
         return None

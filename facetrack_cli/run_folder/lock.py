@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from facetrack_cli.core.errors import BusyError, OutputError
-from facetrack_cli.core.files import cannot_write, check_plain, own_mark, sync, temporary_path
+from facetrack_cli.core.files import check_plain, own_mark, sync, temporary_path, writing
 from facetrack_cli.trajectory.people import STILLS
 
 with contextlib.suppress(ImportError):  # Windows: nothing keeps two writers apart
@@ -65,25 +65,20 @@ class FolderLock:
         host, boot = here()
         self._note = {"host": host, "boot": boot, "process": os.getpid(), "token": self._token, "began": utc_now()}
         self._note["mark"] = own_mark()
-        try:
+        with writing(self._path):
             while not self._acquire():
                 self._folder.mkdir(parents=True, exist_ok=True)  # the process that made it may have removed it
-        except OSError as e:
-            raise cannot_write(self._path, e) from e
         threading.Thread(target=self._beat, name="lock", daemon=True).start()
         return self
 
     def note(self, record: Mapping[str, Any], *, on_disk: bool = False) -> None:
         """Note what is being done, for others and for after a kill; `on_disk`: or a power loss. Raises OutputError."""
-        with self._writing:
+        with self._writing, writing(self._path):
             self._note |= record
-            try:
-                self._write()
-                if on_disk and self._file is not None:
-                    os.fsync(self._file)
-                    sync(self._folder)
-            except OSError as e:
-                raise cannot_write(self._path, e) from e
+            self._write()
+            if on_disk and self._file is not None:
+                os.fsync(self._file)
+                sync(self._folder)
 
     def check(self) -> None:
         """OutputError if the lock was taken over while this process was suspended, or cut off."""
@@ -217,10 +212,10 @@ def finish_replacing(folder: Path, note: Mapping[str, Any]) -> None:
     try:
         for path in files:
             with contextlib.suppress(FileNotFoundError):  # it is replaced already
-                temporary_path(path, mark).replace(os.path.realpath(path))
+                temporary_path(path, mark).replace(path)
         for path in gone:
             path.unlink(missing_ok=True)
-        for place in {folder, *(Path(os.path.realpath(path)).parent for path in files)}:
+        for place in {folder, *(path.parent for path in files if path.exists())}:
             sync(place)
     except OSError as e:
         remedy = "make it writable, and the next command that reads the folder does it"

@@ -1,8 +1,7 @@
 """`run.json`: of which clip a run's folder is, how it was made, how it ended, and the checksum of each of its files.
 
 It is replaced last, together with those files: it alone says what is complete, and files of different runs are noticed
-whenever they are read. What a run that was killed leaves is ended when its folder is next opened: files half replaced,
-and tables without an end.
+whenever they are read. What a killed run leaves, files half replaced and tables without an end, is ended when read.
 """
 
 from __future__ import annotations
@@ -33,6 +32,7 @@ from facetrack_cli.core.files import (
     digest,
     discard,
     read_bounded,
+    reading,
     sampled,
     temporary_path,
 )
@@ -247,9 +247,6 @@ def as_text(name: str) -> str:
     return name.encode(errors="backslashreplace").decode()
 
 
-# --- after a kill -----------------------------------------------------------------------------------------------------
-
-
 def read_run(path: Path | str) -> Trajectory:
     """A trajectory as `read_trajectory` reads it; if it is in the folder of a run, what a kill left there is recovered
     first. InputError also for a file of another run than run.json beside it.
@@ -260,11 +257,9 @@ def read_run(path: Path | str) -> Trajectory:
 
 def check_run(path: Path) -> None:
     """Recover the folder of a run, or of one of its files. InputError for a file of another run than run.json there."""
-    try:
+    with reading(path, "name a trajectory or ground-truth file"):
         recover_interrupted(path if path.is_dir() else path.parent)
         check_belongs(table_in(path))
-    except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror or e}; name a trajectory or ground-truth file") from e
 
 
 def trajectory_of(run: Path) -> Path:

@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, TypeAlias
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import cannot_write, check_plain, make_folder, read_bounded, replacing
+from facetrack_cli.core.files import check_plain, make_folder, read_bounded, reading, write_new
 from facetrack_cli.core.numbers import document, places
 from facetrack_cli.run_folder.lock import LOCK, holder
 from facetrack_cli.run_folder.manifest import NAME, Manifest, as_text, read_manifest
@@ -44,12 +44,8 @@ def write_batch(out: Path, recipe: str, clips: Sequence[Path], names: Sequence[s
     path = out / f"batch-{hashlib.sha256(data).hexdigest()[:8]}.json"
     make_folder(out)
     check_plain(path)
-    try:
-        if not path.exists():
-            with replacing(path) as file:
-                file.write(data)
-    except OSError as e:
-        raise cannot_write(path, e) from e
+    if not path.exists():
+        write_new(path, data, overwrite=True)
     return path
 
 
@@ -194,7 +190,7 @@ def name_of(one: ClipStatus) -> str:
 
 def survey(folder: Path) -> Status:
     """How far the runs in the folder of a batch, or of one run, are. Raises InputError for any other path."""
-    try:
+    with reading(folder):
         if not folder.is_dir():
             what = "is a file" if folder.exists() else "no such folder"
             raise InputError(f"{folder}: {what}; name the folder that --out named")
@@ -204,8 +200,6 @@ def survey(folder: Path) -> Status:
         for batch in batches(folder):
             named |= {name: clip for clip, name in batch.clips if name not in named}
         there = sorted(one.name for one in folder.iterdir() if one.name not in named and one.is_dir() and _is_run(one))
-    except OSError as e:
-        raise InputError(f"{e.filename or folder}: cannot be read: {e.strerror or e}; make it readable") from e
     if not named and not there:
         raise InputError(f"{folder}: holds no results of facetrack run; name the folder that --out named")
     named |= dict.fromkeys(map(as_text, there), "")

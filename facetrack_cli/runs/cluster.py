@@ -221,9 +221,6 @@ def _on_worker(version: str, folder: str, batch: str, sent: bytes) -> Outcome | 
     return outcome
 
 
-# --- the scheduler ---------------------------------------------------------------------------------------------------
-
-
 def check_cluster(where: str) -> int | None:
     """N of local:N, the processes of this machine; None for a scheduler, whose workers do the clips.
 
@@ -259,12 +256,10 @@ def address_of(where: str) -> str:
 
 def _is_here(address: str) -> bool:
     """Whether the host of an address is this machine: only here a socket can be bound to it."""
-    with contextlib.suppress(OSError, ValueError):
-        host = urlsplit(address).hostname
-        for family, kind, protocol, _, at in socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM):
-            with socket.socket(family, kind, protocol) as own:
-                own.bind(at)
-            return True
+    host = urlsplit(address).hostname or ""
+    with contextlib.suppress(OSError):
+        socket.create_server((host, 0), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
+        return True
     return False
 
 

@@ -32,8 +32,7 @@ class Found(NamedTuple):
 def expand(inputs: Sequence[Path], note: Callable[[str], None] = lambda line: None) -> Found:
     """The clips of the inputs of a command line, in their order; `note` hears what is left out.
 
-    Raises InputError for a list that cannot be read, and for a folder, glob or list without clips; UsageError for
-    several single images.
+    InputError for a list that cannot be read, and a folder, glob or list without clips; UsageError for several images.
     """
     listed = [clip for given in inputs for clip in _listed(given)]
     groups = [_clips(given, note) for given in listed]

@@ -43,8 +43,7 @@ OVERLAP_S: Final = 5.0  # of two chunks
 def run_chunks(
     job: Job, workers: int, stop: Stop, progress: Progress, shard: tuple[int, int] = (1, 1)
 ) -> Iterator[tuple[str, Outcome]]:
-    """Track the chunks of a clip that are not done yet, `workers` at a time; each is yielded as it ends, with its name,
-    the clip last, with "".
+    """Track the chunks that are not done, `workers` at a time; each is yielded with its name, the clip last, with "".
 
     Of `shard` (I, N) every N-th chunk, from the I-th on; the clip is joined by the process that finds all chunks ended.
     Raises UsageError where it cannot be split, OutputError where the chunks of another split are in its folder.

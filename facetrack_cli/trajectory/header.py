@@ -108,7 +108,7 @@ def _members(**members: Any) -> dict[str, Any]:
 
 
 class ClipHeader(BaseModel):
-    path: str
+    path: Annotated[str, Field(pattern=r"^[^\x00]*$")]
     size: tuple[_Positive, _Positive]
     fps: Annotated[float, Field(gt=0, le=1e6)]
 
@@ -201,5 +201,5 @@ def is_there(path: Path) -> bool:
     """Whether there is such a file or folder, as far as the system tells."""
     try:
         return path.exists()
-    except OSError:  # no permission, or a name that is too long
+    except (OSError, ValueError):  # no permission, or a name that is too long, or none
         return False

@@ -30,21 +30,7 @@ _Name: TypeAlias = Annotated[str, AfterValidator(checked_name)]
 _Frame: TypeAlias = Annotated[int, Field(ge=0, le=MAX_FRAME)]
 
 
-def _checked_span(span: tuple[int, int]) -> tuple[int, int]:
-    if span[0] >= span[1]:
-        raise ValueError(f"frames {span[0]} to {span[1]} are none")
-    return span
-
-
-def _checked_still(still: str) -> str:
-    folder, _, name = still.partition("/")
-    if still and (folder != STILLS or not name.isprintable() or checked_name(name) != Path(name).name):
-        raise ValueError(f"{still!r} is no picture in {STILLS}/")
-    return still
-
-
-_Span: TypeAlias = Annotated[tuple[_Frame, _Frame], AfterValidator(_checked_span)]
-_Still: TypeAlias = Annotated[str, AfterValidator(_checked_still)]
+_Still: TypeAlias = Annotated[str, Field(pattern=rf"^({STILLS}/[^/\\\x00.][^/\\\x00]*)?$")]  # a file of that folder
 
 
 class _Record(BaseModel):
@@ -61,8 +47,7 @@ class ShotRecord(_Record):
 class TrackRecord(_Record):
     """One track: whose it is, in which frames [first, stop), and with which probability.
 
-    `other` (None: somebody new) has the probability `p_other`, where that is in doubt; `still` is then its picture.
-    `given`: by hand.
+    `other` (None: somebody new) has `p_other`, where that is in doubt; `still` is then its picture. `given`: by hand.
     """
 
     person: _Name
@@ -85,7 +70,7 @@ class PersonRecord(_Record):
     name: _Name
     seconds: Annotated[float, Field(ge=0, allow_inf_nan=False)]
     p: _P
-    intervals: Annotated[tuple[_Span, ...], Field(min_length=1)]
+    intervals: Annotated[tuple[tuple[_Frame, _Frame], ...], Field(min_length=1)]
     still: _Still = ""
     photograph: bool = False
 
@@ -103,8 +88,12 @@ class People(_Record):
 
     @model_validator(mode="after")
     def _whole(self) -> People:
-        for track in self.tracks:
-            _checked_span((track.first, track.stop))
+        spans = [
+            *((one.first, one.stop) for one in self.tracks),
+            *(span for one in self.people for span in one.intervals),
+        ]
+        if any(first >= stop for first, stop in spans):
+            raise ValueError("a track or an interval has no frame")
         if len({*self.names}) < len(self.names) or {*self.names} != {one.person for one in self.tracks}:
             raise ValueError("its people are not those of its tracks, each once")
         return self

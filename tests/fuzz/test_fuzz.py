@@ -3,9 +3,11 @@
 import os
 import subprocess
 import sys
+from functools import partial
 
 import pytest
 
+from tests.fuzz import guided
 from tests.support.samples import FOLDER
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="each case runs in a process that is forked")
@@ -20,6 +22,15 @@ def _tried(count: int, first: int) -> str:
 def test_hostile_inputs_are_answered():
     """Those with names."""
     assert _tried(0, 0) == ""
+
+
+@pytest.mark.parametrize("parser", guided.parsers())
+def test_parsers_take_what_is_whole_and_refuse_the_rest(parser):
+    """As the nightly fuzzers do, which are guided by coverage: guided.py."""
+    parse = guided.parsers()[parser]
+    assert any(list(map(partial(guided.taken, parse), guided.seeds(parser))))
+    for data in guided.damaged(parser, 150):
+        guided.taken(parse, data)
 
 
 @pytest.mark.nightly

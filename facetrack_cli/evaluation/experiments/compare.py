@@ -7,8 +7,7 @@
 A recipe stands clearly above another where the intervals mean +- 2 standard errors do not overlap; its place is the
 range from 1 + the number of recipes clearly above it to the number of all less those clearly below it. A deterministic
 tracker runs once and its interval is its value; of a single seed of any other nothing is known but the value.
-*Failure*: points, a part is lost for good (points.py); boxes, the median IoU over the last tenth of the rows with a
-true box is below 0.1.
+*Failure*: points, a part is lost for good (points.py); boxes, the last tenth of true boxes has a median IoU below 0.1.
 """
 
 import contextlib
@@ -169,9 +168,6 @@ def rank(entries: Sequence[Entry], measure: str) -> list[Place]:
     return [*places, *(Place(entry, None, None) for entry in entries if entry not in valued)]
 
 
-# --- one run -----------------------------------------------------------------------------------------------------
-
-
 def score_run(run: SeedRun, truth: Trajectory, options: Scoring, note: Callable[[str], None] = lambda _: None) -> Score:
     """Measure a run; `note` gets the notes of `match`. InputError if the truth does not fit the run."""
     pairs = _pairs(run.trajectory, truth, options, note=note)
@@ -261,9 +257,6 @@ def aligned(entries: Sequence[Entry]) -> tuple[Whole, dict[str, Array]]:
     return frame, found
 
 
-# --- all runs ----------------------------------------------------------------------------------------------------
-
-
 def run_recipes(
     recipes: Mapping[str, Recipe],
     begin: Begin,
@@ -343,9 +336,6 @@ def default_truth(clip: Path) -> Path:
             f"{clip}: there is neither {sought[0].name} nor groundtruth.csv beside it; name it with --truth"
         )
     return found
-
-
-# --- texts --------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
