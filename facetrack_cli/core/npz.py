@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 from typing import IO, Any, BinaryIO, TypeVar
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile, ZipInfo
 
@@ -29,6 +30,9 @@ from facetrack_cli.core.files import (
 )
 
 T = TypeVar("T")
+# what zipfile and numpy.lib.format raise; the header of an array is read by Python's own tokenizer
+_OF_NUMPY = (ValueError, TypeError, IndexError, EOFError, MemoryError, RuntimeError, SyntaxError, TokenError)
+_DAMAGED = (*_OF_NUMPY, BadZipFile, zlib.error)
 _DIRECTORY = zipfile._ECD_SIZE  # type: ignore[attr-defined]
 
 
@@ -77,7 +81,7 @@ class Kind:
             raise InputError(f"{path}: {why}; name a {self.what}, as `{self.command}` writes it") from e
         except KeyError as e:
             raise InputError(f"{path}: the {self.what} lacks an array: {e.args[0]}; {remedy}") from e
-        except (ValueError, TypeError, IndexError, EOFError, MemoryError, RuntimeError, BadZipFile, zlib.error) as e:
+        except _DAMAGED as e:
             plain = isinstance(e, ValueError) and "pickle" not in str(e)
             why = " ".join(str(e).split()) if plain else "it is no .npz of plain arrays"
             raise InputError(f"{path}: is not a usable {self.what}: {why}; {remedy}") from e
