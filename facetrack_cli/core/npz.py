@@ -30,9 +30,7 @@ from facetrack_cli.core.files import (
 )
 
 T = TypeVar("T")
-# what zipfile and numpy.lib.format raise; the header of an array is read by Python's own tokenizer
-_OF_NUMPY = (ValueError, TypeError, IndexError, EOFError, MemoryError, RuntimeError, SyntaxError, TokenError)
-_DAMAGED = (*_OF_NUMPY, BadZipFile, zlib.error)
+_HEADER = (ValueError, TypeError, IndexError, EOFError, SyntaxError, TokenError)  # NumPy reads it by Python's tokenizer
 _DIRECTORY = zipfile._ECD_SIZE  # type: ignore[attr-defined]
 
 
@@ -81,7 +79,7 @@ class Kind:
             raise InputError(f"{path}: {why}; name a {self.what}, as `{self.command}` writes it") from e
         except KeyError as e:
             raise InputError(f"{path}: the {self.what} lacks an array: {e.args[0]}; {remedy}") from e
-        except _DAMAGED as e:
+        except (*_HEADER, MemoryError, RuntimeError, BadZipFile, zlib.error) as e:
             plain = isinstance(e, ValueError) and "pickle" not in str(e)
             why = " ".join(str(e).split()) if plain else "it is no .npz of plain arrays"
             raise InputError(f"{path}: is not a usable {self.what}: {why}; {remedy}") from e

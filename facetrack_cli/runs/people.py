@@ -239,14 +239,12 @@ def name_run(job: Job, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
     except StoppedError:
         outcome.stopped = stop.reason
         return outcome
-    done = Outcome.of(job, read_manifest(job.out) or _missing(job))
+    if (known := read_manifest(job.out)) is None:
+        raise InputError(f"{job.out}: its run.json is gone; run again")
+    done = Outcome.of(job, known)
     done.again, done.frames_per_s, done.warnings = None, outcome.frames_per_s, outcome.warnings
     done.note, done.resumed = cast_line(found.people), outcome.resumed
     return done
-
-
-def _missing(job: Job) -> Any:
-    raise InputError(f"{job.out}: its run.json is gone; run again")
 
 
 def write_people(
@@ -321,9 +319,9 @@ def recast(
         words = (*people.corrections, *(said for said, _ in changes))
         after = people_of(people.fps, people.shots, records, stills, photographs(people, tracks), words)
         paint = None
-        if video and (folder / VIDEO).is_file() and where is not None:
-            first = people.shots[0].first
-            paint = Painted(where, fps, first, first + _frames(folder) - 1, str(said(rows, "recipe", "name") or ""))
+        known, first = read_manifest(folder), people.shots[0].first
+        if video and (folder / VIDEO).is_file() and where is not None and known is not None:
+            paint = Painted(where, fps, first, first + known.frames - 1, str(said(rows, "recipe", "name") or ""))
         write_people(folder, named, after, pictures, paint, report, stop, lock)
     return after
 
@@ -332,11 +330,6 @@ def rows_in(folder: Path) -> Trajectory:
     """The rows of a run, with their header if a file has one."""
     files = run_files(folder)
     return read_run(files.get("json", files.get("jsonl")) or files["csv"])
-
-
-def _frames(folder: Path) -> int:
-    known = read_manifest(folder)
-    return 0 if known is None else known.frames
 
 
 def people_in(folder: Path) -> People:
