@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, reason
+from facetrack_cli.core.errors import InputError, OutputError, reason
 
 _TAIL_BYTES = 1 << 17  # of whole records at the end of a file, in which there is space for its end
 MAX_TABLE_BYTES = 1 << 30  # of a table of rows: ten hours of a face and its points
@@ -49,15 +49,6 @@ def writing(path: Path, remedy: str = "choose another place with --out") -> Iter
         yield
     except OSError as e:
         raise cannot_write(path, e, remedy) from e
-
-
-@contextlib.contextmanager
-def reading(path: Path, remedy: str = "make it readable", kind: type[FacetrackError] = InputError) -> Iterator[None]:
-    """InputError, in its one line, where the system refuses to read a path."""
-    try:
-        yield
-    except OSError as e:
-        raise kind(f"{path}: cannot be read: {e.strerror or e}; {remedy}") from e
 
 
 def own_mark() -> str:

@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from facetrack_cli.core.errors import RecipeError
-from facetrack_cli.core.files import reading
+from facetrack_cli.core.errors import RecipeError, reading
 from facetrack_cli.core.shipped import shipped_folder as shipped_folder
 from facetrack_cli.core.shipped import shipped_recipes as shipped_recipes
 from facetrack_cli.core.yaml_tree import Problem, Source, Span, YamlProblems, read_source

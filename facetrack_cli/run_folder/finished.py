@@ -11,8 +11,8 @@ from typing import Any, Final, NamedTuple, get_args
 import numpy as np
 from pydantic import ValidationError
 
-from facetrack_cli.core.errors import FacetrackError, InputError
-from facetrack_cli.core.files import BytesSink, reading
+from facetrack_cli.core.errors import FacetrackError, InputError, reading
+from facetrack_cli.core.files import BytesSink
 from facetrack_cli.core.types import Correction, Start
 from facetrack_cli.recipe.files import shipped_folder, shipped_recipes
 from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe

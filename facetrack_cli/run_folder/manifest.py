@@ -22,7 +22,7 @@ from typing import Any, ClassVar, Final, Literal
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from facetrack_cli import __version__
-from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, from_system
+from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, from_system, reading
 from facetrack_cli.core.files import (
     FULL,
     MAX_TABLE_BYTES,
@@ -32,7 +32,6 @@ from facetrack_cli.core.files import (
     digest,
     discard,
     read_bounded,
-    reading,
     sampled,
     temporary_path,
 )

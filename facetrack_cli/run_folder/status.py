@@ -12,8 +12,8 @@ from typing import Any, Final, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import check_plain, make_folder, read_bounded, reading, write_new
+from facetrack_cli.core.errors import InputError, reading
+from facetrack_cli.core.files import check_plain, make_folder, read_bounded, write_new
 from facetrack_cli.core.numbers import document, places
 from facetrack_cli.run_folder.lock import LOCK, holder
 from facetrack_cli.run_folder.manifest import NAME, Manifest, as_text, read_manifest

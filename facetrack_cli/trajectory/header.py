@@ -108,7 +108,7 @@ def _members(**members: Any) -> dict[str, Any]:
 
 
 class ClipHeader(BaseModel):
-    path: Annotated[str, Field(pattern=r"^[^\x00]*$")]
+    path: str
     size: tuple[_Positive, _Positive]
     fps: Annotated[float, Field(gt=0, le=1e6)]
 

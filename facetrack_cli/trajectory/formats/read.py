@@ -11,8 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.core.files import reading
+from facetrack_cli.core.errors import InputError, UsageError, reading
 from facetrack_cli.trajectory.formats import boxes
 from facetrack_cli.trajectory.formats.boxes import BOX_COLUMNS, LTWH, MOT_COLUMNS
 from facetrack_cli.trajectory.formats.cvat import read_cvat
