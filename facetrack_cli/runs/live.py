@@ -105,16 +105,18 @@ def awaited(images: Iterator[Image], stopped: Callable[[], bool]) -> Iterator[Im
 
     threading.Thread(target=read, name="images", daemon=True).start()
     asked.put(True)
-    while not stopped():
-        with suppress(Empty):
-            found = came.get(timeout=LOOK_S)
-            if isinstance(found, Exception):
-                raise found
-            if found is None:
-                break
-            yield found
-            asked.put(True)
-    asked.put(False)
+    try:
+        while not stopped():
+            with suppress(Empty):
+                found = came.get(timeout=LOOK_S)
+                if isinstance(found, Exception):
+                    raise found
+                if found is None:
+                    break
+                yield found
+                asked.put(True)
+    finally:
+        asked.put(False)
 
 
 def record(result: FrameResult, time_s: float, age_s: float) -> dict[str, Any]:

@@ -98,7 +98,7 @@ def save_smoothed(
     paint = None if run is None else partial(repaint, run.painted, rows=after, report=report, stop=stop)
     made = make_folder(place)
     try:
-        written, notes = replace_files(place, files, ended, [folder / POSTERIOR] if in_place else [], paint)
+        written, notes = replace_files(place, files, ended, [place / POSTERIOR] if in_place else [], paint)
     finally:
         remove_folders(made)
     return written, (*notes, *outdated(place))
