@@ -29,7 +29,7 @@ def previous_run(folder: Path, asked: Callable[[], str], clip: Path) -> Manifest
     known = read_manifest(folder) if is_there(folder) else None
     if known is None or known.clip is None or known.asked != asked():
         return None
-    whole = all(_is_as_written(folder / name, known) for name in known.files)
+    whole = all(_is_as_written(folder, name, known) for name in known.files)
     return known if whole and _is_same(known.clip, clip) else None
 
 
@@ -130,10 +130,10 @@ def _is_same(known: Clip, clip: Path) -> bool:
     return now.changed_ns == known.changed_ns or (known.sha256 != "" and clip_digest(clip) == known.sha256)
 
 
-def _is_as_written(path: Path, known: Manifest) -> bool:
+def _is_as_written(folder: Path, name: str, known: Manifest) -> bool:
     """Whether a file is what its run wrote; of a run that did not end, whose tables are replaced, if its size is."""
-    of, sample = known.files[path.name], known.samples.get(path.name)
-    with contextlib.suppress(OSError):
+    path, of, sample = folder / name, known.files[name], known.samples.get(name)
+    with contextlib.suppress(OSError, ValueError):
         found = path.lstat()
         if stat.S_ISREG(found.st_mode) and found.st_size == of.bytes:
             stamp = found.st_size, found.st_mtime_ns

@@ -252,7 +252,8 @@ def check(job: Job, *, kept: bool = False, locked: bool = False) -> None:
     if job.lag or job.posterior:
         check_smoothing(job.recipe)
     if job.out is not None:
-        check_plain(*[job.out] * (job.chunk is not None))
+        if job.chunk is not None:
+            check_plain(job.out)
         there = None
         if is_there(job.out):
             recover_interrupted(job.out)

@@ -977,3 +977,13 @@ def test_what_is_zeros_of_the_same_length_is_not_done(run: Runner, clip: Path, m
     code, _, err = run(clip, *SMALL, "-o", "o")
     assert code == ExitCode.USAGE and "done before" not in err and "exists already" in one_line(err)
     assert run(clip, *SMALL, "-o", "o", "--overwrite")[0] == 0 and any(path.read_bytes())
+
+
+@pytest.mark.parametrize("name", ["../x", "/etc/hostname", "a/b", "a\0b", "people/1.jpg"])
+def test_a_run_that_names_files_elsewhere_is_not_done(run: Runner, clip: Path, name: str) -> None:
+    assert run(clip, *SMALL, "-o", "o")[0] == 0
+    told = json.loads(Path("o/run.json").read_text())
+    told["files"][name] = {"bytes": 3, "sha256": "0" * 64}
+    Path("o/run.json").write_text(json.dumps(told))
+    code, _, err = run(clip, *SMALL, "-o", "o")
+    assert code == ExitCode.USAGE and "exists already" in one_line(err)

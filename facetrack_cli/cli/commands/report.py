@@ -57,7 +57,8 @@ class Report:
         if not batch:
             trajectory_of(self.folder)
         to = self.folder / (PAGE if batch else REPORT) if self.out is None else self.out
-        check_plain(*[to] * (self.out is None))
+        if self.out is None:
+            check_plain(to)
         check_new(to, overwrite=self.overwrite, inputs=(self.truth, self.clip))
         with progress(self.quiet) as shown:
             shown.begin(self.folder.name or str(self.folder), "clips" if batch else "frames")
