@@ -47,8 +47,7 @@ def images_of(clip: Path) -> Iterator[Image]:
     if str(clip) == "-":
         pipe: Any = sys.stdin.buffer
         # a file of its own: at its end the interpreter would wait for a thread that reads from sys.stdin
-        own = open(pipe.fileno(), "rb", closefd=False) if hasattr(pipe, "raw") else nullcontext(pipe)  # noqa: SIM115
-        with own as stream:
+        with open(pipe.fileno(), "rb", closefd=False) if hasattr(pipe, "raw") else nullcontext(pipe) as stream:
             yield from piped(stream)
     elif is_live(clip):
         yield from camera(int(str(clip)))

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import check_plain, make_folder
+from facetrack_cli.core.files import check_plain, make_folder, remove_folders
 from facetrack_cli.core.types import BOX, Frame, Image, Start
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.run_folder.finished import Painted, run_files, write_rows
@@ -265,13 +265,16 @@ def write_people(
     files[folder / PEOPLE] = lambda write: write(people.text())
     files |= {folder / still: lambda write, data=data: write(data) for still, data in stills.items()}
     check_plain(folder / STILLS)
-    make_folder(folder / STILLS)
+    made = make_folder(folder / STILLS)
     gone = [path for path in (folder / STILLS).iterdir() if path not in files and not path.is_dir()]
     known = read_manifest(folder)
     kept = {} if known is None else {name: one for name, one in known.files.items() if name != VIDEO or paint is None}
     ended = known and replace(known, files=kept, lost_frames=counted.lost_frames, lost_at_end=counted.lost_at_end)
     draw = None if paint is None else partial(repaint, paint, rows=rows, report=report, stop=stop, order=people.names)
-    return replace_files(folder, files, ended, gone, draw, lock=lock)[1]
+    try:
+        return replace_files(folder, files, ended, gone, draw, lock=lock)[1]
+    finally:
+        remove_folders(made)
 
 
 def _jpeg(image: Image) -> bytes:

@@ -168,8 +168,7 @@ def _begin(ending: Any, frames: Any, threads: int, logs: Path) -> None:
 
 def _end_with_parent() -> None:
     """End when the process that gives the tasks has ended: one that is killed tells nobody."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
+    parent: Any = multiprocessing.parent_process()
     parent.join()  # by a pipe's end, whoever has forked us
     _ending.value = _ending.value or ExitCode.INTERRUPTED
     time.sleep(ORPHAN_S)

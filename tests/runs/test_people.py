@@ -24,7 +24,7 @@ from facetrack_cli.runs import people as runs_people
 from facetrack_cli.runs.job import Job
 from facetrack_cli.runs.people import people_in, recast
 from facetrack_cli.runs.seeds import load_recipes
-from facetrack_cli.runs.signals import Stop
+from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.tracking.people import presence
 from facetrack_cli.tracking.people.identity import Doubt, cast_of
 from facetrack_cli.tracking.people.looks import Looks, load_people, save_people
@@ -230,6 +230,15 @@ def test_of_two_corrections_at_once_none_is_lost(ran, tmp_path, monkeypatch):
     monkeypatch.undo()
     recast(out, [("b", lambda tracks: rename(tracks, "person_2", "Ben"))], video=False)
     assert read_people(out).names == ("Ann", "Ben") and read_people(out).corrections == ("a", "b")
+
+
+def test_a_correction_that_is_stopped_leaves_all_as_it_was(ran, tmp_path):
+    out = shutil.copytree(ran, tmp_path / "out")
+    shutil.rmtree(out / "people")
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    with pytest.raises(StoppedError):
+        recast(out, [("a", lambda tracks: rename(tracks, "person_1", "Ann"))], stop=lambda: True)
+    assert {path: path.read_bytes() for path in out.iterdir()} == before
 
 
 @pytest.mark.parametrize("after", range(6))
