@@ -63,8 +63,8 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "mixture.greys": ("f4:1", _LOOKS),
     "windows.extent": ("f8:3 f8", f"{_COLOURS} likelihood=skin"),
 }
-_SECOND = """import json, os, sys, threading
-threading.Thread(target=lambda: (os.read(0, 1), os._exit(0)), daemon=True).start()  # with the process that began it
+_SECOND = """import json, os, stat, sys; from threading import Thread  # its input ends with the process that began it
+if stat.S_ISFIFO(os.fstat(0).st_mode): Thread(target=lambda: os._exit(len(os.read(0, 1))), daemon=True).start()
 sys.path[:], names = json.loads(sys.argv[1])
 from {0} import *
 compile_kernels(names)"""
