@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final, Literal, NamedTuple, TypeAlias
 
 from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, UsageError
-from facetrack_cli.core.files import check_folder
+from facetrack_cli.core.files import check_folder, check_plain
 from facetrack_cli.core.types import Box
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.files import default_recipe
@@ -257,6 +257,8 @@ def check(job: Job, *, kept: bool = False, locked: bool = False) -> None:
     if job.lag or job.posterior:
         check_smoothing(job.recipe)
     if job.out is not None:
+        if job.chunk is not None:
+            check_plain(job.out)
         there = None
         if is_there(job.out):
             recover_interrupted(job.out)

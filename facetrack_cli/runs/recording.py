@@ -29,6 +29,7 @@ from facetrack_cli.core.files import (
     make_folder,
     remove_folders,
     temporary_path,
+    writing,
 )
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Start
@@ -175,10 +176,8 @@ class Recorder:
             return False
         for path, sink, place in zip(tables, self._sinks, state.tables, strict=True):
             assert isinstance(sink, FileSink)
-            try:
+            with writing(path):
                 sink.go_on(path, place)
-            except OSError as e:
-                raise cannot_write(path, e) from e
         return True
 
     def begin(self, source: ClipFacts, start: Start, more: Header = MappingProxyType({})) -> None:

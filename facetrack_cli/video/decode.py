@@ -21,6 +21,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.types import Array, Image, Whole, planes_of
+from facetrack_cli.video.images import MOST_PIXELS, check_pixels
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -37,7 +38,7 @@ _MAX_THREADS: Final = 8  # of the decoder, each of which holds frames
 _MAX_ALONE_PIXELS: Final = 1_000_000
 _FULL_RANGE: Final = 2  # libavutil's number of a range from 0 to 255
 # FFmpeg goes by what a file holds: a playlist would make it open other files, and text is drawn as letters
-_FORMATS: Final = (
+FORMATS: Final = (
     "3gp,aac,apng,asf,av1,avi,dv,flac,flv,gif,h264,hevc,ivf,m4v,matroska,mjpeg,mov,mp3,mp4,mpeg,mpegts,mpegvideo,mxf,"
     "nut,obu,ogg,rm,vc1,wav,webm,wtv,yuv4mpegpipe"
 )
@@ -79,6 +80,8 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
             raise ValueError("no video")
         self._video, self._sound = video, self._container.streams.audio
         self._end = weakref.finalize(self, _end, video.codec_context, self._container)
+        check_pixels(path, video.codec_context.width, video.codec_context.height)
+        video.codec_context.options = {"max_pixels": str(MOST_PIXELS)}  # also of frames whose size is another one
         large = video.codec_context.width * video.codec_context.height > _MAX_ALONE_PIXELS
         video.codec_context.thread_type = "AUTO"
         video.codec_context.thread_count = min(cv2.getNumberOfCPUs(), _MAX_THREADS) if large else 1
@@ -210,8 +213,11 @@ def open_container(path: Path) -> InputContainer:
     if av.logging.get_level() is None:
         av.logging.set_level(av.logging.PANIC)  # errors are counted, and none is shown
     # an absolute path never reads as an option or a protocol
-    options = {"format_whitelist": _FORMATS, "protocol_whitelist": "file"}
-    return av.open(str(path.absolute()), options=options, metadata_errors="replace")
+    options = {"format_whitelist": FORMATS, "protocol_whitelist": "file"}
+    try:
+        return av.open(str(path.absolute()), options=options, metadata_errors="replace")
+    except EOFError as error:  # PyAV's is Python's, which Click takes for Ctrl-C
+        raise ValueError(reason(error)) from error
 
 
 def video_stream(container: InputContainer) -> VideoStream | None:

@@ -15,7 +15,7 @@ from facetrack_cli.core.types import Image
 # of damaged metadata Pillow says much, and without the file's name
 warnings.filterwarnings("ignore", module=r"PIL\.")
 
-_MOST_PIXELS = 100_000_000
+MOST_PIXELS = 100_000_000
 _KINDS = ("bmp", "jp2", "jpe", "jpeg", "jpg", "pgm", "png", "pnm", "ppm", "tif", "tiff", "webp")
 SUFFIXES = frozenset(f".{kind}" for kind in _KINDS)
 # modes whose numbers are neither grey levels nor RGB
@@ -65,10 +65,7 @@ def read(path: Path, size: tuple[int, int] | None = None, data: bytes | None = N
                 why = "is a 32-bit image, which has no agreed range"
                 raise UnreadableError(path, why, "convert it to 8 or 16 bits")
             width, height = file.metadata(exclude_applied=False)["shape"]
-            if width * height > _MOST_PIXELS:
-                most = f"at most {_MOST_PIXELS // 10**6} megapixels are read"
-                why = f"is too large for a frame: {width}x{height}, and {most}"
-                raise UnreadableError(path, why, "make it smaller")
+            check_pixels(path, width, height)
             options: dict[str, Any] = {"index": 0, "rotate": True, "mode": _READ_AS.get(mode)}
             pixels: Any = np.asarray(file.read(**options))
     except (OSError, SyntaxError, EOFError, LookupError, TypeError, ValueError, RuntimeError) as error:  # Pillow's
@@ -85,6 +82,13 @@ def read(path: Path, size: tuple[int, int] | None = None, data: bytes | None = N
     if size is not None and pixels.shape[1::-1] != size:
         raise UnreadableError(path, f"is not {size[0]}x{size[1]} pixels")
     return np.ascontiguousarray(pixels[..., ::-1])
+
+
+def check_pixels(path: Path, width: int, height: int) -> None:
+    """UnreadableError for an image that claims more pixels than are read: before memory is taken for them."""
+    if width * height > MOST_PIXELS:
+        most = f"at most {MOST_PIXELS // 10**6} megapixels are read"
+        raise UnreadableError(path, f"is too large for a frame: {width}x{height}, and {most}", "make it smaller")
 
 
 def is_animated(path: Path) -> bool:

@@ -3,8 +3,7 @@
 A frame is compared as a small image in brightness and colour. At a cut the images before and after differ far more than
 neighbours do, for more than half a second, and by more than brightness. In a dissolve the images lie on the line from
 the last image of the one shot to the first image of the other, at even steps, and have less texture than both: edges of
-two images that are blended fade. A pan or a person that moves leaves that line and keeps its texture. None of this is
-in the papers.
+two images that are blended fade. A pan or a person that moves leaves that line and keeps its texture. All this is ours.
 """
 
 from __future__ import annotations
@@ -68,9 +67,7 @@ class Cut(NamedTuple):
 
 
 class Shot(NamedTuple):
-    """Frames from `first` to before `stop` (None: the end of the clip). Those from `clear` to before `until` show no
-    other shot.
-    """
+    """Frames [first, stop); stop None: the end of the clip. Those of [clear, until) show no other shot."""
 
     first: int
     stop: int | None

@@ -12,6 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import UsageError
+from facetrack_cli.core.numbers import csv_text
+from facetrack_cli.trajectory.formats.keypoints import write_dlc
 from facetrack_cli.trajectory.formats.tables import write_parquet, write_wide
 from facetrack_cli.trajectory.trajectory import COLUMNS, FLOATS, joined, one_part
 
@@ -50,6 +52,16 @@ def test_every_number_of_a_wide_table_comes_back(parts, frames, seed):
         rows = found.loc[one.frame]
         for name in ("x", "y", "w", "h", "confidence", "status"):
             np.testing.assert_array_equal(rows[f"face_{one.part}_{name}"], getattr(one, name))
+
+
+def test_no_table_has_a_text_that_a_spreadsheet_takes_for_a_formula():
+    names = ["=1+1", "+1+1", "-1+1", "@SUM(A1)", " =1+1", '=HYPERLINK("x","y")']
+    for name in names:
+        rows = joined([part(name, one, [0, 1]) for one in ("nose", name)])
+        for text in (write_wide(rows), write_dlc(rows), write_dlc(rows, scorer=name), csv_text([name], [[name]])):
+            cells = [cell for line in csv.reader(io.StringIO(text.removeprefix("\ufeff"))) for cell in line]
+            assert f"_{name}" in "".join(cells) and not any(cell.strip()[:1] in {*"=+@"} for cell in cells)
+    assert csv_text(["a", "b", "c"], [["-1.5", -2, "-"], ["+1e3", None, "-nan"]]) == "a,b,c\n-1.5,-2,_-\n+1e3,,-nan\n"
 
 
 def test_spreadsheets_see_other_alphabets_and_no_formulas():

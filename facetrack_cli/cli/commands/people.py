@@ -166,11 +166,14 @@ class Cast:
 
 def _intervals(people: People) -> str:
     """The frames in which people are seen, and their times in s, in the order of time."""
+    from facetrack_cli.core.numbers import csv_text
+
     spans = sorted((first, stop, one.name) for one in people.people for first, stop in one.intervals)
-    rows = [
-        f'"{name}",{first},{stop - 1},{first / people.fps:.3f},{stop / people.fps:.3f}' for first, stop, name in spans
-    ]
-    return "\n".join(["person,first_frame,last_frame,begin_s,end_s", *rows]) + "\n"
+    rows = (
+        [name, first, stop - 1, *(f"{frame / people.fps:.3f}" for frame in (first, stop))]
+        for first, stop, name in spans
+    )
+    return csv_text(["person", "first_frame", "last_frame", "begin_s", "end_s"], rows)
 
 
 def _show(people: People) -> None:

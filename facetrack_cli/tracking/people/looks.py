@@ -21,7 +21,7 @@ import numpy as np
 
 from facetrack_cli.core.geometry import share_inside
 from facetrack_cli.core.npz import Kind, Stored
-from facetrack_cli.core.types import Array, Frame, Image
+from facetrack_cli.core.types import Array, Frame, Image, checked_name
 from facetrack_cli.tracking.face.stabilized import BOX, FACE, Similarity
 from facetrack_cli.tracking.start.detectors import Detector
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -105,7 +105,7 @@ def _people(stored: Stored) -> dict[str, Looks]:
         raise ValueError("its arrays do not belong together")
     if [one.shape[1] for one in every[:4]] != [FACE_PX**2, 3, 3, _BINS**2] or every.embedding.shape[1] not in (0, 128):
         raise ValueError("its faces have another size than this facetrack reads")
-    return {name: Looks(*(values[which == k] for values in every)) for k, name in enumerate(names)}
+    return {checked_name(name): Looks(*(values[which == k] for values in every)) for k, name in enumerate(names)}
 
 
 class View(NamedTuple):

@@ -22,9 +22,8 @@ from typing import Any
 import numpy as np
 
 from facetrack_cli.core.face_points import LINES
-from facetrack_cli.core.numbers import dumps
+from facetrack_cli.core.numbers import csv_text, dumps
 from facetrack_cli.core.types import BOX
-from facetrack_cli.trajectory.formats.tables import csv_text
 from facetrack_cli.trajectory.select import Around, enclose
 from facetrack_cli.trajectory.trajectory import DECIMALS, SEEN, Trajectory, aligned
 

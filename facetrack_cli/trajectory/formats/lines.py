@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import MAX_TABLE_BYTES, check_readable
+from facetrack_cli.core.files import MAX_TABLE_BYTES, read_bounded
 from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS
 from facetrack_cli.trajectory.trajectory import Trajectory, build
@@ -25,9 +25,7 @@ FROM_ONE = np.array([1.0, 1.0, 0.0, 0.0])  # boxes (..., 4) that count pixels fr
 def read_text(path: Path) -> str:
     """The text of a file, with `\\n` after each line. InputError if missing, a folder, a pipe, empty, or no text."""
     try:
-        if not path.is_dir():
-            check_readable(path, MAX_TABLE_BYTES, "table of rows")
-        raw = path.read_bytes()
+        raw = read_bounded(path, MAX_TABLE_BYTES, "table of rows")
     except IsADirectoryError:
         raise InputError(f"{path}: is a folder; name the ground truth file in it") from None
     except FileNotFoundError:

@@ -4,15 +4,14 @@ Frames and pixels of the table are counted from 0 whatever the file's own counti
 """
 
 import csv
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.errors import InputError, UsageError, reading
 from facetrack_cli.trajectory.formats import boxes
 from facetrack_cli.trajectory.formats.boxes import BOX_COLUMNS, LTWH, MOT_COLUMNS
 from facetrack_cli.trajectory.formats.cvat import read_cvat
@@ -49,7 +48,7 @@ def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0) -> Traje
     path = Path(path)
     if abs(shift) > MAX_FRAME:
         raise UsageError(f"--shift {shift}: no clip has so many frames; correct it")
-    with _looking_at(path):
+    with reading(path, "make it readable, or name another"):
         try:
             found, known = recognise(path) if form == "auto" else (path, form)
             table = _READERS[known](found, shift=shift)
@@ -63,7 +62,7 @@ def read_results(path: Path, form: str = "auto") -> Trajectory:
 
     Status is init, tracked or lost where the file says so, else "". `header["read_as"]` is there for those of others.
     """
-    with _looking_at(path):
+    with reading(path, "make it readable, or name another"):
         shape = form
         if form == "auto":
             try:
@@ -77,14 +76,6 @@ def read_results(path: Path, form: str = "auto") -> Trajectory:
     read_as = str(table.header["read_as"]).replace("--truth-format", "--format")
     status = np.where(np.isin(table.status, ("visible", "hidden", "absent")), "", table.status)
     return replace(table, status=status, header={**table.header, "read_as": read_as})
-
-
-@contextmanager
-def _looking_at(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable, or name another") from None
 
 
 def _rather(path: Path, form: str) -> str:

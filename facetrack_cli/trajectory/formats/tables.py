@@ -3,11 +3,8 @@
 All keep the conventions of trajectory.csv: frames and pixels from 0, x and y the centre, "" or null what is not known.
 """
 
-import csv
-import io
 import json
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from typing import Any
 
@@ -15,6 +12,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.face_points import POINTS
+from facetrack_cli.core.numbers import csv_text
 from facetrack_cli.core.types import BOX, Whole
 from facetrack_cli.trajectory.analysis.head_pose import SHAPE, head_pose
 from facetrack_cli.trajectory.analysis.measures import MEASURES, Measured
@@ -31,8 +29,7 @@ def write_wide(table: Trajectory) -> str:
     measure (measures.py) `target_mouth_opening`, `target_mouth_opening_std`, ...
 
     Of a part `box` the name is the target's alone. Frames are those that have a row. The text begins with a byte order
-    mark only where a name is not ASCII: spreadsheets need it then. A name that they would take for a formula is put
-    behind an underscore.
+    mark only where a name is not ASCII: spreadsheets need it then.
     """
     frames, columns = aligned(table.parts, *WIDE)
     cells = np.full((len(frames), 2 + len(WIDE) * len(table.parts)), "", dtype=object)
@@ -113,16 +110,9 @@ def write_parquet(table: Trajectory) -> bytes:
 
 
 def _called(target: str, part: str) -> str:
-    name = part if not target else target if part == BOX else f"{target}_{part}"
-    return re.sub(r"^(?=[=+@\t\r-])", "_", name)
+    return part if not target else target if part == BOX else f"{target}_{part}"
 
 
 def texts(values: Any, decimals: int) -> Any:
     """The numbers as text with so many decimals, and never -0; "" for what is not known."""
     return np.where(np.isfinite(values), np.char.mod(f"%.{decimals}f", np.round(values, decimals) + 0.0), "")
-
-
-def csv_text(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([columns, *rows])
-    return text.getvalue()
