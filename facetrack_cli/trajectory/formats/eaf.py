@@ -57,9 +57,11 @@ def write_eaf(table: Trajectory, media: Path, folder: Path, *, written: datetime
     """The XML text, which will stand in `folder`; `media` is the video. InputError for times that do not increase."""
     begin, end = _times(table)
     tiers = [
-        (kind, target, [(begin[first], end[last], text) for first, last, text in found if end[last] > begin[first]])
+        (kind, target, spans)
         for name in table.targets
         for kind, target, found in _tiers(name, table.of_target(name))
+        # readers have trouble with tiers without annotations
+        if (spans := [(begin[a], end[b], text) for a, b, text in found if end[b] > begin[a]])
     ]
     about = {"AUTHOR": "facetrack", "DATE": written.astimezone().isoformat(timespec="seconds")}
     schema = {"FORMAT": "3.0", "VERSION": "3.0", "xmlns:xsi": XSI, "xsi:noNamespaceSchemaLocation": SCHEMA}
@@ -112,15 +114,12 @@ def seen_in(parts: Sequence[Trajectory]) -> list[tuple[int, int]]:
 
 
 def _tiers(target: str, parts: Sequence[Trajectory]) -> Iterator[tuple[str, str, list[tuple[int, int, str]]]]:
-    """Kind, target, and its spans; a kind that the parts can tell has a tier also if nothing was found."""
+    """Kind, target, and its spans, of which there may be none."""
     name = target or "target"
-    if seen := seen_in(parts):
-        yield "seen", name, [(first, last, "seen") for first, last in seen]
+    yield "seen", name, [(first, last, "seen") for first, last in seen_in(parts)]
     yield "lost", name, spans_of(parts)
-    if hidden := spans_of(parts, "hidden"):
-        yield "hidden", name, hidden
-    if absent := spans_of([part.take(~part.vanished) for part in parts], "absent"):  # only where a correction says so
-        yield "absent", name, absent
+    yield "hidden", name, spans_of(parts, "hidden")
+    yield "absent", name, spans_of([part.take(~part.vanished) for part in parts], "absent")  # as corrections say
     moved = head_motion(parts)
     for kind in kinds_of(parts):
         yield kind, name, [(span.first, span.last, span.label) for span in moved if span.kind == kind]
