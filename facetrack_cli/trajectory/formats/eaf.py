@@ -50,6 +50,7 @@ VOCABULARIES = {
     "blinks": {"blink": "the eyes are shut, for half a second at most"},
     "dips": {"nod": "the head goes down and back, by its pitch"},
 }
+QUOTES = str.maketrans({"'": "\N{RIGHT SINGLE QUOTATION MARK}", '"': "\N{RIGHT DOUBLE QUOTATION MARK}"})
 FRAME_S = 0.04  # how long a single frame lasts where nothing tells
 
 
@@ -76,7 +77,9 @@ def write_eaf(table: Trajectory, media: Path, folder: Path, *, written: datetime
         ET.SubElement(order, "TIME_SLOT", TIME_SLOT_ID=f"ts{place}", TIME_VALUE=str(time))
     count = 0
     for kind, target, spans in tiers:
-        about = {"LINGUISTIC_TYPE_REF": kind, "TIER_ID": clean(f"{kind}@{target}"), "ANNOTATOR": "facetrack"}
+        # readers find a tier by a path with its name in straight quotes
+        name = clean(f"{kind}@{target}").translate(QUOTES)
+        about = {"LINGUISTIC_TYPE_REF": kind, "TIER_ID": name, "ANNOTATOR": "facetrack"}
         tier = ET.SubElement(root, "TIER", {**about, "PARTICIPANT": clean(target)})
         for _, _, text in spans:
             count += 1

@@ -86,6 +86,8 @@ def write_dlc(table: Trajectory, scorer: str = "facetrack") -> str:
     """The text of the CSV. `scorer` names what tracked."""
     names, columns, frames, values = _dlc(table, scorer)
     cells = np.stack([texts(values[..., i], DECIMALS[name]) for i, name in enumerate(("x", "y", "confidence"))], axis=2)
+    if not np.isfinite(values[0]).any():
+        cells[0] = "nan"  # pandas takes an empty first row for the name of the index, and every frame moves by one
     rows = zip(frames.tolist(), cells.reshape(len(frames), -1).tolist(), strict=True)
     heads = [[name, *level] for name, level in zip(names, zip(*columns, strict=True), strict=True)]
     return csv_text(heads[0], [*heads[1:], *([frame, *row] for frame, row in rows)])

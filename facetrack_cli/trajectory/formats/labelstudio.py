@@ -61,7 +61,7 @@ class _Place(BaseModel):
     frame: Annotated[int, Field(ge=1, le=MAX_FRAME)]
     enabled: bool = True
     auto: bool = False
-    time: float = math.nan
+    time: float | None = None
     x: float
     y: float
     width: float
@@ -138,11 +138,13 @@ def _pictures(places: Sequence[_Place], clock: tuple[Whole, Array] | None, fps: 
     """The picture that is shown in a frame of Label Studio, by the framerate that the times of these places tell."""
     if clock is None:
         return lambda frame: frame - 1
-    timed = sorted((one.time, one.frame) for one in places if math.isfinite(one.time) and not one.auto)
-    if timed and timed[0][0] < timed[-1][0]:
-        (first_s, first), (last_s, last) = timed[0], timed[-1]
-        if min(abs(last - fps * last_s), abs(last - 1 - fps * last_s)) > 0.02:  # not that of the run
-            fps = (last - first) / (last_s - first_s)
+    timed = sorted((one.frame, one.time) for one in places if one.time is not None and not one.auto)
+    if timed and timed[0][1] < timed[-1][1]:
+        (first, first_s), (last, last_s) = timed[0], timed[-1]
+        rate = (last - first) / (last_s - first_s)
+        # that of the run may differ by what is rounded in the file
+        if 1 <= rate <= 1000 and min(abs(last - fps * last_s), abs(last - 1 - fps * last_s)) > 0.02:
+            fps = rate
     numbers, pictures = counted(*clock, fps)
     return lambda frame: int(pictures[max(int(np.searchsorted(numbers, frame, side="right")) - 1, 0)])
 
