@@ -58,7 +58,7 @@ def counted(frames: Whole, times: Array, rate: float) -> tuple[Whole, Whole]:
     `times` (T,) are the seconds of `frames` (T,), nan where pictures have none. Of several pictures in a frame of the
     tool the first counts.
     """
-    there = np.where(np.isfinite(times), np.rint(times * rate), frames).astype(np.int64) + 1
+    there = np.where(np.isfinite(times), np.rint(np.round(times * rate, 3)), frames).astype(np.int64) + 1
     numbers, first = np.unique(there, return_index=True)
     return numbers, frames[first]
 
