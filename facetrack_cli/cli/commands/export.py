@@ -56,7 +56,7 @@ class Export:
       pose      CSV of the head's pitch, yaw and roll, with their spread
       measures  CSV of mouth opening, smile, brows, lids, pose, and their spread
       openface  OpenFace's CSV: confidence, success, pose, landmarks
-      mot       MOTChallenge results: frame, id, box, confidence; all from 1
+      mot       MOTChallenge: frame, id, box, confidence; all from 1
       otb       OTB boxes, one a line, pixels from 1; one target
       got10k    GOT-10k boxes, one a line, pixels from 1; one target
       vot       VOT result, one region a line, pixels from 0; one target
@@ -72,7 +72,7 @@ class Export:
 
     Lost rows hold the tracker's estimate. mot, coco and dlc give its confidence, coco also the visibility 1 (2 is
     tracked). With --drop-lost they are as if nothing was found: no row in mot, no keypoint in coco, an empty cell in
-    dlc, csv-wide and parquet, nan in otb and got10k, a failure in vot.
+    dlc, csv-wide and parquet, nan in otb, zeros in got10k, a failure in vot.
 
     cvat and labelstudio go to the annotation tool, and what is corrected there comes back by facetrack fix --import.
     A lost row is occluded in cvat, and not enabled in labelstudio; with --drop-lost it is outside in cvat, too.
