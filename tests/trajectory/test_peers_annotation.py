@@ -64,7 +64,7 @@ def test_datumaro_reads_what_is_visible(read):
     assert [one["occluded"] for one in boxes] == [False, False, True, False, False, False]
     assert [one["ignored"] for one in boxes] == [False] * 6 and {one["track_id"] for one in boxes} == {1}
     # datumaro leaves the pixels as they are in the file, where they count from 1
-    assert [one["box"] for one in boxes] == (truth().boxes + [1, 1, 0, 0]).tolist()
+    assert [one["box"] for one in boxes] == (truth().boxes + np.array([1, 1, 0, 0])).tolist()
 
 
 def test_label_studio_s_sdk_has_nothing_to_interpolate(read):
