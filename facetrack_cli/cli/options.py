@@ -303,10 +303,10 @@ class TruthOptions:
         if idle := [name for name, value in given.items() if value]:
             raise UsageError(f"{idle[0]} says how to use ground truth; give its file with --truth FILE")
 
-    def read(self, path: Path) -> Trajectory:
+    def read(self, path: Path, beside: Trajectory | None = None) -> Trajectory:
         from facetrack_cli.trajectory.formats.read import read_truth
 
-        return read_truth(path, self.truth_format, shift=self.shift)
+        return read_truth(path, self.truth_format, shift=self.shift, beside=beside)
 
     def pairs(self, ours: Trajectory, theirs: Trajectory, note: Callable[[str], None]) -> list[Pair]:
         """The rows of a trajectory beside those of the ground truth; `note` gets what to know of it."""

@@ -12,7 +12,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.trajectory.formats.cvat import read_cvat, write_cvat
 from facetrack_cli.trajectory.formats.labelstudio import read_labelstudio, write_labelstudio
 from facetrack_cli.trajectory.formats.read import read_truth
-from facetrack_cli.trajectory.trajectory import joined, one_part
+from facetrack_cli.trajectory.trajectory import every_frame, joined, one_part
 
 SIZE = (640, 480)
 STATUS = ("init", "tracked", "lost", "absent")
@@ -97,6 +97,80 @@ def test_label_studio_s_numbers():
     assert shares == pytest.approx((one.boxes[0] / [640, 480, 640, 480]).tolist(), abs=1e-6)
     with pytest.raises(InputError, match=r"face/nose: frame 0 has no w and h, and .* rectangles alone"):
         write_labelstudio(one_part("face", "nose", [0], x=[1.0], y=[2.0]), SIZE, 25.0, "c.mp4")
+
+
+def at_times(time_s, first=0):
+    """A box, whose left edge is its frame, shown at these times."""
+    frames, n = np.arange(first, first + len(time_s)), len(time_s)
+    place = {"x": frames + 4.5, "y": np.full(n, 20.0), "w": np.full(n, 10.0), "h": np.full(n, 10.0)}
+    return one_part("head", "box", frames, time_s=time_s, status=["tracked"] * n, **place)
+
+
+PHONE = np.concatenate([np.arange(50) / 25, 2 + np.arange(40) * 3 / 25])
+"""25 pictures a second for two seconds, then a third as many."""
+CLOCKS = {
+    "variable": (PHONE, 25.0),
+    "pictures after the sound": (1.2 + np.arange(60) / 25, 25.0),
+    "dropped": (np.delete(np.arange(50), [7, 20, 21, 40]) / 25, 25.0),
+    "faster than the tool": (np.arange(90) / 50, 25.0),
+    "no times": (np.full(20, np.nan), 25.0),
+    "29.97": (np.round(np.arange(900) * 1.001 / 30, 4), 30 / 1.001),
+}
+
+
+def in_label_studio(made, fps, folder):
+    (task,) = json.loads(write_labelstudio(made, SIZE, fps, "c.mp4"))
+    (region,) = task["annotations"][0]["result"]
+    return task, region["value"], folder / "ls.json"
+
+
+@pytest.mark.parametrize("name", CLOCKS)
+def test_label_studio_s_frames_are_those_of_the_player_s_clock(tmp_path, name):
+    time_s, fps = CLOCKS[name]
+    made = at_times(time_s)
+    task, value, path = in_label_studio(made, fps, tmp_path)
+    seconds = np.where(np.isfinite(time_s), time_s, np.arange(len(time_s)) / fps)
+    numbers = np.rint(np.round(seconds * fps, 3)).astype(int) + 1
+    frames = [one["frame"] for one in value["sequence"]]
+    assert frames == sorted(set(numbers.tolist())), "each once"
+    assert value["framesCount"] == frames[-1] and value["duration"] == pytest.approx(frames[-1] / fps, abs=1e-4)
+    shown = [round(one["x"] * SIZE[0] / 100) for one in value["sequence"]]  # the picture that each box is of
+    assert shown == [int(np.flatnonzero(numbers == frame)[0]) for frame in frames]
+    path.write_text(json.dumps([task]))
+    clock = every_frame(made)
+    (back,) = read_labelstudio(path, SIZE, clock, fps=fps).parts
+    assert back.frame.tolist() == shown
+    np.testing.assert_allclose(back.boxes[:, 0], shown, atol=0.01)
+    # what the annotator moves is the picture that the player shows
+    at = len(frames) * 2 // 3
+    value["sequence"][at]["x"] += 10
+    path.write_text(json.dumps([task]))
+    (moved,) = read_labelstudio(path, SIZE, clock, fps=fps).parts
+    assert moved.frame[np.abs(moved.boxes[:, 0] - moved.frame) > 1].tolist() == [shown[at]]
+
+
+def test_a_keyframe_while_a_picture_stays_is_of_that_picture(tmp_path):
+    task, value, path = in_label_studio(at_times(PHONE), 25.0, tmp_path)
+    own = next(one for one in value["sequence"] if one["frame"] == 81)
+    value["sequence"] += [own | {"frame": 83, "time": 83 / 25, "x": 50}, own | {"frame": 82, "x": 30, "auto": True}]
+    path.write_text(json.dumps([task]))
+    (found,) = read_labelstudio(path, SIZE, every_frame(at_times(PHONE)), fps=25.0).parts
+    assert found.boxes[60, 0] == pytest.approx(320) and found.frame[60] == 60 and found.by_hand[60]
+
+
+def test_the_framerate_is_that_of_the_configuration_as_the_file_tells_it(tmp_path):
+    """A clip of 29.97 frames a second, annotated under framerate="30"."""
+    time_s = np.arange(900) * 1.001 / 30
+    made, path = at_times(time_s), tmp_path / "ls.json"
+    numbers = np.rint(time_s * 30).astype(int) + 1
+    place = {"y": 10, "width": 5, "height": 5, "enabled": True}
+    sequence = [
+        {"frame": n, "time": n / 30, "x": k / 10, **place} for k, n in enumerate(numbers.tolist()) if k % 100 == 99
+    ]
+    value = {"sequence": sequence, "labels": ["head"]}
+    path.write_text(json.dumps({"annotations": [{"result": [{"type": "videorectangle", "value": value}]}]}))
+    (found,) = read_labelstudio(path, SIZE, every_frame(made), fps=30 / 1.001).parts
+    assert found.frame.tolist() == list(range(99, 900, 100))
 
 
 def test_a_turned_rectangle_is_read_by_its_centre(tmp_path):

@@ -39,9 +39,10 @@ _READERS: Final[dict[str, Callable[..., Trajectory]]] = {
 }
 
 
-def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0) -> Trajectory:
+def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0, beside: Trajectory | None = None) -> Trajectory:
     """The ground truth in a file or folder, read as `form`, one of TRUTH_FORMATS; `auto` goes by the shape.
 
+    What may be OTB's or VOT's is VOT's `beside` a result of VOT.
     `shift` is added to every frame number. `header["read_as"]` says how it was read, `header["shift"]` is the shift.
     Raises InputError for a file that is broken or of no known shape, UsageError for a shift beyond any clip.
     """
@@ -51,6 +52,8 @@ def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0) -> Traje
     with reading(path, "make it readable, or name another"):
         try:
             found, known = recognise(path) if form == "auto" else (path, form)
+            if form == "auto" and known == "otb" and beside is not None:
+                known = "vot" if str(beside.header.get("read_as")).startswith("VOT") else known
             table = _READERS[known](found, shift=shift)
         except InputError as e:
             raise InputError(f"{e}{_rather(path, form)}") from None
@@ -101,7 +104,8 @@ def recognise(path: Path) -> tuple[Path, str]:
             return recognise(file)
         files = f"trajectory.csv, {', '.join(named)} or .pts files"
         raise InputError(f"{path}: is a folder without {files}; name the ground truth file")
-    return path, "pts" if path.suffix.lower() == ".pts" else _shape(Lines.with_frame(path))
+    by_name = {".pts": "pts", ".bin": "vot"}.get(path.suffix.lower())
+    return path, by_name or _shape(Lines.with_frame(path))
 
 
 def _shape(lines: Lines) -> str:
@@ -122,6 +126,8 @@ def _shape(lines: Lines) -> str:
     if count in (1, 8) or (count == 4 and not {"0", "1", "2"}.isdisjoint(lines.texts)):
         return "vot"
     if count == 4:
+        if lines.path.with_name("sequence").is_file():  # what VOT says of a clip
+            return "vot"
         labels = (lines.path.with_name(f"{name}.label") for name in ("absence", "cover"))
         return "got10k" if any(file.is_file() for file in labels) else "otb"
     if count == 5:
