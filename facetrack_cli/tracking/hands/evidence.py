@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Box, Frame, Image, factor_for
 from facetrack_cli.tracking.loop import Footprint
+from facetrack_cli.tracking.models.shift import shift_between
 
 Map = NDArray[np.float32]
 MAX_FACE_PX: Final = 20  # of the face's box in the reduced frame
@@ -150,14 +151,13 @@ def _grey(image: Image) -> Map:
 
 def _followed(scene: Scene, grey: Map, skin: Map) -> Map:
     """The background where the camera has moved it, by phase correlation; what comes into the picture is background."""
-    height, width = grey.shape
-    window = cv2.createHanningWindow((width, height), cv2.CV_32F)
-    (x, y), sure = cv2.phaseCorrelate(scene.grey.copy(), grey.copy(), window)  # it writes into its images
+    (x, y), sure = shift_between(scene.grey, grey)
     if sure < MOVES or max(abs(x), abs(y)) < 0.25 or max(abs(x), abs(y)) > scene.side:
         return scene.still
     shift = np.array([[1, 0, x], [0, 1, y]], np.float32)
-    there = cv2.warpAffine(np.ones_like(grey), shift, (width, height))
-    return np.asarray(cv2.warpAffine(scene.still, shift, (width, height)) + (1 - there) * skin, np.float32)
+    size = grey.shape[::-1]
+    there = cv2.warpAffine(np.ones_like(grey), shift, size)
+    return np.asarray(cv2.warpAffine(scene.still, shift, size) + (1 - there) * skin, np.float32)
 
 
 def _from(at: Array, image: Image, side: float) -> tuple[Array, Array]:
