@@ -48,5 +48,7 @@ def test_half_a_pixel_is_half_a_pixel():
 
 
 def test_every_shift_is_asked_for_here():
-    found = [one for one in Path(facetrack_cli.__file__).parent.rglob("*.py") if "cv2.phaseCorrelate(" in one.read_text()]
+    found = [
+        one for one in Path(facetrack_cli.__file__).parent.rglob("*.py") if "cv2.phaseCorrelate(" in one.read_text()
+    ]
     assert [one.name for one in found] == ["shift.py"]
