@@ -22,7 +22,6 @@ Box: TypeAlias = tuple[float, float, float, float]  # left, top, width, height
 Extent: TypeAlias = tuple[float, float, float, float]  # x from, y from, x to, y to
 Point: TypeAlias = tuple[float, float]
 BOX = "box"  # the one part of a target that is tracked as a box
-HANDS = ("left_hand", "right_hand")  # targets; the first one hangs at the left of the picture
 # grey levels by Y, which is 16 for black and 235 for white
 _FULL_RANGE = np.clip(np.rint((np.arange(256) - 16) * 255 / 219), 0, 255).astype(np.uint8)
 MAX_REMEMBERED = 8  # a step asks for the particles twice, and for a few single states in between

@@ -12,7 +12,8 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import iou
-from facetrack_cli.core.types import HANDS, Box, Frame, Point, Start, TargetStart
+from facetrack_cli.core.hands import HANDS
+from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
 from facetrack_cli.recipe.face import DETECTORS, DetectorName
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.signals import never
@@ -237,13 +238,13 @@ def truth_start(truth: Trajectory, points: Sequence[str]) -> Start:
 
 
 def hands_moved(frames: Sequence[Trajectory]) -> float:
-    """How far the hands of a head go while they are seen, in all, in sizes of the head's box."""
+    """How far the hands of a head go while they have a place, in all, in sizes of the head's box."""
     total, before = 0.0, dict[str, complex]()
     for rows in frames:
-        seen = np.isin(rows.status, SEEN)
-        at = {rows.names[i][0]: complex(x, y) for i, x, y in zip(rows.which, rows.x, rows.y, strict=True) if seen[i]}
-        head = [i for i, (name, _) in enumerate(rows.names) if name not in HANDS]
-        side = float(np.sqrt(rows.w[head[0]] * rows.h[head[0]])) if head else math.nan
+        named = [rows.names[i][0] for i in rows.which]
+        at = {name: complex(x, y) for name, x, y in zip(named, rows.x, rows.y, strict=True) if math.isfinite(x)}
+        head = next(i for i, name in enumerate(named) if name not in HANDS)
+        side = math.sqrt(rows.w[head] * rows.h[head])
         steps = [abs(at[name] - before[name]) / side for name in HANDS if name in at and name in before]
         total += float(np.nansum(steps))
         before = at

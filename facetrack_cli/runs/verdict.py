@@ -13,9 +13,10 @@ from typing import Final
 import numpy as np
 
 from facetrack_cli.core.geometry import centre, square
+from facetrack_cli.core.hands import HANDS
 from facetrack_cli.core.numbers import clock, places
 from facetrack_cli.core.snapshot import STORED
-from facetrack_cli.core.types import BOX, HANDS, Box, Point, Start
+from facetrack_cli.core.types import BOX, Box, Point, Start
 from facetrack_cli.recipe.calibrated import calibrated, fitted
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.model import Recipe, to_dict
@@ -161,9 +162,7 @@ class Watch:
         if why := self.unseen():
             return why
         if not self.hands:
-            return (
-                f"no hand appears in its {self.frames} frames; where another face signs, begin with --box X,Y,W,H on it"
-            )
+            return f"no hand appears in its {self.frames} frames; if another face signs, begin with its --box X,Y,W,H"
         if self.fitted and self.sure < DOUBTFUL * self.judged:
             return f"its confidence expects {self.sure / self.judged:.0%} of its rows to be right"
         return ""

@@ -33,6 +33,7 @@ PALE: Final = 1.25  # saturation of skin over that of the face
 ALONG, ACROSS, NOISE = 0.4, 0.12, 1.5  # standard deviations of skin: in saturations of the face, and in levels
 SKIN_SHARE: Final = 0.03  # of what is not the face
 MOVES: Final = 0.6  # of the peak of the phase correlation, from which on it tells a motion of the camera
+EDGES: Final = 0.75  # share of the pixels, by their slope, that are none
 RISES: Final = 0.002  # of the background's p in a frame
 # grey levels by which the face differs from before, where as much speaks for a hand as against it, and their width
 CHANGED, CHANGED_WIDTH = 5.0, 1.0
@@ -155,6 +156,9 @@ def look(
 _SHIFTS: Final = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1))
 
 
+_CROSS: Final = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+
+
 def _grey(image: Image) -> Map:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.float32)
 
@@ -166,6 +170,11 @@ def _followed(scene: Scene, grey: Map, skin: Map) -> Map:
         return scene.still
     shift = np.array([[1, 0, x], [0, 1, y]], np.float32)
     size = grey.shape[::-1]
+    # what moves before a still camera draws the peak, too: the motion is the camera's if edges fit better by it
+    moved, slope = cv2.warpAffine(scene.grey, shift, size), cv2.morphologyEx(scene.grey, cv2.MORPH_GRADIENT, _CROSS)
+    edges = slope >= np.quantile(slope, EDGES)
+    if np.median(np.abs(grey - moved)[edges]) >= np.median(np.abs(grey - scene.grey)[edges]):
+        return scene.still
     there = cv2.warpAffine(np.ones_like(grey), shift, size)
     return np.asarray(cv2.warpAffine(scene.still, shift, size) + (1 - there) * skin, np.float32)
 

@@ -17,15 +17,24 @@ from typing import Final
 
 import numpy as np
 
+from facetrack_cli.core.hands import HANDS
 from facetrack_cli.core.numbers import spans
-from facetrack_cli.core.types import BOX, HANDS, Array, Mask
-from facetrack_cli.trajectory.analysis.measures import UNITS, Measured
+from facetrack_cli.core.types import BOX, Array, Mask
+from facetrack_cli.trajectory.analysis.measures import Measure, Measured
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned
 
 GAP_S, REACH_S = 0.4, 0.07
 HOLD, BORDER = 1.0, 0.3  # face sizes a second: below is a hold, give or take
 OUTLINE: Final = 0.1  # face sizes
 QUARTILE: Final = 0.3186  # of the absolute value of a standard normal number
+
+PROBABILITY: Final = "probability"
+HAND_MEASURES: Final = (
+    Measure("speed", "face sizes a second", "speed of a hand in the image"),
+    Measure("held", PROBABILITY, "that a hand is held still"),
+    Measure("touches_hand", PROBABILITY, "that a hand meets the other hand in the image"),
+    Measure("touches_face", PROBABILITY, "that a hand meets the face in the image"),
+)
 
 
 def hand_measures(table: Trajectory) -> dict[str, dict[str, Measured]]:
@@ -60,7 +69,9 @@ def hand_measures(table: Trajectory) -> dict[str, dict[str, Measured]]:
         spreads = {"speed": np.where(np.isfinite(speed), noise, np.nan)}
         unknown = np.full(len(frame), np.nan)
         measures[name] = {
-            key: Measured(key, UNITS[key], frame, time_s, one, spreads.get(key, unknown)) for key, one in values.items()
+            key: Measured(key, unit, frame, time_s, values[key], spreads.get(key, unknown))
+            for key, unit, *_ in HAND_MEASURES
+            if key in values
         }
     return measures
 

@@ -22,7 +22,7 @@ from facetrack_cli.core.types import BOX, Array, Whole
 from facetrack_cli.trajectory.analysis.head_pose import SHAPE, head_pose, rotation_of, with_eyes
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned, joined
 
-LENGTH, DEGREES, PROBABILITY = "eye distances", "degrees", "probability"
+LENGTH, DEGREES = "eye distances", "degrees"
 EYES, BROWS = ("eye_left", "eye_right"), ("brow_left_middle", "brow_right_middle")
 LIPS, INNER = ("lip_upper", "lip_lower"), ("inner_lip_upper", "inner_lip_lower")
 CORNERS = ("mouth_left", "mouth_right")
@@ -56,7 +56,7 @@ class Face(NamedTuple):
 
 
 class Measure(NamedTuple):
-    """What is measured, and of which parts; `of` is None of an angle of the head's pose, and of a hand (hands.py)."""
+    """What is measured, and of which parts; `of` is None of an angle of the head's pose."""
 
     name: str
     unit: str
@@ -79,13 +79,8 @@ MEASURES: Final = (
     Measure("roll", DEGREES, "roll of the head's pose; where it is not known, the angle of the face's box"),
     Measure("yaw", DEGREES, "yaw of the head's pose"),
     Measure("pitch", DEGREES, "pitch of the head's pose"),
-    Measure("speed", "face sizes a second", "speed of a hand in the image"),
-    Measure("held", PROBABILITY, "that a hand is held still: its speed is below a face size a second"),
-    Measure("touches_hand", PROBABILITY, "that a hand meets the other hand in the image"),
-    Measure("touches_face", PROBABILITY, "that a hand meets the face in the image"),
 )  # fmt: skip
 """All measures, in the order of columns."""
-UNITS: Final = {one.name: one.unit for one in MEASURES}
 USED: Final = {BOX, *SHAPE, *(name for one in MEASURES for name in one.needs)}
 
 
