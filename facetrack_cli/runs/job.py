@@ -15,7 +15,7 @@ from facetrack_cli.core.files import check_folder
 from facetrack_cli.core.types import Box
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.files import default_recipe
-from facetrack_cli.recipe.model import ParticlesRecipe, Recipe
+from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.run_folder.fingerprint import clip_stat, job_digest, previous_run
 from facetrack_cli.run_folder.lock import LOCK, FolderLock, here
 from facetrack_cli.run_folder.manifest import (
@@ -239,11 +239,9 @@ def check(job: Job, *, kept: bool = False, locked: bool = False) -> None:
     `kept`: without a folder the rows stay in memory, and do not go to standard output. `locked`: the folder's lock is
     ours, so that nobody else writes there.
     """
-    if job.faces == "all" and isinstance(job.recipe, ParticlesRecipe) and job.recipe.hands is not None:
-        raise UsageError(
-            f"--faces all: recipe {job.recipe.name} follows the hands of one person; leave it out, and choose the "
-            "signer with --box X,Y,W,H"
-        )
+    if job.faces == "all" and job.recipe.later:
+        who = f"recipe {job.recipe.name} follows the hands of one person"
+        raise UsageError(f"--faces all: {who}; leave it out, and choose the signer with --box X,Y,W,H")
     if job.everyone and (job.lag or job.posterior):
         raise UsageError(
             "--faces all follows people over cuts, and no row is smoothed over a cut; leave one of them out"

@@ -112,11 +112,10 @@ class Watch:
         self.hands = max(self.hands, 0) + bool(seen.any())
         named = [one.get(NAMED.name)[0] for target, one in rows.diagnostics.items() if target in HANDS]
         if seen.any() and named and min(named) < SURE_OF_NAMES:
-            before = [one for one in self.unnamed if one[1] == index - 1]
-            spans = [one for one in self.unnamed if one not in before]
             # the span that goes on is kept, however short it is
-            kept = sorted(spans, key=lambda one: one[0] - one[1])[: _MAX_SPANS - 1]
-            self.unnamed = [*kept, (before[0][0] if before else index, index)]
+            first = next((a for a, b in self.unnamed if b == index - 1), index)
+            others = sorted((one for one in self.unnamed if one[0] != first), key=lambda one: one[0] - one[1])
+            self.unnamed = [*others[: _MAX_SPANS - 1], (first, index)]
 
     def line(self) -> str:
         """The verdict in one line."""

@@ -33,13 +33,11 @@ PALE: Final = 1.25  # saturation of skin over that of the face
 ALONG, ACROSS, NOISE = 0.4, 0.12, 1.5  # standard deviations of skin: in saturations of the face, and in levels
 SKIN_SHARE: Final = 0.03  # of what is not the face
 MOVES: Final = 0.6  # of the peak of the phase correlation, from which on it tells a motion of the camera
-EDGES: Final = 0.75  # share of the pixels, by their slope, that are none
 RISES: Final = 0.002  # of the background's p in a frame
 # grey levels by which the face differs from before, where as much speaks for a hand as against it, and their width
-CHANGED, CHANGED_WIDTH = 5.0, 1.0
+CHANGED, CHANGED_WIDTH = 4.0, 1.0
 UNREST, UNREST_AT_FIRST = 2.5, 1.5  # by so many times as much as without a hand, if that is more; grey levels
 LEARNS, HELD = 0.1, 0.02  # share of a frame in the face's template, and where it has changed or a hand is before it
-FREE: Final = 0.3  # of the head's template: with less of it beside hands nothing is learned of its unrest
 REACHES: Final = 0.45  # sizes of the face, by which skin beside it speaks for a hand before it
 HEAD: Final = (-0.8, -1.3, 0.8, 1.1)  # head and neck about the face's middle, in sizes of the box
 
@@ -137,9 +135,7 @@ def look(
         free &= np.hypot(column - x * scene.side, row - y * scene.side) > radius
     learned = np.where(free, HELD + (LEARNS - HELD) * (1 - new), HELD)[..., None]
     face = scene.face + learned * (seen - scene.face)
-    unrest = scene.unrest
-    if free.mean() > FREE:
-        unrest += LEARNS * (float(np.median(change[free])) - unrest)
+    unrest = scene.unrest + LEARNS * (float(np.median(change[free])) - scene.unrest if free.any() else 0.0)
     height, width = skin.shape
     covered, changed = (
         cv2.warpAffine(one.astype(np.float32), _map(at, s, scene.side), (width, height)) for one in (_soft(seen), new)
@@ -156,9 +152,6 @@ def look(
 _SHIFTS: Final = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1))
 
 
-_CROSS: Final = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-
-
 def _grey(image: Image) -> Map:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.float32)
 
@@ -171,8 +164,11 @@ def _followed(scene: Scene, grey: Map, skin: Map) -> Map:
     shift = np.array([[1, 0, x], [0, 1, y]], np.float32)
     size = grey.shape[::-1]
     # what moves before a still camera draws the peak, too: the motion is the camera's if edges fit better by it
-    moved, slope = cv2.warpAffine(scene.grey, shift, size), cv2.morphologyEx(scene.grey, cv2.MORPH_GRADIENT, _CROSS)
-    edges = slope >= np.quantile(slope, EDGES)
+    moved, slope = (
+        cv2.warpAffine(scene.grey, shift, size),
+        cv2.morphologyEx(scene.grey, cv2.MORPH_GRADIENT, np.ones((3, 3))),
+    )
+    edges = slope >= np.quantile(slope, 0.75)
     if np.median(np.abs(grey - moved)[edges]) >= np.median(np.abs(grey - scene.grey)[edges]):
         return scene.still
     there = cv2.warpAffine(np.ones_like(grey), shift, size)

@@ -42,10 +42,8 @@ FAR_END: Final = 0.15  # what skin there takes away, of what it would give withi
 MIDDLE: Final = 0.2  # what skin on two opposite sides takes away
 ARM: Final = (0.8, 0.4, 3.0)  # sizes from one hand to another place of its arm: from, to surely, to at most
 _ALONG: Final = np.array([0.2, 0.35, 0.5, 0.65, 0.8])
-_TURNS: Final = np.arange(6) * math.pi / 6
-_OPPOSITE: Final = np.multiply.outer(
-    (2.0, -2.0), np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1)
-)  # radii, (2, 6, 2)
+_AROUND: Final = np.array([[math.cos(turn), math.sin(turn)] for turn in np.arange(6) * math.pi / 6])
+_OPPOSITE: Final = np.stack([2 * _AROUND, -2 * _AROUND])  # (2, 6, 2), radii
 
 
 class Cloud(NamedTuple):

@@ -177,11 +177,9 @@ class HandTarget:
                 "x": [x], "y": [y], "w": [w], "h": [h], "std_x": [std_x], "std_y": [std_y], "cov_xy": [cov[0, 1]],
                 "ess": [belief.ess], "confidence": [sure],
             }  # fmt: skip
-        absent, present = IN_PICTURE
-        told = [absent + (present - absent) * float(belief.seen[i])], [state.named[0]]
-        values = dict(zip((PRESENT.name, NAMED.name), map(np.array, told), strict=True))
-        reported = Diagnostics((PRESENT, NAMED), np.array([frame.index]), values)
-        rows = of_frame(((self.name, BOX),), frame, {self.name: reported}, **columns)
+        told = {PRESENT.name: np.interp(belief.seen[[i]], (0, 1), IN_PICTURE), NAMED.name: np.array([state.named[0]])}
+        reported = {self.name: Diagnostics((PRESENT, NAMED), np.array([frame.index]), told)}
+        rows = of_frame(((self.name, BOX),), frame, reported, **columns)
         cloud = _in_pixels(state.scene, state.cloud.x[state.cloud.seen[:, i], i : i + 1, :2])
         if status == "absent":
             return TargetResult(rows, cloud)

@@ -21,22 +21,21 @@ from facetrack_cli.core.hands import HANDS
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Mask
 from facetrack_cli.trajectory.analysis.measures import Measure, Measured
-from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned
+from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned, joined
 
 GAP_S, REACH_S = 0.4, 0.07
 HOLD, BORDER = 1.0, 0.3  # face sizes a second: below is a hold, give or take
 OUTLINE: Final = 0.1  # face sizes
 QUARTILE: Final = 0.3186  # of the absolute value of a standard normal number
-
-PROBABILITY: Final = "probability"
 HAND_MEASURES: Final = (
     Measure("speed", "face sizes a second", "speed of a hand in the image"),
-    Measure("held", PROBABILITY, "that a hand is held still"),
-    Measure("touches_hand", PROBABILITY, "that a hand meets the other hand in the image"),
-    Measure("touches_face", PROBABILITY, "that a hand meets the face in the image"),
+    Measure("held", "probability", "that a hand is held still"),
+    Measure("touches_hand", "probability", "that a hand meets the other hand in the image"),
+    Measure("touches_face", "probability", "that a hand meets the face in the image"),
 )
 
 
+@np.errstate(all="ignore")
 def hand_measures(table: Trajectory) -> dict[str, dict[str, Measured]]:
     """The measures of each hand of a trajectory by name; none without a head that has a box."""
     boxes = {one.target: one for one in table.parts if one.part == BOX}
@@ -46,14 +45,14 @@ def hand_measures(table: Trajectory) -> dict[str, dict[str, Measured]]:
     parts = [boxes[name] for name in (*hands, *heads)]
     frame, found = aligned(parts, "status", "x", "y", "w", "h", "std_x", "std_y")
     seen = np.isin(found["status"], SEEN)
-    x, y, w, h, *std = (np.where(seen, found[key], np.nan) for key in ("x", "y", "w", "h", "std_x", "std_y"))
+    x, y, w, h, *spreads = (np.where(seen, found[key], np.nan) for key in ("x", "y", "w", "h", "std_x", "std_y"))
     size = float(np.nanmedian(np.sqrt(w[:, -1] * h[:, -1]))) if np.isfinite(w[:, -1]).any() else np.nan
-    if not size > 0 or len(frame) < 2:
+    time_s = joined(parts).times
+    if not size > 0 or len(frame) < 2 or not np.isfinite(time_s).all():
         return {}
-    time_s = table.times
     at = np.stack([_bridged(one / size, time_s) for one in (x, y)], axis=-1)  # (T, K, 2)
     half = np.stack([_bridged(one / size / 2, time_s) for one in (w, h)], axis=-1)
-    var = np.nan_to_num(std[0] ** 2 + std[1] ** 2) / 2 / size**2
+    var = np.nan_to_num(spreads[0] ** 2 + spreads[1] ** 2) / 2 / size**2
     measures: dict[str, dict[str, Measured]] = {}
     for k, name in enumerate(hands):
         speed, noise = _speed(at[:, k], seen[:, k], time_s)
@@ -66,12 +65,10 @@ def hand_measures(table: Trajectory) -> dict[str, dict[str, Measured]]:
                 reach = sum(1 / np.maximum(np.hypot(*(way / half[:, i]).T), 1e-9) for i in (j, k))
                 spread = np.sqrt(var[:, j] + var[:, k] + OUTLINE**2)
                 values["touches_face" if j == len(hands) else "touches_hand"] = _above(reach - apart, spread)
-        spreads = {"speed": np.where(np.isfinite(speed), noise, np.nan)}
-        unknown = np.full(len(frame), np.nan)
+        std = {"speed": np.where(np.isfinite(speed), noise, np.nan)}
+        has = [one for one in HAND_MEASURES if one.name in values]
         measures[name] = {
-            key: Measured(key, unit, frame, time_s, values[key], spreads.get(key, unknown))
-            for key, unit, *_ in HAND_MEASURES
-            if key in values
+            key: Measured(key, unit, frame, time_s, values[key], std.get(key, speed * np.nan)) for key, unit, *_ in has
         }
     return measures
 
@@ -102,7 +99,7 @@ def _speed(at: Array, seen: Mask, time_s: Array) -> tuple[Array, float]:
     noise = float(np.quantile(turns, 0.25)) / QUARTILE / np.sqrt(6) if turns.size else np.nan
     spread = max(noise * float(np.hypot.reduce(weights)), 1e-3) / step
     speed = np.full(len(at), np.nan)
-    for a, b in spans(np.isfinite(at.sum(axis=1))):
+    for a, b in spans(np.isfinite(at.sum(axis=1)), np.diff(time_s) > 1.5 * step):
         if b - a > k:
             padded = np.pad(at[a:b], ((k, k), (0, 0)), mode="reflect", reflect_type="odd")
             way = np.stack([np.convolve(one, weights[::-1], mode="valid") for one in padded.T]) / step
