@@ -245,8 +245,7 @@ def hands_moved(frames: Sequence[Trajectory]) -> float:
         at = {name: complex(x, y) for name, x, y in zip(named, rows.x, rows.y, strict=True) if math.isfinite(x)}
         head = next(i for i, name in enumerate(named) if name not in HANDS)
         side = math.sqrt(rows.w[head] * rows.h[head])
-        steps = [abs(at[name] - before[name]) / side for name in HANDS if name in at and name in before]
-        total += float(np.nansum(steps))
+        total += float(np.nansum([abs(at[one] - before[one]) / side for one in HANDS if one in at and one in before]))
         before = at
     return total
 
