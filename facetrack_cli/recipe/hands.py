@@ -8,10 +8,10 @@ from typing import Annotated, Final
 
 from pydantic import Field
 
+from facetrack_cli.core.hands import HANDS
 from facetrack_cli.recipe.sections import Refusal, Section
 
-NAMES: Final = ("left_hand", "right_hand")
-"""The hands: the first one hangs at the left of the picture, where a person faces the camera."""
+NAMES: Final = HANDS
 Share = Annotated[float, Field(ge=0, le=1)]
 Sizes = Annotated[float, Field(gt=0, le=10)]
 

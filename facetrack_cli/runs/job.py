@@ -244,6 +244,9 @@ def check(job: Job, *, kept: bool = False, locked: bool = False) -> None:
     `kept`: without a folder the rows stay in memory, and do not go to standard output. `locked`: the folder's lock is
     ours, so that nobody else writes there.
     """
+    if job.faces == "all" and job.recipe.later:
+        who = f"recipe {job.recipe.name} follows the hands of one person"
+        raise UsageError(f"--faces all: {who}; leave it out, and choose the signer with --box X,Y,W,H")
     if job.everyone and (job.lag or job.posterior):
         raise UsageError(
             "--faces all follows people over cuts, and no row is smoothed over a cut; leave one of them out"

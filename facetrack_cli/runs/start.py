@@ -1,9 +1,10 @@
 """Where the tracks of a clip begin: an init file, a box, ground truth, or a face that is looked for."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from fractions import Fraction
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -11,11 +12,14 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import iou
+from facetrack_cli.core.hands import HANDS
 from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
 from facetrack_cli.recipe.face import DETECTORS, DetectorName
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.signals import never
-from facetrack_cli.tracking.start.checks import check_start
+from facetrack_cli.tracking.build.build import tracker_for
+from facetrack_cli.tracking.loop import track
+from facetrack_cli.tracking.start.checks import box_of, check_start
 from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.tracking.start.init_file import find_init, read_init
 from facetrack_cli.tracking.start.search import Faces, box_start, search_start
@@ -24,6 +28,8 @@ from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
 from facetrack_cli.trajectory.writers import by_frame
 from facetrack_cli.video.source import Source, open_source
 
+SIGNS_FRAMES: Final = 50  # in which hands are looked at, where a recipe follows those of one of several faces
+MIN_MOVED, MOVES_MORE = 2.0, 2.0  # sizes of its face; and times as far as the hands of the largest face
 MIN_OVERLAP: Final = 0.5  # of the boxes: a region with less does not count as found
 
 
@@ -101,10 +107,12 @@ class Begin:
             return completed(recipe, start, lambda: self.frame(at, origin), str(self.clip))
         with self.open(at) as source:
             by = next((name for name in DETECTORS if name == self.init), None)
+            faces: Faces = "all" if recipe.later else self.faces
             frames = _counted(frames_of(source, at, origin, stopped), source, looked)
             while True:
                 try:
-                    return search(recipe, frames, str(self.clip), by=by, faces=self.faces)
+                    found = search(recipe, frames, str(self.clip), by=by, faces=faces)
+                    return self._signer(recipe, found) if recipe.later else found
                 except InputError:
                     if stopped():
                         raise InputError(f"{self.clip}: stopped before a start was found") from None
@@ -112,6 +120,25 @@ class Begin:
                     if further is None:
                         raise
                     frames = chain([further], frames)
+
+    def _signer(self, recipe: Recipe, start: Start) -> Start:
+        """Of a start with several faces that with the largest, or with one whose hands move far more than its hands."""
+        (first, _), *others = start.targets.items()
+        one_each = [replace(start, targets={first: face}) for face in start.targets.values()]
+        if not others:
+            return start
+        moved = []
+        for one in one_each:
+            with self.open(one.frame) as source:
+                frames = islice(iter(source), SIGNS_FRAMES)
+                tracker = tracker_for(recipe, one, source.size, source.fps)
+                moved.append(hands_moved([result.rows for result in track(tracker, frames, recipe.seed)]))
+        best = int(np.argmax(moved))
+        if moved[best] < MIN_MOVED or moved[best] < MOVES_MORE * moved[0]:
+            return replace(one_each[0], note=start.note.replace(", and ", "; passed over: ", 1))
+        wide = f"begins in frame {start.frame} with a face {box_of(one_each[best], first)[2]:.0f} pixels wide"
+        note = f"{wide}, whose hands move most, by {start.origin}; passed over: {len(others)} more"
+        return replace(one_each[best], note=note)
 
     def origin(self, start: Start | None) -> str:
         """What says in which frame to begin."""
@@ -206,6 +233,19 @@ def truth_start(truth: Trajectory, points: Sequence[str]) -> Start:
     raise InputError(
         f"{truth.path}: no frame shows {what} of every target to begin with; give --init FILE or --box{other}"
     )
+
+
+def hands_moved(frames: Sequence[Trajectory]) -> float:
+    """How far the hands of a head go while they have a place, in all, in sizes of the head's box."""
+    total, before = 0.0, dict[str, complex]()
+    for rows in frames:
+        named = [rows.names[i][0] for i in rows.which]
+        at = {name: complex(x, y) for name, x, y in zip(named, rows.x, rows.y, strict=True) if math.isfinite(x)}
+        head = next(i for i, name in enumerate(named) if name not in HANDS)
+        side = math.sqrt(rows.w[head] * rows.h[head])
+        total += float(np.nansum([abs(at[one] - before[one]) / side for one in HANDS if one in at and one in before]))
+        before = at
+    return total
 
 
 def far_from_truth(start: Start, truth: Trajectory) -> str | None:

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from facetrack_cli.core.geometry import centre, square
+from facetrack_cli.core.hands import HANDS
 from facetrack_cli.core.numbers import clock, places
 from facetrack_cli.core.snapshot import STORED
 from facetrack_cli.core.types import BOX, Box, Point, Start
@@ -22,11 +23,12 @@ from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.tracking.face.stabilized import BOX as STILL
 from facetrack_cli.tracking.face.stabilized import FACE, Similarity, slope
 from facetrack_cli.tracking.start.detectors import Detector, detector
-from facetrack_cli.trajectory.diagnostics import DOUBTFUL, NETWORK
-from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
+from facetrack_cli.trajectory.diagnostics import DOUBTFUL, NAMED, NETWORK
+from facetrack_cli.trajectory.trajectory import SEEN, FrameResult, Trajectory
 
 EVERY_FRAMES: Final = 15  # between two looks
 SURE: Final = 0.9  # the frame of the lowest mean confidence is named if that is less
+SURE_OF_NAMES: Final = 0.8  # probability, below which the names of hands are in doubt
 MIN_LOOKS: Final = 3  # fewer looks than this say nothing
 _MAX_SPANS: Final = 3  # the longest ones, which are named
 
@@ -55,6 +57,8 @@ class Watch:
     hidden_frames: int = 0
     lost: list[tuple[int, int]] = field(default_factory=list)  # first and last frames, the longest ones
     now: tuple[int, int] | None = None
+    hands: int = -1  # frames in which a hand is seen; -1 where none is followed
+    unnamed: list[tuple[int, int]] = field(default_factory=list)  # where names of hands are in doubt, the longest ones
 
     @classmethod
     def of(cls, recipe: Recipe, start: Start) -> Watch:
@@ -97,12 +101,26 @@ class Watch:
         else:
             self._ended()
         self.hidden_frames += bool((rows.status == "hidden").any())
+        self._count_hands(rows, index)
         known = rows.confidence[np.isfinite(rows.confidence) & (rows.status != "init")]
         if known.size:
             mean = float(known.mean())
             self.judged, self.sure = self.judged + 1, self.sure + mean
             if not gone.any():
                 self.least = min(self.least, (mean, index))
+
+    def _count_hands(self, rows: Trajectory, index: int) -> None:
+        hands = np.isin([target for target, _ in rows.names], HANDS)[rows.which]
+        if not hands.any():
+            return
+        seen = hands & np.isin(rows.status, SEEN)
+        self.hands = max(self.hands, 0) + bool(seen.any())
+        named = [one.get(NAMED.name)[0] for target, one in rows.diagnostics.items() if target in HANDS]
+        if seen.any() and named and min(named) < SURE_OF_NAMES:
+            # the span that goes on is kept, however short it is
+            first = next((a for a, b in self.unnamed if b == index - 1), index)
+            others = sorted((one for one in self.unnamed if one[0] != first), key=lambda one: one[0] - one[1])
+            self.unnamed = [*others[: _MAX_SPANS - 1], (first, index)]
 
     def line(self) -> str:
         """The verdict in one line."""
@@ -131,6 +149,8 @@ class Watch:
         if self.least[0] < SURE:
             raw = "" if self.calibrated else ", not calibrated"
             look.append(f"{self.least[1]} (lowest confidence, {self.least[0]:.2f}{raw})")
+        if self.unnamed:
+            parts.append(f"which hand is which is in doubt in frames {places(sorted(self.unnamed))}")
         if look:
             parts.append(f"look at frames {', '.join(look)}")
         return "; ".join(parts)
@@ -150,6 +170,8 @@ class Watch:
         """What speaks against the track; "" if nothing does."""
         if why := self.unseen():
             return why
+        if not self.hands:
+            return f"no hand appears in its {self.frames} frames; if another face signs, begin with its --box X,Y,W,H"
         if self.fitted and self.sure < DOUBTFUL * self.judged:
             return f"its confidence expects {self.sure / self.judged:.0%} of its rows to be right"
         return ""

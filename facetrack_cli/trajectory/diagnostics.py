@@ -62,8 +62,10 @@ _AFFINE: Final = "deformation a1 to a4 since the start; centre in pixels"
 AFFINE: Final = Diagnostic("affine", _AFFINE, shape=(6,), decimals=(5, 5, 5, 5, 3, 3))
 NETWORK: Final = Diagnostic("network", "share of its points that the other senses bear out", least=0, most=1)
 EVIDENCE: Final = Diagnostic("evidence", "log p(y_t | Y_{t-1}) of the frame, up to a constant of the recipe", "nats")
+PRESENT: Final = Diagnostic("present", "probability that the hand is in the picture, blurred or not", least=0, most=1)
+NAMED: Final = Diagnostic("named", "probability that the hand has its own name, and not the other's", least=0, most=1)
 KNOWN: Final[Mapping[str, Diagnostic]] = {
-    one.name: one for one in (POSTERIOR, ENTROPY, SCALE, ROLL, NOISE, ERROR, NETWORK, EVIDENCE, AFFINE)
+    one.name: one for one in (POSTERIOR, ENTROPY, SCALE, ROLL, NOISE, ERROR, NETWORK, EVIDENCE, AFFINE, PRESENT, NAMED)
 }
 """Those of the shipped trackers, which docs/files.md describes."""
 

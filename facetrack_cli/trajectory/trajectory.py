@@ -215,14 +215,15 @@ class Trajectory:
 
     @cached_property
     def measures(self) -> Mapping[str, Mapping[str, Measured]]:
-        """Of each target what its face does, by the measure's name."""
+        """Of each target what its face does, or the hand, by the measure's name."""
+        from facetrack_cli.trajectory.analysis.hands import hand_measures
         from facetrack_cli.trajectory.analysis.measures import measures_of
 
-        return {target: measures_of(self.of_target(target)) for target in self.targets}
+        return {target: measures_of(self.of_target(target)) for target in self.targets} | hand_measures(self)
 
     @cached_property
     def events(self) -> tuple[FaceEvent, ...]:
-        """When mouths open and close, eyes blink and heads nod, in the order of time."""
+        """When mouths open and close, eyes blink, heads nod, hands move, hold still and touch, in the order of time."""
         from facetrack_cli.trajectory.analysis.face_events import events_of
 
         kinds = (kind for name, found in self.measures.items() for kind in events_of(name, found).values())

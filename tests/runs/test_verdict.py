@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
+from facetrack_cli.core.hands import HANDS
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.job import lost_words
@@ -128,3 +129,40 @@ def test_the_face_of_a_recipe_is_looked_at(recipe):
     start = Start(0, {"face": TargetStart((30.0, 20.0, 20.0, 20.0))}, "haar")
     watch = Watch.of(load_recipe(recipe), start)
     assert watch.detector is not None and Watch.of(load_recipe(recipe), Start(0, {}, "--box")).detector is None
+
+
+def signing(named, statuses, *, present=0.9):
+    start = Start(0, {"head": TargetStart((30.0, 20.0, 20.0, 20.0))}, "--box")
+    watch = Watch(start, calibrated=False, fitted=False, detector=None)
+    for i, (p, status) in enumerate(zip(named, statuses, strict=True)):
+        head = target("head", [part("box", 40, 30, 20, 20, confidence=1.0, status="tracked")])
+        place = (None, None) if status == "absent" else (20, 50)
+        hand = part("box", *place, 9, 9, confidence=0.95, status=status)
+        hands = [target(name, [hand], reported={"named": p, "present": present}) for name in HANDS]
+        watch.count(result(Frame(i, i / 25, np.zeros((60, 80, 3), np.uint8)), [head, *hands]))
+    return watch
+
+
+def test_a_run_in_which_no_hand_appears_is_doubtful():
+    never = signing([0.5] * 20, ["absent"] * 20)
+    assert never.line().startswith("doubtful: no hand appears in its 20 frames; if another face signs, begin with its")
+    assert not signing([1.0] * 20, ["absent"] * 19 + ["tracked"]).doubts()
+    assert not watched(["tracked"] * 5, [1.0] * 5).doubts(), "nobody follows hands there"
+
+
+def test_frames_in_which_names_of_hands_are_in_doubt_are_told():
+    p = np.full(60, 0.99)
+    p[10:15], p[20], p[30:33], p[40:50] = 0.6, 0.7, 0.55, 0.5
+    watch = signing(p.tolist(), ["tracked"] * 60)
+    assert "which hand is which is in doubt in frames 10 to 14, 30 to 32, 40 to 49" in watch.line()
+    assert "which hand is which" not in signing([0.99] * 30, ["tracked"] * 30).line()
+    assert "which hand is which" not in signing([0.5] * 30, ["lost"] * 30).line(), "there is no row to doubt"
+
+
+def test_hands_of_everybody_are_refused_in_one_line(tmp_path, capsys):
+    clip = SAMPLES / "signing.mp4"
+    words = ["run", str(clip), "--config", "signer", "--faces", "all", "--init", "yunet", "-o", str(tmp_path / "out")]
+    assert main(words) == 2
+    told = capsys.readouterr().err
+    assert "--faces all: recipe signer follows the hands of one person" in told and "--box X,Y,W,H" in told
+    assert "Traceback" not in told and not (tmp_path / "out").exists()

@@ -11,6 +11,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame, Start, TargetStart
 from facetrack_cli.recipe.hands import NAMES, Hands
 from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.hands import evidence, joint, names
 from facetrack_cli.tracking.loop import Footprint, track
@@ -309,6 +310,75 @@ def test_evidence_is_what_is_new_and_of_this_skin():
     _, (e, _) = evidence.look(scene, drawn(2, ((160.0, 66.0),)), HEAD)  # before mouth and chin
     assert e[33, 80] > 0.5
     assert e[33, 80] > 5 * evidence.look(scene, drawn(2), HEAD)[1].evidence[33, 80]
+
+
+def test_a_still_background_stays_where_the_reduced_frame_has_odd_lengths():
+    """270 rows are reduced to 135, which OpenCV's own phase correlation moves by half a pixel a frame."""
+
+    def taller(index, hands=()):
+        image = cv2.copyMakeBorder(drawn(index, hands).bgr, 0, 30, 0, 0, cv2.BORDER_REPLICATE)
+        return Frame(index, index / 25, image)
+
+    scene, _ = evidence.begin(taller(0), HEAD)
+    assert scene.still.shape == (135, 160)
+    shelf = scene.still[45:65, 10:30].copy()
+    for index in range(1, 40):
+        scene, seen = evidence.look(scene, taller(index, (rising(index)[0],)), HEAD)
+        assert seen.evidence[45:65, 8:32].max() < 0.2
+    assert scene.still[45:65, 10:30] == pytest.approx(shelf, abs=0.1)
+
+
+def test_a_head_that_is_restless_without_hands_needs_more_to_be_covered():
+    """Each frame its light comes from elsewhere: that is no hand, and a hand is still seen."""
+
+    def restless(index, hands=()):
+        image = drawn(index, hands).bgr.astype(np.float32)
+        image[30:95, 130:190] += 18 * np.sin(index * 1.7) * np.linspace(-1, 1, 60)[None, :, None]
+        return Frame(index, index / 25, np.clip(image, 0, 255).astype(np.uint8))
+
+    scene, _ = evidence.begin(restless(0), HEAD)
+    calm, shown = scene.unrest, []
+    for index in range(1, 30):
+        scene, seen = evidence.look(scene, restless(index), HEAD)
+        shown.append(seen.evidence[22:40, 70:90].mean())
+    assert scene.unrest > 1.5 * calm and max(shown[-10:]) < 0.2
+    assert evidence.look(scene, restless(30, ((160.0, 66.0),)), HEAD)[1].evidence[33, 80] > 0.8
+
+
+def test_the_middle_of_an_arm_is_less_a_hand_than_its_end():
+    arm, nobody = ((2.6, 4.6), (4.0, 2.6)), (9.0, 9.0)
+    end, middle, other = (likelihood(arm[1:], (at, nobody), line=arm) for at in (arm[1], (3.3, 3.6), (3.2, 3.7)))
+    assert end > middle + 1 and end > other + 1
+
+
+def test_the_face_whose_hands_move_is_the_signer(tmp_path):
+    """A large person who keeps still, and a small one in the corner who signs."""
+    for index in range(40):
+        frame = np.full((360, 640, 3), (150, 140, 130), np.uint8)
+        frame[:, :320] = cv2.resize(drawn(0).bgr, (480, 360))[:, 80:400]
+        move = rising(index) if index < 24 else [(x, y + 12 * math.sin(index)) for x, y in rising(index)]
+        frame[180:, 400:] = cv2.resize(drawn(index, move).bgr, (240, 180), interpolation=cv2.INTER_AREA)
+        cv2.imwrite(str(tmp_path / f"{index:03}.png"), frame)
+    large, small = (130.0, 60.0, 60.0, 60.0), (505.0, 210.0, 30.0, 30.0)
+    recipe = load_recipe("signer")
+    begin = Begin(tmp_path)
+    both = Start(0, {"head": TargetStart(large), "face_2": TargetStart(small)}, "yunet", note="begins, and 1 more")
+    chosen = begin._signer(recipe, both)
+    assert chosen.targets == {"head": TargetStart(small)}
+    assert "30 pixels wide, whose hands move most, by yunet; passed over: 1 more" in chosen.note
+    alone = Start(0, {"head": TargetStart(large)}, "yunet")
+    assert begin._signer(recipe, alone) == alone
+    still = Start(0, {"head": TargetStart(large), "face_2": TargetStart(large)}, "yunet", note="begins, and 1 more")
+    assert begin._signer(recipe, still).targets == {"head": TargetStart(large)}
+
+
+def test_presence_and_place_are_two_numbers(risen):
+    """A hand on its way up is fast: its place is less sure than that it is there."""
+    told, one = risen.diagnostics["left_hand"], risen.find("left_hand", "box")
+    assert (told.get("present")[:8] < 0.1).all() and (told.get("present")[28:] > 0.85).all()
+    fast = [i for i in range(14, 22) if np.isfinite(one.x[i])]
+    assert fast and all(told.get("present")[i] > 0.8 > one.confidence[i] for i in fast[1:-1])
+    assert (told.get("named")[28:] > 0.9).all() and (told.get("named") >= 0.5).all()
 
 
 def test_settings_of_hands_are_refused_beside_targets_of_their_names():

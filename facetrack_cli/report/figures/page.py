@@ -19,7 +19,8 @@ from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.diagnostics import adaptation, known, panels
 from facetrack_cli.report.figures.lines import MAX_LINES, Line, Panel, Pen, columns_for, lines_of, quantiles, stacked
 from facetrack_cli.report.figures.style import Axes, Figure
-from facetrack_cli.trajectory.analysis.measures import MEASURES, Measured
+from facetrack_cli.trajectory.analysis.hands import HAND_MEASURES
+from facetrack_cli.trajectory.analysis.measures import DEGREES, MEASURES, Measured
 from facetrack_cli.trajectory.header import said
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -209,9 +210,9 @@ class _Page:
         if known(spread(table)):
             notes = [bands, "standard deviation of the particles, both axes together"]
             yield Panel("spread (px)", notes, 0.95, partial(self._positive, of=spread))
-        for name, unit, formula, _, of in MEASURES:
+        for name, unit, formula, *_ in (*MEASURES, *HAND_MEASURES):
             if found := {target: one[name] for target, one in table.measures.items() if name in one}:
-                title = f"{name.replace('_', ' ') if of else f'pose: {name}'} ({unit})"
+                title = f"{'pose: ' if unit == DEGREES else ''}{name.replace('_', ' ')} ({unit})"
                 notes = ["band: a standard deviation to either side", formula]
                 yield Panel(title, notes, 0.7, partial(self._measure, found=found))
         yield from panels(table, lines, self.pen)

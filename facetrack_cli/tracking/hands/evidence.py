@@ -6,7 +6,8 @@ the first frame within the reach of an arm. From it is taken away:
 
 - what was skin in all frames so far: the least p of each pixel, which rises slowly. A still camera's shelves and lamps
   never move, and a hand does. Where hands hang or lie in the first frame, skin counts at once;
-- the face and neck, where they look as before and no arm leads to: a hand in front of them changes what is seen.
+- the face and neck, where they look as before and no arm leads to: a hand in front of them changes what is seen, by
+  more than a head that turns, its expressions and the light do while no hand is near. What changed is learned slowly.
 
 All of it is on a frame reduced so that the face's box is 10 to 20 pixels large.
 """
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Box, Frame, Image, factor_for
 from facetrack_cli.tracking.loop import Footprint
+from facetrack_cli.tracking.models.shift import shift_between
 
 Map = NDArray[np.float32]
 MAX_FACE_PX: Final = 20  # of the face's box in the reduced frame
@@ -33,8 +35,9 @@ SKIN_SHARE: Final = 0.03  # of what is not the face
 MOVES: Final = 0.6  # of the peak of the phase correlation, from which on it tells a motion of the camera
 RISES: Final = 0.002  # of the background's p in a frame
 # grey levels by which the face differs from before, where as much speaks for a hand as against it, and their width
-CHANGED, CHANGED_WIDTH = 5.0, 1.0
-LEARNS, HELD = 0.1, 0.02  # share of a frame in the face's template, and where a hand is before it
+CHANGED, CHANGED_WIDTH = 4.0, 1.0
+UNREST, UNREST_AT_FIRST = 2.5, 1.5  # by so many times as much as without a hand, if that is more; grey levels
+LEARNS, HELD = 0.1, 0.02  # share of a frame in the face's template, and where it has changed or a hand is before it
 REACHES: Final = 0.45  # sizes of the face, by which skin beside it speaks for a hand before it
 HEAD: Final = (-0.8, -1.3, 0.8, 1.1)  # head and neck about the face's middle, in sizes of the box
 
@@ -45,7 +48,8 @@ _NOBODY: Final = np.empty((0, 2))
 class Scene(NamedTuple):
     """What is known of the clip: `odds` (256, 256), log p(skin | c) - log p(not | c) by [Cb, Cr]; `still` (H, W), the p
     of the background; `grey` (H, W), the last frame; `face` (h, w, 3), the template of the head; `factor` of reduced
-    frames, `side` of the face's box in their pixels in the first frame.
+    frames, `side` of the face's box in their pixels in the first frame; `unrest`, the grey levels by which the head
+    differs from its template where no hand is near.
     """
 
     odds: Map
@@ -54,6 +58,7 @@ class Scene(NamedTuple):
     face: Map
     factor: int
     side: float
+    unrest: float = UNREST_AT_FIRST
 
 
 def reduced(frame: Frame, factor: int) -> Image:
@@ -122,12 +127,15 @@ def look(
     # a head that turns a little is no hand: each pixel may come from beside its own
     least = np.min([np.abs(seen - np.roll(scene.face, shift, (0, 1))).max(axis=2) for shift in _SHIFTS], axis=0)
     change = cv2.GaussianBlur(least, (0, 0), 1.0)
-    new = 1 / (1 + np.exp(np.clip((CHANGED - change) / CHANGED_WIDTH, -30, 30)))
+    limit = max(CHANGED, UNREST * scene.unrest)
+    new = 1 / (1 + np.exp(np.clip((limit - change) / CHANGED_WIDTH, -30, 30)))
     free = np.ones(new.shape, np.bool_)
     for x, y in (hands - at) / s - np.array(HEAD[:2]):
         row, column = np.ogrid[: new.shape[0], : new.shape[1]]
         free &= np.hypot(column - x * scene.side, row - y * scene.side) > radius
-    face = scene.face + np.where(free, LEARNS, HELD)[..., None] * (seen - scene.face)
+    learned = np.where(free, HELD + (LEARNS - HELD) * (1 - new), HELD)[..., None]
+    face = scene.face + learned * (seen - scene.face)
+    unrest = scene.unrest + LEARNS * (float(np.median(change[free])) - scene.unrest if free.any() else 0.0)
     height, width = skin.shape
     covered, changed = (
         cv2.warpAffine(one.astype(np.float32), _map(at, s, scene.side), (width, height)) for one in (_soft(seen), new)
@@ -138,7 +146,7 @@ def look(
     arm = cv2.dilate(cv2.GaussianBlur(beside, (0, 0), 0.8), disc)
     evidence = beside + covered * np.maximum(changed, np.minimum(arm, 1)) * skin
     now = Seen(evidence.astype(np.float32), cv2.dilate(covered, disc).astype(np.float32))
-    return scene._replace(still=still, grey=grey, face=face.astype(np.float32)), now
+    return scene._replace(still=still, grey=grey, face=face.astype(np.float32), unrest=unrest), now
 
 
 _SHIFTS: Final = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1))
@@ -150,14 +158,21 @@ def _grey(image: Image) -> Map:
 
 def _followed(scene: Scene, grey: Map, skin: Map) -> Map:
     """The background where the camera has moved it, by phase correlation; what comes into the picture is background."""
-    height, width = grey.shape
-    window = cv2.createHanningWindow((width, height), cv2.CV_32F)
-    (x, y), sure = cv2.phaseCorrelate(scene.grey.copy(), grey.copy(), window)  # it writes into its images
+    (x, y), sure = shift_between(scene.grey, grey)
     if sure < MOVES or max(abs(x), abs(y)) < 0.25 or max(abs(x), abs(y)) > scene.side:
         return scene.still
     shift = np.array([[1, 0, x], [0, 1, y]], np.float32)
-    there = cv2.warpAffine(np.ones_like(grey), shift, (width, height))
-    return np.asarray(cv2.warpAffine(scene.still, shift, (width, height)) + (1 - there) * skin, np.float32)
+    size = grey.shape[::-1]
+    # what moves before a still camera draws the peak, too: the motion is the camera's if edges fit better by it
+    moved, slope = (
+        cv2.warpAffine(scene.grey, shift, size),
+        cv2.morphologyEx(scene.grey, cv2.MORPH_GRADIENT, np.ones((3, 3))),
+    )
+    edges = slope >= np.quantile(slope, 0.75)
+    if np.median(np.abs(grey - moved)[edges]) >= np.median(np.abs(grey - scene.grey)[edges]):
+        return scene.still
+    there = cv2.warpAffine(np.ones_like(grey), shift, size)
+    return np.asarray(cv2.warpAffine(scene.still, shift, size) + (1 - there) * skin, np.float32)
 
 
 def _from(at: Array, image: Image, side: float) -> tuple[Array, Array]:

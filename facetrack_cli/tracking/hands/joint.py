@@ -39,8 +39,11 @@ LEAST: Final = -1.5  # of log p(y | x) at such a place
 SHOULDERS: Final = np.array([[-0.9, 1.1], [0.9, 1.1]])  # about the face's middle, in its sizes
 BEYOND_HAND: Final = np.array([1.6, 2.2])  # radii from a hand's middle to where no skin is, seen from the shoulder
 FAR_END: Final = 0.15  # what skin there takes away, of what it would give within the hand
+MIDDLE: Final = 0.2  # what skin on two opposite sides takes away
 ARM: Final = (0.8, 0.4, 3.0)  # sizes from one hand to another place of its arm: from, to surely, to at most
 _ALONG: Final = np.array([0.2, 0.35, 0.5, 0.65, 0.8])
+_AROUND: Final = np.array([[math.cos(turn), math.sin(turn)] for turn in np.arange(6) * math.pi / 6])
+_OPPOSITE: Final = np.stack([2 * _AROUND, -2 * _AROUND])  # (2, 6, 2), radii
 
 
 class Cloud(NamedTuple):
@@ -165,6 +168,11 @@ def log_likelihood(
     others = np.hypot(*np.moveaxis(beyond - x[:, ::-1, None, :2], -1, 0)) < 1.2 * settings.radius * face.size
     skin = np.where(others & seen[:, ::-1, None], 0.0, np.maximum(_at(evidence, beyond * scale), 0.0))
     each = each - settings.evidence * FAR_END * skin.mean(axis=2)
+    # nor is it the middle of one, with skin on two opposite sides
+    sides = x[..., None, None, :2] + settings.radius * face.size * _OPPOSITE
+    others = np.hypot(*np.moveaxis(sides - x[:, ::-1, None, None, :2], -1, 0)) < 1.2 * settings.radius * face.size
+    skin = np.where(others & seen[:, ::-1, None, None], 0.0, np.maximum(_at(evidence, sides * scale), 0.0))
+    each = each - settings.evidence * MIDDLE * skin.min(axis=2).max(axis=2)
     total = np.sum(np.where(seen, each, 0.0), axis=1)
     if both.any():
         apart = np.hypot(*(x[:, 0, :2] - x[:, 1, :2]).T) / face.size

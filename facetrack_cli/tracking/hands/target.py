@@ -4,7 +4,8 @@ The first hand's target steps the posterior, and the other takes it over by its 
 Once a hand is corrected by hand, each has its own: that of the corrected one begins there.
 
 Confidence is the probability that the hand is where the row says, as MediaPipe Hands sees it: that of the particles
-times a logistic regression on the speed, since a fast hand is blurred. It was fitted on clips of ten signs.
+times a logistic regression on the speed, since a fast hand is blurred. That the hand is in the picture at all is
+another number, `present`: of the particles that see it, a line. Both were fitted on clips of ten signs.
 """
 
 from __future__ import annotations
@@ -26,9 +27,11 @@ from facetrack_cli.tracking.hands.evidence import Scene
 from facetrack_cli.tracking.loop import Footprint
 from facetrack_cli.tracking.models.motion import Linear
 from facetrack_cli.tracking.roles import Names
+from facetrack_cli.trajectory.diagnostics import NAMED, PRESENT, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
 
 CONFIDENCE: Final = (2.5, -8.9)  # of the regression: constant, by sizes of the face a frame
+IN_PICTURE: Final = (0.05, 0.91)  # p that a hand is in the picture that no particle sees, and that all of them see
 HOLDS: Final = 1.0  # s for which hands are followed while the head is lost
 FORGETS: Final = 0.9  # share of p that is left after each later frame
 GONE: Final = 1.0  # s after which a hand that is not seen counts as absent, and not as lost
@@ -174,7 +177,9 @@ class HandTarget:
                 "x": [x], "y": [y], "w": [w], "h": [h], "std_x": [std_x], "std_y": [std_y], "cov_xy": [cov[0, 1]],
                 "ess": [belief.ess], "confidence": [sure],
             }  # fmt: skip
-        rows = of_frame(((self.name, BOX),), frame, {}, **columns)
+        told = {PRESENT.name: np.interp(belief.seen[[i]], (0, 1), IN_PICTURE), NAMED.name: np.array([state.named[0]])}
+        reported = {self.name: Diagnostics((PRESENT, NAMED), np.array([frame.index]), told)}
+        rows = of_frame(((self.name, BOX),), frame, reported, **columns)
         cloud = _in_pixels(state.scene, state.cloud.x[state.cloud.seen[:, i], i : i + 1, :2])
         if status == "absent":
             return TargetResult(rows, cloud)

@@ -1,4 +1,5 @@
 """Events in what a face does, with times and probabilities: a mouth opens and closes, eyes blink, a head nods.
+And intervals in which a hand is held still, moves, or touches the other one or the face (hands.py).
 
 A measure has two levels, at rest and away from it, if the clip shows both. They are the means below and above the cut
 at which two normal distributions describe its values best (Kittler & Illingworth, "Minimum error thresholding", Pattern
@@ -13,7 +14,7 @@ of `GAP_S` cuts off makes none. Rest, of what is short, is the median over `REST
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -31,8 +32,14 @@ KINDS: Final = {
 }
 
 
+# what hands do, by the measure that is its probability: what it is above one half, and below
+INTERVALS: Final = {"phases": ("held", ("hold", "movement")), "hand_contact": ("touches_hand", ("hand",)),
+                    "face_contact": ("touches_face", ("face",))}  # fmt: skip
+BRIEF_S: Final = 0.1  # an interval of a hand that is shorter than this is part of those around it
+
+
 class FaceEvent(NamedTuple):
-    """What a face does in `frame`, at `time_s`: the mouth is open, or the eyes are shut, from `first` to `last`."""
+    """What a face or hand does in `frame`, at `time_s`: the mouth is open, a hand is held, from `first` to `last`."""
 
     time_s: float
     target: str
@@ -56,7 +63,31 @@ def events_of(target: str, measures: Mapping[str, Measured]) -> dict[str, list[F
                     if math.isfinite(chance):
                         at, begun, until = one.frame[[row, first, last]].tolist()
                         found[kind].append(FaceEvent(float(one.time_s[row]), target, name, at, begun, until, chance))
+    for kind, (measure, names) in INTERVALS.items():
+        if measure in measures:
+            found[kind] = sorted(_intervals(target, measures[measure], names))
     return found
+
+
+def _intervals(target: str, one: Measured, names: Sequence[str]) -> Iterator[FaceEvent]:
+    """Where a probability is above one half, and below if that has a name, with its mean there."""
+    rows = np.flatnonzero(np.isfinite(one.value + one.time_s))
+    if not len(rows):
+        return
+    p, time_s, frame = one.value[rows], one.time_s[rows], one.frame[rows]
+    pause = np.diff(time_s) > GAP_S
+    for begin, stop in spans(np.ones(len(rows), np.bool_), pause):
+        state = p[begin:stop] > 0.5
+        step = (time_s[stop - 1] - time_s[begin]) / max(stop - begin - 1, 1)
+        both = [spans(state), spans(~state)]
+        for a, b in sorted(both[0] + both[1], key=lambda span: span[1] - span[0]):
+            if (b - a) * step < BRIEF_S and (a > 0 or b < len(state)):
+                state[a:b] = state[a - 1] if a else state[b]
+        for name, those, chance in zip(names, (state, ~state), (p, 1 - p), strict=False):
+            for a, b in spans(those):
+                first, last = begin + a, begin + b - 1
+                yield FaceEvent(float(time_s[first]), target, name, int(frame[first]), int(frame[first]),
+                                int(frame[last]), float(chance[first : last + 1].mean()))  # fmt: skip
 
 
 def _away(one: Measured, sign: int, longest: float) -> Iterator[tuple[int, int, int, float, float, float]]:

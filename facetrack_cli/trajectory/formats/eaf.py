@@ -9,7 +9,7 @@ import contextlib
 import os
 import re
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from itertools import groupby
 from pathlib import Path
@@ -22,7 +22,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX
 from facetrack_cli.trajectory.analysis.face_events import events_of
 from facetrack_cli.trajectory.analysis.head_motion import head_motion, kinds_of
-from facetrack_cli.trajectory.analysis.measures import measures_of
+from facetrack_cli.trajectory.analysis.measures import Measured
 from facetrack_cli.trajectory.trajectory import Trajectory, aligned
 
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
@@ -49,6 +49,9 @@ VOCABULARIES = {
     "mouth": {"open": "the mouth is open"},
     "blinks": {"blink": "the eyes are shut, for half a second at most"},
     "dips": {"nod": "the head goes down and back, by its pitch"},
+    "phases": {"hold": "the hand is held still", "movement": "the hand moves"},
+    "hand_contact": {"hand": "meets the other hand in the image"},
+    "face_contact": {"face": "meets the face in the image"},
 }
 QUOTES = str.maketrans({"'": "\N{RIGHT SINGLE QUOTATION MARK}", '"': "\N{RIGHT DOUBLE QUOTATION MARK}"})
 FRAME_S = 0.04  # how long a single frame lasts where nothing tells
@@ -60,7 +63,7 @@ def write_eaf(table: Trajectory, media: Path, folder: Path, *, written: datetime
     tiers = [
         (kind, target, spans)
         for name in table.targets
-        for kind, target, found in _tiers(name, table.of_target(name))
+        for kind, target, found in _tiers(name, table.of_target(name), table.measures[name])
         # readers have trouble with tiers without annotations
         if (spans := [(begin[a], end[b], text) for a, b, text in found if end[b] > begin[a]])
     ]
@@ -116,7 +119,9 @@ def seen_in(parts: Sequence[Trajectory]) -> list[tuple[int, int]]:
     return [] if always else [(int(frames[a]), int(frames[b - 1])) for a, b in found]
 
 
-def _tiers(target: str, parts: Sequence[Trajectory]) -> Iterator[tuple[str, str, list[tuple[int, int, str]]]]:
+def _tiers(
+    target: str, parts: Sequence[Trajectory], measures: Mapping[str, Measured]
+) -> Iterator[tuple[str, str, list[tuple[int, int, str]]]]:
     """Kind, target, and its spans, of which there may be none."""
     name = target or "target"
     yield "seen", name, [(first, last, "seen") for first, last in seen_in(parts)]
@@ -126,9 +131,10 @@ def _tiers(target: str, parts: Sequence[Trajectory]) -> Iterator[tuple[str, str,
     moved = head_motion(parts)
     for kind in kinds_of(parts):
         yield kind, name, [(span.first, span.last, span.label) for span in moved if span.kind == kind]
-    for kind, events in events_of(name, measures_of(parts)).items():
-        (label,) = VOCABULARIES[kind]
-        yield kind, name, [(first, last, label) for first, last in sorted({(e.first, e.last) for e in events})]
+    for kind, events in events_of(name, measures).items():
+        usual = next(iter(VOCABULARIES[kind]))  # of a mouth, whose events are its begin and its end
+        labels = {(e.first, e.last): e.name if e.name in VOCABULARIES[kind] else usual for e in events}
+        yield kind, name, [(*span, label) for span, label in sorted(labels.items())]
 
 
 def _times(table: Trajectory) -> list[dict[int, int]]:

@@ -15,6 +15,7 @@ from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.face_points import POINTS
 from facetrack_cli.core.numbers import csv_text
 from facetrack_cli.core.types import BOX, Whole
+from facetrack_cli.trajectory.analysis.hands import HAND_MEASURES
 from facetrack_cli.trajectory.analysis.head_pose import SHAPE, head_pose
 from facetrack_cli.trajectory.analysis.measures import MEASURES, Measured
 from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, Trajectory, aligned, every_frame
@@ -68,11 +69,12 @@ def write_pose(table: Trajectory) -> str:
 
 
 def write_measures(table: Trajectory) -> str:
-    """A CSV with a row for each frame and target: the MEASURES that any target has, and the spread `_std` of each."""
+    """A CSV with a row for each frame and target: those measures that any target has, and the spread `_std` of each."""
     has = {target: found for target, found in table.measures.items() if found}
-    names = [one.name for one in MEASURES if any(one.name in found for found in has.values())]
+    names = [one.name for one in (*MEASURES, *HAND_MEASURES) if any(one.name in found for found in has.values())]
     if not names:
-        raise InputError(f"a measure needs parts of a face, among {', '.join(POINTS)}, and its box or its eyes")
+        face = f"a measure needs parts of a face, among {', '.join(POINTS)}, and its box or its eyes"
+        raise InputError(f"{face}, or hands beside the box of a head")
     frames, times = timed(table)
     each = [_measured(found, names, frames).tolist() for found in has.values()]
     rows = zip(frames.tolist(), times.tolist(), *each, strict=True)
