@@ -107,7 +107,7 @@ class _Maker:
                     done.notes.append(f"{path}: frame {index} {times}; is it the same clip?")
                 view, out = self._layout(index)
                 whole = _scaled(frame.bgr[:height, :width], view, out)
-                drawn = whole if annotated else self.draw(Frame(index, then, whole), view)
+                drawn = whole if annotated else self.draw(Frame(index, then, whole, aspect=frame.aspect), view)
                 done.found[index] = Image(_jpeg(drawn), out, view=view)
             missing = [index for index in wanted if index not in done.found]
             if missing:
@@ -124,7 +124,7 @@ class _Maker:
         past = self._clock.frames[max(0, last - math.ceil(self._clip.fps * _TRAIL_S)) : last].tolist()
         past = [index for index in past if self._clock.at(index) >= frame.time_s - _TRAIL_S]
         for index in [*past[:: max(1, math.ceil(len(past) / _TRAIL))], frame.index]:  # the trail is of drawn frames
-            now = Frame(index, self._clock.at(index), frame.bgr)
+            now = Frame(index, self._clock.at(index), frame.bgr, aspect=frame.aspect)
             drawn = overlay.draw(self._result(now, view, frame.size[0] / view[2]))
         return drawn
 

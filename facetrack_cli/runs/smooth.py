@@ -162,7 +162,7 @@ def repaint(
     with open_source(on.clip, fps=on.fps, start=on.first, stop=on.last + 1) as source:
         overlay = Overlay(source.size, fps=float(source.fps), title=on.title, order=order)
         sound = source.path if source.is_video else None
-        video = VideoWriter(path, source.size, source.fps, audio_from=sound, replace=False)
+        video = VideoWriter(path, source.size, source.fps, source.aspect, audio_from=sound, replace=False)
         try:
             for done, frame in enumerate(source, 1):
                 if stop():

@@ -14,13 +14,13 @@ from collections.abc import Callable, Iterator
 from fractions import Fraction
 from itertools import chain, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, reason
-from facetrack_cli.core.types import Array, Image, Whole, planes_of
+from facetrack_cli.core.types import Array, Frame, Image, Whole, planes_of
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -29,12 +29,17 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
 _DEFAULT_FPS: Final = Fraction(25)
+_LOOKED_PACKETS: Final = 100  # of a file with several video streams
+_DEFAULT_PIXELS: Final = 5_000_000  # what a stream that is marked default counts more, as in FFmpeg
 MIN_JUMP_FRAMES: Final = 16  # decoding fewer frames takes less time than a jump over them
 _CHECKED_FRAMES: Final = 24  # so many frames from the start must agree with the packets
 _MAX_TRIES: Final = 3  # a seek that arrives too late is repeated from an earlier keyframe
 _MAX_THREADS: Final = 8  # of the decoder, each of which holds frames
 # larger frames are decoded several at a time; FFmpeg does not always tell which of them are damaged then
 _MAX_ALONE_PIXELS: Final = 1_000_000
+_PRIMING_S: Final = 0.05  # of AAC and MP3
+_OBLONG: Final = 8  # a pixel that is told to be more oblong is told wrong
+_SHAPE: Final = 1.03  # of sides that are rounded
 _FULL_RANGE: Final = 2  # libavutil's number of a range from 0 to 255
 # FFmpeg goes by what a file holds: a playlist would make it open other files, and text is drawn as letters
 _FORMATS: Final = (
@@ -64,8 +69,10 @@ class LostError(InputError):
 class Decoder(contextlib.AbstractContextManager["Decoder"]):
     """A video file, decoded frame after frame. Not thread-safe. Raises OSError or ValueError if it gives no frame.
 
-    `size` is the (width, height) of the first frame, upright, and `fps` the nominal rate. `next` is the number of the
-    frame that `read` gives next, `time_s` the time of the last one, from the first. `claimed` is the number of frames
+    `size` is the (width, height) of the first frame, upright, `aspect` the width of a pixel over its height, and `fps`
+    the nominal rate. `next` is the number of the frame that `read` gives next, `time_s` the time of the last one, from
+    the start of the file; the first one is shown at `begins_s`. `resized` is the first frame, and its size, that is
+    not of the `size` that all are brought to. `claimed` is the number of frames
     that the container claims, `claimed_s` its duration, and `end_s` the end of the video and sound that were read.
     `damage` are the numbers, nearly, of frames that are damaged, and `complaint` what the demuxer said of it first.
     """
@@ -95,6 +102,7 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
         self._index: Index | None = None  # by which it jumped
         self.damage: set[int] = set()
         self.complaint = ""
+        self.resized: tuple[int, tuple[int, int]] | None = None
         self.next, self.time_s, self.end_s = 0, 0.0, 0.0
         decoded = self._decoded()
         first = next(decoded, None)
@@ -102,8 +110,11 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
             self.close()
             raise ValueError("no frame")
         self._frames: Iterator[VideoFrame] = chain([first], decoded)
-        turned = round(first.rotation / 90) % 2
-        self.size = (first.height, first.width) if turned else (first.width, first.height)
+        self.size, shape = (first.width, first.height), video.sample_aspect_ratio or Fraction(1)
+        if _orientation(first)[0]:
+            self.size, shape = self.size[::-1], 1 / shape
+        self.aspect = shape if 1 / _OBLONG < shape < _OBLONG else Fraction(1)
+        self.begins_s, _ = _shown_at(first, self._container)
 
     def read(self) -> VideoFrame | None:
         """The next frame; None at the end. Raises LostError."""
@@ -114,16 +125,24 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
             if self.next >= len(self._index.pts) or raw.pts != self._index.pts[self.next]:
                 what = f"{self.path}: frame {self.next} is not there at the time that its packet says"
                 raise LostError(f"{what}; convert the clip, or track it in one piece")
-            self.time_s = float(self._index.times[self.next])
+            self.time_s = self.begins_s + float(self._index.times[self.next])
         else:
             stamp = raw.dts if self._by_dts else raw.pts
             if self.next == 0:
-                self._origin = stamp or 0
+                self._origin, self.time_s = stamp or 0, self.begins_s
             else:  # some frames have no stamp, or one that is not later
-                elapsed_s = -1.0 if stamp is None else (stamp - self._origin) * self._tick
-                self.time_s = elapsed_s if elapsed_s > self.time_s else self.time_s + float(1 / self.fps)
+                now_s = -1.0 if stamp is None else self.begins_s + (stamp - self._origin) * self._tick
+                self.time_s = now_s if now_s > self.time_s else self.time_s + float(1 / self.fps)
         self.next += 1
         return raw
+
+    def picture(self, raw: VideoFrame) -> Frame:
+        """The frame that was read last, as players show it."""
+        frame = Frame(self.next - 1, self.time_s, pixels(raw), aspect=float(self.aspect))
+        if frame.size == self.size:
+            return frame
+        self.resized = self.resized or (frame.index, frame.size)
+        return Frame(frame.index, frame.time_s, fitted(frame.bgr, self.size), aspect=frame.aspect)
 
     def seek(self, number: int, index: Index) -> bool:
         """Go to the last keyframe before a frame, so that reading onward gives it. False if that is not possible."""
@@ -215,37 +234,94 @@ def open_container(path: Path) -> InputContainer:
 
 
 def video_stream(container: InputContainer) -> VideoStream | None:
-    """The first video stream that can be decoded and is no cover image."""
+    """The video stream that FFmpeg takes: the largest, or a default one that is not much smaller; no picture beside it.
+
+    A stream that has a tenth of the frames of another, as the preview of a camera, is none of them.
+    """
     from av.stream import Disposition
 
-    streams = (one for one in container.streams.video if Disposition.attached_pic not in one.disposition)
-    return next((one for one in streams if one.codec_context is not None), None)
+    no_clip = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
+    streams = [one for one in container.streams.video if not one.disposition & no_clip and one.codec_context]
+    if len(streams) < 2:
+        return next(iter(streams), None)
+    count = dict.fromkeys((one.index for one in streams), 0)
+    with open_container(Path(container.name)) as same, contextlib.suppress(OSError, ValueError):
+        for packet in islice(same.demux([same.streams[at] for at in count]), _LOOKED_PACKETS):
+            count[packet.stream.index] += packet.size > 0
+
+    def rank(one: VideoStream) -> tuple[bool, int]:
+        pixels = one.codec_context.width * one.codec_context.height
+        return count[one.index] * 10 > max(count.values()), pixels + _DEFAULT_PIXELS * (
+            Disposition.default in one.disposition
+        )
+
+    return max(streams, key=rank)
 
 
 def sound_of(path: Path) -> tuple[str, float]:
-    """The codec of a file's sound, "" if it has none, and when its first image is shown, in s from the file's start.
+    """The codec of a file's sound, "" if it has none, and how much later, in s, its frames are shown than they say.
 
     Raises OSError or ValueError.
     """
     with open_container(path) as container:
         video, sound = video_stream(container), container.streams.audio
         first = None if video is None else next(container.decode(video), None)
-        begins_s = 0.0 if first is None or first.time is None else first.time - (container.start_time or 0) / 1e6
-        return sound[0].codec.name if sound else "", max(begins_s, 0.0)
+        late_s = 0.0 if first is None else _shown_at(first, container)[1]
+        return sound[0].codec.name if sound else "", late_s
+
+
+def _shown_at(first: VideoFrame, container: InputContainer) -> tuple[float, float]:
+    """When the first frame of a file is shown, in s from the file's start, and what is left out of that.
+
+    Sound that is encoded begins some milliseconds early, to no purpose: so much is left out.
+    """
+    at_s = 0.0 if first.time is None else max(first.time - (container.start_time or 0) / 1e6, 0.0)
+    late = container.format.name != "avi" and at_s > _PRIMING_S  # which has no times of showing
+    return (at_s, 0.0) if late else (0.0, at_s)
 
 
 def pixels(raw: VideoFrame) -> Image:
-    """A decoded frame as `Frame.pixels`, turned upright."""
-    turns = round(raw.rotation / 90) % 4
+    """A decoded frame as `Frame.pixels`, turned and mirrored as players show it."""
+    way = _orientation(raw)
     sides = raw.width, raw.height
     if raw.format.name != "yuv420p" or raw.color_range == _FULL_RANGE or sides[0] % 2 or sides[1] % 2:
         image = np.asarray(raw.to_ndarray(format="bgr24", src_colorspace="ITU601", dst_colorspace="ITU601"), np.uint8)
-        return np.ascontiguousarray(np.rot90(image, turns))
+        return np.ascontiguousarray(_oriented(image, way))
     planes = np.asarray(raw.to_ndarray(), np.uint8)
-    if not turns:
+    if not any(way):
         return planes
-    turned = np.concatenate([np.rot90(part, turns).ravel() for part in planes_of(planes)])
-    return turned.reshape(-1, sides[turns % 2])
+    turned = np.concatenate([_oriented(part, way).ravel() for part in planes_of(planes)])
+    return turned.reshape(-1, sides[way[0]])
+
+
+def _orientation(raw: VideoFrame) -> tuple[bool, bool, bool]:
+    """Whether a frame is shown with rows for columns, then mirrored, then upside down, by its display matrix."""
+    found = raw.side_data.get("DISPLAYMATRIX")
+    if found is None:
+        return False, False, False
+    # of a place (x, y) in the file, (x a + y c, x b + y d) is shown; what is no quarter turn is rounded to one
+    a, b, _, c, d = np.frombuffer(cast(bytes, found), np.int32)[:5].tolist()
+    if abs(a) + abs(d) >= abs(b) + abs(c):
+        return False, a < 0, d < 0
+    return True, c < 0, b < 0
+
+
+def _oriented(image: Image, way: tuple[bool, bool, bool]) -> Image:
+    across, mirrored, upside_down = way
+    image = image.swapaxes(0, 1) if across else image
+    return image[:: -1 if upside_down else 1, :: -1 if mirrored else 1]
+
+
+def fitted(image: Image, size: tuple[int, int]) -> Image:
+    """A BGR image scaled to `size` (width, height); what has another shape by more than `_SHAPE` gets black borders."""
+    scales = [whole / side for whole, side in zip(size, image.shape[1::-1], strict=True)]
+    zoom, most = min(scales), max(scales)
+    width, height = size if most <= zoom * _SHAPE else (max(round(s * zoom), 1) for s in image.shape[1::-1])
+    how = cv2.INTER_AREA if zoom < 1 else cv2.INTER_LINEAR
+    small = cv2.resize(image, (width, height), interpolation=how)
+    left, top = (size[0] - width) // 2, (size[1] - height) // 2
+    borders = top, size[1] - height - top, left, size[0] - width - left
+    return np.asarray(cv2.copyMakeBorder(small, *borders, cv2.BORDER_CONSTANT), np.uint8)
 
 
 def read_index(path: Path, stopped: Callable[[], bool] = lambda: False) -> Index | None:

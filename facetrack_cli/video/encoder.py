@@ -25,11 +25,14 @@ _STRIP = 1 << 18  # pixels that are converted at a time, which bounds memory
 class Encoder:
     """Encodes frames of `size` into the MP4 `target`, which errors call `path`. OutputError if that is not possible.
 
-    `timescale` are the ticks a second of the file's clock.
+    `timescale` are the ticks a second of the file's clock, `aspect` is the width of a pixel over its height.
     """
 
-    def __init__(self, path: Path, target: Path, size: tuple[int, int], fps: Fraction, timescale: int) -> None:
+    def __init__(
+        self, path: Path, target: Path, size: tuple[int, int], fps: Fraction, timescale: int, aspect: Fraction
+    ) -> None:
         self.target, self._path, self._fps, self._timescale = target, path, fps, timescale
+        self._aspect = aspect.limit_denominator(255)
         self._planes, self._begun = Planes(size), False
         try:
             target.open("wb").close()
@@ -86,6 +89,7 @@ class Encoder:
     def _command(self) -> list[str]:
         matrix, (width, height) = self._planes.matrix, self._planes.size
         tags = f"setparams=colorspace={matrix}:color_primaries={matrix}:color_trc={matrix}:range=tv"
+        tags += f",setsar={self._aspect}" if self._aspect != 1 else ""
         large = width * height > _LARGE
         command = ["-nostats", "-v", "error", "-y", *("-thread_queue_size", "1") * large, "-f", "matroska", "-i", "-"]
         # superfast with the macroblock tree that it leaves out takes 0.5 to 0.7 of the time of veryfast, and its files

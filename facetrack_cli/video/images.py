@@ -52,11 +52,11 @@ def natural_key(name: str) -> tuple[list[tuple[int, int | str]], str]:
     return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts if part], name
 
 
-def read(path: Path, size: tuple[int, int] | None = None, data: bytes | None = None) -> Image:
+def read(path: Path, data: bytes | None = None) -> Image:
     """Read one image, whose bytes may be given as `data`, as (H, W, 3) uint8 BGR, contiguous.
 
     The EXIF orientation is applied, 16 bits are scaled to 8, transparency is composited over black. Raises
-    UnreadableError, also if the image is not of the `size` (width, height).
+    UnreadableError.
     """
     try:
         with iio.imopen(path if data is None else data, "r", plugin="pillow") as file:
@@ -82,8 +82,6 @@ def read(path: Path, size: tuple[int, int] | None = None, data: bytes | None = N
     if pixels.shape[2] == 4:
         alpha = pixels[..., 3:].astype(np.uint16)
         pixels = pixels[..., :3] if alpha.min() == 255 else ((pixels[..., :3] * alpha + 127) // 255).astype(np.uint8)
-    if size is not None and pixels.shape[1::-1] != size:
-        raise UnreadableError(path, f"is not {size[0]}x{size[1]} pixels")
     return np.ascontiguousarray(pixels[..., ::-1])
 
 
@@ -97,14 +95,3 @@ def is_animated(path: Path) -> bool:
             head += file.read(1 << 16)
         return b"acTL" in head[: head.find(b"IDAT") + 1]
     return False
-
-
-def header_size(path: Path, data: bytes | None = None) -> tuple[int, int] | None:
-    """(width, height) from the header, after the EXIF orientation; None when it is not known."""
-    try:
-        with iio.imopen(path if data is None else data, "r", plugin="pillow") as file:
-            metadata = file.metadata(exclude_applied=False)
-    except Exception:  # what is wrong with the file is said when it is read
-        return None
-    width, height = metadata["shape"]
-    return (height, width) if metadata.get("Orientation", 1) in (5, 6, 7, 8) else (width, height)

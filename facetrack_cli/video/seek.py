@@ -18,7 +18,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame, Image
-from facetrack_cli.video.decode import MIN_JUMP_FRAMES, Decoder, Index, LostError, pixels, read_index
+from facetrack_cli.video.decode import MIN_JUMP_FRAMES, Decoder, Index, LostError, read_index
 from facetrack_cli.video.images import UnreadableError
 from facetrack_cli.video.source import FolderSource, open_source
 
@@ -110,7 +110,7 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         self._index: Index | None = None  # once the thread has read it
         self._thread = threading.Thread(target=self._read_index, name="index", daemon=True)
         with open_source(path, fps=fps) as source:
-            self.size, self.fps = source.size, source.fps
+            self.size, self.fps, self.aspect = source.size, source.fps, float(source.aspect)
         self._back = max(CACHE_BYTES * 3 // 4 // math.prod((*self.size, 3)), 1)
         self._folder = source if isinstance(source, FolderSource) else None
         if self._folder is not None:
@@ -149,7 +149,7 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
             found = self._recent.get(index)
             if found is not None:
                 self._last = index
-                return Frame(index, *found)
+                return Frame(index, *found, aspect=self.aspect)
             with self._turns.turn(ticket):
                 # while waiting, another call may have decoded it
                 if not self._closed.is_set() and self._recent.get(index) is None:
@@ -222,10 +222,10 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         at, raw = self._decoder.next, self._decoder.read()
         self.decoded += 1
         self._reached = max(self._reached, self._decoder.next)
-        frame = Frame(at, self._decoder.time_s, pixels(raw)) if raw is not None and at >= wanted else None
+        frame = self._decoder.picture(raw) if raw is not None and at >= wanted else None
         if raw is None and self._decoder.jumped and self._index is not None and at != len(self._index.pts):
             raise LostError(f"{self.path}: ends at frame {at}")
-        if raw is None or (frame is not None and frame.size != self.size):  # a source ends before another size
+        if raw is None:
             self._end = at
             return False
         if frame is not None:

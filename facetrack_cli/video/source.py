@@ -1,7 +1,8 @@
 """Where frames come from: a video file, or the images of a folder, as an iterable of `Frame`.
 
-Frames are counted from 0 of the file, also when reading starts later; `time_s` counts from the file's first frame, by
-the file's own clock, and grows from frame to frame. The number of frames that a container claims is only a hint.
+Frames are counted from 0 of the file, also when reading starts later; `time_s` counts from the file's start, by the
+file's own clock, as players do, and grows from frame to frame: where sound begins before the pictures, the first of
+them comes later than 0. The number of frames that a container claims is only a hint.
 
 A clip that ends early gives all the frames before the damage; then `complete` is False and `warnings` says what is
 missing. A clip is incomplete, too, if FFmpeg calls a packet or a frame damaged: the decoder conceals damage and goes
@@ -25,8 +26,8 @@ from facetrack_cli.video.decode import (
     MIN_JUMP_FRAMES,
     Decoder,
     LostError,
+    fitted,
     open_container,
-    pixels,
     read_index,
     video_stream,
 )
@@ -38,11 +39,14 @@ _JITTER_S = 0.0015  # containers that keep whole milliseconds move a frame by le
 
 
 class Source(AbstractContextManager["Source"], ABC):
-    """Frames of one clip, iterable once; `size` (width, height) has rotation applied, `fps` is the nominal rate."""
+    """Frames of one clip, iterable once; `size` (width, height) has rotation applied, `fps` is the nominal rate.
+
+    `aspect` is the width of a pixel over its height, `begins_s` the time of the clip's first frame.
+    """
 
     def __init__(self, path: Path, size: tuple[int, int], fps: Fraction, start: int, stop: int | None):
         self.path, self.size, self.fps = path, size, fps
-        self.is_video = False
+        self.is_video, self.aspect, self.begins_s = False, Fraction(1), 0.0
         self.frames_hint: int | None = None  # the likely number of frames to come
         # filled while iterating
         self.variable: bool | None = None  # whether the times of frames differ from `fps`, once it is known
@@ -72,6 +76,10 @@ class Source(AbstractContextManager["Source"], ABC):
         self.complete = False
         self.warnings.append(message)
 
+    def _scaled(self, what: str, size: tuple[int, int]) -> None:
+        sizes = "{}x{}, the first is {}x{}".format(*size, *self.size)
+        self.warnings.append(f"{what} is {sizes}; all are scaled to the first")
+
     def _past_end(self, frames: int) -> InputError:
         there = f"the clip has {frames} frames (0 to {frames - 1})"
         return InputError(f"{self.path}: frame {self._start} is past the end, {there}; start earlier")
@@ -87,7 +95,7 @@ class VideoSource(Source):
         except (OSError, ValueError):
             raise _why_not(path) from None
         super().__init__(path, self._decoder.size, self._decoder.fps, start, stop)
-        self.is_video = True
+        self.is_video, self.aspect, self.begins_s = True, self._decoder.aspect, self._decoder.begins_s
         claimed = self._decoder.claimed
         if claimed is not None:
             self.frames_hint = max(min(claimed, stop or claimed) - start, 0)
@@ -109,7 +117,7 @@ class VideoSource(Source):
                 if self._closed:
                     return
                 index, raw = decoder.next, decoder.read()
-                frame = None if raw is None or index < start else Frame(index, decoder.time_s, pixels(raw))
+                frame = None if raw is None or index < start else decoder.picture(raw)
                 del raw  # free it before the next one is decoded
             if index == decoder.next:
                 break
@@ -117,11 +125,8 @@ class VideoSource(Source):
                 self.variable = True
             before_s = decoder.time_s
             if frame is not None:
-                if frame.size != self.size:
-                    sizes = "{}x{}, those before are {}x{}".format(*frame.size, *self.size)
-                    what = f"{self.path}: frame {index} is {sizes}; stopped after {index} frames"
-                    self._cut(f"{what}, convert the clip to one size")
-                    return
+                if decoder.resized is not None and decoder.resized[0] == index:
+                    self._scaled(f"{self.path}: frame {index}", decoder.resized[1])
                 yield frame
         else:  # the rest of the file does not matter
             self._judge_frames({at for at in decoder.damage if at < decoder.next})
@@ -203,7 +208,7 @@ def _length(path: Path) -> int:
 
 
 class FolderSource(Source):
-    """Images of a folder or an archive in natural order, at a constant rate. Those to be read must be of one size."""
+    """Images of a folder or an archive in natural order, at a constant rate, scaled to the size of the first."""
 
     def __init__(
         self,
@@ -218,21 +223,21 @@ class FolderSource(Source):
         self._data = data  # the bytes of a file that is not on disk
         if start >= len(files):
             raise self._past_end(len(files))
-        self.variable, self.files = False, files
+        self.variable, self.files, self._resized = False, files, False
         read = files[start:stop]
         self.frames_hint = len(read)
-        height, width = images.read(read[0], None, data(read[0])).shape[:2]
+        height, width = images.read(read[0], data(read[0])).shape[:2]
         self.size = width, height
-        for file in read[1:]:
-            size = images.header_size(file, data(file))
-            if size is not None and size != self.size:
-                first = f"{read[0].name} has {width}x{height}; a folder must hold frames of one size"
-                raise InputError(f"{file}: {size[0]}x{size[1]} pixels, but {first}")
 
     def frame(self, index: int) -> Frame:
         """Any frame of the folder. Raises images.UnreadableError."""
         file = self.files[index]
-        return Frame(index, float(index / self.fps), images.read(file, self.size, self._data(file)))
+        image = images.read(file, self._data(file))
+        if (size := image.shape[1::-1]) != self.size:
+            if not self._resized:
+                self._scaled(str(file), size)
+            self._resized, image = True, fitted(image, self.size)
+        return Frame(index, float(index / self.fps), image)
 
     def _frames(self) -> Iterator[Frame]:
         total = len(self.files)

@@ -207,4 +207,4 @@ class Film:
 
 def _own(frame: Frame) -> Frame:
     """The frame for one track: what is computed of it is kept apart."""
-    return Frame(frame.index, frame.time_s, frame.pixels, frame.bgr)
+    return Frame(frame.index, frame.time_s, frame.pixels, frame.bgr, aspect=frame.aspect)
