@@ -21,6 +21,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.types import Array, Frame, Image, Whole, planes_of
+from facetrack_cli.video.images import Levels, levels
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -37,6 +38,7 @@ _MAX_TRIES: Final = 3  # a seek that arrives too late is repeated from an earlie
 _MAX_THREADS: Final = 8  # of the decoder, each of which holds frames
 # larger frames are decoded several at a time; FFmpeg does not always tell which of them are damaged then
 _MAX_ALONE_PIXELS: Final = 1_000_000
+_LEVEL_FRAMES: Final = 50  # by which the range of 16-bit grey is measured
 _PRIMING_S: Final = 0.05  # of AAC and MP3
 _OBLONG: Final = 8  # a pixel that is told to be more oblong is told wrong
 _SHAPE: Final = 1.03  # of sides that are rounded
@@ -114,6 +116,7 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
         if _orientation(first)[0]:
             self.size, shape = self.size[::-1], 1 / shape
         self.aspect = shape if 1 / _OBLONG < shape < _OBLONG else Fraction(1)
+        self._levels = _levels(path) if first.format.name.startswith("gray16") else None
         self.begins_s, _ = _shown_at(first, self._container)
 
     def read(self) -> VideoFrame | None:
@@ -138,7 +141,8 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
 
     def picture(self, raw: VideoFrame) -> Frame:
         """The frame that was read last, as players show it."""
-        frame = Frame(self.next - 1, self.time_s, pixels(raw), aspect=float(self.aspect))
+        image = pixels(raw) if self._levels is None else _grey(raw, self._levels)
+        frame = Frame(self.next - 1, self.time_s, image, aspect=float(self.aspect))
         if frame.size == self.size:
             return frame
         self.resized = self.resized or (frame.index, frame.size)
@@ -292,6 +296,22 @@ def pixels(raw: VideoFrame) -> Image:
         return planes
     turned = np.concatenate([_oriented(part, way).ravel() for part in planes_of(planes)])
     return turned.reshape(-1, sides[way[0]])
+
+
+def _levels(path: Path) -> Levels:
+    """The range that the first frames of a video of 16-bit grey use."""
+    with open_container(path) as container:
+        video = video_stream(container)
+        return levels(_deep(raw) for raw in islice(container.decode(video) if video else (), _LEVEL_FRAMES))
+
+
+def _deep(raw: VideoFrame) -> Any:
+    return raw.to_ndarray(format="gray16le")
+
+
+def _grey(raw: VideoFrame, range_: Levels) -> Image:
+    image = range_.grey(_deep(raw))
+    return np.ascontiguousarray(_oriented(np.repeat(image[..., None], 3, axis=2), _orientation(raw)))
 
 
 def _orientation(raw: VideoFrame) -> tuple[bool, bool, bool]:

@@ -16,6 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, suppress
 from fractions import Fraction
+from itertools import accumulate, pairwise
 from pathlib import Path
 
 from facetrack_cli.core.errors import InputError, UsageError
@@ -34,6 +35,7 @@ from facetrack_cli.video.decode import (
 from facetrack_cli.video.files import AGAIN, check_file, check_local, is_image, missing_part
 
 FOLDER_FPS = Fraction(25)
+_LEVEL_IMAGES = 16  # by which the range of 16-bit images is measured
 _MAX_NAMED = 6  # damaged frames
 _JITTER_S = 0.0015  # containers that keep whole milliseconds move a frame by less than this
 
@@ -208,7 +210,11 @@ def _length(path: Path) -> int:
 
 
 class FolderSource(Source):
-    """Images of a folder or an archive in natural order, at a constant rate, scaled to the size of the first."""
+    """Images of a folder or an archive in natural order, at a constant rate, scaled to the size of the first.
+
+    `files` has the file of each frame: of a stack its file as often as it has pages. `shown_s` (T,) are the times of an
+    animation's frames.
+    """
 
     def __init__(
         self,
@@ -218,26 +224,40 @@ class FolderSource(Source):
         start: int,
         stop: int | None,
         data: Callable[[Path], bytes | None] = lambda file: None,
+        shown_s: Sequence[float] = (),
     ):
         super().__init__(path, (0, 0), fps, start, stop)
         self._data = data  # the bytes of a file that is not on disk
-        if start >= len(files):
-            raise self._past_end(len(files))
-        self.variable, self.files, self._resized = False, files, False
-        read = files[start:stop]
+        self._pages = [(file, page) for file in files for page in range(images.pages(file, data(file)))]
+        self.files, self._resized, self._shown_s = [file for file, _ in self._pages], False, shown_s
+        self.variable = len({round(b - a, 3) for a, b in pairwise(shown_s)}) > 1
+        if start >= len(self.files):
+            raise self._past_end(len(self.files))
+        read = self._pages[start:stop]
         self.frames_hint = len(read)
-        height, width = images.read(read[0], data(read[0])).shape[:2]
-        self.size = width, height
+        first = images.numbers(read[0][0], data(read[0][0]), read[0][1])
+        self.size = first.shape[1], first.shape[0]
+        self._levels = images.Levels()
+        if first.dtype.itemsize > 1:  # the same whatever is read
+            some = self._pages[:: max(len(self._pages) // _LEVEL_IMAGES, 1)]
+            with suppress(images.UnreadableError):
+                self._levels = images.levels(images.numbers(file, data(file), page) for file, page in some)
+            if self._levels != images.Levels():
+                what = f"{path}: 16-bit images that use the numbers {self._levels}"
+                self.warnings.append(f"{what}; these are black and white, so that all of it is seen")
+        if several := images.sequences(files):
+            what = f"holds {len(several)} sequences, as {' and '.join(several[:2])}, tracked one after the other"
+            self.warnings.append(f"{path}: {what}; give one alone, as '{files[0].parent / several[0]}'")
 
     def frame(self, index: int) -> Frame:
         """Any frame of the folder. Raises images.UnreadableError."""
-        file = self.files[index]
-        image = images.read(file, self._data(file))
+        file, page = self._pages[index]
+        image = images.read(file, self._data(file), page, self._levels)
         if (size := image.shape[1::-1]) != self.size:
             if not self._resized:
                 self._scaled(str(file), size)
             self._resized, image = True, fitted(image, self.size)
-        return Frame(index, float(index / self.fps), image)
+        return Frame(index, self._shown_s[index] if self._shown_s else float(index / self.fps), image)
 
     def _frames(self) -> Iterator[Frame]:
         total = len(self.files)
@@ -279,4 +299,7 @@ def open_source(path: Path, *, fps: Fraction | None = None, start: int = 0, stop
         return FolderSource(path, [path], fps or FOLDER_FPS, start, stop)
     if fps is not None:
         raise UsageError(f"{path}: a video keeps its own frame rate; give --fps for images only")
+    if each := images.durations(path):
+        rate = Fraction(1 / sorted(each)[len(each) // 2]).limit_denominator(1001)
+        return FolderSource(path, [path], rate, start, stop, shown_s=[0.0, *accumulate(each[:-1])])
     return VideoSource(path, start, stop)
