@@ -10,6 +10,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX, Correction, TargetStart
 from facetrack_cli.run_folder.finished import Run
 from facetrack_cli.tracking.corrected import all_or
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.formats.cvat import read_cvat
 from facetrack_cli.trajectory.formats.labelstudio import read_labelstudio
 from facetrack_cli.trajectory.trajectory import DECIMALS, Trajectory
@@ -45,7 +46,7 @@ def read_annotations(path: Path, run: Run) -> Trajectory:
         with path.open("rb") as file:
             begins = file.read(256).decode("utf-8-sig", "replace").lstrip()
     if begins[:1] in ("[", "{"):
-        return read_labelstudio(path, run.header.source.size)
+        return read_labelstudio(path, run.header.source.size, Clock(run.rows, run.header.source.fps))
     return read_cvat(path)
 
 

@@ -30,6 +30,7 @@ from facetrack_cli.tracking.people.identity import SURE, Cast, Seen, cast_of
 from facetrack_cli.tracking.people.looks import Looks, Reader, load_people, save_people, still, views_of
 from facetrack_cli.tracking.people.presence import MAX_FACES, Film
 from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import clip_of, said
 from facetrack_cli.trajectory.people import (
     PEOPLE,
@@ -134,7 +135,7 @@ def cast(
     found = cast_of(tracks, list(known.values()))
     new = iter(one for k in range(1, len(tracks) + len(known) + 1) if (one := f"{PERSON}{k}") not in known)
     names = [*known, *(next(new) for _ in range(int(found.person.max(initial=-1)) + 1 - len(known)))]
-    return _named(tracks, found, names, readers, shots, float(source.fps))
+    return _named(tracks, found, names, readers, shots, Clock(rows, float(source.fps)))
 
 
 def save_looks(folder: Path, path: Path, clip: Path | None, report: Report, stop: Stopped) -> tuple[str, ...]:
@@ -176,7 +177,7 @@ def _named(
     called: Sequence[str],
     readers: Mapping[str, Reader],
     shots: Sequence[Shot],
-    fps: float,
+    clock: Clock,
 ) -> Named:
     names = [called[k] for k in found.person.tolist()]
     doubts = {one.track: one for one in found.doubts}
@@ -196,7 +197,7 @@ def _named(
             pictures[of] = max(pictures.get(of, best), best, key=lambda still: still[0])
     told = [ShotRecord(first=one.first, stop=one.stop) for one in shots]
     paths = {name: f"{STILLS}/{name}.jpg" for name in pictures}
-    people = people_of(fps, told, [one for _, one in records], paths, {*names} - moving)
+    people = people_of(clock, told, [one for _, one in records], paths, {*names} - moving)
     return Named(people, tuple(records), {name: _jpeg(image) for name, (_, image) in pictures.items()})
 
 
@@ -305,7 +306,8 @@ def recast(
                 pictures[name] = (folder / before[of].still).read_bytes()
     words = (*people.corrections, *(said for said, _ in changes))
     stills = {name: f"{STILLS}/{name}.jpg" for name in old}
-    after = people_of(people.fps, people.shots, [one for _, one in tracks], stills, photographs(people, tracks), words)
+    clock, records = Clock(rows, people.fps), [one for _, one in tracks]
+    after = people_of(clock, people.shots, records, stills, photographs(people, tracks), words)
     named = under_names(rows, tracks)
     where, fps = film_of(people, rows, clip)
     for name in stills.keys() - pictures.keys():

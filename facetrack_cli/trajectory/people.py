@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -14,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.numbers import union
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.reader import not_as_written
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
@@ -57,13 +57,14 @@ class TrackRecord(_Record):
 class PersonRecord(_Record):
     """A person: `seconds` on the screen, the intervals [first, stop) of frames, the mean probability of its tracks.
 
-    `still` is the picture; `photograph`: it never moves.
+    `times` are the intervals in s. `still` is the picture; `photograph`: it never moves.
     """
 
     name: str
     seconds: float
     p: _P
     intervals: tuple[tuple[_Frame, _Frame], ...]
+    times: tuple[tuple[float, float], ...] = ()
     still: str = ""
     photograph: bool = False
 
@@ -93,12 +94,16 @@ class People(_Record):
 
     def seconds_together(self) -> Mapping[tuple[str, str], float]:
         """How long two people are on the screen at the same time, where they ever are."""
-        found: Counter[tuple[str, str]] = Counter()
+        found: dict[tuple[str, str], float] = {}
         for a, b in combinations(self.people, 2):
-            frames = sum(max(min(x[1], y[1]) - max(x[0], y[0]), 0) for x in a.intervals for y in b.intervals)
-            if frames:
-                found[a.name, b.name] = frames
-        return {pair: round(frames / self.fps, 3) for pair, frames in found.items()}
+            seconds = sum(max(min(x[1], y[1]) - max(x[0], y[0]), 0) for x in self.times_of(a) for y in self.times_of(b))
+            if seconds:
+                found[a.name, b.name] = round(seconds, 3)
+        return found
+
+    def times_of(self, person: PersonRecord) -> tuple[tuple[float, float], ...]:
+        """The intervals of a person in s."""
+        return person.times or tuple((first / self.fps, stop / self.fps) for first, stop in person.intervals)
 
 
 def read_people(path: Path) -> People | None:
@@ -115,7 +120,7 @@ def read_people(path: Path) -> People | None:
 
 
 def people_of(
-    fps: float,
+    clock: Clock,
     shots: Sequence[ShotRecord],
     tracks: Iterable[TrackRecord],
     stills: Mapping[str, str],
@@ -131,18 +136,20 @@ def people_of(
     for name, theirs in found.items():
         spans = tuple(union((one.first, one.stop) for one in theirs))
         frames = [one.stop - one.first for one in theirs]
+        times = tuple((round(clock.at(first), 4), round(clock.after(stop - 1), 4)) for first, stop in spans)
         p = float(np.average([one.p for one in theirs], weights=frames))
         person = PersonRecord(
             name=name,
-            seconds=round(sum(stop - first for first, stop in spans) / fps, 3),
+            seconds=round(sum(stop - first for first, stop in times), 3),
             p=round(p, 4),
             intervals=spans,
+            times=times,
             still=stills.get(name, ""),
             photograph=name in photographs,
         )
         people.append(person)
     return People(
-        fps=fps, shots=tuple(shots), people=tuple(people), tracks=tuple(ordered), corrections=tuple(corrections)
+        fps=clock.fps, shots=tuple(shots), people=tuple(people), tracks=tuple(ordered), corrections=tuple(corrections)
     )
 
 

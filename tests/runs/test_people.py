@@ -23,6 +23,7 @@ from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.tracking.people import presence
 from facetrack_cli.tracking.people.identity import Doubt, cast_of
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.people import read_people
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.video.source import open_source
@@ -261,10 +262,10 @@ def test_what_a_film_cannot_is_refused(given, tmp_path, capsys, monkeypatch):
 
 
 def test_moments():
-    assert [frame_at(one, 25.0) for one in ("2075f", "83", "1:23", "0:01:23.0")] == [2075] * 4
+    assert [frame_at(one, Clock(None, 25.0)) for one in ("2075f", "83", "1:23", "0:01:23.0")] == [2075] * 4
     for odd in ("x", "1:x", "f", "1e999"):
         with pytest.raises(UsageError, match="is no time"):
-            frame_at(odd, 25.0)
+            frame_at(odd, Clock(None, 25.0))
 
 
 @pytest.mark.nightly

@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.formats.cvat import read_cvat, write_cvat
 from facetrack_cli.trajectory.formats.labelstudio import read_labelstudio, write_labelstudio
 from facetrack_cli.trajectory.formats.read import read_truth
@@ -207,3 +208,40 @@ def test_damaged_files_are_read_or_refused_in_one_line(tmp_path, seed, changes, 
         assert str(path) in str(e) and "\n" not in str(e) and len(str(e)) < 600
     else:
         assert len(found) and found.frame.min() >= 0
+
+
+# at 25 frames/s, then a third as many; pictures that begin after the sound; a clip that lost some
+CLOCKS = {
+    "varies": [*(np.arange(50) / 25), *(2 + np.arange(40) * 0.12)],
+    "late": 1.2 + np.arange(60) / 25,
+    "holes": np.delete(np.arange(60) / 25, [10, 11, 30]),
+    "ntsc": np.arange(90) / 29.97,
+}
+
+
+@pytest.mark.parametrize("name", CLOCKS)
+@pytest.mark.parametrize("first", [0, 7])
+def test_label_studio_counts_by_the_clock_there_and_back(name, first, tmp_path):
+    time_s = np.round(np.asarray(CLOCKS[name])[first:], 4)
+    frame = np.arange(first, first + len(time_s))
+    fps = 29.97 if name == "ntsc" else 25.0
+    place = {"x": frame + 10.0, "y": frame + 20.0, "w": frame * 0 + 30.0, "h": frame * 0 + 40.0}
+    table = one_part("face", BOX, frame, time_s=time_s, status=["tracked"] * len(frame), **place)
+    path = tmp_path / "a.json"
+    path.write_text(write_labelstudio(table, (320, 240), fps, "clip.mp4"))
+    value = json.loads(path.read_text())[0]["annotations"][0]["result"][0]["value"]
+    assert [one["frame"] for one in value["sequence"]] == np.rint(time_s * fps + 1).astype(int).tolist()
+    assert value["framesCount"] == round(time_s[-1] * fps) + 1
+    assert value["duration"] == pytest.approx(time_s[-1] + 1 / fps, abs=0.5 / fps)
+    clock = Clock(table, fps)
+    (back,) = read_labelstudio(path, (320, 240), clock).parts
+    assert back.frame.tolist() == frame.tolist()
+    np.testing.assert_allclose(back.x, table.x, atol=0.01)
+    # what is corrected while a picture stands still, between two frames of the clock, is of that picture
+    if name == "varies":
+        value["sequence"].append({**value["sequence"][60 - first], "frame": 83, "x": 50.0})
+        whole = json.loads(path.read_text())
+        whole[0]["annotations"][0]["result"][0]["value"] = value
+        path.write_text(json.dumps(whole))
+        (moved,) = read_labelstudio(path, (320, 240), clock).parts
+        assert moved.frame[np.abs(moved.x - table.x) > 1].tolist() == [60]

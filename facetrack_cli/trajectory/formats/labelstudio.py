@@ -2,8 +2,9 @@
 
 A part is a region with every frame in its `sequence`, so that nothing is interpolated; see `annotation.py`. `enabled`
 is false where a row is lost, or there is none: Label Studio draws such a rectangle in its own frame, and ends the span
-of the region there. Frames count from 1, `time` is frame / fps, lengths are percent of the image. A point is the
-rectangle of the window around it. The labelling configuration needs a Video `video` and a VideoRectangle `box`.
+of the region there. Its frames are those of a clock, from 1: the time of the player times the rate. `time` is frame /
+fps, lengths are percent of the image. A point is the rectangle of the window around it. The labelling configuration
+needs a Video `video` and a VideoRectangle `box`.
 """
 
 import json
@@ -16,12 +17,14 @@ from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.numbers import dumps
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.formats.annotation import Mark, box_mark, collected, named, tracks
 from facetrack_cli.trajectory.formats.lines import read_text
 from facetrack_cli.trajectory.reader import MAX_FRAME
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 KIND = "videorectangle"
+_COUNTED = Clock(None, 1.0)
 
 
 def write_labelstudio(table: Trajectory, size: tuple[int, int], fps: float, clip: str) -> str:
@@ -29,16 +32,20 @@ def write_labelstudio(table: Trajectory, size: tuple[int, int], fps: float, clip
 
     InputError for points without the size of a window.
     """
-    count, scale = int(table.frames[-1]) + 1, 100 / np.array([*size, *size], dtype=np.float64)
+    clock = Clock(table, fps)
+    count, scale = clock.tick(int(table.frames[-1])) + 1, 100 / np.array([*size, *size], dtype=np.float64)
     results: list[dict[str, Any]] = []
     for one in tracks(table):
         if (sizeless := np.flatnonzero(~np.isfinite(one.ltwh).all(axis=1))).size:
             why = "has no w and h, and Label Studio's video has rectangles alone; export to cvat"
             raise InputError(f"{one.label}: frame {one.frame[sizeless[0]]} {why}")
-        sequence = []
+        sequence: list[dict[str, Any]] = []
         for frame, state, box in zip(one.frame.tolist(), one.state.tolist(), one.ltwh * scale, strict=True):
             x, y, w, h = (round(value, 5) for value in box.tolist())
-            timed = {"frame": frame + 1, "time": round((frame + 1) / fps, 5)}
+            number = clock.tick(frame) + 1
+            if sequence and sequence[-1]["frame"] == number:  # of two pictures within one frame the first is shown
+                continue
+            timed = {"frame": number, "time": round(number / fps, 5)}
             place = {"x": x, "y": y, "width": w, "height": h, "rotation": 0}
             sequence.append({**timed, "enabled": state == "seen", **place})
         value = {"framesCount": count, "duration": round(count / fps, 5), "sequence": sequence, "labels": [one.label]}
@@ -77,9 +84,11 @@ class _Task(BaseModel):
     annotations: tuple[_Annotation, ...]
 
 
-def read_labelstudio(path: Path, size: tuple[int, int], *, shift: int = 0) -> Trajectory:
+def read_labelstudio(path: Path, size: tuple[int, int], clock: Clock = _COUNTED, *, shift: int = 0) -> Trajectory:
     """The regions of the one task in an export (JSON) of images of `size`: visible, or absent where not enabled.
 
+    `clock` is that of the clip; without it pictures are as many as frames. Of several frames of Label Studio in which
+    one picture is shown the last one counts.
     Every place of a sequence is `by_hand`; frames between two places have no row. InputError for more than one task or
     annotation, for regions without a label, and for two regions of one label in a frame.
     """
@@ -93,6 +102,7 @@ def read_labelstudio(path: Path, size: tuple[int, int], *, shift: int = 0) -> Tr
         found = f"{len(tasks)} tasks with {len(annotations)} annotations"
         raise InputError(f"{path}: has {found}; export the one task of the clip, and keep one annotation of it")
     marks: dict[tuple[str, str], dict[int, Mark]] = {}
+    told: dict[str, set[int]] = {}  # frames of a label
     for raw in annotations[0].result:
         if raw.get("type") != KIND:
             continue
@@ -103,12 +113,13 @@ def read_labelstudio(path: Path, size: tuple[int, int], *, shift: int = 0) -> Tr
         if len(region.value.labels) != 1:
             raise InputError(f"{path}: region {region.id} has {len(region.value.labels)} labels; give it one")
         label = region.value.labels[0]
-        own = marks.setdefault(named(label), {})
-        for one in region.value.sequence:
+        own, numbers = marks.setdefault(named(label), {}), told.setdefault(label, set())
+        for one in sorted(region.value.sequence, key=lambda one: one.frame):
             place = f"{path}: region {region.id} ({label}), frame {one.frame}"
-            if one.frame - 1 in own:
+            if one.frame in numbers:
                 raise InputError(f"{place}: is there twice, here or in another region of the same label; remove one")
-            own[one.frame - 1] = _mark(place, one, size)
+            numbers.add(one.frame)
+            own[clock.shown(one.frame - 1)] = _mark(place, one, size)
     return collected(path, marks, "Label Studio: frames from 1, percent of the image", shift)
 
 
