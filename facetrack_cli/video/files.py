@@ -32,15 +32,15 @@ def is_clip(path: Path) -> bool:
 
 
 def chapters(clips: Sequence[Path]) -> list[Path]:
-    """Those of some clips that are likely chapters of one recording: numbered on, or as cameras name them; else none."""
+    """Those of some clips that may be chapters of one recording: numbered on, or as cameras name them; else none."""
     found = defaultdict[tuple[str, str], list[Path]](list)
     for clip in clips:
         if clip.suffix.lower() not in _VIDEOS:
             continue
         if camera := _GOPRO.fullmatch(clip.stem):
             found[str(clip.parent), camera[3] or camera[4]].append(clip)
-        elif numbered := re.fullmatch(r"(.*?)([0-9]+)", clip.stem):
-            found[str(clip.with_name(numbered[1])), clip.suffix].append(clip)
+        elif numbered := re.fullmatch(r"(.*?)([0-9]{4,})", clip.stem):  # as cameras number
+            found[str(clip.parent / f"{numbered[1]}_"), clip.suffix].append(clip)
     for those in found.values():
         numbers = [int((re.findall("[0-9]+", one.stem) or ["0"])[-1]) for one in those]
         on = numbers == list(range(numbers[0], numbers[0] + len(numbers)))

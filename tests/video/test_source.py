@@ -465,3 +465,10 @@ def test_what_to_do_about_a_picture(tmp_path: Path) -> None:
 def test_a_name_that_is_no_text_is_refused_before_opencv_ends_the_process(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no UTF-8 text; rename the file"):
         open_source(tmp_path / os.fsdecode(b"caf\xe9.mp4"))
+
+
+@pytest.mark.parametrize("text", ["ffconcat version 1.0\nfile a.mp4\nfile b.mp4\n", "# chapters\nfile 'GX01 1.mp4'\n"])
+def test_a_list_of_chapters_is_told_how_to_join(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "list.txt"
+    path.write_text(text)
+    assert f"ffmpeg -f concat -safe 0 -i {path} -c copy joined.mp4" in refusal(path)
