@@ -98,7 +98,9 @@ class _Maker:
         try:
             if annotated:
                 check_belongs(path)
-            for frame in _frames(path, size, self._clip.fps, sorted(place), report):
+            for frame in _frames(
+                path, size, self._clip.fps, sorted(place), report, None if annotated else self._clip.stream
+            ):
                 index = place[frame.index]
                 then = self._clock.at(index)
                 late = abs(frame.time_s - then) > _APART_S + 0.05 / self._clip.fps
@@ -167,14 +169,16 @@ class _Maker:
         return (left, top, w, h), _fit((w, h))
 
 
-def _frames(path: Path, size: tuple[int, int], fps: float, wanted: Sequence[int], report: Report) -> Iterator[Frame]:
+def _frames(
+    path: Path, size: tuple[int, int], fps: float, wanted: Sequence[int], report: Report, stream: int | None
+) -> Iterator[Frame]:
     """The wanted frames, in their order, in one pass. InputError if the clip is of another size."""
     folder = not brings_rate(path)
     runs = [(n, n + 1) for n in wanted] if folder else [(wanted[0], wanted[-1] + 1)]
     total, done = sum(end - begin for begin, end in runs), 0
     for begin, end in runs:
         rate = Fraction(fps).limit_denominator(1001) if folder else None
-        with open_source(path, fps=rate, start=begin, stop=end) as source:
+        with open_source(path, fps=rate, start=begin, stop=end, stream=stream) as source:
             if source.size != size:
                 is_, was = (f"{width}x{height}" for width, height in (source.size, size))
                 raise InputError(f"{path}: is {is_}, not {was} pixels as in the run; name its clip with --clip")

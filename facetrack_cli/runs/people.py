@@ -144,11 +144,11 @@ def save_looks(folder: Path, path: Path, clip: Path | None, report: Report, stop
     Raises InputError where the clip is gone, OutputError, and StoppedError.
     """
     people, rows = people_in(folder), rows_in(folder)
-    where, fps = film_of(people, rows, clip)
+    where, how = film_of(people, rows, clip)
     if where is None:
         raise InputError(f"{rows.path}: does not name its clip; give it with --clip")
     first = people.shots[0].first
-    with open_source(where, fps=fps, start=first) as source:
+    with open_source(where, start=first, **how) as source:
         total = source.frames_hint
         readers = looks_in(_boxes(rows), source, lambda at: report(at - first, total, "looking at people"), stop)
     save_people(path, {name: readers[name].looks() for name in people.names})
@@ -159,11 +159,11 @@ def _boxes(rows: Trajectory) -> dict[str, Trajectory]:
     return {name: box for name in rows.targets if (box := rows.find(name, BOX)) is not None}
 
 
-def film_of(people: People, rows: Trajectory, clip: Path | None) -> tuple[Path | None, Fraction | None]:
-    """The clip of a run, if it is known, and its rate if the clip brings none."""
+def film_of(people: People, rows: Trajectory, clip: Path | None) -> tuple[Path | None, Any]:
+    """The clip of a run, if it is known, and how it is read: its rate if the clip brings none, and its stream."""
     where = clip or clip_of(rows)
     rate = None if where is None or brings_rate(where) else Fraction(people.fps).limit_denominator(1001)
-    return where, rate
+    return where, {"fps": rate, "stream": said(rows, "source", "stream")}
 
 
 def _ends(box: Trajectory) -> tuple[Any, Any]:
@@ -233,7 +233,7 @@ def name_run(job: Job, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
         found = cast_in(job, rows, stop, looked)
         after = under_names(rows, found.tracks)
         last = job.first + outcome.frames - 1
-        paint = Painted(job.clip, job.fps, job.first, last, job.recipe.name) if job.video else None
+        paint = Painted(job.clip, job.fps, job.first, last, job.recipe.name, job.stream) if job.video else None
         write_people(job.out, after, found.people, found.stills, paint, lambda n, of: looked(n, of, "drawing"), stop)
     except StoppedError:
         outcome.stopped = stop.reason
@@ -309,16 +309,17 @@ def recast(
     clock, records = Clock(rows, people.fps), [one for _, one in tracks]
     after = people_of(clock, people.shots, records, stills, photographs(people, tracks), words)
     named = under_names(rows, tracks)
-    where, fps = film_of(people, rows, clip)
+    where, how = film_of(people, rows, clip)
     for name in stills.keys() - pictures.keys():
-        pictures[name] = _picture(named, name, where, fps)
+        pictures[name] = _picture(named, name, where, how)
     for one in after.doubts:
         with suppress(OSError):
             pictures[Path(one.still).stem] = (folder / one.still).read_bytes()
     paint = None
     if video and (folder / VIDEO).is_file() and where is not None:
         first = people.shots[0].first
-        paint = Painted(where, fps, first, first + _frames(folder) - 1, str(said(rows, "recipe", "name") or ""))
+        title, last = str(said(rows, "recipe", "name") or ""), first + _frames(folder) - 1
+        paint = Painted(where, how["fps"], first, last, title, how["stream"])
     write_people(folder, named, after, pictures, paint, report, stop)
     return after
 
@@ -352,13 +353,13 @@ def still_of(rows: Trajectory, target: str, first: int, stop: int, read: Callabl
     return _jpeg(still(read(best.frame), best.face))
 
 
-def _picture(rows: Trajectory, name: str, clip: Path | None, fps: Fraction | None) -> bytes:
+def _picture(rows: Trajectory, name: str, clip: Path | None, how: Any) -> bytes:
     """A picture of a person who has none yet."""
     if clip is None:
         raise InputError(f"{rows.path}: has no picture of {name}; name the clip with --clip")
 
     def read(index: int) -> Frame:
-        with open_source(clip, fps=fps, start=index, stop=index + 1) as source:
+        with open_source(clip, start=index, stop=index + 1, **how) as source:
             return next(iter(source))
 
     return still_of(rows, name, 0, int(rows.frame.max()) + 1, read)

@@ -89,18 +89,19 @@ class ClipFacts(NamedTuple):
     frames_hint: int | None = None
     aspect: Fraction = Fraction(1)
     begins_s: float = 0.0
+    stream: int | None = None
 
     @classmethod
     def of(cls, clip: Path, source: Source) -> ClipFacts:
         sound = source.path if source.is_video else None
-        return cls(
-            str(clip), source.size, source.fps, sound, source.frames_hint, source.aspect, round(source.begins_s, 4)
-        )
+        odd = source.aspect, round(source.begins_s, 4), source.stream
+        return cls(str(clip), source.size, source.fps, sound, source.frames_hint, *odd)
 
     def record(self) -> dict[str, Any]:
         """What `ClipHeader` reads; members that are as in nearly all clips are left out."""
         odd = {"pixel_aspect": round(float(self.aspect), 6)} if self.aspect != 1 else {}
         odd |= {"begins_s": self.begins_s} if self.begins_s else {}
+        odd |= {} if self.stream is None else {"stream": self.stream}
         return {"path": self.path, "size": list(self.size), "fps": round(float(self.fps), 6), **odd}
 
 

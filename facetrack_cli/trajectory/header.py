@@ -114,6 +114,7 @@ class ClipHeader(BaseModel):
     fps: Annotated[float, Field(gt=0, le=1e6)]
     pixel_aspect: Annotated[float, Field(gt=0.01, le=100)] = 1.0
     begins_s: Annotated[float, Field(ge=0, le=1e9)] = 0.0
+    stream: int | None = None
 
 
 class InitHeader(StartRecord):

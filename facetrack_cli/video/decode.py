@@ -71,6 +71,8 @@ class LostError(InputError):
 class Decoder(contextlib.AbstractContextManager["Decoder"]):
     """A video file, decoded frame after frame. Not thread-safe. Raises OSError or ValueError if it gives no frame.
 
+    `stream` is the number of the video stream; without it `streams` are those of which the first is taken.
+
     `size` is the (width, height) of the first frame, upright, `aspect` the width of a pixel over its height, and `fps`
     the nominal rate. `next` is the number of the frame that `read` gives next, `time_s` the time of the last one, from
     the start of the file; the first one is shown at `begins_s`. `resized` is the first frame, and its size, that is
@@ -79,10 +81,11 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
     `damage` are the numbers, nearly, of frames that are damaged, and `complaint` what the demuxer said of it first.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, stream: int | None = None) -> None:
         self.path = path
         self._container = open_container(path)
-        video = video_stream(self._container)
+        self.streams = recordings(self._container) if stream is None else []
+        video = self.streams[0] if self.streams else video_stream(self._container, stream)
         if video is None:
             self._container.close()
             raise ValueError("no video")
@@ -116,7 +119,7 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
         if _orientation(first)[0]:
             self.size, shape = self.size[::-1], 1 / shape
         self.aspect = shape if 1 / _OBLONG < shape < _OBLONG else Fraction(1)
-        self._levels = _levels(path) if first.format.name.startswith("gray16") else None
+        self._levels = _levels(path, stream) if first.format.name.startswith("gray16") else None
         self.begins_s, _ = _shown_at(first, self._container)
 
     def read(self) -> VideoFrame | None:
@@ -237,29 +240,39 @@ def open_container(path: Path) -> InputContainer:
     return av.open(str(path.absolute()), options=options, metadata_errors="replace")
 
 
-def video_stream(container: InputContainer) -> VideoStream | None:
-    """The video stream that FFmpeg takes: the largest, or a default one that is not much smaller; no picture beside it.
+def recordings(container: InputContainer) -> list[VideoStream]:
+    """The video streams that can be decoded and are no pictures beside a clip, in the order in which FFmpeg takes them.
 
-    A stream that has a tenth of the frames of another, as the preview of a camera, is none of them.
+    That is the largest first, or a default one that is not much smaller. A stream that has a tenth of the frames of
+    another, as the preview of a camera, is none of them.
     """
     from av.stream import Disposition
 
     no_clip = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
     streams = [one for one in container.streams.video if not one.disposition & no_clip and one.codec_context]
     if len(streams) < 2:
-        return next(iter(streams), None)
+        return streams
     count = dict.fromkeys((one.index for one in streams), 0)
     with open_container(Path(container.name)) as same, contextlib.suppress(OSError, ValueError):
         for packet in islice(same.demux([same.streams[at] for at in count]), _LOOKED_PACKETS):
             count[packet.stream.index] += packet.size > 0
 
-    def rank(one: VideoStream) -> tuple[bool, int]:
-        pixels = one.codec_context.width * one.codec_context.height
-        return count[one.index] * 10 > max(count.values()), pixels + _DEFAULT_PIXELS * (
-            Disposition.default in one.disposition
-        )
+    def size(one: VideoStream) -> int:
+        more = _DEFAULT_PIXELS if Disposition.default in one.disposition else 0
+        return -one.codec_context.width * one.codec_context.height - more
 
-    return max(streams, key=rank)
+    return sorted((one for one in streams if count[one.index] * 10 >= max(count.values())), key=size)
+
+
+def video_stream(container: InputContainer, number: int | None = None) -> VideoStream | None:
+    """The video stream of that number in the file, else the first of `recordings`. InputError without such a number."""
+    if number is None:
+        return next(iter(recordings(container)), None)
+    there = {one.index: one for one in container.streams.video if one.codec_context}
+    if number not in there:
+        numbers = ", ".join(map(str, there)) or "none"
+        raise InputError(f"{container.name}: has no video stream {number}; those there are {numbers}")
+    return there[number]
 
 
 def sound_of(path: Path) -> tuple[str, float]:
@@ -298,10 +311,10 @@ def pixels(raw: VideoFrame) -> Image:
     return turned.reshape(-1, sides[way[0]])
 
 
-def _levels(path: Path) -> Levels:
+def _levels(path: Path, stream: int | None) -> Levels:
     """The range that the first frames of a video of 16-bit grey use."""
     with open_container(path) as container:
-        video = video_stream(container)
+        video = video_stream(container, stream)
         return levels(_deep(raw) for raw in islice(container.decode(video) if video else (), _LEVEL_FRAMES))
 
 
@@ -344,19 +357,19 @@ def fitted(image: Image, size: tuple[int, int]) -> Image:
     return np.asarray(cv2.copyMakeBorder(small, *borders, cv2.BORDER_CONSTANT), np.uint8)
 
 
-def read_index(path: Path, stopped: Callable[[], bool] = lambda: False) -> Index | None:
+def read_index(path: Path, stopped: Callable[[], bool] = lambda: False, stream: int | None = None) -> Index | None:
     """Read all packets of a video without decoding them; None if not every packet gives one frame, or once `stopped`.
 
     Memory is a few bytes a frame. Raises OSError or ValueError.
     """
     import av
 
-    with Decoder(path) as decoder:
+    with Decoder(path, stream) as decoder:
         first = [-1 if raw.pts is None else raw.pts for raw in islice(iter(decoder.read, None), _CHECKED_FRAMES)]
         reorders = bool(decoder._video.codec_context.has_b_frames)
     pts, keys, ended = array("q"), array("q"), False
     with open_container(path) as container:
-        video = video_stream(container)
+        video = video_stream(container, stream)
         assert video is not None
         codec, kind = video.codec_context.name, container.format.name
         # a program stream tells the time of some frames only, and AVI that of none

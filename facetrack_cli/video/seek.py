@@ -100,8 +100,8 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
     Raises what `open_source` raises.
     """
 
-    def __init__(self, path: Path, *, fps: Fraction | None = None):
-        self.path = path
+    def __init__(self, path: Path, *, fps: Fraction | None = None, stream: int | None = None):
+        self.path, self._stream = path, stream
         self.decoded = self.jumps = self._last = self._reached = self._claimed = 0
         self._end: int | None = None  # the number of frames, once it is certain
         self._recent: Cache[int, tuple[float, Image]] = Cache(CACHE_BYTES)
@@ -109,14 +109,14 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         self._closed = threading.Event()
         self._index: Index | None = None  # once the thread has read it
         self._thread = threading.Thread(target=self._read_index, name="index", daemon=True)
-        with open_source(path, fps=fps) as source:
+        with open_source(path, fps=fps, stream=stream) as source:
             self.size, self.fps, self.aspect = source.size, source.fps, float(source.aspect)
         self._back = max(CACHE_BYTES * 3 // 4 // math.prod((*self.size, 3)), 1)
         self._folder = source if isinstance(source, FolderSource) else None
         if self._folder is not None:
             self._end = len(self._folder.files)
         else:
-            self._decoder = Decoder(path)
+            self._decoder = Decoder(path, stream)
             self._claimed = self._decoder.claimed or 0
             self._approach(0, self._turns.ticket())
             self._thread.start()
@@ -169,7 +169,7 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
 
     def _read_index(self) -> None:
         with contextlib.suppress(OSError, ValueError):
-            self._index = read_index(self.path, self._closed.is_set)
+            self._index = read_index(self.path, self._closed.is_set, self._stream)
 
     # what follows is called with the turn
 
@@ -234,4 +234,4 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
 
     def _restart(self) -> None:
         self._decoder.close()
-        self._decoder = Decoder(self.path)
+        self._decoder = Decoder(self.path, self._stream)

@@ -49,6 +49,7 @@ class Source(AbstractContextManager["Source"], ABC):
     def __init__(self, path: Path, size: tuple[int, int], fps: Fraction, start: int, stop: int | None):
         self.path, self.size, self.fps = path, size, fps
         self.is_video, self.aspect, self.begins_s = False, Fraction(1), 0.0
+        self.stream: int | None = None  # of a video, if one was named
         self.frames_hint: int | None = None  # the likely number of frames to come
         # filled while iterating
         self.variable: bool | None = None  # whether the times of frames differ from `fps`, once it is known
@@ -90,14 +91,18 @@ class Source(AbstractContextManager["Source"], ABC):
 class VideoSource(Source):
     """A video file, decoded by PyAV. Where its packets allow it, frames long before `start` are not decoded."""
 
-    def __init__(self, path: Path, start: int, stop: int | None):
-        self._length = _length(path)
+    def __init__(self, path: Path, start: int, stop: int | None, stream: int | None = None):
+        self._length, self.stream = _length(path), stream
         try:
-            self._decoder = Decoder(path)
+            self._decoder = Decoder(path, stream)
         except (OSError, ValueError):
             raise _why_not(path) from None
         super().__init__(path, self._decoder.size, self._decoder.fps, start, stop)
         self.is_video, self.aspect, self.begins_s = True, self._decoder.aspect, self._decoder.begins_s
+        if len(several := self._decoder.streams) > 1:
+            each = [f"{one.index} ({one.codec_context.width}x{one.codec_context.height})" for one in several]
+            what = f"has {len(each)} video streams, {' and '.join(sorted(each))}; {each[0]} is read"
+            self.warnings.append(f"{path}: {what}, --stream N takes another")
         claimed = self._decoder.claimed
         if claimed is not None:
             self.frames_hint = max(min(claimed, stop or claimed) - start, 0)
@@ -140,7 +145,7 @@ class VideoSource(Source):
 
     def _jump(self, start: int) -> None:
         """Go to the frame `start` from the keyframe before it, or stay at the first frame."""
-        index = None if self._closed else read_index(self.path, lambda: self._closed)
+        index = None if self._closed else read_index(self.path, lambda: self._closed, self.stream)
         if index is None or start >= len(index.pts):
             return
         with suppress(LostError):
@@ -149,7 +154,7 @@ class VideoSource(Source):
                     self._decoder.read()
                 return
         self._decoder.close()
-        self._decoder = Decoder(self.path)
+        self._decoder = Decoder(self.path, self.stream)
 
     def _judge(self, frames: int, last_s: float) -> None:
         """Say so if frames are missing after the last one that was decoded, or are not what the clip showed."""
@@ -273,11 +278,14 @@ class FolderSource(Source):
             yield frame
 
 
-def open_source(path: Path, *, fps: Fraction | None = None, start: int = 0, stop: int | None = None) -> Source:
+def open_source(
+    path: Path, *, fps: Fraction | None = None, start: int = 0, stop: int | None = None, stream: int | None = None
+) -> Source:
     """Open a video file, a folder or a .zip of images, a glob of images in one folder (`a*.png`), or a single image.
 
     Frames from `start` up to, not including, `stop`. `fps` is the rate of images (default 25); a video has its own
-    clock and refuses it. Raises InputError when there is nothing to read, UsageError for impossible arguments.
+    clock and refuses it. `stream` is the number of a video's stream (default: FFmpeg's own choice).
+    Raises InputError when there is nothing to read, UsageError for impossible arguments.
     """
     if start < 0:
         raise UsageError(f"{path}: cannot start at frame {start}; frames count from 0")
@@ -302,4 +310,4 @@ def open_source(path: Path, *, fps: Fraction | None = None, start: int = 0, stop
     if each := images.durations(path):
         rate = Fraction(1 / sorted(each)[len(each) // 2]).limit_denominator(1001)
         return FolderSource(path, [path], rate, start, stop, shown_s=[0.0, *accumulate(each[:-1])])
-    return VideoSource(path, start, stop)
+    return VideoSource(path, start, stop, stream)

@@ -1,5 +1,6 @@
 """The picture that players show: mirrored, of oblong pixels, of another size on the way, of the right stream."""
 
+import json
 from fractions import Fraction
 from pathlib import Path
 
@@ -8,7 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
+from facetrack_cli.report.command_line import command
+from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.trajectory.analysis.measures import measures_of
 from facetrack_cli.trajectory.trajectory import Trajectory, of_frame, one_part
 from facetrack_cli.video.seek import Frames
@@ -127,5 +132,46 @@ def test_of_several_streams_the_recording_is_taken(tmp_path: Path) -> None:
             with open_source(join(tmp_path / f"{name}{suffix}", *order)) as source:
                 assert source.size == media.SIZE and len(list(source)) == 50
     told = ("-disposition:v:0", "0", "-disposition:v:1", "default")
-    with open_source(join(tmp_path / "two.mkv", clip, other, options=told)) as source:
+    two = join(tmp_path / "two.mkv", clip, other, options=told)
+    with open_source(two) as source:
         assert media.number(next(iter(source)).bgr) == 100
+        (warning,) = source.warnings
+    assert warning.endswith("has 2 video streams, 0 (64x48) and 1 (64x48); 1 (64x48) is read, --stream N takes another")
+    with open_source(two, stream=0, start=30) as source, Frames(two, stream=0) as frames:
+        assert media.number(next(iter(source)).bgr) == 30 and not source.warnings
+        assert media.number(frames.read(40).bgr) == 40
+    with pytest.raises(InputError, match="no video stream 5; those there are 0, 1"):
+        open_source(two, stream=5)
+
+
+def test_a_stream_that_is_named_is_that_of_the_run_and_of_what_reads_it_again(tmp_path: Path) -> None:
+    dark, bright = (
+        media.write_video(tmp_path / f"{n}.mp4", frames=[np.full((96, 128, 3), n, np.uint8)] * 8) for n in (40, 200)
+    )
+    two = join(tmp_path / "two.mkv", dark, bright)
+    out = tmp_path / "out"
+    assert (
+        main(
+            [
+                "run",
+                str(two),
+                "--stream",
+                "1",
+                "--box",
+                "40,30,24,24",
+                "--config",
+                "correlation_filter",
+                "-o",
+                str(out),
+                "-q",
+            ]
+        )
+        == 0
+    )
+    told = json.loads((out / "trajectory.json").read_text())
+    assert told["source"]["stream"] == 1 and not told["warnings"]
+    with open_source(out / "annotated.mp4") as video:
+        assert np.median(next(iter(video)).bgr) > 150
+    run = open_run(out)
+    assert run.painted.stream == 1
+    assert "--stream 1" in command(run.header, 7)

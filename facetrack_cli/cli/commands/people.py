@@ -144,10 +144,10 @@ class Cast:
         from facetrack_cli.runs.signals import Stop
         from facetrack_cli.video.seek import Frames
 
-        clip, fps = film_of(people_in(self.folder), rows_in(self.folder), self.clip)
+        clip, how = film_of(people_in(self.folder), rows_in(self.folder), self.clip)
         if clip is None:
             raise UsageError(f"{self.folder}: does not name its clip; give it with --clip")
-        with Frames(clip, fps=fps) as frames, Stop().listening() as stop:
+        with Frames(clip, **how) as frames, Stop().listening() as stop:
             if self.page.serve(CastSession(self.folder, frames, clip, video=not self.no_video), stop):
                 return 0
             say(f"facetrack: {stop.reason}; nothing was written")
