@@ -92,13 +92,14 @@ class VideoSource(Source):
     """A video file, decoded by PyAV. Where its packets allow it, frames long before `start` are not decoded."""
 
     def __init__(self, path: Path, start: int, stop: int | None, stream: int | None = None):
-        self._length, self.stream = _length(path), stream
+        self._length = _length(path)
         try:
             self._decoder = Decoder(path, stream)
         except (OSError, ValueError):
             raise _why_not(path) from None
         super().__init__(path, self._decoder.size, self._decoder.fps, start, stop)
-        self.is_video, self.aspect, self.begins_s = True, self._decoder.aspect, self._decoder.begins_s
+        self.is_video, self.stream = True, stream
+        self.aspect, self.begins_s = self._decoder.aspect, self._decoder.begins_s
         if len(several := self._decoder.streams) > 1:
             each = [f"{one.index} ({one.codec_context.width}x{one.codec_context.height})" for one in several]
             what = f"has {len(each)} video streams, {' and '.join(sorted(each))}; {each[0]} is read"

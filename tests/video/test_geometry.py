@@ -150,24 +150,8 @@ def test_a_stream_that_is_named_is_that_of_the_run_and_of_what_reads_it_again(tm
     )
     two = join(tmp_path / "two.mkv", dark, bright)
     out = tmp_path / "out"
-    assert (
-        main(
-            [
-                "run",
-                str(two),
-                "--stream",
-                "1",
-                "--box",
-                "40,30,24,24",
-                "--config",
-                "correlation_filter",
-                "-o",
-                str(out),
-                "-q",
-            ]
-        )
-        == 0
-    )
+    given = ["--box", "40,30,24,24", "--config", "correlation_filter", "-o", str(out), "-q"]
+    assert main(["run", str(two), "--stream", "1", *given]) == 0
     told = json.loads((out / "trajectory.json").read_text())
     assert told["source"]["stream"] == 1 and not told["warnings"]
     with open_source(out / "annotated.mp4") as video:
