@@ -1,7 +1,8 @@
 """A video file decoded by PyAV, and the numbers of its frames by their packets, by which any frame is sought.
 
-Colours are computed by BT.601, also where a clip says BT.709: so does OpenCV, with whose images the models are trained.
-Frames of 4:2:0 in limited range, which nearly all clips have, stay planes until their colours are read.
+Colours are computed by the matrix and the range that a clip says, as FFmpeg and OpenCV (from 4.13 on) do, and like
+them by BT.601 where it says none. Frames of 4:2:0 in limited range, which nearly all clips have, stay planes until
+their colours are read; planes of another matrix become those of BT.601.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import weakref
 from array import array
 from collections.abc import Callable, Iterator
 from fractions import Fraction
+from functools import lru_cache
 from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
@@ -21,6 +23,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.types import Array, Frame, Image, Whole, planes_of
+from facetrack_cli.video.encoder import weights
 from facetrack_cli.video.images import Levels, levels
 
 if TYPE_CHECKING:
@@ -42,6 +45,12 @@ _LEVEL_FRAMES: Final = 50  # by which the range of 16-bit grey is measured
 _PRIMING_S: Final = 0.05  # of AAC and MP3
 _OBLONG: Final = 8  # a pixel that is told to be more oblong is told wrong
 _SHAPE: Final = 1.03  # of sides that are rounded
+_BT601: Final = 5
+# by H.273's numbers of matrices, the luma weights of red and blue
+_LUMA: Final = {
+    1: (0.2126, 0.0722), 4: (0.30, 0.11), 5: (0.299, 0.114), 6: (0.299, 0.114), 7: (0.212, 0.087),
+    9: (0.2627, 0.0593), 10: (0.2627, 0.0593),
+}  # fmt: skip
 _FULL_RANGE: Final = 2  # libavutil's number of a range from 0 to 255
 # FFmpeg goes by what a file holds: a playlist would make it open other files, and text is drawn as letters
 _FORMATS: Final = (
@@ -301,14 +310,36 @@ def pixels(raw: VideoFrame) -> Image:
     """A decoded frame as `Frame.pixels`, turned and mirrored as players show it."""
     way = _orientation(raw)
     sides = raw.width, raw.height
+    matrix = int(raw.colorspace) if int(raw.colorspace) in _LUMA else _BT601
     if raw.format.name != "yuv420p" or raw.color_range == _FULL_RANGE or sides[0] % 2 or sides[1] % 2:
-        image = np.asarray(raw.to_ndarray(format="bgr24", src_colorspace="ITU601", dst_colorspace="ITU601"), np.uint8)
+        image = np.asarray(raw.to_ndarray(format="bgr24", src_colorspace=matrix, dst_colorspace=_BT601), np.uint8)
         return np.ascontiguousarray(_oriented(image, way))
     planes = np.asarray(raw.to_ndarray(), np.uint8)
+    if _LUMA[matrix] != _LUMA[_BT601]:
+        planes = _in_bt601(planes, matrix)
     if not any(way):
         return planes
     turned = np.concatenate([_oriented(part, way).ravel() for part in planes_of(planes)])
     return turned.reshape(-1, sides[way[0]])
+
+
+def _in_bt601(planes: Image, matrix: int) -> Image:
+    """The planes of limited range of another matrix, as those of BT.601 that have the same colours."""
+    luma, *chroma = planes_of(planes)
+    # grey stays grey: Y changes by U and V alone, each about its middle
+    more, *others = (
+        cv2.addWeighted(chroma[0], u, chroma[1], v, 128 - 128 * (u + v)) for _, u, v in _to_bt601(matrix).tolist()
+    )
+    more = cv2.resize(more, luma.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    parts = cv2.addWeighted(luma, 1, more, 1, -128), *others
+    return np.concatenate([np.asarray(part, np.uint8).ravel() for part in parts]).reshape(planes.shape)
+
+
+@lru_cache
+def _to_bt601(matrix: int) -> Array:
+    """(3, 3) Y, Cb and Cr by those of another matrix."""
+    ours, theirs = (weights(*_LUMA[one])[:, :3] for one in (_BT601, matrix))
+    return np.asarray(ours @ np.linalg.inv(theirs))
 
 
 def _levels(path: Path, stream: int | None) -> Levels:

@@ -131,7 +131,7 @@ class Planes:
         self.size = width, height = width + right, height + bottom
         self._more = (0, bottom, 0, right) if right or bottom else None
         self.matrix = "bt709" if size[1] >= 720 else "smpte170m"  # as players assume where they ignore the tag
-        self._weights = _weights(*((0.2126, 0.0722) if self.matrix == "bt709" else (0.299, 0.114)))
+        self._weights = weights(*((0.2126, 0.0722) if self.matrix == "bt709" else (0.299, 0.114)))
         self._planes = np.empty(width * height // 2 * 3, np.uint8)
         y, uv = np.split(self._planes, [width * height])
         self._y, self._uv = y.reshape(height, width), uv.reshape(2, height // 2, width // 2)
@@ -155,7 +155,7 @@ class Planes:
         return self._planes
 
 
-def _weights(red: float, blue: float) -> Array:
+def weights(red: float, blue: float) -> Array:
     """(3, 4): Y, Cb and Cr of limited range by blue, green, red, 1; given the luma weights of red and blue (H.273)."""
     luma = np.array([blue, 1 - red - blue, red])
     cb, cr = (np.array([1, 0, 0]) - luma) / (1 - blue) / 2, (np.array([0, 0, 1]) - luma) / (1 - red) / 2
