@@ -360,7 +360,18 @@ def _grey(raw: VideoFrame, range_: Levels) -> Image:
 
 def _orientation(raw: VideoFrame) -> tuple[bool, bool, bool]:
     """Whether a frame is shown with rows for columns, then mirrored, then upside down, by its display matrix."""
-    found = raw.side_data.get("DISPLAYMATRIX")
+    try:
+        found = raw.side_data.get("DISPLAYMATRIX")
+    except ValueError:  # PyAV has no name for what FFmpeg tells beside it, as EXIF
+        from av.sidedata.sidedata import Type
+
+        def nameless(kind: Any, value: int) -> Any:
+            one = object.__new__(kind)
+            one._name_, one._value_ = str(value), value
+            return one
+
+        Type._missing_ = classmethod(nameless)  # type: ignore[method-assign, assignment]
+        found = raw.side_data.get("DISPLAYMATRIX")
     if found is None:
         return False, False, False
     # of a place (x, y) in the file, (x a + y c, x b + y d) is shown; what is no quarter turn is rounded to one

@@ -8,6 +8,7 @@ import av
 import cv2
 import numpy as np
 import pytest
+from PIL import Image as Pictures
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
@@ -33,7 +34,7 @@ def shown_by_ffmpeg(path: Path) -> np.ndarray:
 
 @pytest.mark.parametrize("degrees", [0, 90, 180, 270])
 @pytest.mark.parametrize("flip", [(), ("-display_hflip",), ("-display_vflip",), ("-display_hflip", "-display_vflip")])
-@pytest.mark.parametrize("suffix", [".mp4", ".mov"])
+@pytest.mark.parametrize("suffix", [".mp4", ".mov", ".mkv"])
 def test_turned_and_mirrored_as_players_show_it(
     tmp_path: Path, degrees: int, flip: tuple[str, ...], suffix: str
 ) -> None:
@@ -46,6 +47,22 @@ def test_turned_and_mirrored_as_players_show_it(
         assert source.size == first.size == right.shape[1::-1] == frames.size
         assert np.abs(first.bgr.astype(int) - right).mean() < 6
         assert (frames.read(2).bgr.shape) == right.shape
+
+
+@pytest.mark.parametrize("way", range(1, 9))
+def test_motion_jpeg_with_exif_is_as_the_picture_alone(tmp_path: Path, way: int) -> None:
+    told = Pictures.Exif()
+    told[0x0112] = way
+    picture = tmp_path / "picture.jpg"
+    Pictures.fromarray(CORNERS[..., ::-1]).save(picture, exif=told, quality=95)
+    path = tmp_path / "clip.mov"
+    (tmp_path / "clip.mjpeg").write_bytes(picture.read_bytes() * 5)
+    media.ffmpeg("-f", "mjpeg", "-i", tmp_path / "clip.mjpeg", "-c", "copy", path)
+    right = shown_by_ffmpeg(path)
+    for one in (path, picture):
+        with open_source(one) as source:
+            first = next(iter(source)).bgr
+        assert first.shape == right.shape and np.abs(first.astype(int) - right).mean() < 4
 
 
 @pytest.mark.parametrize("shape", [Fraction(4, 3), Fraction(8, 9), Fraction(32, 27), Fraction(16, 11)])
