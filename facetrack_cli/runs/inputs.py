@@ -39,7 +39,7 @@ def expand(inputs: Sequence[Path], note: Callable[[str], None] = lambda line: No
     groups = [_clips(given, note) for given in listed]
     found = {absolute(clip): clip for group in groups for clip in group}
     clips = list(found.values())
-    alone = [clip for clip in clips if is_image(clip) and images.listing(clip) is None and images.pages(clip) == 1]
+    alone = [one for one in clips if is_image(one) and images.listing(one) is None and images.pages(one) == 1]
     if len(alone) > 1:
         folder = alone[0].parent
         raise UsageError(f"{alone[0]} and {len(alone) - 1} more are single images; give their folder, {folder}{os.sep}")

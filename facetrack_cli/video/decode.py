@@ -346,15 +346,13 @@ def _levels(path: Path, stream: int | None) -> Levels:
     """The range that the first frames of a video of 16-bit grey use."""
     with open_container(path) as container:
         video = video_stream(container, stream)
-        return levels(_deep(raw) for raw in islice(container.decode(video) if video else (), _LEVEL_FRAMES))
-
-
-def _deep(raw: VideoFrame) -> Any:
-    return raw.to_ndarray(format="gray16le")
+        return levels(
+            raw.to_ndarray(format="gray16le") for raw in islice(container.decode(video) if video else (), _LEVEL_FRAMES)
+        )
 
 
 def _grey(raw: VideoFrame, range_: Levels) -> Image:
-    image = range_.grey(_deep(raw))
+    image = range_.grey(raw.to_ndarray(format="gray16le"))
     return np.ascontiguousarray(_oriented(np.repeat(image[..., None], 3, axis=2), _orientation(raw)))
 
 
@@ -365,12 +363,7 @@ def _orientation(raw: VideoFrame) -> tuple[bool, bool, bool]:
     except ValueError:  # PyAV has no name for what FFmpeg tells beside it, as EXIF
         from av.sidedata.sidedata import Type
 
-        def nameless(kind: Any, value: int) -> Any:
-            one = object.__new__(kind)
-            one._name_, one._value_ = str(value), value
-            return one
-
-        Type._missing_ = classmethod(nameless)  # type: ignore[method-assign, assignment]
+        Type._missing_ = classmethod(lambda kind, value: kind.SEI_UNREGISTERED)  # type: ignore[method-assign, assignment]
         found = raw.side_data.get("DISPLAYMATRIX")
     if found is None:
         return False, False, False

@@ -14,7 +14,6 @@ import cv2
 import imageio.v3 as iio
 import numpy as np
 from PIL import Image as Pictures
-from PIL import UnidentifiedImageError
 
 from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.types import Image
@@ -31,6 +30,7 @@ _READ_AS |= dict.fromkeys(("CMYK", "YCbCr", "LAB", "HSV"), "RGB")
 
 
 _STACKS: Final = frozenset((".tif", ".tiff", ".webp"))  # which may hold several pictures
+_DEEP: Final = frozenset((".png", ".tif", ".tiff"))  # whose colours may have 16 bits
 _NUMBER: Final = re.compile(r"-?[0-9]+(\.[0-9]+)?")
 _CLOCK: Final = re.compile(r".*?[0-9]+[-_:h][0-5]?[0-9][-_:m][0-5]?[0-9](\.[0-9]+)?")
 _Name = TypeVar("_Name")
@@ -48,9 +48,6 @@ class Levels(NamedTuple):
             return np.asarray(pixels >> 8, np.uint8)
         scaled = (pixels.astype(np.float32) - self.black) * (255 / max(self.white - self.black, 1))
         return np.asarray(np.clip(np.rint(scaled), 0, 255), np.uint8)
-
-    def __str__(self) -> str:
-        return f"{self.black} to {self.white}"
 
 
 class UnreadableError(InputError):
@@ -159,20 +156,25 @@ def numbers(path: Path, data: bytes | None = None, page: int = 0) -> Any:
         if "can not handle the given uri" in str(error):
             raise UnreadableError(path, "is not an image, or of an unknown kind") from error
         raise UnreadableError(path, f"cannot be read as an image ({reason(error)})") from error
-    if mode == "RGB" and page == 0 and (deep := _sixteen(path, data)) is not None and deep.shape == pixels.shape:
+    if (
+        mode == "RGB"
+        and path.suffix.lower() in _DEEP
+        and page == 0
+        and (deep := _sixteen(path, data)) is not None
+        and deep.shape == pixels.shape
+    ):
         pixels = deep
     return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
 
 
 def _sixteen(path: Path, data: bytes | None) -> Any:
     """A colour image of 16 bits, of which Pillow reads 8; None of any other."""
-    if path.suffix.lower() not in (".png", ".tif", ".tiff"):
-        return None
+    with Pictures.open(path if data is None else io.BytesIO(data)) as image:
+        if ";16" not in str(image.tile):  # how its pixels are stored
+            return None
     given = np.fromfile(path, np.uint8) if data is None else np.frombuffer(data, np.uint8)
-    if given[:4].tobytes() == b"\x89PNG" and given[24] != 16:  # bits of a colour
-        return None
     found = cv2.imdecode(given, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-    return found[..., ::-1] if found is not None and found.dtype == np.uint16 else None
+    return None if found is None else found[..., ::-1]
 
 
 def levels(samples: Iterable[Any]) -> Levels:
@@ -186,7 +188,7 @@ def levels(samples: Iterable[Any]) -> Levels:
     return Levels(low, high) if high > 0xFF and low > white // 4 else Levels(0, white if ends else 0xFFFF)
 
 
-def pages(path: Path, data: bytes | None = None) -> int:
+def pages(path: Path, data: Callable[[Path], bytes | None] = lambda file: None) -> int:
     """How many pictures a TIFF or WebP file holds; 1 of any other, and of a small one beside a large.
 
     Raises UnreadableError for a stack whose pages are channels.
@@ -194,14 +196,14 @@ def pages(path: Path, data: bytes | None = None) -> int:
     if path.suffix.lower() not in _STACKS:
         return 1
     try:
-        with Pictures.open(path if data is None else io.BytesIO(data)) as image:
+        with Pictures.open(path if (given := data(path)) is None else io.BytesIO(given)) as image:
             count, size = int(getattr(image, "n_frames", 1)), image.size
             told = str(getattr(image, "tag_v2", {}).get(270, ""))  # how microscopes describe a stack
             if count > 1:
                 image.seek(1)
             count = count if image.size == size else 1
-    except (OSError, SyntaxError, EOFError, LookupError, TypeError, ValueError, UnidentifiedImageError):
-        return 1  # what is wrong is said when it is read
+    except Exception:  # what is wrong with the file is said when it is read
+        return 1
     axes = {int(n) for n in re.findall(r"(?:\bSize[CZ]=\"|^(?:channels|slices)=)([0-9]+)", told, re.MULTILINE)}
     if count > 1 and max(axes, default=1) > 1:
         why = f"is a stack of {count} pages, of which {max(axes)} are channels or slices of one time"

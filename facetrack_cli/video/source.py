@@ -234,7 +234,7 @@ class FolderSource(Source):
     ):
         super().__init__(path, (0, 0), fps, start, stop)
         self._data = data  # the bytes of a file that is not on disk
-        self._pages = [(file, page) for file in files for page in range(images.pages(file, data(file)))]
+        self._pages = [(file, page) for file in files for page in range(images.pages(file, data))]
         self.files, self._resized, self._shown_s = [file for file, _ in self._pages], False, shown_s
         self.variable = len({round(b - a, 3) for a, b in pairwise(shown_s)}) > 1
         if start >= len(self.files):
@@ -249,7 +249,7 @@ class FolderSource(Source):
             with suppress(images.UnreadableError):
                 self._levels = images.levels(images.numbers(file, data(file), page) for file, page in some)
             if self._levels != images.Levels():
-                what = f"{path}: 16-bit images that use the numbers {self._levels}"
+                what = f"{path}: 16-bit images that use the numbers {self._levels.black} to {self._levels.white}"
                 self.warnings.append(f"{what}; these are black and white, so that all of it is seen")
         if several := images.sequences(files):
             what = f"holds {len(several)} sequences, as {' and '.join(several[:2])}, tracked one after the other"
