@@ -122,13 +122,19 @@ def natural_key(name: str) -> tuple[list[tuple[int, int | str]], str]:
     return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts if part], name
 
 
-def read(path: Path, data: bytes | None = None, page: int = 0, levels: Levels = Levels()) -> Image:  # noqa: B008
+def read(
+    path: Path,
+    data: bytes | None = None,
+    page: int = 0,
+    levels: Levels = Levels(),  # noqa: B008
+    held: dict[Path, Any] | None = None,
+) -> Image:
     """Read one image, whose bytes may be given as `data`, or a `page` of it, as (H, W, 3) uint8 BGR, contiguous.
 
     The EXIF orientation is applied, 16 bits are scaled to 8 by `levels`, transparency is composited over black. Raises
     UnreadableError.
     """
-    pixels = numbers(path, data, page)
+    pixels = numbers(path, data, page, held)
     if pixels.dtype.itemsize > 1:
         pixels = levels.grey(pixels)
     if pixels.shape[2] == 4:
@@ -137,10 +143,19 @@ def read(path: Path, data: bytes | None = None, page: int = 0, levels: Levels = 
     return np.ascontiguousarray(pixels[..., ::-1])
 
 
-def numbers(path: Path, data: bytes | None = None, page: int = 0) -> Any:
-    """The numbers in an image file, (H, W, 3) or (H, W, 4), red first, uint8 or of 16 bits. Raises UnreadableError."""
+def numbers(path: Path, data: bytes | None = None, page: int = 0, held: dict[Path, Any] | None = None) -> Any:
+    """The numbers in an image file, (H, W, 3) or (H, W, 4), red first, uint8 or of 16 bits. Raises UnreadableError.
+
+    A stack stays open in `held`, whose pages are found one after the other.
+    """
     try:
-        with iio.imopen(path if data is None else data, "r", plugin="pillow") as file:
+        if page and held is not None and path not in held:
+            let_go(held)
+            held[path] = iio.imopen(path if data is None else data, "r", plugin="pillow")
+        with contextlib.ExitStack() as opened:
+            file = (held or {}).get(path)
+            if file is None:
+                file = opened.enter_context(iio.imopen(path if data is None else data, "r", plugin="pillow"))
             mode = str(file.metadata(exclude_applied=False)["mode"])
             if mode in ("I", "F") and path.suffix.lower() != ".png":
                 why = "is a 32-bit image, which has no agreed range"
@@ -165,6 +180,12 @@ def numbers(path: Path, data: bytes | None = None, page: int = 0) -> Any:
     ):
         pixels = deep
     return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
+
+
+def let_go(held: dict[Path, Any]) -> None:
+    """Close what `numbers` held open."""
+    while held:
+        held.popitem()[1].close()
 
 
 def _sixteen(path: Path, data: bytes | None) -> Any:

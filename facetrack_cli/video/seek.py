@@ -159,7 +159,9 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         """End what is being read, also in other threads, and free the file; closing again does nothing."""
         self._closed.set()
         with self._turns.turn(self._turns.ticket()):
-            if self._folder is None:
+            if self._folder is not None:
+                self._folder.close()
+            else:
                 self._thread.join()
                 self._decoder.close()
             self._recent.clear()

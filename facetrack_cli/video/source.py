@@ -18,6 +18,7 @@ from contextlib import AbstractContextManager, suppress
 from fractions import Fraction
 from itertools import accumulate, pairwise
 from pathlib import Path
+from typing import Any
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame
@@ -233,7 +234,7 @@ class FolderSource(Source):
         shown_s: Sequence[float] = (),
     ):
         super().__init__(path, (0, 0), fps, start, stop)
-        self._data = data  # the bytes of a file that is not on disk
+        self._data, self._held = data, dict[Path, Any]()  # the bytes of a file that is not on disk; an open stack
         self._pages = [(file, page) for file in files for page in range(images.pages(file, data))]
         self.files, self._resized, self._shown_s = [file for file, _ in self._pages], False, shown_s
         self.variable = len({round(b - a, 3) for a, b in pairwise(shown_s)}) > 1
@@ -255,10 +256,15 @@ class FolderSource(Source):
             what = f"holds {len(several)} sequences, as {' and '.join(several[:2])}, tracked one after the other"
             self.warnings.append(f"{path}: {what}; give one alone, as '{files[0].parent / several[0]}'")
 
+    def close(self) -> None:
+        super().close()
+        images.let_go(self._held)
+
     def frame(self, index: int) -> Frame:
         """Any frame of the folder. Raises images.UnreadableError."""
         file, page = self._pages[index]
-        image = images.read(file, self._data(file), page, self._levels)
+        data = None if file in self._held else self._data(file)
+        image = images.read(file, data, page, self._levels, self._held)
         if (size := image.shape[1::-1]) != self.size:
             if not self._resized:
                 self._scaled(str(file), size)
