@@ -11,6 +11,9 @@ eyes). Of each variant and clip the first frames are as they were, so that the t
     blur        out of focus                            zoom                  twice as large and back
     roll        turned by 40 degrees and back           away                  out of the picture for 2 s, back elsewhere
     jumps       by half of the face between two frames  dressed               a book, then tilted with a hat on
+    flash       three of them                           strobe                half of the light, two frames in four
+    whip        the camera away and back in 9 frames    lens                  dark for 8 frames, as by a hand
+    jump_cut    later, larger and elsewhere, and back   jump_hat              later, with a hat on in other light
 
 The table has, for each variant, the share of frames whose visible nose and mouth corners are within .35 eye distances
 of the reference, and the worst clip; of hidden points the median error, and the share called lost; of visible ones the
@@ -206,6 +209,21 @@ def blurred(shot: Shot, sigma: float) -> Shot:
     return shot._replace(image=np.asarray(cv2.GaussianBlur(shot.image, (0, 0), sigma))) if sigma > 0.3 else shot
 
 
+def exposed(shot: Shot, gain: float, more: float = 0.0) -> Shot:
+    """In other light; what is too dark or too light to see counts as hidden."""
+    gone = frozenset(shot.points) if gain < 0.3 else frozenset[str]()
+    image = np.clip(shot.image.astype(np.float32) * gain + more, 0, 255).astype(np.uint8)
+    return shot._replace(image=image, hidden=shot.hidden | gone)
+
+
+def whipped(shot: Shot, t: float) -> Shot:
+    """While the camera whips away and back, as t goes from 0 to 1."""
+    width = shot.image.shape[1]
+    off, blur = round(1.2 * width * math.sin(math.pi * t)), round(0.47 * width * abs(math.cos(math.pi * t))) + 1
+    image = np.asarray(cv2.blur(np.roll(shot.image, -off, axis=1), (blur, 1)), np.uint8)
+    return shot._replace(image=image, hidden=shot.hidden | frozenset(shot.points))
+
+
 def away(shot: Shot, t: int) -> Shot:
     """Out of the picture to the left, and from frame 80 on in again from the right, smaller."""
     width, back = shot.image.shape[1], t >= BACK
@@ -280,13 +298,28 @@ def varied(all_shots: list[Shot], kind: str, seed: int) -> Iterator[Shot]:
             angle = math.radians(25) * min(ramp(t, 80, 10_000, 12), 1.0)
             tilted = moved(book(shot, ramp(t, 30, 65), cover), similarity(nose, 1.0, angle, nose))
             yield hat(tilted) if t >= 95 else tilted
+        elif kind == "flash":
+            light = {4: 1.0, 5: 0.5, 40: 1.0, 41: 1.0, 42: 0.4, 80: 0.8}.get(t, 0.0)
+            yield exposed(shot, 1 - 0.85 * light, 225 * light)
+        elif kind == "strobe":
+            yield exposed(shot, 0.35 if PUT_ON <= t < 90 and t % 4 > 1 else 1.0)
+        elif kind == "lens":
+            yield exposed(shot, 0.03 if 30 <= t < 38 or 70 <= t < 74 else 1.0)
+        elif kind == "whip":
+            yield whipped(shot, (t - 40) / 8) if 40 <= t <= 48 else shot
+        elif kind.startswith("jump_"):
+            later = taken[len(taken) // 2 + t - 50] if 50 <= t < 100 and len(taken) > 100 else shot
+            worn_later = exposed(hat(later), 0.8) if kind == "jump_hat" and t >= 50 else later
+            middle = np.array(shot.image.shape[1::-1]) * (0.6, 0.5)
+            turned = similarity(np.array(later.points["nose"]), 1.4, 0.0, middle)
+            yield moved(worn_later, turned) if 50 <= t < 100 else worn_later
         else:
             yield shot
 
 
 KINDS = (
     "plain", "skip", "hat", "glasses", "beard", "hand", "book", "light", "blur", "zoom", "roll", "away", "jumps",
-    "dressed",
+    "dressed", "flash", "strobe", "lens", "whip", "jump_cut", "jump_hat",
 )  # fmt: skip
 
 

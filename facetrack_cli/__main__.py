@@ -82,7 +82,9 @@ def _run(argv: Sequence[str] | None) -> int:
         hint = f" (see {context.command_path} --help)" if context is not None else ""
         _say(f"error: {error.format_message().rstrip('.')}{hint}")
         return ExitCode.USAGE
-    except (KeyboardInterrupt, click.Abort):
+    except (KeyboardInterrupt, click.Abort) as error:
+        if isinstance(error.__cause__, EOFError):  # which click takes for Ctrl-C at a prompt
+            return _failed(error.__cause__)
         _say("interrupted")
         return ExitCode.INTERRUPTED
     except TerminatedError:

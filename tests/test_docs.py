@@ -1,6 +1,7 @@
 """The documentation holds: generated pages are fresh, links lead somewhere, command lines parse, examples are valid."""
 
 import importlib.util
+import os
 import re
 import shlex
 import shutil
@@ -233,3 +234,15 @@ def test_documented_commands_run_on_the_sample_clips(tmp_path, monkeypatch, capf
         code = main([*expanded(arguments), *SHORT[arguments[0]]])
         contrib, said = {"csrt", "kcf", "mosse"} & set(arguments), capfd.readouterr().err
         assert code == 0 or (code == ExitCode.BATCH and contrib), f"{page}: {arguments}: {said}"
+
+
+def test_findings_stand_in_their_table_and_pin_what_they_install():
+    rows = re.findall(r"^\| `([a-z0-9-]+)` \|", (ROOT / "docs/findings.md").read_text(encoding="utf-8"), re.MULTILINE)
+    scripts = sorted((ROOT / "findings").glob("*.sh"))
+    assert sorted(rows) == [one.stem for one in scripts]
+    for one in scripts:
+        text = one.read_text(encoding="utf-8")
+        installs = [line.split()[2:] for line in text.splitlines() if "pip install" in line]
+        assert installs and all("==" in word for words in installs for word in words if not word.startswith("-")), one
+        assert os.access(one, os.X_OK) or os.name == "nt", one
+        assert "mktemp -d" in text and "# Found: " in text and "# Output seen:" in text, one

@@ -55,8 +55,18 @@ def test_the_locked_versions_are_allowed():
         assert sum(here for _, here in own) == 1 and all(version in one.specifier for version, _ in own), one
 
 
-def test_the_lock_has_a_hash_of_each_package_and_names_no_index():
-    text = (ROOT / ".ci" / "requirements.txt").read_text(encoding="utf-8")
+@pytest.mark.parametrize(("name", "extras"), [("bare.txt", ()), ("container.txt", ("plot", "detect", "people"))])
+def test_the_locked_versions_of_a_user_are_allowed(name, extras):
+    pins = {package: version for package, version, here in _pinned(name) if here}
+    assert all(pins[canonicalize_name(one.name)] in one.specifier for one in _declared(*extras))
+
+
+LOCKS = {"requirements.txt": 50, "bare.txt": 15, "container.txt": 25, "tools.txt": 20, "fuzz.txt": 0}
+
+
+@pytest.mark.parametrize("name", LOCKS)
+def test_the_lock_has_a_hash_of_each_package_and_names_no_index(name):
+    text = (ROOT / ".ci" / name).read_text(encoding="utf-8")
     blocks = re.split(r"^(?=[^#\s])", text, flags=re.MULTILINE)[1:]
-    assert len(blocks) > 50 and all("--hash=sha256:" in block for block in blocks)
-    assert "://" not in text and "index" not in text
+    assert len(blocks) > LOCKS[name] and all("--hash=sha256:" in block for block in blocks)
+    assert "://" not in text and "index-url" not in text

@@ -12,8 +12,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from facetrack_cli import __version__
-from facetrack_cli.cli.defaults import option_of, read_defaults
-from facetrack_cli.cli.options import sections
+from facetrack_cli.cli.options import Option, sections
 from facetrack_cli.core.log import VARIABLE
 
 COMMANDS = {
@@ -105,7 +104,7 @@ class LazyGroup(click.Group):
 @click.group(cls=LazyGroup, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--debug", is_flag=True, help="Show the traceback of an error (also FACETRACK_DEBUG=1).")
 @click.option(
-    "--log-format", type=click.Choice(["text", "json"]), default="text", metavar="FORMAT",
+    "--log-format", cls=Option, type=click.Choice(["text", "json"]), default="text", metavar="FORMAT",
     help="What stderr says: text, or an object of JSON a line.",
 )  # fmt: skip
 @click.version_option(__version__, prog_name="facetrack", message="%(prog)s %(version)s")
@@ -121,8 +120,8 @@ def cli(ctx: click.Context, debug: bool, log_format: str) -> None:
         facetrack recipes
         facetrack run --help
 
-    Defaults of options are set by variables, as FACETRACK_RUN_JOBS=4, and in
-    pyproject.toml, as jobs = 4 under [tool.facetrack.run].
+    Variables set defaults of options, as FACETRACK_RUN_JOBS=4 for --jobs of
+    run; --help of a command shows those that are set.
 
     Exit codes: 0 done, 1 internal error, 2 usage, recipe or output,
     3 input, 4 target lost (with --fail-on-lost), 5 some of a batch failed,
@@ -133,8 +132,7 @@ def cli(ctx: click.Context, debug: bool, log_format: str) -> None:
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
         return
-    ctx.default_map = read_defaults(ctx)
-    if option_of(ctx.default_map, ctx, "log_format") == "json":
+    if log_format == "json":
         os.environ[VARIABLE] = "json"
     else:
         os.environ.pop(VARIABLE, None)

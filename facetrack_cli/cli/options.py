@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import inspect
 import math
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from functools import partial
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 import click
 
 from facetrack_cli.cli.words import completes
-from facetrack_cli.core.errors import OutputError, UsageError
+from facetrack_cli.core.errors import FacetrackError, OutputError, UsageError
 from facetrack_cli.core.log import log_line
 from facetrack_cli.trajectory.formats import TRUTH_FORMATS
 
@@ -62,16 +63,41 @@ TABLES = ("json", "csv", "md")
 Figures: TypeAlias = Callable[[], Iterable[tuple[str, bytes]]]
 
 
+class Option(click.Option):
+    """An option whose default the user may set by a variable, as FACETRACK_RUN_JOBS=4 for --jobs of run."""
+
+    def variable(self, ctx: click.Context) -> str:
+        words = f"{ctx.command_path} {max(self.opts, key=len).lstrip('-')}"
+        return words.replace(" ", "_").replace("-", "_").upper()
+
+    def resolve_envvar_value(self, ctx: click.Context) -> str | None:
+        return os.environ.get(self.variable(ctx)) or None
+
+    def process_value(self, ctx: click.Context, value: Any) -> Any:
+        try:
+            return super().process_value(ctx, value)
+        except (click.ClickException, FacetrackError) as error:
+            if ctx.get_parameter_source(str(self.name)) is not click.core.ParameterSource.ENVIRONMENT:
+                raise
+            message = error.message if isinstance(error, click.ClickException) else str(error)
+            raise UsageError(f"{self.variable(ctx)}: {message.rstrip('.')}") from None
+
+    def get_help_extra(self, ctx: click.Context) -> Any:
+        """Beside the default, the variable that has replaced it."""
+        value = self.resolve_envvar_value(ctx)
+        return super().get_help_extra(ctx) | ({} if value is None else {"envvars": (f"{self.variable(ctx)}={value}",)})
+
+
 def option(names: str, text: str, **more: Any) -> Any:
     """A field for an option, whose help says `text`; `names` as "-o --out FILE". A default is shown."""
     *own, metavar = names.split()
     shown: dict[str, Any] = {"metavar": metavar, "help": text, "show_default": "default" in more}
     shown["shell_complete"] = completes(metavar)
-    return partial(click.Option, own, **shown | more)
+    return partial(Option, own, **shown | more)
 
 
 def flag(names: str, text: str) -> Any:
-    return partial(click.Option, names.split(), is_flag=True, help=text)
+    return partial(Option, names.split(), is_flag=True, help=text)
 
 
 def argument(metavar: str, **more: Any) -> Any:
@@ -145,9 +171,6 @@ def _filled(kind: type[Any], values: dict[str, Any]) -> Any:
         if isinstance(field, (type, partial)):
             vars(made)[name] = values[name] if isinstance(field, partial) else _filled(field, values)
     return made
-
-
-# --- options that mean the same in several commands ----------------------------------------------------------------
 
 
 def _box(value: str) -> Box:
@@ -280,10 +303,10 @@ class TruthOptions:
         if idle := [name for name, value in given.items() if value]:
             raise UsageError(f"{idle[0]} says how to use ground truth; give its file with --truth FILE")
 
-    def read(self, path: Path) -> Trajectory:
+    def read(self, path: Path, beside: Trajectory | None = None) -> Trajectory:
         from facetrack_cli.trajectory.formats.read import read_truth
 
-        return read_truth(path, self.truth_format, shift=self.shift)
+        return read_truth(path, self.truth_format, shift=self.shift, beside=beside)
 
     def pairs(self, ours: Trajectory, theirs: Trajectory, note: Callable[[str], None]) -> list[Pair]:
         """The rows of a trajectory beside those of the ground truth; `note` gets what to know of it."""
@@ -315,9 +338,6 @@ class Page:
         for line in (*session.ended["messages"], f"next: {session.ended['next']}"):
             say(line)
         return True
-
-
-# --- what commands write -------------------------------------------------------------------------------------------
 
 
 def say(line: str) -> None:

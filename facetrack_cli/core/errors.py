@@ -105,6 +105,15 @@ def check_opencv(version: str) -> None:
 
 
 @contextmanager
+def reading(path: object, remedy: str = "make it readable", kind: type[FacetrackError] = InputError) -> Iterator[None]:
+    """InputError, in its one line, where the system refuses to read a path."""
+    try:
+        yield
+    except OSError as e:
+        raise kind(f"{path}: cannot be read: {e.strerror or e}; {remedy}") from e
+
+
+@contextmanager
 def needed(what: str, package: str, extra: str = "plot") -> Iterator[None]:
     """Around imports of an extra's packages: UsageError in one line where one is missing or broken."""
     remedy = f"pip install 'facetrack[{extra}]'"

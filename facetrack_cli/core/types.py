@@ -28,7 +28,17 @@ Point: TypeAlias = tuple[float, float]
 BOX = "box"  # the one part of a target that is tracked as a box
 # grey levels by Y, which is 16 for black and 235 for white
 _FULL_RANGE = np.clip(np.rint((np.arange(256) - 16) * 255 / 219), 0, 255).astype(np.uint8)
+MAX_NAME = 100
 MAX_REMEMBERED = 8  # a step asks for the particles twice, and for a few single states in between
+
+
+def checked_name(name: str, of: str = "person") -> str:
+    """The name, wherever it comes from. ValueError for one that could steer a terminal, a path or a table."""
+    if len(name) > MAX_NAME:
+        raise ValueError(f"{name[:20]!r}... has {len(name)} letters, and a name of a {of} at most {MAX_NAME}")
+    if not name.strip(" .") or not name.isprintable() or "/" in name or "\\" in name:
+        raise ValueError(f"{name!a} is no name of a {of}: give 1 to {MAX_NAME} printable letters without / and \\")
+    return name
 
 
 @dataclass(slots=True)

@@ -10,10 +10,10 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX, Correction, TargetStart
 from facetrack_cli.run_folder.finished import Run
 from facetrack_cli.tracking.corrected import all_or
-from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.formats.cvat import read_cvat
 from facetrack_cli.trajectory.formats.labelstudio import read_labelstudio
-from facetrack_cli.trajectory.trajectory import DECIMALS, Trajectory
+from facetrack_cli.trajectory.select import hide_outside
+from facetrack_cli.trajectory.trajectory import DECIMALS, UNSEEN, Trajectory, every_frame
 
 MOVED: Final = 0.05  # pixels: CVAT keeps two decimals
 
@@ -21,11 +21,11 @@ MOVED: Final = 0.05  # pixels: CVAT keeps two decimals
 def imported_corrections(path: Path, run: Run, rows: Trajectory) -> tuple[Correction, ...]:
     """The corrections in which the keyframes of an annotation tool's file differ from `rows` of a run; () for none.
 
-    A visible part is placed by hand if its place is more than MOVED pixels from its row, if its row is lost or absent,
-    and in the first frame after it was not visible. A part that is not visible, and whose row is neither lost nor
-    absent, is absent from there on. InputError for a file that cannot be read, and for a part that the run lacks.
+    A visible part is placed by hand if its place is more than MOVED pixels from its row, if that is not seen, and in
+    the first frame after it was not visible. A part that is not visible, and whose row is seen, is absent from there
+    on. InputError for a file that cannot be read, and for a part that the run lacks.
     """
-    found = read_annotations(path, run)
+    found, rows = read_annotations(path, run, rows), hide_outside(rows, run.header.source.size)
     given: dict[tuple[int, str], dict[str, tuple[float, ...] | None]] = defaultdict(dict)
     for one in found.parts:
         row = rows.find(one.target, one.part)
@@ -39,14 +39,14 @@ def imported_corrections(path: Path, run: Run, rows: Trajectory) -> tuple[Correc
     return tuple(_correction(*key, parts, run) for key, parts in sorted(given.items()))
 
 
-def read_annotations(path: Path, run: Run) -> Trajectory:
+def read_annotations(path: Path, run: Run, rows: Trajectory) -> Trajectory:
     """The file of an annotation tool: CVAT's XML, or Label Studio's JSON. InputError if it is neither."""
     begins = ""
     if path.is_file():
         with path.open("rb") as file:
             begins = file.read(256).decode("utf-8-sig", "replace").lstrip()
     if begins[:1] in ("[", "{"):
-        return read_labelstudio(path, run.header.source.size, Clock(run.rows, run.header.source.fps))
+        return read_labelstudio(path, run.header.source.size, every_frame(rows), fps=run.header.source.fps)
     return read_cvat(path)
 
 
@@ -58,7 +58,7 @@ def _changes(one: Trajectory, row: Trajectory) -> list[tuple[int, tuple[float, .
     for n in np.flatnonzero(one.by_hand).tolist():
         frame, at = int(one.frame[n]), row.row(int(one.frame[n]))
         known = at is not None and bool(np.isfinite(row.x[at] + row.y[at]))
-        lost = not known or row.status[at] == "lost"
+        lost = not known or row.status[at] in UNSEEN
         if one.status[n] == "absent":
             if not lost and not gone:
                 found.append((frame, None))

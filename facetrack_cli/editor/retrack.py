@@ -153,9 +153,7 @@ class Tracking:
         return frame
 
     def _footprints(self, one: _Live, now: Sequence[_Live], rows: Trajectory, index: int) -> list[Footprint]:
-        """What the other targets explain, by state or recorded row: those before it in this frame, those after it in
-        the last.
-        """
+        """What other targets explain, by state or row: those before it in this frame, those after it in the last."""
         found: list[Footprint | None] = []
         running = {other.task.target: other for other in now}
         for place, name in enumerate(self._run.rows.targets):

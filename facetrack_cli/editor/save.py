@@ -21,8 +21,7 @@ from facetrack_cli.trajectory.writers import ending_of
 def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Stopped = never) -> list[str]:
     """Write the rows, the corrections, and with `video` the run's video, if it has one; a line on each file.
 
-    Raises OutputError or InputError if a file cannot be written, StoppedError once `stop` says so; the folder is then
-    as it was.
+    Raises OutputError or InputError if a file cannot be written, StoppedError once `stop` says so; nothing is changed.
     """
     run, rows, folder = fixer.run, fixer.rows, fixer.run.folder
     if not fixer.changed:

@@ -48,8 +48,7 @@ class BoxMeasures:
     good_rate, strict_rate  share of rows `within` 0.5 and 0.25 of the box
     hidden_rows     hidden rows with a true box, which no other measure counts; `hidden_overlap` is their mean IoU
 
-    `overlap` (T,) is the IoU as in OTB, nan where a row does not count, and `centre_error` (T,) in pixels, infinite
-    without a box of ours.
+    `overlap` (T,) is the IoU as in OTB, nan where no row counts; `centre_error` (T,) in pixels, inf without our box.
     """
 
     rows: Annotated[int, Measure("visible\nrows", COUNT)]
@@ -202,8 +201,7 @@ def vot_overlaps(
 
     Two oddities are not followed. Without `size` (its analyses always pass it) vot-toolkit counts wrongly where a
     rectangle has negative coordinates, since it cuts the mask at the absolute coordinate. And it takes a missing region
-    for one at the frame's corner, so that the rectangle around it and ground truth there can be less than 2 by 2, and
-    their overlap 1; here it is 0.
+    for one at the frame's corner, where it can overlap ground truth of less than 2 by 2 pixels wholly; here it is 0.
     """
     a, a_low, a_high, a_polygon = _regions(ours, our_corners)
     b, b_low, b_high, b_polygon = _regions(truth, true_corners)

@@ -39,8 +39,7 @@ def match(
     together, as far as the ground truth is dense enough to tell, and no frame of the ground truth may be missing.
 
     Raises InputError for tables that do not belong together, with the remedy: no name or frame in common, a status that
-    ground truth cannot have, frames of one that the other lacks, and ground truth outside of the frame. UsageError for
-    a `select` that names nothing.
+    ground truth cannot have, frames that one lacks, truth outside of the frame; UsageError if `select` names none.
     """
     named = _pair_names(choose(trajectory, select), truth, select, note)
     _check_status(trajectory, truth, named)

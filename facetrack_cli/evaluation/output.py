@@ -1,7 +1,5 @@
 """An evaluation as JSON and CSV for programs, and as tables for people."""
 
-import csv
-import io
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -12,7 +10,7 @@ from rich.console import Console
 from rich.text import Text
 
 from facetrack_cli.core.errors import flat
-from facetrack_cli.core.numbers import document
+from facetrack_cli.core.numbers import csv_text, document
 from facetrack_cli.evaluation.measure import HALVES, PERCENT
 from facetrack_cli.evaluation.points import HELD
 from facetrack_cli.evaluation.reliability import ReliabilityBin
@@ -72,13 +70,12 @@ def _groups(one: PartMeasures) -> dict[str, Any]:
 
 def to_csv(evaluation: Evaluation, about: About) -> str:
     """A header with all MEASURES, a row for each part, then a row for all parts together, whose target is "all"."""
-    out = io.StringIO()
-    write = csv.writer(out, lineterminator="\n")
-    write.writerow(["trajectory", "truth", "target", "part", *MEASURES])
-    for one in (*evaluation.parts, evaluation.all):
-        values = ["" if value is None else repr(value) for value in one.figures.values()]
-        write.writerow([about.trajectory, about.truth, one.target, one.part, *values])
-    return out.getvalue()
+    rows = (
+        [about.trajectory, about.truth, one.target, one.part]
+        + ["" if value is None else repr(value) for value in one.figures.values()]
+        for one in (*evaluation.parts, evaluation.all)
+    )
+    return csv_text(["trajectory", "truth", "target", "part", *MEASURES], rows)
 
 
 _TABLES: Final = {

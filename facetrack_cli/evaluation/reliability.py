@@ -114,8 +114,7 @@ class JitterMeasures:
     """How much a track trembles: the median over `rows` of |x_{t-1} - 2 x_t + x_{t+1}| / sqrt(6), in pixels.
 
     Of noise at rest, independent from frame to frame, it is 1.18 times the standard deviation along an axis; a motion
-    adds its acceleration. `truth_px` is that of the ground truth. Counted are visible rows with a visible one in the
-    frame before and the one after.
+    adds its acceleration. `truth_px` is that of the ground truth. Counted are visible rows between two visible ones.
     """
 
     rows: Annotated[int, Measure("rows", COUNT)]

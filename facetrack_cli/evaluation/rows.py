@@ -1,6 +1,4 @@
-"""A trajectory beside its ground truth: the (R,) rows that measures are computed from, and lengths that normalise
-errors.
-"""
+"""A trajectory beside its ground truth: the (R,) rows that are measured, and the lengths that normalise errors."""
 
 from __future__ import annotations
 
@@ -197,9 +195,7 @@ def check_normalise(how: str) -> str:
 
 
 def unit_of(how: str, truth: Sequence[Trajectory], *, box: bool, frames: Whole) -> Unit:
-    """The length of one target with ground truth `truth`, for increasing `frames` (F,). UsageError if `how` does not
-    fit.
-    """
+    """The length of a target with ground truth `truth`, for increasing `frames` (F,); UsageError for another `how`."""
     one = truth[0]
     if how in NAMED or ":" in how:
         one, other = _pair(how, truth)

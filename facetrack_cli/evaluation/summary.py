@@ -77,9 +77,7 @@ MEASURES: Final[Mapping[str, Measure]] = {
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What was measured on the `rows` shared with the ground truth; `units`: the length that normalises each target's
-    errors.
-    """
+    """What was measured on the `rows` that both have; `units`: the length that normalises each target's errors."""
 
     options: Options
     rows: tuple[Rows, ...]

@@ -17,8 +17,7 @@ _FREE = frozenset(("name", "description", "seed"))  # what a calibration does no
 def calibrated(settings: Mapping[str, Any]) -> bool:
     """Whether all filters of a recipe with these settings name a calibration that was made for it.
 
-    The calibration of a shipped recipe holds for that recipe as it is shipped. Of a file of one's own nothing is known
-    but that it is named.
+    The calibration of a shipped recipe holds for it as it is shipped. Of a file of one's own its name alone is known.
     """
     for file in (files := _files(settings)):
         ours = _shipped(PurePath(file).stem)

@@ -1,7 +1,6 @@
 """The sections of a recipe that follows the points of a face inside of its head.
 
-Ours, around the filter of Patras & Pantic (FG 2004): the published one is that of a head at rest. No numerics are
-imported here.
+Ours, around the filter of Patras & Pantic (FG 2004), who publish that of a head at rest. No numerics are imported here.
 """
 
 from __future__ import annotations
@@ -38,12 +37,11 @@ class Detections(Section):
     every: Annotated[int, Field(ge=1, le=1000), FRAMES] = 3
     """Frames from one look for the face to the next; while it is lost, the whole frame is searched as often."""
     by: DetectorName | Literal["auto"] = "auto"
-    """OpenCV's Haar cascades or YuNet (of the extra `detect`); auto: what found the start, else the better one
-    that is installed."""
+    """OpenCV's Haar cascades or YuNet (extra `detect`); auto: what found the start, else the best that is installed."""
 
 
 class Landmarks(Section):
-    """What places the points of the face in every frame: a regression, or a network where its file is there."""
+    """What places the points of the face in every frame: a regression, and a network where its file is there."""
 
     network: Annotated[str, Field(min_length=1)] | None = "auto"
     """MediaPipe's face mesh, which adds points: `mesh`, brought by `facetrack models get mesh`, or the path of its

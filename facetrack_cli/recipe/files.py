@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from facetrack_cli.core.errors import RecipeError
+from facetrack_cli.core.errors import RecipeError, reading
 from facetrack_cli.core.shipped import shipped_folder as shipped_folder
 from facetrack_cli.core.shipped import shipped_recipes as shipped_recipes
 from facetrack_cli.core.yaml_tree import Problem, Source, Span, YamlProblems, read_source
@@ -76,10 +76,8 @@ def resolve_file(recipe: Recipe, name: str, key: str) -> Path:
 
 
 def read_file(path: Path) -> Source:
-    try:
+    with reading(path, "check the file's permissions", RecipeError):
         return read_source(path, str(path))
-    except OSError as error:
-        raise RecipeError(f"{path}: cannot be read: {error.strerror}; check the file's permissions") from None
 
 
 def find_file(recipe: Recipe, name: str, key: str) -> Path:

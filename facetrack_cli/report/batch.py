@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError, InputError
+from facetrack_cli.core.files import TABLES
 from facetrack_cli.report.frames import Image, Report, key_images
 from facetrack_cli.report.make import ReportPage, encoded, page_template
-from facetrack_cli.run_folder.manifest import REPORT, TABLES, VIDEO, read_run, trajectory_of
+from facetrack_cli.run_folder.manifest import REPORT, VIDEO, read_run, trajectory_of
 from facetrack_cli.run_folder.status import ClipStatus, badness, name_of, survey
 from facetrack_cli.trajectory.header import read_header
 

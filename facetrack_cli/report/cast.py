@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from facetrack_cli.report.events import Stretch
 from facetrack_cli.report.frames import Image
-from facetrack_cli.trajectory.people import STILLS, People, PersonRecord, TrackRecord, read_people
+from facetrack_cli.trajectory.people import People, PersonRecord, TrackRecord, read_people, read_still
 
 _PX = 120  # sides of a picture on the page
 
@@ -62,7 +62,5 @@ def cast_section(run: Path) -> CastSection | None:
 
 
 def _picture(run: Path, still: str) -> Image | None:
-    try:
-        return Image((run / STILLS / Path(still).name).read_bytes(), (_PX, _PX)) if still else None
-    except OSError:
-        return None
+    found = read_still(run, still)
+    return Image(found, (_PX, _PX)) if found else None

@@ -65,8 +65,7 @@ def init_yaml(header: Header) -> str:
 
 def command(header: Header, last: int, folder: Path | None = None) -> str:
     """The command that makes the run again, up to the frame `last`. A recipe that differs from the shipped ones is a
-    file NAME.yaml. Corrections are in the run's init file or in its `folder`; else in `CORRECTED`, to be made as an
-    init file.
+    file NAME.yaml. Corrections are in the run's init file or `folder`; else in `CORRECTED`, an init file to be made.
     """
     words = ["facetrack", "run", header.source.path, *_recipe_words(header), "--seed", str(header.seed)]
     words += [*_init_words(header.init, folder), "--stop", str(last + 1), *_rate_words(header.source)]

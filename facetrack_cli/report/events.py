@@ -52,9 +52,7 @@ class CorrectedFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class PartHistory:
-    """One part; confidences are nan where unknown, `worst` is the frame of the lowest; `judged`: its status is
-    reported.
-    """
+    """One part; confidences are nan where unknown, `worst` is the frame of the lowest; `judged`: it has a status."""
 
     name: str
     rows: int

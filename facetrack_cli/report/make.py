@@ -25,7 +25,7 @@ from facetrack_cli.report.cast import cast_section
 from facetrack_cli.report.command_line import command, init_yaml, recipe_yaml
 from facetrack_cli.report.events import LostSpan, Stretch, history_of, key_frames
 from facetrack_cli.report.frames import Image, Report, key_images
-from facetrack_cli.run_folder.manifest import read_run, trajectory_of
+from facetrack_cli.run_folder.manifest import read_manifest, read_run, trajectory_of
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
 from facetrack_cli.trajectory.formats.read import read_truth
@@ -87,13 +87,14 @@ def make_report(
     mean = text.confidence_of(table)
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MAX_SPANS]
     again = command(header, last, run)
-    people = cast_section(run)
+    people, known = cast_section(run), read_manifest(run)
+    network = f" Its points were placed {known.network}." if known is not None and known.network else ""
     document: str = template.render(
         title=title,
         header=header,
         clock=clock,
         history=history,
-        summary=text.sentences(table, header, clock, history),
+        summary=text.sentences(table, header, clock, history) + network,
         cast=people,
         parts=[one for one in history.parts if people is None or one.name.rpartition("/")[2] == BOX],
         identities=list(text.identities(table, clock)),

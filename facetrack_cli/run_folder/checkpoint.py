@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.files import check_plain
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.snapshot import Arrays, flatten, restore
 from facetrack_cli.run_folder.lock import sweep
@@ -37,6 +38,7 @@ class Checkpoints:
 
     def __init__(self, out: Path, key: str, *, video: bool) -> None:
         self.folder, self._key, self._video = out / FOLDER, key, video
+        check_plain(self.folder, self.folder / _FILE)
         self._worker = ThreadPoolExecutor(1, "checkpoint")
         self._marked: dict[int, tuple[Any, Callable[[], None]]] = {}  # by frames: what waits for the video
         self._ready: tuple[Arrays, Callable[[], None]] | None = None

@@ -7,11 +7,12 @@ import hashlib
 import stat
 import threading
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import TypeAlias
 
 from facetrack_cli import __version__
-from facetrack_cli.core.files import digest
+from facetrack_cli.core.files import digest, sampled
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Start
 from facetrack_cli.core.yaml_tree import YamlProblems
@@ -24,13 +25,11 @@ from facetrack_cli.video.images import listing
 
 
 def previous_run(folder: Path, asked: Callable[[], str], clip: Path) -> Manifest | None:
-    """The run.json of a folder, if its run is of the same job, by its digest `asked`, and of the same clip, and its
-    files are there; else None.
-    """
+    """The run.json of a folder, if it is of the same job (`asked`) and clip, and its files are whole; else None."""
     known = read_manifest(folder) if is_there(folder) else None
     if known is None or known.clip is None or known.asked != asked():
         return None
-    whole = all(_size(folder / name) == one.bytes for name, one in known.files.items())
+    whole = all(_is_as_written(folder, name, known) for name in known.files)
     return known if whole and _is_same(known.clip, clip) else None
 
 
@@ -95,16 +94,13 @@ class ClipDigest:
 
 
 def quick_digest(clip: Path) -> str:
-    """A checksum of a clip that is soon computed: of its size and its first and last MiB; "" if it cannot be read."""
+    """A checksum of a clip that is soon computed, of samples of its files; "" if it cannot be read."""
     with contextlib.suppress(OSError):
         files = _files(clip)
         told = repr([(path.name, path.stat().st_size) for path in files])
         found = hashlib.sha256(told.encode(errors="surrogateescape"))
         for path in [files[0], files[-1]] if files else []:
-            with path.open("rb") as file:
-                found.update(file.read(1 << 20))
-                file.seek(max(path.stat().st_size - (1 << 20), 0))
-                found.update(file.read(1 << 20))
+            found.update(sampled(path).encode())
         return found.hexdigest()
     return ""
 
@@ -134,11 +130,20 @@ def _is_same(known: Clip, clip: Path) -> bool:
     return now.changed_ns == known.changed_ns or (known.sha256 != "" and clip_digest(clip) == known.sha256)
 
 
-def _size(path: Path) -> int | None:
-    with contextlib.suppress(OSError):
-        found = path.stat()
-        return found.st_size if stat.S_ISREG(found.st_mode) else None
-    return None
+def _is_as_written(folder: Path, name: str, known: Manifest) -> bool:
+    """Whether a file is what its run wrote; of a run that did not end, whose tables are replaced, if its size is."""
+    path, of, sample = folder / name, known.files[name], known.samples.get(name)
+    with contextlib.suppress(OSError, ValueError):
+        found = path.lstat()
+        if stat.S_ISREG(found.st_mode) and found.st_size == of.bytes:
+            stamp = found.st_size, found.st_mtime_ns
+            return known.stopped is not None or _digest(path, sample is None, *stamp) == (sample or of.sha256)
+    return False
+
+
+@lru_cache(1024)  # a job asks several times
+def _digest(path: Path, whole: bool, *stamp: int) -> str:
+    return digest([path]) if whole else sampled(path)
 
 
 def _files(clip: Path) -> list[Path]:

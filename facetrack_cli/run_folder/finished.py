@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple, get_args
 import numpy as np
 from pydantic import ValidationError
 
-from facetrack_cli.core.errors import FacetrackError, InputError
+from facetrack_cli.core.errors import FacetrackError, InputError, reading
 from facetrack_cli.core.files import BytesSink
 from facetrack_cli.core.types import Correction, Start
 from facetrack_cli.recipe.files import shipped_folder, shipped_recipes
@@ -20,7 +20,7 @@ from facetrack_cli.run_folder.fingerprint import other_clip
 from facetrack_cli.run_folder.manifest import VIDEO, read_run, trajectory_of
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.start.checks import check_start
-from facetrack_cli.trajectory.header import Header, corrections_record, read_header
+from facetrack_cli.trajectory.header import Header, corrections_record, is_there, read_header
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.trajectory import Status, Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Ending, Format, ending_of, json_frames
@@ -97,7 +97,7 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     rows = read_files(files)
     header = read_header(rows)
     path = Path(header.source.path) if clip is None else clip
-    if clip is None and not _is_there(path):
+    if clip is None and not is_there(path) and not listing(path):
         raise InputError(f"{path}: is not there, and the run in {folder} is of it; name the clip with --clip")
     if (other := other_clip(rows, path)) is not None:
         raise InputError(f"{other}; name its clip with --clip")
@@ -126,11 +126,9 @@ def read_files(files: Mapping[Format, Path]) -> Trajectory:
         raise InputError(f"{main}: its rows are smoothed, and can be neither corrected nor smoothed; {how}")
     _check_main(rows)
     for form, path in files.items():
-        try:
+        with reading(path):
             if path != main:
                 _check_same(form, path, rows)
-        except OSError as e:
-            raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable") from e
     return rows
 
 
@@ -208,13 +206,6 @@ def check_size(run: Run, size: tuple[int, int]) -> None:
         raise InputError(f"{run.clip}: is {found}, not {expected} pixels as in the run; name its clip with --clip")
 
 
-def _is_there(path: Path) -> bool:
-    try:
-        return path.exists() or bool(listing(path))
-    except (OSError, ValueError):  # it is not a valid name
-        return False
-
-
 def stamp(path: Path) -> object:
     """What changes when a file is written again."""
     try:
@@ -250,7 +241,7 @@ def _mappings(value: Any) -> list[dict[str, Any]]:
 
 def _sought(main: Path, name: str, folders: Sequence[Path]) -> Path:
     for folder in folders:
-        if _is_there(folder / name) and (folder / name).is_file():
+        if is_there(folder / name) and (folder / name).is_file():
             return (folder / name).resolve()
     places = ", ".join(dict.fromkeys(str(folder.resolve()) for folder in folders))
     raise InputError(f'{main}: its recipe names the file "{name}", which is in none of {places}; put it into one')

@@ -26,7 +26,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from facetrack_cli.core.errors import BusyError, OutputError
-from facetrack_cli.core.files import cannot_write, sync, temporary_path
+from facetrack_cli.core.files import check_plain, own_mark, sync, temporary_path, writing
+from facetrack_cli.trajectory.people import STILLS
 
 with contextlib.suppress(ImportError):  # Windows: nothing keeps two writers apart
     import fcntl
@@ -36,7 +37,8 @@ BEAT_S = 10.0  # between two signs of life
 STALE_S = 60.0  # of silence, after which the lock of another machine is taken over
 SETTLE_S = 0.5  # in which a process without a common flock sees that another one takes over as well
 _NOTE_BYTES: Final = 4096  # a note is padded to this, so that a full disk has space for the next one
-_PART: Final = re.compile(r"\..+-(\d+)\.part\b")
+_MARK: Final = re.compile(r"\d+-[0-9a-f]{16}")
+_PART: Final = re.compile(r"\..+-(\d+)(-[0-9a-f]{16})?\.part\b")
 
 
 class FolderLock:
@@ -59,27 +61,24 @@ class FolderLock:
     def __enter__(self) -> FolderLock:
         if os.name != "posix":
             return self
+        check_plain(self._path)
         host, boot = here()
         self._note = {"host": host, "boot": boot, "process": os.getpid(), "token": self._token, "began": utc_now()}
-        try:
+        self._note["mark"] = own_mark()
+        with writing(self._path):
             while not self._acquire():
                 self._folder.mkdir(parents=True, exist_ok=True)  # the process that made it may have removed it
-        except OSError as e:
-            raise cannot_write(self._path, e) from e
         threading.Thread(target=self._beat, name="lock", daemon=True).start()
         return self
 
     def note(self, record: Mapping[str, Any], *, on_disk: bool = False) -> None:
         """Note what is being done, for others and for after a kill; `on_disk`: or a power loss. Raises OutputError."""
-        with self._writing:
+        with self._writing, writing(self._path):
             self._note |= record
-            try:
-                self._write()
-                if on_disk and self._file is not None:
-                    os.fsync(self._file)
-                    sync(self._folder)
-            except OSError as e:
-                raise cannot_write(self._path, e) from e
+            self._write()
+            if on_disk and self._file is not None:
+                os.fsync(self._file)
+                sync(self._folder)
 
     def check(self) -> None:
         """OutputError if the lock was taken over while this process was suspended, or cut off."""
@@ -98,8 +97,11 @@ class FolderLock:
         for path in files:
             sync(temporary_path(path))
         self.check()
-        listed = {"files": [path.name for path in files], "gone": [path.name for path in gone]}
-        self.note({"process": os.getpid(), "replace": listed}, on_disk=True)
+        listed = {
+            key: [str(one.relative_to(self._folder)) for one in those]
+            for key, those in (("files", files), ("gone", gone))
+        }
+        self.note({"process": os.getpid(), "mark": own_mark(), "replace": listed}, on_disk=True)
 
     def commit(self) -> None:
         """Replace and remove what is prepared. Raises OutputError."""
@@ -199,25 +201,37 @@ class FolderLock:
 
 def finish_replacing(folder: Path, note: Mapping[str, Any]) -> None:
     """Replace and remove the files that a note lists, as far as that is not done; may be repeated. OutputError."""
-    listed, process = note.get("replace"), note.get("process")
-    if not isinstance(listed, dict) or not isinstance(process, int):
+    listed, mark = note.get("replace"), mark_of(note)
+    if not isinstance(listed, dict) or mark is None:
         return
     try:
-        files, gone = ([folder / Path(name).name for name in listed.get(key, ())] for key in ("files", "gone"))
+        files, gone = ([_inside(folder, name) for name in listed.get(key, ())] for key in ("files", "gone"))
     except TypeError:  # a note that is not ours
         return
+    check_plain(*files, folder / STILLS)
     try:
         for path in files:
             with contextlib.suppress(FileNotFoundError):  # it is replaced already
-                temporary_path(path, process).replace(os.path.realpath(path))
+                temporary_path(path, mark).replace(path)
         for path in gone:
             path.unlink(missing_ok=True)
-        for place in {folder, *(Path(os.path.realpath(path)).parent for path in files)}:
+        for place in {folder, *(path.parent for path in files if path.exists())}:
             sync(place)
     except OSError as e:
         remedy = "make it writable, and the next command that reads the folder does it"
         what = f"{e.filename or folder}: cannot be replaced by what was saved"
         raise OutputError(f"{what}: {e.strerror or e}; {remedy}") from e
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """A file of a run's folder, or of its pictures, whatever a note says."""
+    return folder.joinpath(*(STILLS,) * (Path(name).parent.name == STILLS), Path(name).name)
+
+
+def mark_of(note: Mapping[str, Any]) -> str | None:
+    """The mark of the temporary files of the process that wrote a note; None in a note that is not ours."""
+    mark = note.get("mark")
+    return mark if isinstance(mark, str) and _MARK.fullmatch(mark) else None
 
 
 def sweep(folder: Path) -> None:
@@ -302,7 +316,8 @@ def _is_at(file: int, path: Path) -> bool:
 
 
 def _read_path(path: Path) -> dict[str, Any]:
-    file = os.open(path, os.O_RDONLY)  # opened anew, so that NFS reads it anew
+    # opened anew, so that NFS reads it anew; a pipe in its place is not waited for
+    file = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     try:
         return _read(file)
     finally:

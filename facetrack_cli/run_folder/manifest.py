@@ -1,8 +1,7 @@
 """`run.json`: of which clip a run's folder is, how it was made, how it ended, and the checksum of each of its files.
 
 It is replaced last, together with those files: it alone says what is complete, and files of different runs are noticed
-whenever they are read. What a run that was killed leaves is ended when its folder is next opened: files half replaced,
-and tables without an end.
+whenever they are read. What a killed run leaves, files half replaced and tables without an end, is ended when read.
 """
 
 from __future__ import annotations
@@ -23,23 +22,35 @@ from typing import Any, ClassVar, Final, Literal
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from facetrack_cli import __version__
-from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, from_system
-from facetrack_cli.core.files import FULL, MAX_FILE_BYTES, BytesSink, check_readable, digest, discard, temporary_path
+from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, from_system, reading
+from facetrack_cli.core.files import (
+    FULL,
+    MAX_TABLE_BYTES,
+    TABLES,
+    BytesSink,
+    check_plain,
+    digest,
+    discard,
+    read_bounded,
+    sampled,
+    temporary_path,
+)
 from facetrack_cli.core.log import LINES
-from facetrack_cli.run_folder.lock import LOCK, FolderLock, finish_replacing, left_in, sweep, utc_now
+from facetrack_cli.run_folder.lock import LOCK, FolderLock, finish_replacing, left_in, mark_of, sweep, utc_now
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.reader import read_table, read_trajectory, table_in
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Ending, Format, ending_of, tail
 
+BORNE_OUT: Final = 0.95  # share of points; it is said if it is less
 NAME: Final = "run.json"
 VIDEO: Final = "annotated.mp4"
 POSTERIOR: Final = "posterior.npz"
 FILTERED: Final = "trajectory.filtered.csv"
-TABLES: Final = tuple(f"trajectory.{form}" for form in ("csv", "json", "jsonl"))
 OWNED: Final = (VIDEO, POSTERIOR, FILTERED, PEOPLE, *TABLES, NAME)  # the files that a run writes, or replaces
 REPORT: Final = "report.html"
 PLOT: Final = "plot.png"
+LARGE_BYTES = 1 << 26
 KILLED: Final = "killed"
 _FRAME: Final[Mapping[Format, re.Pattern[bytes]]] = {
     "csv": re.compile(rb"(\d{1,15}),.*"),
@@ -71,10 +82,12 @@ class Clip(File):
 class Manifest(Ending):
     """The contents of run.json. `asked`: a digest of all that was asked for.
 
-    `networks` are those that placed points: `mesh`, or the file that the recipe names.
+    `networks` are those that placed points: `mesh`, or the file that the recipe names; `borne_out` is the share of
+    their points that the other senses bear out, None without one.
     `doubts` is what speaks against the track, `look` the first and last frames to look at, the longest span first.
     `began` and `ended` are UTC; `seconds` is the time between them, in which all but `resumed` frames were tracked. In
-    a batch a clip that failed has its `error`, and `log`, the last lines of a process that died.
+    a batch a clip that failed has its `error`, and `log`, the last lines of a process that died. Of `files` of more
+    than `LARGE_BYTES` `samples` has the digest by which they are known again, since that of all takes seconds.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
@@ -83,6 +96,7 @@ class Manifest(Ending):
     facetrack: str = __version__
     asked: str = ""
     networks: tuple[str, ...] = ()
+    borne_out: float | None = None
     doubts: str = ""
     look: tuple[tuple[int, int], ...] = ()
     resumed: int = 0
@@ -96,6 +110,15 @@ class Manifest(Ending):
     exit_code: int | None = None
     log: tuple[str, ...] = ()
     files: dict[str, File] = field(default_factory=dict)
+    samples: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def network(self) -> str:
+        """Which networks placed points, and whether the other senses bear them out; "" without one."""
+        said = f"with the network {' and '.join(map(os.path.basename, self.networks))}" if self.networks else ""
+        if self.borne_out is None or self.borne_out >= BORNE_OUT:
+            return said
+        return f"{said}, but for {1 - self.borne_out:.0%} of its points, which the other senses contradict"
 
     def record(self) -> dict[str, Any]:
         """The contents as JSON has them. What the tables say of the ending and the clip is not repeated."""
@@ -123,8 +146,7 @@ def read_manifest(folder: Path) -> Manifest | None:
     """The run.json of a folder; None if there is none. InputError for a file that is not as we write it."""
     path = folder / NAME
     try:
-        check_readable(path, MAX_FILE_BYTES)
-        return _adapter().validate_json(path.read_bytes())
+        return _adapter().validate_json(read_bounded(path))
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as e:
@@ -176,10 +198,13 @@ def commit(
     Raises OSError; OutputError if the lock was taken over, and nothing is replaced then.
     """
     files, gone, path = list(files), list(gone), folder / NAME
+    check_plain(path, *files)
     try:
         if known is not None:
             new = {one.name: _file(temporary_path(one)) for one in files if one.name in OWNED}
-            known = replace(known, files={**known.files, **new})
+            large = {name: sampled(temporary_path(folder / name)) for name in new if new[name].bytes > LARGE_BYTES}
+            samples = {name: one for name, one in known.samples.items() if name not in new}
+            known = replace(known, files={**known.files, **new}, samples={**samples, **large})
             gone += [folder / name for name in OWNED if name not in known.files and folder / name not in files]
             try:
                 text = _adapter().dump_json(known, indent=1, exclude={"variable_fps", "evidence", "source_sha256"})
@@ -232,9 +257,6 @@ def as_text(name: str) -> str:
     return name.encode(errors="backslashreplace").decode()
 
 
-# --- after a kill -----------------------------------------------------------------------------------------------------
-
-
 def read_run(path: Path | str) -> Trajectory:
     """A trajectory as `read_trajectory` reads it; if it is in the folder of a run, what a kill left there is recovered
     first. InputError also for a file of another run than run.json beside it.
@@ -245,11 +267,9 @@ def read_run(path: Path | str) -> Trajectory:
 
 def check_run(path: Path) -> None:
     """Recover the folder of a run, or of one of its files. InputError for a file of another run than run.json there."""
-    try:
+    with reading(path, "name a trajectory or ground-truth file"):
         recover_interrupted(path if path.is_dir() else path.parent)
         check_belongs(table_in(path))
-    except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror or e}; name a trajectory or ground-truth file") from e
 
 
 def trajectory_of(run: Path) -> Path:
@@ -287,22 +307,23 @@ def recover(folder: Path, lock: FolderLock) -> int:
     note, frames = lock.stale_note, 0
     finish_replacing(folder, note)
     with contextlib.suppress(ValueError, InputError):  # a note need not be ours
-        known, process = from_record(note.get("run")), note.get("process")
-        if isinstance(process, int):
-            frames = _end_tables(folder, lock, process, known)
+        known, mark = from_record(note.get("run")), mark_of(note)
+        if mark is not None:
+            frames = _end_tables(folder, lock, mark, known)
     lock.note({"before": None})
     sweep(folder)
     return frames
 
 
-def _end_tables(folder: Path, lock: FolderLock, process: int, known: Manifest) -> int:
+def _end_tables(folder: Path, lock: FolderLock, mark: str, known: Manifest) -> int:
     """Write the tables of a process anew with their whole frames, and run.json; the number of these frames."""
-    parts = {form: temporary_path(folder / f"trajectory.{form}", process) for form in FORMATS}
+    check_plain(*(folder / name for name in TABLES))
+    parts = {form: temporary_path(folder / f"trajectory.{form}", mark) for form in FORMATS}
     forms = [form for form in FORMATS if parts[form].is_file()]
     if not forms:
         return 0
     first = forms[-1]  # JSON also has the header, and its lines are the last of the three to be written
-    text, frames = _whole_frames(first, parts[first].read_bytes())
+    text, frames = _whole_frames(first, read_bounded(parts[first], MAX_TABLE_BYTES))
     before = read_manifest(folder)
     if not frames or (before is not None and before.asked == known.asked and before.frames >= frames):
         return 0

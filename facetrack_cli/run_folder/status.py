@@ -5,15 +5,15 @@ from __future__ import annotations
 import hashlib
 import statistics
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import MAX_FILE_BYTES, cannot_write, check_readable, make_folder, replacing
+from facetrack_cli.core.errors import InputError, UsageError, reading
+from facetrack_cli.core.files import check_plain, make_folder, read_bounded, write_new
 from facetrack_cli.core.numbers import document, places
 from facetrack_cli.run_folder.lock import LOCK, holder
 from facetrack_cli.run_folder.manifest import NAME, Manifest, as_text, read_manifest
@@ -43,21 +43,27 @@ def write_batch(out: Path, recipe: str, clips: Sequence[Path], names: Sequence[s
     data = BatchFile(recipe=recipe, clips=tuple(pairs)).model_dump_json(indent=1).encode() + b"\n"
     path = out / f"batch-{hashlib.sha256(data).hexdigest()[:8]}.json"
     make_folder(out)
-    try:
-        if not path.exists():
-            with replacing(path) as file:
-                file.write(data)
-    except OSError as e:
-        raise cannot_write(path, e) from e
+    check_plain(path)
+    if not path.exists():
+        write_new(path, data, overwrite=True)
     return path
+
+
+def check_networks(folders: Iterable[Path], networks: Sequence[str]) -> None:
+    """Refuse to go on with a batch whose runs took other networks. UsageError."""
+    for folder in folders:
+        run = read_manifest(folder)
+        if run is not None and run.files and sorted(run.networks) != sorted(networks):
+            was, now = (one.network or "without a network" for one in (run, Manifest(networks=tuple(networks))))
+            remedy = "name another folder, or track all anew with --overwrite"
+            raise UsageError(f"{folder}: its clip was tracked {was}, and this batch would be {now}; {remedy}")
 
 
 def batches(folder: Path) -> Iterator[BatchFile]:
     """Those of a folder. Raises InputError for one that is not as we write it, and OSError."""
     for path in sorted(folder.glob(_BATCHES)):
-        check_readable(path, MAX_FILE_BYTES)
         try:
-            yield BatchFile.model_validate_json(path.read_bytes())
+            yield BatchFile.model_validate_json(read_bounded(path))
         except ValidationError as e:
             raise InputError(f"{path}: is not as facetrack run writes it; remove it, and run again") from e
 
@@ -194,7 +200,7 @@ def name_of(one: ClipStatus) -> str:
 
 def survey(folder: Path) -> Status:
     """How far the runs in the folder of a batch, or of one run, are. Raises InputError for any other path."""
-    try:
+    with reading(folder):
         if not folder.is_dir():
             what = "is a file" if folder.exists() else "no such folder"
             raise InputError(f"{folder}: {what}; name the folder that --out named")
@@ -204,8 +210,6 @@ def survey(folder: Path) -> Status:
         for batch in batches(folder):
             named |= {name: clip for clip, name in batch.clips if name not in named}
         there = sorted(one.name for one in folder.iterdir() if one.name not in named and one.is_dir() and _is_run(one))
-    except OSError as e:
-        raise InputError(f"{e.filename or folder}: cannot be read: {e.strerror or e}; make it readable") from e
     if not named and not there:
         raise InputError(f"{folder}: holds no results of facetrack run; name the folder that --out named")
     named |= dict.fromkeys(map(as_text, there), "")

@@ -44,8 +44,7 @@ def variant_name(recipe: str, settings: Sequence[str]) -> str:
 def folders(clips: Sequence[Path], recipe: str) -> list[str]:
     """A folder name for the results of each clip, `<clip>-<recipe>`; no two are the same.
 
-    Clips of one name are told apart by the folders they lie in, as many as it takes; those of one folder, by their
-    suffix.
+    Clips of one name are told apart by the folders they lie in, as many as it takes; in one folder, by their suffix.
     """
     places = [absolute(clip) for clip in clips]
     names = [title(clip) for clip in clips]

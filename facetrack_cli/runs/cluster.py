@@ -23,9 +23,11 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeAlias
+from urllib.parse import urlsplit
 
 from facetrack_cli import __version__
 from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, UsageError, needed, reason
+from facetrack_cli.core.files import read_bounded
 from facetrack_cli.run_folder.manifest import NAME, as_line
 from facetrack_cli.runs.batch import attempt, died, share
 from facetrack_cli.runs.job import Job, Outcome
@@ -60,9 +62,13 @@ def run_cluster(
 
 def _connect(where: str, stop: Stop, progress: Progress) -> Any:
     """A client of the scheduler, None on a wish to stop. Raises UsageError if none answers within `ANSWER_S`."""
-    deadline = time.monotonic() + ANSWER_S
+    deadline, warned = time.monotonic() + ANSWER_S, False
     while not stop():
         try:
+            if not warned and not _is_here(address_of(where)):
+                said = f"{address_of(where)} is another machine; a scheduler of Dask may run code on this one, too"
+                progress.say(f"facetrack: warning: --cluster: {said}")
+                warned = True
             client = _client(address_of(where), ANSWER_S / 6)
             threads = client.nthreads().values()
         except (OSError, UsageError) as e:  # of a file that is being written, too
@@ -215,9 +221,6 @@ def _on_worker(version: str, folder: str, batch: str, sent: bytes) -> Outcome | 
     return outcome
 
 
-# --- the scheduler ---------------------------------------------------------------------------------------------------
-
-
 def check_cluster(where: str) -> int | None:
     """N of local:N, the processes of this machine; None for a scheduler, whose workers do the clips.
 
@@ -241,7 +244,7 @@ def address_of(where: str) -> str:
     if where.startswith("local") or "://" in where or re.fullmatch(r"[^/]*:\d+", where):
         raise UsageError(f"--cluster {where}: names no scheduler; {forms}")
     try:
-        found = json.loads(Path(where).read_bytes())["address"]
+        found = json.loads(read_bounded(Path(where), what="scheduler file"))["address"]
         if not isinstance(found, str):
             raise TypeError
     except OSError as e:
@@ -249,6 +252,15 @@ def address_of(where: str) -> str:
     except (ValueError, TypeError, KeyError):
         raise UsageError(f"--cluster {where}: is no scheduler file: it has no address; {forms}") from None
     return found
+
+
+def _is_here(address: str) -> bool:
+    """Whether the host of an address is this machine: only here a socket can be bound to it."""
+    host = urlsplit(address).hostname or ""
+    with contextlib.suppress(OSError):
+        socket.create_server((host, 0), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
+        return True
+    return False
 
 
 def _client(address: str, patience_s: float) -> Any:

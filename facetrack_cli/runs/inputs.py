@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from facetrack_cli.core.errors import InputError, UsageError, from_system, reason
-from facetrack_cli.core.files import MAX_FILE_BYTES, absolute, check_readable
+from facetrack_cli.core.files import MAX_FILE_BYTES, absolute, read_bounded
 from facetrack_cli.run_folder.manifest import NAME
 from facetrack_cli.trajectory.header import is_there
 from facetrack_cli.video import images
@@ -32,8 +32,7 @@ class Found(NamedTuple):
 def expand(inputs: Sequence[Path], note: Callable[[str], None] = lambda line: None) -> Found:
     """The clips of the inputs of a command line, in their order; `note` hears what is left out.
 
-    Raises InputError for a list that cannot be read, and for a folder, glob or list without clips; UsageError for
-    several single images.
+    InputError for a list that cannot be read, and a folder, glob or list without clips; UsageError for several images.
     """
     listed = [clip for given in inputs for clip in _listed(given)]
     groups = [_clips(given, note) for given in listed]
@@ -58,11 +57,7 @@ def _listed(given: Path) -> list[Path]:
     name = str(given)[1:]
     path = Path(name)
     try:
-        if name == "-":
-            data = sys.stdin.buffer.read(MAX_FILE_BYTES)
-        else:
-            check_readable(path, MAX_FILE_BYTES, "list")
-            data = path.read_bytes()
+        data = sys.stdin.buffer.read(MAX_FILE_BYTES) if name == "-" else read_bounded(path, what="list")
     except OSError as e:
         raise InputError(f"{path}: cannot be read as a list of clips: {reason(e)}; check the name") from e
     lines = [line.rstrip("\r") for line in os.fsdecode(data.removeprefix(b"\xef\xbb\xbf")).split("\n")]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final, Literal, NamedTuple, TypeAlias
 
 from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, UsageError
-from facetrack_cli.core.files import check_folder
+from facetrack_cli.core.files import check_folder, check_plain
 from facetrack_cli.core.types import Box
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.files import default_recipe
@@ -111,6 +111,7 @@ class Outcome(Ending):
 
     `error` ended the run early; what was tracked until then is kept. `note` says where the search for a face began it.
     `again`: the run was done before, and nothing was tracked now. `resumed`: the frame from which it went on.
+    `network` says which one placed points.
     `doubtful`: whether something that was measured speaks against the track, as the `verdict` says.
     """
 
@@ -124,6 +125,7 @@ class Outcome(Ending):
     doubtful: bool = False
     again: Manifest | None = None
     resumed: int | None = None
+    network: str = ""
 
     @classmethod
     def of(cls, job: Job, known: Manifest) -> Outcome:
@@ -138,6 +140,7 @@ class Outcome(Ending):
             files=[job.out / name for name in known.files],
             error=error_of(known) or (InputError(known.warnings[-1]) if job.strict and not known.complete else None),
             again=known,
+            network=known.network,
         )
 
     def next_step(self) -> str:
@@ -157,6 +160,8 @@ class Outcome(Ending):
             parts.insert(0, "done before")
         elif self.frames > 1 and self.frames_per_s:
             parts.append(f"{self.frames_per_s:.1f} frames/s")
+        if self.network:
+            parts.append(self.network)
         if self.resumed is not None:
             parts.append(f"went on from frame {self.resumed}")
         if self.lost_frames:
@@ -253,6 +258,8 @@ def check(job: Job, *, kept: bool = False, locked: bool = False) -> None:
     if job.lag or job.posterior:
         check_smoothing(job.recipe)
     if job.out is not None:
+        if job.chunk is not None:
+            check_plain(job.out)
         there = None
         if is_there(job.out):
             recover_interrupted(job.out)

@@ -8,9 +8,12 @@ from __future__ import annotations
 import json
 import re
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext, suppress
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any, BinaryIO, Final
 
 import cv2
@@ -23,9 +26,11 @@ from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_frames
 from facetrack_cli.runs.signals import never
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
+from facetrack_cli.video import images
 from facetrack_cli.video.source import open_source
 
 MAX_IMAGE_BYTES: Final = 64 << 20  # of one encoded image, and of one y4m frame
+LOOK_S: Final = 0.1  # between two looks at the wish to stop
 _CHUNK_BYTES: Final = 1 << 16
 _MAX_LINE_BYTES: Final = 4096  # of a header of y4m
 _PIPE: Final = "standard input"
@@ -40,7 +45,10 @@ def is_live(clip: Path) -> bool:
 def images_of(clip: Path) -> Iterator[Image | Frame]:
     """The images of a camera, of standard input, or of a clip; frames where these say when they are shown."""
     if str(clip) == "-":
-        yield from piped(sys.stdin.buffer)
+        pipe: Any = sys.stdin.buffer
+        # a file of its own: at its end the interpreter would wait for a thread that reads from sys.stdin
+        with open(pipe.fileno(), "rb", closefd=False) if hasattr(pipe, "raw") else nullcontext(pipe) as stream:
+            yield from piped(stream)
     elif is_live(clip):
         yield from camera(int(str(clip)))
     else:
@@ -65,25 +73,52 @@ def follow(
 
     def counted() -> Iterator[Image]:
         began = None
-        for index, image in enumerate(images):
+        for index, image in enumerate(awaited(images, stopped)):
             now = came[index] = time.monotonic()
             began = now if began is None else began
             shown[index] = image.time_s if isinstance(image, Frame) else now - began
             yield image.bgr if isinstance(image, Frame) else image
-            if stopped():
-                return
 
     count = 0
-    for result in track_frames(counted(), recipe, init=init, clock=shown.pop):
-        at = came[result.frame.index]
-        for index in [index for index in came if index <= result.frame.index]:
-            del came[index]
-        line = record(result, result.frame.time_s, time.monotonic() - at)
-        write(json.dumps(line, allow_nan=False))
-        count += 1
-        if stopped():
-            break
+    try:
+        for result in track_frames(counted(), recipe, init=init, clock=shown.pop):
+            at = came[result.frame.index]
+            for index in [index for index in came if index <= result.frame.index]:
+                del came[index]
+            line = record(result, result.frame.time_s, time.monotonic() - at)
+            write(json.dumps(line, allow_nan=False))
+            count += 1
+    except InputError:  # also where the images end before the target is found
+        if not stopped():
+            raise
     return count
+
+
+def awaited(images: Iterator[Image | Frame], stopped: Callable[[], bool]) -> Iterator[Image | Frame]:
+    """The images until `stopped`; a thread reads each once it is asked for, as a read that waits cannot be ended."""
+    asked, came = SimpleQueue[bool](), SimpleQueue[Any]()
+
+    def read() -> None:
+        while asked.get():
+            try:
+                came.put(next(images, None))
+            except Exception as e:
+                came.put(e)
+
+    threading.Thread(target=read, name="images", daemon=True).start()
+    asked.put(True)
+    try:
+        while not stopped():
+            with suppress(Empty):
+                found = came.get(timeout=LOOK_S)
+                if isinstance(found, Exception):
+                    raise found
+                if found is None:
+                    break
+                yield found
+                asked.put(True)
+    finally:
+        asked.put(False)
 
 
 def record(result: FrameResult, time_s: float, age_s: float) -> dict[str, Any]:
@@ -134,9 +169,13 @@ def _mjpeg(stream: BinaryIO, data: bytes) -> Iterator[Image]:
     while True:
         end = held.find(b"\xff\xd9", searched)
         if end >= 0:
-            image = cv2.imdecode(np.frombuffer(bytes(held[: end + 2]), np.uint8), cv2.IMREAD_COLOR)
+            data = bytes(held[: end + 2])
+            size, image = images.header_size(data), None
+            if size is not None:
+                images.check_pixels(Path(f"{_PIPE}: image {count}"), *size)
+                image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
             if image is None:
-                raise InputError(f"{_PIPE}: image {count} is damaged; {_REMEDY}")
+                raise InputError(f"{_PIPE}: image {count} is damaged, or very large; {_REMEDY}")
             yield np.asarray(image, np.uint8)
             count += 1
             del held[: end + 2]
@@ -162,7 +201,7 @@ def _y4m(stream: BinaryIO) -> Iterator[Image | Frame]:
     if not re.fullmatch(r"420(jpeg|mpeg2|paldv)?", colours):
         raise InputError(f"{_PIPE}: is y4m of colours {colours}, and 420 is read; add -pix_fmt yuv420p")
     size = width * height + 2 * ((width + 1) // 2) * ((height + 1) // 2)
-    if not 0 < size <= MAX_IMAGE_BYTES or width % 2 or height % 2:
+    if min(width, height) < 1 or size > MAX_IMAGE_BYTES or width % 2 or height % 2:
         raise InputError(
             f"{_PIPE}: is y4m of {width}x{height}; sides must be even, and a frame at most {MAX_IMAGE_BYTES >> 20} MB"
         )

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import shutil
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
@@ -16,23 +14,25 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import make_folder, write_new
+from facetrack_cli.core.files import check_plain, make_folder, remove_folders
 from facetrack_cli.core.types import BOX, Frame, Image, Start
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.run_folder.finished import Painted, run_files, write_rows
+from facetrack_cli.run_folder.lock import FolderLock
 from facetrack_cli.run_folder.manifest import VIDEO, check_run, read_manifest, read_run
 from facetrack_cli.runs.job import Job, Outcome, Report, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.runs.smooth import repaint, replace_files
 from facetrack_cli.runs.start import frames_of
 from facetrack_cli.tracking.loop import TrackState
-from facetrack_cli.tracking.people.identity import SURE, Cast, Seen, cast_of
+from facetrack_cli.tracking.people.identity import AT_ONCE_S, SURE, UNKNOWN, Cast, Seen, cast_of, places
 from facetrack_cli.tracking.people.looks import Looks, Reader, load_people, save_people, still, views_of
 from facetrack_cli.tracking.people.presence import MAX_FACES, Film
 from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import clip_of, said
 from facetrack_cli.trajectory.people import (
+    NOBODY,
     PEOPLE,
     PERSON,
     STILLS,
@@ -43,6 +43,7 @@ from facetrack_cli.trajectory.people import (
     people_of,
     photographs,
     read_people,
+    read_still,
     tracks_of,
     under_names,
 )
@@ -54,12 +55,11 @@ from facetrack_cli.video.source import Source, open_source
 
 ORIGIN: Final = "--faces all"
 MIN_FRAMES: Final = 5  # of a track in which its face is seen; of fewer nothing is kept
-_MOST_NAMED: Final = 6  # people, in a line
 STILL_CHANGE: Final = 2.5  # grey levels; a face that changes by less is of a photograph
 
 
 class Named(NamedTuple):
-    """The people of a film, their tracks by target, and a picture of each person, the bytes of a JPEG file."""
+    """The people of a film, their tracks by target, and their pictures by `still`, the bytes of JPEG files."""
 
     people: People
     tracks: tuple[tuple[str, TrackRecord], ...]
@@ -71,7 +71,7 @@ def film_shots(job: Job, first: int, stop: Stopped, looked: Report) -> list[Shot
     with job.open(first) as source:
         frames = frames_of(source, first, "the film", stop)
         total = source.frames_hint
-        cuts = list(find_cuts(frames, lambda done: looked(done, total, "finding shots")))
+        cuts = list(find_cuts(frames, lambda done: looked(done, total, "finding shots"), float(source.fps)))
     if stop():
         raise InputError(f"{job.clip}: stopped before its shots were found")
     return shots_of(cuts, first, job.stop)
@@ -95,7 +95,7 @@ def looks_in(
     boxes: Mapping[str, Trajectory], source: Source, report: Callable[[int], None], stop: Stopped
 ) -> dict[str, Reader]:
     """What the frames of `source` show of each of these boxes. Raises StoppedError once `stop` says so."""
-    readers, wanted = {name: Reader() for name in boxes}, defaultdict(list)
+    readers, wanted = {name: Reader(detector()) for name in boxes}, defaultdict(list)
     for name, box in boxes.items():
         for view in views_of(box):
             wanted[view.frame].append((name, view))
@@ -131,8 +131,9 @@ def cast(
             int(np.searchsorted(begins, box.frame[0], "right")), readers[name].looks(),
         )
         for name, box in sorted(boxes.items(), key=lambda one: int(one[1].frame[0]))
+        if readers[name].is_face
     ]  # fmt: skip
-    found = cast_of(tracks, list(known.values()))
+    found = cast_of(tracks, list(known.values()), float(source.fps))
     new = iter(one for k in range(1, len(tracks) + len(known) + 1) if (one := f"{PERSON}{k}") not in known)
     names = [*known, *(next(new) for _ in range(int(found.person.max(initial=-1)) + 1 - len(known)))]
     return _named(tracks, found, names, readers, shots, Clock(rows, float(source.fps)))
@@ -151,8 +152,9 @@ def save_looks(folder: Path, path: Path, clip: Path | None, report: Report, stop
     with open_source(where, start=first, **how) as source:
         total = source.frames_hint
         readers = looks_in(_boxes(rows), source, lambda at: report(at - first, total, "looking at people"), stop)
-    save_people(path, {name: readers[name].looks() for name in people.names})
-    return people.names
+    names = tuple(name for name in people.names if not name.startswith(NOBODY))
+    save_people(path, {name: readers[name].looks() for name in names})
+    return names
 
 
 def _boxes(rows: Trajectory) -> dict[str, Trajectory]:
@@ -179,26 +181,47 @@ def _named(
     shots: Sequence[Shot],
     clock: Clock,
 ) -> Named:
-    names = [called[k] for k in found.person.tolist()]
+    names, lanes = list[str](), list[int]()  # until when each of those is seen whose face cannot be told again
+    for track, k in zip(tracks, found.person.tolist(), strict=True):
+        lane = next((n for n, until in enumerate(lanes) if until <= track.first), len(lanes))
+        if k == UNKNOWN:
+            lanes[lane : lane + 1] = [track.stop]
+        names.append(called[k] if k != UNKNOWN else NOBODY if not lane else f"{NOBODY}_{lane + 1}")
     doubts = {one.track: one for one in found.doubts}
     records: Tracks = []
-    pictures: dict[str, tuple[float, Image]] = {}
+    pictures: dict[tuple[str, bool], tuple[float, Image]] = {}  # of a person, or of a track in doubt
     moving = {name for name, track in zip(names, tracks, strict=True) if readers[track.name].change() >= STILL_CHANGE}
+    shown = [*((name, False) for name in dict.fromkeys(names)), *((tracks[i].name, True) for i in doubts)]
+    paths = {of: f"{STILLS}/{number}.jpg" for number, of in enumerate(shown, 1)}
     for i, (track, name) in enumerate(zip(tracks, names, strict=True)):
         one = TrackRecord(person=name, first=track.first, stop=track.stop, p=round(float(found.p[i]), 4))
         if (doubt := doubts.get(i)) is not None:
             other = None if doubt.other is None else called[doubt.other]
-            said = {"doubt": True, "other": other, "p_other": round(doubt.p, 4), "still": f"{STILLS}/{track.name}.jpg"}
+            said = {"doubt": True, "other": other, "p_other": round(doubt.p, 4), "still": paths[track.name, True]}
             one = one.model_copy(update=said)
         records.append((track.name, one))
         best = readers[track.name].best
         assert best is not None
-        for of in (name, track.name) if doubt else (name,):
+        for of in ((name, False), (track.name, True)) if doubt else ((name, False),):
             pictures[of] = max(pictures.get(of, best), best, key=lambda still: still[0])
-    told = [ShotRecord(first=one.first, stop=one.stop) for one in shots]
-    paths = {name: f"{STILLS}/{name}.jpg" for name in pictures}
-    people = people_of(clock, told, [one for _, one in records], paths, {*names} - moving)
-    return Named(people, tuple(records), {name: _jpeg(image) for name, (_, image) in pictures.items()})
+    told = [ShotRecord(first=one.first, stop=one.stop) for one in _true(shots, tracks, names, clock.fps)]
+    stills = {name: paths[name, False] for name in names}
+    people = people_of(clock, told, [one for _, one in records], stills, {*names} - moving)
+    return Named(people, tuple(records), {paths[of]: _jpeg(image) for of, (_, image) in pictures.items()})
+
+
+def _true(shots: Sequence[Shot], tracks: Sequence[Seen], names: Sequence[str], fps: float) -> list[Shot]:
+    """The shots without cuts after which the same faces go on in the same places, as after a flash."""
+    found, goes_on = list(shots[:1]), places(tracks, fps)[1]
+    for shot in shots[1:]:
+        before = [i for i, one in enumerate(tracks) if one.stop == shot.first]
+        after = [j for j, one in enumerate(tracks) if shot.first <= one.first <= shot.first + AT_ONCE_S * fps]
+        pairs = [(i, j) for i in before for j in after if goes_on[i, j] and names[i] == names[j]]
+        if before and len(before) == len(after) == len(pairs):
+            found[-1] = found[-1]._replace(stop=shot.stop, until=shot.until)
+        else:
+            found.append(shot)
+    return found
 
 
 def crowded(at: TrackState) -> tuple[str, ...]:
@@ -238,14 +261,12 @@ def name_run(job: Job, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
     except StoppedError:
         outcome.stopped = stop.reason
         return outcome
-    done = Outcome.of(job, read_manifest(job.out) or _missing(job))
+    if (known := read_manifest(job.out)) is None:
+        raise InputError(f"{job.out}: its run.json is gone; run again")
+    done = Outcome.of(job, known)
     done.again, done.frames_per_s, done.warnings = None, outcome.frames_per_s, outcome.warnings
     done.note, done.resumed = cast_line(found.people), outcome.resumed
     return done
-
-
-def _missing(job: Job) -> Any:
-    raise InputError(f"{job.out}: its run.json is gone; run again")
 
 
 def write_people(
@@ -256,23 +277,26 @@ def write_people(
     paint: Painted | None,
     report: Report,
     stop: Stopped,
+    lock: FolderLock | None = None,
 ) -> list[str]:
-    """Write the rows of a run under the names of people, people.json, and the video; warnings."""
+    """Write the rows of a run under the names of people, people.json, pictures and video, all or none; warnings."""
     counted = ending_of(rows)
     header = {**rows.header, "lost_frames": counted.lost_frames, "evidence": counted.evidence}
     rows = replace(rows, header=header)
     files: dict[Path, Any] = {path: partial(write_rows, form, rows=rows) for form, path in run_files(folder).items()}
     files[folder / PEOPLE] = lambda write: write(people.text())
+    files |= {folder / still: lambda write, data=data: write(data) for still, data in stills.items()}
+    check_plain(folder / STILLS)
+    made = make_folder(folder / STILLS)
+    gone = [path for path in (folder / STILLS).iterdir() if path not in files and not path.is_dir()]
     known = read_manifest(folder)
     kept = {} if known is None else {name: one for name, one in known.files.items() if name != VIDEO or paint is None}
     ended = known and replace(known, files=kept, lost_frames=counted.lost_frames, lost_at_end=counted.lost_at_end)
     draw = None if paint is None else partial(repaint, paint, rows=rows, report=report, stop=stop, order=people.names)
-    _, notes = replace_files(folder, files, ended, [], draw)
-    shutil.rmtree(folder / STILLS, ignore_errors=True)
-    make_folder(folder / STILLS)
-    for name, picture in stills.items():
-        write_new(folder / STILLS / f"{name}.jpg", picture, overwrite=True)
-    return notes
+    try:
+        return replace_files(folder, files, ended, gone, draw, lock=lock)[1]
+    finally:
+        remove_folders(made)
 
 
 def _jpeg(image: Image) -> bytes:
@@ -293,34 +317,38 @@ def recast(
     Rows, people.json, pictures and, with `video`, the video are written again. Raises UsageError for a change that
     cannot be, InputError for a run that is of no film or whose clip is gone; nothing is written then.
     """
-    people, rows = people_in(folder), rows_in(folder)
-    tracks = tracks_of(people)
-    for _, change in changes:
-        tracks = change(tracks)
-    before = {one.name: one for one in people.people}
-    old = dict(reversed([(one.person, of) for of, one in tracks]))  # the name of each person's first track
-    pictures = {}
-    for name, of in old.items():
-        with suppress(OSError, KeyError):
-            if of in before and (name == of or of not in old):
-                pictures[name] = (folder / before[of].still).read_bytes()
-    words = (*people.corrections, *(said for said, _ in changes))
-    stills = {name: f"{STILLS}/{name}.jpg" for name in old}
-    clock, records = Clock(rows, people.fps), [one for _, one in tracks]
-    after = people_of(clock, people.shots, records, stills, photographs(people, tracks), words)
-    named = under_names(rows, tracks)
-    where, how = film_of(people, rows, clip)
-    for name in stills.keys() - pictures.keys():
-        pictures[name] = _picture(named, name, where, how)
-    for one in after.doubts:
-        with suppress(OSError):
-            pictures[Path(one.still).stem] = (folder / one.still).read_bytes()
-    paint = None
-    if video and (folder / VIDEO).is_file() and where is not None:
-        first = people.shots[0].first
-        title, last = str(said(rows, "recipe", "name") or ""), first + _frames(folder) - 1
-        paint = Painted(where, how["fps"], first, last, title, how["stream"])
-    write_people(folder, named, after, pictures, paint, report, stop)
+    check_run(folder)  # which ends what a kill left, before the folder is ours
+    with FolderLock(folder) as lock:
+        people, rows = people_in(folder), rows_in(folder)
+        tracks = tracks_of(people)
+        for _, change in changes:
+            tracks = change(tracks)
+        before = {one.name: one.still for one in people.people}
+        old = dict(reversed([(one.person, of) for of, one in tracks]))  # the name of each person's first track
+        named, (where, how) = under_names(rows, tracks), film_of(people, rows, clip)
+        pictures: dict[str, bytes] = {}
+
+        def numbered(picture: bytes) -> str:
+            still = f"{STILLS}/{len(pictures) + 1}.jpg"
+            pictures[still] = picture
+            return still
+
+        stills = {}
+        for name, of in old.items():
+            kept = read_still(folder, before.get(of, "")) if name == of or of not in old else b""
+            stills[name] = numbered(kept or _picture(named, name, where, how))
+        records = [
+            one.model_copy(update={"still": numbered(shown) if (shown := read_still(folder, one.still)) else ""})
+            for _, one in tracks
+        ]
+        words = (*people.corrections, *(said for said, _ in changes))
+        after = people_of(Clock(rows, people.fps), people.shots, records, stills, photographs(people, tracks), words)
+        paint = None
+        known, first = read_manifest(folder), people.shots[0].first
+        if video and (folder / VIDEO).is_file() and where is not None and known is not None:
+            title, last = str(said(rows, "recipe", "name") or ""), first + known.frames - 1
+            paint = Painted(where, how["fps"], first, last, title, how["stream"])
+        write_people(folder, named, after, pictures, paint, report, stop, lock)
     return after
 
 
@@ -328,11 +356,6 @@ def rows_in(folder: Path) -> Trajectory:
     """The rows of a run, with their header if a file has one."""
     files = run_files(folder)
     return read_run(files.get("json", files.get("jsonl")) or files["csv"])
-
-
-def _frames(folder: Path) -> int:
-    known = read_manifest(folder)
-    return 0 if known is None else known.frames
 
 
 def people_in(folder: Path) -> People:
@@ -367,14 +390,14 @@ def _picture(rows: Trajectory, name: str, clip: Path | None, how: Any) -> bytes:
 
 def cast_line(people: People) -> str:
     """Who is in a film, in one line."""
-    shown = ", ".join(
-        f"{one.name} {one.seconds:.1f} s" for one in sorted(people.people, key=lambda one: -one.seconds)[:6]
-    )
-    more = len(people.people) - 6
-    doubts = len(people.doubts)
+    known = [one for one in people.people if not one.name.startswith(NOBODY)]
+    shown = ", ".join(f"{one.name} {one.seconds:.1f} s" for one in sorted(known, key=lambda one: -one.seconds)[:6])
+    more = len(known) - 6
+    doubts, unknown = len(people.doubts), sum(one.person.startswith(NOBODY) for one in people.tracks)
     unsure = f"; {doubts} of {len(people.tracks)} tracks are in doubt (P < {SURE:g})" if doubts else ""
+    unsure += f"; {unknown} show{'s' * (unknown == 1)} no face that could be told again ({NOBODY})" if unknown else ""
     shots = len(people.shots)
     return (
-        f"{len(people.people)} {'people' if len(people.people) != 1 else 'person'} in {shots} shot{'s' * (shots > 1)}: "
+        f"{len(known)} {'people' if len(known) != 1 else 'person'} in {shots} shot{'s' * (shots > 1)}: "
         f"{shown}{f' and {more} more' if more > 0 else ''}{unsure}"
     )

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.core.files import cannot_write, discard, publish
+from facetrack_cli.core.files import discard, publish, writing
 from facetrack_cli.core.npz import Kind, Stored, write_arrays
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.recipe.model import Recipe
@@ -34,9 +34,7 @@ def check_smoothing(recipe: Recipe) -> None:
 
 
 class WriterState(NamedTuple):
-    """Where a posterior that is being written stands: frames that are still to be written, their number, the blocks
-    that are written.
-    """
+    """Where a posterior that is written stands: frames still to be written, their number, the blocks on the disk."""
 
     kept: list[list[tuple[int, tuple[Belief, ...]]]]
     frames: int
@@ -78,12 +76,10 @@ class PosteriorWriter:
                     arrays[f"{number}/{i}/{j}/named"] = np.stack(named).astype("<f8")
             kept.clear()
         block = _block_file(self._folder, number)
-        try:
+        with writing(self.path):
             block.parent.mkdir(exist_ok=True)
             write_arrays(block, arrays)
             publish(block)
-        except OSError as e:
-            raise cannot_write(self.path, e) from e
         self.state = WriterState(self.state.kept, 0, number + 1)
 
     def close(self) -> None:

@@ -14,7 +14,7 @@ from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import cv2
 import numba
@@ -29,6 +29,7 @@ from facetrack_cli.core.files import (
     make_folder,
     remove_folders,
     temporary_path,
+    writing,
 )
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Start
@@ -60,6 +61,7 @@ from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import Source
 from facetrack_cli.video.writer import VideoWriter
 
+_MAX_NOTES: Final = 5  # lines that the tracker has for the user, which are kept
 _Closed: TypeAlias = VideoWriter | FileSink | StreamSink | PosteriorWriter
 
 
@@ -185,10 +187,8 @@ class Recorder:
             return False
         for path, sink, place in zip(tables, self._sinks, state.tables, strict=True):
             assert isinstance(sink, FileSink)
-            try:
+            with writing(path):
                 sink.go_on(path, place)
-            except OSError as e:
-                raise cannot_write(path, e) from e
         return True
 
     def begin(self, source: ClipFacts, start: Start, more: Header = MappingProxyType({})) -> None:
@@ -203,7 +203,7 @@ class Recorder:
 
     def write(self, result: FrameResult) -> None:
         """Write one more frame."""
-        self.state.notes = self.state.notes or result.notes
+        self.state.notes = (*self.state.notes, *result.notes)[:_MAX_NOTES]
         self.write_rows(result.rows)
         if self._posterior is not None:
             self._posterior.add(result)
@@ -321,7 +321,8 @@ class Recorder:
             halted = done.stopped or next((str(e) for e in errors), None)
             run = replace(self._run, **told, clip=clip, stopped=halted, complete=done.complete and halted is None)
             if watch is not None:
-                run = replace(run, doubts=watch.doubts(), look=watch.look)
+                run = replace(run, doubts=watch.doubts(), look=watch.look, borne_out=watch.bears_out)
+            done.network = run.network
             run = replace(
                 run, resumed=self._before, ended=utc_now(), seconds=round(time.monotonic() - self._entered_s, 3)
             )

@@ -34,9 +34,6 @@ Report: TypeAlias = Callable[[int, int], None]  # frames tracked over all seeds,
 _ENDED = "a process of -j ended by itself (too little memory?); run without -j"
 
 
-# --- recipes as --config names them --------------------------------------------------------------------------------
-
-
 def variant(given: str) -> tuple[str, tuple[str, ...]]:
     """A recipe and its overrides, from `name`, a file, or `name:key=value,key=value`."""
     name, colon, rest = given.partition(":")
@@ -75,9 +72,6 @@ def refuse_seed(overrides: Sequence[str]) -> None:
     """UsageError for an override that would have no effect: a recipe's own seed gives way to those of --seeds."""
     if any(one.partition("=")[0].strip() == "seed" for one in overrides):
         raise UsageError("the recipe's seed has no effect here: every recipe runs with the seeds 0 to --seeds - 1")
-
-
-# --- runs ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -150,9 +144,6 @@ def _ended(plan: Plan, results: Sequence[object]) -> Ended:
     if error is not None and not isinstance(error, FacetrackError):
         raise error
     return Ended(plan, tuple(run for runs in results if isinstance(runs, list) for run in runs), error)
-
-
-# --- one plan ------------------------------------------------------------------------------------------------------
 
 
 def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Trajectory:

@@ -6,13 +6,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
 from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.core.files import FULL, check_folder, discard, make_folder, remove_folders, temporary_path
+from facetrack_cli.core.files import (
+    FULL,
+    check_folder,
+    check_plain,
+    discard,
+    make_folder,
+    remove_folders,
+    temporary_path,
+)
 from facetrack_cli.run_folder.finished import Painted, open_run, read_files, run_files, write_rows
 from facetrack_cli.run_folder.lock import FolderLock, sweep
 from facetrack_cli.run_folder.manifest import (
@@ -89,7 +98,7 @@ def save_smoothed(
     paint = None if run is None else partial(repaint, run.painted, rows=after, report=report, stop=stop)
     made = make_folder(place)
     try:
-        written, notes = replace_files(place, files, ended, [folder / POSTERIOR] if in_place else [], paint)
+        written, notes = replace_files(place, files, ended, [place / POSTERIOR] if in_place else [], paint)
     finally:
         remove_folders(made)
     return written, (*notes, *outdated(place))
@@ -117,17 +126,20 @@ def replace_files(
     gone: Sequence[Path] = (),
     paint: Callable[[Path], Sequence[str]] | None = None,
     check: Callable[[], None] = lambda: None,
+    lock: FolderLock | None = None,
 ) -> tuple[list[Path], list[str]]:
     """Write all files of a run's `folder`, then let them replace the old ones together; the files, and warnings.
 
     Each value of `files` writes one file by calls of `write(data)`. `paint` draws the video into its temporary file.
-    `check` raises, at the beginning and before anything is replaced, if the folder has changed. `ended` is the new
-    run.json, `gone` are files to remove. OutputError for a file that cannot be written; the folder is then as it was.
+    `check` raises, at the beginning and before anything is replaced, if the folder has changed; `lock` is the folder's,
+    if it is held. `ended` is the new run.json, `gone` are files to remove. OutputError for a file that cannot be
+    written; the folder is then as it was.
     """
     written: list[Path] = []
     notes: list[str] = []
+    check_plain(folder / VIDEO, *files)
     try:
-        with FolderLock(folder) as lock:
+        with nullcontext(lock) if lock else FolderLock(folder) as lock:
             check()
             sweep(folder)
             if paint is not None:

@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, OutputError, UsageError
+from facetrack_cli.core.files import check_plain
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Array, Start, Whole
 from facetrack_cli.recipe.face import DETECTORS
@@ -42,8 +43,7 @@ OVERLAP_S: Final = 5.0  # of two chunks
 def run_chunks(
     job: Job, workers: int, stop: Stop, progress: Progress, shard: tuple[int, int] = (1, 1)
 ) -> Iterator[tuple[str, Outcome]]:
-    """Track the chunks of a clip that are not done yet, `workers` at a time; each is yielded as it ends, with its name,
-    the clip last, with "".
+    """Track the chunks that are not done, `workers` at a time; each is yielded with its name, the clip last, with "".
 
     Of `shard` (I, N) every N-th chunk, from the I-th on; the clip is joined by the process that finds all chunks ended.
     Raises UsageError where it cannot be split, OutputError where the chunks of another split are in its folder.
@@ -87,6 +87,7 @@ def _planned(job: Job, stop: Stop, progress: Progress) -> Plan:
     assert job.out is not None and job.split is not None
     check(job)
     clip, folder = clip_stat(job.clip), job.out / CHUNKS
+    check_plain(folder)
     # the chunks are the same whatever is made of them
     of_chunks = replace(job, formats=(), video=False, strict=False).digest()
     key = hashlib.sha256(dumps([of_chunks, clip and (clip.bytes, clip.changed_ns)]).encode()).hexdigest()

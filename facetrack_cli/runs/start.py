@@ -28,9 +28,7 @@ MIN_OVERLAP: Final = 0.5  # of the boxes: a region with less does not count as f
 
 
 class Chunk(NamedTuple):
-    """One chunk of a clip. `correction`: the frame of the correction that it begins with; None: where a face is found,
-    however late.
-    """
+    """One chunk. `correction`: the frame of the correction that it begins with; None: where a face is found first."""
 
     correction: int | None = None
 

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError
-from facetrack_cli.core.files import cannot_write, make_folder, replacing
+from facetrack_cli.core.files import make_folder, read_bounded, write_new
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start
 from facetrack_cli.run_folder.manifest import read_manifest, read_run
@@ -40,9 +40,6 @@ PLAN: Final = "plan.json"
 TABLE: Final = "trajectory.json"
 _SAME: Final = 0.5  # of those frames, in which tracks of several faces agree if they are of one face
 _EYES: Final = ("eye_left", "eye_right")
-
-
-# --- the plan ---------------------------------------------------------------------------------------------------------
 
 
 class Plan(BaseModel):
@@ -70,18 +67,14 @@ class Plan(BaseModel):
         """Write it beside the chunks of a run. Raises OutputError."""
         path = out / CHUNKS / PLAN
         make_folder(path.parent)
-        try:
-            with replacing(path) as file:
-                file.write(self.model_dump_json().encode())
-        except OSError as e:
-            raise cannot_write(path, e) from e
+        write_new(path, self.model_dump_json().encode(), overwrite=True)
 
 
 def read_plan(out: Path) -> Plan:
     """The plan of a run's folder. Raises InputError."""
     path = out / CHUNKS / PLAN
     try:
-        return Plan.model_validate_json(path.read_bytes())
+        return Plan.model_validate_json(read_bounded(path))
     except (OSError, ValidationError) as e:
         raise InputError(f"{path}: is not as facetrack run --split writes it; give --overwrite") from e
 
@@ -94,9 +87,6 @@ def has_rows(table: Path) -> bool:
     """Whether a trajectory in JSON has a frame."""
     with table.open("rb") as file:
         return any(line.startswith(b'{"frame":') for line in file)
-
-
-# --- two chunks -------------------------------------------------------------------------------------------------------
 
 
 class Seam(NamedTuple):
@@ -206,9 +196,6 @@ def _named(later: Trajectory, pairs: Mapping[str, str], taken: Collection[str]) 
             names[target] = next(free)
             given.add(names[target])
     return names
-
-
-# --- all chunks -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -72,8 +72,7 @@ def parse(line: str) -> Message | None:
 def serve(lines: Iterable[str], write: Callable[[str], None], recipe: Recipe) -> None:
     """Answer the client whose messages are `lines`, until it quits or ends; `write` takes ours, without line ends.
 
-    UsageError for a recipe that has no box to answer with. What goes wrong ends the session with a `quit` that says
-    why, and is raised.
+    UsageError for a recipe without a box to answer with. What goes wrong is raised, after a `quit` that says why.
     """
     if recipe.points or len(recipe.followed) > 1:
         follows, other = "points" if recipe.points else "several targets", default_recipe(box=True)

@@ -20,9 +20,9 @@ from facetrack_cli.recipe.calibrated import calibrated, fitted
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.tracking.face.stabilized import BOX as STILL
-from facetrack_cli.tracking.face.stabilized import FACE, Similarity
+from facetrack_cli.tracking.face.stabilized import FACE, Similarity, slope
 from facetrack_cli.tracking.start.detectors import Detector, detector
-from facetrack_cli.trajectory.diagnostics import DOUBTFUL
+from facetrack_cli.trajectory.diagnostics import DOUBTFUL, NETWORK
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 
 EVERY_FRAMES: Final = 15  # between two looks
@@ -49,6 +49,8 @@ class Watch:
     judged: int = 0  # frames with a confidence
     sure: float = 0.0  # the sum of their means
     least: tuple[float, int] = (np.inf, 0)
+    placed: int = 0  # faces of which a network said where the points are
+    borne_out: float = 0.0  # the sum of the shares of its points that the other senses bear out
     lost_frames: int = 0
     hidden_frames: int = 0
     lost: list[tuple[int, int]] = field(default_factory=list)  # first and last frames, the longest ones
@@ -80,6 +82,9 @@ class Watch:
         if not len(rows):  # nobody is there
             self._ended()
             return
+        for one in rows.diagnostics.values():
+            share = one.get(NETWORK.name)[-1]
+            self.placed, self.borne_out = self.placed + np.isfinite(share), self.borne_out + np.nan_to_num(share)
         index = int(rows.frame[0])
         if not self.frames:
             self.first = index, float(rows.time_s[0])
@@ -136,6 +141,11 @@ class Watch:
         self._ended()
         return tuple(self.lost) or ((self.least[1],) * 2,) * (self.least[0] < SURE)
 
+    @property
+    def bears_out(self) -> float | None:
+        """The share of a network's points that the other senses bear out; None without a network."""
+        return round(float(self.borne_out / self.placed), 4) if self.placed else None
+
     def doubts(self) -> str:
         """What speaks against the track; "" if nothing does."""
         if why := self.unseen():
@@ -162,8 +172,12 @@ class Watch:
         name, given = next(iter(self.start.targets.items()))  # the first is that of the face that was searched for
         rows = next((one.rows for one in result.targets if one.rows.target == name), None)
         box = None if rows is None or given.box is None else _face(rows, given.box, given.points)
-        if box is not None:
-            seen = Similarity(np.array(centre(box)), box[2] / FACE).read(result.frame)
+        if rows is not None and box is not None:
+            ends = [given.points[part] for part in ("mouth_left", "mouth_right") if part in given.points]
+            begun = slope(np.array(ends)) if len(ends) == 2 else 0.0
+            roll = next(iter(np.radians(rows.angle[np.isfinite(rows.angle)])), begun)
+            quarter = np.pi / 2 * round(2 * roll / np.pi)  # a detector sees faces that are less turned
+            seen = Similarity(np.array(centre(box)), box[2] / FACE, quarter).read(result.frame)
             self.looks += 1
             self.seen += self.detector.measure(seen.bgr, STILL) is not None
 

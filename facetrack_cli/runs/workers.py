@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import tempfile
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -26,6 +27,7 @@ Work: TypeAlias = Callable[[Any, Stop, Callable[..., None]], Any]
 """A module's function of a task, the wish to stop, and a function to report the frames done; it gives the result."""
 REPORT_S = 0.2  # between two reports of a process
 LOOK_S = 0.2  # between two looks at the wish to stop
+ORPHAN_S = 1.5  # for a task to close its files, once the process that gave it is gone
 
 
 class DiedError(FacetrackError):
@@ -151,17 +153,26 @@ class _Process:
 _ending: Any  # shared: the exit code of the wish to stop, 0 without one
 _frames: Any  # shared: the frames done of each task
 _log: Path
-_parent: int
 
 
 def _begin(ending: Any, frames: Any, threads: int, logs: Path) -> None:
-    global _ending, _frames, _log, _parent
-    _ending, _frames, _log, _parent = ending, frames, logs / f"{os.getpid()}", os.getppid()
+    global _ending, _frames, _log
+    _ending, _frames, _log = ending, frames, logs / f"{os.getpid()}"
+    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal; the parent acts on it
     with contextlib.suppress(OSError), _log.open("ab") as file:
         os.dup2(file.fileno(), 2)
         faulthandler.enable(2)
     share_threads(threads)
+
+
+def _end_with_parent() -> None:
+    """End when the process that gives the tasks has ended: one that is killed tells nobody."""
+    parent: Any = multiprocessing.parent_process()
+    parent.join()  # by a pipe's end, whoever has forked us
+    _ending.value = _ending.value or ExitCode.INTERRUPTED
+    time.sleep(ORPHAN_S)
+    os._exit(ExitCode.INTERRUPTED)
 
 
 def _do(work: Work, index: int, task: object) -> tuple[object, str]:
@@ -175,9 +186,7 @@ def _do(work: Work, index: int, task: object) -> tuple[object, str]:
 
     def asked() -> ExitCode | None:
         """Whether the parent wishes an end, or is gone."""
-        if _ending.value:
-            return ExitCode(_ending.value)
-        return ExitCode.INTERRUPTED if os.getppid() != _parent else None
+        return ExitCode(_ending.value) if _ending.value else None
 
     with Stop(asked).listening() as stop:
         result = _result(work, task, stop, report)
@@ -205,7 +214,7 @@ def worker_context() -> BaseContext:
     from multiprocessing import forkserver, resource_tracker
 
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["facetrack_cli.runs.clip"])
+    context.set_forkserver_preload(["facetrack_cli.runs.orphans", "facetrack_cli.runs.clip"])
     resource_tracker.ensure_running()  # first: it lifts the mask when it starts
     # out of reach of Ctrl-C, which would break into its imports with a traceback
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

@@ -28,7 +28,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import MAX_FILE_BYTES, check_readable
+from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.types import BOX, Array, Mask
 from facetrack_cli.recipe.model import LIKELY
 from facetrack_cli.tracking.smoothing import Belief
@@ -193,8 +193,7 @@ def load_calibration(path: Path) -> Calibration:
     """The calibration in a file of `facetrack calibrate`. Raises InputError for anything else."""
     remedy = "make it anew with facetrack calibrate"
     try:
-        check_readable(path, MAX_FILE_BYTES, "calibration")
-        stored = json.loads(path.read_bytes())
+        stored = json.loads(read_bounded(path, what="calibration"))
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror}; check the file's permissions") from None
     except (ValueError, RecursionError):

@@ -176,9 +176,9 @@ class ParticleTarget:
         state: ParticleState,
         frame: Frame,
         footprints: Sequence[Footprint] = (),
-        measured: SensorReading | None = None,
+        measured: Sequence[SensorReading] | None = None,
     ) -> tuple[ParticleState, TargetResult]:
-        """As a `Target` does; `measured` is what a sensor says of the parts of a target that moves by a JumpingWalk."""
+        """As a `Target` does; `measured` is what sensors say of the parts of a target that moves by a JumpingWalk."""
         if self._prepares is not None:
             expected = self.motion.expect(state.estimated.state[None])[0]
             state = replace(state, learned=self._prepares.look(state.learned, frame, expected))
@@ -219,11 +219,15 @@ class ParticleTarget:
         state = replace(state, particles=particles, estimated=self.space.estimate(particles, ess, best=self.best))
         return state, self._result(state, frame, Info(ess), "tracked")
 
-    def unseen(self, rng: Generator, state: ParticleState, frame: Frame) -> tuple[ParticleState, TargetResult]:
-        """As `advance`, of a box that nobody sees, and that may be anywhere in the frame."""
+    def unseen(
+        self, rng: Generator, state: ParticleState, frame: Frame, *, anywhere: bool
+    ) -> tuple[ParticleState, TargetResult]:
+        """As `advance`, of a box that nobody sees: it stays, or may be `anywhere` in the frame."""
         assert isinstance(self.space, VisibleBoxSpace) and self.confidence is not None and state.judgement is not None
         x = state.particles.x.copy()
-        x[:, 0, :2], x[:, 0, VISIBLE] = rng.random((len(x), 2)) * frame.size - 0.5, 0.0
+        x[:, 0, VISIBLE] = 0.0
+        if anywhere:
+            x[:, 0, :2] = rng.random((len(x), 2)) * frame.size - 0.5
         particles = state.particles._replace(x=x)
         ess = np.full(1, effective_sample_size(particles.log_w))
         estimated = self.space.estimate(particles, ess, best=self.best)
@@ -343,7 +347,7 @@ class Bound:
     state: ParticleState
     frame: Frame
     footprints: Sequence[Footprint] = ()
-    measured: SensorReading | None = None
+    measured: Sequence[SensorReading] | None = None
 
     @cached_property
     def ahead(self) -> Prediction:
@@ -381,7 +385,7 @@ class Bound:
         log_p = self.target.likelihood.score(self.state.learned, self.frame, x, parents)
         if self.measured is not None:
             assert isinstance(self.target.motion, JumpingWalk)
-            log_p = log_p + self.target.motion.log_measured(parents, self.measured)
+            log_p = log_p + self.target.motion.log_measured(x, parents, self.measured)
         log_p = self._of_present(log_p)
         exclusion = self.target.exclusion
         return log_p if exclusion is None else log_p + log_weights(exclusion, x, self.footprints)

@@ -16,7 +16,8 @@ class Clock:
         self.fps, self._period = fps, 1 / fps
         self.frames: Whole = np.zeros(1, np.int64) if table is None or not len(table) else table.frames
         times = np.zeros(1) if table is None or not len(table) else table.times
-        self.times: Array = np.where(np.isfinite(times), times, self.frames * self._period)
+        times = np.where(np.isfinite(times), times, self.frames * self._period)
+        self.times: Array = np.maximum.accumulate(times)  # also of a file that tells nonsense
 
     def at(self, frame: int) -> float:
         """When a frame is shown."""

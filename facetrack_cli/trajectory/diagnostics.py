@@ -60,9 +60,10 @@ ERROR: Final = Diagnostic("error", "eps_t of eq. 13: error of the velocity predi
 _AFFINE: Final = "deformation a1 to a4 since the start; centre in pixels"
 # a1 to a4 to 5 decimals: of a box of 1,000 pixels that is a hundredth of one
 AFFINE: Final = Diagnostic("affine", _AFFINE, shape=(6,), decimals=(5, 5, 5, 5, 3, 3))
+NETWORK: Final = Diagnostic("network", "share of its points that the other senses bear out", least=0, most=1)
 EVIDENCE: Final = Diagnostic("evidence", "log p(y_t | Y_{t-1}) of the frame, up to a constant of the recipe", "nats")
 KNOWN: Final[Mapping[str, Diagnostic]] = {
-    one.name: one for one in (POSTERIOR, ENTROPY, SCALE, ROLL, NOISE, ERROR, EVIDENCE, AFFINE)
+    one.name: one for one in (POSTERIOR, ENTROPY, SCALE, ROLL, NOISE, ERROR, NETWORK, EVIDENCE, AFFINE)
 }
 """Those of the shipped trackers, which docs/files.md describes."""
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
-from facetrack_cli.core.types import Correction, Start, TargetStart
+from facetrack_cli.core.types import Correction, Start, TargetStart, checked_name
 from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS, not_as_written
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -18,19 +18,20 @@ UNSAVED: Final = "unsaved.init.yaml"
 Pixels: TypeAlias = Annotated[float, Field(strict=True, ge=-MAX_PIXELS, le=MAX_PIXELS, allow_inf_nan=False)]
 Side: TypeAlias = Annotated[float, Field(strict=True, gt=0, le=MAX_PIXELS, allow_inf_nan=False)]
 FrameNumber: TypeAlias = Annotated[int, Field(strict=True, ge=0, le=MAX_FRAME)]
+Name: TypeAlias = Annotated[str, AfterValidator(lambda name: checked_name(name, "target or part"))]
 _Positive: TypeAlias = Annotated[int, Field(gt=0)]
 
 
 class _Target(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
     box: tuple[Pixels, Pixels, Side, Side] | None = None  # left, top, width, height
-    points: dict[str, tuple[Pixels, Pixels]] = {}  # x, y
+    points: dict[Name, tuple[Pixels, Pixels]] = {}  # x, y
 
 
 class TargetRecord(_Target):
     """Where one target is at the start."""
 
-    windows: dict[str, tuple[Side, Side]] = {}  # width, height
+    windows: dict[Name, tuple[Side, Side]] = {}  # width, height
 
     def target(self) -> TargetStart:
         return TargetStart(self.box, self.points, self.windows)
@@ -39,9 +40,9 @@ class TargetRecord(_Target):
 class CorrectedTarget(_Target):
     """What is corrected of one target in one frame; the members are those of `core.types.Correction`."""
 
-    kept: dict[str, tuple[Pixels, Pixels]] = {}
+    kept: dict[Name, tuple[Pixels, Pixels]] = {}
     absent: Annotated[
-        Annotated[Literal[True], Tag("all")] | Annotated[tuple[str, ...], Tag("parts")],
+        Annotated[Literal[True], Tag("all")] | Annotated[tuple[Name, ...], Tag("parts")],
         Discriminator(lambda given: "all" if given is True else "parts"),
     ] = ()
     learn: Annotated[bool, Field(strict=True)] | None = None
@@ -54,7 +55,7 @@ class CorrectionRecord(CorrectedTarget):
     """The same with its frame and its target: a member of a list of corrections."""
 
     frame: FrameNumber
-    target: str
+    target: Name
 
 
 class StartRecord(BaseModel):
@@ -62,7 +63,7 @@ class StartRecord(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     frame: FrameNumber
-    targets: dict[str, TargetRecord]
+    targets: dict[Name, TargetRecord]
     corrections: tuple[CorrectionRecord, ...] = ()
     detector: Literal["", "haar", "yunet"] = ""
     placed: bool = False
@@ -205,5 +206,5 @@ def is_there(path: Path) -> bool:
     """Whether there is such a file or folder, as far as the system tells."""
     try:
         return path.exists()
-    except OSError:  # no permission, or a name that is too long
+    except (OSError, ValueError):  # no permission, or a name that is too long, or none
         return False

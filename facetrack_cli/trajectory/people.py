@@ -3,26 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Final, Literal, TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.numbers import union
+from facetrack_cli.core.types import checked_name
 from facetrack_cli.trajectory.clock import Clock
-from facetrack_cli.trajectory.reader import not_as_written
+from facetrack_cli.trajectory.reader import MAX_FRAME, not_as_written
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
 
 PEOPLE: Final = "people.json"
 PERSON: Final = "person_"
+NOBODY: Final = "unknown"  # begins the names of those whose face could not be told again: also unknown_2, unknown_3
 STILLS: Final = "people"  # the folder of the pictures, in that of a run
+_MAX_STILL_BYTES: Final = 1 << 20
 _P: TypeAlias = Annotated[float, Field(ge=0, le=1)]
-_Frame: TypeAlias = Annotated[int, Field(ge=0)]
+_Name: TypeAlias = Annotated[str, AfterValidator(checked_name)]
+_Frame: TypeAlias = Annotated[int, Field(ge=0, le=MAX_FRAME)]
+_Seconds: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
+
+_Still: TypeAlias = Annotated[str, Field(pattern=rf"^({STILLS}/[^/\\\x00.][^/\\\x00]*)?$")]  # a file of that folder
 
 
 class _Record(BaseModel):
@@ -39,18 +48,17 @@ class ShotRecord(_Record):
 class TrackRecord(_Record):
     """One track: whose it is, in which frames [first, stop), and with which probability.
 
-    `other` (None: somebody new) has the probability `p_other`, where that is in doubt; `still` is then its picture.
-    `given`: by hand.
+    `other` (None: somebody new) has `p_other`, where that is in doubt; `still` is then its picture. `given`: by hand.
     """
 
-    person: str
+    person: _Name
     first: _Frame
     stop: _Frame
     p: _P
     doubt: bool = False
-    other: str | None = None
+    other: _Name | None = None
     p_other: _P = 0.0
-    still: str = ""
+    still: _Still = ""
     given: bool = False
 
 
@@ -60,12 +68,12 @@ class PersonRecord(_Record):
     `times` are the intervals in s. `still` is the picture; `photograph`: it never moves.
     """
 
-    name: str
-    seconds: float
+    name: _Name
+    seconds: Annotated[float, Field(ge=0, allow_inf_nan=False)]
     p: _P
-    intervals: tuple[tuple[_Frame, _Frame], ...]
-    times: tuple[tuple[float, float], ...] = ()
-    still: str = ""
+    intervals: Annotated[tuple[tuple[_Frame, _Frame], ...], Field(min_length=1)]
+    times: tuple[tuple[_Seconds, _Seconds], ...] = ()
+    still: _Still = ""
     photograph: bool = False
 
 
@@ -74,11 +82,25 @@ class People(_Record):
 
     format: Literal["facetrack-people"] = "facetrack-people"
     version: Literal[1] = 1
-    fps: float
-    shots: tuple[ShotRecord, ...]
-    people: tuple[PersonRecord, ...]
+    fps: Annotated[float, Field(gt=0, le=1e6)]
+    shots: Annotated[tuple[ShotRecord, ...], Field(min_length=1)]
+    people: Annotated[tuple[PersonRecord, ...], Field(min_length=1)]
     tracks: tuple[TrackRecord, ...]
     corrections: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _whole(self) -> People:
+        spans = [
+            *((one.first, one.stop) for one in self.tracks),
+            *(span for one in self.people for span in one.intervals),
+        ]
+        if any(first >= stop for first, stop in spans):
+            raise ValueError("a track or an interval has no frame")
+        if any(one.times and len(one.times) != len(one.intervals) for one in self.people):
+            raise ValueError("its times are not those of its intervals")
+        if len({*self.names}) < len(self.names) or {*self.names} != {one.person for one in self.tracks}:
+            raise ValueError("its people are not those of its tracks, each once")
+        return self
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -110,13 +132,21 @@ def read_people(path: Path) -> People | None:
     """The people.json of a run's folder; None without. InputError for a file that is not as we write it."""
     file = path if path.name == PEOPLE else path / PEOPLE
     try:
-        return People.model_validate_json(file.read_bytes())
+        return People.model_validate_json(read_bounded(file))
     except FileNotFoundError:
         return None
     except OSError as e:
         raise InputError(f"{file}: cannot be read: {e.strerror or e}; make it readable") from None
     except ValidationError as e:
         raise not_as_written(file, e) from None
+
+
+def read_still(run: Path, still: str) -> bytes:
+    """The picture of a person in a run's folder; b"" where it is none of that folder's own files."""
+    with suppress(OSError, InputError):
+        if still and not (run / still).is_symlink() and not (run / STILLS).is_symlink():
+            return read_bounded(run / still, _MAX_STILL_BYTES)
+    return b""
 
 
 def people_of(
@@ -174,8 +204,10 @@ def merge(tracks: Tracks, name: str, into: str) -> Tracks:
 def rename(tracks: Tracks, name: str, to: str) -> Tracks:
     """With another name of a person. UsageError for a name that somebody has, or that is none."""
     _of(tracks, name)
-    if not to.strip() or any(c in to for c in '/\\\r\n\t"') or to.startswith(".") or len(to) > 60:
-        raise UsageError(f"--rename {name}={to}: is no name; give up to 60 characters without / and \\")
+    try:
+        checked_name(to)
+    except ValueError as e:
+        raise UsageError(f"--rename {name}={to}: {e}") from None
     if any(one.person == to for _, one in tracks):
         raise UsageError(f"--rename {name}={to}: {to} is there; --merge {name}={to} makes them one person")
     return [(of, one.model_copy(update={"person": to}) if one.person == name else one) for of, one in tracks]

@@ -63,7 +63,8 @@ def not_as_written(path: Path, error: Any, *above: str) -> InputError:
     """The first error of a pydantic.ValidationError, in the key that is `above` what was validated."""
     first = error.errors()[0]
     key = ".".join(map(str, (*above, *first["loc"])))
-    return InputError(f"{path}: {key} is not as facetrack run writes it ({first['msg'].lower()}); make the run again")
+    said = " ".join(filter(None, (key, "is not as facetrack run writes it")))
+    return InputError(f"{path}: {said} ({first['msg'].lower()}); make the run again")
 
 
 def _build(path: Path, targets: list[str], parts: list[str], columns: dict[str, Any], **others: Any) -> Trajectory:

@@ -8,7 +8,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import BOX, Array, Texts
-from facetrack_cli.trajectory.trajectory import UNSEEN, Trajectory, aligned, joined, one_part
+from facetrack_cli.trajectory.trajectory import SEEN, UNSEEN, Trajectory, aligned, joined, one_part
 
 Around: TypeAlias = Literal["windows", "points"]
 
@@ -32,6 +32,14 @@ def blank_lost(table: Trajectory) -> Trajectory:
     return replace(table, x=x, y=y, w=w, h=h)
 
 
+def hide_outside(table: Trajectory, size: tuple[int, int]) -> Trajectory:
+    """The table in which places beyond the outermost pixels of pictures of `size` (width, height) are hidden."""
+    beyond = [(x < 0) | (x > side - 1) for x, side in zip((table.x, table.y), size, strict=True)]
+    return replace(
+        table, status=np.where(np.isin(table.status, SEEN) & (beyond[0] | beyond[1]), "hidden", table.status)
+    )
+
+
 def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajectory:
     """One box for each row of a target, as the series of a part `box`: the smallest upright box around its parts.
 
@@ -44,6 +52,7 @@ def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajecto
     if len(parts) == 1:
         return parts[0].renamed(target, BOX)
     if around == "points":
+        parts = [part for part in parts if part.part != BOX]
         parts = [replace(part, w=np.ones(len(part)), h=np.ones(len(part))) for part in parts]
     for part in parts:
         if (sizeless := part.frame[np.isfinite(part.x) & ~np.isfinite(part.w + part.h)]).size:

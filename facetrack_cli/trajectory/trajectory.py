@@ -41,6 +41,7 @@ COLUMNS: Final = (
 """The columns of the CSV, in their order."""
 FLOATS: Final = (*DECIMALS, "particles")
 TEXTS: Final = ("status", "identity")
+MAX_ROWS: Final = 10**7  # four days of video
 PLACE: Final = ("x", "y", "w", "h", "angle", "confidence", *SPREAD, "ess")
 """The columns that an absent part has no value in."""
 
@@ -370,9 +371,13 @@ def joined(parts: Iterable[Trajectory], **others: Any) -> Trajectory:
     return build(tuple(numbers), np.concatenate(which), **columns, **others)
 
 
-def aligned(parts: Sequence[Trajectory], *columns: str) -> tuple[Whole, dict[str, Any]]:
-    """The T frames of K trajectories of one part each, and the values (T, K) of each column, unknown without a row."""
-    frame = np.unique(np.concatenate([part.frame for part in parts]))
+def aligned(parts: Sequence[Trajectory], *columns: str, frame: Whole | None = None) -> tuple[Whole, dict[str, Any]]:
+    """The T frames of K trajectories of one part each, and the values (T, K) of each column, unknown without a row.
+
+    `frame` (T,) are those frames and more, increasing.
+    """
+    if frame is None:
+        frame = np.unique(np.concatenate([part.frame for part in parts]))
     found = {}
     for name in columns:
         found[name] = np.full((len(frame), len(parts)), *_UNKNOWN.get(name, (np.nan,)))
@@ -381,12 +386,43 @@ def aligned(parts: Sequence[Trajectory], *columns: str) -> tuple[Whole, dict[str
     return frame, found
 
 
+def every_frame(table: Trajectory) -> tuple[Whole, Array]:
+    """The frames from 0 to the table's last one, (T,), and when each is shown, in seconds; nan if no row says when.
+
+    Files round times, and readers ask for a constant rate: times of one are computed anew from it. Otherwise frames
+    without a row lie evenly between their neighbours. InputError for a table of more than MAX_ROWS frames.
+    """
+    if (last := int(table.frames[-1])) >= MAX_ROWS:
+        raise InputError(f"frame {last} is too far on for a row a frame; correct the column frame")
+    frames, known = np.arange(last + 1), np.isfinite(table.times)
+    at, time_s = table.frames[known], table.times[known]
+    source = table.header.get("source")
+    told = source.get("fps") if isinstance(source, dict) else None
+    periods = [1 / told] if isinstance(told, int | float) and told > 0 else []
+    steps = np.diff(time_s) / np.diff(at)
+    step = float(np.median(steps)) if steps.size else 0.0
+    if step > 0 and (line := float(np.polyfit(at, time_s, 1)[0])) > 0:
+        usual = [n / round(n / line) for n in (1, 1.001) if round(n / line)]  # 24, 25, 30, 30 / 1.001, ...
+        periods += [*usual, line]
+    # containers may keep whole milliseconds
+    rounded = 1.1e-3 if table.header.get("variable_fps") is False else 1.1 * 10.0 ** -DECIMALS["time_s"]
+    for period in periods if len(at) else ():
+        begins = time_s - at * period
+        if np.ptp(begins) <= rounded:
+            begin = (begins.min() + begins.max()) / 2
+            return frames, frames * period + (begin if abs(begin) > rounded else 0.0)
+    found = np.interp(frames, at, time_s) if len(at) else np.full(len(frames), np.nan)
+    if step > 0:
+        found += step * (np.minimum(frames - at[0], 0) + np.maximum(frames - at[-1], 0))
+    return frames, found
+
+
 class TargetResult(NamedTuple):
     """What a tracker says of one target in one frame: a row for each of its K parts, with its diagnostics.
 
     `cloud` (N, K, 2) are the particles' centres in pixels; `insets` are small grey images of what the tracker knows,
-    each with its name; `notes` are lines for the user, said in the first frame. `beliefs` gives what the smoother needs
-    (`tracking.smoothing.Belief`); None of what has none.
+    each with its name; `notes` are lines for the user, of the frame in which they arise. `beliefs` gives what the
+    smoother needs (`tracking.smoothing.Belief`); None of what has none.
     """
 
     rows: Trajectory

@@ -8,10 +8,10 @@ from typing import Final
 from zipfile import BadZipFile, ZipFile, ZipInfo, is_zipfile
 
 from facetrack_cli.core.errors import InputError, reason
+from facetrack_cli.core.npz import check_directory
 from facetrack_cli.video import images
 
 MOST: Final = 256 << 20  # bytes of an image, unpacked
-MOST_ENTRIES: Final = 1_000_000
 _DAMAGED: Final = (BadZipFile, EOFError, OSError, RuntimeError, NotImplementedError, ValueError, zlib.error)
 
 
@@ -23,9 +23,10 @@ def is_archive(path: Path) -> bool:
 def holds_images(path: Path) -> bool:
     """Whether an archive has an image, or cannot be read, of which more is said once it is opened."""
     try:
-        with ZipFile(path) as packed:
-            return any(_is_frame(PurePosixPath(name)) for name in packed.namelist())
-    except _DAMAGED:
+        with path.open("rb") as raw:
+            check_directory(path, raw)
+            return any(_is_frame(PurePosixPath(name)) for name in ZipFile(raw).namelist())
+    except (*_DAMAGED, InputError):
         return True
 
 
@@ -37,13 +38,12 @@ class Archive:
 
     def __init__(self, path: Path) -> None:
         try:
+            with path.open("rb") as raw:
+                check_directory(path, raw)
             self._zip = ZipFile(path)
         except _DAMAGED as e:
             raise InputError(f"{path}: cannot be read as an archive ({reason(e)}); copy or download it again") from e
-        entries = self._zip.infolist()
-        if len(entries) > MOST_ENTRIES:
-            raise InputError(f"{path}: has {len(entries)} entries, and at most {MOST_ENTRIES} are read; unpack it")
-        names = {PurePosixPath(one.filename): one for one in entries if not one.is_dir()}
+        names = {PurePosixPath(one.filename): one for one in self._zip.infolist() if not one.is_dir()}
         shown = {name: one for name, one in names.items() if _is_frame(name)}
         if not shown:
             raise InputError(f"{path}: no images in this archive; {', '.join(sorted(images.SUFFIXES))} are read")

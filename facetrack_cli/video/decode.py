@@ -24,7 +24,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.types import Array, Frame, Image, Whole, planes_of
 from facetrack_cli.video.encoder import weights
-from facetrack_cli.video.images import Levels, levels
+from facetrack_cli.video.images import MOST_PIXELS, Levels, check_pixels, levels
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -53,7 +53,7 @@ _LUMA: Final = {
 }  # fmt: skip
 _FULL_RANGE: Final = 2  # libavutil's number of a range from 0 to 255
 # FFmpeg goes by what a file holds: a playlist would make it open other files, and text is drawn as letters
-_FORMATS: Final = (
+FORMATS: Final = (
     "3gp,aac,apng,asf,av1,avi,dv,flac,flv,gif,h264,hevc,ivf,m4v,matroska,mjpeg,mov,mp3,mp4,mpeg,mpegts,mpegvideo,mxf,"
     "nut,obu,ogg,rm,vc1,wav,webm,wtv,yuv4mpegpipe"
 )
@@ -100,6 +100,7 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
             raise ValueError("no video")
         self._video, self._sound = video, self._container.streams.audio
         self._end = weakref.finalize(self, _end, video.codec_context, self._container)
+        check_pixels(path, video.codec_context.width, video.codec_context.height)
         large = video.codec_context.width * video.codec_context.height > _MAX_ALONE_PIXELS
         video.codec_context.thread_type = "AUTO"
         video.codec_context.thread_count = min(cv2.getNumberOfCPUs(), _MAX_THREADS) if large else 1
@@ -245,8 +246,15 @@ def open_container(path: Path) -> InputContainer:
     if av.logging.get_level() is None:
         av.logging.set_level(av.logging.PANIC)  # errors are counted, and none is shown
     # an absolute path never reads as an option or a protocol
-    options = {"format_whitelist": _FORMATS, "protocol_whitelist": "file"}
-    return av.open(str(path.absolute()), options=options, metadata_errors="replace")
+    options = {"format_whitelist": FORMATS, "protocol_whitelist": "file"}
+    try:
+        container = av.open(str(path.absolute()), options=options, metadata_errors="replace")
+    except EOFError as error:  # PyAV's is Python's, which Click takes for Ctrl-C
+        raise ValueError(reason(error)) from error
+    for one in container.streams.video:
+        if one.codec_context:
+            one.codec_context.options = {"max_pixels": str(MOST_PIXELS)}  # also of frames whose size is another one
+    return container
 
 
 def recordings(container: InputContainer) -> list[VideoStream]:

@@ -80,7 +80,7 @@ def check_file(path: Path) -> None:
             begins = file.read(4096)
             if not begins:
                 raise InputError(f"{path}: the file is empty; {AGAIN}")
-            if _CONCAT.match(begins):
+            if path.suffix.lower() not in _VIDEOS and _CONCAT.match(begins):
                 how = f"ffmpeg -f concat -safe 0 -i {shlex.quote(str(path))} -c copy joined.mp4"
                 raise InputError(f"{path}: is a list of files that are one clip; join them, and give that: {how}")
     except UnicodeEncodeError:

@@ -21,7 +21,7 @@ from facetrack_cli.core.types import Image
 # of damaged metadata Pillow says much, and without the file's name
 warnings.filterwarnings("ignore", module=r"PIL\.")
 
-_MOST_PIXELS = 100_000_000
+MOST_PIXELS = 100_000_000
 _KINDS = ("bmp", "jp2", "jpe", "jpeg", "jpg", "pgm", "png", "pnm", "ppm", "tif", "tiff", "webp")
 SUFFIXES = frozenset(f".{kind}" for kind in _KINDS)
 # modes whose numbers are neither grey levels nor RGB
@@ -34,6 +34,10 @@ _DEEP: Final = frozenset((".png", ".tif", ".tiff"))  # whose colours may have 16
 _NUMBER: Final = re.compile(r"-?[0-9]+(\.[0-9]+)?")
 _CLOCK: Final = re.compile(r".*?[0-9]+[-_:h][0-5]?[0-9][-_:m][0-5]?[0-9](\.[0-9]+)?")
 _Name = TypeVar("_Name")
+# what Pillow raises
+_DAMAGED: Final = (
+    OSError, SyntaxError, EOFError, LookupError, TypeError, ValueError, RuntimeError, Pictures.DecompressionBombError,
+)  # fmt: skip
 
 
 class Levels(NamedTuple):
@@ -156,29 +160,20 @@ def numbers(path: Path, data: bytes | None = None, page: int = 0, held: dict[Pat
             file = (held or {}).get(path)
             if file is None:
                 file = opened.enter_context(iio.imopen(path if data is None else data, "r", plugin="pillow"))
-            mode = str(file.metadata(exclude_applied=False)["mode"])
+            about = file.metadata(index=page, exclude_applied=False)
+            mode, (width, height) = str(about["mode"]), about["shape"]
             if mode in ("I", "F") and path.suffix.lower() != ".png":
                 why = "is a 32-bit image, which has no agreed range"
                 raise UnreadableError(path, why, "convert it to 8 or 16 bits")
-            width, height = file.metadata(exclude_applied=False)["shape"]
-            if width * height > _MOST_PIXELS:
-                most = f"at most {_MOST_PIXELS // 10**6} megapixels are read"
-                why = f"is too large for a frame: {width}x{height}, and {most}"
-                raise UnreadableError(path, why, "make it smaller")
+            check_pixels(path, width, height)
             options: dict[str, Any] = {"index": page, "rotate": True, "mode": _READ_AS.get(mode)}
             pixels: Any = np.asarray(file.read(**options))
-    except (OSError, SyntaxError, EOFError, LookupError, TypeError, ValueError, RuntimeError) as error:  # Pillow's
+    except _DAMAGED as error:
         if "can not handle the given uri" in str(error):
             raise UnreadableError(path, "is not an image, or of an unknown kind") from error
         raise UnreadableError(path, f"cannot be read as an image ({reason(error)})") from error
-    if (
-        mode == "RGB"
-        and path.suffix.lower() in _DEEP
-        and page == 0
-        and (deep := _sixteen(path, data)) is not None
-        and deep.shape == pixels.shape
-    ):
-        pixels = deep
+    deep = _sixteen(path, data) if mode == "RGB" and not page and path.suffix.lower() in _DEEP else None
+    pixels = deep if deep is not None and deep.shape == pixels.shape else pixels
     return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
 
 
@@ -235,12 +230,28 @@ def pages(path: Path, data: Callable[[Path], bytes | None] = lambda file: None) 
 def durations(path: Path) -> list[float]:
     """How long each picture of an animated WebP is shown, in s; empty of what says nothing."""
     found: list[float] = []
-    with contextlib.suppress(OSError, EOFError, ValueError), Pictures.open(path) as image:
-        for page in range(int(getattr(image, "n_frames", 1)) if path.suffix.lower() == ".webp" else 0):
-            image.seek(page)
-            image.load()
-            found.append(image.info.get("duration", 0) / 1000)
+    if path.suffix.lower() == ".webp":
+        with contextlib.suppress(*_DAMAGED), Pictures.open(path) as image:
+            check_pixels(path, *image.size)
+            for page in range(int(getattr(image, "n_frames", 1))):
+                image.seek(page)
+                image.load()
+                found.append(image.info.get("duration", 0) / 1000)
     return found if found and min(found) > 0 else []
+
+
+def header_size(data: bytes) -> tuple[int, int] | None:
+    """(width, height) of an image by its header; None when it is not known."""
+    with contextlib.suppress(*_DAMAGED), Pictures.open(io.BytesIO(data)) as image:
+        return image.size
+    return None
+
+
+def check_pixels(path: Path, width: int, height: int) -> None:
+    """UnreadableError for an image that claims more pixels than are read: before memory is taken for them."""
+    if width * height > MOST_PIXELS:
+        most = f"at most {MOST_PIXELS // 10**6} megapixels are read"
+        raise UnreadableError(path, f"is too large for a frame: {width}x{height}, and {most}", "make it smaller")
 
 
 def is_animated(path: Path) -> bool:

@@ -96,8 +96,7 @@ class Turns:
 class Frames(contextlib.AbstractContextManager["Frames"]):
     """Any frame of a video or an image folder; a context manager. Thread-safe: the latest request is served first.
 
-    `size` is (width, height), rotation applied; `decoded` and `jumps` count the frames that were decoded and the seeks.
-    Raises what `open_source` raises.
+    `size` is (width, height), upright; `decoded` and `jumps` count frames and seeks. Raises what `open_source` raises.
     """
 
     def __init__(self, path: Path, *, fps: Fraction | None = None, stream: int | None = None):

@@ -1,16 +1,15 @@
 """Shots of an edited clip: where one camera's image follows another's, at once (a cut) or by blending (a dissolve).
 
 A frame is compared as a small image in brightness and colour. At a cut the images before and after differ far more than
-neighbours do, for longer than a flash lasts, and by more than brightness. In a dissolve the images lie on the line from
+neighbours do, for more than half a second, and by more than brightness. In a dissolve the images lie on the line from
 the last image of the one shot to the first image of the other, at even steps, and have less texture than both: edges of
-two images that are blended fade. A pan or a person that moves leaves that line and keeps its texture. None of this is
-in the papers.
+two images that are blended fade. A pan or a person that moves leaves that line and keeps its texture. All this is ours.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from typing import Final, NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Final, Literal, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -21,12 +20,16 @@ from facetrack_cli.core.types import Frame, Image
 SIDE: Final = (32, 18)  # pixels of the small images
 MIN_STEP: Final = 5.0  # grey levels, mean over the image, that two shots differ by at least
 BESIDE: Final = 0.5  # share of the step at a cut that its neighbours' steps reach at most
-FLASH_FRAMES: Final = 4  # frames that a flash lasts at most
+FLASH_S: Final = 0.5  # seconds that a flash, a whip pan and back, or a hand before the lens last at most
 SAME_STRUCTURE: Final = 0.93  # correlation of two images that differ in brightness alone
 SPANS: Final = (6, 8, 12, 16, 24, 36)  # frames of a dissolve
 UNEVEN: Final = 0.3  # lengths of the line by which a step of a dissolve is early or late at most
 SURE: Final = 3.0  # log odds of a dissolve
 ONE_FRAMES: Final = 6  # between two dissolves, at most, that are one
+SAME_SCENE: Final = 0.7  # correlation of two images between which there is no dissolve
+_AFTER: Final = 4  # frames after which a cut of a clip that passes is decided
+_LATE: Final = 12  # frames after which a dissolve is known to have ended
+_KEPT: Final = SPANS[-1] + 2 * _LATE  # images that are kept of a clip that passes
 _READ: Final = 5  # pixels a row and column that a pixel of a small image is the mean of, at least
 _MARGIN: Final = 2 * SPANS[-1]  # frames on either side that a decision rests on
 _BLOCK: Final = 1000  # frames that are decided at a time
@@ -64,9 +67,7 @@ class Cut(NamedTuple):
 
 
 class Shot(NamedTuple):
-    """Frames from `first` to before `stop` (None: the end of the clip). Those from `clear` to before `until` show no
-    other shot.
-    """
+    """Frames [first, stop); stop None: the end of the clip. Those of [clear, until) show no other shot."""
 
     first: int
     stop: int | None
@@ -77,26 +78,43 @@ class Shot(NamedTuple):
         return frame >= self.clear and (self.until is None or frame < self.until)
 
 
-class Passing(NamedTuple):
-    """The last image of a clip that passes, and the step to it: cuts without what comes after them.
+Event: TypeAlias = Literal["", "maybe", "none", "cut"]
 
-    Flashes and fast motion may be among them.
+
+class Passing(NamedTuple):
+    """Cuts and dissolves of a clip as it passes; `images` are the last small ones, `waits` the frames to a decision.
+
+    A cut is known when some frames after it are there. Until then it is a `maybe`, since a flash and fast motion look
+    alike; then it was a "cut" or "none". A dissolve is known half a second after its end.
     """
 
-    image: Image
-    step: float = 0.0
+    images: tuple[Image, ...]
+    frames: int = 0
+    waits: int = 0
 
-    def after(self, frame: Frame) -> tuple[Passing, bool]:
-        """With the next frame, and whether a shot may begin with it."""
-        image = small(frame)
-        before, now = (one.astype(np.float32).ravel() for one in (self.image, image))
+    def after(self, frame: Frame) -> tuple[Passing, Event]:
+        """With the next frame, and what is known with it."""
+        images = (*self.images[-_KEPT:], small(frame))
+        passing = Passing(images, self.frames + 1, max(self.waits - 1, 0))
+        before, now = (one.astype(np.float32).ravel() for one in images[-2:])
         step = float(np.abs(now - before).mean())
-        able = step >= MIN_STEP and self.step <= BESIDE * step
-        return Passing(image, step), able and float(_alike(before, now)) < SAME_STRUCTURE
+        earlier = float(np.abs(before - images[-3].astype(np.float32).ravel()).mean()) if len(images) > 2 else 0.0
+        if step >= MIN_STEP and earlier <= BESIDE * step and float(_alike(before, now)) < SAME_STRUCTURE:
+            return passing._replace(waits=_AFTER - 1), "maybe"
+        if self.waits == 1:
+            last = images[-2 * _AFTER - 2 :]
+            return passing, "cut" if len(last) - _AFTER in _hard(_flat(last), _AFTER) else "none"
+        if passing.frames % _LATE == 0 and len(images) > SPANS[0] and _alike(_flat(images[:1])[0], now) < SAME_SCENE:
+            ends = [last - len(images) for _, _, last in _dissolves(_flat(images))]
+            return passing, "cut" if any(-2 * _LATE <= one < -_LATE for one in ends) else ""
+        return passing, ""
 
 
-def find_cuts(frames: Iterable[Frame], looked: Callable[[int], None] = lambda done: None) -> Iterator[Cut]:
+def find_cuts(
+    frames: Iterable[Frame], looked: Callable[[int], None] = lambda done: None, fps: float = 25.0
+) -> Iterator[Cut]:
     """The cuts and dissolves of a clip, in order. Memory is bounded; `looked` hears of the frames gone by."""
+    flash = min(max(round(FLASH_S * fps), 1), _MARGIN)
     waiting: list[NDArray[np.float32]] = []
     first, decided = 0, 0  # of the clip: the first that waits, the first that is not decided
     for done, frame in enumerate(frames, 1):
@@ -106,12 +124,12 @@ def find_cuts(frames: Iterable[Frame], looked: Callable[[int], None] = lambda do
         looked(done)
         if len(waiting) == _BLOCK + 2 * _MARGIN:
             until = first + len(waiting) - _MARGIN
-            yield from (cut for cut in _cuts(np.array(waiting), first) if decided <= cut.frame < until)
+            yield from (cut for cut in _cuts(np.array(waiting), first, flash) if decided <= cut.frame < until)
             decided = until
             del waiting[:_BLOCK]
             first += _BLOCK
     if waiting:
-        yield from (cut for cut in _cuts(np.array(waiting), first) if decided <= cut.frame)
+        yield from (cut for cut in _cuts(np.array(waiting), first, flash) if decided <= cut.frame)
 
 
 def shots_of(cuts: Iterable[Cut], first: int, stop: int | None) -> list[Shot]:
@@ -134,20 +152,26 @@ def small(frame: Frame) -> Image:
     return np.stack([_shrunk(one) for one in (planes[:height], *colours)], axis=2)
 
 
+def _flat(images: Sequence[Image]) -> NDArray[np.float32]:
+    """(T, P): small images side by side."""
+    return np.asarray(images, np.float32).reshape(len(images), -1)
+
+
 def _shrunk(image: Image) -> Image:
     few = max(min(image.shape[1] // (_READ * SIDE[0]), image.shape[0] // (_READ * SIDE[1])), 1)
     return np.asarray(cv2.resize(image[::few, ::few], SIDE, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _cuts(images: NDArray[np.float32], first: int) -> list[Cut]:
+def _cuts(images: NDArray[np.float32], first: int, flash: int) -> list[Cut]:
     """The cuts of successive images (T, P), of which the first is frame `first`."""
-    hard = [Cut(first + at, first + at, first + at - 1) for at in _hard(images)]
+    hard = [Cut(first + at, first + at, first + at - 1) for at in _hard(images, flash)]
     soft = [Cut(first + at, first + a, first + b) for at, a, b in _dissolves(images)]
     soft = [one for one in soft if not any(one.first - 1 <= cut.frame <= one.last + 1 for cut in hard)]
     return sorted([*hard, *soft])
 
 
-def _hard(images: NDArray[np.float32]) -> list[int]:
+def _hard(images: NDArray[np.float32], flash: int) -> list[int]:
+    """The first frames after cuts; what is followed by what was before, within `flash` frames, was none."""
     steps = np.abs(np.diff(images, axis=0)).mean(axis=1)  # [t]: from t to t + 1
     found = []
     for before in np.flatnonzero(steps >= MIN_STEP).tolist():
@@ -155,8 +179,8 @@ def _hard(images: NDArray[np.float32]) -> list[int]:
         beside = np.concatenate([steps[max(before - 2, 0) : before], steps[before + 1 : before + 3]])
         if beside.size and beside.max() > BESIDE * step:
             continue
-        earlier = images[max(before + 1 - FLASH_FRAMES, 0) : before + 1]
-        later = images[before + 1 : before + 1 + FLASH_FRAMES]
+        earlier = images[max(before + 1 - flash, 0) : before + 1]
+        later = images[before + 1 : before + 1 + flash]
         apart = np.abs(earlier[:, None] - later[None]).mean(axis=2)
         if apart.min() >= BESIDE * step and _alike(earlier[:, None], later[None]).max() < SAME_STRUCTURE:
             found.append(before + 1)

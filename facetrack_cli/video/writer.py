@@ -20,10 +20,11 @@ from facetrack_cli.core.errors import OutputError, reason
 from facetrack_cli.core.files import discard, publish, sync, temporary_path
 from facetrack_cli.core.types import Image
 from facetrack_cli.video import ffmpeg
-from facetrack_cli.video.decode import sound_of
+from facetrack_cli.video.decode import FORMATS, sound_of
 from facetrack_cli.video.encoder import Encoder, as_mp4
 
 _COPIED_AUDIO = frozenset(("aac", "mp3", "ac3", "eac3", "alac"))  # what players expect in an MP4; the rest becomes AAC
+_KNOWN = ("-protocol_whitelist", "file", "-format_whitelist")  # as PyAV opens a clip
 _SNAP_S = 0.0011  # containers that keep whole milliseconds move a frame by up to half of one, at either end
 _LONGEST = 2**29  # ticks that a frame is shown at most: an MP4 holds 2**31, over several frames that are reordered
 _SLOW_S = 60  # frames that are shown for longer have a coarser clock
@@ -209,7 +210,8 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
                 if end is not None:
                     lines.append(f"duration {(end - begin) / self._timescale:.6f}")
             names.write_text("\n".join(lines) + "\n", encoding="utf-8")
-            command = ["-v", "error", "-y", "-f", "concat", "-safe", "0", "-i", ffmpeg.source_argument(names)]
+            command = ["-v", "error", "-y", "-f", "concat", "-safe", "0", *_KNOWN, f"concat,{FORMATS}"]
+            command += ["-i", ffmpeg.source_argument(names)]
             command += ["-map", "0:v:0", "-c", "copy", *as_mp4(self._target, self._timescale)]
             code, said = ffmpeg.run(command)
         except (OSError, RuntimeError) as error:
@@ -233,7 +235,7 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             start = self._first_s + late_s
             length = float((self._last_tick - self._pieces[0]) / Fraction(self._timescale) + 1 / self._fps)
             command = ["-v", "error", "-y", "-i", ffmpeg.source_argument(silent)]
-            command += ["-itsoffset", f"{-start:.6f}", "-i", ffmpeg.source_argument(source)]
+            command += ["-itsoffset", f"{-start:.6f}", *_KNOWN, FORMATS, "-i", ffmpeg.source_argument(source)]
             command += ["-map", "0:v:0", "-map", "1:a:0", "-map_metadata", "-1", "-c:v", "copy"]
             # copying drops what comes before time 0 by itself
             recode = ["-af", "atrim=start=0", "-c:a", "aac", "-b:a", "160k"]

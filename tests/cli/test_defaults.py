@@ -1,6 +1,4 @@
-"""Defaults that the user sets: the command line, then the environment, then pyproject.toml, then ours."""
-
-import sys
+"""Defaults that the user sets: the command line, then the environment, then ours. Files of a folder set none."""
 
 import click
 import pytest
@@ -8,8 +6,6 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli import app
 from tests.support.terminal import refusal
-
-toml = pytest.mark.skipif(sys.version_info < (3, 11), reason="this Python has no tomllib")
 
 
 @pytest.fixture
@@ -35,24 +31,25 @@ def given(tmp_path, monkeypatch, capfd):
     return given
 
 
-@toml
-def test_the_order_is_command_line_environment_pyproject(given):
-    text = "[tool.facetrack.run]\njobs = 4\nseed = 3\nno-video = true\nout = 'there'\nset = ['a=1', 'b=2']\n"
-    got = given("run", "a.mp4", "-j", "2", text=text, RUN_SEED="5", RUN_SHARD="1/2")
-    assert (got["jobs"], got["seed"], got["no_video"], got["out"]) == (2, 5, True, "there")
-    assert (got["set"], got["shard"], got["quiet"]) == (("a=1", "b=2"), (1, 2), False)
+def test_the_order_is_command_line_environment_ours(given):
+    got = given("run", "a.mp4", "-j", "2", RUN_JOBS="4", RUN_SEED="5", RUN_SHARD="1/2")
+    assert (got["jobs"], got["seed"], got["shard"], got["quiet"]) == (2, 5, (1, 2), False)
 
 
-@toml
-def test_underscores_do_as_well_and_other_tables_are_left_alone(given):
-    text = "[tool.facetrack.run]\nfail_on_lost = true\n[tool.facetrack.eval]\nwhatever = 1\n[tool.other]\nx = 1\n"
-    assert given("run", "a.mp4", text=text)["fail_on_lost"] is True
-    assert given("run", "a.mp4", text="[project]\nname = 'facetrack'\n")["jobs"] == 1
+@pytest.mark.parametrize("text", ["[tool.facetrack.run]\njobs = 4\nout = 'there'\noverwrite = true\n", "[\n", "\0"])
+def test_a_folder_sets_nothing(given, text, capfd):
+    got = given("run", "a.mp4", text=text)
+    assert (got["jobs"], got["out"], got["overwrite"], got["cluster"]) == (1, None, False, None)
+    assert capfd.readouterr().err == ""
 
 
 def test_variables(given):
     got = given("run", "a.mp4", RUN_SET="a=1 b=2", RUN_NO_VIDEO="1", RUN_QUIET="0", RUN_JOBS="")
     assert (got["set"], got["no_video"], got["quiet"], got["jobs"]) == (("a=1", "b=2"), True, False, 1)
+
+
+def test_the_other_name_of_a_command_has_the_same_variables(given):
+    assert given("track", "a.mp4", RUN_JOBS="3")["jobs"] == 3
 
 
 @pytest.mark.parametrize(
@@ -69,42 +66,16 @@ def test_a_wrong_variable_is_one_line(given, name, value, said):
     assert refusal(given("run", "a.mp4", **{name: value}), 2).startswith(f"facetrack: error: {said}")
 
 
-@toml
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("[tool.facetrack.run]\njbos = 4", 'tool.facetrack.run: unknown key "jbos"; did you mean "jobs"?'),
-        ("[tool.facetrack]\nrnu = 4", 'tool.facetrack: unknown key "rnu"; did you mean "run"?'),
-        ("[tool.facetrack.run]\njobs = 0", "tool.facetrack.run.jobs: 0 is not in the range 1<=x<=1000"),
-        ("[tool.facetrack.run]\njobs = [1]", "tool.facetrack.run.jobs: give text or a number"),
-        ("[tool.facetrack.run]\nquiet = 1", "tool.facetrack.run.quiet: give true or false"),
-        ("[tool.facetrack.run]\nset = 'a=1'", "tool.facetrack.run.set: give a list of texts"),
-        ("[tool.facetrack.run]\nout = true", "tool.facetrack.run.out: give text or a number"),
-        ("[tool.facetrack]\nrun = 4", "tool.facetrack.run is no table; write [tool.facetrack.COMMAND]"),
-        ("[tool]\nfacetrack = 4", "tool.facetrack is no table"),
-        ("[tool.facetrack]\ndebug = true", 'tool.facetrack: unknown key "debug"'),
-        ("[tool.facetrack.run\n", "no valid TOML"),
-    ],
-)
-def test_a_wrong_pyproject_names_file_and_key(given, tmp_path, text, said):
-    line = refusal(given("run", "a.mp4", text=text), 2)
-    assert line.startswith(f"facetrack: error: {tmp_path / 'pyproject.toml'}: {said}")
+def test_commands_below_commands_have_theirs(given):
+    assert given("recipes", "check", "sir", RECIPES_CHECK_SET="filter.particles=0")[0] == 2
+    assert given("recipes", "check", "sir", RECIPES_CHECK_SET="filter.particles=9") == {}
 
 
-@toml
-def test_commands_below_commands_have_theirs(given, tmp_path, monkeypatch, capfd):
-    text = "[tool.facetrack.recipes.check]\nset = ['filter.particles=0']\n"
-    assert given("recipes", "check", "sir", text=text)[0] == 2
-    assert given("recipes", "check", "sir", text=text, RECIPES_CHECK_SET="filter.particles=9") == {}
+def test_help_shows_the_variables_that_are_set(given, capfd):
+    given("run", "--help", RUN_JOBS="4")
+    said = capfd.readouterr().out
+    assert "FACETRACK_RUN_JOBS=4" in said and said.count("FACETRACK_RUN_") == 1
 
 
 def test_the_variable_of_debug_keeps_its_meaning(given):
     assert given("run", "a.mp4", DEBUG="yes, please")["jobs"] == 1
-
-
-def test_without_tomllib_a_line_says_so(given, monkeypatch, capfd):
-    monkeypatch.setitem(sys.modules, "tomllib", None)
-    assert given("run", "a.mp4", text="[tool.facetrack.run]\njobs = 4\n")["jobs"] == 1
-    assert "its defaults are not read: that takes Python 3.11" in capfd.readouterr().err
-    assert given("run", "a.mp4", text="[project]\nname = 'facetrack'\n")["jobs"] == 1
-    assert capfd.readouterr().err == ""

@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import time
 from collections import namedtuple
 from itertools import pairwise
 from xml.etree import ElementTree as ET
@@ -17,8 +18,10 @@ from hypothesis import strategies as st
 
 from facetrack_cli.cli.app import cli
 from facetrack_cli.cli.commands.export import ENDINGS
+from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import LINES, POINTS
 from facetrack_cli.trajectory.formats.boxes import read_got10k, read_mot, read_otb, read_vot
+from facetrack_cli.trajectory.formats.keypoints import write_dlc_h5
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.select import enclose
 from facetrack_cli.trajectory.trajectory import COLUMNS, joined, one_part
@@ -164,7 +167,7 @@ def test_a_face_of_all_points_with_lost_and_absent_rows(track):
             for x, part in enumerate(POINTS)]  # fmt: skip
     chin = POINTS.index("chin")
     gone[chin] = gone[chin]._replace(x=None, y=None)
-    path = track(rows(parts=POINTS), gone, header=SOURCE)
+    path = track(rows(parts=POINTS), gone, header={**SOURCE, "source": {**SOURCE["source"], "size": [1000, 800]}})
     export(path, "--to", "coco")
     found = json.loads(path.with_name("trajectory.coco.json").read_text())
     [face] = found["categories"]
@@ -182,6 +185,46 @@ def test_a_face_of_all_points_with_lost_and_absent_rows(track):
     assert np.isnan(table.loc[6, ("chin", "x")]) and table.loc[6, ("nose", "x")] == POINTS.index("nose")
     dropped = export(path, "--to", "dlc", "--drop-lost", "-o", "-").stdout.splitlines()
     assert dropped[3 + 3].split(",")[4:7] == ["", "", ""]
+
+
+def test_coco_has_no_keypoint_for_the_box_of_a_face(track):
+    path = track(rows(parts=("nose", "lip_upper", "box")), rows("hand", ("box",)), header=SOURCE)
+    export(path, "--to", "coco")
+    found = json.loads(path.with_name("trajectory.coco.json").read_text())
+    face, hand = found["categories"]
+    assert face["keypoints"] == ["nose", "lip_upper"] and "keypoints" not in hand
+    first = found["annotations"][0]
+    assert len(first["keypoints"]) == 6 and first["num_keypoints"] == 2 and first["bbox"] == [90.75, 76, 80, 50]
+    export(path, "--to", "coco", "--box", "points", "--overwrite")
+    assert json.loads(path.with_name("trajectory.coco.json").read_text())["annotations"][0]["bbox"] == [
+        100.25,
+        80.5,
+        31,
+        21,
+    ]
+
+
+def test_what_is_beyond_the_picture_is_not_seen(track):
+    small = {
+        **SOURCE,
+        "source": {**SOURCE["source"], "size": [104, 480]},
+    }  # nose and lip move right from 100.25, 130.25
+    path = track(header=small)
+
+    def text(form, *more):
+        return export(path, "--to", form, "-o", "-", *more).stdout
+
+    flags = [one["keypoints"][2::3] for one in json.loads(text("coco"))["annotations"]]
+    assert flags == [[2, 1]] * 3 + [[1, 1]] * 3
+    faces = track(rows(parts=("nose", "mouth_left"), lost=()), header=small)
+    assert [row["success"] for row in csv.DictReader(text("openface").splitlines())] == ["0"] * 6, faces
+    nose = ET.fromstring(text("cvat", "--target", "face/nose"))
+    assert [one.get("occluded") for one in nose.iter("points")] == [*"000111"]
+    (task,) = json.loads(text("labelstudio", "--target", "face/nose"))
+    shown = [one["enabled"] for one in task["annotations"][0]["result"][0]["value"]["sequence"]]
+    assert shown == [True] * 3 + [False] * 3
+    assert [line.split(",")[8] for line in text("mot", "--target", "face/nose").splitlines()] == [*"111000"]
+    assert "hidden" not in text("csv-wide"), "the rows as they are"
 
 
 def test_coco_names_the_images_of_a_folder(track, tmp_path):
@@ -218,8 +261,37 @@ def test_deeplabcut_s_header_rows(track):
     assert lines[3 + 4] == ["4", "104.250", "80.500", "0.9000", "134.250", "100.500", "0.1000"]
     export(track(rows(), rows("hand", ("box",))), "--to", "dlc", "--overwrite")
     lines = list(csv.reader(path.with_name("trajectory.dlc.csv").read_text().splitlines()))
-    assert lines[1] == ["individuals", *["face"] * 6, *["hand"] * 3]
+    assert lines[1] == ["individuals", *["face"] * 9, *["hand"] * 9], "each has all parts"
+    assert lines[2] == ["bodyparts", *[part for part in ("nose", "lip_upper", "box") for _ in range(3)] * 2]
     assert [line[0] for line in lines[:4]] == ["scorer", "individuals", "bodyparts", "coords"]
+    assert lines[4][7:] == ["", "", ""] * 3 + ["100.250", "80.500", "0.9000"]
+
+
+def test_deeplabcut_s_rows_are_all_frames_and_its_hdf5_holds_the_same(track):
+    pytest.importorskip("tables", reason="PyTables is not installed")
+    path = track(rows(frames=(2, 3, 6)), rows("hand", ("box",), frames=(4,)))
+    for form in ("dlc", "dlc-h5"):
+        export(path, "--to", form)
+    text = pd.read_csv(path.with_name("trajectory.dlc.csv"), header=[0, 1, 2, 3], index_col=0)
+    file = path.with_name("trajectory.dlc.h5")
+    found = pd.read_hdf(file, key="df_with_missing")
+    assert found.index.tolist() == text.index.tolist() == list(range(7))
+    assert found.columns.names == ["scorer", "individuals", "bodyparts", "coords"]
+    assert found.columns.tolist() == text.columns.tolist()
+    np.testing.assert_array_equal(found.to_numpy(), text.to_numpy())
+    known = found["facetrack"].xs("x", axis=1, level="coords").notna().sum()
+    assert known.to_dict() == {("face", "nose"): 3, ("face", "lip_upper"): 3, ("face", "box"): 0,
+                               ("hand", "nose"): 0, ("hand", "lip_upper"): 0, ("hand", "box"): 1}  # fmt: skip
+    before = file.read_bytes()
+    time.sleep(1.1)  # the resolution of the times that HDF5 keeps
+    export(path, "--to", "dlc-h5", "--overwrite")
+    assert file.read_bytes() == before
+    one = track(rows(parts=("nose",)))
+    export(one, "--to", "dlc-h5", "--overwrite", "--drop-lost")
+    assert pd.read_hdf(file).columns.names == ["scorer", "bodyparts", "coords"]
+    wide = joined([one_part(t, f"p{k}", [0], x=[1.0], y=[1.0]) for t in "ab" for k in range(480)])
+    with pytest.raises(InputError, match="no room for the names of 2880 columns; choose a target"):
+        write_dlc_h5(wide)
 
 
 def test_dropped_lost_rows_are_not_known(track):
@@ -230,6 +302,7 @@ def test_dropped_lost_rows_are_not_known(track):
 
     assert [line.split(",")[0] for line in text("mot").splitlines()] == ["1", "2", "3", "6"]
     assert text("otb").splitlines()[3] == "nan,nan,nan,nan"
+    assert text("got10k").splitlines()[3] == "0,0,0,0", "which its toolkit averages"
     assert text("vot").splitlines()[3:5] == ["2", "2"]
     assert text("dlc").splitlines()[3 + 3] == "3,,,"
     assert len(json.loads(text("coco"))["annotations"]) == 4
@@ -290,6 +363,7 @@ def test_otb_says_which_frame_is_line_1(track):
         (["--to", "eaf", "--media", "nowhere.mp4"], 3, "nowhere.mp4: no such file; correct --media"),
         (["--to", "mot", "-o", ""], 2, "--out is empty"),
         (["--to", "parquet", "-o", "-"], 2, "parquet is not text"),
+        (["--to", "dlc-h5", "-o", "-"], 2, "dlc-h5 is not text"),
     ],
 )
 def test_what_cannot_be_is_said_in_one_line(track, args, code, said):

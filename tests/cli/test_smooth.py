@@ -78,6 +78,12 @@ def test_in_place_the_filtered_rows_are_kept(run):
     done("export", run, "--to", "mot", "-o", "-")
 
 
+def test_in_place_by_another_name_of_the_folder(run, monkeypatch):
+    monkeypatch.chdir(run.parent)
+    done("smooth", run.name, "-o", run, "--overwrite")
+    assert (run / "trajectory.filtered.csv").exists() and not (run / "posterior.npz").exists()
+
+
 def test_the_video_is_drawn_again(kept, tmp_path):
     run = shutil.copytree(kept, tmp_path / "run")
     done(*RUN, "--keep-posterior", "--overwrite", "-o", run)

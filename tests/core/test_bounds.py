@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import struct
 import zipfile
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from facetrack_cli.tracking.identity.gallery import load_gallery, name_problem
 from facetrack_cli.tracking.start.init_file import read_init
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.video.source import open_source
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
 RUN = ["run", SAMPLES / "expressions.mp4", "--stop", "2", "-q"]
@@ -53,6 +55,28 @@ def test_a_file_that_is_too_large(tmp_path):
         read_trajectory(tmp_path / "rows.csv")
     with pytest.raises(InputError, match="too large for a file"):
         check_readable(tmp_path / "rows.csv", files.MAX_FILE_BYTES)
+
+
+@pytest.mark.parametrize("what", ["archive of images", "arrays"])
+def test_an_archive_that_lists_millions_of_files(tmp_path, what):
+    """The list takes a kilobyte of memory for each: it is refused before it is read."""
+    entry, name = struct.pack("<4s6H3L5H2L", b"PK\x01\x02", *[20] * 2, *[0] * 4, 0, 0, 0, 5, *[0] * 4, 0, 0), b"a.png"
+    many = 1_000_000
+    end = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, 0xFFFF, 0xFFFF, many * (len(entry) + 5), 0, 0)
+    path = tmp_path / ("x.zip" if what == "archive of images" else "x.npz")
+    path.write_bytes((entry + name) * many + end)
+    with pytest.raises(InputError, match="lists files in 51 MB, and at most 34 MB are read; unpack it"):
+        open_source(path) if path.suffix == ".zip" else load_gallery(path)
+
+
+@pytest.mark.parametrize("header", ["{'descr': '<f8', 'shape': (3,", '"', "(((((", "{'a': 1", "\t1\n 2"])
+def test_arrays_whose_header_is_cut(tmp_path, header):
+    """NumPy hands it to Python's tokenizer, whose errors are of its own kind."""
+    data = f"{header}\n".encode()
+    with zipfile.ZipFile(tmp_path / "x.npz", "w") as archive:
+        archive.writestr("format.npy", b"\x93NUMPY\x01\x00" + len(data).to_bytes(2, "little") + data)
+    with pytest.raises(InputError, match="is not a usable gallery"):
+        load_gallery(tmp_path / "x.npz")
 
 
 @pytest.mark.nightly
@@ -114,7 +138,7 @@ def test_too_little_memory_is_said(capsys, monkeypatch, tmp_path, error):
 
 
 def test_names_and_targets_are_bounded(tmp_path):
-    assert "has 100000 letters, and a name of a person at most 1000" in name_problem("x" * 100_000)
+    assert "has 100000 letters, and a name of a person at most 100" in name_problem("x" * 100_000)
     path = tmp_path / "many.init.yaml"
     path.write_text("frame: 0\n" + "".join(f"t{i}: {{box: [1, 2, 30, 40]}}\n" for i in range(300)))
     with pytest.raises(InputError, match="300 targets, and at most 100"):

@@ -77,6 +77,16 @@ def test_the_cast_is_changed_undone_and_saved(page, client):
     assert change(client, "rename", "Eileen", to="x").status == 409
 
 
+@pytest.mark.parametrize("name", ["a\0b", "../x", "a/b", "", "\u202eb", "x" * 101])
+def test_a_name_that_is_none_is_refused(client, name):
+    got = change(client, "rename", "person_1", to=name)
+    assert (got.status == 422 and "is no name" in got.json["error"]) or "has 101 letters" in got.json["error"]
+    for what in ("merge", "give", "split", "rename"):
+        got = change(client, what, name, to="person_2", frame=1)
+        assert got.status == 422 and "internal" not in got.json["error"]
+    assert names(client.get("api/state").json) == ["person_1", "person_2"]
+
+
 def test_a_doubt_is_settled(client):
     [doubt] = client.get("api/state").json["doubts"]
     frame = doubt["first"]

@@ -400,12 +400,16 @@ def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, 
     assert not found
 
 
-def test_links_stay_links(out, tmp_path):
-    kept = tmp_path / "elsewhere.csv"
-    shutil.move(out / "trajectory.csv", kept)
-    (out / "trajectory.csv").symlink_to(kept)
-    put(out, nose(4, 158, 140))
-    assert (out / "trajectory.csv").is_symlink() and ",158.000,140.000," in kept.read_text()
+@pytest.mark.parametrize("name", ["trajectory.csv", "trajectory.json", "annotated.mp4", CORRECTED, "run.json"])
+def test_links_in_the_folder_of_a_run_are_refused(out, tmp_path, name):
+    kept = tmp_path / "elsewhere"
+    kept.write_bytes((out / name).read_bytes() if (out / name).exists() else b"mine")
+    (out / name).unlink(missing_ok=True)
+    (out / name).symlink_to(kept)
+    before = files_of(out)
+    with pytest.raises(OutputError, match=f"{name}: is a link, and what it leads to is not replaced"):
+        put(out, nose(4, 158, 140))
+    assert files_of(out) == before and (out / name).is_symlink()
 
 
 def test_a_folder_in_the_place_of_the_init_file_is_refused_before_anything_is_replaced(out):

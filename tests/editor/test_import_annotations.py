@@ -104,6 +104,32 @@ def test_boxes_that_were_moved_or_switched_off_in_label_studio(runs):
     assert (one.frame, two) == (4, Correction(6, "face", absent=True))
 
 
+def test_what_label_studio_interpolates_is_no_correction(runs):
+    path = runs / "box" / "trajectory.labelstudio.json"
+    tasks = json.loads(path.read_text())
+    value = tasks[0]["annotations"][0]["result"][0]["value"]
+    for place in value["sequence"][2:9]:
+        place |= {"x": place["x"] + 5, "auto": True}
+    value["sequence"][9]["x"] += 5
+    path.write_text(json.dumps(tasks))
+    (one,) = found(runs / "box", path)
+    assert one.frame == 9
+
+
+@pytest.mark.parametrize("form", ["cvat", "labelstudio"])
+@pytest.mark.parametrize("unseen", ["hidden", "beyond the picture"])
+def test_rows_that_are_not_seen_come_back_as_no_correction(runs, form, unseen):
+    """An annotator has not touched them; Label Studio has no other word for them than not enabled."""
+    run, edited = runs / "box", runs / "edited.json"
+    doc = json.loads((run / "trajectory.json").read_text())
+    for frame in doc["frames"][4:7]:
+        part = frame["targets"][0]["parts"][0]
+        part |= {"status": "hidden"} if unseen == "hidden" else {"x": -20.0}
+    edited.write_text(json.dumps(doc))
+    assert facetrack("export", edited, "--to", form, "-o", runs / "there") == 0
+    assert imported_corrections(runs / "there", open_run(run), read_trajectory(edited)) == ()
+
+
 def test_the_box_of_a_head_that_carries_points_is_moved_and_never_absent_alone(tmp_path):
     run, few = tmp_path / "run", ["--set", "filter.particles=20", "--stop", 5, "--no-video", "-q"]
     assert facetrack("run", FOLDER / "expressions.mp4", "-o", run, "--config", "face", *few) == 0

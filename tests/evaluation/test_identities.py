@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.evaluation.identities import Seen, assigned, identified, measure_people, seen_in
+from facetrack_cli.trajectory.formats.boxes import read_mot
 from facetrack_cli.trajectory.trajectory import build
 
 PEERS = Path(__file__).parents[1] / "peers"
@@ -119,6 +120,19 @@ def test_who_is_hidden_or_lost_does_not_count_and_frames_of_nobody_do():
     frames = seen_in(ours, truth)
     assert [len(one.people) for one in frames] == [1, 1, 1, 0, 0, 0, 0, 0]
     assert [len(one.targets) for one in frames] == [1, 1, 0, 1, 1, 0, 0, 0], "on nobody in frames 3 and 4"
+
+
+def test_class_1_of_mot_counts_and_targets_on_distractors_do_not(tmp_path):
+    """Which TrackEval 1.3.0 gives 1.0, too: a person, a static person (7, flag 0) and a hand (2), all followed."""
+    boxes = {1: (100, "1,1,1"), 2: (200, "0,7,1"), 3: (300, "1,2,1")}
+    lines = [f"{n},{who},{left + n},50,40,50,{rest}" for n in range(1, 11) for who, (left, rest) in boxes.items()]
+    (tmp_path / "gt.txt").write_text("\n".join(lines))
+    names = [(f"person_{who}", "box") for who in boxes]
+    which, frame = np.repeat(np.arange(3), 10), np.tile(np.arange(10), 3)
+    left = np.array([left for left, _ in boxes.values()])[which] + frame + 0.0
+    place = {"x": left + 19.5, "y": np.full(30, 73.5), "w": np.full(30, 40.0), "h": np.full(30, 50.0)}
+    _, found, _ = identified(build(names, which, frame, **place), read_mot(tmp_path / "gt.txt"))
+    assert (found.people, found.targets, found.idf1, found.hota) == (1, 1, 1.0, 1.0)
 
 
 def test_tables_without_a_box_or_two_points_in_common_are_refused():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,6 +34,17 @@ corrections:
       absent: [lip_upper]
       learn: false
 """  # noqa: E501
+
+
+PEOPLE = {
+    "format": "facetrack-people",
+    "version": 1,
+    "fps": 25.0,
+    "shots": [{"first": 0, "stop": None}],
+    "people": [{"name": "face", "seconds": 0.2, "p": 0.9, "intervals": [[0, FRAMES]], "still": "people/1.jpg"}],
+    "tracks": [{"person": "face", "first": 0, "stop": FRAMES, "p": 0.9, "doubt": True, "still": "people/2.jpg"}],
+    "corrections": ["rename person_1=face"],
+}
 
 
 class Bench(NamedTuple):
@@ -81,6 +93,7 @@ def make(folder: Path, *, warm: bool) -> Bench:
     done(["run", clip, "--config", "adaptive", "--box", "115,58,113,113", "-o", f"{box}2", "--no-video", *shared])
     for kind in ("otb", "got10k", "mot", "vot"):
         done(["export", box, "--to", kind, "-o", str(folder / f"{kind}.txt")])
+    (folder / "people.json").write_text(json.dumps(PEOPLE), encoding="utf-8")
     left = "\n".join(f"{t},115,58,113,113" for t in range(FRAMES))
     (folder / "boxes.csv").write_text(f"frame,x,y,w,h\n{left}\n", encoding="utf-8")
     (folder / "pts").mkdir()

@@ -173,6 +173,18 @@ def _run_folder(rng: Random, bench: Bench, case: Case) -> list[str]:
     return ["report", "run", "-o", "out.html", "-q"]
 
 
+def _people(rng: Random, bench: Bench, case: Case) -> list[str]:
+    shutil.copytree(bench.path("run"), case.folder / "run")
+    case.put("run/people.json", _damaged(rng, bench, "people.json"))
+    case.named = (*case.named, "run", "--rename", "--merge", "--split")
+    more = (["--json"], ["--csv"], ["--rename", "face=Ann"], ["--merge", "face=face"], ["--split", "face@2f"])
+    if rng.random() < 0.3:
+        return ["report", "run", "-o", "out.html", "-q"]
+    words = rng.choice((*more, []))
+    case.files = {} if words and words[0].startswith(("--re", "--me", "--sp")) else case.files  # which it corrects
+    return ["people", "run", "--no-video", "-q", *words]
+
+
 def _image(rng: Random, bench: Bench, case: Case) -> list[str]:
     content = bench.path("frames/1.png").read_bytes()
     if rng.random() < 0.4:
@@ -354,5 +366,6 @@ def _nothing(rng: Random, bench: Bench, case: Case) -> list[str]:
 KINDS: dict[str, Build] = {
     "init": _init, "recipe": _recipe, "set": _override, "trajectory": _trajectory, "truth": _truth, "results": _results,
     "gallery": _gallery, "prior": _prior, "calibration": _calibration, "posterior": _posterior, "run": _run_folder,
+    "people": _people,
     "image": _image, "video": _video, "golden": _golden, "place": _place, "arguments": _arguments, "words": _nothing,
 }  # fmt: skip

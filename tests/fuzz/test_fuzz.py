@@ -3,9 +3,11 @@
 import os
 import subprocess
 import sys
+from functools import partial
 
 import pytest
 
+from tests.fuzz import guided
 from tests.support.samples import FOLDER
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="each case runs in a process that is forked")
@@ -22,7 +24,16 @@ def test_hostile_inputs_are_answered():
     assert _tried(0, 0) == ""
 
 
+@pytest.mark.parametrize("parser", guided.parsers())
+def test_parsers_take_what_is_whole_and_refuse_the_rest(parser):
+    """As the nightly fuzzers do, which are guided by coverage: guided.py."""
+    parse = guided.parsers()[parser]
+    assert any(list(map(partial(guided.taken, parse), guided.seeds(parser))))
+    for data in guided.damaged(parser, 150):
+        guided.taken(parse, data)
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("first", range(0, 330, 30))
 def test_more_hostile_inputs_are_answered(first):
-    assert _tried(510, first) == ""
+    assert _tried(540, first) == ""

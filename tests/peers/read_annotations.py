@@ -1,7 +1,7 @@
 """What annotation tools read in exported files, as JSON: `PYTHON read_annotations.py FOLDER`
 
-Run by the Python that has them (annotation.txt); imports nothing of ours. The folder holds cvat/annotations.xml and
-track.labelstudio.json.
+Run by the Python that has them (annotation.txt); imports nothing of ours. The folder holds cvat/annotations.xml,
+mot/gt/gt.txt and track.labelstudio.json.
 """
 
 import json
@@ -26,6 +26,12 @@ def cvat(folder):
     return {"labels": [one.name for one in labels], "frames": shapes}
 
 
+def mot(folder):
+    """Of each frame its boxes: left and top from 0, width, height, and attributes."""
+    dataset = Dataset.import_from(str(folder), "mot_seq")
+    return {item.id: [{"box": list(one.get_bbox()), **one.attributes} for one in item.annotations] for item in dataset}
+
+
 def label_studio(path):
     """The regions, with what the SDK adds between keyframes."""
     (task,) = json.loads(path.read_text(encoding="utf-8"))
@@ -35,7 +41,11 @@ def label_studio(path):
 
 def main():
     folder = Path(sys.argv[1])
-    found = {"cvat": cvat(folder / "cvat"), "label_studio": label_studio(folder / "track.labelstudio.json")}
+    found = {
+        "cvat": cvat(folder / "cvat"),
+        "mot": mot(folder / "mot"),
+        "label_studio": label_studio(folder / "track.labelstudio.json"),
+    }
     sys.stdout.write(json.dumps(found))
 
 

@@ -1,15 +1,17 @@
 """What other tools read in exported files, as JSON: `PYTHON read_exports.py FOLDER`
 
-Run by the Python that has them (requirements.txt); imports nothing of ours. The folder holds track.mot.txt,
-track.otb.txt, track.got10k.txt, track.vot.txt, track.coco.json, track.dlc.csv, two.dlc.csv, track.openface.csv and
-track.eaf.
+Run by the Python that has them (requirements.txt); imports nothing of ours. The folder holds track, truth and same
+.mot.txt, track.otb.txt, track and dropped .got10k.txt, track.vot.txt, track.coco.json, track and two .dlc.csv and
+.dlc.h5, track.wide.csv, track.openface.csv, track.eaf and quoted.eaf.
 """
 
 import contextlib
 import json
 import math
 import os
+import shutil
 import sys
+import tempfile
 import typing
 import warnings
 from pathlib import Path
@@ -24,8 +26,15 @@ import attributee  # noqa: E402, F401
 if _transform is not None:
     typing.dataclass_transform = _transform
 
-import exploface  # noqa: E402
-import motmetrics  # noqa: E402
+with contextlib.redirect_stdout(sys.stderr):  # some greet on import
+    import exploface
+    import kineticstoolkit
+    import motmetrics
+    import trackeval
+    from corflow import fromElan, toElan
+    from elan_data import ELAN_Data
+    from got10k.utils.metrics import rect_iou
+    from speach import elan
 import numpy as np  # noqa: E402
 import pandas as pd  # noqa: E402
 import pympi  # noqa: E402
@@ -37,6 +46,36 @@ from vot.region.io import read_trajectory  # noqa: E402
 def mot(path):
     """frame, id (both from 1), left, top (from 0, as motmetrics has it), width, height, confidence."""
     return motmetrics.io.loadtxt(str(path), fmt="mot15-2D").reset_index().iloc[:, :7].to_numpy().tolist()
+
+
+def mot_truth(path):
+    """Of ground truth: frame, id, left and top from 0, width, height, flag, class, visibility."""
+    return motmetrics.io.loadtxt(str(path), fmt="mot16", min_confidence=1).reset_index().to_numpy().tolist()
+
+
+def track_eval(truth, result):
+    """TrackEval's figures of a result against ground truth, both files of MOTChallenge."""
+    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(sys.stderr):
+        for file, place in ((truth, "gt/MOT17-train/clip/gt/gt.txt"), (result, "tr/MOT17-train/ours/data/clip.txt")):
+            (target := Path(folder, place)).parent.mkdir(parents=True)
+            shutil.copy(file, target)
+        length = max(int(line.split(",")[0]) for line in truth.read_text().splitlines())
+        Path(folder, "gt/MOT17-train/clip/seqinfo.ini").write_text(f"[Sequence]\nname=clip\nseqLength={length}\n")
+        Path(folder, "gt/seqmaps").mkdir()
+        Path(folder, "gt/seqmaps/MOT17-train.txt").write_text("name\nclip\n")
+        data = {"GT_FOLDER": f"{folder}/gt", "TRACKERS_FOLDER": f"{folder}/tr", "BENCHMARK": "MOT17"}
+        dataset = trackeval.datasets.MotChallenge2DBox({**data, "SPLIT_TO_EVAL": "train", "PRINT_CONFIG": False})
+        quiet = ("PRINT_RESULTS", "PRINT_CONFIG", "OUTPUT_SUMMARY", "OUTPUT_DETAILED", "PLOT_CURVES", "TIME_PROGRESS")
+        evaluator = trackeval.Evaluator({**dict.fromkeys(quiet, False), "LOG_ON_ERROR": None})
+        metrics = [trackeval.metrics.HOTA(), trackeval.metrics.Identity({"PRINT_CONFIG": False})]
+        found = evaluator.evaluate([dataset], metrics)[0]["MotChallenge2DBox"]["ours"]["clip"]["pedestrian"]
+    numbers = {name: int(found["Count"][name]) for name in ("Dets", "GT_Dets", "GT_IDs")}
+    return {**numbers, "IDF1": float(found["Identity"]["IDF1"]), "HOTA": float(found["HOTA"]["HOTA"].mean())}
+
+
+def average_overlap(path, truth):
+    """GOT-10k's, of the rows after the first."""
+    return float(np.mean(rect_iou(np.loadtxt(path, delimiter=",")[1:], np.loadtxt(truth, delimiter=",")[1:])))
 
 
 def boxes(path):
@@ -72,6 +111,48 @@ def dlc(path, header):
         "index": table.index.tolist(),
         "kinds": sorted({str(kind) for kind in table.dtypes}),
         "values": table.to_numpy().tolist(),
+    }
+
+
+def dlc_h5(path):
+    """As DeepLabCut reads its own HDF5."""
+    table = pd.read_hdf(path, key="df_with_missing")
+    return {
+        "names": list(table.columns.names),
+        "columns": [list(column) for column in table.columns],
+        "index": table.index.tolist(),
+        "values": table.to_numpy().tolist(),
+    }
+
+
+def wide(path):
+    """The rate that Kinetics Toolkit sees, nan if it is not constant, and the times."""
+    series = kineticstoolkit.TimeSeries.from_dataframe(pd.read_csv(path).set_index("time_s")[["frame"]])
+    return {"rate": float(series.get_sample_rate()), "times": series.time.tolist()}
+
+
+def other_eaf(path):
+    """The file as corflow, speach and elan-data read it; in how many of the files that they write links are left."""
+    found = fromElan.fromElan(str(path))
+    toElan.toElan(str(path.with_name("corflow.eaf")), found)
+    spoken = elan.read_eaf(str(path))
+    spoken.save(str(path.with_name("speach.eaf")))
+    data = ELAN_Data.from_file(str(path))
+    data.init_dataframe()
+    rows = data.tier_data
+    return {
+        "corflow": {tier.name: [tier.start, tier.end, len(tier)] for tier in found},
+        "speach": {
+            tier.name: [[one.from_ts.sec, one.to_ts.sec, one.value, one.cve_ref] for one in tier] for tier in spoken
+        },
+        "elan_data": {
+            name: [[row.START, row.STOP, row.TEXT] for row in rows[name == rows.TIER_ID].itertuples()]
+            for name in data.tier_names
+        },
+        "links": {
+            name: path.with_name(f"{name}.eaf").read_text(encoding="utf-8").count("CVE_REF")
+            for name in (path.stem, "corflow", "speach")
+        },
     }
 
 
@@ -116,14 +197,21 @@ def main():
     folder = Path(sys.argv[1])
     found = {
         "mot": mot(folder / "track.mot.txt"),
+        "mot_truth": mot_truth(folder / "truth.mot.txt"),
+        "track_eval": track_eval(folder / "truth.mot.txt", folder / "same.mot.txt"),
+        "average_overlap": average_overlap(folder / "dropped.got10k.txt", folder / "track.got10k.txt"),
         "otb": boxes(folder / "track.otb.txt"),
         "got10k": boxes(folder / "track.got10k.txt"),
         "vot": vot(folder / "track.vot.txt"),
         "coco": coco(folder / "track.coco.json"),
         "dlc": dlc(folder / "track.dlc.csv", [0, 1, 2]),
         "dlc_of_two": dlc(folder / "two.dlc.csv", [0, 1, 2, 3]),
+        "dlc_h5": dlc_h5(folder / "track.dlc.h5"),
+        "dlc_h5_of_two": dlc_h5(folder / "two.dlc.h5"),
+        "wide": wide(folder / "track.wide.csv"),
         "openface": openface(folder / "track.openface.csv"),
         "eaf": eaf(folder / "track.eaf"),
+        "other_eaf": other_eaf(folder / "quoted.eaf"),
     }
     sys.stdout.write(json.dumps(plain(found)))
 

@@ -63,12 +63,16 @@ def records(folder, form):
     return lines if form == "csv" else [line for line in lines if '"type":"frame"' in line]
 
 
+def part_of(out, process):
+    """The table that a process is writing, if it does."""
+    return next(out.glob(f".trajectory-{process}-*.part.csv"), None)
+
+
 def killed(clip, out, *arguments, frames):
     """Run until so many frames are in the tables, then kill -9; the last frame that was in them."""
     process = subprocess.Popen([*FACETRACK, "run", clip, "-o", out, *map(str, arguments)], stderr=subprocess.DEVNULL)
-    part = out / f".trajectory-{process.pid}.part.csv"
     deadline = time.monotonic() + 60
-    while not part.exists() or len(frames_of(part)) < ROWS * frames:
+    while not (part := part_of(out, process.pid)) or len(frames_of(part)) < ROWS * frames:
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.002)
     last = frames_of(part)[-1]
@@ -144,7 +148,8 @@ def test_a_table_torn_anywhere_ends_with_a_whole_frame(clip, tmp_path, form):
     text = (whole / f"trajectory.{form}").read_bytes()
     expected = records(whole, form)
     host, boot = locks.here()
-    note = {"host": host, "boot": boot, "token": "ab", "process": 999_999_999, "run": read_manifest(whole).record()}
+    note = {"host": host, "boot": boot, "token": "ab", "process": 999_999_999, "mark": f"999999999-{'5' * 16}"}
+    note["run"] = read_manifest(whole).record()
     seen = set()
     # also where an object inside of a line ends, which looks like the end of a frame
     inside = [one.end() for one in re.finditer(rb'"ess":[0-9.]+\}', text)][-8:]
@@ -152,7 +157,7 @@ def test_a_table_torn_anywhere_ends_with_a_whole_frame(clip, tmp_path, form):
         out = tmp_path / f"{at}"
         out.mkdir()
         (out / LOCK).write_text(json.dumps(note))
-        (out / f".trajectory-999999999.part.{form}").write_bytes(text[:at])
+        (out / f".trajectory-{note['mark']}.part.{form}").write_bytes(text[:at])
         frames = recover_interrupted(out)
         seen.add(frames)
         if frames:

@@ -13,7 +13,7 @@ import time
 import pytest
 
 from facetrack_cli.core.errors import BusyError, OutputError
-from facetrack_cli.core.files import temporary_path
+from facetrack_cli.core.files import own_mark, temporary_path
 from facetrack_cli.run_folder import lock as locks
 from facetrack_cli.run_folder.lock import LOCK, FolderLock, finish_replacing, holder, left_in, sweep
 
@@ -233,7 +233,7 @@ def test_two_may_finish_at_once(tmp_path, monkeypatch):
     """A file that another process has renamed in the meantime is not missed; one that it replaces again stays."""
     table, replace = tmp_path / "a.csv", type(tmp_path).replace
     temporary_path(table).write_text("saved")
-    note = {"process": os.getpid(), "replace": {"files": ["a.csv", "b.csv"], "gone": ["../c", "d"]}}
+    note = {"mark": own_mark(), "replace": {"files": ["a.csv", "b.csv"], "gone": ["../c", "d"]}}
     (tmp_path / "d").touch()
 
     def first(self, to):
@@ -247,6 +247,51 @@ def test_two_may_finish_at_once(tmp_path, monkeypatch):
     assert table.read_text() == "another run" and names(tmp_path) == ["a.csv"]
 
 
+def test_a_note_replaces_nothing_outside_of_the_folder(tmp_path):
+    """Whoever shares a folder writes its note: names lead to files of the folder, and links lead nowhere."""
+    out, other = tmp_path / "out", tmp_path / "other"
+    for folder in (out, other, out / "people"):
+        folder.mkdir()
+    for path in (other / "a.csv", other / "1.jpg"):
+        path.write_text("mine")
+    mark = f"{ended_process()}-{'0' * 16}"
+    (out / f".a-{mark}.part.csv").write_text("theirs")
+    note = {"mark": mark, "replace": {"files": ["../other/a.csv", "x/people/1.jpg"], "gone": ["../other/1.jpg"]}}
+    finish_replacing(out, note)
+    assert (out / "a.csv").read_text() == "theirs" and {*names(other)} == {"1.jpg", "a.csv"}
+    (out / f".a-{mark}.part.csv").write_text("theirs")
+    (out / "a.csv").unlink()
+    (out / "a.csv").symlink_to(other / "a.csv")
+    with pytest.raises(OutputError, match=r"out/a.csv: is a link, and what it leads to is not replaced"):
+        finish_replacing(out, note)
+    (out / "a.csv").unlink()
+    (out / "people").rmdir()
+    (out / "people").symlink_to(other)
+    with pytest.raises(OutputError, match=r"out/people: is a link"):
+        finish_replacing(out, {"mark": mark, "replace": {"gone": ["people/1.jpg"]}})
+    for mark in (1, "1", f"../{'0' * 16}", f"/-{'0' * 16}"):
+        finish_replacing(out, {"mark": mark, "replace": {"files": ["b.csv"], "gone": ["people/1.jpg"]}})
+    assert {*names(other)} == {"1.jpg", "a.csv"} and (other / "a.csv").read_text() == "mine"
+
+
+def test_a_lock_that_is_a_link_or_a_pipe(tmp_path):
+    (tmp_path / LOCK).symlink_to(tmp_path / "mine")
+    (tmp_path / "mine").write_text("kept")
+    with pytest.raises(OutputError, match="is a link"), FolderLock(tmp_path):
+        pass
+    assert (tmp_path / "mine").read_text() == "kept"
+    (tmp_path / LOCK).unlink()
+    os.mkfifo(tmp_path / LOCK)
+    assert left_in(tmp_path) == {}
+
+
+def test_temporary_names_cannot_be_guessed(tmp_path):
+    code = "from pathlib import Path; from facetrack_cli.core.files import temporary_path as t; print(t(Path('a.csv')))"
+    said = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout for _ in range(2)]
+    secrets = {one.split("-")[-1] for one in said}
+    assert len(secrets) == 2 and all(len(one) == len(f"{'0' * 16}.part.csv\n") for one in secrets)
+
+
 @pytest.mark.parametrize("replace", [1, [], {"files": ["/etc/x"]}, {"files": 3}, {"gone": [4]}])
 def test_a_note_of_files_that_is_not_ours_does_no_harm(tmp_path, replace):
     leave(tmp_path, {**note_here(ended_process()), "replace": replace})
@@ -255,7 +300,12 @@ def test_a_note_of_files_that_is_not_ours_does_no_harm(tmp_path, replace):
 
 
 def test_what_ended_processes_left_is_swept_away(tmp_path):
-    patterns = [".trajectory-{}.part.csv", ".annotated-{}.part.audio.mp4", ".mine-{}.csv"]
+    patterns = [
+        f".trajectory-{{}}-{'a' * 16}.part.csv",
+        ".plot-{}.part.png",
+        ".annotated-{}.part.audio.mp4",
+        ".mine-{}.csv",
+    ]
     gone = ended_process()
     for number in (gone, os.getpid(), os.getppid(), 10**30):
         for name in patterns:

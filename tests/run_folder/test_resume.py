@@ -223,11 +223,11 @@ def test_kills_at_random_moments(tmp_path):
     out = tmp_path / "out"
     for frames in (rng.randrange(30, 60), rng.randrange(70, 90)):
         process = subprocess.Popen([*words, "-o", out, "-q"])
-        part = out / f".trajectory-{process.pid}.part.csv"
-        deadline = time.monotonic() + 60
-        while not part.exists() or part.read_bytes().count(b"\n") < 5 * frames:
+        deadline, part = time.monotonic() + 60, None
+        while part is None or part.read_bytes().count(b"\n") < 5 * frames:
             assert process.poll() is None and time.monotonic() < deadline
             time.sleep(0.002)
+            part = part or next(out.glob(f".trajectory-{process.pid}-*.part.csv"), None)
         process.kill()
         process.wait()
     done = subprocess.run([*words, "-o", out], check=True, capture_output=True, text=True)

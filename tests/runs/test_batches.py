@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from imageio_ffmpeg import get_ffmpeg_exe
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.run_folder import lock as locks
@@ -21,6 +22,7 @@ from facetrack_cli.run_folder.status import MAX_ROWS, ClipStatus, duration, wors
 from facetrack_cli.runs import job as jobs
 from facetrack_cli.runs.job import Outcome
 from tests.runs.test_run import FACETRACK, SMALL, make_clip
+from tests.support.samples import FOLDER
 
 posix = pytest.mark.skipif(os.name != "posix", reason="the lock needs POSIX")
 OPTIONS = [*SMALL, "--no-video", "--format", "csv"]
@@ -324,3 +326,25 @@ def test_a_batch_ends_with_the_clips_to_look_at(clips, capsys):
 )
 def test_durations(seconds, words):
     assert duration(seconds) == words
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a kill needs POSIX")
+@pytest.mark.parametrize("moment", [1.0, pytest.param(4.0, marks=pytest.mark.nightly), 8.0])
+@pytest.mark.parametrize("how", ["-j", "--split"])
+def test_a_batch_that_is_killed_leaves_no_process(tmp_path, how, moment):
+    """Workers, and the server that forks them, end by themselves, whatever they were doing."""
+    psutil = pytest.importorskip("psutil")
+    sample, clip = FOLDER / "expressions.mp4", tmp_path / "long.mp4"
+    again = [get_ffmpeg_exe(), "-v", "error", "-stream_loop", "9", "-i", str(sample), "-c", "copy", str(clip)]
+    subprocess.run(again, check=True)
+    words = [clip, FOLDER / "film.mp4"] if how == "-j" else [clip, "--split", "10s", "--starts", "detect"]
+    command = [*FACETRACK, "run", *map(str, words), "-j", "2", "-q", "-o", str(tmp_path / "out")]
+    process = subprocess.Popen(command, cwd=tmp_path)
+    time.sleep(moment)
+    children = psutil.Process(process.pid).children(recursive=True)
+    process.kill()
+    process.wait()
+    deadline = time.monotonic() + 8  # five seconds, and what a busy machine takes
+    while [one for one in children if one.is_running() and one.status() != psutil.STATUS_ZOMBIE]:
+        assert time.monotonic() < deadline
+        time.sleep(0.1)

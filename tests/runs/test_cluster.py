@@ -20,7 +20,7 @@ psutil = pytest.importorskip("psutil")
 
 from facetrack_cli import __version__  # noqa: E402
 from facetrack_cli.__main__ import main  # noqa: E402
-from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError  # noqa: E402
+from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, UsageError  # noqa: E402
 from facetrack_cli.recipe.load import load_recipe  # noqa: E402
 from facetrack_cli.run_folder.lock import LOCK  # noqa: E402
 from facetrack_cli.run_folder.manifest import NAME, read_manifest  # noqa: E402
@@ -337,3 +337,22 @@ def test_a_scheduler_that_is_gone(tmp_path, monkeypatch):
     monkeypatch.setattr(scheduler, "status", "closed", raising=False)
     found = outcomes(monkeypatch, scheduler, tmp_path)
     assert "not tracked, as the scheduler is gone; the same command again goes on" in str(found["a"].error)
+
+
+def test_a_scheduler_on_another_machine_is_warned_of_once(monkeypatch):
+    """It may run code here: it is said before anything is sent or read."""
+    lines, asked = [], []
+
+    def refuse(address, patience_s):
+        asked.append(len(lines))
+        raise OSError("nobody")
+
+    monkeypatch.setattr(cluster, "_client", refuse)
+    monkeypatch.setattr(cluster, "ANSWER_S", 0.3)
+    for where, said in (("tcp://192.0.2.1:8786", 1), ("tcp://127.0.0.1:8786", 0), ("tls://localhost:1", 0)):
+        lines.clear()
+        asked.clear()
+        with pytest.raises(UsageError, match="no scheduler of Dask answers"):
+            cluster._connect(where, Stop(), SimpleNamespace(say=lines.append))
+        assert len(asked) > 1 and {*asked} == {said}
+        assert sum("is another machine; a scheduler of Dask may run code on this one" in line for line in lines) == said

@@ -2,6 +2,10 @@
 
 import io
 import json
+import os
+import signal
+import subprocess
+import sys
 import time
 from types import SimpleNamespace
 
@@ -28,6 +32,13 @@ def y4m(images, colours="420jpeg"):
     return f"YUV4MPEG2 W{width} H{height} F25:1 C{colours}\n".encode() + b"".join(frames)
 
 
+def claims(width, height):
+    """A JPEG of a few bytes whose header says that it is so large."""
+    data = mjpeg([np.zeros((16, 16, 3), np.uint8)])
+    at = data.index(b"\xff\xc0") + 5
+    return data[:at] + height.to_bytes(2, "big") + width.to_bytes(2, "big") + data[at + 4 :]
+
+
 IMAGES = [frame.bgr for frame in sway(6)]
 
 
@@ -38,6 +49,7 @@ def test_images_of_a_pipe_are_those_that_went_in(encoded):
     assert max(np.abs(a.astype(int) - b).mean() for a, b in zip(found, IMAGES, strict=True)) < 12
 
 
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")  # as in a run
 @pytest.mark.parametrize(
     ("data", "said"),
     [
@@ -47,7 +59,11 @@ def test_images_of_a_pipe_are_those_that_went_in(encoded):
         (b"YUV4MPEG2 W99999998 H99999998 F25:1\n", "at most 64 MB"),
         (y4m(IMAGES[:1], "444"), "colours 444"),
         (y4m(IMAGES)[:-9], "cut short"),
-        (b"\xff\xd8" + bytes(100) + b"\xff\xd9", "image 0 is damaged"),
+        (b"YUV4MPEG2 W-64 H-48 F25:1\n", "is y4m of -64x-48; sides must be even"),
+        (b"YUV4MPEG2 W0 H48 F25:1\n", "is y4m of 0x48; sides must be even"),
+        (b"\xff\xd8" + bytes(100) + b"\xff\xd9", "image 0 is damaged, or very large"),
+        (claims(30000, 30000), "image 0 is damaged, or very large"),
+        (claims(12000, 10000), "image 0: is too large for a frame: 12000x10000, and at most 100 megapixels are read"),
     ],
 )
 def test_a_pipe_that_is_no_clip_is_one_line(data, said):
@@ -96,6 +112,33 @@ def test_a_tracker_is_told_when_images_came_and_not_their_count(monkeypatch):
     frames = [Frame(n, 7 + n / 10, image) for n, image in enumerate(IMAGES)]
     assert follow(iter(frames), load_recipe("correlation_filter"), (40.0, 30.0, 24.0, 24.0), lines.append) == 6
     assert [time_s for time_s, _ in times[6:]] == [7 + n / 10 for n in range(6)]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals need POSIX")
+@pytest.mark.parametrize("number", [2, 15, 1])
+def test_a_pipe_that_stalls_is_ended_by_a_signal(number):
+    words = [sys.executable, "-m", "facetrack_cli", "run", "-", "--live", "--box", "40,30,24,24"]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdin.write(y4m(IMAGES))
+        process.stdin.flush()
+        assert [json.loads(process.stdout.readline())["frame"] for _ in range(6)] == list(range(6))
+        began = time.monotonic()
+        process.send_signal(number)
+        said = process.stderr.read()
+        seconds = time.monotonic() - began
+        process.stdin.close()
+    assert process.returncode == (130 if number == signal.SIGINT else 143) and b"Fatal" not in said
+    assert seconds < 5, "a second, and what a busy machine takes"
+
+
+def test_a_pipe_from_which_nothing_comes_is_ended():
+    out, into = os.pipe()
+    until = time.monotonic() + 0.3
+    with open(out, "rb") as stream:  # noqa: PTH123 -- a number
+        recipe = load_recipe("correlation_filter")
+        count = follow(piped(stream), recipe, (40.0, 30.0, 24.0, 24.0), print, lambda: time.monotonic() > until)
+        assert count == 0 and time.monotonic() < until + 2
+        os.close(into)  # the thread that reads ends
 
 
 def test_what_live_cannot_be(capsys, tmp_path, monkeypatch):

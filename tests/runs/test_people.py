@@ -1,10 +1,14 @@
 """A film from the command line: everybody over cuts, under one name, and corrections of that."""
 
+import base64
 import csv
 import json
+import os
 import shutil
 from collections import Counter, defaultdict
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
 import cv2
@@ -14,18 +18,21 @@ import pytest
 import facetrack_cli as facetrack
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli.commands.people import frame_at
-from facetrack_cli.core.errors import ExitCode, UsageError
+from facetrack_cli.core.errors import BusyError, ExitCode, InputError, UsageError
 from facetrack_cli.run_folder import checkpoint
 from facetrack_cli.runs import clip
 from facetrack_cli.runs import people as runs_people
 from facetrack_cli.runs.job import Job
+from facetrack_cli.runs.people import people_in, recast
 from facetrack_cli.runs.seeds import load_recipes
-from facetrack_cli.runs.signals import Stop
+from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.tracking.people import presence
-from facetrack_cli.tracking.people.identity import Doubt, cast_of
+from facetrack_cli.tracking.people.identity import UNKNOWN, Cast, Doubt, Seen, cast_of
+from facetrack_cli.tracking.people.looks import Looks, load_people, save_people
 from facetrack_cli.trajectory.clock import Clock
-from facetrack_cli.trajectory.people import read_people
+from facetrack_cli.trajectory.people import read_people, read_still, rename, under_names
 from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.video.shots import Shot
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
 from tests.support.film_run import FILM, film_run
@@ -82,8 +89,8 @@ def test_one_face_is_followed_over_cuts_and_nobody_in_its_place(tmp_path):
 def test_the_files_of_a_film(ran):
     names = {path.name for path in ran.iterdir()}
     assert names == {"annotated.mp4", "people", "people.json", "run.json", "trajectory.csv", "trajectory.json"}
-    assert {path.name for path in (ran / "people").iterdir()} == {"person_1.jpg", "person_2.jpg"}
-    assert cv2.imread(str(ran / "people" / "person_1.jpg")).shape == (240, 240, 3)
+    assert {path.name for path in (ran / "people").iterdir()} == {"1.jpg", "2.jpg"}
+    assert cv2.imread(str(ran / "people" / "1.jpg")).shape == (240, 240, 3)
     with open_source(ran / "annotated.mp4") as source:
         assert sum(1 for _ in source) == 293
     run = json.loads((ran / "run.json").read_text())
@@ -109,7 +116,10 @@ def test_the_cast_is_shown_and_corrected(ran, tmp_path, capsys):
     rows = read_trajectory(out / "trajectory.json")
     assert rows.targets == ("person_1", "Grace", "person_3")
     assert rows.find("person_3", "box").frame[0] == 150
-    assert {path.stem for path in (out / "people").iterdir()} == {"person_1", "Grace", "person_3"}
+    before, after = read_people(ran), read_people(out)
+    assert {f"people/{path.name}" for path in (out / "people").iterdir()} == {one.still for one in after.people}
+    assert [one.name for one in after.people] == ["person_1", "Grace", "person_3"]
+    assert (ran / before.people[1].still).read_bytes() == (out / after.people[1].still).read_bytes()
     capsys.readouterr()
     assert main(["people", str(out), "--merge", "person_3=person_1", "--json", "-q"]) == 0
     people = json.loads(capsys.readouterr().out)
@@ -121,8 +131,147 @@ def test_the_cast_is_shown_and_corrected(ran, tmp_path, capsys):
     assert "both seen in frame 9" in capsys.readouterr().err
 
 
+OUTSIDE = ("../x", "a/b", "a\\b", "", " ", "..", "a\0b", "a\nb", "\ud800", "x" * 101, "\x1b[2J", "\u202eb")
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_names_that_are_none_are_refused_wherever_they_come_from(ran, tmp_path, capsys, name):
+    out = shutil.copytree(ran, tmp_path / "out")
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    with pytest.raises(UsageError, match="name of a person"):
+        recast(out, [("", lambda tracks: rename(tracks, "person_1", name))], video=False)
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+    told = (out / "people.json").read_text().replace("person_1", json.dumps(name)[1:-1])
+    (out / "people.json").write_text(told)
+    (out / "run.json").unlink()
+    assert main(["people", str(out), "--json"]) == ExitCode.INPUT
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "people.json" in said and "internal" not in said
+
+
+@pytest.mark.parametrize("name", [name for name in OUTSIDE if not name.endswith("\0") and name != "\ud800"])
+def test_a_gallery_has_names_that_are_some(tmp_path, name):
+    path, looks = tmp_path / "known.npz", Looks(*(np.zeros((1, n), "<f8") for n in (576, 3, 3, 36, 0, 1)))
+    save_people(path, {name: looks})
+    with pytest.raises(InputError, match=r"known.npz: is not a usable file of known people: .*name of a person"):
+        load_people(path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("fps", 0), ("fps", -1), ("fps", float("inf")), ("people", []), ("shots", []), ("tracks", []),
+        ("people.0.intervals", []), ("people.0.intervals", [[5, 5]]), ("people.0.seconds", float("nan")),
+        ("people.0.intervals", [[0, 10**30]]), ("tracks.0.stop", 0), ("people.0.name", "nobody"),
+        ("people.0.still", "../run.json"), ("people.0.still", "/etc/hostname"),
+        ("people.0.still", "people/../run.json"),
+        ("people.0.still", "people/"), ("people.0.still", "people/.."), ("people.0.still", "run.json"),
+        ("people.0.still", "people/a\0.jpg"), ("people.0.times", [[0, float("nan")]]),
+        ("people.0.times", [[0, 1]] * 99),
+    ],
+)  # fmt: skip
+def test_what_is_no_cast_is_one_line(ran, tmp_path, capsys, key, value):
+    out = shutil.copytree(ran, tmp_path / "out")
+    told = holder = json.loads((out / "people.json").read_text())
+    *above, last = key.split(".")
+    for step in above:
+        holder = holder[int(step) if step.isdigit() else step]
+    holder[last] = value
+    (out / "people.json").write_text(json.dumps(told))
+    (out / "run.json").unlink()
+    for words in (["people", out], ["people", out, "--rename", "person_1=Ann", "--no-video"], ["report", out]):
+        assert main([*map(str, words), "-q"]) == ExitCode.INPUT
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1 and "people.json" in said and "internal" not in said
+
+
+def test_a_picture_is_a_file_of_the_folder(ran, tmp_path, capsys):
+    """A link in the place of a picture, or of the folder of pictures, is neither shown nor copied nor written to."""
+    secret = tmp_path / "secret.jpg"
+    secret.write_bytes(b"\xff\xd8 not yours")
+    for at in ("people/1.jpg", "people"):
+        out = shutil.copytree(ran, tmp_path / at.replace("/", "_"))
+        if at == "people":
+            shutil.move(out / at, tmp_path / "elsewhere")
+            (out / at).symlink_to(tmp_path / "elsewhere")
+        else:
+            (out / at).unlink()
+            (out / at).symlink_to(secret)
+        page = tmp_path / "page.html"
+        assert main(["report", str(out), "-o", str(page), "-q", "--overwrite"]) == 0
+        assert base64.b64encode(secret.read_bytes()).decode() not in page.read_text(encoding="utf-8")
+        code = main(["people", str(out), "--rename", "person_1=Ann", "--no-video", "-q"])
+        assert code == ExitCode.USAGE and "is a link" in capsys.readouterr().err
+        assert secret.read_bytes() == b"\xff\xd8 not yours" and "Ann" not in (out / "people.json").read_text()
+
+
+def test_a_picture_without_end_or_of_any_size(ran, tmp_path):
+    out = shutil.copytree(ran, tmp_path / "out")
+    (out / "people" / "1.jpg").unlink()
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(out / "people" / "1.jpg")
+        assert read_still(out, "people/1.jpg") == b""
+    with (out / "people" / "2.jpg").open("wb") as file:
+        file.truncate(1 << 40)
+    assert read_still(out, "people/2.jpg") == b""
+    with (out / "people.json").open("ab") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(InputError, match="too large"):
+        read_people(out)
+
+
+def test_of_two_corrections_at_once_none_is_lost(ran, tmp_path, monkeypatch):
+    """The second one is refused while the first is at work: it would begin from what the first replaces."""
+    out = shutil.copytree(ran, tmp_path / "out")
+
+    def meanwhile(rows, tracks):
+        with pytest.raises(BusyError):
+            recast(out, [("b", lambda tracks: rename(tracks, "person_2", "Ben"))], video=False)
+        return under_names(rows, tracks)
+
+    monkeypatch.setattr(runs_people, "under_names", meanwhile)
+    recast(out, [("a", lambda tracks: rename(tracks, "person_1", "Ann"))], video=False)
+    monkeypatch.undo()
+    recast(out, [("b", lambda tracks: rename(tracks, "person_2", "Ben"))], video=False)
+    assert read_people(out).names == ("Ann", "Ben") and read_people(out).corrections == ("a", "b")
+
+
+def test_a_correction_that_is_stopped_leaves_all_as_it_was(ran, tmp_path):
+    out = shutil.copytree(ran, tmp_path / "out")
+    shutil.rmtree(out / "people")
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    with pytest.raises(StoppedError):
+        recast(out, [("a", lambda tracks: rename(tracks, "person_1", "Ann"))], stop=lambda: True)
+    assert {path: path.read_bytes() for path in out.iterdir()} == before
+
+
+@pytest.mark.parametrize("after", range(6))
+def test_a_kill_between_two_files_of_a_correction(ran, tmp_path, monkeypatch, after):
+    """Rows, people.json and pictures are all new, whenever the process ends once the note is written."""
+    out = shutil.copytree(ran, tmp_path / "out")
+    replace, done = Path.replace, []
+
+    class Killed(BaseException):
+        pass
+
+    def killed(self, to):
+        if len(done) == after:
+            raise Killed
+        done.append(to)
+        return replace(self, to)
+
+    monkeypatch.setattr(Path, "replace", killed)
+    monkeypatch.setattr("facetrack_cli.runs.smooth.discard", lambda path: None)
+    with pytest.raises(Killed):
+        recast(out, [("a", lambda tracks: rename(tracks, "person_1", "Ann"))], video=False)
+    monkeypatch.undo()
+    found = people_in(out)
+    assert found.names == ("Ann", "person_2")
+    assert {f"people/{path.name}" for path in (out / "people").iterdir()} == {one.still for one in found.people}
+
+
 def test_the_report_shows_the_cast_and_doubts_side_by_side(tmp_path, monkeypatch):
-    def unsure(tracks, known):
+    def unsure(tracks, known, fps):
         found = cast_of(tracks)
         return replace(found, doubts=(Doubt(0, 1, 0.4), Doubt(1, None, 0.3)))
 
@@ -274,3 +423,37 @@ def test_threads_change_nothing(tmp_path):
     assert clip.run(job(one, threads=1), Stop()).error is None
     assert clip.run(job(two, threads=2), Stop()).error is None
     assert (one / "trajectory.csv").read_bytes() == (two / "trajectory.csv").read_bytes()
+
+
+def seen(name, first, stop, x=100.0, side=50.0, shot=1):
+    return Seen(name, first, stop, (x, 40.0, side, side), (x, 40.0, side, side), shot, None)
+
+
+SHOTS = [Shot(0, 40, 0, 40), Shot(40, 90, 40, 90)]
+
+
+def test_a_cut_after_which_the_same_faces_go_on_in_the_same_places_was_none():
+    before, after = (
+        [seen("a", 0, 40), seen("b", 5, 40, x=300)],
+        [seen("c", 40, 90, shot=2), seen("d", 48, 90, 303, shot=2)],
+    )
+    assert runs_people._true(SHOTS, [*before, *after], ["Ann", "Bob", "Ann", "Bob"], 25.0) == [Shot(0, 90, 0, 90)]
+    for tracks, names in (
+        ([*before, *after], ["Ann", "Bob", "Cleo", "Bob"]),
+        ([*before, after[0]], ["Ann", "Bob", "Ann"]),
+        ([before[0], after[1]], ["Ann", "Ann"]),
+        ([before[0], seen("c", 60, 90, shot=2)], ["Ann", "Ann"]),
+        ([], []),
+    ):
+        assert runs_people._true(SHOTS, tracks, names, 25.0) == SHOTS
+
+
+def test_faces_that_cannot_be_told_again_are_unknown_and_those_of_one_frame_have_two_names():
+    tracks = [seen("a", 0, 40), seen("b", 0, 30, x=300), seen("c", 10, 20, x=500), seen("d", 35, 40, x=300)]
+    reader = SimpleNamespace(change=lambda: 9.0, best=(1.0, np.zeros((8, 8, 3), np.uint8)))
+    found = Cast(np.array([0, UNKNOWN, UNKNOWN, UNKNOWN]), np.array([1.0, 0.4, 0.4, 0.4]), (Doubt(1, 0, 0.3),))
+    named = runs_people._named(tracks, found, ["person_1"], defaultdict(lambda: reader), SHOTS[:1], Clock(None, 25.0))
+    assert [one.person for _, one in named.tracks] == ["person_1", "unknown", "unknown_2", "unknown"]
+    line = runs_people.cast_line(named.people)
+    assert line.startswith("1 person in 1 shot: person_1 1.6 s; 1 of 4 tracks are in doubt")
+    assert line.endswith("; 3 show no face that could be told again (unknown)")

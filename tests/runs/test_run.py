@@ -26,6 +26,7 @@ from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.core.files import FileSink, cannot_write
 from facetrack_cli.core.types import Image
 from facetrack_cli.recipe.files import shipped_folder
+from facetrack_cli.run_folder import manifest
 from facetrack_cli.runs.batch import folders, variant_name
 from facetrack_cli.runs.signals import Stop, TerminatedError, raising
 from facetrack_cli.video.source import open_source
@@ -840,6 +841,30 @@ def test_a_link_to_nowhere_is_a_result_that_is_there(run: Runner, clip: Path) ->
     assert code == ExitCode.USAGE and "exists already" in one_line(err)
 
 
+@pytest.mark.parametrize("name", ["annotated.mp4", "trajectory.csv", "run.json", ".checkpoint", ".facetrack.lock"])
+def test_what_is_replaced_in_a_folder_is_no_link(run: Runner, clip: Path, name: str) -> None:
+    """Whoever shares a folder may have left a link in it to a file of the user's."""
+    Path("mine").mkdir()
+    mine = Path("mine/file")
+    mine.write_text("mine")
+    assert run(clip, *SMALL, "-o", "o")[0] == 0
+    Path("o", name).unlink(missing_ok=True)
+    Path("o", name).symlink_to("../mine" if name == ".checkpoint" else "../mine/file")
+    code, _, err = run(clip, *SMALL, "--seed", "5", "-o", "o", "--overwrite")
+    assert code in (ExitCode.USAGE, ExitCode.INPUT) and f"o/{name}: is " in one_line(err)
+    assert mine.read_text() == "mine" and [*Path("mine").iterdir()] == [mine]
+
+
+@pytest.mark.parametrize("words", [("report",), ("plot",), ("export", "--to", "mot")])
+def test_what_is_made_beside_a_run_is_no_link(run: Runner, clip: Path, words: tuple[str, ...]) -> None:
+    assert run(clip, *SMALL, "-o", "o")[0] == 0
+    Path("mine").write_text("mine")
+    for name in ("report.html", "plot.png", "trajectory.mot.txt", "trajectory.mot"):
+        Path("o", name).symlink_to("../mine")
+    assert main([words[0], "o", *words[1:], "--overwrite"]) in (0, 2)
+    assert Path("mine").read_text() == "mine"
+
+
 @pytest.mark.parametrize("threads", [1, 2])
 def test_an_encoder_that_is_killed(run: Runner, clip: Path, monkeypatch: pytest.MonkeyPatch, threads: int) -> None:
     write = VideoWriter.write
@@ -937,3 +962,28 @@ def test_ctrl_c_while_a_batch_starts(long_clip: Path, tmp_path: Path) -> None:
         )
         assert code in (130, -signal.SIGINT), err  # the latter before Python itself has started
         assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("large", [False, True])
+@pytest.mark.parametrize("name", ["trajectory.csv", "trajectory.json", "annotated.mp4"])
+def test_what_is_zeros_of_the_same_length_is_not_done(run: Runner, clip: Path, monkeypatch, name: str, large) -> None:
+    """A file system may leave that after a power loss."""
+    monkeypatch.setattr(manifest, "LARGE_BYTES", 0 if large else 1 << 26)
+    assert run(clip, *SMALL, "-o", "o")[0] == 0
+    assert bool(json.loads(Path("o/run.json").read_text())["samples"]) == large
+    assert "done before" in run(clip, *SMALL, "-o", "o")[2]
+    path = Path("o", name)
+    path.write_bytes(bytes(path.stat().st_size))
+    code, _, err = run(clip, *SMALL, "-o", "o")
+    assert code == ExitCode.USAGE and "done before" not in err and "exists already" in one_line(err)
+    assert run(clip, *SMALL, "-o", "o", "--overwrite")[0] == 0 and any(path.read_bytes())
+
+
+@pytest.mark.parametrize("name", ["../x", "/etc/hostname", "a/b", "a\0b", "people/1.jpg"])
+def test_a_run_that_names_files_elsewhere_is_not_done(run: Runner, clip: Path, name: str) -> None:
+    assert run(clip, *SMALL, "-o", "o")[0] == 0
+    told = json.loads(Path("o/run.json").read_text())
+    told["files"][name] = {"bytes": 3, "sha256": "0" * 64}
+    Path("o/run.json").write_text(json.dumps(told))
+    code, _, err = run(clip, *SMALL, "-o", "o")
+    assert code == ExitCode.USAGE and "exists already" in one_line(err)

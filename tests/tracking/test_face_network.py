@@ -12,12 +12,15 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import POINTS
 from facetrack_cli.core.types import BOX, Correction, TargetStart
 from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.run_folder.manifest import Manifest
 from facetrack_cli.tracking.build import targets
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.corrected import completed, correctable_parts, is_complete
-from facetrack_cli.tracking.face.mesh import NAMES
+from facetrack_cli.tracking.face.mesh import CROPS, NAMES
+from facetrack_cli.tracking.face.stabilized import EYES
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.tracking.smoothed import smoothed_rows
+from facetrack_cli.trajectory.diagnostics import NETWORK
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import UNSEEN, successive
 from tests.support import moving_face as moving
@@ -200,16 +203,66 @@ def test_smoothed_points_of_parts_and_network_are_nearer_and_quieter(moved, moti
     assert np.isfinite(box).all() and np.abs(box[:, 0] - [pose.x for pose in POSES]).max() < 8
 
 
+class Astray(FakeMesh):
+    """A network that takes what is above or below for the lower lip, for a while."""
+
+    def measure(self, frame, head, crops=CROPS):
+        found = super().measure(frame, head, crops)
+        if frame.index >= 12 and frame.index % 14 < 9:
+            found[:, NAMES["lip_lower"]] += (0, 0.28 * EYES * (1 if frame.index % 28 < 14 else -1))
+        return found
+
+
+def test_a_network_that_takes_something_else_for_a_lip_does_not_move_it_and_is_said_to(file):
+    mesh = Astray(POSES, noise=0.5)
+    results = results_of(file, mesh, POSES, particles=300)
+    with_it, known = places(results, ["lip_lower"]), FakeMesh(POSES)
+    assert errors(with_it, known, POSES, ["lip_lower"]).max() < 0.14
+    share = np.array([one.rows.diagnostics["face"].get(NETWORK.name)[-1] for one in results[1:]])
+    assert share[:10].min() > 0.95 and share.min() < 0.9, "one of five points"
+    assert (column(results, "status", PARTS)[1:] == "tracked").all()
+
+
+@pytest.mark.parametrize(("share", "said"), [(None, ""), (0.99, ""), (0.8, ", but for 20% of its points, which the")])
+def test_a_run_says_which_network_it_used_and_what_of_it_did_not_count(share, said):
+    found = Manifest(networks=("/models/mesh",), borne_out=share).network
+    assert found == f"with the network mesh{said and f'{said} other senses contradict'}"
+    assert Manifest().network == ""
+
+
+def test_a_report_names_the_network(file, tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib")
+    monkeypatch.setattr(targets, "Mesh", lambda path: FakeMesh([IN_CLIP] * 4, noise=0.6))
+    sets = ("--set", f"head.landmarks.network={file}", "--stop", "4", "--no-video", "-q", "-o", tmp_path / "run")
+    for call in (("run", FOLDER / "expressions.mp4", "--config", "face", *sets), ("report", tmp_path / "run")):
+        result = CliRunner().invoke(cli, [str(word) for word in call])
+        assert result.exit_code == 0, result.output
+    [page] = (tmp_path / "run").glob("*.html")
+    assert "Its points were placed with the network a.tflite." in page.read_text()
+
+
 def test_a_run_of_a_clip_that_is_smoothed(file, tmp_path, monkeypatch):
     monkeypatch.setattr(targets, "Mesh", lambda path: FakeMesh([IN_CLIP] * 14, noise=0.6))
     found = {}
     for more in ((), ("--smooth",)):
         out = tmp_path / f"run{len(more)}"
         sets = ("--set", f"head.landmarks.network={file}", "--set", "filter.particles=100", "--stop", "14")
-        given = ("run", FOLDER / "expressions.mp4", "--config", "face", *sets, "--no-video", "-q", *more, "-o", out)
+        given = (
+            "run",
+            FOLDER / "expressions.mp4",
+            "--config",
+            "face",
+            *sets,
+            "--no-video",
+            *(("-q", *more) if more else ()),
+            "-o",
+            out,
+        )
         result = CliRunner().invoke(cli, [str(word) for word in given])
         assert result.exit_code == 0, result.output
-        assert json.loads((out / "run.json").read_text())["networks"] == [str(file)]
+        said = json.loads((out / "run.json").read_text())
+        assert said["networks"] == [str(file)] and 0.9 < said["borne_out"] <= 1
+        assert ("with the network a.tflite" in result.output) == (not more), "the quiet one says nothing"
         found[more] = read_trajectory(out / "trajectory.csv")
         assert [part for _, part in found[more].names] == [*PARTS, BOX, *FEATURES]
     ahead, smooth = (np.stack([[one.x, one.y] for one in rows.parts[6:]]).T for rows in found.values())

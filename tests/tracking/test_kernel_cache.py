@@ -206,3 +206,13 @@ def test_the_second_process_leaves_kernels_for_the_first(tmp_path):
         "print(*(precompile._is_cached(name) for name in ('histogram.crop', 'histogram.edges')))"
     )
     assert python(script, NUMBA_CACHE_DIR=str(tmp_path)).stdout == "True False\n"
+
+
+def test_the_second_process_ends_with_the_one_that_began_it():
+    code = precompile._SECOND.format(precompile.__name__).replace(
+        "compile_kernels(names)", "import time; time.sleep(60)"
+    )
+    command = [sys.executable, "-c", code, json.dumps([sys.path, []])]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
+        process.stdin.close()
+        assert process.wait(30) == 0

@@ -10,7 +10,7 @@ from facetrack_cli.core.face_points import MESH, POINTS
 from facetrack_cli.tracking.face.descent import load_descent, seen_in
 from facetrack_cli.tracking.face.mesh import COUNT, CROPS, NAMES, Mesh
 from facetrack_cli.tracking.face.senses import Senses
-from facetrack_cli.tracking.face.sensors import FADES, NETWORK, REGRESSION
+from facetrack_cli.tracking.face.sensors import DETECTOR, FADES, NETWORK, REGRESSION
 from facetrack_cli.tracking.face.stabilized import EYES
 from facetrack_cli.tracking.start.detectors import Found
 from tests.support import moving_face as moving
@@ -114,50 +114,52 @@ def senses_of(parts, mesh=None, others=(), searched=False):
 
 
 def test_without_a_network_the_regression_places_its_parts_and_of_others_nothing_is_known():
-    (parts, others), seen = sensed(senses_of(("lip_lower", "ear_left", "nose", "chin")))
+    (parts, network, others), seen = sensed(senses_of(("lip_lower", "ear_left", "nose", "chin")))
     expected, order = load_descent().fit(seen), [PARTS.index("lip_lower"), 0]
     np.testing.assert_array_equal(parts.at[[0, 2]], expected.at[order])
     np.testing.assert_array_equal(parts.odds[[0, 2]], expected.odds[order])
     assert np.isnan(parts.at[[1, 3]]).all() and (parts.odds[[1, 3]] == 0).all()
-    assert others is None
+    assert others is None and np.isnan(network).all()
 
 
-def test_with_a_network_parts_are_where_it_says_and_as_visible_as_the_image_there_says():
+def test_a_network_and_the_regression_place_parts_which_are_visible_where_either_says():
     mesh, names = FakeMesh([IN_CLIP], noise=0.4), tuple(name for name in NAMES if name not in PARTS)
-    (parts, others), seen = sensed(senses_of((*PARTS, "ear_left"), mesh, names))
+    (parts, network, others), seen = sensed(senses_of((*PARTS, "ear_left"), mesh, names))
     [frame] = moving.clip([IN_CLIP])
     at = mesh.measure(frame, head_of(IN_CLIP)).mean(axis=0)
-    np.testing.assert_allclose(parts.at[:5], at[CORE])
-    assert np.isnan(parts.at[5]).all() and parts.odds[5] == 0
+    np.testing.assert_allclose(network[:5], at[CORE])
+    assert np.isnan([parts.at[5], network[5]]).all() and parts.odds[5] == 0
+    regressed = load_descent().fit(seen)
+    np.testing.assert_array_equal(parts.at[:5], regressed.at)
     np.testing.assert_allclose(others.at, at[[NAMES[name] for name in names]])
     # of each point of which something is known, the odds at its place; of all others those of the nearest
     descent = load_descent()
     core = at[[NAMES[point] for point in descent.points]]
     odds = descent.visible(seen_in(seen), core)
-    np.testing.assert_array_equal(parts.odds[:5], odds[:5])
+    both = 0.5 * np.exp(odds[:5]) + 0.5 * np.exp(regressed.odds)
+    np.testing.assert_allclose(np.exp(parts.odds[:5]), both, rtol=1e-5)
     assert len(set(others.odds.tolist())) > 20
     for place, said in zip(others.at, others.odds, strict=True):
         assert said == odds[min(range(len(core)), key=lambda j: np.hypot(*(core[j] - place)))]
 
 
 def test_a_network_that_sees_no_face_places_nothing_and_the_regression_says_what_is_visible():
-    (parts, others), seen = sensed(senses_of(PARTS, FakeMesh([None]), ("chin",)))
-    assert np.isnan(parts.at).all() and others is None
+    (parts, network, others), seen = sensed(senses_of(PARTS, FakeMesh([None]), ("chin",)))
+    assert np.isnan(network).all() and others is None
     np.testing.assert_array_equal(parts.odds, load_descent().fit(seen).odds)
-    sensor, _, points = begun(senses_of(PARTS, FakeMesh([None]), ("chin",)), np.zeros((5, 2)))
+    sensors, points = begun(senses_of(PARTS, FakeMesh([None]), ("chin",)), np.zeros((5, 2)))
     assert points is None
-    assert (sensor.bias == 0).all() and (sensor.measured(parts.at, np.ones(5)).sure == 0).all()
+    assert (sensors[2].bias == 0).all() and (sensors[2].measured(network, np.ones(5)).sure == 0).all()
 
 
 @pytest.mark.parametrize("searched", [False, True])
 def test_the_bias_of_sensors_fades_where_the_points_of_the_start_were_searched(searched):
     x0 = head_of(IN_CLIP).to_stabilized(moving.truth(IN_CLIP, 0)) + 1.5
-    for mesh, least in ((None, REGRESSION), (FakeMesh([IN_CLIP]), NETWORK)):
-        senses = senses_of(PARTS, mesh, searched=searched)
-        found, _ = sensed(senses)
-        seen = Found((0, 0, 9, 9), None, {"nose": tuple(x0[0] + 2.0)})
-        first, second, _ = begun(senses, x0, seen)
-        assert (first.keep, first.least) == (FADES if searched else 1.0, least)
-        np.testing.assert_allclose(first.bias, found.parts.at - x0)
-        np.testing.assert_allclose(second.bias, [[2, 2], *4 * [[0, 0]]])
-        assert second.keep == first.keep
+    senses = senses_of(PARTS, FakeMesh([IN_CLIP]), searched=searched)
+    found, _ = sensed(senses)
+    (regression, detector, network), _ = begun(senses, x0, Found((0, 0, 9, 9), None, {"nose": tuple(x0[0] + 2.0)}))
+    for one, least in ((regression, REGRESSION), (detector, DETECTOR), (network, NETWORK)):
+        assert (one.keep, one.least) == (FADES if searched else 1.0, least)
+    np.testing.assert_allclose(regression.bias, found.parts.at - x0)
+    np.testing.assert_allclose(network.bias, found.network - x0)
+    np.testing.assert_allclose(detector.bias, [[2, 2], *4 * [[0, 0]]])

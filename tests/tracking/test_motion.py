@@ -61,6 +61,12 @@ MEASURED = SensorReading(
     np.array([0.95, 0.9, 0.8]),
     1600.0,
 )
+OTHER = SensorReading(MEASURED.z + np.array([3.0, 1.0]), np.array([0.5, 9.0, 1.0]), np.array([0.7, 0.95, 0.5]), 400.0)
+
+
+def all_sensed(measured, part):
+    """What all sensors say of the places of GRID."""
+    return np.prod([sensed(one.z[part], GRID[:, 0], one, part) for one in measured], axis=0)
 
 
 def test_jumping_draws_are_the_mixture_that_is_stated():
@@ -92,27 +98,33 @@ def test_the_density_of_a_jump_is_the_formula_and_integrates_to_one():
 
 
 @pytest.mark.parametrize("part", range(3))
-def test_what_a_sensor_says_of_a_parent_is_the_integral_over_all_steps(part):
+@pytest.mark.parametrize("measured", [[], [MEASURED], [MEASURED, OTHER], [OTHER, MEASURED, MEASURED]])
+def test_draws_given_sensors_are_of_the_posterior_by_their_weights_whose_mean_is_what_they_say_of_a_parent(
+    part, measured
+):
     for parent in (PARENT, PARENT + 3):
-        p = jump_density(GRID[:, 0], parent[part], part)
-        whole = (p * sensed(MEASURED.z[part], GRID[:, 0], MEASURED, part)).sum() * STEP**2
-        assert JUMPS.log_measured(parent[None], MEASURED)[0, part] == pytest.approx(np.log(whole), abs=2e-3)
+        p = jump_density(GRID[:, 0], parent[part], part) * all_sensed(measured, part)
+        parents = parent[None].repeat(60_000, axis=0)
+        x = JUMPS.propagate_given(np.random.default_rng(1), parents, measured)
+        log_w = JUMPS.log_measured(x, parents, measured)[:, part]
+        assert np.log(np.exp(log_w).mean()) == pytest.approx(np.log(p.sum() * STEP**2), abs=0.02)
+        draws, w, p = x[:, part], np.exp(log_w) / np.exp(log_w).sum(), p / p.sum()
+        assert 1 / (w**2).sum() > 0.5 * len(w), "few draws are wasted"
+        mean = p @ GRID[:, 0]
+        cov = (GRID[:, 0] - mean).T @ ((GRID[:, 0] - mean) * p[:, None])
+        np.testing.assert_allclose(w @ draws, mean, atol=0.08)
+        np.testing.assert_allclose(np.cov(draws.T, aweights=w), cov, atol=0.04 * np.trace(cov))
+        side = len(AXIS)
+        for axis in (0, 1):
+            below, order = p.reshape(side, side).sum(axis=axis).cumsum(), draws[:, axis].argsort()  # axis 0 is y
+            at = np.searchsorted(draws[order, axis], AXIS + STEP / 2)
+            assert np.abs(below - np.append(0, w[order].cumsum())[at]).max() < 0.015
 
 
-@pytest.mark.parametrize("part", range(3))
-def test_draws_given_a_sensor_are_of_the_posterior(part):
-    p = jump_density(GRID[:, 0], PARENT[part], part) * sensed(MEASURED.z[part], GRID[:, 0], MEASURED, part)
-    p /= p.sum()
-    draws = JUMPS.propagate_given(np.random.default_rng(1), PARENT[None].repeat(60_000, axis=0), MEASURED)[:, part]
-    mean = p @ GRID[:, 0]
-    cov = (GRID[:, 0] - mean).T @ ((GRID[:, 0] - mean) * p[:, None])
-    np.testing.assert_allclose(draws.mean(axis=0), mean, atol=0.05)
-    np.testing.assert_allclose(np.cov(draws.T), cov, atol=0.03 * np.trace(cov))
-    side = len(AXIS)
-    for axis in (0, 1):
-        below = p.reshape(side, side).sum(axis=axis).cumsum()  # axis 0 is y
-        drawn = np.searchsorted(np.sort(draws[:, axis]), AXIS + STEP / 2) / len(draws)
-        assert np.abs(below - drawn).max() < 0.01
+def test_any_place_that_a_sensor_says_is_drawn_however_far_the_part_would_have_to_jump():
+    far = MEASURED._replace(z=PARENT + 60.0)
+    x = JUMPS.propagate_given(np.random.default_rng(2), PARENT[None].repeat(300, axis=0), [far, MEASURED])
+    assert ((np.hypot(*(x - far.z).transpose(2, 0, 1)) < 30).sum(axis=0) >= 3).all()
 
 
 @pytest.mark.parametrize("jumps", [0.0, 1.0])
@@ -125,5 +137,5 @@ def test_a_walk_that_never_or_always_jumps_is_a_gaussian_one(jumps):
     linear, plain = walk.linear(PARENT), same.linear(PARENT)
     for one, other in zip(linear, plain, strict=True):
         np.testing.assert_allclose(one, other)
-    assert np.isfinite(walk.log_measured(x, MEASURED)).all()
-    assert np.isfinite(walk.propagate_given(np.random.default_rng(6), x + 1e5, MEASURED)).all()
+    assert np.isfinite(walk.log_measured(x + 1, x, [MEASURED])).all()
+    assert np.isfinite(walk.propagate_given(np.random.default_rng(6), x + 1e5, [MEASURED])).all()

@@ -358,7 +358,7 @@ def test_takes_the_largest_face(face):
 def test_nobody_there():
     frames = [Frame(index, 0, NOBODY) for index in range(10, 30)]
     with pytest.raises(InputError, match=r"^a\.mp4: no face found in frames 10 to 29; .*--box.*--init"):
-        search_start(frames, bound=5, clip="a.mp4")
+        search_start(frames, clip="a.mp4")
     with pytest.raises(InputError, match="no face found in frame 10;"):
         search_start(frames[:1])
     with pytest.raises(InputError, match="no frame"):

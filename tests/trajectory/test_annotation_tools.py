@@ -9,11 +9,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.formats.cvat import read_cvat, write_cvat
 from facetrack_cli.trajectory.formats.labelstudio import read_labelstudio, write_labelstudio
 from facetrack_cli.trajectory.formats.read import read_truth
-from facetrack_cli.trajectory.trajectory import joined, one_part
+from facetrack_cli.trajectory.trajectory import every_frame, joined, one_part
 
 SIZE = (640, 480)
 STATUS = ("init", "tracked", "lost", "absent")
@@ -98,6 +97,82 @@ def test_label_studio_s_numbers():
     assert shares == pytest.approx((one.boxes[0] / [640, 480, 640, 480]).tolist(), abs=1e-6)
     with pytest.raises(InputError, match=r"face/nose: frame 0 has no w and h, and .* rectangles alone"):
         write_labelstudio(one_part("face", "nose", [0], x=[1.0], y=[2.0]), SIZE, 25.0, "c.mp4")
+
+
+def at_times(time_s, first=0):
+    """A box, whose left edge is its frame, shown at these times."""
+    frames, n = np.arange(first, first + len(time_s)), len(time_s)
+    place = {"x": frames + 4.5, "y": np.full(n, 20.0), "w": np.full(n, 10.0), "h": np.full(n, 10.0)}
+    return one_part("head", "box", frames, time_s=time_s, status=["tracked"] * n, **place)
+
+
+PHONE = np.concatenate([np.arange(50) / 25, 2 + np.arange(40) * 3 / 25])
+"""25 pictures a second for two seconds, then a third as many."""
+CLOCKS = {
+    "variable": (PHONE, 25.0),
+    "pictures after the sound": (1.2 + np.arange(60) / 25, 25.0),
+    "dropped": (np.delete(np.arange(50), [7, 20, 21, 40]) / 25, 25.0),
+    "faster than the tool": (np.arange(90) / 50, 25.0),
+    "no times": (np.full(20, np.nan), 25.0),
+    "29.97": (np.round(np.arange(900) * 1.001 / 30, 4), 30 / 1.001),
+}
+
+
+def in_label_studio(made, fps, folder):
+    (task,) = json.loads(write_labelstudio(made, SIZE, fps, "c.mp4"))
+    (region,) = task["annotations"][0]["result"]
+    return task, region["value"], folder / "ls.json"
+
+
+@pytest.mark.parametrize("name", CLOCKS)
+@pytest.mark.parametrize("first", [0, 7])
+def test_label_studio_s_frames_are_those_of_the_player_s_clock(tmp_path, name, first):
+    """Also where tracking begins later than the clip."""
+    time_s, fps = CLOCKS[name][0][first:], CLOCKS[name][1]
+    made = at_times(time_s, first)
+    task, value, path = in_label_studio(made, fps, tmp_path)
+    seconds = np.where(np.isfinite(time_s), time_s, made.frame / fps)
+    numbers = np.rint(np.round(seconds * fps, 3)).astype(int) + 1
+    frames = [one["frame"] for one in value["sequence"]]
+    assert frames == sorted(set(numbers.tolist())), "each once"
+    assert value["framesCount"] == frames[-1] and value["duration"] == pytest.approx(frames[-1] / fps, abs=1e-4)
+    shown = [round(one["x"] * SIZE[0] / 100) for one in value["sequence"]]  # the picture that each box is of
+    assert shown == [first + int(np.flatnonzero(numbers == frame)[0]) for frame in frames]
+    path.write_text(json.dumps([task]))
+    clock = every_frame(made)
+    (back,) = read_labelstudio(path, SIZE, clock, fps=fps).parts
+    assert back.frame.tolist() == shown
+    np.testing.assert_allclose(back.boxes[:, 0], shown, atol=0.01)
+    # what the annotator moves is the picture that the player shows
+    at = len(frames) * 2 // 3
+    value["sequence"][at]["x"] += 10
+    path.write_text(json.dumps([task]))
+    (moved,) = read_labelstudio(path, SIZE, clock, fps=fps).parts
+    assert moved.frame[np.abs(moved.boxes[:, 0] - moved.frame) > 1].tolist() == [shown[at]]
+
+
+def test_a_keyframe_while_a_picture_stays_is_of_that_picture(tmp_path):
+    task, value, path = in_label_studio(at_times(PHONE), 25.0, tmp_path)
+    own = next(one for one in value["sequence"] if one["frame"] == 81)
+    value["sequence"] += [own | {"frame": 83, "time": 83 / 25, "x": 50}, own | {"frame": 82, "x": 30, "auto": True}]
+    path.write_text(json.dumps([task]))
+    (found,) = read_labelstudio(path, SIZE, every_frame(at_times(PHONE)), fps=25.0).parts
+    assert found.boxes[60, 0] == pytest.approx(320) and found.frame[60] == 60 and found.by_hand[60]
+
+
+def test_the_framerate_is_that_of_the_configuration_as_the_file_tells_it(tmp_path):
+    """A clip of 29.97 frames a second, annotated under framerate="30"."""
+    time_s = np.arange(900) * 1.001 / 30
+    made, path = at_times(time_s), tmp_path / "ls.json"
+    numbers = np.rint(time_s * 30).astype(int) + 1
+    place = {"y": 10, "width": 5, "height": 5, "enabled": True}
+    sequence = [
+        {"frame": n, "time": n / 30, "x": k / 10, **place} for k, n in enumerate(numbers.tolist()) if k % 100 == 99
+    ]
+    value = {"sequence": sequence, "labels": ["head"]}
+    path.write_text(json.dumps({"annotations": [{"result": [{"type": "videorectangle", "value": value}]}]}))
+    (found,) = read_labelstudio(path, SIZE, every_frame(made), fps=30 / 1.001).parts
+    assert found.frame.tolist() == list(range(99, 900, 100))
 
 
 def test_a_turned_rectangle_is_read_by_its_centre(tmp_path):
@@ -208,40 +283,3 @@ def test_damaged_files_are_read_or_refused_in_one_line(tmp_path, seed, changes, 
         assert str(path) in str(e) and "\n" not in str(e) and len(str(e)) < 600
     else:
         assert len(found) and found.frame.min() >= 0
-
-
-# at 25 frames/s, then a third as many; pictures that begin after the sound; a clip that lost some
-CLOCKS = {
-    "varies": [*(np.arange(50) / 25), *(2 + np.arange(40) * 0.12)],
-    "late": 1.2 + np.arange(60) / 25,
-    "holes": np.delete(np.arange(60) / 25, [10, 11, 30]),
-    "ntsc": np.arange(90) / 29.97,
-}
-
-
-@pytest.mark.parametrize("name", CLOCKS)
-@pytest.mark.parametrize("first", [0, 7])
-def test_label_studio_counts_by_the_clock_there_and_back(name, first, tmp_path):
-    time_s = np.round(np.asarray(CLOCKS[name])[first:], 4)
-    frame = np.arange(first, first + len(time_s))
-    fps = 29.97 if name == "ntsc" else 25.0
-    place = {"x": frame + 10.0, "y": frame + 20.0, "w": frame * 0 + 30.0, "h": frame * 0 + 40.0}
-    table = one_part("face", BOX, frame, time_s=time_s, status=["tracked"] * len(frame), **place)
-    path = tmp_path / "a.json"
-    path.write_text(write_labelstudio(table, (320, 240), fps, "clip.mp4"))
-    value = json.loads(path.read_text())[0]["annotations"][0]["result"][0]["value"]
-    assert [one["frame"] for one in value["sequence"]] == np.rint(time_s * fps + 1).astype(int).tolist()
-    assert value["framesCount"] == round(time_s[-1] * fps) + 1
-    assert value["duration"] == pytest.approx(time_s[-1] + 1 / fps, abs=0.5 / fps)
-    clock = Clock(table, fps)
-    (back,) = read_labelstudio(path, (320, 240), clock).parts
-    assert back.frame.tolist() == frame.tolist()
-    np.testing.assert_allclose(back.x, table.x, atol=0.01)
-    # what is corrected while a picture stands still, between two frames of the clock, is of that picture
-    if name == "varies":
-        value["sequence"].append({**value["sequence"][60 - first], "frame": 83, "x": 50.0})
-        whole = json.loads(path.read_text())
-        whole[0]["annotations"][0]["result"][0]["value"] = value
-        path.write_text(json.dumps(whole))
-        (moved,) = read_labelstudio(path, (320, 240), clock).parts
-        assert moved.frame[np.abs(moved.x - table.x) > 1].tolist() == [60]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,13 @@ from facetrack_cli.trajectory.formats.boxes import (
     read_mot,
     read_otb,
     read_vot,
+    write_got10k,
     write_mot,
     write_otb,
     write_vot,
 )
 from facetrack_cli.trajectory.formats.pts import read_pts
+from facetrack_cli.trajectory.formats.read import read_results, read_truth, recognise
 from facetrack_cli.trajectory.trajectory import Trajectory, one_part
 
 
@@ -134,7 +137,7 @@ def test_points_are_no_boxes(writer: object) -> None:
 
 
 def test_mot_flags_and_visibility(tmp_path: Path) -> None:
-    rows = "1,3,11,21,30,40,1,1,1\n2,3,12,21,30,40,1,1,0\n3,3,13,21,30,40,0,8,1\n1,9,1,1,5,5,0,8,1\n"
+    rows = "1,3,11,21,30,40,1,1,1\n2,3,12,21,30,40,1,1,0\n3,3,13,21,30,40,0,1,1\n1,9,1,1,5,5,0,1,1\n"
     found = read_mot(write(tmp_path, rows))
     (one,) = found.parts
     assert (one.target, one.part) == ("3", "box")
@@ -155,7 +158,110 @@ def test_mot_tells_confidences_from_flags(tmp_path: Path) -> None:
 
 def test_mot_numbers_targets_that_have_names() -> None:
     pair = [track([0], [(5.0, 5.0, 3.0, 3.0, None)], name) for name in ("head", "hand")]
-    assert write_mot(pair) == "1,1,5,5,3,3,-1,-1,-1,-1\n1,2,5,5,3,3,-1,-1,-1,-1\n"
+    assert write_mot(pair) == "1,1,5,5,3,3,-1,1,1,-1\n1,2,5,5,3,3,-1,1,1,-1\n"
+
+
+def test_mot_results_say_what_is_visible_and_truth_has_nine_values(tmp_path: Path) -> None:
+    place = {name: np.full(4, value) for name, value in (("x", 5.0), ("y", 5.0), ("w", 3.0), ("h", 3.0))}
+    run = one_part(
+        "1", "box", range(4), **place, status=["init", "tracked", "hidden", "lost"], confidence=[1, 0.9, 0.4, 0]
+    )
+    last = [line.split(",")[6:] for line in write_mot([run]).splitlines()]
+    assert last == [["1", "1", "1", "-1"], ["0.9", "1", "1", "-1"], ["0.4", "1", "0", "-1"], ["0", "1", "0", "-1"]]
+    status = ["visible", "hidden", "", "visible"]
+    truth = one_part("1", "box", range(4), **place, status=status, confidence=[0.5] * 4)
+    text = write_mot([truth])
+    assert [line.split(",")[6:] for line in text.splitlines()] == [["1", "1", one] for one in ("1", "0", "1", "1")]
+    (back,) = read_mot(write(tmp_path, text)).parts
+    assert back.status.tolist() == ["visible", "hidden", "visible", "visible"]
+    agree(truth, back)
+
+
+@pytest.mark.parametrize("tail", ["{flag},{kind},1", "{flag},{kind},-1,-1"])
+def test_mot_class_1_alone_counts(tmp_path: Path, tail: str) -> None:
+    rows = [(1, 1, 1), (2, 1, 2), (3, 0, 7), (4, 1, 3), (5, 0, 4), (6, 0, 1)]  # id, flag, class
+    lines = [f"1,{ident},{10 * ident},9,8,8,{tail.format(flag=flag, kind=kind)}" for ident, flag, kind in rows]
+    found = read_mot(write(tmp_path, "\n".join(lines)))
+    assert [(one.target, str(one.status[0])) for one in found.parts] == [
+        ("1", "visible"),
+        ("2", "hidden"),
+        ("3", "hidden"),
+    ]
+    for said in ("1 rows of flag 0 left out", "2 rows of other classes left out", "2 rows of other classes not judged"):
+        assert said in found.header["read_as"]
+    only = [line.replace(",1,2,", ",1,9,") for line in lines[1:2]]
+    assert read_mot(write(tmp_path, "\n".join(only))).status.tolist() == ["visible"], "a single class is what counts"
+    with pytest.raises(InputError, match="has the classes 2, 3, and 1 alone counts"):
+        read_mot(write(tmp_path, "\n".join([lines[1], lines[3]])))
+
+
+def test_mot_coordinates_of_the_world_are_no_classes(tmp_path: Path) -> None:
+    found = read_mot(write(tmp_path, "1,1,9,9,8,8,1,-13.07,2.5,0\n1,2,9,9,8,8,1,2,4.1,0\n"))
+    assert found.targets == ("1", "2") and found.status.tolist() == ["visible"] * 2
+
+
+def test_mot_says_that_little_is_visible(tmp_path: Path) -> None:
+    found = read_mot(write(tmp_path, "1,1,9,9,8,8,1,1,0.1\n2,1,9,9,8,8,1,1,0\n3,1,9,9,8,8,1,1,.8\n"))
+    assert found.status.tolist() == ["visible", "hidden", "visible"]
+    assert found.header["read_as"].endswith("1 rows of a visibility below .5 count as visible")
+
+
+def test_got10k_has_zeros_where_nothing_is_known(tmp_path: Path) -> None:
+    one = track([0, 1], [(5.0, 5.0, 3.0, 3.0, None), None])
+    assert write_got10k(one) == "5,5,3,3\n0,0,0,0\n" and write_otb(one) == "5,5,3,3\nnan,nan,nan,nan\n"
+    assert read_got10k(write(tmp_path, write_got10k(one))).status.tolist() == ["visible", "absent"]
+
+
+def binary(*regions: bytes) -> bytes:
+    return struct.pack("<hI", 1, len(regions)) + b"".join(regions)
+
+
+CODE, BOX = struct.pack("<BI", 0, 1), struct.pack("<B4f", 1, 10.5, 20, 30, 40.25)
+POLYGON = struct.pack("<BH8f", 2, 4, 2, 0, 6, 2, 4, 8, 0, 6.125)
+
+
+def test_binary_results_of_vot_are_read_as_its_text(tmp_path: Path) -> None:
+    path = tmp_path / "clip_001.bin"
+    path.write_bytes(binary(CODE, BOX, POLYGON, struct.pack("<BI", 0, 2)))
+    text = write(tmp_path, "1\n10.5,20,30,40.25\n2,0,6,2,4,8,0,6.125\n2\n")
+    assert recognise(path) == (path, "vot")
+    found, same = read_results(path), read_vot(text)
+    assert found.status.tolist() == same.status.tolist() == ["init", "tracked", "tracked", "lost"]
+    np.testing.assert_array_equal(found.boxes, same.boxes)
+    np.testing.assert_array_equal(found.corners, same.corners)
+    assert found.header["read_as"] == "VOT result: pixels from 0"
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (binary(CODE, BOX)[:-1], "is no binary result of vot-toolkit, or is cut short; let the toolkit write text"),
+        (binary(CODE, BOX) + b"x", "is cut short"),
+        (b"1,2,3,4\n", "is no binary result"),
+        (binary(CODE, b"\x09"), "is no binary result"),
+        (struct.pack("<hI", 1, 2**32 - 1), "is cut short"),
+        (binary(), "is cut short"),
+        (binary(CODE, struct.pack("<BhhHHH2H", 3, 0, 0, 2, 1, 2, 0, 2)), ":2: a mask; masks are not read"),
+        (binary(CODE, struct.pack("<B2f", 4, 1, 2)), ":2: 2 values"),
+    ],
+)
+def test_binary_results_that_cannot_be_read(tmp_path: Path, data: bytes, said: str) -> None:
+    path = tmp_path / "clip_001.bin"
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=said) as error:
+        read_vot(path)
+    assert str(path) in str(error.value) and "\n" not in str(error.value)
+
+
+def test_the_truth_beside_a_result_of_vot_is_vot_s(tmp_path: Path) -> None:
+    truth, result = write(tmp_path, "1,2,3,4\n"), read_results(write(tmp_path, "1\n1,2,3,4\n", "result.txt"))
+    assert read_truth(truth).boxes[0].tolist() == [0, 1, 3, 4]
+    assert read_truth(truth, beside=result).boxes[0].tolist() == [1, 2, 3, 4]
+    assert read_truth(truth, "otb", beside=result).boxes[0].tolist() == [0, 1, 3, 4], "as the user says"
+    named = write(tmp_path, "frame,x,y,w,h\n0,1,2,3,4\n", "named.csv")
+    assert read_truth(named, beside=result).header["read_as"].startswith("boxes")
+    write(tmp_path, "fps=30\n", "sequence")
+    assert read_truth(truth).boxes[0].tolist() == [1, 2, 3, 4], "VOT keeps such a file beside"
 
 
 def test_vot_truth(tmp_path: Path) -> None:

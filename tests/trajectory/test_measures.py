@@ -144,7 +144,7 @@ def test_the_tables_have_each_measure_with_its_spread():
     rows = list(csv.DictReader(io.StringIO(write_measures(both))))
     assert [(row["frame"], row["target"]) for row in rows] == [(f, t) for f in "012" for t in ("face", "other")]
     assert list(rows[0])[3:] == [f"{one.name}{end}" for one in MEASURES for end in ("", "_std")]
-    assert rows[2]["mouth_opening"] == "0.3500" and rows[2]["time_s"] == "0.0400"
+    assert rows[2]["mouth_opening"] == "0.3500" and rows[2]["time_s"] == "0.0400000"
     assert float(rows[2]["mouth_opening_std"]) == pytest.approx(0.0072, abs=2e-4)
     assert rows[3]["eye_opening"] == "" and rows[3]["mouth_opening"] == "0.2500"
     wide = next(csv.DictReader(io.StringIO(write_wide(both))))

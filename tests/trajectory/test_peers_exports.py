@@ -1,4 +1,6 @@
-"""Exports as other tools read them: motmetrics, got10k, vot-toolkit, pycocotools, pandas, exploface, pympi."""
+"""Exports as other tools read them: motmetrics, TrackEval, got10k, vot-toolkit, pycocotools, pandas with PyTables,
+exploface, Kinetics Toolkit, pympi, corflow, speach, elan-data.
+"""
 
 import json
 import os
@@ -44,13 +46,36 @@ def read(tmp_path_factory):
     (folder / "track.csv").write_text(HEADER + "".join(rows("face", PARTS)), encoding="utf-8")
     (folder / "two.csv").write_text(HEADER + "".join(rows("face", PARTS)) + "".join(rows("hand", ("box",), 12)))
 
+    states = ["hidden" if frame in (8, 9) else "visible" for frame in range(20)]
+    truth = (
+        f"{frame},{frame / 25},1,box,{100 + frame},80,40,50,,,{state},,,,,,\n" for frame, state in enumerate(states)
+    )
+    (folder / "truth.csv").write_text(HEADER + "".join(truth))
+    # a head that comes late, at 29.97 frames/s, and is lost for a while
+    late = (f"{frame},{frame * 1.001 / 30:.4f},head,box,{90 + frame},80,40,50,,.9,"
+            f"{'lost' if 30 <= frame < 35 else 'tracked'}{',' * 6}\n" for frame in range(12, 120))  # fmt: skip
+    (folder / "late.csv").write_text(HEADER + "".join(late))
+    quoted = "".join(rows("O'Brien", PARTS, 60)) + "".join(rows("hand", ("box",), 60))
+    (folder / "quoted.csv").write_text(HEADER + quoted)
+
     def export(name, form, *more):
         result = CliRunner().invoke(cli, ["export", str(folder / name), "--to", form, *more])
         assert result.exit_code == 0, result.output
 
-    for form in ("otb", "got10k", "vot", "dlc", "openface"):
+    for form in ("otb", "got10k", "vot", "dlc", "dlc-h5", "openface"):
         export("track.csv", form)
-    export("two.csv", "dlc")
+    for form in ("dlc", "dlc-h5"):
+        export("two.csv", form)
+    export("late.csv", "csv-wide", "-o", str(folder / "track.wide.csv"))
+    export("truth.csv", "mot")
+    same = (folder / "truth.csv").read_text().replace("visible", "tracked").replace("hidden", "lost")
+    (folder / "same.csv").write_text(same)
+    export("same.csv", "mot")
+    lost = (folder / "track.csv").read_text(encoding="utf-8").splitlines()
+    lost = [line.replace(",tracked,", ",lost,") if line.split(",")[0] in ("5", "6") else line for line in lost]
+    (folder / "dropped.csv").write_text("\n".join(lost), encoding="utf-8")
+    export("dropped.csv", "got10k", "--drop-lost")
+    export("quoted.csv", "eaf", "--media", str(folder / CLIP))
     export("two.csv", "mot", "-o", str(folder / "track.mot.txt"))
     export("two.csv", "coco", "-o", str(folder / "track.coco.json"), "--media", str(folder / "frames"))
     export("track.csv", "eaf", "--media", str(folder / CLIP))
@@ -79,6 +104,22 @@ def test_motmetrics_reads_both_targets(read):
             assert confidence == pytest.approx((0.9 * 2 + 0.125) / 3 if lost else 0.9, abs=1e-4)
         else:
             assert ltwh[2:] == [21, 11.5]
+
+
+def test_motmetrics_keeps_ground_truth(read):
+    assert read[1]["mot_truth"] == [
+        [frame + 1, 1, 100 + frame - 19.5 - 0, 55.5, 40, 50, 1, 1, 0 if frame in (8, 9) else 1] for frame in range(20)
+    ]
+
+
+def test_trackeval_counts_all_of_ground_truth_and_of_results(read):
+    found = read[1]["track_eval"]
+    assert found == {"GT_Dets": 20, "GT_IDs": 1, "Dets": 20, "IDF1": 1, "HOTA": 1}
+
+
+def test_got10k_s_average_is_a_number_where_boxes_were_dropped(read):
+    # of 19 rows after the first two are lost, and in 3 to 5 the lost part is left out of the box
+    assert 0.6 < read[1]["average_overlap"] <= 17 / 19
 
 
 def test_got10k_reads_boxes_from_one(read):
@@ -133,10 +174,22 @@ def test_pandas_reads_individuals(read):
     found = read[1]["dlc_of_two"]
     assert found["names"] == ["scorer", "individuals", "bodyparts", "coords"]
     assert [column[1:3] for column in found["columns"][::3]] == [
-        *(["face", part] for part in PARTS),
-        ["hand", "box"],
+        [target, part] for target in ("face", "hand") for part in (*PARTS, "box")
     ]
-    assert found["values"][15][9:] == [None] * 3  # the hand has no rows any more
+    assert found["values"][3][9:21] == [None] * 12 and found["values"][3][21:] == [60.125, 50.25, 0.9]
+    assert found["values"][15][21:] == [None] * 3  # the hand has no rows any more
+
+
+def test_hdf5_holds_what_the_csv_holds(read):
+    for form in ("dlc", "dlc_of_two"):
+        text, file = read[1][form], read[1][form.replace("dlc", "dlc_h5")]
+        assert all(file[name] == text[name] for name in ("names", "columns", "index", "values"))
+
+
+def test_kinetics_toolkit_sees_a_constant_rate_from_frame_0(read):
+    found = read[1]["wide"]
+    assert found["rate"] == pytest.approx(30 / 1.001, rel=1e-6)
+    assert found["times"] == pytest.approx([frame * 1.001 / 30 for frame in range(120)], abs=1e-6)
 
 
 def test_exploface_reads_openface_s_columns(read):
@@ -156,6 +209,7 @@ def test_pympi_reads_tiers_and_media(read):
     (move,) = found["tiers"]["horizontal@face"]
     assert move[2] == "right" and move[0] == pytest.approx(320, abs=120) and move[1] == 800
     assert set(found["tiers"]) == {f"{kind}@face" for kind in ("lost", *found["vocabularies"])}
+    assert all(found["tiers"].values()), "no empty tier"
     assert {one["LINGUISTIC_TYPE_REF"] for one in found["parameters"].values()} == set(found["types"])
     assert found["media"] == [
         {
@@ -167,3 +221,18 @@ def test_pympi_reads_tiers_and_media(read):
     spans = sorted([tier, *span] for tier, rows in found["tiers"].items() for span in rows)
     assert found["properties"]["lastUsedAnnotationId"] == str(len(spans))
     assert found["kept_when_written_again"] == spans
+
+
+def test_readers_of_elan_find_a_name_with_an_apostrophe_and_all_tiers_have_the_bounds_of_the_file(read):
+    found = read[1]["other_eaf"]
+    lost = "lost@O\u2019Brien"
+    assert found["elan_data"][lost] == [["120", "240", "mouth_left"]] or found["elan_data"][lost] == [
+        [120, 240, "mouth_left"]
+    ]
+    assert found["speach"][lost] == [[0.12, 0.24, "mouth_left", None]]
+    assert set(found["elan_data"]) == set(found["speach"]) == set(found["corflow"])
+    move = next(name for name in found["speach"] if name.startswith("horizontal@O"))
+    assert {one[3] for one in found["speach"][move]} == {"cveid_horizontal_right"}
+    times = [time for spans in found["speach"].values() for span in spans for time in span[:2]]
+    assert {tuple(tier[:2]) for tier in found["corflow"].values()} == {(min(times), max(times))}
+    assert found["links"]["quoted"] == found["links"]["corflow"] == found["links"]["speach"] > 0

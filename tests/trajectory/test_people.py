@@ -120,6 +120,8 @@ def test_seconds_are_those_of_the_rows_and_not_of_a_rate():
     assert people.seconds_together() == {("a", "b"): pytest.approx(0.6)}
     assert [clock.frame(clock.at(n)) for n in range(90)] == list(range(90))
     assert clock.frame(5.0) == int(np.argmin(np.abs(times - 5.0)))
+    back = build([("a", "box")], np.zeros(3, int), np.arange(3), time_s=[3.0, 1.0, 2.0])
+    assert people_of(Clock(back, 25.0), SHOTS, [track("a", 0, 2)], {}).people[0].seconds == 0, "times that go back"
     assert Clock(None, 25.0).frame(4.0) == 100 and clock.at(0) == pytest.approx(1.2)
     before = json.loads(people.text())
     for person in before["people"]:

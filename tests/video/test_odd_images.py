@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image as Pictures
 
-from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.runs.inputs import expand
 from facetrack_cli.video.images import ordered
 from facetrack_cli.video.seek import Frames
@@ -156,3 +156,27 @@ def test_two_cameras_in_one_folder_are_told(tmp_path: Path, names: tuple[str, ..
     with open_source(tmp_path) as source:
         assert len(list(source)) == 5 * len(names)
     assert [told in line and "one after the other" in line for line in source.warnings] == [True] * bool(told)
+
+
+def test_a_later_page_that_claims_more_pixels_than_are_read(tmp_path: Path) -> None:
+    stack = [Pictures.new("L", (16, 16), n) for n in range(2)]
+    path = tmp_path / "stack.tif"
+    pages = [stack[1], Pictures.new("1", (12_000, 12_000))]
+    stack[0].save(path, save_all=True, append_images=pages, compression="tiff_deflate")
+    with open_source(path) as source:
+        assert len(list(source)) == 2 and not source.complete
+    assert "is too large for a frame: 12000x12000" in source.warnings[0]
+
+
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
+def test_a_canvas_of_webp_that_claims_more_pixels_than_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "canvas.webp"
+    pictures = [Pictures.new("RGB", (16, 16), (n, 0, 0)) for n in (0, 99)]
+    pictures[0].save(path, save_all=True, append_images=pictures[1:])
+    data = bytearray(path.read_bytes())
+    at = data.index(b"VP8X") + 12
+    for side in (11_000, 16_384):  # more than we read, and more than Pillow does
+        data[at : at + 6] = (side - 1).to_bytes(3, "little") * 2
+        path.write_bytes(data)
+        with pytest.raises(InputError, match=r"canvas\.webp"):
+            open_source(path)

@@ -52,6 +52,13 @@ def test_a_fade_by_way_of_black_is_one():
     assert len(found(mixed(mixed(still(1, 60), dark, 10), still(2, 60), 10))) == 1
 
 
+@pytest.mark.parametrize("lasts", [6, 11])
+def test_what_is_followed_by_what_was_before_within_half_a_second_is_no_cut(lasts):
+    hand = still(7, lasts)
+    assert found(still(1, 30) + hand + still(1, 30)) == []
+    assert len(found(still(1, 30) + still(7, 20) + still(1, 30))) == 2
+
+
 @pytest.mark.parametrize("lasts", [1, 2, 3])
 def test_a_flash_is_no_cut(lasts):
     pictures = still(1, 60)
@@ -97,17 +104,22 @@ def test_shots_lie_between_cuts():
 
 
 def passing(pictures):
+    """What is known with which frame: (frame, event)."""
     frames = [Frame(i, i / 25, np.clip(one, 0, 255).astype(np.uint8)) for i, one in enumerate(pictures)]
-    passed, cuts = Passing(small(frames[0])), []
+    passed, events = Passing((small(frames[0]),)), []
     for frame in frames[1:]:
-        passed, cut = passed.after(frame)
-        cuts += [frame.index] if cut else []
-    return cuts
+        passed, event = passed.after(frame)
+        events += [(frame.index, event)] if event else []
+    return events
 
 
-def test_cuts_are_found_as_they_come():
-    assert passing(still(1, 30) + still(2, 40) + still(3, 1)) == [30, 70]
+def test_cuts_are_found_as_they_come_and_confirmed_by_the_frames_after_them():
+    cuts = passing(still(1, 30) + still(2, 40) + still(3, 10))
+    assert cuts == [(30, "maybe"), (33, "cut"), (70, "maybe"), (73, "cut")]
+    flash = [scene(7)] * 2
+    assert passing(still(1, 30) + flash + still(1, 30)) == [(30, "maybe"), (32, "maybe"), (35, "none")], "a flash"
     assert passing([one * 1.2 if i == 10 else one for i, one in enumerate(still(1, 30))]) == [], "a lamp"
-    assert passing(mixed(still(1, 60), still(2, 60), 24)) == []
+    [(at, event)] = passing(mixed(still(1, 60), still(2, 60), 24))
+    assert event == "cut" and 72 < at < 100, "a dissolve, after its end"
     wide = np.hstack([scene(1), scene(2)])
     assert passing([wide[:H, 2 * i : 2 * i + W] for i in range(90)]) == [], "a pan"

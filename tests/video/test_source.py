@@ -11,6 +11,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import PIL.Image
 import pytest
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
@@ -472,3 +473,25 @@ def test_a_list_of_chapters_is_told_how_to_join(tmp_path: Path, text: str) -> No
     path = tmp_path / "list.txt"
     path.write_text(text)
     assert f"ffmpeg -f concat -safe 0 -i {path} -c copy joined.mp4" in refusal(path)
+
+
+@pytest.mark.parametrize("suffix", sorted(media.CODECS))
+def test_a_clip_that_is_cut_within_its_headers_is_refused(tmp_path: Path, suffix: str) -> None:
+    """PyAV's error at the end of a file is Python's EOFError, which is no OSError."""
+    data = media.write_video(tmp_path / f"whole{suffix}", frames=5).read_bytes()
+    path = tmp_path / f"cut{suffix}"
+    for length in {*range(1, 100, 7), *range(100, min(len(data), 6000), 197)}:
+        path.write_bytes(data[:length])
+        try:
+            read(path)
+        except InputError as error:
+            assert str(path) in str(error)
+
+
+def test_a_frame_that_claims_more_pixels_than_are_read(tmp_path: Path) -> None:
+    path, whole = tmp_path / "canvas.gif", tmp_path / "whole.gif"
+    pictures = [PIL.Image.new("P", (16, 16), n) for n in range(3)]
+    pictures[0].save(whole, save_all=True, append_images=pictures[1:])
+    data = whole.read_bytes()
+    path.write_bytes(data[:6] + (16_000).to_bytes(2, "little") * 2 + data[10:])
+    assert "is too large for a frame: 16000x16000, and at most 100 megapixels are read" in refusal(path)

@@ -17,6 +17,7 @@ import pytest
 
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.video import ffmpeg as ours
+from facetrack_cli.video.decode import sound_of
 from facetrack_cli.video.encoder import Planes
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
@@ -231,6 +232,18 @@ def test_sound_that_fails_leaves_the_video_and_a_warning(tmp_path: Path, monkeyp
     assert "without sound" in warning and "no such codec" in warning and "\n" not in warning and "0x1" not in warning
     assert len(media.read_timed(tmp_path / "out.mp4")) == 20
     assert left_behind(tmp_path) == ["clip.mp4", "out.mp4"]
+
+
+def test_sound_is_read_from_files_of_clips_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A playlist makes ffmpeg open the files and addresses that it names."""
+    mine = media.write_video(tmp_path / "mine.mp4", frames=20, sound=BEEP)
+    monkeypatch.setattr("facetrack_cli.video.writer.sound_of", lambda path: ("aac", 0.0))
+    lists = {"a.m3u8": f"#EXTM3U\n#EXTINF:1,\n{mine}\n", "a.ffconcat": f"ffconcat version 1.0\nfile {mine}\n"}
+    for name, text in lists.items():
+        (tmp_path / name).write_text(text)
+        written = write(tmp_path / f"{name}.mp4", audio_from=tmp_path / name)
+        [warning] = written.warnings
+        assert "written without sound" in warning and sound_of(written.path)[0] == ""
 
 
 def test_cut_source_gives_its_sound_as_far_as_it_goes(tmp_path: Path) -> None:

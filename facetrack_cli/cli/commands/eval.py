@@ -102,7 +102,7 @@ class Eval:
         check_normalise(self.normalise)
         check_run(self.trajectory)
         ours = read_results(self.trajectory, self.format)
-        theirs = known.read(self.truth or _truth_beside(ours))
+        theirs = known.read(self.truth or _truth_beside(ours), ours)
         for path in files.values():
             check_new(path, overwrite=self.overwrite, inputs=(ours.path, theirs.path, clip_of(ours)))
         clip = clip_of(ours)

@@ -31,12 +31,14 @@ ENDINGS = {
     "vot": "vot.txt",
     "coco": "coco.json",
     "dlc": "dlc.csv",
+    "dlc-h5": "dlc.h5",
     "eaf": "eaf",
     "cvat": "cvat.xml",
     "labelstudio": "labelstudio.json",
 }
 """How the file of each format is called, after the name of the trajectory."""
 ONE_TARGET = ("otb", "got10k", "vot")
+BINARY = ("parquet", "dlc-h5")
 OF_BOXES = ("mot", *ONE_TARGET, "coco")
 OF_MEDIA = ("openface", "coco", "eaf", "cvat", "labelstudio")
 
@@ -54,12 +56,13 @@ class Export:
       pose      CSV of the head's pitch, yaw and roll, with their spread
       measures  CSV of mouth opening, smile, brows, lids, pose, and their spread
       openface  OpenFace's CSV: confidence, success, pose, landmarks
-      mot       MOTChallenge results: frame, id, box, confidence; all from 1
+      mot       MOTChallenge: frame, id, box, confidence; all from 1
       otb       OTB boxes, one a line, pixels from 1; one target
       got10k    GOT-10k boxes, one a line, pixels from 1; one target
       vot       VOT result, one region a line, pixels from 0; one target
       coco      COCO keypoints JSON: boxes and points of every frame
       dlc       DeepLabCut CSV: x, y, likelihood of every point
+      dlc-h5    the same as DeepLabCut's HDF5; needs pandas and PyTables
       eaf       ELAN annotations: what was lost, what head and face did
       cvat      CVAT for video 1.1: a track for each part, to correct there
       labelstudio  Label Studio's video rectangles, to correct there
@@ -69,7 +72,7 @@ class Export:
 
     Lost rows hold the tracker's estimate. mot, coco and dlc give its confidence, coco also the visibility 1 (2 is
     tracked). With --drop-lost they are as if nothing was found: no row in mot, no keypoint in coco, an empty cell in
-    dlc, csv-wide and parquet, nan in otb and got10k, a failure in vot.
+    dlc, csv-wide and parquet, nan in otb, zeros in got10k, a failure in vot.
 
     cvat and labelstudio go to the annotation tool, and what is corrected there comes back by facetrack fix --import.
     A lost row is occluded in cvat, and not enabled in labelstudio; with --drop-lost it is outside in cvat, too.
@@ -116,8 +119,8 @@ class Export:
             raise UsageError("--drop-lost is not for eaf, which has a tier for what was lost; leave it out")
         if self.out == "":
             raise OutputError("--out is empty; name a file, or - for standard output")
-        if self.out == "-" and self.to == "parquet":
-            raise OutputError("parquet is not text, and does not go to standard output; name a file with -o")
+        if self.out == "-" and self.to in BINARY:
+            raise OutputError(f"{self.to} is not text, and does not go to standard output; name a file with -o")
         table = choose(read_run(self.trajectory), self.target)
         beside = table.path.with_name(f"{table.path.stem}.{ENDINGS[self.to]}")
         path = None if self.out == "-" else Path(self.out) if self.out else beside
@@ -142,19 +145,22 @@ class Export:
         import numpy as np
 
         from facetrack_cli.trajectory.formats import boxes, cvat, eaf, keypoints, labelstudio, openface, tables
-        from facetrack_cli.trajectory.header import said
-        from facetrack_cli.trajectory.select import enclose
+        from facetrack_cli.trajectory.header import frame_size_of, said
+        from facetrack_cli.trajectory.select import enclose, hide_outside
 
         if not np.isfinite(table.x).any():
             raise InputError("no row has a place, x and y; there is nothing to export")
         if self.to in ONE_TARGET and len(table.targets) > 1:
             raise UsageError(f"{self.to} holds one target; choose with --target among {', '.join(table.targets)}")
         around, recipe = self.box or "windows", said(table, "recipe", "name")
+        scorer = f"facetrack-{recipe}" if recipe else "facetrack"
         if self.to == "eaf":
             folder = path.parent if path else Path.cwd()
             return eaf.write_eaf(table, self._playable(table), folder, written=datetime.now())
         clip, size, fps = self._media(table) if self.to in OF_MEDIA else (None, None, 0.0)
         name = "" if clip is None else clip.name
+        if self.to in (*OF_MEDIA, "mot") and (sides := size or frame_size_of(table)):
+            table = hide_outside(table, sides)
         writers: dict[str, Callable[[], str | bytes]] = {
             "csv-wide": lambda: tables.write_wide(table),
             "parquet": lambda: tables.write_parquet(table),
@@ -162,7 +168,8 @@ class Export:
             "measures": lambda: tables.write_measures(table),
             "openface": lambda: openface.write_openface(table, size),
             "cvat": lambda: cvat.write_cvat(table, size, name),
-            "dlc": lambda: keypoints.write_dlc(table, f"facetrack-{recipe}" if recipe else "facetrack"),
+            "dlc": lambda: keypoints.write_dlc(table, scorer),
+            "dlc-h5": lambda: keypoints.write_dlc_h5(table, scorer),
         }
         if self.to in writers:
             return writers[self.to]()
@@ -171,12 +178,14 @@ class Export:
                 why = "does not say how large and how fast its frames are, only a trajectory.json does"
                 raise InputError(f"{why}; name the clip: --media")
             if self.to == "labelstudio":
+                say(f'{name}: give the Video of the labelling configuration framerate="{fps:.10g}"')
                 return labelstudio.write_labelstudio(table, size, fps, name)
             return keypoints.write_coco(table, size, self._image_names(clip, table), around=around)
         chosen = [enclose(table.of_target(target), around) for target in table.targets]
         if self.to == "mot":
             return boxes.write_mot(chosen)
-        return boxes.write_vot(chosen[0]) if self.to == "vot" else boxes.write_otb(chosen[0])
+        write = {"vot": boxes.write_vot, "otb": boxes.write_otb, "got10k": boxes.write_got10k}[self.to]
+        return write(chosen[0])
 
     def _playable(self, table: Trajectory) -> Path:
         """The video that an .eaf links to. It need not be there: ELAN asks for a file that it does not find."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -16,8 +15,6 @@ from facetrack_cli.core.errors import ExitCode, InputError, OutputError, UsageEr
 if TYPE_CHECKING:
     from facetrack_cli.core.types import Box, Frame, Start
     from facetrack_cli.recipe.model import Recipe
-    from facetrack_cli.runs.progress import Progress
-    from facetrack_cli.video.source import Source
 
 
 class Init:
@@ -118,36 +115,17 @@ class Init:
 
     def _start(self) -> tuple[Start, Frame]:
         """The start, and its frame."""
+        from facetrack_cli.recipe.load import load_recipe
         from facetrack_cli.runs.progress import progress
-        from facetrack_cli.tracking.start.detectors import PARTS, detector
-        from facetrack_cli.tracking.start.search import box_start, search_start
-        from facetrack_cli.tracking.start.targets import name_targets
-        from facetrack_cli.video.source import open_source
+        from facetrack_cli.runs.start import Begin
+        from facetrack_cli.tracking.start.detectors import detector
 
-        recipe, clip, first = self.recipe, str(self.clip), self.init_frame or 0
-        points = PARTS if recipe is None else recipe.points
-
-        def complete(frame: Frame, start: Start) -> Start:
-            if recipe is not None:
-                start = name_targets(
-                    start, recipe.followed, frame, left_out=recipe.left_out, later=recipe.later, clip=clip
-                )
-            return start
-
-        with open_source(self.clip, start=first) as source, progress(self.out == "-") as shown:
-            if self.box is None:
-                shown.begin(f"{self.clip.name}: looking for a face")
-                frames = _told(source, shown)
-                start = search_start(
-                    frames, points, detector=detector(), faces=self.faces, clip=clip, complete=complete
-                )
-            else:
-                frame = next(iter(source), None)
-                if frame is None:
-                    raise InputError(f"{clip}: has no frame {first}; choose an earlier one with --init-frame")
-                return complete(frame, box_start(frame, self.box, points, clip=clip)), frame
-        with open_source(self.clip, start=start.frame) as source:  # the search has looked further
-            return start, next(iter(source))
+        by = None if self.box is not None else detector().name
+        begin = Begin(self.clip, init=by, faces=self.faces, box=self.box, init_frame=self.init_frame)
+        with progress(self.out == "-") as shown:
+            shown.begin(f"{self.clip.name}: looking for a face")
+            start = begin.find(self.recipe or load_recipe("factorized"), looked=shown.update)
+        return start, begin.frame(start.frame)
 
     def _next(self) -> str:
         """The command that begins with the file, once it is there."""
@@ -198,13 +176,6 @@ class Init:
         if self.path is None and session.saved is not None:
             write_init(sys.stdout, session.saved, clip=self.clip.name)
         return ExitCode.DONE
-
-
-def _told(source: Source, shown: Progress) -> Iterator[Frame]:
-    """The frames of a source; how far it is, is shown."""
-    for done, frame in enumerate(source):
-        shown.update(done, source.frames_hint)
-        yield frame
 
 
 def _keep_unsaved(start: Start | None, clip: Path, kept: Path) -> str:

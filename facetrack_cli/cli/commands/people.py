@@ -169,10 +169,12 @@ class Cast:
 
 def _intervals(people: People) -> str:
     """The frames in which people are seen, and their times in s, in the order of time."""
+    from facetrack_cli.core.numbers import csv_text
+
     each = ((one.name, zip(one.intervals, people.times_of(one), strict=True)) for one in people.people)
     spans = sorted((*frames, name, *times) for name, both in each for frames, times in both)
-    rows = [f'"{name}",{first},{stop - 1},{begin:.3f},{end:.3f}' for first, stop, name, begin, end in spans]
-    return "\n".join(["person,first_frame,last_frame,begin_s,end_s", *rows]) + "\n"
+    rows = ([name, first, stop - 1, f"{begin:.3f}", f"{end:.3f}"] for first, stop, name, begin, end in spans)
+    return csv_text(["person", "first_frame", "last_frame", "begin_s", "end_s"], rows)
 
 
 def _show(people: People, seconds: Clock) -> None:

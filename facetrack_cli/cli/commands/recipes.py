@@ -6,6 +6,7 @@ import sys
 import click
 
 from facetrack_cli.cli.app import colour
+from facetrack_cli.cli.options import Option
 from facetrack_cli.cli.words import completes
 from facetrack_cli.core.errors import ExitCode, RecipeError
 
@@ -55,8 +56,8 @@ def show(recipe: str) -> None:
 @command.command()
 @click.argument("recipes", nargs=-1, required=True, metavar="RECIPE...", shell_complete=completes("RECIPE"))
 @click.option(
-    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Check with this key changed, as in run.",
-    shell_complete=completes("KEY=VALUE"),
+    "--set", "overrides", cls=Option, multiple=True, metavar="KEY=VALUE", shell_complete=completes("KEY=VALUE"),
+    help="Check with this key changed, as in run.",
 )  # fmt: skip
 def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
     """Say everything that is wrong with recipes, and where.

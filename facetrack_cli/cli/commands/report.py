@@ -41,7 +41,7 @@ class Report:
 
     def run(self) -> int:
         from facetrack_cli.core.errors import UsageError
-        from facetrack_cli.core.files import check_new, write_new
+        from facetrack_cli.core.files import check_new, check_plain, write_new
         from facetrack_cli.report.batch import PAGE, make_batch_report
         from facetrack_cli.report.make import TruthFile, make_report
         from facetrack_cli.run_folder.manifest import REPORT, trajectory_of
@@ -57,6 +57,8 @@ class Report:
         if not batch:
             trajectory_of(self.folder)
         to = self.folder / (PAGE if batch else REPORT) if self.out is None else self.out
+        if self.out is None:
+            check_plain(to)
         check_new(to, overwrite=self.overwrite, inputs=(self.truth, self.clip))
         with progress(self.quiet) as shown:
             shown.begin(self.folder.name or str(self.folder), "clips" if batch else "frames")

@@ -166,7 +166,7 @@ class Run:
     )
 
     def run(self) -> int:
-        from facetrack_cli.run_folder.status import write_batch
+        from facetrack_cli.run_folder.status import check_networks, write_batch
         from facetrack_cli.runs.batch import run_batch, variant_name
         from facetrack_cli.runs.cluster import run_cluster
         from facetrack_cli.runs.inputs import expand
@@ -194,6 +194,8 @@ class Run:
         several = several or (self.shard is not None and split is None)
         places, formats = self._places(given, several, variant_name(recipe.name, self.set))
         self._check_smoothing(recipe, formats)
+        if several and self.out and not self.overwrite:
+            check_networks(filter(None, places), recipe.networks)
         if several and self.out:
             write_batch(Path(self.out), recipe.name, given, [folder.name for folder in places if folder])
         first, step = (1, 1) if split else self.shard or (1, 1)

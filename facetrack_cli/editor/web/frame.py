@@ -14,9 +14,10 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import inside
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.tracking.start.closer import righted
 from facetrack_cli.tracking.start.detectors import PARTS, NotHereError, detector
 from facetrack_cli.tracking.start.init_file import NAME, TARGET
-from facetrack_cli.tracking.start.points import place
+from facetrack_cli.tracking.start.points import named
 from facetrack_cli.tracking.start.search import box_start
 from facetrack_cli.tracking.start.targets import name_targets
 from facetrack_cli.trajectory.header import FrameNumber, Pixels, Side
@@ -140,8 +141,10 @@ class Proposer:
             return self._found[index]
         frame = self._frames.read(index)
         notes, proposals = [], []
-        for number, found in enumerate(detector().find(frame)[:MAX_FACES], start=1):
-            placed = place(frame.bgr, found.box, found.eyes, found.points)
+        look = detector()
+        for number, seen in enumerate(look.find(frame)[:MAX_FACES], start=1):
+            found = righted(look, frame, seen)
+            placed = named(found.placed(frame))
             points = {part: (round(placed[part][0], 2), round(placed[part][1], 2)) for part in self._points}
             visible = {part: at for part, at in points.items() if inside(at, frame.size)}
             start, reason = self._complete(

@@ -74,7 +74,7 @@ class PickSession(Session):
         given = draft_of(shown, begun.targets if begun is not None else {})
         draft = given if box is None else proposer.in_box(first, box, str(clip))
         self._unchanged = draft if box is None else None
-        self._given = [] if box is None else [(draft, detector().name)]
+        self._given: list[tuple[Draft, str]] = [] if box is None else [(draft, detector().name)]
         if begun is not None:
             self._given.append((draft_of(begun.frame, begun.targets), placed_by(begun)))
         about = {

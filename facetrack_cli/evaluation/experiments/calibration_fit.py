@@ -145,9 +145,6 @@ class Fitted:
         return CrossChecked(rows=len(self.sample), **{name: round(float(value), 4) for name, value in values.items()})
 
 
-# --- maps ----------------------------------------------------------------------------------------------------------
-
-
 def pool(y: Array, weight: Array) -> Array:
     """The non-decreasing (n,) nearest to y (n,), in weighted squares: pool adjacent violators (Ayer et al., 1955)."""
     means: list[float] = []
@@ -241,9 +238,6 @@ def _objective(x: Array, y: Array, weight: Array, penalty: Array, beta: Array) -
 def _short(value: float) -> float:
     """To six digits, so that rounding of the processor does not show."""
     return float(f"{value:.6g}")
-
-
-# --- which map -----------------------------------------------------------------------------------------------------
 
 
 CANDIDATES: Final[Mapping[str, Fit]] = {

@@ -7,13 +7,10 @@
 A recipe stands clearly above another where the intervals mean +- 2 standard errors do not overlap; its place is the
 range from 1 + the number of recipes clearly above it to the number of all less those clearly below it. A deterministic
 tracker runs once and its interval is its value; of a single seed of any other nothing is known but the value.
-*Failure*: points, a part is lost for good (points.py); boxes, the median IoU over the last tenth of the rows with a
-true box is below 0.1.
+*Failure*: points, a part is lost for good (points.py); boxes, the last tenth of true boxes has a median IoU below 0.1.
 """
 
 import contextlib
-import csv
-import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
-from facetrack_cli.core.numbers import document
+from facetrack_cli.core.numbers import csv_text, document
 from facetrack_cli.core.types import Array, Start, Whole
 from facetrack_cli.evaluation import summary
 from facetrack_cli.evaluation.boxes import share_up_to
@@ -171,9 +168,6 @@ def rank(entries: Sequence[Entry], measure: str) -> list[Place]:
     return [*places, *(Place(entry, None, None) for entry in entries if entry not in valued)]
 
 
-# --- one run -----------------------------------------------------------------------------------------------------
-
-
 def score_run(run: SeedRun, truth: Trajectory, options: Scoring, note: Callable[[str], None] = lambda _: None) -> Score:
     """Measure a run; `note` gets the notes of `match`. InputError if the truth does not fit the run."""
     pairs = _pairs(run.trajectory, truth, options, note=note)
@@ -263,9 +257,6 @@ def aligned(entries: Sequence[Entry]) -> tuple[Whole, dict[str, Array]]:
     return frame, found
 
 
-# --- all runs ----------------------------------------------------------------------------------------------------
-
-
 def run_recipes(
     recipes: Mapping[str, Recipe],
     begin: Begin,
@@ -345,9 +336,6 @@ def default_truth(clip: Path) -> Path:
             f"{clip}: there is neither {sought[0].name} nor groundtruth.csv beside it; name it with --truth"
         )
     return found
-
-
-# --- texts --------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -432,19 +420,15 @@ class Comparison:
     def csv(self) -> str:
         """A row for each recipe and seed with all figures; a recipe that did not run has a row that says why."""
         measured = [name for name in MEASURES if any(name in s.figures for e in self.entries for s in e.scores)]
-        out = io.StringIO()
-        writer = csv.DictWriter(
-            out, ["recipe", "seed", "failed", "frames_per_s", *measured, "error"], lineterminator="\n"
-        )
-        writer.writeheader()
+        rows: list[list[Any]] = []
         for entry in self.entries:
             for score in entry.scores:
-                own = {"recipe": entry.label, "seed": score.seed, "failed": int(score.failed)}
                 figures = {name: f"{value:.6f}".rstrip("0").rstrip(".") for name, value in score.figures.items()}
-                writer.writerow({**own, "frames_per_s": f"{score.frames_per_s:.2f}", **figures})
+                own = [entry.label, score.seed, int(score.failed), f"{score.frames_per_s:.2f}"]
+                rows.append([*own, *(figures.get(name, "") for name in measured), ""])
             if entry.error:
-                writer.writerow({"recipe": entry.label, "error": entry.error})
-        return out.getvalue()
+                rows.append([entry.label, *[""] * (3 + len(measured)), entry.error])
+        return csv_text(["recipe", "seed", "failed", "frames_per_s", *measured, "error"], rows)
 
     def json(self) -> str:
         """Everything, with the recipes in full. No time but frames_per_s is in it."""

@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.geometry import size_of_points
-from facetrack_cli.core.numbers import document
+from facetrack_cli.core.numbers import csv_text, document
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.rows import places
@@ -188,14 +188,14 @@ class Repetition:
 
     def csv(self) -> str:
         """A row a frame and part: mean centre, standard deviations, the farthest run from the median, runs away."""
-        lines = [",".join(COLUMNS)]
+        rows: list[list[Any]] = []
         for t in range(len(self.spreads[0].frame)):
             for one in self.spreads:
                 if t < len(one.frame):
                     figures = [*one.mean[t], *one.std[t], one.from_median[t]]
                     cells = ["" if np.isnan(value) else f"{value:.3f}" for value in figures]
-                    lines.append(",".join([f"{one.frame[t]}", one.target, one.part, *cells, f"{one.away[:, t].sum()}"]))
-        return "\n".join(lines) + "\n"
+                    rows.append([one.frame[t], one.target, one.part, *cells, one.away[:, t].sum()])
+        return csv_text(COLUMNS, rows)
 
     def json(self) -> str:
         """Everything, per frame too, with the recipe in full."""

@@ -50,9 +50,6 @@ Load: TypeAlias = Callable[[Texts], Recipe]
 """The recipe with these `key=value` put into it; raises RecipeError for a key or value that it refuses."""
 
 
-# --- what is searched ----------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Range:
     """The values of a key: `choices` as `--set` writes them, or numbers from `low` to `high`, in steps of 1 if `whole`.
@@ -124,9 +121,6 @@ def checked(one: Range, load: Load) -> Range:
     return one
 
 
-# --- what it is tried on -------------------------------------------------------------------------------------------
-
-
 class Case(NamedTuple):
     """A clip with where its tracks begin, and its ground truth, if any, with how runs are measured by it."""
 
@@ -177,9 +171,6 @@ def evidence(trajectory: Trajectory) -> float:
     if not known or not all(map(len, known)):
         raise InputError(f"{trajectory.path}: this recipe reports no evidence; tune it by ground truth")
     return float(sum(values.mean() for values in known))
-
-
-# --- the search ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -347,9 +338,6 @@ def _scores(
             for line in (line for run in ended.runs for line in run.warnings):
                 note(line)
     return np.array(values) if len(values) == len(cases) else None
-
-
-# --- texts --------------------------------------------------------------------------------------------------------
 
 
 def sheet(found: Tuning) -> Sheet:

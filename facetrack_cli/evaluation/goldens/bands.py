@@ -121,9 +121,6 @@ class Deviation:
         return f"{q.words} {text(runs)}, band {text(band)}"
 
 
-# --- who a target is -----------------------------------------------------------------------------------------------
-
-
 def last_names(tables: Sequence[Trajectory]) -> dict[str, Counter[str]]:
     """For each target that is named in any run: how many runs end with which name."""
     found: dict[str, Counter[str]] = {}
@@ -139,9 +136,6 @@ def names(tables: Sequence[Trajectory]) -> dict[str, str]:
     return {
         target: min(counts, key=lambda name: (-counts[name], name)) for target, counts in last_names(tables).items()
     }
-
-
-# --- measuring -----------------------------------------------------------------------------------------------------
 
 
 def select_statistics(tables: Sequence[Trajectory], named: Mapping[str, str]) -> list[Statistic]:
@@ -164,8 +158,7 @@ def select_statistics(tables: Sequence[Trajectory], named: Mapping[str, str]) ->
 def measure(tables: Sequence[Trajectory], statistics: Sequence[Statistic], named: Mapping[str, str]) -> Array:
     """(S, F): each run's statistics, nan where a run has no value in a span.
 
-    `named`: the name whose probability is measured, by target. Every table must have the series, and the frames, that
-    the statistics were chosen from.
+    `named`: the name whose probability is measured, by target. Every table must have the series and frames of these.
     """
     rows = []
     for table in tables:
@@ -215,9 +208,6 @@ def _spans(frames: list[int], *, quarters: bool) -> list[tuple[int, int]]:
     edges = [round(i * len(frames) / count) for i in range(count + 1)]
     found = [(frames[a], frames[b - 1]) for a, b in itertools.pairwise(edges)]
     return [*found, *([(frames[0], frames[-1])] if count > 1 else [])]
-
-
-# --- bands ---------------------------------------------------------------------------------------------------------
 
 
 def deterministic(recorded: Array) -> bool:

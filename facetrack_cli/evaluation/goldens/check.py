@@ -134,9 +134,6 @@ def _identities(recorded: Mapping[str, str], tables: Sequence[Trajectory]) -> st
     return "; ".join(found)
 
 
-# --- checking ------------------------------------------------------------------------------------------------------
-
-
 def select(folder: Path, recipes: Sequence[Recipe]) -> list[tuple[Path, Golden]]:
     """The goldens of a folder, only those of these recipes if any are given.
 
@@ -244,9 +241,6 @@ def _other_shape(golden: Golden, table: Trajectory) -> str:
     return ""
 
 
-# --- recording -----------------------------------------------------------------------------------------------------
-
-
 def update(
     folder: Path,
     configs: Sequence[str],
@@ -261,8 +255,7 @@ def update(
     """Record goldens: of every clip with an init file and these recipes, or of those that are there if none is given.
 
     Recipes that recognise take `gallery`; where it is None, their own, or that of the golden that is replaced. Each
-    file is written when its runs have ended, and replaces the one before. Raises InputError where there is nothing to
-    record.
+    file is written when its runs have ended, and replaces the one before. InputError where nothing is to be recorded.
     """
     for config in configs:
         load_recipe(config, installed=False)  # a wrong one is refused before anything runs

@@ -18,8 +18,8 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError
 
 from facetrack_cli import __version__
-from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import MAX_FILE_BYTES, check_readable, digest, write_new
+from facetrack_cli.core.errors import InputError, reading
+from facetrack_cli.core.files import digest, read_bounded, write_new
 from facetrack_cli.core.types import Start
 from facetrack_cli.evaluation.goldens import bands
 from facetrack_cli.evaluation.goldens.bands import RUNS, Band
@@ -56,8 +56,7 @@ class Golden(_Strict):
     """What was recorded, as the file holds it.
 
     `recipe` is a shipped name or a path from the folder of clips; `gallery` that of a recipe that recognises, `names`
-    who each target is, if anybody; `seeds` how many were recorded, from FIRST_SEED; `frames` the first and the last;
-    `parts` are `target/part`.
+    who each target is, if anybody; `seeds` how many, from FIRST_SEED; `frames` first and last; `parts` `target/part`.
     """
 
     schema_: Literal["facetrack-golden"] = Field(alias="schema")
@@ -161,10 +160,8 @@ def versions() -> dict[str, str]:
 def checksum(clip: Path) -> str:
     """SHA-256 of a clip's bytes; of an image folder, of the names and bytes of its images."""
     images = listing(clip)
-    try:
+    with reading(clip, "a golden names it"):
         return digest([clip] if images is None else images, names=images is not None)
-    except OSError as e:
-        raise InputError(f"{clip}: cannot be read: {e.strerror or e}; a golden names it") from e
 
 
 def differences(recorded: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
@@ -200,10 +197,8 @@ def read_golden(path: Path) -> Golden:
     """Raises InputError, in one line, for a file that is no golden of this version."""
     anew = "record it again with facetrack regress --update"
     try:
-        check_readable(path, MAX_FILE_BYTES, "golden")
-        golden = Golden.model_validate_json(path.read_bytes())
-    except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable, or {anew}") from e
+        with reading(path, f"make it readable, or {anew}"):
+            golden = Golden.model_validate_json(read_bounded(path, what="golden"))
     except ValidationError as e:
         first = e.errors(include_url=False)[0]
         place = ".".join(str(step) for step in first["loc"])

@@ -78,9 +78,7 @@ def _curves(curves: Curves, measure: str, title: str, names: tuple[str, str], ma
 def error_over_time_figure(
     frames: Whole, errors: Mapping[str, Array], hidden: Mask, unit: str = "px", *, title: str = "Error over time"
 ) -> Figure:
-    """Median over seeds of `errors` (S, T) in `unit` by label, nan where not known, the band from the 10 to the 90 %
-    quantile; `hidden` (T,) is shaded.
-    """
+    """Median over seeds of `errors` (S, T) in `unit` by label, in a band of 10 to 90 % of them; `hidden` is shaded."""
     with style.style():
         figure, axes, pen = _over_time(frames, list(errors))
         pen.shade(axes, frames, hidden, "hidden", 0.2)

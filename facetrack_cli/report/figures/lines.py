@@ -129,9 +129,7 @@ class Pen:
             self.shade(axes, frame, mask, status, alpha)
 
     def status(self, axes: Axes, lines: Sequence[Line]) -> None:
-        """A row a part, with a diamond where it was given; below it the status in the ground truth. Many have bars
-        only.
-        """
+        """A row a part, a diamond where it was given; below it the status in the ground truth. Many are bars alone."""
         many = len(lines) > MAX_LINES
         truth = not many and any(line.pair is not None for line in lines)
         top, tall = (-0.5, 1.0) if many else (-0.4, 0.44) if truth else (-0.38, 0.76)

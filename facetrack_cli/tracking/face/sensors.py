@@ -9,6 +9,10 @@ With a_t the parts in frame t, in pixels of the stabilized image,
 b is followed by a Kalman filter for each part, the same along x and y; r follows from how far measurements have been
 off (Mehra, IEEE Transactions on Automatic Control 1970). Where somebody has placed the points of the start, a sensor
 may always be off from them by the same (k = 1). A start that was placed by a sensor may itself be wrong: then b fades.
+
+A sensor may take something else for a part, for a while: teeth or the chin for a lip. Whether it does is a chain of two
+states for each part, observed by how far z is from where windows and all sensors together have the part. How often it
+does is learned from the clip.
 """
 
 from __future__ import annotations
@@ -19,19 +23,26 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.types import Array, Mask
-from facetrack_cli.tracking.face.stabilized import EYES, SIDE
+from facetrack_cli.tracking.face.descent import PlacedPoints
+from facetrack_cli.tracking.face.stabilized import EYES
 from facetrack_cli.tracking.models.motion import SensorReading
 
 DRIFT: Final = 0.001 * EYES  # standard deviation of b in a frame, pixels
-REGRESSION, NETWORK, DETECTOR = 0.05 * EYES, 0.01 * EYES, 0.05 * EYES  # the least r of a sensor
+REGRESSION, NETWORK, DETECTOR = 0.05 * EYES, 0.02 * EYES, 0.05 * EYES  # the least r of a sensor
 MAX_NOISE: Final = 0.1 * EYES  # and the greatest
 FADES: Final = 0.98  # k of a start that a sensor has placed
 MISLED: Final = 0.1 * EYES  # r in a face of which a part is hidden: a sensor places all parts together
 LEARNS: Final = 0.02  # share of a measurement in r^2
 SLIP: Final = 0.1 * EYES  # standard deviation of what a head moves in a frame and its box does not
 MAX_SQUARED_DISTANCE: Final = 9.0  # of squared distances, in variances
-SURE: Final = 0.97  # probability that a sensor says something of a part that is visible
-BLIND: Final = 0.1  # ... of a part that is hidden
+SURE: Final = 0.97  # probability that a sensor says something of a part that is visible, before it is learned
+BLIND: Final = 0.1  # its share that is left of a part that is hidden
+ASTRAY: Final = 0.25 * EYES  # standard deviation of z where a sensor takes something else for the part
+AREA: Final = 4 * math.pi * ASTRAY**2  # square pixels
+ENDS: Final = 0.1  # probability a frame that it no longer does
+OFTEN: Final = 0.01  # share of a frame in how often it does
+LIMITS: Final = (0.01, 0.9)  # of that
+TOLD: Final = 4.0  # bound of what a frame says of it, in log odds
 _HIDE, _SHOW = 0.01, 0.05  # probabilities a frame
 _FALSE: Final = 0.1  # probability that a face is found that does not look to the camera
 _TOLD: Final = 4.0  # bound of what is told to the head's filter, in log odds
@@ -39,40 +50,74 @@ _MANY: Final = 50.0  # looks over which it is learned how often a face is found
 
 
 class Sensor(NamedTuple):
-    """b (K, 2), its variance (K,) and r^2 (K,), in the stabilized image; `least` is the least r, and `keep` is k."""
+    """b (K, 2), its variance (K,) and r^2 (K,), in the stabilized image; `least` is the least r, and `keep` is k.
+
+    `right` (K,): P(it sees the parts), and not something else; `wrong` (K,): how often it does not.
+    """
 
     bias: Array
     var: Array
     noise: Array
+    right: Array
+    wrong: Array
     least: float
     keep: float = 1.0
 
     @classmethod
     def begin(cls, z: Array, x0: Array, std: float, least: float, keep: float = 1.0) -> Sensor:
         """After a first measurement z (K, 2) of parts at x0 (K, 2), nan where there is none; `std`: r at first."""
-        known = _known(z)
-        r2 = np.full(len(x0), std**2)
-        return cls(np.where(known[:, None], z - x0, 0.0), np.where(known, r2, MAX_NOISE**2), r2, least, keep)
+        known, ones = _known(z), np.ones(len(x0))
+        bias, var = np.where(known[:, None], z - x0, 0.0), np.where(known, std**2, MAX_NOISE**2)
+        return cls(bias, var, std**2 * ones, SURE * ones, (1 - SURE) * ones, least, keep)
 
     def measured(self, z: Array, visible: Array) -> SensorReading:
         """What z (K, 2) says of parts that are visible with a probability (K,)."""
         known = _known(z)
-        sure = np.where(known, BLIND + (SURE - BLIND) * visible, 0.0)
+        sure = np.where(known, self._right_ahead * (BLIND + (1 - BLIND) * visible), 0.0)
         at = np.where(known[:, None], z - self.keep * self.bias, 0.0)
         noise = self.noise + MISLED**2 * (1 - visible.min())
-        return SensorReading(at, self._ahead + noise, sure, float(SIDE**2) / 4)
+        return SensorReading(at, self._ahead + noise, sure, AREA)
 
-    def learned(self, z: Array, state: Array, cov: Array, visible: Array) -> Sensor:
-        """After z (K, 2), where the filter has the parts at `state` (K, 2), with `cov` (K, 2, 2)."""
+    def learned(
+        self, z: Array, state: Array, cov: Array, visible: Array, told: Array | float = 0.0, cross: Array | float = 0.0
+    ) -> Sensor:
+        """After z (K, 2), where the filter has the parts at `state` (K, 2), with `cov` (K, 2, 2).
+
+        `told` (K,): by how much windows rather see the parts where it says, in log odds. `cross` (K,): its share of the
+        squared distance from an independent sensor, since the filter's state is partly what it has said itself.
+        """
         var, spread, before = self._ahead, 0.5 * np.trace(cov, axis1=1, axis2=2), self.keep * self.bias
         off = z - before - state
         squared = 0.5 * np.sum(off**2, axis=1)
         total = var + self.noise + spread
         use = np.where(np.isfinite(squared) & (squared < MAX_SQUARED_DISTANCE * total), visible * visible.min(), 0.0)
+        far = total + ASTRAY**2
+        evidence = told + np.log(far / total) - squared * (1 / total - 1 / far)
+        ahead = self._right_ahead
+        odds = np.log(ahead / (1 - ahead)) + visible * np.nan_to_num(np.clip(evidence, -TOLD, TOLD))
+        right = 1 / (1 + np.exp(-odds))
+        wrong = np.clip(self.wrong + OFTEN * np.isfinite(squared) * visible * (1 - right - self.wrong), *LIMITS)
+        use = use * right
         gain = use * var / total
-        noise = self.noise + LEARNS * use * (np.nan_to_num(squared) - self.noise)
+        noise = np.clip(
+            self.noise + LEARNS * use * (np.maximum(np.nan_to_num(squared), cross) - self.noise),
+            self.least**2,
+            MAX_NOISE**2,
+        )
         bias = before + gain[:, None] * np.nan_to_num(off)
-        return self._replace(bias=bias, var=(1 - gain) * var, noise=np.clip(noise, self.least**2, MAX_NOISE**2))
+        return self._replace(bias=bias, var=(1 - gain) * var, noise=noise, right=right, wrong=wrong)
+
+    def near(self, others: PlacedPoints, at: Array) -> Array:
+        """The log odds (J,) that `others` are visible, less where it is wrong of the nearest of the parts at (K, 2)."""
+        away = np.hypot(*(others.at[:, None] - at).transpose(2, 0, 1))
+        right = self.right[np.where(np.isnan(away), np.inf, away).argmin(axis=1)]
+        return np.asarray(others.odds + np.minimum(np.log(right / (1 - right)), 0))
+
+    @property
+    def _right_ahead(self) -> Array:
+        """P(it sees the parts) in the next frame."""
+        begins = np.minimum(ENDS * self.wrong / (1 - self.wrong), 1 - ENDS)
+        return np.asarray(self.right * (1 - begins) + (1 - self.right) * ENDS)
 
     @property
     def _ahead(self) -> Array:
@@ -92,7 +137,8 @@ def joined(one: SensorReading, other: SensorReading) -> SensorReading:
 def apart(one: SensorReading, other: SensorReading) -> Mask:
     """(K,): of which parts two sensors cannot both be right."""
     return np.asarray(
-        (other.sure > 0) & (np.sum((one.z - other.z) ** 2, axis=1) > MAX_SQUARED_DISTANCE * (one.var + other.var))
+        (np.minimum(one.sure, other.sure) > 0)
+        & (np.sum((one.z - other.z) ** 2, axis=1) > MAX_SQUARED_DISTANCE * (one.var + other.var))
     )
 
 

@@ -6,9 +6,9 @@ the face hardly moves. What is left to track is expression, and what the head tu
 T is constant, and that filter is the published one (Patras & Pantic, FG 2004). The shape prior is that of the
 stabilized image, so it is registered by the head: translation, scale and roll.
 
-In each frame a sensor places the points in the stabilized image: a regression (`descent.py`), or a network if its file
-is there (`mesh.py`). Windows are exact and may be lost. The sensor is less exact and has no memory. The points' filter
-joins both (`sensors.py`, `models/motion.py`). Further points of the network have no windows (`mesh_points.py`).
+In each frame sensors place the points in the stabilized image: a regression (`descent.py`), and a network if its file
+is there (`mesh.py`). Windows are exact and may be lost. Sensors are less exact and have no memory. The points' filter
+joins all (`sensors.py`, `models/motion.py`). Further points of the network have no windows (`mesh_points.py`).
 
 A detector of faces measures the face's box every so many frames. Of a head that is lost, it is asked as often where in
 the frame faces are; the head's filter compares them with what the first frames showed, and what it recognises is where
@@ -31,25 +31,39 @@ from facetrack_cli.core.types import BOX, Array, Frame, Mask, TargetStart
 from facetrack_cli.recipe.face import Head
 from facetrack_cli.tracking.calibration import Calibration
 from facetrack_cli.tracking.face import stabilized
-from facetrack_cli.tracking.face.found_again import NEW, STAYS, Sighting, kept, likeness, look_of, recognised, sighted
+from facetrack_cli.tracking.face.evidence import (
+    HEAD,
+    MAYBE,
+    NEW,
+    STAYS,
+    SURE,
+    Sighting,
+    by_looks,
+    by_place,
+    kept,
+    likeness,
+    look_of,
+    probabilities,
+)
 from facetrack_cli.tracking.face.mesh_points import NO_FACE, MeshPoints
 from facetrack_cli.tracking.face.senses import Senses
-from facetrack_cli.tracking.face.sensors import Facing, apart, common_shift, joined
+from facetrack_cli.tracking.face.sensors import AREA, TOLD, Facing, apart, common_shift, joined
 from facetrack_cli.tracking.face.stabilized import EYES, FACE, Similarity
 from facetrack_cli.tracking.face.state import FaceState, View, shifted, sure_of, updated
 from facetrack_cli.tracking.loop import Footprint
 from facetrack_cli.tracking.models.likelihoods import window_ncc
-from facetrack_cli.tracking.models.motion import JumpingWalk
+from facetrack_cli.tracking.models.motion import JumpingWalk, SensorReading
+from facetrack_cli.tracking.models.spaces import Estimate
 from facetrack_cli.tracking.people.looks import Picture
 from facetrack_cli.tracking.roles import Names
 from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.tracking.target import ParticleState, ParticleTarget
-from facetrack_cli.trajectory.diagnostics import EVIDENCE, ROLL, SCALE, Diagnostics
+from facetrack_cli.trajectory.diagnostics import EVIDENCE, NETWORK, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, of_frame
 from facetrack_cli.video.shots import Passing, small
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
-SOMEBODY_ELSE: Final = -2.0  # log odds that a face is the target, below which it is no longer followed
+COMPANY: Final = 2  # looks at several faces, from which the clip has shown somebody else
 LOOK: Final = 3  # frames from one look of the head's filter to the next, where the points are seen in between
 EASY: Final = 8.0  # log odds that the points are seen where they are
 DOUBT: Final = 8.0  # log odds, below which the detector looks at once
@@ -59,6 +73,7 @@ _FACES: Final = 4  # that are compared with the one that is lost
 # standard deviations of the pose in a frame, of that by a detected box, and of that by parts left and right
 _POSE: Final = np.array([math.radians(1.5), 0.012, 0.004, 0.004])
 _BY_BOX: Final = np.array([np.inf, 0.15, 0.1, 0.1])
+_BY_EYES: Final = 0.06  # of its size, where the detector sees the eyes
 _BY_PAIRS: Final = np.array([math.radians(3), np.inf, np.inf, np.inf])
 
 
@@ -96,13 +111,13 @@ class FaceTarget:
         seen = similarity.read(frame)
         features, points = self.features.begin(rng, seen)
         facing, found = Facing(), self.senses.detected(seen)
-        sensor, second, others = self.senses.begin(frame, similarity, seen, found, self.features.x0)
+        sensors, others = self.senses.begin(frame, similarity, seen, found, self.features.x0)
         if self.senses.detector is not None and not self.senses.searched and found is None:
             facing = facing.unseen()
         points = points._replace(beliefs=None)
         state = FaceState(
-            head, features, points, sensor, second, facing, self.pose, np.zeros(4), others, (look_of(seen),),
-            (self._picture(frame, similarity),), Passing(small(frame)),
+            head, features, points, sensors, facing, self.pose, np.zeros(4), others, (look_of(seen),),
+            (self._picture(frame, similarity),), similarity, Passing((small(frame),)),
         )  # fmt: skip
         return state, self._result(state, box, frame)
 
@@ -130,45 +145,59 @@ class FaceTarget:
         seen, there = similarity.read(frame), TargetStart(points=moved)
         features, rows = self.features.restart(rng, seen, first.features, there, absent, anew)
         found, at = self.senses.detected(seen), features.estimated.state
-        sensor, second, others = self.senses.begin(frame, similarity, seen, found, at)
+        sensors, others = self.senses.begin(frame, similarity, seen, found, at)
         points = rows._replace(beliefs=None)
         state = FaceState(
-            head, features, points, sensor, second, Facing(), pose, np.zeros(4), others, first.looks, first.pictures,
-            Passing(small(frame)),
+            head, features, points, sensors, Facing(), pose, np.zeros(4), others, first.looks, first.pictures,
+            similarity, Passing((small(frame),)),
         )  # fmt: skip
         return state, self._result(state, boxed, frame)
 
     def advance(
         self, rng: Generator, state: FaceState, frame: Frame, footprints: Sequence[Footprint] = ()
     ) -> tuple[FaceState, TargetResult]:
-        state, detections = replace(state, frames=state.frames + 1), self.settings.detections
-        if self.alone and self.senses.detector is not None and detections is not None:
-            passing, cut = state.passing.after(frame)
-            state = replace(state, passing=passing, cut=state.cut or (cut and not self._stays(state, frame)))
-            if state.cut:
-                state = replace(state, film=True)
-                if (cut or state.frames % detections.every == 0) and (face := self._recognised(state, frame)):
-                    return self._returned(rng, replace(state, cut=False), face, frame)
-                head, box = self.head.unseen(rng, state.head, frame)
-                state = replace(state, head=head, sighting=None, sure=_FORGETS * state.sure)
-                return state, self._result(state, box, frame)
-        due, shown = False, sure_of(state.head) >= self.settings.lost_below
-        if self.senses.detector is not None and detections is not None:
-            due = state.frames % detections.every == 0 or (shown and state.sure <= DOUBT)
+        state = replace(state, frames=state.frames + 1)
+        if not self._searches:
+            return self._step(rng, state, frame, footprints)
+        passing, event = state.passing.after(frame)
+        cut = {"": state.cut, "none": None}.get(event, frame.time_s)
+        state = replace(state, passing=passing, cut=cut)
+        if cut is None or frame.time_s - cut <= STAYS:
+            after, result = self._step(rng, state, frame, footprints)
+            if cut is None or after.cut is None or self._stays(after, frame):
+                return replace(after, cut=None), result
+        if event or self._is_due(state):
+            state = self._sighted(state, frame)
+            if (seen := state.sighting) is not None and seen.is_target(frame):
+                return self._returned(rng, state, seen, frame)
+        head, box = self.head.unseen(rng, state.head, frame, anywhere=frame.time_s - cut > STAYS)
+        state = replace(state, head=head, sure=_FORGETS * state.sure)
+        return state, self._result(state, box, frame)
+
+    @cached_property
+    def _searches(self) -> bool:
+        """Whether a detector looks for the face anywhere in the frame while it is lost."""
+        return self.alone and self.senses.detector is not None and self.settings.detections is not None
+
+    def _is_due(self, state: FaceState) -> bool:
+        detections = self.settings.detections
+        return self.senses.detector is not None and detections is not None and state.frames % detections.every == 0
+
+    def _step(
+        self, rng: Generator, state: FaceState, frame: Frame, footprints: Sequence[Footprint]
+    ) -> tuple[FaceState, TargetResult]:
+        """A frame later, in the same scene."""
+        shown = sure_of(state.head) >= self.settings.lost_below
+        due = self._is_due(state)
+        if self.senses.detector is not None and self.settings.detections is not None:
+            due |= shown and state.sure <= DOUBT
         if shown and state.sure >= EASY and state.frames % LOOK:
             view = self._view(state, self.head.motion.expect(state.head.estimated.state[None])[0], frame, due=due)
             if view.parts.sure >= EASY and math.hypot(*view.shift) < STEADY:
                 return self._followed(rng, state, view, frame, None)
         if due and not shown and self.alone:
             state = self._sighted(state, frame)
-            if state.film:
-                if face := self._recognised(state, frame):
-                    return self._returned(rng, replace(state, sighting=None), face, frame)
-            elif (
-                (seen := state.sighting) is not None
-                and frame.time_s - seen.since >= STAYS
-                and self._gone(state.head, seen)
-            ):
+            if (seen := state.sighting) is not None and seen.is_target(frame):
                 return self._returned(rng, state, seen, frame)
         told = 0.0 if state.sighting is not None else state.facing.odds(state.sure)
         before = replace(state.head, learned=state.head.learned._replace(told=told))
@@ -180,18 +209,12 @@ class FaceTarget:
         return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=due), frame, box)
 
     def _stays(self, state: FaceState, frame: Frame) -> bool:
-        """Whether the face is seen where it is expected, in a frame that differs much from the last."""
-        if sure_of(state.head) < self.settings.lost_below:
+        """Whether what is followed, after what may be a cut, is the face of before."""
+        if sure_of(state.head) < self.settings.lost_below or state.sure <= 0:
             return False
-        view = self._view(state, self.head.motion.expect(state.head.estimated.state[None])[0], frame, due=False)
-        return view.parts.sure > 0 and recognised(state.pictures, [view.similarity], frame) is not None
-
-    def _recognised(self, state: FaceState, frame: Frame) -> Sighting | None:
-        """The face, among those that the detector sees anywhere in the frame."""
-        assert self.senses.detector is not None
-        faces = [Sighting.of(one, frame) for one in self.senses.detector.find(frame)[:_FACES]]
-        best = recognised(state.pictures, [one.similarity() for one in faces], frame)
-        return None if best is None else faces[best]
+        looks = by_looks(state.pictures, [self._map(state.head.estimated.state, state.pose)], frame)
+        [p] = probabilities(looks, np.array([HEAD]), cut=True, company=state.several >= COMPANY)
+        return bool(p > 0.5)
 
     def _picture(self, frame: Frame, face: Similarity) -> Picture:
         return Picture.of(frame, face._replace(scale=face.scale * FACE))
@@ -205,45 +228,54 @@ class FaceTarget:
         around, told = [before.mean(axis=0)], np.isfinite(z2).all(axis=1)
         if told.any():
             around.append((before + (z2 - before)[told].mean(axis=0)).mean(axis=0))
-        sensed, visible = self.senses.sensed(frame, similarity, seen, around), self._visible(state.features)
-        measured, agree = state.sensor.measured(sensed.parts.at, visible), True
-        upright = np.where(measured.sure[:, None] > 0, measured.z, np.nan)
-        if found is not None:
-            second = state.second.measured(z2, visible)
-            agree, measured = not apart(measured, second).any(), joined(measured, second)
-        shift, sure = common_shift(measured, before), sensed.parts.sure if agree else 0.0
-        return View(similarity, seen, due, found, z2, *sensed, measured, upright, shift, sure)
+        (parts, network, others), visible = (
+            self.senses.sensed(frame, similarity, seen, around),
+            self._visible(state.features),
+        )
+        places = parts.at, z2, network
+        measured = tuple(one.measured(z, visible) for one, z in zip(state.sensors, places, strict=True))
+        first, second = joined(measured[0], measured[2]), measured[1]
+        upright = np.where(first.sure[:, None] > 0, first.z, np.nan)
+        shift, sure = common_shift(joined(first, second), before), 0.0 if apart(first, second).any() else parts.sure
+        return View(similarity, seen, due, found, parts, others, places, measured, upright, shift, sure)
 
     def _followed(
         self, rng: Generator, state: FaceState, view: View, frame: Frame, box: TargetResult | None
     ) -> tuple[FaceState, TargetResult]:
         """The points in a frame of which there is a `view`; a head without a `box` goes with them."""
-        (z, odds), features, shift = view.parts, state.features, view.shift
+        odds, features, shift = view.parts.odds, state.features, view.shift
         if isinstance(features.learned, window_ncc.WindowState):
             features = replace(features, learned=features.learned._replace(told=odds))
         features = shifted(features, lambda x: x + shift)
         given = view.measured if isinstance(self.features.motion, JumpingWalk) else None  # others have the shift alone
         features, points = self.features.advance(rng, features, view.seen, (), given)
         estimated, visible = features.estimated, self._visible(features)
-        sensor = state.sensor.learned(z, estimated.state, estimated.cov, visible)
-        second = state.second.learned(view.z2, estimated.state, estimated.cov, visible)
+        told = self._rather(state.features, view, estimated)
+        regression, _, network = view.measured
+        off = np.sum((network.z - regression.z) ** 2, axis=1)
+        cross = np.where((network.sure > 0) & ~apart(network, regression), 0.25 * off, 0.0)
+        each = zip(state.sensors, view.places, told, (cross, 0.0, cross), strict=True)
+        sensors = tuple(one.learned(z, estimated.state, estimated.cov, visible, *more) for one, z, *more in each)
         points = points._replace(beliefs=None)  # those are of the state
         facing = state.facing if self.senses.detector is None else state.facing.predicted()
         others, far, similarity, head = state.others, view.others, view.similarity, state.head
         if others is not None:
-            others = others.after(None, NO_FACE) if far is None else others.after(*far)
+            others = (
+                others.after(None, NO_FACE)
+                if far is None
+                else others.after(far.at, sensors[2].near(far, view.places[2]))
+            )
         elif far is not None:
             others = MeshPoints.begin(far.at)
         if box is None:
             head, box = self.head.carried(rng, head, frame, similarity.matrix @ shift)
         state = replace(
-            state, head=head, features=features, points=points, sensor=sensor, second=second, facing=facing,
-            others=others, sure=view.sure,
+            state, head=head, features=features, points=points, sensors=sensors, facing=facing, others=others,
+            sure=view.sure,
         )  # fmt: skip
-        if view.found is not None and view.sure >= EASY and likeness(state.looks, look := look_of(view.seen)) < NEW:
-            if state.film and recognised(state.pictures, [similarity], frame, SOMEBODY_ELSE) is None:
-                state = replace(state, cut=True)
-            else:
+        if view.found is not None and view.sure >= EASY and state.cut is None:
+            state = replace(state, seen=similarity)
+            if likeness(state.looks, look := look_of(view.seen)) < NEW:
                 picture = self._picture(frame, similarity)
                 state = replace(state, looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
         state = self._moved(self._posed(state, view), similarity)
@@ -254,6 +286,22 @@ class FaceTarget:
         known = isinstance(features.learned, window_ncc.WindowState)
         return np.asarray(features.learned.visible if known else np.ones(len(self.features.parts)))
 
+    def _rather(self, features: ParticleState, view: View, found: Estimate) -> Array:
+        """(S, K): by how much windows see parts rather where a sensor says than where others or the estimate are.
+
+        In log odds; 0 where they are not apart.
+        """
+        likelihood, own, each = self.features.likelihood, found.state, view.measured
+        told, var = np.zeros((len(each), len(own))), 0.5 * np.trace(found.cov, axis1=1, axis2=2)
+        places = *each, SensorReading(own, var, np.ones(len(own)), AREA)
+        differ = {(i, j): apart(places[i], places[j]) for i in range(len(each)) for j in range(len(places)) if i != j}
+        if isinstance(likelihood, window_ncc.WindowNcc) and any(one.any() for one in differ.values()):
+            learned = likelihood.look(features.learned, view.seen, own)
+            score = likelihood.score(learned, view.seen, np.stack([one.z for one in places]), own)
+            for (i, j), those in differ.items():
+                told[i] += np.where(those, np.clip(score[i] - score[j], -TOLD, TOLD), 0)
+        return told
+
     def _map(self, head: Array, pose: Array) -> Similarity:
         """Of the face that lies so in a head at `head` (1, D)."""
         x, y, scale = head[0, :3].tolist()
@@ -261,25 +309,32 @@ class FaceTarget:
         return Similarity(middle, self.side * scale * math.exp(pose[1]) / FACE, float(pose[0]))
 
     def _sighted(self, state: FaceState, frame: Frame) -> FaceState:
-        """The state of a face that is lost, with the places where a detector sees faces."""
-        assert self.senses.detector is not None
-        faces, pose = self.senses.detector.find(frame)[:_FACES], state.pose
+        """The state of a face that is lost, with the places where a detector sees faces, and the likeliest of them."""
+        here, pose = self._map(state.head.estimated.state, state.pose), state.pose
+        faces = self.senses.faces(frame, here)[:_FACES]
         places = tuple(
             np.array([*(np.array(centre(one.box)) - one.box[2] * pose[2:]), math.log(one.box[2] / self.side)])
             for one in faces
         )
+        state = replace(state, several=state.several + (len(faces) > 1))
+        seen = [Sighting.of(one, frame) for one in faces]
+        if seen:
+            lie = [one.similarity for one in seen]
+            cut, looks = state.cut is not None, by_looks(state.pictures, lie, frame)
+            place = by_place(state.seen, lie, covered=self._is_covered(state.head)) * (not cut)
+            p = probabilities(looks, place, cut=cut, company=state.several >= COMPANY)
+            best = int(p.argmax())
+            found = seen[best]._replace(p=float(p[best]), by_looks=float(looks[best])).after(state.sighting)
+        sighting = found if seen and found.p > MAYBE else None
+        facing = state.facing.looked(found=False) if sighting is None else state.facing
         head = replace(state.head, learned=state.head.learned._replace(sighted=places))
-        seen = sighted(state.sighting, faces, frame, state.looks)
-        facing = state.facing.looked(found=False) if seen is None else state.facing
-        return replace(state, head=head, sighting=seen, facing=facing)
+        return replace(state, head=head, sighting=sighting, facing=facing)
 
-    def _gone(self, head: ParticleState, seen: Sighting) -> bool:
-        """Whether a head that is lost may be where a face is seen: there, or no longer known to be covered."""
+    def _is_covered(self, head: ParticleState) -> bool:
+        """Whether a head that is not seen is held to be where it was."""
         middle, half = head.estimated.state[0, :2], 0.5 * self.head.space.windows(head.estimated)[0]
-        if (np.abs(np.array(centre(seen.box)) - middle) < half).all():
-            return True
         near = (np.abs(head.particles.x[:, 0, :2] - middle) < half).all(axis=1)
-        return float(np.exp(head.particles.log_w) @ near) < 0.5
+        return float(np.exp(head.particles.log_w) @ near) >= 0.5
 
     def _returned(
         self, rng: Generator, state: FaceState, seen: Sighting, frame: Frame
@@ -289,8 +344,13 @@ class FaceTarget:
         middle = np.array(centre(seen.box)) - side * state.pose[2:]
         head, boxed = self.head.restart(rng, frame, state.head, TargetStart(square(middle, side)))
         pose, rest = np.array([seen.roll, *state.pose[1:]]), self.features.x0
+        if seen.p < SURE:
+            doubt = (
+                f"from frame {frame.index} on the face may be another one than before (probability {1 - seen.p:.2f})"
+            )
+            boxed = boxed._replace(notes=(*boxed.notes, doubt))
         features = shifted(state.features, lambda x: x + (rest - state.features.estimated.state))
-        state = replace(state, head=head, features=features, pose=pose, facing=Facing(), sighting=None)
+        state = replace(state, head=head, features=features, pose=pose, facing=Facing(), sighting=None, cut=None)
         return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=True), frame, boxed)
 
     def _posed(self, state: FaceState, view: View) -> FaceState:
@@ -310,7 +370,8 @@ class FaceTarget:
             box = view.found.box
             # how the detected face lies in the head's box, along the axes of the frame
             lies = Similarity(np.zeros(2), math.exp(pose[1]) / FACE, float(pose[0])).to_frame(np.array(centre(box)))
-            pose, var = updated(pose, var, np.array([0.0, math.log(box[2] / FACE), *lies]), _BY_BOX)
+            std = _BY_BOX if view.found.eyes is None else np.array([np.inf, _BY_EYES, *_BY_BOX[2:]])
+            pose, var = updated(pose, var, np.array([0.0, math.log(box[2] / FACE), *lies]), std)
         return replace(state, pose=pose, pose_var=var)
 
     def _moved(self, state: FaceState, old: Similarity) -> FaceState:
@@ -321,19 +382,19 @@ class FaceTarget:
             return new.to_stabilized(old.to_frame(x))
 
         origin = moved(np.zeros(2))
-        sensor, second = (one._replace(bias=moved(one.bias) - origin) for one in (state.sensor, state.second))
+        sensors = tuple(one._replace(bias=moved(one.bias) - origin) for one in state.sensors)
         others = state.others and state.others.mapped(moved)
         x, y = moved(np.stack([rows.x, rows.y], axis=1)).T
         points = state.points._replace(rows=replace(rows, x=x, y=y), cloud=moved(state.points.cloud))
         features = shifted(state.features, moved)
-        return replace(state, features=features, points=points, sensor=sensor, second=second, others=others)
+        return replace(state, features=features, points=points, sensors=sensors, others=others)
 
     def footprint(self, state: FaceState, *, ahead: bool) -> Footprint | None:
         return self.head.footprint(state.head, ahead=ahead)
 
     @property
     def diagnostics(self) -> tuple[Any, ...]:
-        return SCALE, ROLL, EVIDENCE
+        return (SCALE, ROLL, EVIDENCE) if self.senses.mesh is None else (SCALE, ROLL, EVIDENCE, NETWORK)
 
     def _result(self, state: FaceState, box: TargetResult, frame: Frame) -> TargetResult:
         """Rows of the points, as last seen in the stabilized image, of the box, and of the network's points."""
@@ -373,6 +434,7 @@ class FaceTarget:
         # both likelihoods are ratios, which are 1 where the head is lost and nothing is compared
         seen = [one for one in (box.rows, rows) if one.frame[0] == frame.index]
         values[EVIDENCE.name] = sum(float(one.diagnostics[self.name].get(EVIDENCE.name)[0]) for one in seen)
+        values[NETWORK.name] = float(state.sensors[2].right.mean())
         found = {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
         faces = of_frame(self._names, frame, found, **columns)
         unseen = faces.unseen
@@ -439,7 +501,7 @@ class FaceTarget:
 
     def _face(self, row: Trajectory, face: Similarity) -> dict[str, Array]:
         """Columns of the head's box: it is where the face is in it, as large as that, and turned by its roll."""
-        roll, grown = face.angle, face.scale * FACE / np.sqrt(row.w * row.h)
+        roll, grown = math.remainder(face.angle, math.tau), face.scale * FACE / np.sqrt(row.w * row.h)
         found = {name: getattr(row, name) * grown for name in ("w", "h", "std_w", "std_h")}
         found |= {"x": face.centre[:1], "y": face.centre[1:], "angle": np.array([math.degrees(roll)])}
         way = np.array([[math.cos(roll), -math.sin(roll), math.sin(roll), math.cos(roll)]])

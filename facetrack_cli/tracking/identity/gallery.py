@@ -19,7 +19,6 @@ What we take the paper to mean, and what is ours:
 
 from __future__ import annotations
 
-import unicodedata
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -29,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.npz import Kind, Stored
-from facetrack_cli.core.types import Array
+from facetrack_cli.core.types import Array, checked_name
 from facetrack_cli.tracking.identity.subspaces import Rows, Subspace
 from facetrack_cli.tracking.resampling import logsumexp
 
@@ -169,10 +168,10 @@ def logistic(score: Array, slope: float, offset: float) -> Array:
 
 def name_problem(name: str) -> str | None:
     """Why a person cannot be called this, or None."""
-    if not name or any(unicodedata.category(letter) in ("Cc", "Cs") for letter in name):
-        return f"{name!r} is no name of a person: it is empty, or has letters that cannot be written"
-    if len(name) > 1000:
-        return f"{name[:20]!r}... has {len(name)} letters, and a name of a person at most 1000"
+    try:
+        checked_name(name)
+    except ValueError as e:
+        return str(e)
     if name.strip().casefold() == NONE:
         return f"{name!r} stands for nobody of the gallery, and is no name of a person"
     return None

@@ -63,7 +63,11 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "mixture.greys": ("f4:1", _LOOKS),
     "windows.extent": ("f8:3 f8", f"{_COLOURS} likelihood=skin"),
 }
-_SECOND = "import json, sys; sys.path[:], names = json.loads(sys.argv[1]); from {0} import *; compile_kernels(names)"
+_SECOND = """import json, os, stat, sys; from threading import Thread  # its input ends with the process that began it
+if stat.S_ISFIFO(os.fstat(0).st_mode): Thread(target=lambda: os._exit(len(os.read(0, 1))), daemon=True).start()
+sys.path[:], names = json.loads(sys.argv[1])
+from {0} import *
+compile_kernels(names)"""
 
 
 def kernel(name: str) -> Any:
@@ -121,7 +125,7 @@ class Precompiler:
             with contextlib.suppress(OSError):
                 self._process = subprocess.Popen(
                     [sys.executable, "-c", _SECOND.format(__name__), order],
-                    stdin=nowhere,
+                    stdin=subprocess.PIPE,
                     stdout=nowhere,
                     stderr=nowhere,
                 )
@@ -136,7 +140,7 @@ class Precompiler:
     def __exit__(self, *_: object) -> None:
         if self._process is not None:
             self._process.kill()
-            self._process.wait()
+            self._process.communicate()
 
 
 def compile_kernels(

@@ -1,8 +1,11 @@
 """Motion models: how a particle moves from one frame to the next, and the density of that move."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -12,6 +15,8 @@ from facetrack_cli.tracking.guides import Arrived
 from facetrack_cli.tracking.kernels.affine import diffuse
 from facetrack_cli.tracking.kernels.walk import arrive
 from facetrack_cli.tracking.models.spaces import VISIBLE, Context
+
+ANY: Final = 0.3  # share of draws that do not follow what a sensor and the last place make likely
 
 
 class Linear(NamedTuple):
@@ -67,14 +72,39 @@ class SensorReading(NamedTuple):
     area: float
 
 
+def _proposed(log_p: Array) -> Array:
+    """How often components (C, N, K) are drawn: the likely ones, and any, whose place windows may prefer."""
+    p = np.exp(log_p - log_p.max(axis=0))
+    return np.asarray((1 - ANY) * p / p.sum(axis=0) + ANY / len(p))
+
+
+def _log_sum(values: Array) -> Array:
+    highest = values.max(axis=0)
+    return np.asarray(highest + np.log(np.exp(values - highest).sum(axis=0)))
+
+
+def _modes(measured: Sequence[SensorReading], parts: int) -> tuple[Array, Array, Array]:
+    """p(z | a) as sum_m exp(w_m - p_m |a - z_m|^2 / 2), a mode for each set of sensors that say something."""
+    z, p, w = np.zeros((1, parts, 2)), np.zeros((1, parts)), np.zeros((1, parts))
+    for one in (each for each in measured if each.sure.any()):
+        sure, new = np.clip(one.sure, 1e-6, 1 - 1e-6), 1 / one.var
+        total = p + new
+        apart = np.sum((one.z - z) ** 2, axis=2) * p * new / total
+        z = np.concatenate([(p[..., None] * z + new[:, None] * one.z) / total[..., None], z])
+        p = np.concatenate([total, p])
+        says = w + np.log(sure) - 0.5 * apart - np.log(2 * np.pi * one.var)
+        w = np.concatenate([says, w + np.log1p(-sure) - np.log(one.area)])
+    return z, p, w
+
+
 @dataclass(frozen=True)
 class JumpingWalk:
     """A random walk with heavy tails around `rest` (K, 2) (ours; see the recipe's section).
 
     p(a | a^-) = (1 - jumps) N(m, sigma^2 I) + jumps N(m, jump^2 I), m = rest + keep (a^- - rest); `sigma` (K,) and
-    `jump` (K,) in pixels. Where a sensor has measured the parts, particles are drawn from p(a | a^-, z), which is a
-    mixture of normal densities, and weighted by p(z | a^-): the proposal of least variance (Doucet, Godsill & Andrieu,
-    Statistics and Computing 2000).
+    `jump` (K,) in pixels. Where sensors have measured the parts, p(a, z | a^-) is a mixture of normal densities, as
+    each sensor may say nothing. Most particles are drawn from p(a | a^-, z), the proposal of least variance (Doucet,
+    Godsill & Andrieu, Statistics and Computing 2000), and a share evenly from the components.
     """
 
     sigma: Array
@@ -92,32 +122,34 @@ class JumpingWalk:
         step = np.where(rng.random(x.shape[:2]) < self.jumps, self.jump, self.sigma)
         return np.asarray(self.expect(x) + step[..., None] * rng.standard_normal(x.shape))
 
-    def propagate_given(self, rng: np.random.Generator, x: Array, measured: SensorReading) -> Array:
-        """x (N, K, 2) moved by one frame, given what was measured in it."""
-        mean, log_p = self.expect(x), self._components(x, measured)
-        p = np.exp(log_p - log_p.max(axis=0))
-        below = np.cumsum(p, axis=0) / p.sum(axis=0)
-        chosen = (rng.random(x.shape[:2]) > below[:-1]).sum(axis=0)  # step or jump, and whether z says something
-        var = np.where(chosen % 2, self.jump, self.sigma) ** 2
-        gain = np.where(chosen < 2, var / (var + measured.var), 0.0)
-        noise = np.sqrt((1 - gain) * var)[..., None] * rng.standard_normal(x.shape)
-        return np.asarray(mean + gain[..., None] * (measured.z - mean) + noise)
+    def propagate_given(self, rng: np.random.Generator, x: Array, measured: Sequence[SensorReading]) -> Array:
+        """x (N, K, 2) moved by one frame, given what sensors measured in it."""
+        mean, var, log_p = self._components(x, measured)
+        below = np.cumsum(_proposed(log_p), axis=0)
+        chosen = (rng.random(x.shape[:2]) > below[:-1]).sum(axis=0), *np.indices(x.shape[:2])
+        return np.asarray(
+            mean[chosen] + np.sqrt(var[chosen[0], 0, chosen[2]])[..., None] * rng.standard_normal(x.shape)
+        )
 
-    def log_measured(self, x: Array, measured: SensorReading) -> Array:
-        """log p(z | a^-) of each part, x (N, K, 2) -> (N, K)."""
-        log_p = self._components(x, measured)
-        highest = log_p.max(axis=0)
-        return np.asarray(highest + np.log(np.exp(log_p - highest).sum(axis=0)))
+    def log_measured(self, x: Array, parents: Array, measured: Sequence[SensorReading]) -> Array:
+        """log of p(x, z | a^-) of each part over the density by which x was drawn; x, parents (N, K, 2) -> (N, K)."""
+        mean, var, log_p = self._components(parents, measured)
+        log_n = -0.5 * np.sum((x - mean) ** 2, axis=3) / var - np.log(2 * np.pi * var)
+        return np.asarray(_log_sum(log_p + log_n) - _log_sum(np.log(_proposed(log_p)) + log_n))
 
-    def _components(self, x: Array, measured: SensorReading) -> Array:
-        """(4, N, K): of a step and of a jump, log p(z and that | a^-); the same where z says nothing."""
-        squared = np.sum((measured.z - self.expect(x)) ** 2, axis=2)
-        share = np.array([max(1 - self.jumps, 1e-12), max(self.jumps, 1e-12)])
-        var = np.stack([self.sigma**2, self.jump**2]) + measured.var  # (2, K)
-        log_n = -0.5 * squared / var[:, None] - np.log(2 * np.pi * var)[:, None]
-        sure = np.clip(measured.sure, 1e-6, 1 - 1e-6)
-        blind = np.broadcast_to(np.log1p(-sure) - np.log(measured.area), log_n.shape)
-        return np.asarray(np.concatenate([np.log(sure) + log_n, blind]) + np.log(np.tile(share, 2))[:, None, None])
+    def _components(self, x: Array, measured: Sequence[SensorReading]) -> tuple[Array, Array, Array]:
+        """Means (C, N, K, 2) and variances (C, 1, K) of a part, log p(z and this | a^-) (C, N, K).
+
+        For each set of sensors that say something, with a step and with a jump.
+        """
+        rest = self.expect(x)
+        z, precision, w = _modes(measured, x.shape[1])
+        z, precision, w = (np.repeat(one, 2, axis=0)[:, None] for one in (z, precision, w))
+        var = np.tile(np.stack([self.sigma**2, self.jump**2]), (len(z) // 2, 1))[:, None]
+        share = np.tile(np.log([max(1 - self.jumps, 1e-12), max(self.jumps, 1e-12)]), len(z) // 2)[:, None, None]
+        wider, off = 1 + var * precision, z - rest
+        log_p = w + share - 0.5 * np.sum(off**2, axis=3) * precision / wider - np.log(wider)
+        return rest + (1 - 1 / wider)[..., None] * off, var / wider, log_p
 
     def log_transition(self, x: Array, parents: Array) -> Array:
         """log p(x_n | parents_m) of each part: x (N, K, 2), parents (M, K, 2) -> (N, M, K)."""

@@ -21,8 +21,9 @@ import numpy as np
 
 from facetrack_cli.core.geometry import share_inside, shown_angle
 from facetrack_cli.core.npz import Kind, Stored
-from facetrack_cli.core.types import Array, Frame, Image
-from facetrack_cli.tracking.face.stabilized import Similarity
+from facetrack_cli.core.types import Array, Frame, Image, checked_name
+from facetrack_cli.tracking.face.stabilized import BOX, FACE, Similarity
+from facetrack_cli.tracking.start.detectors import Detector
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 VIEWS: Final = 8  # frames of a track that are looked at
@@ -34,12 +35,16 @@ STILL_SIDES: Final = 2.2  # of the face's box in the picture of a person
 STILL_PX: Final = 240
 MODEL: Final = "dlib_face_recognition_resnet_model_v1.dat"
 _BINS: Final = 6  # of each colour of what is worn
+_SHARP: Final = (0.09, 0.17)  # shares of fine details of a face that cannot be told from others, and of one that can
+_SCORE: Final = (0.75, 0.9)  # the same of the detector's score
+FACE_SCORE: Final = 0.65  # mean of the detector's score over the better half of the views of a face, at least
 
 
 class Looks(NamedTuple):
     """What M views of a face show: `face` (M, 576), grey without mean and of unit norm; `skin`, `hair` (M, 3) in Lab.
 
-    `worn` (M, 36), a histogram of colours; `embedding` (M, 128), or (M, 0) without dlib.
+    `worn` (M, 36), a histogram of colours; `embedding` (M, 128), or (M, 0) without dlib. `worth` (M, 1): how much of a
+    face can be told from it, 0..1.
     """
 
     face: Array
@@ -47,6 +52,7 @@ class Looks(NamedTuple):
     hair: Array
     worn: Array
     embedding: Array
+    worth: Array
 
 
 @dataclass(frozen=True)
@@ -65,7 +71,7 @@ class Picture:
     @cached_property
     def looks(self) -> Looks:
         """Of this one view."""
-        each = _face(self.chip), *_colours(self.wide), embedded(self.chip)
+        each = _face(self.chip), *_colours(self.wide), embedded(self.chip), np.array([_sharp(self.chip)])
         return Looks(*(one[None] for one in each))
 
 
@@ -91,13 +97,15 @@ def load_people(path: Path) -> dict[str, Looks]:
 
 def _people(stored: Stored) -> dict[str, Looks]:
     names, which = stored.texts("names"), np.array(stored.whole("which"))
-    every = Looks(*(stored.reals(name, 2) for name in Looks._fields))
+    *first, last = Looks._fields  # a file of an earlier version has no worth
+    ones = stored.reals(last, 2) if last in stored else np.ones((len(which), 1))
+    every = Looks._make([*(stored.reals(name, 2) for name in first), ones])
     sizes = {len(values) for values in every} | {len(which)}
     if len(sizes) > 1 or set(which.tolist()) != set(range(len(names))) or len(set(names)) < len(names):
         raise ValueError("its arrays do not belong together")
     if [one.shape[1] for one in every[:4]] != [FACE_PX**2, 3, 3, _BINS**2] or every.embedding.shape[1] not in (0, 128):
         raise ValueError("its faces have another size than this facetrack reads")
-    return {name: Looks(*(values[which == k] for values in every)) for k, name in enumerate(names)}
+    return {checked_name(name): Looks(*(values[which == k] for values in every)) for k, name in enumerate(names)}
 
 
 class View(NamedTuple):
@@ -131,7 +139,9 @@ def views_of(box: Trajectory) -> list[View]:
 class Reader:
     """Looks at views of one track, in the order of their frames."""
 
-    def __init__(self) -> None:
+    def __init__(self, detector: Detector) -> None:
+        self._detector = detector
+        self.scores: list[float] = []  # of the detector, in each view; 0 where it sees no face
         self._seen: list[Looks] = []
         self._places: list[Image] = []
         self._first: Similarity | None = None
@@ -140,7 +150,10 @@ class Reader:
     def see(self, frame: Frame, view: View) -> None:
         """Take in the view of a frame."""
         picture = Picture.of(frame, view.face)
-        self._seen.append(picture.looks)
+        upright = view.face._replace(scale=view.face.scale / FACE).read(frame)
+        found, looks = self._detector.measure(upright.bgr, BOX), picture.looks
+        self.scores.append(0.0 if found is None else found.score)
+        self._seen.append(looks._replace(worth=looks.worth * np.interp(self.scores[-1], _SCORE, (0.0, 1.0))))
         self._first = self._first or view.face
         place = cv2.cvtColor(_upright(frame, self._first, 1.0, FACE_PX), cv2.COLOR_BGR2GRAY)
         self._places.append(np.asarray(place, np.uint8))
@@ -154,6 +167,11 @@ class Reader:
     def looks(self) -> Looks:
         """What was seen; ValueError if that is nothing."""
         return together(self._seen)
+
+    @property
+    def is_face(self) -> bool:
+        """Whether it is one over its track: in the better half of the views; a fist looks like a face now and then."""
+        return float(np.mean(sorted(self.scores)[len(self.scores) // 2 :])) >= FACE_SCORE
 
     def change(self) -> float:
         """Grey levels by which the face changes in its place between two views at most."""
@@ -170,6 +188,14 @@ def still(frame: Frame, face: Similarity) -> Image:
 def _upright(frame: Frame, face: Similarity, sides: float, side: int) -> Image:
     """The image (side, side, 3) of so many sides of a face's box; the scale of `face` is the box's side in pixels."""
     return face._replace(scale=sides * face.scale / side).read(frame, side).bgr
+
+
+def _sharp(chip: Image) -> float:
+    """How sharp an upright face is, 0..1: the share of its contrast that is in the finest details but one."""
+    grey = cv2.cvtColor(chip, cv2.COLOR_BGR2GRAY).astype(np.float32)
+    fine, coarse, flat = (cv2.GaussianBlur(grey, (0, 0), sigma) for sigma in (2.4, 3.84, 12.0))
+    share = float((fine - coarse).std()) / max(float((grey - flat).std()), 1e-3)
+    return float(np.interp(share, _SHARP, (0.0, 1.0)))
 
 
 def _face(chip: Image) -> Array:

@@ -24,17 +24,19 @@ from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.tracking.build.build import tracker_for
 from facetrack_cli.tracking.face.target import FaceTarget
 from facetrack_cli.tracking.loop import TrackState
+from facetrack_cli.tracking.start.closer import everywhere, near, righted
 from facetrack_cli.tracking.start.detectors import MIN_FACE_SHARE, Detector, Found
-from facetrack_cli.tracking.start.points import place
+from facetrack_cli.tracking.start.points import EYES_IN_BOX, MOUTH_Y, named
 from facetrack_cli.trajectory.trajectory import UNSEEN, FrameResult, TargetResult
 from facetrack_cli.video.shots import Shot
 
 LOOK_FRAMES: Final = 5  # frames from one look of the detector to the next
 TWICE_FRAMES: Final = 2  # frames before a look, in which a new face is seen too
 MIN_FACE_PX: Final = 20  # pixels of a face's box; smaller faces have no features to track
+CLOSER: Final = 5  # looks from one closer look for anybody to the next, where nobody is
 MAX_FACES: Final = 12  # tracks at a time; of more faces the largest are followed
 SAME_FACE: Final = 0.3  # overlap of a detection with the track of that face
-INSIDE: Final = 0.7  # share of a face's box that is in the picture at least
+INSIDE: Final = 0.9  # share of what lies between eyes and mouth that is in the picture at least
 ONE_FACE: Final = 0.5  # overlap of two tracks of one face
 STREAM: Final = "track_"
 _Results: TypeAlias = "dict[int, dict[str, TargetResult]]"  # by frame and track
@@ -52,6 +54,7 @@ class Track:
     rng: Generator
     state: Any
     odds: float = _BEGINS
+    closer: Found | None = None  # as it was found, where that took a closer look
     box: Box | None = None  # where it is; None while it is lost
 
     def see(self, rows: TargetResult) -> None:
@@ -126,7 +129,7 @@ class Film:
             before = track.box
             track.see(result)
             at = track.box or before
-            if (back and track.box is None) or (at is not None and share_inside(at, self.size) < INSIDE):
+            if (back and track.box is None) or (at is not None and not in_view(at, self.size)):
                 break
             results.append(result)
         return results
@@ -138,12 +141,17 @@ class Film:
 
     def _look(self, known: Everyone, frames: list[Frame], found: _Results, left: list[Track], shot: Shot) -> None:
         """Look at the last frame: which tracks go on, and which faces are new."""
-        frame, seen = frames[-1], self.detector.find(frames[-1])
-        free = list(seen)
+        frame = frames[-1]
+        free, age = self.detector.find(frame), (frame.index - shot.clear) // LOOK_FRAMES
+        nobody = not free and not known.tracks
+        if age == 0 or (nobody and age % CLOSER == 0):
+            free += [one for one in everywhere(self.detector, frame) if not _taken(one, free)]
         for track in sorted(known.tracks, key=lambda one: -one.odds):
             mine = max(free, key=lambda one: 0 if track.box is None else overlap(track.box, one.box), default=None)
             if mine is not None and track.box is not None and overlap(track.box, mine.box) >= SAME_FACE:
                 free.remove(mine)
+                track.odds = min(track.odds + _FOUND, _MOST)
+            elif track.box and (it := track.closer) and near(self.detector, frame, track.box, it.turn):
                 track.odds = min(track.odds + _FOUND, _MOST)
             else:
                 track.odds += _LOST if track.box is None else _UNFOUND
@@ -155,7 +163,7 @@ class Film:
         known.tracks = kept
         # a face that comes in when a shot ends is left out, and so is a face that another shot shows
         able = shot.is_clear(frame.index) and (len(frames) > TWICE_FRAMES or frames[0].index == shot.first)
-        new = [one for one in free if able and self._is_new(one, [*kept, *left], frames)]
+        new = [one for one in free if able and self._is_new(one, [*kept, *left], frames, nobody=nobody)]
         room = MAX_FACES - len(kept)
         if len(new) > room and known.crowd is None:
             known.crowd = frame.index
@@ -171,22 +179,26 @@ class Film:
             track.see(first)
             known.tracks.append(track)
 
-    def _is_new(self, face: Found, kept: Sequence[Track], frames: Sequence[Frame]) -> bool:
-        """Whether a face in the picture is of no track, and seen in an earlier frame, too, if there is one."""
+    def _is_new(self, face: Found, kept: Sequence[Track], frames: Sequence[Frame], *, nobody: bool) -> bool:
+        """Whether a face in the picture is of no track, and seen in an earlier frame, too, if there is one.
+
+        Where `nobody` else is seen it may be small.
+        """
         taken = any(track.box is not None and overlap(track.box, face.box) >= SAME_FACE for track in kept)
-        if (
-            taken
-            or share_inside(face.box, self.size) < INSIDE
-            or face.box[2] < max(MIN_FACE_PX, MIN_FACE_SHARE * min(self.size))
-        ):
+        least = max(MIN_FACE_PX, 0 if nobody else MIN_FACE_SHARE * min(self.size))
+        if taken or not in_view(face.box, self.size) or face.box[2] < least:
             return False
         if len(frames) <= TWICE_FRAMES:
             return True
-        return any(overlap(one.box, face.box) >= SAME_FACE for one in self.detector.find(frames[-1 - TWICE_FRAMES]))
+        before = frames[-1 - TWICE_FRAMES]
+        if face.closer:
+            return near(self.detector, before, face.box, face.turn) is not None
+        return _taken(face, self.detector.find(before))
 
     def _begun(self, known: Everyone, face: Found, frame: Frame) -> tuple[Track, TargetResult] | None:
         """A track that begins with a face; None where its points are not in the picture."""
-        points = place(frame.bgr, face.box, face.eyes, face.points)
+        face = righted(self.detector, frame, face)
+        points = named(face.placed(frame))
         if not all(inside(points[part], self.size) for part in self.recipe.points):
             return None
         name = f"{STREAM}{known.begun + 1}"
@@ -197,12 +209,23 @@ class Film:
         except InputError:  # too small, or beyond the border
             return None
         known.begun += 1
-        return Track(name, start, rng, state), result
+        return Track(name, start, rng, state, closer=face if face.closer else None), result
 
     def _back(self, track: Track, passed: Sequence[Frame]) -> list[TargetResult]:
         """The results of a track in the frames before, the last of them first."""
         rng = np.random.default_rng(track.rng.bit_generator.random_raw())
         return self._advance(replace(track, rng=rng), passed, back=True)
+
+
+def in_view(face: Box, size: tuple[int, int]) -> bool:
+    """Whether eyes, nose and mouth of the face in a box are in a picture of that size, whatever the border cuts off."""
+    (x, y, w, h), ((left, top), (right, _)) = face, EYES_IN_BOX
+    down = MOUTH_Y * (right - left)
+    return share_inside((x + left * w, y + top * h, (right - left) * w, down * h), size) >= INSIDE
+
+
+def _taken(face: Found, others: Sequence[Found]) -> bool:
+    return any(overlap(one.box, face.box) >= SAME_FACE for one in others)
 
 
 def _own(frame: Frame) -> Frame:

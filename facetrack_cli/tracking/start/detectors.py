@@ -17,7 +17,10 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.geometry import overlap
 from facetrack_cli.core.types import Box, Frame, Image, Point, factor_for
-from facetrack_cli.tracking.start.points import EYES_IN_BOX, MOUTH_Y, cascade, place
+from facetrack_cli.recipe.face import DetectorName
+from facetrack_cli.tracking.face.descent import PlacedPoints
+from facetrack_cli.tracking.face.stabilized import slope
+from facetrack_cli.tracking.start.points import EYES_IN_BOX, MOUTH_Y, cascade, place, placed
 
 PARTS: Final = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 """What can be placed; left and right as seen in the image."""
@@ -43,19 +46,32 @@ def check_parts(parts: Sequence[str]) -> None:
 class Found(NamedTuple):
     """A face: its box as the frontal cascades draw it, and what else the detector says of it.
 
-    `eyes`: the left one in the image first. `points`: the nose and the corners of the mouth. `sure` if the detector has
-    seen the face's features.
+    `eyes`: the left one of the upright face first. `points`: the nose and the corners of the mouth. `sure` if the
+    detector has seen the face's features. `score`: how sure the detector is, 0..1; 1 of one that does not say. `turn`:
+    by how many eighths of a turn, clockwise, it is turned. `closer`: it was seen in a part of the frame, or turned.
     """
 
     box: Box
     eyes: tuple[Point, Point] | None = None
     points: Mapping[str, Point] = {}
     sure: bool = False
+    score: float = 1.0
+    turn: int = 0
+    closer: bool = False
+
+    @property
+    def roll(self) -> float:
+        """How far it is turned, in radians."""
+        return self.turn * math.pi / 4 if self.eyes is None else slope(np.array(self.eyes))
+
+    def placed(self, frame: Frame) -> PlacedPoints:
+        """Its five points, placed by the regression."""
+        return placed(frame, self.box, self.eyes, self.points, self.turn)
 
 
 class Detector(Protocol):
     @property
-    def name(self) -> str: ...
+    def name(self) -> DetectorName: ...
 
     def find(self, frame: Frame) -> list[Found]:
         """All faces of a frame, the best first."""
@@ -148,14 +164,14 @@ class YuNet:
         factor = factor_for(max(frame.size), MAX_SEARCHED_PX)
         image, _, _ = frame.reduced(factor, (0.0, 0.0, frame.size[0] - 1.0, frame.size[1] - 1.0))
         rows = sorted(self._detect(image), key=lambda row: -row[2] * row[3] * row[14])
-        return [self._found(factor * (row[4:14].reshape(5, 2) + 0.5) - 0.5) for row in rows]
+        return [self._found(factor * (row[4:14].reshape(5, 2) + 0.5) - 0.5, row[14]) for row in rows]
 
     def measure(self, image: Image, box: Box) -> Found | None:
         # on faces of 60 to 70 pixels it is faster and more exact than on larger ones
         k = MEASURED_PX / box[2]
         small = cv2.resize(image, None, fx=k, fy=k, interpolation=cv2.INTER_AREA)
         rows = self._detect(np.asarray(small, np.uint8))
-        found = [self._found((row[4:14].reshape(5, 2) + 0.5) / k - 0.5) for row in rows]
+        found = [self._found((row[4:14].reshape(5, 2) + 0.5) / k - 0.5, row[14]) for row in rows]
         best = max(found, key=lambda one: overlap(one.box, box), default=None)
         return None if best is None or overlap(best.box, box) < MIN_OVERLAP else best
 
@@ -176,7 +192,7 @@ class YuNet:
         _, found = net.detect(image)
         return np.empty((0, 15), np.float32) if found is None else np.asarray(found, np.float32)
 
-    def _found(self, marks: NDArray[np.float32]) -> Found:
+    def _found(self, marks: NDArray[np.float32], score: np.float32) -> Found:
         """A face with the eyes, the nose and the corners of the mouth at `marks` (5, 2)."""
         left, right = sorted(map(tuple, marks[:2].tolist()))
         middle = marks[:2].mean(axis=0)
@@ -188,7 +204,7 @@ class YuNet:
         x, y, side = (round(value, 2) for value in (*(middle + down - (side - 1) / 2).tolist(), side))
         corners = sorted(map(tuple, marks[3:].tolist()))
         points = dict(zip(("nose", "mouth_left", "mouth_right"), (tuple(marks[2].tolist()), *corners), strict=True))
-        return Found((x, y, side, side), (left, right), points, True)
+        return Found((x, y, side, side), (left, right), points, True, float(score))
 
 
 @lru_cache(maxsize=16)

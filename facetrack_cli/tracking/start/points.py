@@ -1,5 +1,6 @@
 """The five points of a face, placed by a regression (`face/descent.py`) in the face as it is seen upright."""
 
+import cmath
 import math
 from collections.abc import Mapping
 from functools import lru_cache
@@ -41,31 +42,28 @@ def _load(name: str, thread: int) -> cv2.CascadeClassifier:
 def place(
     image: Image, box: Box, eyes: tuple[Point, Point] | None = None, points: Mapping[str, Point] | None = None
 ) -> dict[str, Point]:
-    """All five points of the face that fills `box` as the frontal cascade draws it, in pixels of `image` (BGR).
+    """All five points of the upright face that fills `box` as the frontal cascade draws it, in pixels of `image` (BGR).
 
     `eyes`, the left one in the image first, and `points`: where a detector sees them.
     """
-    at = _placed(Frame(0, 0.0, image), box, eyes, points or {}).at
-    return {part: (x, y) for part, (x, y) in zip(load_descent().parts, at.tolist(), strict=True)}
+    return named(placed(Frame(0, 0.0, image), box, eyes, points or {}))
 
 
-def shows_features(image: Image, box: Box) -> bool:
-    """Whether the face in `box` shows an eye to a cascade, or nose and mouth to the regression, most of them."""
-    x0, y0 = max(int(box[0]), 0), max(int(box[1]), 0)
-    near = image[y0 : int(box[1] + box[3]) + 1, x0 : int(box[0] + box[2]) + 1]
-    if _shows_eye(near, (box[0] - x0, box[1] - y0, box[2], box[3])):
-        return True
-    return _placed(Frame(0, 0.0, image), box, None, {}).sure > 0
+def named(points: PlacedPoints) -> dict[str, Point]:
+    """The places by the names of the parts."""
+    return {part: (x, y) for part, (x, y) in zip(load_descent().parts, points.at.tolist(), strict=True)}
 
 
-def _placed(frame: Frame, box: Box, eyes: tuple[Point, Point] | None, points: Mapping[str, Point]) -> PlacedPoints:
-    """The face in `box` where the regression sees most of it.
+def placed(
+    frame: Frame, box: Box, eyes: tuple[Point, Point] | None, points: Mapping[str, Point], turn: int = 0
+) -> PlacedPoints:
+    """The face in `box` where the regression sees most of it; it is turned by eighths of a turn.
 
     Without `eyes` they are taken to be where they are on average, and the face of one of three sizes: the boxes of
     cascades say neither how a face is tilted, nor well how large it is. Then the face is laid upright by its points,
     as long as more is seen; its size stays, since a mouth may be wide.
     """
-    descent, (left, right) = load_descent(), np.array(eyes or mean_eyes(box))
+    descent, (left, right) = load_descent(), np.array(eyes or mean_eyes(box, turn))
     zooms = (1.0,) if eyes else ZOOMS
     size, (across, down) = math.sqrt(box[2] * box[3]) / FACE, (right - left).tolist()
 
@@ -73,8 +71,8 @@ def _placed(frame: Frame, box: Box, eyes: tuple[Point, Point] | None, points: Ma
         """What is seen of a face whose place `still` (2,) in the stabilized image is `at` (2,) in the frame."""
         face = Similarity(np.zeros(2), scale, angle)
         face = face._replace(centre=at - face.to_frame(still))
-        placed = descent.fit(face.read(frame).bgr)
-        return PlacedPoints(face.to_frame(placed.at), placed.odds)
+        found = descent.fit(face.read(frame).bgr)
+        return PlacedPoints(face.to_frame(found.at), found.odds)
 
     rest, angle = descent.mean + CORNER, math.atan2(down, across)
     tries = [(zoom * size, seen(zoom * size, angle, (left + right) / 2, EYES_AT)) for zoom in zooms]
@@ -90,16 +88,21 @@ def _placed(frame: Frame, box: Box, eyes: tuple[Point, Point] | None, points: Ma
     return best
 
 
-def mean_eyes(box: Box) -> tuple[Point, Point]:
-    """Where the eyes are in a face's box on average, in pixels."""
+def mean_eyes(box: Box, turn: int = 0) -> tuple[Point, Point]:
+    """Where the eyes are in a face's box on average, in pixels; it is turned by eighths of a turn clockwise."""
     x, y, w, h = box
     left, right = ((x + across * w - 0.5, y + down * h - 0.5) for across, down in EYES_IN_BOX)
+    if turn:
+        middle, by = complex(x + w / 2 - 0.5, y + h / 2 - 0.5), cmath.exp(0.25j * math.pi * turn)
+        left, right = ((z.real, z.imag) for z in (middle + by * (complex(*eye) - middle) for eye in (left, right)))
     return left, right
 
 
-def _shows_eye(image: Image, box: Box) -> bool:
-    """Whether a cascade sees an eye near the mean place of either."""
-    x, y, w, h = box
+def shows_eye(image: Image, box: Box) -> bool:
+    """Whether a cascade sees an eye of the upright face in `box` near the mean place of either."""
+    x0, y0 = max(int(box[0]), 0), max(int(box[1]), 0)
+    image = image[y0 : int(box[1] + box[3]) + 1, x0 : int(box[0] + box[2]) + 1]
+    x, y, w, h = box[0] - x0, box[1] - y0, *box[2:]
     zoom, top = EYE_WIDTH / w, y + 0.1 * h
     matrix = np.array([[zoom, 0, -(x - 0.5) * zoom - 0.5], [0, zoom, -(top - 0.5) * zoom - 0.5]])
     size = (EYE_WIDTH, round(0.55 * h * zoom))

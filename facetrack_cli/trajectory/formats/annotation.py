@@ -54,6 +54,17 @@ def tracks(table: Trajectory) -> Iterator[Track]:
         yield Track(label, one.part, frame, xy, one.boxes[at], angle, state)
 
 
+def counted(frames: Whole, times: Array, rate: float) -> tuple[Whole, Whole]:
+    """Frames (N,), from 1, of a tool whose frame is the player's time x `rate`, and the pictures (N,) that come up.
+
+    `times` (T,) are the seconds of `frames` (T,), nan where pictures have none. Of several pictures in a frame of the
+    tool the first counts.
+    """
+    there = np.where(np.isfinite(times), np.rint(np.round(times * rate, 3)), frames).astype(np.int64) + 1
+    numbers, first = np.unique(there, return_index=True)
+    return numbers, frames[first]
+
+
 def named(label: str) -> tuple[str, str]:
     """The target and the part of a label."""
     target, _, part = label.partition("/")

@@ -8,29 +8,33 @@
   ("unknown") and regions of nan are absent. A file with a code 1 is a result: 1 is the frame where the tracker was set
   on the target (status init, no place); 2 is a failure (lost, no place); 0 was not tracked, and has no row.
 - `mot`: ground truth (motchallenge.net/instructions; MOT16 and later) has nine values, results and MOT15 ground truth
-ten, -1 where
-  not known (`MOT_COLUMNS`). Ids become the targets "1", "2", ..., each with the part "box". A row of flag 0 is left
-  out, as if the frame were not annotated. A visibility of 0 is "hidden". If every conf of ten values is 0 or 1 it is
-  taken for the flag, else for a confidence, and then all rows count, as the benchmark has it.
+ten, -1 where not known (`MOT_COLUMNS`). Ids become the targets "1", "2", ..., each with the part "box". A row of flag 0
+is left out, as if the frame were not annotated. A visibility of 0 is "hidden". If every conf of ten values is 0 or 1 it
+is taken for the flag, else for a confidence, and then all rows count, as the benchmark has it. As in TrackEval class 1
+alone counts; rows of the classes in DISTRACTORS are "hidden" whatever their flag, so that targets on them are neither
+right nor wrong; rows of others are left out. A file of a single class is of what counts.
 """
 
+import struct
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Mask
-from facetrack_cli.trajectory.formats.lines import FROM_ONE, Lines, delimiter
+from facetrack_cli.trajectory.formats.lines import FROM_ONE, Lines, delimiter, read_bytes
 from facetrack_cli.trajectory.reader import MAX_PIXELS
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.trajectory import MAX_ROWS, SEEN, Trajectory
 
 BOX_COLUMNS = ("frame", "x", "y", "w", "h")
 LTWH = "left,top,width,height"
 REGION = f"{LTWH} or x1,y1,...,x4,y4"
 UNKNOWN, INIT, FAILURE = 0, 1, 2
-MAX_LINES = 10**7  # four days of video
+FORMS, POLYGON, MASK = {0: "I", 1: "4f", 4: "2f"}, 2, 3  # of binary results: codes, rectangles and points
+DISTRACTORS = (2, 7, 8, 12)  # of MOT16 and MOT17: on a vehicle, a static person, a distractor, a reflection
 _MOT = f"frame,id,{LTWH}"
 MOT_COLUMNS = {6: _MOT, 7: f"{_MOT},conf", 9: f"{_MOT},flag,class,visibility", 10: f"{_MOT},conf,x,y,z"}
 
@@ -82,8 +86,8 @@ def read_got10k(path: Path, *, shift: int = 0) -> Trajectory:
 
 
 def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
-    """VOT ground truth or results; line i, from 0, is frame i + `shift`. InputError, with the line, also for masks."""
-    lines = Lines.by_frame(path)
+    """VOT ground truth or results, also binary; line i, from 0, is frame i + `shift`. InputError also for masks."""
+    lines = _binary(path) if path.suffix.lower() == ".bin" else Lines.by_frame(path)
     between = delimiter(next((text for text in lines.texts if "," in text), ""))
     shapes = np.array([len(text.split(between)) for text in lines.texts], dtype=np.int64)
     masks = [text[0] in "mM" for text in lines.texts]
@@ -132,31 +136,81 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
     if results is None:
         results = count != 9 and not np.isin(seventh, (0, 1)).all()
     kept: Mask = np.full(len(lines), True) if results else seventh != 0
+    eighth = values[:, 7] if count > 7 and not results else np.full(len(lines), np.nan)
+    # of ten values the eighth is a class where all are whole numbers, else a coordinate in the world
+    of_class = (count == 9 or bool((eighth == np.floor(eighth)).all())) & (eighth >= 1)
+    classes = [f"{one:.0f}" for one in np.unique(eighth[of_class & kept])]
+    other: Mask = of_class & (eighth != (float(classes[0]) if len(classes) == 1 else 1))
+    ignored = other & np.isin(eighth, DISTRACTORS)
     if not kept.any():
         raise InputError(f"{path}: every row has the flag 0, not to be considered; there is nothing in it to measure")
+    if not (kept & ~other).any():
+        raise InputError(
+            f"{path}: has the classes {', '.join(classes)}, and 1 alone counts; write 1 for that of people"
+        )
     confidence = np.where(results & (seventh >= 0) & (seventh <= 1), seventh, np.nan)
-    hidden = values[:, 8] == 0 if count == 9 and not results else np.full(len(lines), False)
-    left_out = f", {np.count_nonzero(~kept)} rows of flag 0 left out" if not kept.all() else ""
-    header = {"read_as": f"MOTChallenge: frames and pixels from 1{left_out}"}
-    about = {"status": np.where(hidden, "hidden", "visible")[kept], "confidence": confidence[kept]}
+    covered = values[:, 8] if count == 9 and not results else np.full(len(lines), np.nan)
+    about = {
+        "rows of flag 0 left out": ~kept & ~other,
+        "rows of other classes left out": other & ~ignored,
+        "rows of other classes not judged": ignored,
+        "rows of a visibility below .5 count as visible": kept & ~other & (covered > 0) & (covered < 0.5),
+    }
+    said = "".join(f", {rows.sum()} {what}" for what, rows in about.items() if rows.any())
+    header = {"read_as": f"MOTChallenge: frames and pixels from 1{said}"}
+    kept = (kept & ~other) | ignored
+    status = np.where(ignored | (covered == 0), "hidden", "visible")[kept]
     frame, ltwh = frame[kept] - 1 + shift, values[kept, 2:6] - FROM_ONE
-    return lines.take(kept).boxes(frame, ltwh, ids=ident[kept], header=header, **about)
+    own = {"ids": ident[kept], "status": status, "confidence": confidence[kept]}
+    return lines.take(kept).boxes(frame, ltwh, header=header, **own)
 
 
-def write_otb(one: Trajectory) -> str:
+def _binary(path: Path) -> Lines:
+    """The regions of vot-toolkit's binary results (`vot.region.io`, version 1) as lines of its text."""
+    data, at, texts = read_bytes(path), 0, list[str]()
+
+    def take(form: str) -> tuple[Any, ...]:
+        nonlocal at
+        found = struct.unpack_from("<" + form, data, at)
+        at += struct.calcsize("<" + form)
+        return found
+
+    try:
+        version, count = take("hI")
+        for _ in range(count if version == 1 else 0):
+            (kind,) = take("B")
+            if kind == MASK:
+                form = f"{take('hhHHH')[4]}H"
+            else:
+                form = f"{2 * take('H')[0]}f" if kind == POLYGON else FORMS[kind]
+            region = take(form)
+            texts.append("m" if kind == MASK else ",".join(f"{value:.9g}" for value in region))
+    except (struct.error, LookupError):
+        version = 0
+    if version != 1 or at != len(data) or not texts:
+        why = "is no binary result of vot-toolkit, or is cut short"
+        raise InputError(f"{path}: {why}; let the toolkit write text, with VOT_RESULTS_BINARY=false")
+    return Lines(path, texts, list(range(1, len(texts) + 1)))
+
+
+def write_otb(one: Trajectory, unknown: str = "nan,nan,nan,nan") -> str:
     """A box a line, pixels from 1, at most 4 decimals: `read_otb` with the first frame as `shift` gives it back.
 
-    GOT-10k's text is the same; its toolkit wants it as `<clip>_001.txt`.
-
     The format has no frame numbers: line 1 is the series' first frame, as in OTB's own files of clips that begin late
-    (David at frame 300). A place that is not known is nan,nan,nan,nan. Raises InputError for a gap between frames, or a
-    row with a place and no size.
+    (David at frame 300). A place that is not known is the line `unknown`. Raises InputError for a gap between frames,
+    or a row with a place and no size.
     """
     if (gaps := np.flatnonzero(np.diff(one.frame) != 1)).size:
         between = f"no row between frames {one.frame[gaps[0]]} and {one.frame[gaps[0] + 1]}"
         why = "a format without frame numbers has no room for a gap; export to mot or vot"
         raise InputError(f"{one.name}: {between}, and {why}")
-    return "".join(",".join(map(_decimal, box)) + "\n" for box in (_known_boxes(one) + FROM_ONE).tolist())
+    boxes = (_known_boxes(one) + FROM_ONE).tolist()
+    return "".join((",".join(map(_decimal, box)) if box[0] == box[0] else unknown) + "\n" for box in boxes)
+
+
+def write_got10k(one: Trajectory) -> str:
+    """The same as GOT-10k's toolkit has it, which wants it as `<clip>_001.txt`: after nan the mean overlap is nan."""
+    return write_otb(one, "0,0,0,0")
 
 
 def write_vot(one: Trajectory) -> str:
@@ -169,7 +223,7 @@ def write_vot(one: Trajectory) -> str:
     first, last = int(one.frame[0]), int(one.frame[-1])
     if first < 0:
         raise InputError(f"{one.name}: frame {first} is before the clip's first; VOT text begins at frame 0")
-    if last >= MAX_LINES:
+    if last >= MAX_ROWS:
         raise InputError(f"{one.name}: frame {last} is too far on for VOT text, which has a line a frame")
     lines = ["0"] * (last + 1)
     corners = np.full((len(one), 8), np.nan) if one.corners is None else one.corners.reshape(-1, 8)
@@ -181,8 +235,10 @@ def write_vot(one: Trajectory) -> str:
 
 
 def write_mot(chosen: Sequence[Trajectory]) -> str:
-    """Results of MOTChallenge, sorted by frame: ten values a row, at most 4 decimals; conf is -1 where not known.
+    """Results or ground truth of MOTChallenge, sorted by frame, at most 4 decimals.
 
+    Ground truth, as its statuses say, has nine values: flag and class 1, and visibility, 0 of hidden rows. Results have
+    ten: a conf, -1 where not known, then class and visibility as well, which readers look for there, and -1.
     A series is an id: its target's name if all are numbers and differ, else 1, 2, ... in their order. Rows without a
     place are left out, which is how the format says that nothing was found. `read_mot(..., results=True)` gives the
     rest back. Raises InputError for a row with a place and no size.
@@ -190,13 +246,16 @@ def write_mot(chosen: Sequence[Trajectory]) -> str:
     idents = [int(one.target) if one.target.isascii() and one.target.isdigit() else 0 for one in chosen]
     if 0 in idents or len(set(idents)) < len(idents):
         idents = list(range(1, len(chosen) + 1))
+    said = {status for one in chosen for status in one.status.tolist()}
+    truth = "visible" in said and said <= {"", "visible", "hidden", "absent"}
     rows: list[tuple[int, int, str]] = []
     for ident, one in zip(idents, chosen, strict=True):
-        boxes = (_known_boxes(one) + FROM_ONE).tolist()
-        for frame, conf, ltwh in zip(one.frame.tolist(), one.confidence.tolist(), boxes, strict=True):
+        boxes, seen = (_known_boxes(one) + FROM_ONE).tolist(), np.isin(one.status, SEEN).astype(int).tolist()
+        for frame, conf, ltwh, visible in zip(one.frame.tolist(), one.confidence.tolist(), boxes, seen, strict=True):
             if ltwh[0] == ltwh[0]:  # not nan
                 known = _decimal(conf) if conf == conf else "-1"
-                rows.append((frame + 1, ident, f"{','.join(map(_decimal, ltwh))},{known},-1,-1,-1\n"))
+                rest = f"1,1,{visible}" if truth else f"{known},1,{visible},-1"
+                rows.append((frame + 1, ident, f"{','.join(map(_decimal, ltwh))},{rest}\n"))
     return "".join(f"{frame},{ident},{rest}" for frame, ident, rest in sorted(rows))
 
 

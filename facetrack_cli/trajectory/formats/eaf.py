@@ -50,6 +50,7 @@ VOCABULARIES = {
     "blinks": {"blink": "the eyes are shut, for half a second at most"},
     "dips": {"nod": "the head goes down and back, by its pitch"},
 }
+QUOTES = str.maketrans({"'": "\N{RIGHT SINGLE QUOTATION MARK}", '"': "\N{RIGHT DOUBLE QUOTATION MARK}"})
 FRAME_S = 0.04  # how long a single frame lasts where nothing tells
 
 
@@ -57,9 +58,11 @@ def write_eaf(table: Trajectory, media: Path, folder: Path, *, written: datetime
     """The XML text, which will stand in `folder`; `media` is the video. InputError for times that do not increase."""
     begin, end = _times(table)
     tiers = [
-        (kind, target, [(begin[first], end[last], text) for first, last, text in found if end[last] > begin[first]])
+        (kind, target, spans)
         for name in table.targets
         for kind, target, found in _tiers(name, table.of_target(name))
+        # readers have trouble with tiers without annotations
+        if (spans := [(begin[a], end[b], text) for a, b, text in found if end[b] > begin[a]])
     ]
     about = {"AUTHOR": "facetrack", "DATE": written.astimezone().isoformat(timespec="seconds")}
     schema = {"FORMAT": "3.0", "VERSION": "3.0", "xmlns:xsi": XSI, "xsi:noNamespaceSchemaLocation": SCHEMA}
@@ -74,7 +77,9 @@ def write_eaf(table: Trajectory, media: Path, folder: Path, *, written: datetime
         ET.SubElement(order, "TIME_SLOT", TIME_SLOT_ID=f"ts{place}", TIME_VALUE=str(time))
     count = 0
     for kind, target, spans in tiers:
-        about = {"LINGUISTIC_TYPE_REF": kind, "TIER_ID": clean(f"{kind}@{target}"), "ANNOTATOR": "facetrack"}
+        # readers find a tier by a path with its name in straight quotes
+        name = clean(f"{kind}@{target}").translate(QUOTES)
+        about = {"LINGUISTIC_TYPE_REF": kind, "TIER_ID": name, "ANNOTATOR": "facetrack"}
         tier = ET.SubElement(root, "TIER", {**about, "PARTICIPANT": clean(target)})
         for _, _, text in spans:
             count += 1
@@ -112,15 +117,12 @@ def seen_in(parts: Sequence[Trajectory]) -> list[tuple[int, int]]:
 
 
 def _tiers(target: str, parts: Sequence[Trajectory]) -> Iterator[tuple[str, str, list[tuple[int, int, str]]]]:
-    """Kind, target, and its spans; a kind that the parts can tell has a tier also if nothing was found."""
+    """Kind, target, and its spans, of which there may be none."""
     name = target or "target"
-    if seen := seen_in(parts):
-        yield "seen", name, [(first, last, "seen") for first, last in seen]
+    yield "seen", name, [(first, last, "seen") for first, last in seen_in(parts)]
     yield "lost", name, spans_of(parts)
-    if hidden := spans_of(parts, "hidden"):
-        yield "hidden", name, hidden
-    if absent := spans_of([part.take(~part.vanished) for part in parts], "absent"):  # only where a correction says so
-        yield "absent", name, absent
+    yield "hidden", name, spans_of(parts, "hidden")
+    yield "absent", name, spans_of([part.take(~part.vanished) for part in parts], "absent")  # as corrections say
     moved = head_motion(parts)
     for kind in kinds_of(parts):
         yield kind, name, [(span.first, span.last, span.label) for span in moved if span.kind == kind]

@@ -1,4 +1,4 @@
-"""Points for tools that label and estimate poses: COCO keypoints JSON, and DeepLabCut's CSV; see docs/export.md.
+"""Points for tools that label and estimate poses: COCO keypoints JSON, DeepLabCut's CSV and HDF5; see docs/export.md.
 
 COCO (cocodataset.org/#format-data): a target of one part called `box` is a plain detection.
 
@@ -11,7 +11,8 @@ COCO (cocodataset.org/#format-data): a target of one part called `box` is a plai
   boxes are measured from the image's corner: a box over the first ten columns is 0 to 10, left 0 and width 10, which
   are the same numbers as here. So nothing is shifted.
 
-In DeepLabCut's CSV whole numbers are pixel centres too; a part `box` is the centre of a box, whose size has no room.
+In DeepLabCut's CSV and HDF5 whole numbers are pixel centres too; a part `box` is the centre of a box, whose size has no
+room. Rows are those of `every_frame`.
 """
 
 import math
@@ -21,12 +22,13 @@ from typing import Any
 
 import numpy as np
 
+from facetrack_cli.core.errors import InputError, needed
 from facetrack_cli.core.face_points import LINES
-from facetrack_cli.core.numbers import dumps
-from facetrack_cli.core.types import BOX
-from facetrack_cli.trajectory.formats.tables import csv_text
+from facetrack_cli.core.numbers import csv_text, dumps
+from facetrack_cli.core.types import BOX, Array, Whole
+from facetrack_cli.trajectory.formats.tables import texts
 from facetrack_cli.trajectory.select import Around, enclose
-from facetrack_cli.trajectory.trajectory import DECIMALS, SEEN, Trajectory, aligned
+from facetrack_cli.trajectory.trajectory import DECIMALS, SEEN, Trajectory, aligned, every_frame
 
 EDGES = (("nose", "lip_upper"), *(edge for line in LINES for edge in pairwise(line)))
 """How the points of a face hang together; other parts are drawn without lines."""
@@ -39,12 +41,13 @@ def write_coco(
     categories, annotations = [], []
     for ident, target in enumerate(table.targets, 1):
         parts = table.of_target(target)
-        names = [one.part for one in parts if len(parts) > 1 or one.part != BOX]
+        points = tuple(one for one in parts if one.part != BOX)
+        names = [one.part for one in points]
         # COCO counts the ends of a skeleton's edges from 1
         skeleton = [[names.index(a) + 1, names.index(b) + 1] for a, b in EDGES if a in names and b in names]
-        points = {"keypoints": names, "skeleton": skeleton} if names else {}
-        categories.append({"id": ident, "name": target or "target", "supercategory": "", **points})
-        annotations += _annotations(ident, enclose(parts, around), parts if names else ())
+        about = {"keypoints": names, "skeleton": skeleton} if names else {}
+        categories.append({"id": ident, "name": target or "target", "supercategory": "", **about})
+        annotations += _annotations(ident, enclose(parts, around), points)
     annotations.sort(key=lambda one: (one["image_id"], one["category_id"]))
     for ident, one in enumerate(annotations, 1):
         one["id"] = ident
@@ -80,18 +83,55 @@ def _annotations(ident: int, box: Trajectory, points: tuple[Trajectory, ...]) ->
 
 
 def write_dlc(table: Trajectory, scorer: str = "facetrack") -> str:
-    """The text of the file; every target's parts in the table's order. `scorer` names what tracked."""
-    frames, columns = aligned(table.parts, "x", "y", "confidence")
-    known = np.isfinite(columns["x"] + columns["y"])
-    cells = np.full((len(frames), 3 * len(table.parts)), "", dtype=object)
-    for at, (name, values) in enumerate(columns.items()):
-        written = np.char.mod(f"%.{DECIMALS[name]}f", values)
-        cells[:, at::3] = np.where(known & np.isfinite(values), written, "")
-    head = ["scorer", *[scorer] * cells.shape[1]]
-    rows: list[list[Any]] = []
-    if len(table.targets) > 1:
-        rows.append(["individuals", *(one.target for one in table.parts for _ in range(3))])
-    rows.append(["bodyparts", *(one.part for one in table.parts for _ in range(3))])
-    rows.append(["coords", *["x", "y", "likelihood"] * len(table.parts)])
-    rows += ([frame, *row] for frame, row in zip(frames.tolist(), cells.tolist(), strict=True))
-    return csv_text(head, rows)
+    """The text of the CSV. `scorer` names what tracked."""
+    names, columns, frames, values = _dlc(table, scorer)
+    cells = np.stack([texts(values[..., i], DECIMALS[name]) for i, name in enumerate(("x", "y", "confidence"))], axis=2)
+    if not np.isfinite(values[0]).any():
+        cells[0] = "nan"  # pandas takes an empty first row for the name of the index, and every frame moves by one
+    rows = zip(frames.tolist(), cells.reshape(len(frames), -1).tolist(), strict=True)
+    heads = [[name, *level] for name, level in zip(names, zip(*columns, strict=True), strict=True)]
+    return csv_text(heads[0], [*heads[1:], *([frame, *row] for frame, row in rows)])
+
+
+def write_dlc_h5(table: Trajectory, scorer: str = "facetrack") -> bytes:
+    """The HDF5 file: the same as a data frame, under DeepLabCut's key, without the time of writing.
+
+    UsageError without pandas and PyTables, InputError for more columns than such a table has room for.
+    """
+    with needed("DeepLabCut's HDF5", "pandas", "pandas"):
+        import pandas
+        from tables.exceptions import HDF5ExtError
+    names, columns, frames, values = _dlc(table, scorer)
+    head = pandas.MultiIndex.from_tuples(columns, names=names)
+    frame = pandas.DataFrame(values.reshape(len(frames), -1), index=frames, columns=head)
+    in_memory: dict[str, Any] = {"driver": "H5FD_CORE", "driver_core_backing_store": 0}
+    with pandas.HDFStore("track.h5", mode="w", **in_memory) as store:
+        try:
+            store.put("df_with_missing", frame, format="table", index=False, track_times=False)
+        except HDF5ExtError:
+            why = f"HDF5 has no room for the names of {len(columns)} columns"
+            raise InputError(f"{why}; choose a target with --target, or export to dlc") from None
+        store.flush()
+        image: bytes = store._handle.get_file_image()
+    return image
+
+
+def _dlc(table: Trajectory, scorer: str) -> tuple[list[str], list[tuple[str, ...]], Whole, Array]:
+    """The names of the header's levels, its columns, T frames, and (T, K, 3) values: x, y, likelihood.
+
+    Readers take the columns for individuals x body parts: each individual has all parts, empty where it has none.
+    """
+    several = len(table.targets) > 1
+    pairs = [(t, part) for t in table.targets for part in dict.fromkeys(part for _, part in table.names)]
+    frames, _ = every_frame(table)
+    _, known = aligned(table.parts, "x", "y", "confidence", frame=frames)
+    found = np.full((len(frames), len(pairs), 3), np.nan)
+    found[:, [pairs.index(pair) for pair in table.names]] = np.stack([*known.values()], axis=2)
+    found[~np.isfinite(found[..., :2]).all(axis=2)] = np.nan
+    names = ["scorer", *(["individuals"] if several else []), "bodyparts", "coords"]
+    columns = [
+        (scorer, *((target,) if several else ()), part, coord)
+        for target, part in pairs
+        for coord in ("x", "y", "likelihood")
+    ]
+    return names, columns, frames, found

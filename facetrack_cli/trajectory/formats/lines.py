@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.files import MAX_TABLE_BYTES, check_readable
+from facetrack_cli.core.files import MAX_TABLE_BYTES, read_bounded
 from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS
 from facetrack_cli.trajectory.trajectory import Trajectory, build
@@ -22,18 +22,21 @@ from facetrack_cli.trajectory.trajectory import Trajectory, build
 FROM_ONE = np.array([1.0, 1.0, 0.0, 0.0])  # boxes (..., 4) that count pixels from 1, minus boxes that count from 0
 
 
-def read_text(path: Path) -> str:
-    """The text of a file, with `\\n` after each line. InputError if missing, a folder, a pipe, empty, or no text."""
+def read_bytes(path: Path) -> bytes:
+    """What is in a file. InputError if missing, a folder, a pipe, or larger than a table."""
     try:
-        if not path.is_dir():
-            check_readable(path, MAX_TABLE_BYTES, "table of rows")
-        raw = path.read_bytes()
+        return read_bounded(path, MAX_TABLE_BYTES, "table of rows")
     except IsADirectoryError:
         raise InputError(f"{path}: is a folder; name the ground truth file in it") from None
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; name a ground truth file") from None
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable, or name another") from e
+
+
+def read_text(path: Path) -> str:
+    """The text of a file, with `\\n` after each line. InputError as of `read_bytes`, and if empty, or no text."""
+    raw = read_bytes(path)
     if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise InputError(f"{path}: is UTF-16 text; save it as UTF-8")
     if b"\0" in raw[:8192]:

@@ -18,9 +18,10 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import MESH
+from facetrack_cli.core.numbers import csv_text
 from facetrack_cli.core.types import Array
 from facetrack_cli.trajectory.analysis.head_pose import HeadPose, euler, head_pose, rotation_of
-from facetrack_cli.trajectory.formats.tables import csv_text, texts
+from facetrack_cli.trajectory.formats.tables import texts
 from facetrack_cli.trajectory.select import mean
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned, joined
 

@@ -4,15 +4,14 @@ Frames and pixels of the table are counted from 0 whatever the file's own counti
 """
 
 import csv
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.errors import InputError, UsageError, reading
 from facetrack_cli.trajectory.formats import boxes
 from facetrack_cli.trajectory.formats.boxes import BOX_COLUMNS, LTWH, MOT_COLUMNS
 from facetrack_cli.trajectory.formats.cvat import read_cvat
@@ -40,18 +39,21 @@ _READERS: Final[dict[str, Callable[..., Trajectory]]] = {
 }
 
 
-def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0) -> Trajectory:
+def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0, beside: Trajectory | None = None) -> Trajectory:
     """The ground truth in a file or folder, read as `form`, one of TRUTH_FORMATS; `auto` goes by the shape.
 
+    What may be OTB's or VOT's is VOT's `beside` a result of VOT.
     `shift` is added to every frame number. `header["read_as"]` says how it was read, `header["shift"]` is the shift.
     Raises InputError for a file that is broken or of no known shape, UsageError for a shift beyond any clip.
     """
     path = Path(path)
     if abs(shift) > MAX_FRAME:
         raise UsageError(f"--shift {shift}: no clip has so many frames; correct it")
-    with _looking_at(path):
+    with reading(path, "make it readable, or name another"):
         try:
             found, known = recognise(path) if form == "auto" else (path, form)
+            if form == "auto" and known == "otb" and beside is not None:
+                known = "vot" if str(beside.header.get("read_as")).startswith("VOT") else known
             table = _READERS[known](found, shift=shift)
         except InputError as e:
             raise InputError(f"{e}{_rather(path, form)}") from None
@@ -63,7 +65,7 @@ def read_results(path: Path, form: str = "auto") -> Trajectory:
 
     Status is init, tracked or lost where the file says so, else "". `header["read_as"]` is there for those of others.
     """
-    with _looking_at(path):
+    with reading(path, "make it readable, or name another"):
         shape = form
         if form == "auto":
             try:
@@ -77,14 +79,6 @@ def read_results(path: Path, form: str = "auto") -> Trajectory:
     read_as = str(table.header["read_as"]).replace("--truth-format", "--format")
     status = np.where(np.isin(table.status, ("visible", "hidden", "absent")), "", table.status)
     return replace(table, status=status, header={**table.header, "read_as": read_as})
-
-
-@contextmanager
-def _looking_at(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as e:
-        raise InputError(f"{path}: cannot be read: {e.strerror or e}; make it readable, or name another") from None
 
 
 def _rather(path: Path, form: str) -> str:
@@ -110,7 +104,8 @@ def recognise(path: Path) -> tuple[Path, str]:
             return recognise(file)
         files = f"trajectory.csv, {', '.join(named)} or .pts files"
         raise InputError(f"{path}: is a folder without {files}; name the ground truth file")
-    return path, "pts" if path.suffix.lower() == ".pts" else _shape(Lines.with_frame(path))
+    by_name = {".pts": "pts", ".bin": "vot"}.get(path.suffix.lower())
+    return path, by_name or _shape(Lines.with_frame(path))
 
 
 def _shape(lines: Lines) -> str:
@@ -131,6 +126,8 @@ def _shape(lines: Lines) -> str:
     if count in (1, 8) or (count == 4 and not {"0", "1", "2"}.isdisjoint(lines.texts)):
         return "vot"
     if count == 4:
+        if lines.path.with_name("sequence").is_file():  # what VOT says of a clip
+            return "vot"
         labels = (lines.path.with_name(f"{name}.label") for name in ("absence", "cover"))
         return "got10k" if any(file.is_file() for file in labels) else "otb"
     if count == 5:

@@ -1,13 +1,11 @@
 """Tables for spreadsheets and data frames: one row a frame, head poses, and the rows as they are in Parquet.
 
 All keep the conventions of trajectory.csv: frames and pixels from 0, x and y the centre, "" or null what is not known.
+Where a row is a frame there is one for each of `every_frame`, since readers count them.
 """
 
-import csv
-import io
 import json
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from typing import Any
 
@@ -15,10 +13,11 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.face_points import POINTS
+from facetrack_cli.core.numbers import csv_text
 from facetrack_cli.core.types import BOX, Whole
 from facetrack_cli.trajectory.analysis.head_pose import SHAPE, head_pose
 from facetrack_cli.trajectory.analysis.measures import MEASURES, Measured
-from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, Trajectory, aligned
+from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, Trajectory, aligned, every_frame
 
 WIDE = ("x", "y", "w", "h", "confidence", "status")
 WHOLE = ("frame", "particles")
@@ -30,14 +29,14 @@ def write_wide(table: Trajectory) -> str:
     """A CSV with one row a frame: frame, time_s, of each part `target_part_x`, y, w, h, confidence, status, and of each
     measure (measures.py) `target_mouth_opening`, `target_mouth_opening_std`, ...
 
-    Of a part `box` the name is the target's alone. Frames are those that have a row. The text begins with a byte order
-    mark only where a name is not ASCII: spreadsheets need it then. A name that they would take for a formula is put
-    behind an underscore.
+    Of a part `box` the name is the target's alone. The text begins with a byte order mark only where a name is not
+    ASCII: spreadsheets need it then. A name that they would take for a formula is put behind an underscore.
     """
-    frames, columns = aligned(table.parts, *WIDE)
+    frames, times = timed(table)
+    _, columns = aligned(table.parts, *WIDE, frame=frames)
     cells = np.full((len(frames), 2 + len(WIDE) * len(table.parts)), "", dtype=object)
     cells[:, 0] = frames
-    cells[:, 1] = texts(table.times, DECIMALS["time_s"])
+    cells[:, 1] = times
     for at, (name, values) in enumerate(columns.items(), 2):
         cells[:, at :: len(WIDE)] = values if name == "status" else texts(values, DECIMALS[name])
     names = [f"{_called(*pair)}_{column}" for pair in table.names for column in WIDE]
@@ -54,12 +53,15 @@ def write_pose(table: Trajectory) -> str:
     InputError if no target has enough points for a pose.
     """
     rows: list[list[Any]] = []
-    times = dict(zip(table.frames.tolist(), texts(table.times, 4).tolist(), strict=True))
+    frames, times = timed(table)
     for name in table.targets:
         if (pose := head_pose(table.of_target(name))) is not None:
-            angles = texts(np.hstack([pose.angles, pose.std]), 2).tolist()
-            told = zip(pose.frame.tolist(), angles, pose.ambiguous.astype(int).tolist(), strict=True)
-            rows += ([frame, times[frame], name, *row, more if row[0] else ""] for frame, row, more in told)
+            cells = np.full((len(frames), 7), "", dtype=object)
+            angles = texts(np.hstack([pose.angles, pose.std]), 2)
+            cells[pose.frame, :6] = angles
+            cells[pose.frame, 6] = np.where(angles[:, 0] == "", "", pose.ambiguous.astype(int))
+            told = zip(frames.tolist(), times.tolist(), cells.tolist(), strict=True)
+            rows += ([frame, time, name, *row] for frame, time, row in told)
     if not rows:
         raise InputError(f"a pose needs four parts that are not in a plane, among {', '.join(SHAPE)}")
     return csv_text(POSE, sorted(rows, key=itemgetter(0)))
@@ -71,8 +73,9 @@ def write_measures(table: Trajectory) -> str:
     names = [one.name for one in MEASURES if any(one.name in found for found in has.values())]
     if not names:
         raise InputError(f"a measure needs parts of a face, among {', '.join(POINTS)}, and its box or its eyes")
-    each = [_measured(found, names, table.frames).tolist() for found in has.values()]
-    rows = zip(table.frames.tolist(), texts(table.times, DECIMALS["time_s"]).tolist(), *each, strict=True)
+    frames, times = timed(table)
+    each = [_measured(found, names, frames).tolist() for found in has.values()]
+    rows = zip(frames.tolist(), times.tolist(), *each, strict=True)
     lines = ([frame, time, target, *of] for frame, time, *cells in rows for target, of in zip(has, cells, strict=True))
     return csv_text(["frame", "time_s", "target", *(name + end for name in names for end in STD)], lines)
 
@@ -113,16 +116,16 @@ def write_parquet(table: Trajectory) -> bytes:
 
 
 def _called(target: str, part: str) -> str:
-    name = part if not target else target if part == BOX else f"{target}_{part}"
-    return re.sub(r"^(?=[=+@\t\r-])", "_", name)
+    return part if not target else target if part == BOX else f"{target}_{part}"
+
+
+def timed(table: Trajectory) -> tuple[Whole, Any]:
+    """The frames of `every_frame`, and their times as text, by which readers know a constant rate to 1e-5 of a step."""
+    frames, times = every_frame(table)
+    steps = np.diff(times)
+    return frames, texts(times, 9 if np.any(steps < 1 / 61) else 7)
 
 
 def texts(values: Any, decimals: int) -> Any:
     """The numbers as text with so many decimals, and never -0; "" for what is not known."""
     return np.where(np.isfinite(values), np.char.mod(f"%.{decimals}f", np.round(values, decimals) + 0.0), "")
-
-
-def csv_text(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([columns, *rows])
-    return text.getvalue()

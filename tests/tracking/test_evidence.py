@@ -1,0 +1,146 @@
+"""Which face of a frame is the target: what looks, places, cuts and company add, of faces that somebody has drawn."""
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.core.types import Frame
+from facetrack_cli.tracking.face import evidence
+from facetrack_cli.tracking.face.evidence import (
+    AWAY,
+    BOUND,
+    CUT,
+    HEAD,
+    MAX_LOOKS,
+    NEAR,
+    NEW,
+    SHOT,
+    SIDE,
+    STAYS,
+    Sighting,
+    by_looks,
+    by_place,
+    kept,
+    likeness,
+    look_of,
+    probabilities,
+)
+from facetrack_cli.tracking.face.stabilized import Similarity
+from facetrack_cli.tracking.people.looks import Picture
+from facetrack_cli.tracking.start.detectors import Found
+
+BOX = (40.0, 30.0, 60.0, 60.0)
+ELSEWHERE = (140.0, 60.0, 80.0, 80.0)
+
+
+def portrait(seed):
+    """(64, 64, 3) of blobs: another seed is another person."""
+    noise = np.random.default_rng(seed).normal(0, 1, (64, 64)).astype(np.float32)
+    blobs = cv2.GaussianBlur(noise, (0, 0), 5)
+    return np.repeat((120 + 50 * blobs / blobs.std())[..., None], 3, axis=2).clip(0, 255)
+
+
+def shown(*faces, time_s=0.0, turn=0.0, light=1.0):
+    """A frame of 240x180 with a person in each box, turned by an angle."""
+    picture = np.full((180, 240, 3), 100, np.float32)
+    for (x, y, w, _), seed in faces:
+        k, (a, b) = w / 64, (np.cos(turn), np.sin(turn))
+        turned = k * np.array([[a, -b], [b, a]])
+        middle = np.array([x + (w - 1) / 2, y + (w - 1) / 2])
+        to = np.column_stack([turned, middle - turned @ np.full(2, 31.5)])
+        picture = cv2.warpAffine(portrait(seed), to, (240, 180), picture, borderMode=cv2.BORDER_TRANSPARENT)
+    return Frame(0, time_s, (light * picture).clip(0, 255).round().astype(np.uint8))
+
+
+def look(box, seed, **how):
+    middle = np.array([box[0] + (box[2] - 1) / 2, box[1] + (box[2] - 1) / 2])
+    return look_of(Similarity(middle, box[2] / evidence.FACE, how.get("turn", 0.0)).read(shown((box, seed), **how)))
+
+
+def seen(box, turn=0.0):
+    x, y = box[0] + box[2] / 2, box[1] + box[2] / 2
+    along = 10 * np.array([np.cos(turn), np.sin(turn)])
+    return Found(box, eyes=((x - along[0], y - along[1]), (x + along[0], y + along[1])))
+
+
+OWN = (look(BOX, 1),)
+
+
+def test_a_look_has_no_mean_and_unit_norm_and_does_not_know_the_light():
+    one = look(BOX, 1)
+    assert one.shape == (SIDE**2,) and one.sum() == pytest.approx(0, abs=1e-9) and one @ one == pytest.approx(1)
+    assert one @ look(BOX, 1, light=0.6) > 0.99
+    flat = look_of(Frame(0, 0.0, np.full((160, 160, 3), 90, np.uint8)))
+    np.testing.assert_array_equal(flat, 0)
+
+
+def test_a_person_is_alike_at_another_place_and_size_and_roll_and_another_is_not():
+    assert likeness(OWN, look(ELSEWHERE, 1, turn=0.5)) > 0.9
+    assert all(likeness(OWN, look(ELSEWHERE, seed)) < NEW for seed in range(2, 12))
+
+
+def test_the_last_looks_are_kept_and_that_of_the_start_stays():
+    looks = OWN
+    for seed in range(2, 12):
+        looks = kept(looks, look(BOX, seed))
+    assert len(looks) == MAX_LOOKS and looks[0] is OWN[0]
+    assert looks[-1] @ look(BOX, 11) == pytest.approx(1)
+
+
+def place(box, turn=0.0):
+    return Similarity(np.array([box[0] + (box[2] - 1) / 2, box[1] + (box[2] - 1) / 2]), box[2] / evidence.FACE, turn)
+
+
+def test_time_runs_from_the_first_sighting_of_a_face():
+    first = Sighting.of(seen(ELSEWHERE, 0.3), shown(time_s=2.0))
+    assert first.after(None) == first and first.since == 2.0 and first.roll == pytest.approx(0.3)
+    near = (ELSEWHERE[0] + 20, *ELSEWHERE[1:])
+    assert Sighting.of(seen(near), shown(time_s=2.4)).after(first).since == 2.0
+    assert Sighting.of(seen(BOX), shown(time_s=2.4)).after(first).since == 2.4, "another face: time begins anew"
+
+
+def test_a_face_is_followed_at_once_if_it_looks_so_else_if_it_stays_and_never_if_it_is_unlikely():
+    face = Sighting(BOX, 0.0, 1.0, p=0.7, by_looks=3.0)
+    assert face.is_target(shown(time_s=1.0)) and not face._replace(p=0.4).is_target(shown(time_s=9.0))
+    waits = face._replace(by_looks=-3.0)
+    assert not waits.is_target(shown(time_s=1.0 + 0.9 * STAYS)) and waits.is_target(shown(time_s=1.0 + STAYS))
+
+
+def p_of(looks, others=0.0, *, cut=False, company=False):
+    return probabilities(np.atleast_1d(looks), np.atleast_1d(others), cut=cut, company=company)
+
+
+def test_no_look_denies_the_one_face_of_a_shot():
+    for looks in np.linspace(-BOUND, BOUND, 9):
+        assert p_of(looks, -AWAY * (looks > -2)) > 0.4 and p_of(looks, HEAD) > 0.5
+    assert p_of(-BOUND) > 0.5
+
+
+def test_after_a_cut_or_in_company_looks_decide():
+    assert p_of(-1.0, cut=True) > 0.5 > p_of(-BOUND, cut=True)
+    assert p_of(1.0, cut=True, company=True) > 0.5 > p_of(-1.0, company=True)
+    assert p_of(-BOUND + 0.1, NEAR + HEAD, company=True) > 0.5, "it is where it was: that counts as much as the looks"
+    assert (p_of(0.0, cut=True), p_of(0.0)) == pytest.approx((1 / (1 + np.exp(-CUT)), 1 / (1 + np.exp(-SHOT))))
+
+
+def test_of_several_faces_the_likeliest_is_the_target_and_the_rest_is_nobody():
+    p = p_of([2.0, -2.0, 0.5], 0.0, company=True)
+    w = np.exp([2.0, -2.0, 0.5])
+    np.testing.assert_allclose(p, w / (1 + w.sum()))
+    assert len(p_of([], [])) == 0
+
+
+def test_places_speak_for_a_face_where_the_target_was_and_against_others_while_it_is_covered():
+    there = [place(BOX), place(ELSEWHERE), place((*BOX[:2], 2 * BOX[2], 2 * BOX[3]))]
+    np.testing.assert_array_equal(by_place(place(BOX), there, covered=False), [NEAR, 0, 0])
+    np.testing.assert_array_equal(by_place(place(BOX), there, covered=True), [NEAR, -AWAY, -AWAY])
+    assert len(by_place(place(BOX), [], covered=True)) == 0
+
+
+def test_looks_are_bounded(monkeypatch):
+    known = [Picture.of(shown((BOX, 1)), place(BOX)._replace(scale=BOX[2]))]
+    like = lambda looks: np.array([[100 * (one.face[0] @ looks[0].face[0] - 0.5) for one in looks]])  # noqa: E731
+    monkeypatch.setattr(evidence, "same_person", like)
+    found = by_looks(known, [place(BOX), place(ELSEWHERE)], shown((BOX, 5), (ELSEWHERE, 1)))
+    np.testing.assert_allclose(found, [-BOUND, BOUND])
+    assert len(by_looks(known, [], shown())) == 0
