@@ -353,9 +353,12 @@ def recast(
 
 
 def rows_in(folder: Path) -> Trajectory:
-    """The rows of a run, with their header if a file has one."""
+    """The rows of a run, with their header if a file has one. InputError without any."""
     files = run_files(folder)
-    return read_run(files.get("json", files.get("jsonl")) or files["csv"])
+    for form in ("json", "jsonl", "csv"):
+        if form in files:
+            return read_run(files[form])
+    raise InputError(f"{folder}: its trajectory is gone; run again")
 
 
 def people_in(folder: Path) -> People:

@@ -33,19 +33,6 @@ class Clock:
         beyond = seconds - min(max(seconds, float(self.times[0])), float(self.times[-1]))
         return round(float(np.interp(seconds, self.times, self.frames)) + beyond * self.fps)
 
-    def tick(self, frame: int) -> int:
-        """The frame, from 0, of a player that counts frames by its time and the nominal rate."""
-        return round(self.at(frame) * self.fps)
-
-    def shown(self, tick: int) -> int:
-        """The frame that such a player shows at a count of it."""
-        frame = self.frame(tick / self.fps)
-        while self.tick(frame) > tick:
-            frame -= 1
-        while self.tick(frame + 1) <= tick:
-            frame += 1
-        return max(frame, 0)
-
     @property
     def duration(self) -> float:
         """Seconds from the run's first frame to the end of its last."""

@@ -157,6 +157,16 @@ def test_a_gallery_has_names_that_are_some(tmp_path, name):
         load_people(path)
 
 
+def test_a_film_without_its_rows_is_one_line(ran, tmp_path, capsys):
+    out = shutil.copytree(ran, tmp_path / "out")
+    for path in out.glob("trajectory.*"):
+        path.unlink()
+    assert main(["people", str(out), "--json"]) == 0 and '"times"' in capsys.readouterr().out
+    for options in ([], ["--split", "person_1@0:01"], ["--rename", "person_1=Ann"]):
+        assert main(["people", str(out), *options]) == 3
+        assert capsys.readouterr().err == f"facetrack: error: {out}: its trajectory is gone; run again\n"
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [

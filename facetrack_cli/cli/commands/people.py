@@ -109,8 +109,7 @@ class Cast:
         if self.as_json and self.as_csv:
             raise UsageError("--json and --csv both go to standard output; give one of them")
         people = people_in(self.folder)
-        clock = Clock(rows_in(self.folder), people.fps)
-        changes = self._changes(clock)
+        changes = self._changes(Clock(rows_in(self.folder) if self.split or self.give else None, people.fps))
         if self.edit:
             return self._serve()
         self.page.refuse("give --page")
@@ -134,7 +133,7 @@ class Cast:
         if self.as_json or self.as_csv:
             click.echo(people.text().decode() if self.as_json else _intervals(people), nl=False)
         else:
-            _show(people, clock)
+            _show(people, Clock(rows_in(self.folder), people.fps))
         return 0
 
     def _serve(self) -> int:
