@@ -87,6 +87,23 @@ def reason(error: Exception) -> str:
     return text if len(text) <= 120 else text[:117] + "..."
 
 
+def check_opencv(version: str) -> None:
+    """UsageError where `cv2` is not OpenCV 4, as where another package brought OpenCV 5, which took its place."""
+    if version.startswith("4."):
+        return
+    from importlib import metadata
+
+    found = {str(one.metadata["Name"]).lower(): one.version for one in metadata.distributions()}
+    there = {name: v for name, v in sorted(found.items()) if name.startswith("opencv-")}
+    told = ", ".join(f"{name} {v}" for name, v in there.items()) or "no package of it"
+    wheel = "opencv-contrib-python-headless" if any("contrib" in name for name in there) else "opencv-python-headless"
+    remedy = f"pip uninstall -y {' '.join(there)}; " if there else ""
+    remedy += f"pip install --force-reinstall '{wheel}>=4.13,<5'"
+    raise UsageError(
+        f"OpenCV 4 is needed, and cv2 is {version} ({told} installed, of which the last one wins): {remedy}"
+    )
+
+
 @contextmanager
 def reading(path: object, remedy: str = "make it readable", kind: type[FacetrackError] = InputError) -> Iterator[None]:
     """InputError, in its one line, where the system refuses to read a path."""

@@ -72,6 +72,14 @@ def size_of_points(x0: Array) -> float:
     return float(np.sqrt(np.sum((x0[:, None] - x0[None]) ** 2, axis=2)).max())
 
 
+def shown_angle(degrees: Array, aspect: float) -> Array:
+    """Angles in the pixels of a file, as a picture shows them whose pixels are `aspect` times as wide as high."""
+    if aspect == 1:
+        return degrees
+    radians = np.radians(degrees)
+    return np.asarray(np.degrees(np.arctan2(np.sin(radians), aspect * np.cos(radians))))
+
+
 def inside(point: Point, size: tuple[int, int]) -> bool:
     """Whether a point is on a pixel of an image of that (width, height)."""
     return -0.5 <= point[0] <= size[0] - 0.5 and -0.5 <= point[1] <= size[1] - 0.5

@@ -13,6 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from facetrack_cli.core.errors import check_opencv
+
+check_opencv(getattr(cv2, "__version__", "of nothing"))  # before anything else asks what another version has not
+
 Array: TypeAlias = NDArray[np.float64]
 Image: TypeAlias = NDArray[np.uint8]
 Mask: TypeAlias = NDArray[np.bool_]
@@ -43,6 +47,7 @@ class Frame:
 
     `pixels` are (H, W, 3) in OpenCV's order, blue first, or the planes Y, U and V of 4:2:0 of limited range by BT.601,
     (H * 3 / 2, W), as a decoder gives them. Grey is then Y, and colours are computed when they are read first.
+    `aspect` is the width of a pixel over its height, as it is shown.
     """
 
     index: int
@@ -54,6 +59,7 @@ class Frame:
     _luma: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
     _grey: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
     _patches: dict[Hashable, tuple[Array, NDArray[np.float32]]] = field(default_factory=dict, repr=False, compare=False)
+    aspect: float = field(default=1.0, kw_only=True)
 
     @property
     def bgr(self) -> Image:

@@ -130,4 +130,5 @@ def _rate_words(source: ClipHeader) -> list[str]:
     path, folder, rate = Path(source.path), False, Fraction(source.fps).limit_denominator(1001)
     with contextlib.suppress(FacetrackError, OSError, ValueError):
         folder = not brings_rate(path) or (not path.exists() and not path.suffix)
-    return ["--fps", str(rate)] if folder and rate != FOLDER_FPS else []
+    stream = [] if source.stream is None else ["--stream", str(source.stream)]
+    return [*stream, *(["--fps", str(rate)] if folder and rate != FOLDER_FPS else [])]

@@ -10,6 +10,7 @@ import numpy as np
 
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import SeamHeader
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -19,28 +20,6 @@ Kind: TypeAlias = Literal[
 """Why a frame is shown, in the order in which the reasons of one frame stand."""
 MAX_KEY_FRAMES: Final = 12
 _OF_EPISODES: Final = 2 / 3  # of the frames beside start, worst and end, where there are too many events
-
-
-class Clock:
-    """Seconds of frames on the clip's clock: as in the rows, at the nominal rate where they have none."""
-
-    def __init__(self, table: Trajectory, fps: float) -> None:
-        self.frames, times, self._period = table.frames, table.times, 1 / fps
-        self.times: Array = np.where(np.isfinite(times), times, self.frames * self._period)
-
-    def at(self, frame: int) -> float:
-        """Seconds from the clip's first frame to this one, a frame of the run."""
-        return float(self.times[np.searchsorted(self.frames, frame)])
-
-    def after(self, frame: int) -> float:
-        """When this frame ends and the run's next one begins."""
-        place = int(np.searchsorted(self.frames, frame)) + 1
-        return float(self.times[place]) if place < len(self.times) else float(self.times[-1]) + self._period
-
-    @property
-    def duration(self) -> float:
-        """Seconds from the run's first frame to the end of its last."""
-        return self.after(int(self.frames[-1])) - float(self.times[0])
 
 
 class Stretch(NamedTuple):

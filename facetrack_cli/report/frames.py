@@ -14,9 +14,9 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.core.types import Image as Pixels
-from facetrack_cli.report.events import Clock
 from facetrack_cli.run_folder.fingerprint import other_clip
 from facetrack_cli.run_folder.manifest import check_belongs
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import Header
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
 from facetrack_cli.video.files import brings_rate
@@ -98,7 +98,9 @@ class _Maker:
         try:
             if annotated:
                 check_belongs(path)
-            for frame in _frames(path, size, self._clip.fps, sorted(place), report):
+            for frame in _frames(
+                path, size, self._clip.fps, sorted(place), report, None if annotated else self._clip.stream
+            ):
                 index = place[frame.index]
                 then = self._clock.at(index)
                 late = abs(frame.time_s - then) > _APART_S + 0.05 / self._clip.fps
@@ -107,7 +109,7 @@ class _Maker:
                     done.notes.append(f"{path}: frame {index} {times}; is it the same clip?")
                 view, out = self._layout(index)
                 whole = _scaled(frame.bgr[:height, :width], view, out)
-                drawn = whole if annotated else self.draw(Frame(index, then, whole), view)
+                drawn = whole if annotated else self.draw(Frame(index, then, whole, aspect=frame.aspect), view)
                 done.found[index] = Image(_jpeg(drawn), out, view=view)
             missing = [index for index in wanted if index not in done.found]
             if missing:
@@ -124,7 +126,7 @@ class _Maker:
         past = self._clock.frames[max(0, last - math.ceil(self._clip.fps * _TRAIL_S)) : last].tolist()
         past = [index for index in past if self._clock.at(index) >= frame.time_s - _TRAIL_S]
         for index in [*past[:: max(1, math.ceil(len(past) / _TRAIL))], frame.index]:  # the trail is of drawn frames
-            now = Frame(index, self._clock.at(index), frame.bgr)
+            now = Frame(index, self._clock.at(index), frame.bgr, aspect=frame.aspect)
             drawn = overlay.draw(self._result(now, view, frame.size[0] / view[2]))
         return drawn
 
@@ -167,14 +169,16 @@ class _Maker:
         return (left, top, w, h), _fit((w, h))
 
 
-def _frames(path: Path, size: tuple[int, int], fps: float, wanted: Sequence[int], report: Report) -> Iterator[Frame]:
+def _frames(
+    path: Path, size: tuple[int, int], fps: float, wanted: Sequence[int], report: Report, stream: int | None
+) -> Iterator[Frame]:
     """The wanted frames, in their order, in one pass. InputError if the clip is of another size."""
     folder = not brings_rate(path)
     runs = [(n, n + 1) for n in wanted] if folder else [(wanted[0], wanted[-1] + 1)]
     total, done = sum(end - begin for begin, end in runs), 0
     for begin, end in runs:
         rate = Fraction(fps).limit_denominator(1001) if folder else None
-        with open_source(path, fps=rate, start=begin, stop=end) as source:
+        with open_source(path, fps=rate, start=begin, stop=end, stream=stream) as source:
             if source.size != size:
                 is_, was = (f"{width}x{height}" for width, height in (source.size, size))
                 raise InputError(f"{path}: is {is_}, not {was} pixels as in the run; name its clip with --clip")

@@ -23,9 +23,10 @@ from facetrack_cli.report import figures as plots
 from facetrack_cli.report import text
 from facetrack_cli.report.cast import cast_section
 from facetrack_cli.report.command_line import command, init_yaml, recipe_yaml
-from facetrack_cli.report.events import Clock, LostSpan, Stretch, history_of, key_frames
+from facetrack_cli.report.events import LostSpan, Stretch, history_of, key_frames
 from facetrack_cli.report.frames import Image, Report, key_images
 from facetrack_cli.run_folder.manifest import read_manifest, read_run, trajectory_of
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.header import CORRECTED, Header, read_header

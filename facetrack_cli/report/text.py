@@ -9,7 +9,8 @@ import numpy as np
 
 from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.recipe.calibrated import calibrated, fitted
-from facetrack_cli.report.events import Clock, Event, KeyFrame, RunHistory
+from facetrack_cli.report.events import Event, KeyFrame, RunHistory
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.diagnostics import DOUBTFUL, SURE
 from facetrack_cli.trajectory.header import Header
 from facetrack_cli.trajectory.trajectory import Trajectory

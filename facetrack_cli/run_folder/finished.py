@@ -39,6 +39,7 @@ class Painted(NamedTuple):
     first: int
     last: int
     title: str
+    stream: int | None = None
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class Run:
     @property
     def painted(self) -> Painted:
         """What its video is drawn on."""
-        return Painted(self.clip, self.fps, self.first, self.last, self.recipe.name)
+        return Painted(self.clip, self.fps, self.first, self.last, self.recipe.name, self.header.source.stream)
 
     @property
     def video(self) -> Path | None:

@@ -93,18 +93,20 @@ def track_frames(
     seed: int | None = None,
     fps: float = 25.0,
     lag: int = 0,
+    clock: Callable[[int], float] | None = None,
 ) -> Iterator[FrameResult]:
     """Track images as they come: from a webcam, a list, an array (T, H, W, 3); a result for each, from the start on.
 
     Images are (H, W, 3) uint8 in OpenCV's order, blue first, or (H, W) grey, all of one size. `recipe` and `init` are
     those of `track_video`, but there is nothing beside the images: None looks for a face, in at most 250 images.
-    With `lag`, each comes so many images later, and its rows take them into account.
+    With `lag`, each comes so many images later, and its rows take them into account. `clock` is asked for the time of
+    each image, in s, by its number; without it images come at `fps`.
     Raises InputError for images that are none, or no start in them.
     """
     chosen = _recipe(recipe, seed, init)
     if lag:
         check_smoothing(chosen)
-    frames = _frames(images, fps)
+    frames = _frames(images, clock or (lambda index: index / fps))
     begin = _init(init, 0)
     if begin is None or isinstance(begin, str):
         looked, frames = tee(frames)
@@ -193,7 +195,7 @@ def _init(init: Init | None, start: int) -> Path | DetectorName | Start | None:
     return Start(start, {"face": TargetStart(box=(left, top, width, height))}, "init")
 
 
-def _frames(images: Iterable[Image], fps: float) -> Iterator[Frame]:
+def _frames(images: Iterable[Image], clock: Callable[[int], float]) -> Iterator[Frame]:
     size: tuple[int, int] | None = None
     for index, given in enumerate(images):
         image = np.asarray(given)
@@ -203,7 +205,7 @@ def _frames(images: Iterable[Image], fps: float) -> Iterator[Frame]:
             )
         if image.ndim == 2:
             image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
-        frame = Frame(index, index / fps, image)
+        frame = Frame(index, clock(index), image)
         size = frame.size if size is None else size
         if frame.size != size:
             raise InputError(f"image {index}: is {frame.size[0]}x{frame.size[1]}, not {size[0]}x{size[1]} as the first")

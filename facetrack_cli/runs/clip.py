@@ -21,8 +21,9 @@ from facetrack_cli.tracking.kernels.precompile import Precompiler
 from facetrack_cli.tracking.loop import Tracker, TrackState, track
 from facetrack_cli.tracking.smoothed import lagged
 from facetrack_cli.trajectory.trajectory import FrameResult
+from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.shots import Shot
-from facetrack_cli.video.source import FolderSource, Source
+from facetrack_cli.video.source import Source
 
 
 def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
@@ -95,7 +96,7 @@ def track_clip(job: Job, out: Recorder, stop: Stop, report: Report = silent, loo
         done = out.close(
             stopped=stopped, error=error, complete=source.complete, warnings=warnings, variable_fps=source.variable
         )
-        if done.verdict and job.fps is None and done.frames > 1 and isinstance(source, FolderSource):
+        if done.verdict and job.fps is None and done.frames > 1 and not brings_rate(job.clip):
             done.verdict += f"; images have no rate: {source.fps} frames/s is taken, or that of --fps"
         return done
 

@@ -19,7 +19,7 @@ from facetrack_cli.core.files import MAX_FILE_BYTES, absolute, read_bounded
 from facetrack_cli.run_folder.manifest import NAME
 from facetrack_cli.trajectory.header import is_there
 from facetrack_cli.video import images
-from facetrack_cli.video.files import check_local, is_clip, is_image
+from facetrack_cli.video.files import chapters, check_local, is_clip, is_image
 
 
 class Found(NamedTuple):
@@ -38,10 +38,14 @@ def expand(inputs: Sequence[Path], note: Callable[[str], None] = lambda line: No
     groups = [_clips(given, note) for given in listed]
     found = {absolute(clip): clip for group in groups for clip in group}
     clips = list(found.values())
-    alone = [clip for clip in clips if is_image(clip) and images.listing(clip) is None]
+    alone = [one for one in clips if is_image(one) and images.listing(one) is None and images.pages(one) == 1]
     if len(alone) > 1:
         folder = alone[0].parent
         raise UsageError(f"{alone[0]} and {len(alone) - 1} more are single images; give their folder, {folder}{os.sep}")
+    if parts := chapters(clips):
+        names = f"{parts[0].name} to {parts[-1].name}"
+        how = "list them as lines file 'NAME' and join them first: ffmpeg -f concat -safe 0 -i LIST -c copy joined.mp4"
+        note(f"facetrack: {names}: each is a clip of its own; if they are chapters of one recording, {how}")
     plain = len(inputs) == len(listed) and groups == [[given] for given in inputs]
     return Found(clips, len(clips) > 1 or not plain)
 

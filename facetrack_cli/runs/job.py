@@ -96,6 +96,7 @@ class Job(Begin):
         settings = [self.box, self.init_frame, self.faces, self.start, self.stop]
         options = [str(self.fps), self.lag, self.posterior, self.formats, self.video, self.strict]
         options += [] if self.gallery is None else [str(self.gallery)]
+        options += [] if self.stream is None else [f"stream {self.stream}"]
         chunks = [self.split, self.chunk and [self.chunk.correction]] if self.split or self.chunk else []
         return job_digest(self.recipe, init, settings, options, *chunks)
 

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Box, Image
+from facetrack_cli.core.types import Box, Frame, Image
 from facetrack_cli.recipe.face import DetectorName
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_frames
@@ -42,8 +42,8 @@ def is_live(clip: Path) -> bool:
     return str(clip) == "-" or (str(clip).isdecimal() and not clip.exists())
 
 
-def images_of(clip: Path) -> Iterator[Image]:
-    """The images of a camera, of standard input, or of a clip."""
+def images_of(clip: Path) -> Iterator[Image | Frame]:
+    """The images of a camera, of standard input, or of a clip; frames where these say when they are shown."""
     if str(clip) == "-":
         pipe: Any = sys.stdin.buffer
         # a file of its own: at its end the interpreter would wait for a thread that reads from sys.stdin
@@ -53,36 +53,39 @@ def images_of(clip: Path) -> Iterator[Image]:
         yield from camera(int(str(clip)))
     else:
         with open_source(clip) as source:
-            for frame in source:
-                yield frame.bgr
+            yield from source
 
 
 def follow(
-    images: Iterator[Image],
+    images: Iterator[Image | Frame],
     recipe: Recipe,
     init: Path | DetectorName | Box | None,
     write: Callable[[str], None],
     stopped: Callable[[], bool] = never,
 ) -> int:
-    """Track `images` and write a line for each; the number of lines. Times are seconds since the first image came.
+    """Track `images` and write a line for each; the number of lines. Times are those of frames, else seconds since the
+    first image came.
 
     Raises InputError for images that are none, or no start in the first of them.
     """
     came: dict[int, float] = {}
+    shown: dict[int, float] = {}
 
     def counted() -> Iterator[Image]:
+        began = None
         for index, image in enumerate(awaited(images, stopped)):
-            came[index] = time.monotonic()
-            yield image
+            now = came[index] = time.monotonic()
+            began = now if began is None else began
+            shown[index] = image.time_s if isinstance(image, Frame) else now - began
+            yield image.bgr if isinstance(image, Frame) else image
 
-    count, began = 0, None
+    count = 0
     try:
-        for result in track_frames(counted(), recipe, init=init):
+        for result in track_frames(counted(), recipe, init=init, clock=shown.pop):
             at = came[result.frame.index]
-            began = at if began is None else began
             for index in [index for index in came if index <= result.frame.index]:
                 del came[index]
-            line = record(result, at - began, time.monotonic() - at)
+            line = record(result, result.frame.time_s, time.monotonic() - at)
             write(json.dumps(line, allow_nan=False))
             count += 1
     except InputError:  # also where the images end before the target is found
@@ -91,7 +94,7 @@ def follow(
     return count
 
 
-def awaited(images: Iterator[Image], stopped: Callable[[], bool]) -> Iterator[Image]:
+def awaited(images: Iterator[Image | Frame], stopped: Callable[[], bool]) -> Iterator[Image | Frame]:
     """The images until `stopped`; a thread reads each once it is asked for, as a read that waits cannot be ended."""
     asked, came = SimpleQueue[bool](), SimpleQueue[Any]()
 
@@ -145,8 +148,11 @@ def camera(number: int) -> Iterator[Image]:
         capture.release()
 
 
-def piped(stream: BinaryIO) -> Iterator[Image]:
-    """The images of a pipe, as (H, W, 3) uint8 BGR. InputError for what is neither MJPEG nor y4m, or too large."""
+def piped(stream: BinaryIO) -> Iterator[Image | Frame]:
+    """The images of a pipe, (H, W, 3) uint8 BGR, or its frames, of y4m that tells its rate.
+
+    InputError for what is neither MJPEG nor y4m, or too large.
+    """
     head = stream.read(9)
     if head == b"YUV4MPEG2":
         yield from _y4m(stream)
@@ -164,7 +170,7 @@ def _mjpeg(stream: BinaryIO, data: bytes) -> Iterator[Image]:
         end = held.find(b"\xff\xd9", searched)
         if end >= 0:
             data = bytes(held[: end + 2])
-            size, image = images.header_size(Path(), data), None
+            size, image = images.header_size(data), None
             if size is not None:
                 images.check_pixels(Path(f"{_PIPE}: image {count}"), *size)
                 image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
@@ -184,7 +190,7 @@ def _mjpeg(stream: BinaryIO, data: bytes) -> Iterator[Image]:
         held += more
 
 
-def _y4m(stream: BinaryIO) -> Iterator[Image]:
+def _y4m(stream: BinaryIO) -> Iterator[Image | Frame]:
     header = stream.readline(_MAX_LINE_BYTES).decode("ascii", "replace")
     known = dict(re.findall(r" ([A-Z])(\S+)", header))
     try:
@@ -199,9 +205,12 @@ def _y4m(stream: BinaryIO) -> Iterator[Image]:
         raise InputError(
             f"{_PIPE}: is y4m of {width}x{height}; sides must be even, and a frame at most {MAX_IMAGE_BYTES >> 20} MB"
         )
+    rate, index = re.fullmatch(r"([1-9][0-9]*):([1-9][0-9]*)", known.get("F", "")), 0
     while line := stream.readline(_MAX_LINE_BYTES):
         data = stream.read(size)
         if not line.startswith(b"FRAME") or len(data) < size:
             raise InputError(f"{_PIPE}: a frame of y4m is damaged or cut short; {_REMEDY}")
         planes = np.frombuffer(data, np.uint8).reshape(height * 3 // 2, width)
-        yield np.asarray(cv2.cvtColor(planes, cv2.COLOR_YUV2BGR_I420), np.uint8)
+        image = np.asarray(cv2.cvtColor(planes, cv2.COLOR_YUV2BGR_I420), np.uint8)
+        yield image if rate is None else Frame(index, index * int(rate[2]) / int(rate[1]), image)
+        index += 1

@@ -29,6 +29,7 @@ from facetrack_cli.tracking.people.identity import AT_ONCE_S, SURE, UNKNOWN, Cas
 from facetrack_cli.tracking.people.looks import Looks, Reader, load_people, save_people, still, views_of
 from facetrack_cli.tracking.people.presence import MAX_FACES, Film
 from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import clip_of, said
 from facetrack_cli.trajectory.people import (
     NOBODY,
@@ -135,7 +136,7 @@ def cast(
     found = cast_of(tracks, list(known.values()), float(source.fps))
     new = iter(one for k in range(1, len(tracks) + len(known) + 1) if (one := f"{PERSON}{k}") not in known)
     names = [*known, *(next(new) for _ in range(int(found.person.max(initial=-1)) + 1 - len(known)))]
-    return _named(tracks, found, names, readers, shots, float(source.fps))
+    return _named(tracks, found, names, readers, shots, Clock(rows, float(source.fps)))
 
 
 def save_looks(folder: Path, path: Path, clip: Path | None, report: Report, stop: Stopped) -> tuple[str, ...]:
@@ -144,11 +145,11 @@ def save_looks(folder: Path, path: Path, clip: Path | None, report: Report, stop
     Raises InputError where the clip is gone, OutputError, and StoppedError.
     """
     people, rows = people_in(folder), rows_in(folder)
-    where, fps = film_of(people, rows, clip)
+    where, how = film_of(people, rows, clip)
     if where is None:
         raise InputError(f"{rows.path}: does not name its clip; give it with --clip")
     first = people.shots[0].first
-    with open_source(where, fps=fps, start=first) as source:
+    with open_source(where, start=first, **how) as source:
         total = source.frames_hint
         readers = looks_in(_boxes(rows), source, lambda at: report(at - first, total, "looking at people"), stop)
     names = tuple(name for name in people.names if not name.startswith(NOBODY))
@@ -160,11 +161,11 @@ def _boxes(rows: Trajectory) -> dict[str, Trajectory]:
     return {name: box for name in rows.targets if (box := rows.find(name, BOX)) is not None}
 
 
-def film_of(people: People, rows: Trajectory, clip: Path | None) -> tuple[Path | None, Fraction | None]:
-    """The clip of a run, if it is known, and its rate if the clip brings none."""
+def film_of(people: People, rows: Trajectory, clip: Path | None) -> tuple[Path | None, Any]:
+    """The clip of a run, if it is known, and how it is read: its rate if the clip brings none, and its stream."""
     where = clip or clip_of(rows)
     rate = None if where is None or brings_rate(where) else Fraction(people.fps).limit_denominator(1001)
-    return where, rate
+    return where, {"fps": rate, "stream": said(rows, "source", "stream")}
 
 
 def _ends(box: Trajectory) -> tuple[Any, Any]:
@@ -178,7 +179,7 @@ def _named(
     called: Sequence[str],
     readers: Mapping[str, Reader],
     shots: Sequence[Shot],
-    fps: float,
+    clock: Clock,
 ) -> Named:
     names, lanes = list[str](), list[int]()  # until when each of those is seen whose face cannot be told again
     for track, k in zip(tracks, found.person.tolist(), strict=True):
@@ -203,9 +204,9 @@ def _named(
         assert best is not None
         for of in ((name, False), (track.name, True)) if doubt else ((name, False),):
             pictures[of] = max(pictures.get(of, best), best, key=lambda still: still[0])
-    told = [ShotRecord(first=one.first, stop=one.stop) for one in _true(shots, tracks, names, fps)]
+    told = [ShotRecord(first=one.first, stop=one.stop) for one in _true(shots, tracks, names, clock.fps)]
     stills = {name: paths[name, False] for name in names}
-    people = people_of(fps, told, [one for _, one in records], stills, {*names} - moving)
+    people = people_of(clock, told, [one for _, one in records], stills, {*names} - moving)
     return Named(people, tuple(records), {paths[of]: _jpeg(image) for of, (_, image) in pictures.items()})
 
 
@@ -255,7 +256,7 @@ def name_run(job: Job, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
         found = cast_in(job, rows, stop, looked)
         after = under_names(rows, found.tracks)
         last = job.first + outcome.frames - 1
-        paint = Painted(job.clip, job.fps, job.first, last, job.recipe.name) if job.video else None
+        paint = Painted(job.clip, job.fps, job.first, last, job.recipe.name, job.stream) if job.video else None
         write_people(job.out, after, found.people, found.stills, paint, lambda n, of: looked(n, of, "drawing"), stop)
     except StoppedError:
         outcome.stopped = stop.reason
@@ -324,7 +325,7 @@ def recast(
             tracks = change(tracks)
         before = {one.name: one.still for one in people.people}
         old = dict(reversed([(one.person, of) for of, one in tracks]))  # the name of each person's first track
-        named, (where, fps) = under_names(rows, tracks), film_of(people, rows, clip)
+        named, (where, how) = under_names(rows, tracks), film_of(people, rows, clip)
         pictures: dict[str, bytes] = {}
 
         def numbered(picture: bytes) -> str:
@@ -335,25 +336,29 @@ def recast(
         stills = {}
         for name, of in old.items():
             kept = read_still(folder, before.get(of, "")) if name == of or of not in old else b""
-            stills[name] = numbered(kept or _picture(named, name, where, fps))
+            stills[name] = numbered(kept or _picture(named, name, where, how))
         records = [
             one.model_copy(update={"still": numbered(shown) if (shown := read_still(folder, one.still)) else ""})
             for _, one in tracks
         ]
         words = (*people.corrections, *(said for said, _ in changes))
-        after = people_of(people.fps, people.shots, records, stills, photographs(people, tracks), words)
+        after = people_of(Clock(rows, people.fps), people.shots, records, stills, photographs(people, tracks), words)
         paint = None
         known, first = read_manifest(folder), people.shots[0].first
         if video and (folder / VIDEO).is_file() and where is not None and known is not None:
-            paint = Painted(where, fps, first, first + known.frames - 1, str(said(rows, "recipe", "name") or ""))
+            title, last = str(said(rows, "recipe", "name") or ""), first + known.frames - 1
+            paint = Painted(where, how["fps"], first, last, title, how["stream"])
         write_people(folder, named, after, pictures, paint, report, stop, lock)
     return after
 
 
 def rows_in(folder: Path) -> Trajectory:
-    """The rows of a run, with their header if a file has one."""
+    """The rows of a run, with their header if a file has one. InputError without any."""
     files = run_files(folder)
-    return read_run(files.get("json", files.get("jsonl")) or files["csv"])
+    for form in ("json", "jsonl", "csv"):
+        if form in files:
+            return read_run(files[form])
+    raise InputError(f"{folder}: its trajectory is gone; run again")
 
 
 def people_in(folder: Path) -> People:
@@ -374,13 +379,13 @@ def still_of(rows: Trajectory, target: str, first: int, stop: int, read: Callabl
     return _jpeg(still(read(best.frame), best.face))
 
 
-def _picture(rows: Trajectory, name: str, clip: Path | None, fps: Fraction | None) -> bytes:
+def _picture(rows: Trajectory, name: str, clip: Path | None, how: Any) -> bytes:
     """A picture of a person who has none yet."""
     if clip is None:
         raise InputError(f"{rows.path}: has no picture of {name}; name the clip with --clip")
 
     def read(index: int) -> Frame:
-        with open_source(clip, fps=fps, start=index, stop=index + 1) as source:
+        with open_source(clip, start=index, stop=index + 1, **how) as source:
             return next(iter(source))
 
     return still_of(rows, name, 0, int(rows.frame.max()) + 1, read)

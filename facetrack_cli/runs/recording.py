@@ -89,11 +89,22 @@ class ClipFacts(NamedTuple):
     fps: Fraction
     sound: Path | None = None
     frames_hint: int | None = None
+    aspect: Fraction = Fraction(1)
+    begins_s: float = 0.0
+    stream: int | None = None
 
     @classmethod
     def of(cls, clip: Path, source: Source) -> ClipFacts:
         sound = source.path if source.is_video else None
-        return cls(str(clip), source.size, source.fps, sound, source.frames_hint)
+        odd = source.aspect, round(source.begins_s, 4), source.stream
+        return cls(str(clip), source.size, source.fps, sound, source.frames_hint, *odd)
+
+    def record(self) -> dict[str, Any]:
+        """What `ClipHeader` reads; members that are as in nearly all clips are left out."""
+        odd = {"pixel_aspect": round(float(self.aspect), 6)} if self.aspect != 1 else {}
+        odd |= {"begins_s": self.begins_s} if self.begins_s else {}
+        odd |= {} if self.stream is None else {"stream": self.stream}
+        return {"path": self.path, "size": list(self.size), "fps": round(float(self.fps), 6), **odd}
 
 
 class Recorder:
@@ -247,7 +258,7 @@ class Recorder:
             about["pieces"] = checkpoints.folder
         if self._painted is not None:
             about["after"], overlay.memory = self._painted
-        video = self._video = VideoWriter(path, source.size, source.fps, **about)
+        video = self._video = VideoWriter(path, source.size, source.fps, source.aspect, **about)
         painted = 0 if self._painted is None else self._painted[0].frames
 
         def paint(result: FrameResult) -> None:
@@ -436,7 +447,7 @@ def _header(job: Job, source: ClipFacts, start: Start, rows: Trajectory) -> dict
     declared = {one.name: one for found in rows.diagnostics.values() for one in found.declared if one.name not in KNOWN}
     return {
         "versions": _versions(),
-        "source": {"path": source.path, "size": list(source.size), "fps": round(float(source.fps), 6)},
+        "source": source.record(),
         "recipe": {"name": job.recipe.name, **to_dict(job.recipe)},
         "seed": job.recipe.seed,
         "init": {"from": start.origin, **to_record(start)},

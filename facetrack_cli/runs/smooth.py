@@ -171,10 +171,10 @@ def repaint(
     Raises StoppedError once `stop` says so, InputError if the clip lacks frames of the run; nothing is written then.
     """
     total, done = on.last - on.first + 1, 0
-    with open_source(on.clip, fps=on.fps, start=on.first, stop=on.last + 1) as source:
+    with open_source(on.clip, fps=on.fps, start=on.first, stop=on.last + 1, stream=on.stream) as source:
         overlay = Overlay(source.size, fps=float(source.fps), title=on.title, order=order)
         sound = source.path if source.is_video else None
-        video = VideoWriter(path, source.size, source.fps, audio_from=sound, replace=False)
+        video = VideoWriter(path, source.size, source.fps, source.aspect, audio_from=sound, replace=False)
         try:
             for done, frame in enumerate(source, 1):
                 if stop():

@@ -139,7 +139,7 @@ def _frames(job: Job, start: Start, stop: Stop, progress: Progress) -> tuple[Arr
         claimed = None if source.frames_hint is None else start.frame + source.frames_hint
         count, fps = len(source.files) if isinstance(source, FolderSource) else claimed, float(source.fps)
     if not isinstance(source, FolderSource):
-        index = read_index(job.clip, stop)
+        index = read_index(job.clip, stop, job.stream)
         if stop():
             raise InputError(f"{job.clip}: stopped before it was cut")
         if index is not None:

@@ -46,6 +46,7 @@ class Begin:
     `init` is an init file, a start, or the detector that looks for a face whatever lies beside the clip; None: see
     `find`. `faces` says whether it takes the best face, or all that are there.
     `init_frame` is the frame of the init file or box, or the first to look for a face in.
+    `stream`: the number of the video stream in the file.
     `chunk`: that it is a chunk of a clip, in which a face is looked for up to its end.
     """
 
@@ -58,6 +59,7 @@ class Begin:
     start: int = 0
     stop: int | None = None
     fps: Fraction | None = None
+    stream: int | None = None
     chunk: Chunk | None = None
 
     @property
@@ -66,7 +68,7 @@ class Begin:
         return self.start if self.init_frame is None else self.init_frame
 
     def open(self, first: int = 0) -> Source:
-        return open_source(self.clip, fps=self.fps, start=first, stop=self.stop)
+        return open_source(self.clip, fps=self.fps, start=first, stop=self.stop, stream=self.stream)
 
     def find(
         self,

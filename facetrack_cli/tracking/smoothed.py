@@ -10,6 +10,7 @@ from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
+from facetrack_cli.core.geometry import shown_angle
 from facetrack_cli.core.types import BOX, Array, Mask, Whole
 from facetrack_cli.tracking import smoothing
 from facetrack_cli.tracking.face.stabilized import FACE, MIDDLE
@@ -30,7 +31,7 @@ def smoothed_rows(rows: Trajectory, beliefs: Beliefs, motion: MotionName = "reci
     With a `fitted` motion, the noise of the recipe's is scaled to what the clip shows. Rows that a correction gave,
     absent ones, and those of a part that is never seen again stay as they are.
     """
-    return _SmoothedTarget(rows, beliefs).rows(motion)
+    return _SmoothedTarget(rows, beliefs, aspect=rows.pixel_aspect).rows(motion)
 
 
 def renamed_hands(rows: Trajectory, beliefs: Mapping[str, Beliefs]) -> tuple[Trajectory, dict[str, Beliefs]]:
@@ -91,7 +92,7 @@ def _next(
     for i, target in enumerate(now.targets):
         rows = successive([one.targets[i].rows for one in kept])
         beliefs = [() if (given := one.targets[i].beliefs) is None else given() for one in kept]
-        found = _SmoothedTarget(rows, beliefs, before[i] if before else (), lag=True)
+        found = _SmoothedTarget(rows, beliefs, before[i] if before else (), lag=True, aspect=now.frame.aspect)
         frame = now.frame.index
         targets.append(target._replace(rows=found.rows("recipe").between(frame, frame + 1)))
         after.append(found.carried(at))
@@ -104,10 +105,13 @@ class _SmoothedTarget:
     """One target over T frames; its K parts in columns (T, K)."""
 
     def __init__(
-        self, rows: Trajectory, beliefs: Beliefs, carried: Sequence[Belief] = (), *, lag: bool = False
+        self, rows: Trajectory, beliefs: Beliefs, carried: Sequence[Belief] = (), *, lag: bool = False, aspect: float
     ) -> None:
-        """`carried` replaces the beliefs of the first frame, if parts were lost in the frames before it."""
-        self.all, k, t, self.lag = rows, len(rows.names), len(beliefs), lag
+        """`carried` replaces the beliefs of the first frame, if parts were lost in the frames before it.
+
+        `aspect` is the width of a pixel over its height.
+        """
+        self.all, k, t, self.lag, self.aspect = rows, len(rows.names), len(beliefs), lag, aspect
         table = {name: getattr(rows, name).reshape(k, t).T for name in (*_SMOOTHED, "status", "by_hand")}
         self.of = table
         self.gone: Mask = np.isnan(table["x"])
@@ -172,7 +176,8 @@ class _SmoothedTarget:
             var = np.einsum("tki,tkij,tkj->tk", way, cov[..., at, :][..., at], way)
             columns |= {side: size * new / old, std: size / old * np.sqrt(np.maximum(var, 0.0))}
         a1, a2, a3, a4 = (mean[..., i] for i in range(2, 6))
-        columns["angle"] = np.degrees(np.arctan2(a3 * half[0] - a2 * half[1], a1 * half[0] + a4 * half[1]))
+        angle = np.degrees(np.arctan2(a3 * half[0] - a2 * half[1], a1 * half[0] + a4 * half[1]))
+        columns["angle"] = shown_angle(angle, self.aspect)
 
     def _face(
         self, columns: dict[str, Array], points: Chain, head: Chain, boxes: Array, box_cov: Array, motion: MotionName
@@ -186,7 +191,7 @@ class _SmoothedTarget:
         ratio = boxes[:, 0, 2] / head.mean[:, 0, 2]
         place = np.nan_to_num(np.stack([self.of["x"][:, k], self.of["y"][:, k]], axis=1))  # nan where it is absent
         moved = boxes[:, 0, :2] + (place - head.mean[:, 0, :2]) * ratio[:, None]
-        angle = np.radians(np.nan_to_num(self.of["angle"][:, k]))
+        angle = np.radians(shown_angle(np.nan_to_num(self.of["angle"][:, k]), 1 / self.aspect))
         scale = np.nan_to_num(np.sqrt(self.of["w"][:, k] * self.of["h"][:, k]), nan=FACE) / FACE
         turn = np.stack([np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)], axis=1).reshape(-1, 2, 2)
         old, new = (each[:, None, None] * turn for each in (scale, scale * ratio))

@@ -108,9 +108,14 @@ def _members(**members: Any) -> dict[str, Any]:
 
 
 class ClipHeader(BaseModel):
+    """A clip: `pixel_aspect` is the width of a pixel over its height, `begins_s` the time of its first frame."""
+
     path: str
     size: tuple[_Positive, _Positive]
     fps: Annotated[float, Field(gt=0, le=1e6)]
+    pixel_aspect: Annotated[float, Field(gt=0.01, le=100)] = 1.0
+    begins_s: Annotated[float, Field(ge=0, le=1e9)] = 0.0
+    stream: int | None = None
 
 
 class InitHeader(StartRecord):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -17,6 +16,7 @@ from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import checked_name
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.reader import MAX_FRAME, not_as_written
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
@@ -29,7 +29,7 @@ _MAX_STILL_BYTES: Final = 1 << 20
 _P: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 _Name: TypeAlias = Annotated[str, AfterValidator(checked_name)]
 _Frame: TypeAlias = Annotated[int, Field(ge=0, le=MAX_FRAME)]
-
+_Seconds: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
 
 _Still: TypeAlias = Annotated[str, Field(pattern=rf"^({STILLS}/[^/\\\x00.][^/\\\x00]*)?$")]  # a file of that folder
 
@@ -65,13 +65,14 @@ class TrackRecord(_Record):
 class PersonRecord(_Record):
     """A person: `seconds` on the screen, the intervals [first, stop) of frames, the mean probability of its tracks.
 
-    `still` is the picture; `photograph`: it never moves.
+    `times` are the intervals in s. `still` is the picture; `photograph`: it never moves.
     """
 
     name: _Name
     seconds: Annotated[float, Field(ge=0, allow_inf_nan=False)]
     p: _P
     intervals: Annotated[tuple[tuple[_Frame, _Frame], ...], Field(min_length=1)]
+    times: tuple[tuple[_Seconds, _Seconds], ...] = ()
     still: _Still = ""
     photograph: bool = False
 
@@ -95,6 +96,8 @@ class People(_Record):
         ]
         if any(first >= stop for first, stop in spans):
             raise ValueError("a track or an interval has no frame")
+        if any(one.times and len(one.times) != len(one.intervals) for one in self.people):
+            raise ValueError("its times are not those of its intervals")
         if len({*self.names}) < len(self.names) or {*self.names} != {one.person for one in self.tracks}:
             raise ValueError("its people are not those of its tracks, each once")
         return self
@@ -113,12 +116,16 @@ class People(_Record):
 
     def seconds_together(self) -> Mapping[tuple[str, str], float]:
         """How long two people are on the screen at the same time, where they ever are."""
-        found: Counter[tuple[str, str]] = Counter()
+        found: dict[tuple[str, str], float] = {}
         for a, b in combinations(self.people, 2):
-            frames = sum(max(min(x[1], y[1]) - max(x[0], y[0]), 0) for x in a.intervals for y in b.intervals)
-            if frames:
-                found[a.name, b.name] = frames
-        return {pair: round(frames / self.fps, 3) for pair, frames in found.items()}
+            seconds = sum(max(min(x[1], y[1]) - max(x[0], y[0]), 0) for x in self.times_of(a) for y in self.times_of(b))
+            if seconds:
+                found[a.name, b.name] = round(seconds, 3)
+        return found
+
+    def times_of(self, person: PersonRecord) -> tuple[tuple[float, float], ...]:
+        """The intervals of a person in s."""
+        return person.times or tuple((first / self.fps, stop / self.fps) for first, stop in person.intervals)
 
 
 def read_people(path: Path) -> People | None:
@@ -143,7 +150,7 @@ def read_still(run: Path, still: str) -> bytes:
 
 
 def people_of(
-    fps: float,
+    clock: Clock,
     shots: Sequence[ShotRecord],
     tracks: Iterable[TrackRecord],
     stills: Mapping[str, str],
@@ -159,18 +166,20 @@ def people_of(
     for name, theirs in found.items():
         spans = tuple(union((one.first, one.stop) for one in theirs))
         frames = [one.stop - one.first for one in theirs]
+        times = tuple((round(clock.at(first), 4), round(clock.after(stop - 1), 4)) for first, stop in spans)
         p = float(np.average([one.p for one in theirs], weights=frames))
         person = PersonRecord(
             name=name,
-            seconds=round(sum(stop - first for first, stop in spans) / fps, 3),
+            seconds=round(sum(stop - first for first, stop in times), 3),
             p=round(p, 4),
             intervals=spans,
+            times=times,
             still=stills.get(name, ""),
             photograph=name in photographs,
         )
         people.append(person)
     return People(
-        fps=fps, shots=tuple(shots), people=tuple(people), tracks=tuple(ordered), corrections=tuple(corrections)
+        fps=clock.fps, shots=tuple(shots), people=tuple(people), tracks=tuple(ordered), corrections=tuple(corrections)
     )
 
 

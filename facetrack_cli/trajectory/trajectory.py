@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, needed
+from facetrack_cli.core.geometry import shown_angle
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Frame, Image, Mask, Start, Texts, Whole
 from facetrack_cli.trajectory.diagnostics import POSTERIOR, SURE, Diagnostics, outlines
@@ -50,13 +51,13 @@ class Trajectory:
     """Where parts of targets are in the frames of a clip, and how sure the tracker is. Every array is (R,).
 
     `names` are the (target, part) pairs, `which` the index of each row's pair, `frame` the 0-based source frame. (x, y)
-    is the centre and (w, h) the size in pixels; `angle` in degrees; `confidence` 0..1; `std_x`, `std_y` the posterior's
-    standard deviations in pixels, `cov_xy` its covariance of x and y in square pixels, `std_w`, `std_h` those of a
-    box's size. `status` is init, tracked, hidden, lost or absent in a
-    trajectory; visible, hidden or absent in ground truth; "" where nothing is said. `by_hand` marks rows that a
-    correction gave, which a CSV does not tell. `corners` (R, 4, 2), clockwise from the top left, are there for rotated
-    boxes and polygons. `header` is what a JSON file says of its run, `diagnostics` what a tracker reports of each
-    target beside its rows, `path` the file.
+    is the centre and (w, h) the size in pixels; `angle` in degrees, as the picture is shown; `confidence` 0..1;
+    `std_x`, `std_y` the posterior's standard deviations in pixels, `cov_xy` its covariance of x and y in square pixels,
+    `std_w`, `std_h` those of a box's size. `status` is init, tracked, hidden, lost or absent in a trajectory; visible,
+    hidden or absent in ground truth; "" where nothing is said. `by_hand` marks rows that a correction gave, which a CSV
+    does not tell. `corners` (R, 4, 2), clockwise from the top left, are there for rotated boxes and polygons.
+    `header` is what a JSON file says of its run, `diagnostics` what a tracker reports of each target beside its rows,
+    `path` the file.
     """
 
     names: tuple[tuple[str, str], ...]
@@ -213,6 +214,23 @@ class Trajectory:
         found: Mask = self.by_hand | (shown & (np.arange(len(self)) > 0))
         return found
 
+    @property
+    def pixel_aspect(self) -> float:
+        """The width of a pixel over its height, by the header."""
+        source = self.header.get("source")
+        found = source.get("pixel_aspect") if isinstance(source, dict) else None
+        return float(found) if isinstance(found, int | float) and 0.01 < found <= 100 else 1.0
+
+    @property
+    def squared(self) -> Trajectory:
+        """The rows in pixels that are as wide as high, as the picture is shown."""
+        wide = self.pixel_aspect
+        if wide == 1:
+            return self
+        columns = {name: getattr(self, name) * wide for name in ("x", "w", "std_x", "std_w", "cov_xy")}
+        corners = None if self.corners is None else self.corners * (wide, 1)
+        return replace(self, **columns, corners=corners, header={})
+
     @cached_property
     def measures(self) -> Mapping[str, Mapping[str, Measured]]:
         """Of each target what its face does, or the hand, by the measure's name."""
@@ -298,10 +316,14 @@ def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: An
 def of_frame(
     names: tuple[tuple[str, str], ...], frame: Frame, diagnostics: Mapping[str, Diagnostics], **columns: Any
 ) -> Trajectory:
-    """`build` of the rows of one frame, one for each of `names` and in their order, without looking for mistakes."""
+    """`build` of the rows of one frame, one for each of `names` and in their order, without looking for mistakes.
+
+    An angle is that in the frame's pixels.
+    """
     rows, known = len(names), dict(_unknown(len(names)))
     known |= {"which": np.arange(rows), "frame": np.full(rows, frame.index), "time_s": np.full(rows, frame.time_s)}
     known |= {name: np.asarray(values, dtype=_TYPES.get(name, np.float64)) for name, values in columns.items()}
+    known["angle"] = shown_angle(known["angle"], frame.aspect)
     return Trajectory(names, **known, diagnostics=diagnostics)
 
 

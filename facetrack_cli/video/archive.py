@@ -50,7 +50,7 @@ class Archive:
         if len(folders := {name.parent for name in shown}) > 1:
             two = " and ".join(sorted(map(str, folders))[:2])
             raise InputError(f"{path}: has images in several folders, as {two}; one clip has them in one")
-        ordered = sorted(shown, key=lambda name: images.natural_key(name.name))
+        ordered = images.ordered(shown, lambda name: name.name)
         self._entries: dict[Path, ZipInfo] = {path / name: shown[name] for name in ordered}
         self.files = list(self._entries)
 

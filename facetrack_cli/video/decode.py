@@ -1,7 +1,8 @@
 """A video file decoded by PyAV, and the numbers of its frames by their packets, by which any frame is sought.
 
-Colours are computed by BT.601, also where a clip says BT.709: so does OpenCV, with whose images the models are trained.
-Frames of 4:2:0 in limited range, which nearly all clips have, stay planes until their colours are read.
+Colours are computed by the matrix and the range that a clip says, as FFmpeg and OpenCV (from 4.13 on) do, and like
+them by BT.601 where it says none. Frames of 4:2:0 in limited range, which nearly all clips have, stay planes until
+their colours are read; planes of another matrix become those of BT.601.
 """
 
 from __future__ import annotations
@@ -12,16 +13,18 @@ import weakref
 from array import array
 from collections.abc import Callable, Iterator
 from fractions import Fraction
+from functools import lru_cache
 from itertools import chain, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, reason
-from facetrack_cli.core.types import Array, Image, Whole, planes_of
-from facetrack_cli.video.images import MOST_PIXELS, check_pixels
+from facetrack_cli.core.types import Array, Frame, Image, Whole, planes_of
+from facetrack_cli.video.encoder import weights
+from facetrack_cli.video.images import MOST_PIXELS, Levels, check_pixels, levels
 
 if TYPE_CHECKING:
     from av.container import InputContainer
@@ -30,12 +33,24 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
 _DEFAULT_FPS: Final = Fraction(25)
+_LOOKED_PACKETS: Final = 100  # of a file with several video streams
+_DEFAULT_PIXELS: Final = 5_000_000  # what a stream that is marked default counts more, as in FFmpeg
 MIN_JUMP_FRAMES: Final = 16  # decoding fewer frames takes less time than a jump over them
 _CHECKED_FRAMES: Final = 24  # so many frames from the start must agree with the packets
 _MAX_TRIES: Final = 3  # a seek that arrives too late is repeated from an earlier keyframe
 _MAX_THREADS: Final = 8  # of the decoder, each of which holds frames
 # larger frames are decoded several at a time; FFmpeg does not always tell which of them are damaged then
 _MAX_ALONE_PIXELS: Final = 1_000_000
+_LEVEL_FRAMES: Final = 50  # by which the range of 16-bit grey is measured
+_PRIMING_S: Final = 0.05  # of AAC and MP3
+_OBLONG: Final = 8  # a pixel that is told to be more oblong is told wrong
+_SHAPE: Final = 1.03  # of sides that are rounded
+_BT601: Final = 5
+# by H.273's numbers of matrices, the luma weights of red and blue
+_LUMA: Final = {
+    1: (0.2126, 0.0722), 4: (0.30, 0.11), 5: (0.299, 0.114), 6: (0.299, 0.114), 7: (0.212, 0.087),
+    9: (0.2627, 0.0593), 10: (0.2627, 0.0593),
+}  # fmt: skip
 _FULL_RANGE: Final = 2  # libavutil's number of a range from 0 to 255
 # FFmpeg goes by what a file holds: a playlist would make it open other files, and text is drawn as letters
 FORMATS: Final = (
@@ -65,23 +80,27 @@ class LostError(InputError):
 class Decoder(contextlib.AbstractContextManager["Decoder"]):
     """A video file, decoded frame after frame. Not thread-safe. Raises OSError or ValueError if it gives no frame.
 
-    `size` is the (width, height) of the first frame, upright, and `fps` the nominal rate. `next` is the number of the
-    frame that `read` gives next, `time_s` the time of the last one, from the first. `claimed` is the number of frames
+    `stream` is the number of the video stream; without it `streams` are those of which the first is taken.
+
+    `size` is the (width, height) of the first frame, upright, `aspect` the width of a pixel over its height, and `fps`
+    the nominal rate. `next` is the number of the frame that `read` gives next, `time_s` the time of the last one, from
+    the start of the file; the first one is shown at `begins_s`. `resized` is the first frame, and its size, that is
+    not of the `size` that all are brought to. `claimed` is the number of frames
     that the container claims, `claimed_s` its duration, and `end_s` the end of the video and sound that were read.
     `damage` are the numbers, nearly, of frames that are damaged, and `complaint` what the demuxer said of it first.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, stream: int | None = None) -> None:
         self.path = path
         self._container = open_container(path)
-        video = video_stream(self._container)
+        self.streams = recordings(self._container) if stream is None else []
+        video = self.streams[0] if self.streams else video_stream(self._container, stream)
         if video is None:
             self._container.close()
             raise ValueError("no video")
         self._video, self._sound = video, self._container.streams.audio
         self._end = weakref.finalize(self, _end, video.codec_context, self._container)
         check_pixels(path, video.codec_context.width, video.codec_context.height)
-        video.codec_context.options = {"max_pixels": str(MOST_PIXELS)}  # also of frames whose size is another one
         large = video.codec_context.width * video.codec_context.height > _MAX_ALONE_PIXELS
         video.codec_context.thread_type = "AUTO"
         video.codec_context.thread_count = min(cv2.getNumberOfCPUs(), _MAX_THREADS) if large else 1
@@ -98,6 +117,7 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
         self._index: Index | None = None  # by which it jumped
         self.damage: set[int] = set()
         self.complaint = ""
+        self.resized: tuple[int, tuple[int, int]] | None = None
         self.next, self.time_s, self.end_s = 0, 0.0, 0.0
         decoded = self._decoded()
         first = next(decoded, None)
@@ -105,8 +125,12 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
             self.close()
             raise ValueError("no frame")
         self._frames: Iterator[VideoFrame] = chain([first], decoded)
-        turned = round(first.rotation / 90) % 2
-        self.size = (first.height, first.width) if turned else (first.width, first.height)
+        self.size, shape = (first.width, first.height), video.sample_aspect_ratio or Fraction(1)
+        if _orientation(first)[0]:
+            self.size, shape = self.size[::-1], 1 / shape
+        self.aspect = shape if 1 / _OBLONG < shape < _OBLONG else Fraction(1)
+        self._levels = _levels(path, stream) if first.format.name.startswith("gray16") else None
+        self.begins_s, _ = _shown_at(first, self._container)
 
     def read(self) -> VideoFrame | None:
         """The next frame; None at the end. Raises LostError."""
@@ -117,16 +141,25 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
             if self.next >= len(self._index.pts) or raw.pts != self._index.pts[self.next]:
                 what = f"{self.path}: frame {self.next} is not there at the time that its packet says"
                 raise LostError(f"{what}; convert the clip, or track it in one piece")
-            self.time_s = float(self._index.times[self.next])
+            self.time_s = self.begins_s + float(self._index.times[self.next])
         else:
             stamp = raw.dts if self._by_dts else raw.pts
             if self.next == 0:
-                self._origin = stamp or 0
+                self._origin, self.time_s = stamp or 0, self.begins_s
             else:  # some frames have no stamp, or one that is not later
-                elapsed_s = -1.0 if stamp is None else (stamp - self._origin) * self._tick
-                self.time_s = elapsed_s if elapsed_s > self.time_s else self.time_s + float(1 / self.fps)
+                now_s = -1.0 if stamp is None else self.begins_s + (stamp - self._origin) * self._tick
+                self.time_s = now_s if now_s > self.time_s else self.time_s + float(1 / self.fps)
         self.next += 1
         return raw
+
+    def picture(self, raw: VideoFrame) -> Frame:
+        """The frame that was read last, as players show it."""
+        image = pixels(raw) if self._levels is None else _grey(raw, self._levels)
+        frame = Frame(self.next - 1, self.time_s, image, aspect=float(self.aspect))
+        if frame.size == self.size:
+            return frame
+        self.resized = self.resized or (frame.index, frame.size)
+        return Frame(frame.index, frame.time_s, fitted(frame.bgr, self.size), aspect=frame.aspect)
 
     def seek(self, number: int, index: Index) -> bool:
         """Go to the last keyframe before a frame, so that reading onward gives it. False if that is not possible."""
@@ -215,58 +248,171 @@ def open_container(path: Path) -> InputContainer:
     # an absolute path never reads as an option or a protocol
     options = {"format_whitelist": FORMATS, "protocol_whitelist": "file"}
     try:
-        return av.open(str(path.absolute()), options=options, metadata_errors="replace")
+        container = av.open(str(path.absolute()), options=options, metadata_errors="replace")
     except EOFError as error:  # PyAV's is Python's, which Click takes for Ctrl-C
         raise ValueError(reason(error)) from error
+    for one in container.streams.video:
+        if one.codec_context:
+            one.codec_context.options = {"max_pixels": str(MOST_PIXELS)}  # also of frames whose size is another one
+    return container
 
 
-def video_stream(container: InputContainer) -> VideoStream | None:
-    """The first video stream that can be decoded and is no cover image."""
+def recordings(container: InputContainer) -> list[VideoStream]:
+    """The video streams that can be decoded and are no pictures beside a clip, in the order in which FFmpeg takes them.
+
+    That is the largest first, or a default one that is not much smaller. A stream that has a tenth of the frames of
+    another, as the preview of a camera, is none of them.
+    """
     from av.stream import Disposition
 
-    streams = (one for one in container.streams.video if Disposition.attached_pic not in one.disposition)
-    return next((one for one in streams if one.codec_context is not None), None)
+    no_clip = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
+    streams = [one for one in container.streams.video if not one.disposition & no_clip and one.codec_context]
+    if len(streams) < 2:
+        return streams
+    count = dict.fromkeys((one.index for one in streams), 0)
+    with open_container(Path(container.name)) as same, contextlib.suppress(OSError, ValueError):
+        for packet in islice(same.demux([same.streams[at] for at in count]), _LOOKED_PACKETS):
+            count[packet.stream.index] += packet.size > 0
+
+    def size(one: VideoStream) -> int:
+        more = _DEFAULT_PIXELS if Disposition.default in one.disposition else 0
+        return -one.codec_context.width * one.codec_context.height - more
+
+    return sorted((one for one in streams if count[one.index] * 10 >= max(count.values())), key=size)
+
+
+def video_stream(container: InputContainer, number: int | None = None) -> VideoStream | None:
+    """The video stream of that number in the file, else the first of `recordings`. InputError without such a number."""
+    if number is None:
+        return next(iter(recordings(container)), None)
+    there = {one.index: one for one in container.streams.video if one.codec_context}
+    if number not in there:
+        numbers = ", ".join(map(str, there)) or "none"
+        raise InputError(f"{container.name}: has no video stream {number}; those there are {numbers}")
+    return there[number]
 
 
 def sound_of(path: Path) -> tuple[str, float]:
-    """The codec of a file's sound, "" if it has none, and when its first image is shown, in s from the file's start.
+    """The codec of a file's sound, "" if it has none, and how much later, in s, its frames are shown than they say.
 
     Raises OSError or ValueError.
     """
     with open_container(path) as container:
         video, sound = video_stream(container), container.streams.audio
         first = None if video is None else next(container.decode(video), None)
-        begins_s = 0.0 if first is None or first.time is None else first.time - (container.start_time or 0) / 1e6
-        return sound[0].codec.name if sound else "", max(begins_s, 0.0)
+        late_s = 0.0 if first is None else _shown_at(first, container)[1]
+        return sound[0].codec.name if sound else "", late_s
+
+
+def _shown_at(first: VideoFrame, container: InputContainer) -> tuple[float, float]:
+    """When the first frame of a file is shown, in s from the file's start, and what is left out of that.
+
+    Sound that is encoded begins some milliseconds early, to no purpose: so much is left out.
+    """
+    at_s = 0.0 if first.time is None else max(first.time - (container.start_time or 0) / 1e6, 0.0)
+    late = container.format.name != "avi" and at_s > _PRIMING_S  # which has no times of showing
+    return (at_s, 0.0) if late else (0.0, at_s)
 
 
 def pixels(raw: VideoFrame) -> Image:
-    """A decoded frame as `Frame.pixels`, turned upright."""
-    turns = round(raw.rotation / 90) % 4
+    """A decoded frame as `Frame.pixels`, turned and mirrored as players show it."""
+    way = _orientation(raw)
     sides = raw.width, raw.height
+    matrix = int(raw.colorspace) if int(raw.colorspace) in _LUMA else _BT601
     if raw.format.name != "yuv420p" or raw.color_range == _FULL_RANGE or sides[0] % 2 or sides[1] % 2:
-        image = np.asarray(raw.to_ndarray(format="bgr24", src_colorspace="ITU601", dst_colorspace="ITU601"), np.uint8)
-        return np.ascontiguousarray(np.rot90(image, turns))
+        image = np.asarray(raw.to_ndarray(format="bgr24", src_colorspace=matrix, dst_colorspace=_BT601), np.uint8)
+        return np.ascontiguousarray(_oriented(image, way))
     planes = np.asarray(raw.to_ndarray(), np.uint8)
-    if not turns:
+    if _LUMA[matrix] != _LUMA[_BT601]:
+        planes = _in_bt601(planes, matrix)
+    if not any(way):
         return planes
-    turned = np.concatenate([np.rot90(part, turns).ravel() for part in planes_of(planes)])
-    return turned.reshape(-1, sides[turns % 2])
+    turned = np.concatenate([_oriented(part, way).ravel() for part in planes_of(planes)])
+    return turned.reshape(-1, sides[way[0]])
 
 
-def read_index(path: Path, stopped: Callable[[], bool] = lambda: False) -> Index | None:
+def _in_bt601(planes: Image, matrix: int) -> Image:
+    """The planes of limited range of another matrix, as those of BT.601 that have the same colours."""
+    luma, *chroma = planes_of(planes)
+    # grey stays grey: Y changes by U and V alone, each about its middle
+    more, *others = (
+        cv2.addWeighted(chroma[0], u, chroma[1], v, 128 - 128 * (u + v)) for _, u, v in _to_bt601(matrix).tolist()
+    )
+    more = cv2.resize(more, luma.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    parts = cv2.addWeighted(luma, 1, more, 1, -128), *others
+    return np.concatenate([np.asarray(part, np.uint8).ravel() for part in parts]).reshape(planes.shape)
+
+
+@lru_cache
+def _to_bt601(matrix: int) -> Array:
+    """(3, 3) Y, Cb and Cr by those of another matrix."""
+    ours, theirs = (weights(*_LUMA[one])[:, :3] for one in (_BT601, matrix))
+    return np.asarray(ours @ np.linalg.inv(theirs))
+
+
+def _levels(path: Path, stream: int | None) -> Levels:
+    """The range that the first frames of a video of 16-bit grey use."""
+    with open_container(path) as container:
+        video = video_stream(container, stream)
+        return levels(
+            raw.to_ndarray(format="gray16le") for raw in islice(container.decode(video) if video else (), _LEVEL_FRAMES)
+        )
+
+
+def _grey(raw: VideoFrame, range_: Levels) -> Image:
+    image = range_.grey(raw.to_ndarray(format="gray16le"))
+    return np.ascontiguousarray(_oriented(np.repeat(image[..., None], 3, axis=2), _orientation(raw)))
+
+
+def _orientation(raw: VideoFrame) -> tuple[bool, bool, bool]:
+    """Whether a frame is shown with rows for columns, then mirrored, then upside down, by its display matrix."""
+    try:
+        found = raw.side_data.get("DISPLAYMATRIX")
+    except ValueError:  # PyAV has no name for what FFmpeg tells beside it, as EXIF
+        from av.sidedata.sidedata import Type
+
+        Type._missing_ = classmethod(lambda kind, value: kind.SEI_UNREGISTERED)  # type: ignore[method-assign, assignment]
+        found = raw.side_data.get("DISPLAYMATRIX")
+    if found is None:
+        return False, False, False
+    # of a place (x, y) in the file, (x a + y c, x b + y d) is shown; what is no quarter turn is rounded to one
+    a, b, _, c, d = np.frombuffer(cast(bytes, found), np.int32)[:5].tolist()
+    if abs(a) + abs(d) >= abs(b) + abs(c):
+        return False, a < 0, d < 0
+    return True, c < 0, b < 0
+
+
+def _oriented(image: Image, way: tuple[bool, bool, bool]) -> Image:
+    across, mirrored, upside_down = way
+    image = image.swapaxes(0, 1) if across else image
+    return image[:: -1 if upside_down else 1, :: -1 if mirrored else 1]
+
+
+def fitted(image: Image, size: tuple[int, int]) -> Image:
+    """A BGR image scaled to `size` (width, height); what has another shape by more than `_SHAPE` gets black borders."""
+    scales = [whole / side for whole, side in zip(size, image.shape[1::-1], strict=True)]
+    zoom, most = min(scales), max(scales)
+    width, height = size if most <= zoom * _SHAPE else (max(round(s * zoom), 1) for s in image.shape[1::-1])
+    how = cv2.INTER_AREA if zoom < 1 else cv2.INTER_LINEAR
+    small = cv2.resize(image, (width, height), interpolation=how)
+    left, top = (size[0] - width) // 2, (size[1] - height) // 2
+    borders = top, size[1] - height - top, left, size[0] - width - left
+    return np.asarray(cv2.copyMakeBorder(small, *borders, cv2.BORDER_CONSTANT), np.uint8)
+
+
+def read_index(path: Path, stopped: Callable[[], bool] = lambda: False, stream: int | None = None) -> Index | None:
     """Read all packets of a video without decoding them; None if not every packet gives one frame, or once `stopped`.
 
     Memory is a few bytes a frame. Raises OSError or ValueError.
     """
     import av
 
-    with Decoder(path) as decoder:
+    with Decoder(path, stream) as decoder:
         first = [-1 if raw.pts is None else raw.pts for raw in islice(iter(decoder.read, None), _CHECKED_FRAMES)]
         reorders = bool(decoder._video.codec_context.has_b_frames)
     pts, keys, ended = array("q"), array("q"), False
     with open_container(path) as container:
-        video = video_stream(container)
+        video = video_stream(container, stream)
         assert video is not None
         codec, kind = video.codec_context.name, container.format.name
         # a program stream tells the time of some frames only, and AVI that of none

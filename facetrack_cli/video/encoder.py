@@ -25,11 +25,14 @@ _STRIP = 1 << 18  # pixels that are converted at a time, which bounds memory
 class Encoder:
     """Encodes frames of `size` into the MP4 `target`, which errors call `path`. OutputError if that is not possible.
 
-    `timescale` are the ticks a second of the file's clock.
+    `timescale` are the ticks a second of the file's clock, `aspect` is the width of a pixel over its height.
     """
 
-    def __init__(self, path: Path, target: Path, size: tuple[int, int], fps: Fraction, timescale: int) -> None:
+    def __init__(
+        self, path: Path, target: Path, size: tuple[int, int], fps: Fraction, timescale: int, aspect: Fraction
+    ) -> None:
         self.target, self._path, self._fps, self._timescale = target, path, fps, timescale
+        self._aspect = aspect.limit_denominator(255)
         self._planes, self._begun = Planes(size), False
         try:
             target.open("wb").close()
@@ -86,6 +89,7 @@ class Encoder:
     def _command(self) -> list[str]:
         matrix, (width, height) = self._planes.matrix, self._planes.size
         tags = f"setparams=colorspace={matrix}:color_primaries={matrix}:color_trc={matrix}:range=tv"
+        tags += f",setsar={self._aspect}" if self._aspect != 1 else ""
         large = width * height > _LARGE
         command = ["-nostats", "-v", "error", "-y", *("-thread_queue_size", "1") * large, "-f", "matroska", "-i", "-"]
         # superfast with the macroblock tree that it leaves out takes 0.5 to 0.7 of the time of veryfast, and its files
@@ -127,7 +131,7 @@ class Planes:
         self.size = width, height = width + right, height + bottom
         self._more = (0, bottom, 0, right) if right or bottom else None
         self.matrix = "bt709" if size[1] >= 720 else "smpte170m"  # as players assume where they ignore the tag
-        self._weights = _weights(*((0.2126, 0.0722) if self.matrix == "bt709" else (0.299, 0.114)))
+        self._weights = weights(*((0.2126, 0.0722) if self.matrix == "bt709" else (0.299, 0.114)))
         self._planes = np.empty(width * height // 2 * 3, np.uint8)
         y, uv = np.split(self._planes, [width * height])
         self._y, self._uv = y.reshape(height, width), uv.reshape(2, height // 2, width // 2)
@@ -151,7 +155,7 @@ class Planes:
         return self._planes
 
 
-def _weights(red: float, blue: float) -> Array:
+def weights(red: float, blue: float) -> Array:
     """(3, 4): Y, Cb and Cr of limited range by blue, green, red, 1; given the luma weights of red and blue (H.273)."""
     luma = np.array([blue, 1 - red - blue, red])
     cb, cr = (np.array([1, 0, 0]) - luma) / (1 - blue) / 2, (np.array([0, 0, 1]) - luma) / (1 - red) / 2

@@ -1,6 +1,9 @@
 """What a file is: a clip of its own, an image, or neither, and whether a part of it is missing."""
 
 import re
+import shlex
+from collections import defaultdict
+from collections.abc import Sequence
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -15,6 +18,8 @@ _KINDS: Final = (
 )
 _VIDEOS: Final = frozenset(f".{kind}" for kind in _KINDS.split())
 _ADDRESS: Final = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(?=[^/])")  # a drive of Windows has one letter
+_CONCAT: Final = re.compile(rb"(\xef\xbb\xbf)?(\s*#[^\n]*\n)*\s*(ffconcat version|file\s+['\"\w./\\])")
+_GOPRO: Final = re.compile(r"(G[A-Z])([0-9]{2})([0-9]{4})|GOPR([0-9]{4})", re.IGNORECASE)
 _TS_PACKET: Final = 188  # bytes
 _MP4_BOXES: Final = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
 
@@ -24,6 +29,24 @@ def is_clip(path: Path) -> bool:
     suffix = path.suffix.lower()
     named = suffix in _VIDEOS or (suffix == ".zip" and holds_images(path)) or images.is_animated(path)
     return named and path.is_file()
+
+
+def chapters(clips: Sequence[Path]) -> list[Path]:
+    """Those of some clips that may be chapters of one recording: numbered on, or as cameras name them; else none."""
+    found = defaultdict[tuple[str, str], list[Path]](list)
+    for clip in clips:
+        if clip.suffix.lower() not in _VIDEOS:
+            continue
+        if camera := _GOPRO.fullmatch(clip.stem):
+            found[str(clip.parent), camera[3] or camera[4]].append(clip)
+        elif numbered := re.fullmatch(r"(.*?)([0-9]{4,})", clip.stem):  # as cameras number
+            found[str(clip.parent / f"{numbered[1]}_"), clip.suffix].append(clip)
+    for those in found.values():
+        numbers = [int((re.findall("[0-9]+", one.stem) or ["0"])[-1]) for one in those]
+        on = numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+        if len(those) > 1 and (_GOPRO.fullmatch(those[0].stem) or on):
+            return those
+    return []
 
 
 def is_image(path: Path) -> bool:
@@ -45,7 +68,7 @@ def check_local(path: Path) -> None:
 
 
 def check_file(path: Path) -> None:
-    """Raise InputError for a path that is no file that can be read, or an empty one."""
+    """Raise InputError for a path that is no file that can be read, an empty one, or a list of files to be joined."""
     try:
         str(path).encode()
         if not path.exists():
@@ -54,8 +77,12 @@ def check_file(path: Path) -> None:
         if not path.is_file():
             raise InputError(f"{path}: neither a file nor a folder; save the clip to a file")
         with path.open("rb") as file:
-            if not file.read(1):
+            begins = file.read(4096)
+            if not begins:
                 raise InputError(f"{path}: the file is empty; {AGAIN}")
+            if path.suffix.lower() not in _VIDEOS and _CONCAT.match(begins):
+                how = f"ffmpeg -f concat -safe 0 -i {shlex.quote(str(path))} -c copy joined.mp4"
+                raise InputError(f"{path}: is a list of files that are one clip; join them, and give that: {how}")
     except UnicodeEncodeError:
         raise InputError(f"{path}: the name holds bytes that are no UTF-8 text; rename the file") from None
     except OSError as error:

@@ -1,13 +1,19 @@
 """Image files: which files of a folder are frames, in what order, and how one becomes (H, W, 3) uint8 BGR."""
 
 import contextlib
+import io
 import re
 import warnings
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, NamedTuple, TypeVar
 
+import cv2
 import imageio.v3 as iio
 import numpy as np
+from PIL import Image as Pictures
 
 from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.types import Image
@@ -21,6 +27,31 @@ SUFFIXES = frozenset(f".{kind}" for kind in _KINDS)
 # modes whose numbers are neither grey levels nor RGB
 _READ_AS = {"1": "L", **dict.fromkeys(("P", "PA", "LA", "La", "RGBa"), "RGBA")}
 _READ_AS |= dict.fromkeys(("CMYK", "YCbCr", "LAB", "HSV"), "RGB")
+
+
+_STACKS: Final = frozenset((".tif", ".tiff", ".webp"))  # which may hold several pictures
+_DEEP: Final = frozenset((".png", ".tif", ".tiff"))  # whose colours may have 16 bits
+_NUMBER: Final = re.compile(r"-?[0-9]+(\.[0-9]+)?")
+_CLOCK: Final = re.compile(r".*?[0-9]+[-_:h][0-5]?[0-9][-_:m][0-5]?[0-9](\.[0-9]+)?")
+_Name = TypeVar("_Name")
+# what Pillow raises
+_DAMAGED: Final = (
+    OSError, SyntaxError, EOFError, LookupError, TypeError, ValueError, RuntimeError, Pictures.DecompressionBombError,
+)  # fmt: skip
+
+
+class Levels(NamedTuple):
+    """Which numbers of a 16-bit picture are black and white."""
+
+    black: int = 0
+    white: int = 0xFFFF
+
+    def grey(self, pixels: Any) -> Image:
+        """As 8 bits, of the whole range by shifting."""
+        if self == Levels():
+            return np.asarray(pixels >> 8, np.uint8)
+        scaled = (pixels.astype(np.float32) - self.black) * (255 / max(self.white - self.black, 1))
+        return np.asarray(np.clip(np.rint(scaled), 0, 255), np.uint8)
 
 
 class UnreadableError(InputError):
@@ -43,7 +74,50 @@ def listing(path: Path) -> list[Path] | None:
         files = [f for f in found if f.suffix.lower() in SUFFIXES and not f.name.startswith(".") and f.is_file()]
     except OSError as error:
         raise InputError(f"{path}: {reason(error)}; check the name and the permissions") from error
-    return sorted(files, key=lambda file: natural_key(file.name))
+    return ordered(files, lambda file: file.name)
+
+
+def ordered(files: Iterable[_Name], name: Callable[[_Name], str]) -> list[_Name]:
+    """Files by the numbers in their names, as all of them are meant.
+
+    A name is one number, also a negative one or a fraction, as 0.04, if all are; or ends in a fraction of seconds, as
+    1-02-03.45, if all do, or if the zeros at the ends of fractions are left out; or is a hexadecimal number, if all are
+    of one length. Else each run of digits is a number.
+    """
+    every = list(files)
+    stems = {id(one): re.sub(r"\.[^.]*$", "", name(one)) for one in every}
+    told = stems.values()
+    if all(map(_NUMBER.fullmatch, told)):
+        return sorted(every, key=lambda one: (Fraction(stems[id(one)]), name(one)))
+    if all(re.fullmatch("[0-9a-fA-F]{2,}", stem) for stem in told) and len({*map(len, told)}) == 1:
+        return sorted(every, key=lambda one: (int(stems[id(one)], 16), name(one)))
+    fractions = [stem.rpartition(".")[2] for stem in told if re.search(r"[0-9]\.[0-9]+$", stem)]
+    padded = max((len(one) for one in fractions if one[0] == "0" and len(one) > 1), default=0)
+    # a counter that is padded with zeros is never shorter than those that have them
+    cut = min(map(len, fractions), default=0) < padded and all(stem[-1:].isdecimal() for stem in told)
+    if fractions and (cut or all(map(_CLOCK.fullmatch, told))):
+        return sorted(every, key=lambda one: _fraction_key(stems[id(one)], name(one)))
+    return sorted(every, key=lambda one: natural_key(name(one)))
+
+
+def _fraction_key(stem: str, name: str) -> tuple[Any, ...]:
+    whole, _, fraction = stem.partition(".") if stem.count(".") < 2 else stem.rpartition(".")
+    return natural_key(whole)[0], Fraction(f"0.{fraction or 0}"), name
+
+
+def sequences(files: Sequence[Path]) -> list[str]:
+    """Several sequences that count alike, as of two cameras in one folder, each as a glob of their names."""
+    found = defaultdict[tuple[str, str], set[str]](set)
+    for file in files:
+        if end := re.fullmatch(r"(.*?)([0-9]+)([^0-9]*)", file.name):
+            found[end[1], end[3]].add(end[2])
+    several = {begin + "*" + end: own for (begin, end), own in found.items() if len(own) > 1}
+    # minutes and hours are no names of cameras: those have a letter before the number
+    named = [re.sub(r"(?<=[a-zA-Z])[0-9]+", "", one) for one in several]
+    first = next(iter(several.values()), set())
+    alike = all(len(own & first) * 2 > len(own) for own in several.values())
+    words = [re.sub("[0-9]+", "", one) for one in several]
+    return list(several) if len(several) > 1 and alike and (len({*named}) == 1 or len({*words}) > 1) else []
 
 
 def natural_key(name: str) -> tuple[list[tuple[int, int | str]], str]:
@@ -52,36 +126,125 @@ def natural_key(name: str) -> tuple[list[tuple[int, int | str]], str]:
     return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts if part], name
 
 
-def read(path: Path, size: tuple[int, int] | None = None, data: bytes | None = None) -> Image:
-    """Read one image, whose bytes may be given as `data`, as (H, W, 3) uint8 BGR, contiguous.
+def read(
+    path: Path,
+    data: bytes | None = None,
+    page: int = 0,
+    levels: Levels = Levels(),  # noqa: B008
+    held: dict[Path, Any] | None = None,
+) -> Image:
+    """Read one image, whose bytes may be given as `data`, or a `page` of it, as (H, W, 3) uint8 BGR, contiguous.
 
-    The EXIF orientation is applied, 16 bits are scaled to 8, transparency is composited over black. Raises
-    UnreadableError, also if the image is not of the `size` (width, height).
+    The EXIF orientation is applied, 16 bits are scaled to 8 by `levels`, transparency is composited over black. Raises
+    UnreadableError.
     """
-    try:
-        with iio.imopen(path if data is None else data, "r", plugin="pillow") as file:
-            mode = str(file.metadata(exclude_applied=False)["mode"])
-            if mode in ("I", "F") and path.suffix.lower() != ".png":
-                why = "is a 32-bit image, which has no agreed range"
-                raise UnreadableError(path, why, "convert it to 8 or 16 bits")
-            width, height = file.metadata(exclude_applied=False)["shape"]
-            check_pixels(path, width, height)
-            options: dict[str, Any] = {"index": 0, "rotate": True, "mode": _READ_AS.get(mode)}
-            pixels: Any = np.asarray(file.read(**options))
-    except (OSError, SyntaxError, EOFError, LookupError, TypeError, ValueError, RuntimeError) as error:  # Pillow's
-        if "can not handle the given uri" in str(error):
-            raise UnreadableError(path, "is not an image, or of an unknown kind") from error
-        raise UnreadableError(path, f"cannot be read as an image ({reason(error)})") from error
-    if pixels.dtype.itemsize == 2:
-        pixels = (pixels >> 8).astype(np.uint8)
-    if pixels.ndim == 2:
-        pixels = np.repeat(pixels[..., None], 3, axis=2)
+    pixels = numbers(path, data, page, held)
+    if pixels.dtype.itemsize > 1:
+        pixels = levels.grey(pixels)
     if pixels.shape[2] == 4:
         alpha = pixels[..., 3:].astype(np.uint16)
         pixels = pixels[..., :3] if alpha.min() == 255 else ((pixels[..., :3] * alpha + 127) // 255).astype(np.uint8)
-    if size is not None and pixels.shape[1::-1] != size:
-        raise UnreadableError(path, f"is not {size[0]}x{size[1]} pixels")
     return np.ascontiguousarray(pixels[..., ::-1])
+
+
+def numbers(path: Path, data: bytes | None = None, page: int = 0, held: dict[Path, Any] | None = None) -> Any:
+    """The numbers in an image file, (H, W, 3) or (H, W, 4), red first, uint8 or of 16 bits. Raises UnreadableError.
+
+    A stack stays open in `held`, whose pages are found one after the other.
+    """
+    try:
+        if page and held is not None and path not in held:
+            let_go(held)
+            held[path] = iio.imopen(path if data is None else data, "r", plugin="pillow")
+        with contextlib.ExitStack() as opened:
+            file = (held or {}).get(path)
+            if file is None:
+                file = opened.enter_context(iio.imopen(path if data is None else data, "r", plugin="pillow"))
+            about = file.metadata(index=page, exclude_applied=False)
+            mode, (width, height) = str(about["mode"]), about["shape"]
+            if mode in ("I", "F") and path.suffix.lower() != ".png":
+                why = "is a 32-bit image, which has no agreed range"
+                raise UnreadableError(path, why, "convert it to 8 or 16 bits")
+            check_pixels(path, width, height)
+            options: dict[str, Any] = {"index": page, "rotate": True, "mode": _READ_AS.get(mode)}
+            pixels: Any = np.asarray(file.read(**options))
+    except _DAMAGED as error:
+        if "can not handle the given uri" in str(error):
+            raise UnreadableError(path, "is not an image, or of an unknown kind") from error
+        raise UnreadableError(path, f"cannot be read as an image ({reason(error)})") from error
+    deep = _sixteen(path, data) if mode == "RGB" and not page and path.suffix.lower() in _DEEP else None
+    pixels = deep if deep is not None and deep.shape == pixels.shape else pixels
+    return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
+
+
+def let_go(held: dict[Path, Any]) -> None:
+    """Close what `numbers` held open."""
+    while held:
+        held.popitem()[1].close()
+
+
+def _sixteen(path: Path, data: bytes | None) -> Any:
+    """A colour image of 16 bits, of which Pillow reads 8; None of any other."""
+    with Pictures.open(path if data is None else io.BytesIO(data)) as image:
+        if ";16" not in str(image.tile):  # how its pixels are stored
+            return None
+    given = np.fromfile(path, np.uint8) if data is None else np.frombuffer(data, np.uint8)
+    found = cv2.imdecode(given, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    return None if found is None else found[..., ::-1]
+
+
+def levels(samples: Iterable[Any]) -> Levels:
+    """The range that 16-bit pictures use, by some of them: as many bits, or where none is near 0, what lies between.
+
+    A camera of 12 bits writes 0 to 4095, a thermal one 27000 to 31000.
+    """
+    ends = [(int(one.min()), int(one.max())) for one in samples if one.dtype.itemsize > 1]
+    low, high = min((one[0] for one in ends), default=0), max((one[1] for one in ends), default=0)
+    white = 2 ** max(high.bit_length(), 8) - 1
+    return Levels(low, high) if high > 0xFF and low > white // 4 else Levels(0, white if ends else 0xFFFF)
+
+
+def pages(path: Path, data: Callable[[Path], bytes | None] = lambda file: None) -> int:
+    """How many pictures a TIFF or WebP file holds; 1 of any other, and of a small one beside a large.
+
+    Raises UnreadableError for a stack whose pages are channels.
+    """
+    if path.suffix.lower() not in _STACKS:
+        return 1
+    try:
+        with Pictures.open(path if (given := data(path)) is None else io.BytesIO(given)) as image:
+            count, size = int(getattr(image, "n_frames", 1)), image.size
+            told = str(getattr(image, "tag_v2", {}).get(270, ""))  # how microscopes describe a stack
+            if count > 1:
+                image.seek(1)
+            count = count if image.size == size else 1
+    except Exception:  # what is wrong with the file is said when it is read
+        return 1
+    axes = {int(n) for n in re.findall(r"(?:\bSize[CZ]=\"|^(?:channels|slices)=)([0-9]+)", told, re.MULTILINE)}
+    if count > 1 and max(axes, default=1) > 1:
+        why = f"is a stack of {count} pages, of which {max(axes)} are channels or slices of one time"
+        raise UnreadableError(path, why, "save one of them as a stack of its own")
+    return count
+
+
+def durations(path: Path) -> list[float]:
+    """How long each picture of an animated WebP is shown, in s; empty of what says nothing."""
+    found: list[float] = []
+    if path.suffix.lower() == ".webp":
+        with contextlib.suppress(*_DAMAGED), Pictures.open(path) as image:
+            check_pixels(path, *image.size)
+            for page in range(int(getattr(image, "n_frames", 1))):
+                image.seek(page)
+                image.load()
+                found.append(image.info.get("duration", 0) / 1000)
+    return found if found and min(found) > 0 else []
+
+
+def header_size(data: bytes) -> tuple[int, int] | None:
+    """(width, height) of an image by its header; None when it is not known."""
+    with contextlib.suppress(*_DAMAGED), Pictures.open(io.BytesIO(data)) as image:
+        return image.size
+    return None
 
 
 def check_pixels(path: Path, width: int, height: int) -> None:
@@ -92,23 +255,14 @@ def check_pixels(path: Path, width: int, height: int) -> None:
 
 
 def is_animated(path: Path) -> bool:
-    """Whether a PNG holds several frames (APNG): its animation is announced before its pixels."""
-    if path.suffix.lower() != ".png":
+    """Whether a PNG (APNG) or WebP holds several frames: its animation is announced before its pixels."""
+    if path.suffix.lower() not in (".png", ".webp"):
         return False
     with contextlib.suppress(OSError), path.open("rb") as file:  # which is said when it is read
         head = file.read(1 << 12)
+        if path.suffix.lower() == ".webp":
+            return head[12:16] == b"VP8X" and b"ANIM" in head
         if b"IDAT" not in head:  # after a colour profile
             head += file.read(1 << 16)
         return b"acTL" in head[: head.find(b"IDAT") + 1]
     return False
-
-
-def header_size(path: Path, data: bytes | None = None) -> tuple[int, int] | None:
-    """(width, height) from the header, after the EXIF orientation; None when it is not known."""
-    try:
-        with iio.imopen(path if data is None else data, "r", plugin="pillow") as file:
-            metadata = file.metadata(exclude_applied=False)
-    except Exception:  # what is wrong with the file is said when it is read
-        return None
-    width, height = metadata["shape"]
-    return (height, width) if metadata.get("Orientation", 1) in (5, 6, 7, 8) else (width, height)

@@ -18,7 +18,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame, Image
-from facetrack_cli.video.decode import MIN_JUMP_FRAMES, Decoder, Index, LostError, pixels, read_index
+from facetrack_cli.video.decode import MIN_JUMP_FRAMES, Decoder, Index, LostError, read_index
 from facetrack_cli.video.images import UnreadableError
 from facetrack_cli.video.source import FolderSource, open_source
 
@@ -99,8 +99,8 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
     `size` is (width, height), upright; `decoded` and `jumps` count frames and seeks. Raises what `open_source` raises.
     """
 
-    def __init__(self, path: Path, *, fps: Fraction | None = None):
-        self.path = path
+    def __init__(self, path: Path, *, fps: Fraction | None = None, stream: int | None = None):
+        self.path, self._stream = path, stream
         self.decoded = self.jumps = self._last = self._reached = self._claimed = 0
         self._end: int | None = None  # the number of frames, once it is certain
         self._recent: Cache[int, tuple[float, Image]] = Cache(CACHE_BYTES)
@@ -108,14 +108,14 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         self._closed = threading.Event()
         self._index: Index | None = None  # once the thread has read it
         self._thread = threading.Thread(target=self._read_index, name="index", daemon=True)
-        with open_source(path, fps=fps) as source:
-            self.size, self.fps = source.size, source.fps
+        with open_source(path, fps=fps, stream=stream) as source:
+            self.size, self.fps, self.aspect = source.size, source.fps, float(source.aspect)
         self._back = max(CACHE_BYTES * 3 // 4 // math.prod((*self.size, 3)), 1)
         self._folder = source if isinstance(source, FolderSource) else None
         if self._folder is not None:
             self._end = len(self._folder.files)
         else:
-            self._decoder = Decoder(path)
+            self._decoder = Decoder(path, stream)
             self._claimed = self._decoder.claimed or 0
             self._approach(0, self._turns.ticket())
             self._thread.start()
@@ -148,7 +148,7 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
             found = self._recent.get(index)
             if found is not None:
                 self._last = index
-                return Frame(index, *found)
+                return Frame(index, *found, aspect=self.aspect)
             with self._turns.turn(ticket):
                 # while waiting, another call may have decoded it
                 if not self._closed.is_set() and self._recent.get(index) is None:
@@ -158,7 +158,9 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         """End what is being read, also in other threads, and free the file; closing again does nothing."""
         self._closed.set()
         with self._turns.turn(self._turns.ticket()):
-            if self._folder is None:
+            if self._folder is not None:
+                self._folder.close()
+            else:
                 self._thread.join()
                 self._decoder.close()
             self._recent.clear()
@@ -168,7 +170,7 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
 
     def _read_index(self) -> None:
         with contextlib.suppress(OSError, ValueError):
-            self._index = read_index(self.path, self._closed.is_set)
+            self._index = read_index(self.path, self._closed.is_set, self._stream)
 
     # what follows is called with the turn
 
@@ -221,10 +223,10 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         at, raw = self._decoder.next, self._decoder.read()
         self.decoded += 1
         self._reached = max(self._reached, self._decoder.next)
-        frame = Frame(at, self._decoder.time_s, pixels(raw)) if raw is not None and at >= wanted else None
+        frame = self._decoder.picture(raw) if raw is not None and at >= wanted else None
         if raw is None and self._decoder.jumped and self._index is not None and at != len(self._index.pts):
             raise LostError(f"{self.path}: ends at frame {at}")
-        if raw is None or (frame is not None and frame.size != self.size):  # a source ends before another size
+        if raw is None:
             self._end = at
             return False
         if frame is not None:
@@ -233,4 +235,4 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
 
     def _restart(self) -> None:
         self._decoder.close()
-        self._decoder = Decoder(self.path)
+        self._decoder = Decoder(self.path, self._stream)

@@ -1,7 +1,8 @@
 """Where frames come from: a video file, or the images of a folder, as an iterable of `Frame`.
 
-Frames are counted from 0 of the file, also when reading starts later; `time_s` counts from the file's first frame, by
-the file's own clock, and grows from frame to frame. The number of frames that a container claims is only a hint.
+Frames are counted from 0 of the file, also when reading starts later; `time_s` counts from the file's start, by the
+file's own clock, as players do, and grows from frame to frame: where sound begins before the pictures, the first of
+them comes later than 0. The number of frames that a container claims is only a hint.
 
 A clip that ends early gives all the frames before the damage; then `complete` is False and `warnings` says what is
 missing. A clip is incomplete, too, if FFmpeg calls a packet or a frame damaged: the decoder conceals damage and goes
@@ -15,7 +16,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, suppress
 from fractions import Fraction
+from itertools import accumulate, pairwise
 from pathlib import Path
+from typing import Any
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame
@@ -25,24 +28,29 @@ from facetrack_cli.video.decode import (
     MIN_JUMP_FRAMES,
     Decoder,
     LostError,
+    fitted,
     open_container,
-    pixels,
     read_index,
     video_stream,
 )
 from facetrack_cli.video.files import AGAIN, check_file, check_local, is_image, missing_part
 
 FOLDER_FPS = Fraction(25)
+_LEVEL_IMAGES = 16  # by which the range of 16-bit images is measured
 _MAX_NAMED = 6  # damaged frames
 _JITTER_S = 0.0015  # containers that keep whole milliseconds move a frame by less than this
 
 
 class Source(AbstractContextManager["Source"], ABC):
-    """Frames of one clip, iterable once; `size` (width, height) has rotation applied, `fps` is the nominal rate."""
+    """Frames of one clip, iterable once; `size` (width, height) has rotation applied, `fps` is the nominal rate.
+
+    `aspect` is the width of a pixel over its height, `begins_s` the time of the clip's first frame.
+    """
 
     def __init__(self, path: Path, size: tuple[int, int], fps: Fraction, start: int, stop: int | None):
         self.path, self.size, self.fps = path, size, fps
-        self.is_video = False
+        self.is_video, self.aspect, self.begins_s = False, Fraction(1), 0.0
+        self.stream: int | None = None  # of a video, if one was named
         self.frames_hint: int | None = None  # the likely number of frames to come
         # filled while iterating
         self.variable: bool | None = None  # whether the times of frames differ from `fps`, once it is known
@@ -72,6 +80,10 @@ class Source(AbstractContextManager["Source"], ABC):
         self.complete = False
         self.warnings.append(message)
 
+    def _scaled(self, what: str, size: tuple[int, int]) -> None:
+        sizes = "{}x{}, the first is {}x{}".format(*size, *self.size)
+        self.warnings.append(f"{what} is {sizes}; all are scaled to the first")
+
     def _past_end(self, frames: int) -> InputError:
         there = f"the clip has {frames} frames (0 to {frames - 1})"
         return InputError(f"{self.path}: frame {self._start} is past the end, {there}; start earlier")
@@ -80,14 +92,19 @@ class Source(AbstractContextManager["Source"], ABC):
 class VideoSource(Source):
     """A video file, decoded by PyAV. Where its packets allow it, frames long before `start` are not decoded."""
 
-    def __init__(self, path: Path, start: int, stop: int | None):
+    def __init__(self, path: Path, start: int, stop: int | None, stream: int | None = None):
         self._length = _length(path)
         try:
-            self._decoder = Decoder(path)
+            self._decoder = Decoder(path, stream)
         except (OSError, ValueError):
             raise _why_not(path) from None
         super().__init__(path, self._decoder.size, self._decoder.fps, start, stop)
-        self.is_video = True
+        self.is_video, self.stream = True, stream
+        self.aspect, self.begins_s = self._decoder.aspect, self._decoder.begins_s
+        if len(several := self._decoder.streams) > 1:
+            each = [f"{one.index} ({one.codec_context.width}x{one.codec_context.height})" for one in several]
+            what = f"has {len(each)} video streams, {' and '.join(sorted(each))}; {each[0]} is read"
+            self.warnings.append(f"{path}: {what}, --stream N takes another")
         claimed = self._decoder.claimed
         if claimed is not None:
             self.frames_hint = max(min(claimed, stop or claimed) - start, 0)
@@ -109,7 +126,7 @@ class VideoSource(Source):
                 if self._closed:
                     return
                 index, raw = decoder.next, decoder.read()
-                frame = None if raw is None or index < start else Frame(index, decoder.time_s, pixels(raw))
+                frame = None if raw is None or index < start else decoder.picture(raw)
                 del raw  # free it before the next one is decoded
             if index == decoder.next:
                 break
@@ -117,11 +134,8 @@ class VideoSource(Source):
                 self.variable = True
             before_s = decoder.time_s
             if frame is not None:
-                if frame.size != self.size:
-                    sizes = "{}x{}, those before are {}x{}".format(*frame.size, *self.size)
-                    what = f"{self.path}: frame {index} is {sizes}; stopped after {index} frames"
-                    self._cut(f"{what}, convert the clip to one size")
-                    return
+                if decoder.resized is not None and decoder.resized[0] == index:
+                    self._scaled(f"{self.path}: frame {index}", decoder.resized[1])
                 yield frame
         else:  # the rest of the file does not matter
             self._judge_frames({at for at in decoder.damage if at < decoder.next})
@@ -133,7 +147,7 @@ class VideoSource(Source):
 
     def _jump(self, start: int) -> None:
         """Go to the frame `start` from the keyframe before it, or stay at the first frame."""
-        index = None if self._closed else read_index(self.path, lambda: self._closed)
+        index = None if self._closed else read_index(self.path, lambda: self._closed, self.stream)
         if index is None or start >= len(index.pts):
             return
         with suppress(LostError):
@@ -142,7 +156,7 @@ class VideoSource(Source):
                     self._decoder.read()
                 return
         self._decoder.close()
-        self._decoder = Decoder(self.path)
+        self._decoder = Decoder(self.path, self.stream)
 
     def _judge(self, frames: int, last_s: float) -> None:
         """Say so if frames are missing after the last one that was decoded, or are not what the clip showed."""
@@ -203,7 +217,11 @@ def _length(path: Path) -> int:
 
 
 class FolderSource(Source):
-    """Images of a folder or an archive in natural order, at a constant rate. Those to be read must be of one size."""
+    """Images of a folder or an archive in natural order, at a constant rate, scaled to the size of the first.
+
+    `files` has the file of each frame: of a stack its file as often as it has pages. `shown_s` (T,) are the times of an
+    animation's frames.
+    """
 
     def __init__(
         self,
@@ -213,26 +231,45 @@ class FolderSource(Source):
         start: int,
         stop: int | None,
         data: Callable[[Path], bytes | None] = lambda file: None,
+        shown_s: Sequence[float] = (),
     ):
         super().__init__(path, (0, 0), fps, start, stop)
-        self._data = data  # the bytes of a file that is not on disk
-        if start >= len(files):
-            raise self._past_end(len(files))
-        self.variable, self.files = False, files
-        read = files[start:stop]
+        self._data, self._held = data, dict[Path, Any]()  # the bytes of a file that is not on disk; an open stack
+        self._pages = [(file, page) for file in files for page in range(images.pages(file, data))]
+        self.files, self._resized, self._shown_s = [file for file, _ in self._pages], False, shown_s
+        self.variable = len({round(b - a, 3) for a, b in pairwise(shown_s)}) > 1
+        if start >= len(self.files):
+            raise self._past_end(len(self.files))
+        read = self._pages[start:stop]
         self.frames_hint = len(read)
-        height, width = images.read(read[0], None, data(read[0])).shape[:2]
-        self.size = width, height
-        for file in read[1:]:
-            size = images.header_size(file, data(file))
-            if size is not None and size != self.size:
-                first = f"{read[0].name} has {width}x{height}; a folder must hold frames of one size"
-                raise InputError(f"{file}: {size[0]}x{size[1]} pixels, but {first}")
+        first = images.numbers(read[0][0], data(read[0][0]), read[0][1])
+        self.size = first.shape[1], first.shape[0]
+        self._levels = images.Levels()
+        if first.dtype.itemsize > 1:  # the same whatever is read
+            some = self._pages[:: max(len(self._pages) // _LEVEL_IMAGES, 1)]
+            with suppress(images.UnreadableError):
+                self._levels = images.levels(images.numbers(file, data(file), page) for file, page in some)
+            if self._levels != images.Levels():
+                what = f"{path}: 16-bit images that use the numbers {self._levels.black} to {self._levels.white}"
+                self.warnings.append(f"{what}; these are black and white, so that all of it is seen")
+        if several := images.sequences(files):
+            what = f"holds {len(several)} sequences, as {' and '.join(several[:2])}, tracked one after the other"
+            self.warnings.append(f"{path}: {what}; give one alone, as '{files[0].parent / several[0]}'")
+
+    def close(self) -> None:
+        super().close()
+        images.let_go(self._held)
 
     def frame(self, index: int) -> Frame:
         """Any frame of the folder. Raises images.UnreadableError."""
-        file = self.files[index]
-        return Frame(index, float(index / self.fps), images.read(file, self.size, self._data(file)))
+        file, page = self._pages[index]
+        data = None if file in self._held else self._data(file)
+        image = images.read(file, data, page, self._levels, self._held)
+        if (size := image.shape[1::-1]) != self.size:
+            if not self._resized:
+                self._scaled(str(file), size)
+            self._resized, image = True, fitted(image, self.size)
+        return Frame(index, self._shown_s[index] if self._shown_s else float(index / self.fps), image)
 
     def _frames(self) -> Iterator[Frame]:
         total = len(self.files)
@@ -248,11 +285,14 @@ class FolderSource(Source):
             yield frame
 
 
-def open_source(path: Path, *, fps: Fraction | None = None, start: int = 0, stop: int | None = None) -> Source:
+def open_source(
+    path: Path, *, fps: Fraction | None = None, start: int = 0, stop: int | None = None, stream: int | None = None
+) -> Source:
     """Open a video file, a folder or a .zip of images, a glob of images in one folder (`a*.png`), or a single image.
 
     Frames from `start` up to, not including, `stop`. `fps` is the rate of images (default 25); a video has its own
-    clock and refuses it. Raises InputError when there is nothing to read, UsageError for impossible arguments.
+    clock and refuses it. `stream` is the number of a video's stream (default: FFmpeg's own choice).
+    Raises InputError when there is nothing to read, UsageError for impossible arguments.
     """
     if start < 0:
         raise UsageError(f"{path}: cannot start at frame {start}; frames count from 0")
@@ -274,4 +314,7 @@ def open_source(path: Path, *, fps: Fraction | None = None, start: int = 0, stop
         return FolderSource(path, [path], fps or FOLDER_FPS, start, stop)
     if fps is not None:
         raise UsageError(f"{path}: a video keeps its own frame rate; give --fps for images only")
-    return VideoSource(path, start, stop)
+    if each := images.durations(path):
+        rate = Fraction(1 / sorted(each)[len(each) // 2]).limit_denominator(1001)
+        return FolderSource(path, [path], rate, start, stop, shown_s=[0.0, *accumulate(each[:-1])])
+    return VideoSource(path, start, stop, stream)

@@ -47,8 +47,8 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
     `fps` is the nominal rate. `audio_from` is the clip whose sound is kept, from the first frame written to the end of
     the last. Odd sizes are padded by one black line or column, which H.264 requires. With `replace=False` the finished
     file stays `beside` its path. Pieces go to the folder `pieces`; those of a video that was written up to a `Cut` are
-    there. `warnings` (one line each) says what could not be kept, `published` whether the file is at `path`. Raises
-    OutputError when the file cannot be written.
+    there. `aspect` is the width of a pixel over its height. `warnings` (one line each) says what could not be
+    kept, `published` whether the file is at `path`. Raises OutputError when the file cannot be written.
     """
 
     def __init__(
@@ -56,6 +56,7 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         path: Path,
         size: tuple[int, int],
         fps: Fraction,
+        aspect: Fraction = Fraction(1),
         *,
         audio_from: Path | None = None,
         replace: bool = True,
@@ -64,6 +65,7 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
     ):
         self.path, self.size, self.warnings = path, size, list(after.warnings)
         self._fps, self._audio_from, self._replace, self._folder = fps, audio_from, replace, pieces
+        self._aspect = aspect
         # ticks of the file's clock: a frame lasts a whole number of them, and a tick at most 0.1 ms
         finest = 10_000 if fps * _SLOW_S > 1 else 1000
         self._timescale = fps.numerator * -(-finest // fps.numerator)
@@ -84,13 +86,14 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             raise ValueError(f"frame is {image.dtype} {image.shape}, the video takes uint8 {(height, width, 3)}")
         if self._failed is not None:
             raise self._failed
-        time_s -= self._left_out_s
-        nearest = round(time_s * self._fps) / self._fps
-        on_grid = abs(float(nearest) - time_s) <= min(_SNAP_S, 0.25 / float(self._fps))
-        tick = int(nearest * self._timescale) if on_grid else round(time_s * self._timescale)
         if self._frames == 0:
             self._first_s = time_s
-        else:
+        time_s -= self._left_out_s
+        elapsed_s = time_s - self._first_s
+        nearest = round(elapsed_s * self._fps) / self._fps
+        on_grid = abs(float(nearest) - elapsed_s) <= min(_SNAP_S, 0.25 / float(self._fps))
+        tick = int(nearest * self._timescale) if on_grid else round(elapsed_s * self._timescale)
+        if self._frames:
             tick = max(tick, self._last_tick + 1)
             if (beyond := tick - self._last_tick - _LONGEST) > 0:
                 tick -= beyond
@@ -191,7 +194,7 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         """Start the encoder of the next piece; that of the first one writes what may be the whole video."""
         self._number = len(self._pieces)
         target = self._target if self._number == 0 else self._target.with_suffix(f".{self._number}.mp4")
-        self._encoder = Encoder(self.path, target, self.size, self._fps, self._timescale)
+        self._encoder = Encoder(self.path, target, self.size, self._fps, self._timescale, self._aspect)
 
     def _join(self) -> None:
         """Put the pieces together, each at its time."""
@@ -226,11 +229,10 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             return
         mixed = silent.with_suffix(".audio.mp4")
         try:
-            codec, begins_s = sound_of(source)
+            codec, late_s = sound_of(source)
             if not codec:
                 return
-            # our clock starts at the source's first frame, ffmpeg's at whatever comes first
-            start = self._first_s + begins_s
+            start = self._first_s + late_s
             length = float((self._last_tick - self._pieces[0]) / Fraction(self._timescale) + 1 / self._fps)
             command = ["-v", "error", "-y", "-i", ffmpeg.source_argument(silent)]
             command += ["-itsoffset", f"{-start:.6f}", *_KNOWN, FORMATS, "-i", ffmpeg.source_argument(source)]

@@ -15,10 +15,10 @@ import pytest
 from facetrack_cli.core.geometry import corners
 from facetrack_cli.core.types import Array
 from facetrack_cli.report import make as report
-from facetrack_cli.report.events import Clock
 from facetrack_cli.report.frames import key_images
 from facetrack_cli.report.make import Image
 from facetrack_cli.report.text import identities
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import read_header
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facetrack_cli.report.events import Clock, history_of, key_frames
+from facetrack_cli.report.events import history_of, key_frames
 from facetrack_cli.report.text import reasons
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.reader import read_trajectory
 from tests.support.face_shape import moving_face
 from tests.support.report_run import LOST, write_run

@@ -15,6 +15,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Frame
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs import live
 from facetrack_cli.runs.live import follow, piped
@@ -43,7 +44,7 @@ IMAGES = [frame.bgr for frame in sway(6)]
 
 @pytest.mark.parametrize("encoded", [mjpeg, y4m])
 def test_images_of_a_pipe_are_those_that_went_in(encoded):
-    found = list(piped(io.BytesIO(encoded(IMAGES))))
+    found = [getattr(one, "bgr", one) for one in piped(io.BytesIO(encoded(IMAGES)))]
     assert len(found) == 6 and all(one.shape == IMAGES[0].shape for one in found)
     assert max(np.abs(a.astype(int) - b).mean() for a, b in zip(found, IMAGES, strict=True)) < 12
 
@@ -97,7 +98,20 @@ def test_run_live_from_standard_input(monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(y4m(IMAGES)), isatty=lambda: False))
     assert main(["run", "-", "--live", "--box", "40,30,24,24"]) == 0
     out, err = capsys.readouterr()
-    assert len(out.splitlines()) == 6 and err == ""
+    assert [json.loads(line)["time_s"] for line in out.splitlines()] == [0, 0.04, 0.08, 0.12, 0.16, 0.2]
+    assert err == ""
+
+
+def test_a_tracker_is_told_when_images_came_and_not_their_count(monkeypatch):
+    lines, times, clock = [], [], iter(range(100, 200))
+    monkeypatch.setattr(live.time, "monotonic", lambda: next(clock) / 4)
+    monkeypatch.setattr(live, "record", lambda result, time_s, age_s: times.append((result.frame.time_s, time_s)) or {})
+    assert follow(iter(IMAGES), load_recipe("correlation_filter"), (40.0, 30.0, 24.0, 24.0), lines.append) == 6
+    # the clock is asked when an image comes and when its line is written
+    assert times == [(0.5 * n, 0.5 * n) for n in range(6)]
+    frames = [Frame(n, 7 + n / 10, image) for n, image in enumerate(IMAGES)]
+    assert follow(iter(frames), load_recipe("correlation_filter"), (40.0, 30.0, 24.0, 24.0), lines.append) == 6
+    assert [time_s for time_s, _ in times[6:]] == [7 + n / 10 for n in range(6)]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals need POSIX")

@@ -29,6 +29,7 @@ from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.tracking.people import presence
 from facetrack_cli.tracking.people.identity import UNKNOWN, Cast, Doubt, Seen, cast_of
 from facetrack_cli.tracking.people.looks import Looks, load_people, save_people
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.people import read_people, read_still, rename, under_names
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.video.shots import Shot
@@ -150,10 +151,20 @@ def test_names_that_are_none_are_refused_wherever_they_come_from(ran, tmp_path, 
 
 @pytest.mark.parametrize("name", [name for name in OUTSIDE if not name.endswith("\0") and name != "\ud800"])
 def test_a_gallery_has_names_that_are_some(tmp_path, name):
-    path, looks = tmp_path / "known.npz", Looks(*(np.zeros((1, n), "<f8") for n in (576, 3, 3, 36, 0)))
+    path, looks = tmp_path / "known.npz", Looks(*(np.zeros((1, n), "<f8") for n in (576, 3, 3, 36, 0, 1)))
     save_people(path, {name: looks})
     with pytest.raises(InputError, match=r"known.npz: is not a usable file of known people: .*name of a person"):
         load_people(path)
+
+
+def test_a_film_without_its_rows_is_one_line(ran, tmp_path, capsys):
+    out = shutil.copytree(ran, tmp_path / "out")
+    for path in out.glob("trajectory.*"):
+        path.unlink()
+    assert main(["people", str(out), "--json"]) == 0 and '"times"' in capsys.readouterr().out
+    for options in ([], ["--split", "person_1@0:01"], ["--rename", "person_1=Ann"]):
+        assert main(["people", str(out), *options]) == 3
+        assert capsys.readouterr().err == f"facetrack: error: {out}: its trajectory is gone; run again\n"
 
 
 @pytest.mark.parametrize(
@@ -165,7 +176,8 @@ def test_a_gallery_has_names_that_are_some(tmp_path, name):
         ("people.0.still", "../run.json"), ("people.0.still", "/etc/hostname"),
         ("people.0.still", "people/../run.json"),
         ("people.0.still", "people/"), ("people.0.still", "people/.."), ("people.0.still", "run.json"),
-        ("people.0.still", "people/a\0.jpg"),
+        ("people.0.still", "people/a\0.jpg"), ("people.0.times", [[0, float("nan")]]),
+        ("people.0.times", [[0, 1]] * 99),
     ],
 )  # fmt: skip
 def test_what_is_no_cast_is_one_line(ran, tmp_path, capsys, key, value):
@@ -409,10 +421,10 @@ def test_what_a_film_cannot_is_refused(given, tmp_path, capsys, monkeypatch):
 
 
 def test_moments():
-    assert [frame_at(one, 25.0) for one in ("2075f", "83", "1:23", "0:01:23.0")] == [2075] * 4
+    assert [frame_at(one, Clock(None, 25.0)) for one in ("2075f", "83", "1:23", "0:01:23.0")] == [2075] * 4
     for odd in ("x", "1:x", "f", "1e999"):
         with pytest.raises(UsageError, match="is no time"):
-            frame_at(odd, 25.0)
+            frame_at(odd, Clock(None, 25.0))
 
 
 @pytest.mark.nightly
@@ -450,7 +462,7 @@ def test_faces_that_cannot_be_told_again_are_unknown_and_those_of_one_frame_have
     tracks = [seen("a", 0, 40), seen("b", 0, 30, x=300), seen("c", 10, 20, x=500), seen("d", 35, 40, x=300)]
     reader = SimpleNamespace(change=lambda: 9.0, best=(1.0, np.zeros((8, 8, 3), np.uint8)))
     found = Cast(np.array([0, UNKNOWN, UNKNOWN, UNKNOWN]), np.array([1.0, 0.4, 0.4, 0.4]), (Doubt(1, 0, 0.3),))
-    named = runs_people._named(tracks, found, ["person_1"], defaultdict(lambda: reader), SHOTS[:1], 25.0)
+    named = runs_people._named(tracks, found, ["person_1"], defaultdict(lambda: reader), SHOTS[:1], Clock(None, 25.0))
     assert [one.person for _, one in named.tracks] == ["person_1", "unknown", "unknown_2", "unknown"]
     line = runs_people.cast_line(named.people)
     assert line.startswith("1 person in 1 shot: person_1 1.6 s; 1 of 4 tracks are in doubt")

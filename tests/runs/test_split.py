@@ -13,13 +13,14 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Correction, Start, TargetStart
-from facetrack_cli.report.events import Clock, history_of, key_frames
+from facetrack_cli.report.events import history_of, key_frames
 from facetrack_cli.report.make import make_report
 from facetrack_cli.runs import batch
 from facetrack_cli.runs.job import Split
 from facetrack_cli.runs.split import OVERLAP_S, cut_by_length
 from facetrack_cli.runs.stitch import Plan, Seam, agreeing, read_plan, renamed, stitch
 from facetrack_cli.tracking.start.init_file import write_init
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import read_header
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import joined, one_part

@@ -125,17 +125,19 @@ def in_label_studio(made, fps, folder):
 
 
 @pytest.mark.parametrize("name", CLOCKS)
-def test_label_studio_s_frames_are_those_of_the_player_s_clock(tmp_path, name):
-    time_s, fps = CLOCKS[name]
-    made = at_times(time_s)
+@pytest.mark.parametrize("first", [0, 7])
+def test_label_studio_s_frames_are_those_of_the_player_s_clock(tmp_path, name, first):
+    """Also where tracking begins later than the clip."""
+    time_s, fps = CLOCKS[name][0][first:], CLOCKS[name][1]
+    made = at_times(time_s, first)
     task, value, path = in_label_studio(made, fps, tmp_path)
-    seconds = np.where(np.isfinite(time_s), time_s, np.arange(len(time_s)) / fps)
+    seconds = np.where(np.isfinite(time_s), time_s, made.frame / fps)
     numbers = np.rint(np.round(seconds * fps, 3)).astype(int) + 1
     frames = [one["frame"] for one in value["sequence"]]
     assert frames == sorted(set(numbers.tolist())), "each once"
     assert value["framesCount"] == frames[-1] and value["duration"] == pytest.approx(frames[-1] / fps, abs=1e-4)
     shown = [round(one["x"] * SIZE[0] / 100) for one in value["sequence"]]  # the picture that each box is of
-    assert shown == [int(np.flatnonzero(numbers == frame)[0]) for frame in frames]
+    assert shown == [first + int(np.flatnonzero(numbers == frame)[0]) for frame in frames]
     path.write_text(json.dumps([task]))
     clock = every_frame(made)
     (back,) = read_labelstudio(path, SIZE, clock, fps=fps).parts

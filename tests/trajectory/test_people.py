@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.people import (
     PEOPLE,
     People,
@@ -32,7 +33,7 @@ SHOTS = [ShotRecord(first=0, stop=60), ShotRecord(first=60, stop=None)]
 
 
 def film():
-    return people_of(25.0, SHOTS, TRACKS, {"a": "people/a.jpg"}, {"c"})
+    return people_of(Clock(None, 25.0), SHOTS, TRACKS, {"a": "people/a.jpg"}, {"c"})
 
 
 def spans(tracks):
@@ -66,7 +67,7 @@ def test_corrections():
     parts = split(tracks, "a", 70)
     assert spans(parts) == [("a", 0, 50), ("a", 60, 70), ("b", 20, 60), ("c", 90, 95), ("person_1", 70, 80)]
     assert {of for of, one in parts if one.person == "person_1"} == {"a"}
-    again = people_of(25.0, SHOTS, [one for _, one in merge(parts, "person_1", "a")], {})
+    again = people_of(Clock(None, 25.0), SHOTS, [one for _, one in merge(parts, "person_1", "a")], {})
     assert again.people[0].intervals == ((0, 50), (60, 80)) and all(
         one.given for one in again.tracks if one.first == 70
     )
@@ -104,3 +105,25 @@ def test_rows_go_to_the_people_of_their_tracks():
 def test_a_newer_version_is_refused():
     with pytest.raises(ValueError, match="version"):
         People.model_validate_json(film().text().replace(b'"version": 1', b'"version": 2'))
+
+
+def test_seconds_are_those_of_the_rows_and_not_of_a_rate():
+    # 25 frames/s, then a third as many, after sound that begins 1.2 s before
+    times = 1.2 + np.array([*(np.arange(50) / 25), *(2 + np.arange(40) * 0.12)])
+    frame = np.array([*range(10, 60), *range(70, 90)])
+    rows = build([("a", "box")], np.zeros(len(frame), int), frame, time_s=times[frame])
+    clock = Clock(rows, 25.0)
+    people = people_of(clock, SHOTS, [track("a", 10, 60), track("a", 70, 90), track("b", 55, 60)], {})
+    one = people.people[0]
+    assert one.times[0] == pytest.approx((times[10], times[60])) and one.times[1][0] == pytest.approx(times[70])
+    assert one.seconds == pytest.approx(times[60] - times[10] + times[89] + 0.04 - times[70], abs=1e-3)
+    assert people.seconds_together() == {("a", "b"): pytest.approx(0.6)}
+    assert [clock.frame(clock.at(n)) for n in range(90)] == list(range(90))
+    assert clock.frame(5.0) == int(np.argmin(np.abs(times - 5.0)))
+    back = build([("a", "box")], np.zeros(3, int), np.arange(3), time_s=[3.0, 1.0, 2.0])
+    assert people_of(Clock(back, 25.0), SHOTS, [track("a", 0, 2)], {}).people[0].seconds == 0, "times that go back"
+    assert Clock(None, 25.0).frame(4.0) == 100 and clock.at(0) == pytest.approx(1.2)
+    before = json.loads(people.text())
+    for person in before["people"]:
+        del person["times"]  # as it was written earlier
+    assert People.model_validate(before).times_of(one.model_copy(update={"times": ()}))[0] == (0.4, 2.4)

@@ -81,11 +81,17 @@ def test_variable_rate(tmp_path: Path, suffix: str) -> None:
     assert source.variable is True and source.complete
 
 
-def test_first_frame_is_at_zero_even_if_sound_comes_first(tmp_path: Path) -> None:
-    path = media.write_video(tmp_path / "late.mkv", sound="sin(2000*t)", sound_delay_s=-0.3)
+@pytest.mark.parametrize("suffix", [".mkv", ".mp4", ".ts"])
+def test_the_first_frame_is_late_where_sound_comes_first(tmp_path: Path, suffix: str) -> None:
+    written = media.write_video(tmp_path / "late.mkv", frames=60, sound="sin(2000*t)", sound_delay_s=-0.3)
+    path = tmp_path / f"copy{suffix}"
+    media.ffmpeg("-i", written, "-c", "copy", path)
     source, frames = read(path)
-    np.testing.assert_allclose([frame.time_s for frame in frames], np.arange(24) / 25, atol=0.0011)
+    late = pytest.approx(0.3, abs=0.05)  # the sound's encoder begins early
+    assert source.begins_s == late == frames[0].time_s
+    np.testing.assert_allclose([one.time_s - source.begins_s for one in frames], np.arange(60) / 25, atol=0.0011)
     assert source.complete
+    assert read(path, start=40)[1][0].time_s == frames[40].time_s
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".webm"])
@@ -407,12 +413,17 @@ def test_folder_without_images(tmp_path: Path) -> None:
     assert "no images" in refusal(tmp_path)
 
 
-def test_mixed_sizes_are_refused_beforehand(tmp_path: Path) -> None:
+def test_images_of_another_size_are_scaled_to_the_first_and_not_squeezed(tmp_path: Path) -> None:
     folder = media.write_pictures(tmp_path / "frames", 12)
-    cv2.imwrite(str(folder / "10.png"), media.numbered(10, (66, 48)))
-    message = refusal(folder)
-    assert message.startswith(str(folder / "10.png")) and "66x48" in message and "64x48" in message
-    assert len(read(folder, stop=10)[1]) == 10
+    for index, size in ((9, (128, 96)), (10, (48, 64))):
+        cv2.imwrite(str(folder / f"{index}.png"), np.full((*size[::-1], 3), 200, np.uint8))
+    source, frames = read(folder)
+    assert {frame.size for frame in frames} == {(64, 48)} and source.complete
+    (warning,) = source.warnings
+    assert warning == f"{folder / '9.png'} is 128x96, the first is 64x48; all are scaled to the first"
+    assert (frames[9].bgr == 200).all()
+    seen = frames[10].bgr[:, :, 0] > 100  # upright, between black borders
+    assert seen[:, 14:50].all() and not seen[:, :13].any() and not seen[:, 51:].any()
 
 
 @pytest.mark.parametrize("kind", ["garbage", "half"])
@@ -455,6 +466,13 @@ def test_what_to_do_about_a_picture(tmp_path: Path) -> None:
 def test_a_name_that_is_no_text_is_refused_before_opencv_ends_the_process(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no UTF-8 text; rename the file"):
         open_source(tmp_path / os.fsdecode(b"caf\xe9.mp4"))
+
+
+@pytest.mark.parametrize("text", ["ffconcat version 1.0\nfile a.mp4\nfile b.mp4\n", "# chapters\nfile 'GX01 1.mp4'\n"])
+def test_a_list_of_chapters_is_told_how_to_join(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "list.txt"
+    path.write_text(text)
+    assert f"ffmpeg -f concat -safe 0 -i {path} -c copy joined.mp4" in refusal(path)
 
 
 @pytest.mark.parametrize("suffix", sorted(media.CODECS))

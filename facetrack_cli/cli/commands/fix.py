@@ -71,7 +71,7 @@ class Fix:
         elif self.quiet:
             raise UsageError("--quiet goes with --init and --import; the page's address must be said")
         opened = open_run(self.folder, self.clip)
-        with Frames(opened.clip, fps=opened.fps) as frames:
+        with Frames(opened.clip, fps=opened.fps, stream=opened.header.source.stream) as frames:
             check_size(opened, frames.size)
             with contextlib.closing(Fixer(opened, frames.read)) as fixer, Stop().listening() as stop:
                 code = self._serve(fixer, frames, stop) if file is None else self._apply(fixer, file, stop)

@@ -14,6 +14,7 @@ from facetrack_cli.cli.options import FILE, Page, argument, flag, group, option,
 from facetrack_cli.core.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
+    from facetrack_cli.trajectory.clock import Clock
     from facetrack_cli.trajectory.people import People, Tracks
 
 
@@ -39,7 +40,7 @@ def _gift(value: str) -> tuple[str, str]:
     return name.strip(), f"{moment.strip()}={to.strip()}"
 
 
-def frame_at(moment: str, fps: float) -> int:
+def frame_at(moment: str, clock: Clock) -> int:
     """The frame of a moment: 2075f, 83, 1:23 or 0:01:23.5. UsageError for anything else."""
     try:
         if moment[-1:].lower() == "f":
@@ -47,7 +48,7 @@ def frame_at(moment: str, fps: float) -> int:
         seconds = 0.0
         for part in moment.split(":"):
             seconds = 60 * seconds + float(part)
-        return round(seconds * fps)
+        return clock.frame(seconds)
     except (ValueError, OverflowError):
         raise UsageError(f"--split @{moment}: is no time; give 1:23, 83 (seconds) or 2075f (a frame)") from None
 
@@ -100,14 +101,15 @@ class Cast:
     quiet: bool = options.QUIET
 
     def run(self) -> int:
-        from facetrack_cli.runs.people import people_in, recast, save_looks
+        from facetrack_cli.runs.people import people_in, recast, rows_in, save_looks
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.signals import Stop, StoppedError
+        from facetrack_cli.trajectory.clock import Clock
 
         if self.as_json and self.as_csv:
             raise UsageError("--json and --csv both go to standard output; give one of them")
         people = people_in(self.folder)
-        changes = self._changes(people.fps)
+        changes = self._changes(Clock(rows_in(self.folder) if self.split or self.give else None, people.fps))
         if self.edit:
             return self._serve()
         self.page.refuse("give --page")
@@ -131,7 +133,7 @@ class Cast:
         if self.as_json or self.as_csv:
             click.echo(people.text().decode() if self.as_json else _intervals(people), nl=False)
         else:
-            _show(people)
+            _show(people, Clock(rows_in(self.folder), people.fps))
         return 0
 
     def _serve(self) -> int:
@@ -141,24 +143,24 @@ class Cast:
         from facetrack_cli.runs.signals import Stop
         from facetrack_cli.video.seek import Frames
 
-        clip, fps = film_of(people_in(self.folder), rows_in(self.folder), self.clip)
+        clip, how = film_of(people_in(self.folder), rows_in(self.folder), self.clip)
         if clip is None:
             raise UsageError(f"{self.folder}: does not name its clip; give it with --clip")
-        with Frames(clip, fps=fps) as frames, Stop().listening() as stop:
+        with Frames(clip, **how) as frames, Stop().listening() as stop:
             if self.page.serve(CastSession(self.folder, frames, clip, video=not self.no_video), stop):
                 return 0
             say(f"facetrack: {stop.reason}; nothing was written")
             return stop.code or ExitCode.FAULT
 
-    def _changes(self, fps: float) -> list[tuple[str, Callable[[Tracks], Tracks]]]:
+    def _changes(self, clock: Clock) -> list[tuple[str, Callable[[Tracks], Tracks]]]:
         from facetrack_cli.trajectory import people as edits
 
         found: list[tuple[str, Callable[[Tracks], Tracks]]] = []
         for name, moment in self.split:
-            found.append((f"split {name}@{moment}", partial(edits.split, name=name, frame=frame_at(moment, fps))))
+            found.append((f"split {name}@{moment}", partial(edits.split, name=name, frame=frame_at(moment, clock))))
         for name, gift in self.give:
             moment, _, to = gift.partition("=")
-            frame = frame_at(moment, fps)
+            frame = frame_at(moment, clock)
             found.append((f"give {name}@{gift}", partial(edits.give, name=name, frame=frame, to=to)))
         found += [(f"merge {a}={b}", partial(edits.merge, name=a, into=b)) for a, b in self.merge]
         return found + [(f"rename {a}={b}", partial(edits.rename, name=a, to=b)) for a, b in self.rename]
@@ -168,15 +170,13 @@ def _intervals(people: People) -> str:
     """The frames in which people are seen, and their times in s, in the order of time."""
     from facetrack_cli.core.numbers import csv_text
 
-    spans = sorted((first, stop, one.name) for one in people.people for first, stop in one.intervals)
-    rows = (
-        [name, first, stop - 1, *(f"{frame / people.fps:.3f}" for frame in (first, stop))]
-        for first, stop, name in spans
-    )
+    each = ((one.name, zip(one.intervals, people.times_of(one), strict=True)) for one in people.people)
+    spans = sorted((*frames, name, *times) for name, both in each for frames, times in both)
+    rows = ([name, first, stop - 1, f"{begin:.3f}", f"{end:.3f}"] for first, stop, name, begin, end in spans)
     return csv_text(["person", "first_frame", "last_frame", "begin_s", "end_s"], rows)
 
 
-def _show(people: People) -> None:
+def _show(people: People, seconds: Clock) -> None:
     """The cast as a table, and what is in doubt."""
     from facetrack_cli.core.numbers import clock
     from facetrack_cli.evaluation.sheet import Sheet
@@ -185,12 +185,12 @@ def _show(people: People) -> None:
     rows = tuple(
         (
             one.name, f"{one.seconds:.1f}", str(len(one.intervals)), str(tracks.count(one.name)),
-            clock(one.intervals[0][0] / people.fps), f"{one.p:.2f}", "photograph" if one.photograph else "",
+            clock(seconds.at(one.intervals[0][0])), f"{one.p:.2f}", "photograph" if one.photograph else "",
         )
         for one in people.people
     )  # fmt: skip
     notes = [
-        f"{clock(one.first / people.fps)} (frame {one.first}): {one.person} with P = {one.p:.2f}, "
+        f"{clock(seconds.at(one.first))} (frame {one.first}): {one.person} with P = {one.p:.2f}, "
         f"{one.other or 'somebody new'} with {one.p_other:.2f}"
         for one in people.doubts
     ]

@@ -118,6 +118,9 @@ class Run:
     init_frame: int | None = option(
         "--init-frame N", "Frame of --init or --box, or where the search for a face begins.", type=FRAME
     )
+    stream: int | None = option(
+        "--stream N", "Video stream of a file with several, by FFmpeg's number [default: the largest].", type=FRAME
+    )
     config: str | None = options.CONFIG
     set: tuple[str, ...] = options.OVERRIDES
     seed: int | None = option("--seed N", "Seed of the random numbers, instead of the recipe's.", type=Whole(min=0))
@@ -208,6 +211,7 @@ class Run:
                     formats=formats,
                     video=not self.no_video and folder is not None,
                     init_frame=self.init_frame,
+                    stream=self.stream,
                     faces=self.faces,
                     gallery=Path(self.gallery) if self.gallery and self.faces == "all" and recipe.has_head else None,
                     overwrite=self.overwrite,

@@ -12,6 +12,7 @@ from facetrack_cli.editor.web.frame import jpeg
 from facetrack_cli.editor.web.session import Answer, Page, RefusedError, Route
 from facetrack_cli.runs.people import people_in, recast, rows_in, still_of
 from facetrack_cli.trajectory import people as changes
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.people import People, Tracks
 from facetrack_cli.video.seek import Frames
 
@@ -28,6 +29,7 @@ class CastSession(Page):
         super().__init__()
         self.folder, self.frames, self.clip, self.video = folder, frames, clip, video
         self.before, self._rows = people_in(folder), rows_in(folder)
+        self._clock = Clock(self._rows, self.before.fps)
         self._steps: list[tuple[Change, Tracks]] = []
         self._still = lru_cache(256)(self._picture)
 
@@ -40,7 +42,7 @@ class CastSession(Page):
         """As they are now."""
         records = [one for _, one in self.tracks]
         still = changes.photographs(self.before, self.tracks)
-        return changes.people_of(self.before.fps, self.before.shots, records, {}, still)
+        return changes.people_of(self._clock, self.before.shots, records, {}, still)
 
     def routes(self) -> Sequence[Route]:
         return (
@@ -64,6 +66,7 @@ class CastSession(Page):
                 "doubts": [one.model_dump(mode="json") for one in people.doubts],
                 "cuts": [one.first for one in people.shots[1:]],
                 "fps": people.fps,
+                "clock": self._clock.points(),
                 "first": people.shots[0].first,
                 "last": max(int(self._rows.frame.max()), *(one.stop - 1 for one in people.tracks)),
                 "changes": [words for (words, _), _ in self._steps],

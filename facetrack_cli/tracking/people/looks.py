@@ -19,7 +19,7 @@ from typing import Any, Final, NamedTuple
 import cv2
 import numpy as np
 
-from facetrack_cli.core.geometry import share_inside
+from facetrack_cli.core.geometry import share_inside, shown_angle
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array, Frame, Image, checked_name
 from facetrack_cli.tracking.face.stabilized import BOX, FACE, Similarity
@@ -128,7 +128,9 @@ def views_of(box: Trajectory) -> list[View]:
     for part in np.array_split(np.arange(len(good)), min(VIEWS, len(good))):
         k = int(part[np.argmax(worth[part])])
         i = int(good[k])
-        turn = math.radians(box.angle[i]) if np.isfinite(box.angle[i]) else 0.0
+        turn = (
+            math.radians(float(shown_angle(box.angle, 1 / box.pixel_aspect)[i])) if np.isfinite(box.angle[i]) else 0.0
+        )
         face = Similarity(np.array([box.x[i], box.y[i]]), float(box.w[i]), turn)
         found.append(View(int(box.frame[i]), face, float(worth[k])))
     return found

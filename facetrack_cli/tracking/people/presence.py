@@ -230,4 +230,4 @@ def _taken(face: Found, others: Sequence[Found]) -> bool:
 
 def _own(frame: Frame) -> Frame:
     """The frame for one track: what is computed of it is kept apart."""
-    return Frame(frame.index, frame.time_s, frame.pixels, frame.bgr)
+    return Frame(frame.index, frame.time_s, frame.pixels, frame.bgr, aspect=frame.aspect)

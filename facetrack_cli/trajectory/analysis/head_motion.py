@@ -89,7 +89,7 @@ def kinds_of(parts: Sequence[Trajectory]) -> tuple[str, ...]:
 
 def _pose(parts: Sequence[Trajectory]) -> Pose:
     """The signals of one target from its parts, which may have rows in different frames."""
-    frame, columns = aligned(parts, "x", "y", "w", "h", "angle", "status")
+    frame, columns = aligned([part.squared for part in parts], "x", "y", "w", "h", "angle", "status")
     seen = ~np.isin(columns.pop("status"), UNSEEN)
     x, y, w, h, angle = (np.where(seen, values, np.nan) for values in columns.values())
     with np.errstate(invalid="ignore", divide="ignore"):

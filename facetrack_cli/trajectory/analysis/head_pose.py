@@ -56,7 +56,8 @@ class HeadPose(NamedTuple):
 
     `angles` (T, 3): pitch, yaw, roll in degrees; `cov` (T, 3, 3) their covariance in square degrees; `scale` (T,)
     pixels per mm; `origin` (T, 2) where the middle between the eyes is, in pixels; `ambiguous` (T,); `of_points`
-    (T, 3, 3) what of the covariance the tracker's points make, without that of people.
+    (T, 3, 3) what of the covariance the tracker's points make, without that of people. Pixels are square, as the
+    picture is shown.
     """
 
     frame: Whole
@@ -79,7 +80,7 @@ def head_pose(parts: Sequence[Trajectory]) -> HeadPose | None:
     The spread holds both the tracker's uncertainty and that of the person's own proportions. The latter is the same in
     all frames of a person: differences between frames are more exact than it says.
     """
-    known = [part for part in with_eyes(parts) if part.part in SHAPE]
+    known = [part for part in with_eyes([part.squared for part in parts]) if part.part in SHAPE]
     if not _deep(_of(SHAPE, known), np.ones((1, len(known)), bool))[0]:
         return None
     frame, columns = aligned(known, "x", "y", "std_x", "std_y", "cov_xy", "status")

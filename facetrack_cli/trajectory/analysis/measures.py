@@ -98,6 +98,7 @@ class Measured(NamedTuple):
 @np.errstate(all="ignore")
 def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
     """The measures of one target by name, in the order of MEASURES: those whose points are among its parts."""
+    parts = [part.squared for part in parts]
     pose, parts = head_pose(parts), [part for part in with_eyes(parts) if part.part in USED]
     if len(parts) < 2:
         return {}

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import shown_angle
 from facetrack_cli.core.types import BOX, Array, Texts, Whole
 from facetrack_cli.trajectory.reader import MAX_PIXELS
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, joined, one_part
@@ -49,7 +50,8 @@ def tracks(table: Trajectory) -> Iterator[Track]:
         name = one.target or "target"
         label = name if one.part == BOX else f"{name}/{one.part}"
         xy = np.stack([one.x[at], one.y[at]], axis=1)
-        yield Track(label, one.part, frame, xy, one.boxes[at], one.angle[at], state)
+        angle = shown_angle(one.angle[at], 1 / one.pixel_aspect)  # tools show the pixels of the file as squares
+        yield Track(label, one.part, frame, xy, one.boxes[at], angle, state)
 
 
 def counted(frames: Whole, times: Array, rate: float) -> tuple[Whole, Whole]:

@@ -51,6 +51,7 @@ COLUMNS: Final = (
 def write_openface(table: Trajectory, size: tuple[int, int] | None) -> str:
     """The text for images of `size` (width, height), None if that is not known. InputError without any landmark."""
     found: list[tuple[int, int, list[Any]]] = []
+    shown = size and (size[0] * table.pixel_aspect, size[1])
     faces = [[one for one in table.of_target(name) if one.part in LANDMARKS] for name in table.targets]
     for ident, parts in enumerate(filter(None, faces)):
         frames, columns = aligned(parts, "x", "y", "confidence", "status")
@@ -62,7 +63,7 @@ def write_openface(table: Trajectory, size: tuple[int, int] | None) -> str:
         if (pose := head_pose(table.of_target(parts[0].target))) is not None:
             at = np.searchsorted(frames, pose.frame)
             there = np.isin(pose.frame, frames)
-            cells[at[there], 5:8], cells[at[there], 8:11] = (texts(v[there], n) for v, n in _in_camera(pose, size))
+            cells[at[there], 5:8], cells[at[there], 8:11] = (texts(v[there], n) for v, n in _in_camera(pose, shown))
         for k, part in enumerate(parts):
             for first, name in ((11, "x"), (11 + COUNT, "y")):
                 cells[:, first + LANDMARKS[part.part]] = texts(columns[name][:, k], 3)
@@ -74,7 +75,7 @@ def write_openface(table: Trajectory, size: tuple[int, int] | None) -> str:
     return csv_text(COLUMNS, [row for *_, row in sorted(found, key=lambda one: one[:2])])
 
 
-def _in_camera(pose: HeadPose, size: tuple[int, int] | None) -> list[tuple[Array, int]]:
+def _in_camera(pose: HeadPose, size: tuple[float, float] | None) -> list[tuple[Array, int]]:
     """`pose_T` and `pose_R`, (T, 3) each, and their decimals."""
     rotation = np.radians(pose.angles)
     if size is None:

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.face_points import LINES
+from facetrack_cli.core.geometry import shown_angle
 from facetrack_cli.core.types import BOX, Array, Image, Mask
 from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
 from facetrack_cli.video.overlay import marks
@@ -96,7 +97,8 @@ class Overlay:
         image: Image = frame.bgr.copy()
         places = [self._order.get(one.rows.target, i) for i, one in enumerate(result.targets)]
         alone = len(result.targets) == 1 and not self._order
-        shapes = [self._shape(t, i, alone=alone) for t, i in zip(result.targets, places, strict=True)]
+        pairs = zip(result.targets, places, strict=True)
+        shapes = [self._shape(one, i, frame.aspect, alone=alone) for one, i in pairs]
         shown = [Shown(s.target, s.insets, s.colour if len(shapes) > 1 else WHITE) for s in shapes if s.insets]
         windows = [(b[0], b[1], b[2], b[3]) for s in shapes for b in s.bounds.tolist()]
         taken = self._insets.draw(image, shown, windows) if shown else []  # below the lines, where they have to cross
@@ -114,7 +116,7 @@ class Overlay:
         self._count += 1
         return image
 
-    def _shape(self, target: TargetResult, place: int, *, alone: bool) -> Shape:
+    def _shape(self, target: TargetResult, place: int, aspect: float = 1.0, *, alone: bool) -> Shape:
         every = target.rows
         fine = np.isfinite(every.x + every.y)
         rows = every if fine.all() else every.take(fine)
@@ -122,7 +124,7 @@ class Overlay:
         table = np.clip(np.column_stack([rows.x, rows.y, sizes]), -self._reach, self._reach)
         half = np.maximum(table[:, 2:] - 1, 2) / 2
         corners = half[:, None] * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-        angle = np.radians(np.where(np.isfinite(rows.angle), rows.angle, 0.0))
+        angle = np.radians(shown_angle(np.where(np.isfinite(rows.angle), rows.angle, 0.0), 1 / aspect))
         if angle.any():
             cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
             x, y = corners[..., 0], corners[..., 1]

@@ -19,7 +19,12 @@ const still = (track) =>
 const longest = (name) =>
   now.tracks.filter((one) => one.person === name).reduce((a, b) => (b.stop - b.first > a.stop - a.first ? b : a));
 const clock = (frame) => {
-  const seconds = frame / now.fps;
+  // between two frames whose times are told in proportion, beyond them at the nominal rate
+  const next = Math.max(now.clock.findIndex(([at]) => at >= frame), 0);
+  const [at, time] = frame > now.clock.at(-1)[0] ? now.clock.at(-1) : now.clock[next];
+  const [before, earlier] = now.clock[next - 1] ?? [at - now.fps, time - 1];
+  const slope = frame < at ? (time - earlier) / (at - before) : 1 / now.fps;
+  const seconds = Math.max(time + (frame - at) * slope, 0);
   return `${Math.floor(seconds / 60)}:${(seconds % 60).toFixed(2).padStart(5, "0")}`;
 };
 

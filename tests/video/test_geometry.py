@@ -1,0 +1,178 @@
+"""The picture that players show: mirrored, of oblong pixels, of another size on the way, of the right stream."""
+
+import json
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+from PIL import Image as Pictures
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Frame
+from facetrack_cli.report.command_line import command
+from facetrack_cli.run_folder.finished import open_run
+from facetrack_cli.trajectory.analysis.measures import measures_of
+from facetrack_cli.trajectory.trajectory import Trajectory, of_frame, one_part
+from facetrack_cli.video.seek import Frames
+from facetrack_cli.video.source import open_source
+from facetrack_cli.video.writer import VideoWriter
+from tests.support import media
+
+CORNERS = np.zeros((48, 64, 3), np.uint8)
+CORNERS[:24, :32], CORNERS[:24, 32:], CORNERS[24:, :32] = (30, 60, 220), (220, 90, 40), (40, 200, 60)
+
+
+def shown_by_ffmpeg(path: Path) -> np.ndarray:
+    picture = path.with_suffix(".png")
+    media.ffmpeg("-i", path, "-frames:v", "1", picture)
+    return cv2.imread(str(picture))
+
+
+@pytest.mark.parametrize("degrees", [0, 90, 180, 270])
+@pytest.mark.parametrize("flip", [(), ("-display_hflip",), ("-display_vflip",), ("-display_hflip", "-display_vflip")])
+@pytest.mark.parametrize("suffix", [".mp4", ".mov", ".mkv"])
+def test_turned_and_mirrored_as_players_show_it(
+    tmp_path: Path, degrees: int, flip: tuple[str, ...], suffix: str
+) -> None:
+    stored = media.write_video(tmp_path / f"stored{suffix}", frames=[CORNERS] * 3)
+    path = tmp_path / f"clip{suffix}"
+    media.ffmpeg("-display_rotation", str(degrees), *flip, "-i", stored, "-c", "copy", path)
+    right = shown_by_ffmpeg(path)
+    with open_source(path) as source, Frames(path) as frames:
+        first = next(iter(source))
+        assert source.size == first.size == right.shape[1::-1] == frames.size
+        assert np.abs(first.bgr.astype(int) - right).mean() < 6
+        assert (frames.read(2).bgr.shape) == right.shape
+
+
+@pytest.mark.parametrize("way", range(1, 9))
+def test_motion_jpeg_with_exif_is_as_the_picture_alone(tmp_path: Path, way: int) -> None:
+    told = Pictures.Exif()
+    told[0x0112] = way
+    picture = tmp_path / "picture.jpg"
+    Pictures.fromarray(CORNERS[..., ::-1]).save(picture, exif=told, quality=95)
+    path = tmp_path / "clip.mov"
+    (tmp_path / "clip.mjpeg").write_bytes(picture.read_bytes() * 5)
+    media.ffmpeg("-f", "mjpeg", "-i", tmp_path / "clip.mjpeg", "-c", "copy", path)
+    right = shown_by_ffmpeg(path)
+    for one in (path, picture):
+        with open_source(one) as source:
+            first = next(iter(source)).bgr
+        assert first.shape == right.shape and np.abs(first.astype(int) - right).mean() < 4
+
+
+@pytest.mark.parametrize("shape", [Fraction(4, 3), Fraction(8, 9), Fraction(32, 27), Fraction(16, 11)])
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
+def test_oblong_pixels_are_told_and_kept(tmp_path: Path, shape: Fraction, suffix: str) -> None:
+    path = media.write_video(tmp_path / f"clip{suffix}", frames=4, options=("-vf", f"setsar={shape}"))
+    with open_source(path) as source:
+        assert source.size == media.SIZE and abs(source.aspect - shape) < 0.01
+        with VideoWriter(tmp_path / "out.mp4", source.size, source.fps, source.aspect) as video:
+            for frame in source:
+                assert frame.aspect == pytest.approx(float(shape), rel=0.01)
+                video.write(frame.bgr, frame.time_s)
+    with av.open(str(tmp_path / "out.mp4")) as written:
+        stream = written.streams.video[0]
+        assert (stream.width, stream.height) == media.SIZE
+        assert float(stream.sample_aspect_ratio) == pytest.approx(float(shape), rel=0.01)
+
+
+def test_oblong_pixels_of_the_container_alone_and_turned(tmp_path: Path) -> None:
+    stored = media.write_video(tmp_path / "stored.mkv", frames=4)
+    path = tmp_path / "clip.mkv"
+    media.ffmpeg("-i", stored, "-c", "copy", "-aspect", "16:9", path)
+    turned = tmp_path / "turned.mp4"
+    media.ffmpeg("-display_rotation", "90", "-i", path, "-c", "copy", turned)
+    with open_source(path) as source:
+        assert source.aspect == Fraction(4, 3)
+    with open_source(turned) as source:
+        assert source.size == media.SIZE[::-1] and source.aspect == Fraction(3, 4)
+
+
+def test_a_shape_that_no_pixel_has_is_none(tmp_path: Path) -> None:
+    path = media.write_video(tmp_path / "clip.mp4", frames=4, options=("-vf", "setsar=200/1"))
+    with open_source(path) as source:
+        assert source.aspect == 1
+
+
+def face(wide: float) -> list[Trajectory]:
+    """A face that leans by 20 degrees, in pixels that are `wide` times as wide as high."""
+    places = {
+        "eye_left": (-31.5, 0), "eye_right": (31.5, 0), "nose": (0, 33.5),
+        "mouth_left": (-26.5, 66), "mouth_right": (26.5, 66), "lip_upper": (0, 58.5), "lip_lower": (0, 80),
+    }  # fmt: skip
+    lean = np.exp(1j * np.radians(20))
+    turned = {part: 200 + complex(*xy) * lean for part, xy in places.items()}
+    header = {"source": {"pixel_aspect": wide}}
+    return [
+        one_part("face", part, [0, 1], x=[at.real / wide] * 2, y=[at.imag] * 2, std_x=[1 / wide] * 2, std_y=[1.0] * 2,
+                 cov_xy=[0.0] * 2, status=["tracked"] * 2, time_s=[0, 0.04], header=header)
+        for part, at in turned.items()
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("wide", [4 / 3, 16 / 11, 0.75])
+def test_measures_of_oblong_pixels_are_those_of_square_ones(wide: float) -> None:
+    square, oblong = measures_of(face(1.0)), measures_of(face(wide))
+    assert square.keys() == oblong.keys() >= {"mouth_opening", "mouth_width", "roll", "yaw", "pitch"}
+    assert oblong["roll"].value[0] == pytest.approx(20, abs=0.5)
+    for name, one in square.items():
+        np.testing.assert_allclose(oblong[name].value, one.value, atol=1e-6)
+        np.testing.assert_allclose(oblong[name].std, one.std, atol=1e-6)
+
+
+def test_an_angle_is_that_of_the_picture_as_it_is_shown() -> None:
+    image = np.zeros((48, 64, 3), np.uint8)
+    seen = np.degrees(np.arctan2(np.sin(np.radians(30)), 0.75 * np.cos(np.radians(30))))
+    rows = of_frame((("face", "box"),), Frame(0, 0.0, image, aspect=4 / 3), {}, x=[9], y=[9], angle=[seen])
+    assert rows.angle[0] == pytest.approx(30)
+
+
+def join(path: Path, *streams: Path, options: tuple[str, ...] = ()) -> Path:
+    inputs = [word for one in streams for word in ("-i", one)]
+    maps = [word for i in range(len(streams)) for word in ("-map", str(i))]
+    media.ffmpeg(*inputs, *maps, "-c", "copy", *options, path)
+    return path
+
+
+def test_of_several_streams_the_recording_is_taken(tmp_path: Path) -> None:
+    preview = media.write_video(tmp_path / "preview.mov", frames=3, size=(32, 24), fps=1)
+    still = media.write_video(tmp_path / "still.mov", frames=1, size=(640, 480), fps=1)
+    clip = media.write_video(tmp_path / "clip.mp4", frames=50)
+    other = media.write_video(tmp_path / "other.mp4", frames=[media.numbered(100 + i) for i in range(50)])
+    for name, order in {"a": (preview, clip), "b": (clip, still), "c": (still, preview, clip)}.items():
+        for suffix in (".mkv", ".mov"):
+            with open_source(join(tmp_path / f"{name}{suffix}", *order)) as source:
+                assert source.size == media.SIZE and len(list(source)) == 50
+    told = ("-disposition:v:0", "0", "-disposition:v:1", "default")
+    two = join(tmp_path / "two.mkv", clip, other, options=told)
+    with open_source(two) as source:
+        assert media.number(next(iter(source)).bgr) == 100
+        (warning,) = source.warnings
+    assert warning.endswith("has 2 video streams, 0 (64x48) and 1 (64x48); 1 (64x48) is read, --stream N takes another")
+    with open_source(two, stream=0, start=30) as source, Frames(two, stream=0) as frames:
+        assert media.number(next(iter(source)).bgr) == 30 and not source.warnings
+        assert media.number(frames.read(40).bgr) == 40
+    with pytest.raises(InputError, match="no video stream 5; those there are 0, 1"):
+        open_source(two, stream=5)
+
+
+def test_a_stream_that_is_named_is_that_of_the_run_and_of_what_reads_it_again(tmp_path: Path) -> None:
+    dark, bright = (
+        media.write_video(tmp_path / f"{n}.mp4", frames=[np.full((96, 128, 3), n, np.uint8)] * 8) for n in (40, 200)
+    )
+    two = join(tmp_path / "two.mkv", dark, bright)
+    out = tmp_path / "out"
+    given = ["--box", "40,30,24,24", "--config", "correlation_filter", "-o", str(out), "-q"]
+    assert main(["run", str(two), "--stream", "1", *given]) == 0
+    told = json.loads((out / "trajectory.json").read_text())
+    assert told["source"]["stream"] == 1 and not told["warnings"]
+    with open_source(out / "annotated.mp4") as video:
+        assert np.median(next(iter(video)).bgr) > 150
+    run = open_run(out)
+    assert run.painted.stream == 1
+    assert "--stream 1" in command(run.header, 7)
