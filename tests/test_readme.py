@@ -36,7 +36,7 @@ MORE = {
 OTHERS = ("results.md", "corrections.md", "posterior.md", "commands.md", "python.md", "extending.md")
 CLIPS = {"skin.md": "signing"}  # what clip.mp4 is there
 # words of blocks that are typed where there is such a program or module
-TOOLS = {"jq ": "jq", "| parallel": "parallel", "parquet": "pyarrow", "pandas": "pandas", "facetrack tune": "optuna"}
+TOOLS = {"jq ": "jq", "| parallel": "parallel", "parquet": "pyarrow", "pandas": "pandas"}
 
 FACETRACK = """#!/bin/sh
 case " $* " in

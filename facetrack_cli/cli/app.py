@@ -31,7 +31,6 @@ COMMANDS = {
     "repeat": "Show how far a recipe's runs differ from seed to seed.",
     "regress": "Check clips against their golden results, for CI.",
     "recipes": "List, show and check the recipes of trackers.",
-    "tune": "Search settings of a recipe, checked on held-out clips.",
     "calibrate": "Learn from ground truth how sure a recipe's rows are.",
     "motion": "Learn motion models from annotated tracks.",
     "prior": "Learn shape priors from annotated frames, and draw them.",

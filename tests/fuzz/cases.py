@@ -294,14 +294,12 @@ def _reading(rng: Random, bench: Bench, name: str) -> list[str]:
         compare {clip} --config mil --stop 2 --truth @
         repeat @
         calibrate @
-        tune @ {clip} --set-range motion.sigma=0.1..0.2
-        tune factorized @ --set-range motion.sigma=0.1..0.2
     """
     return [word.replace("@", name) for word in rng.choice(every.strip().splitlines()).split()]
 
 
 _PAGE = {"pick", "browse", "debug", "help", "version"}
-_WORK = {"seeds", "trials", "jobs"}  # to ask for a million runs is no fault
+_WORK = {"seeds", "jobs"}  # to ask for a million runs is no fault
 
 
 def _arguments(rng: Random, bench: Bench, case: Case) -> list[str]:
@@ -327,7 +325,6 @@ def _arguments(rng: Random, bench: Bench, case: Case) -> list[str]:
         compare {clip} --stop 2 --seeds 2
         repeat {clip} --stop 2 --seeds 2
         calibrate {clip} --stop 2 --seeds 1
-        tune sir {clip} --stop 2 --trials 1
     """
     argv = rng.choice(begins.strip().splitlines()).split()
     if argv[1] == "run":  # what is written goes into the case's folder

@@ -64,6 +64,8 @@ def test_no_table_has_a_text_that_a_spreadsheet_takes_for_a_formula():
             cells = [cell for line in csv.reader(io.StringIO(text.removeprefix("\ufeff"))) for cell in line]
             assert f"_{name}" in "".join(cells) and not any(cell.strip()[:1] in {*"=+@"} for cell in cells)
     assert csv_text(["a", "b", "c"], [["-1.5", -2, "-"], ["+1e3", None, "-nan"]]) == "a,b,c\n-1.5,-2,_-\n+1e3,,-nan\n"
+
+
 def timed(time_s, frames=None, **header):
     """The times of a table with these rounded times."""
     frames = np.arange(len(time_s)) if frames is None else frames
