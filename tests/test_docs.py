@@ -196,7 +196,6 @@ SHORT = {
     "run": ["--no-video", "--stop", "3", "--overwrite", "-q"],
     "calibrate": ["--stop", "3", "--seeds", "1", "--overwrite", "-q"],
     "compare": ["--stop", "3", "--seeds", "1", "--no-plots", "--overwrite", "-q"],
-    "repeat": ["--stop", "3", "--seeds", "2", "--overwrite", "-q"],
     "prior": ["--overwrite", "-q"],
     "gallery": ["--overwrite", "-q"],
     "export": ["--overwrite"],

@@ -25,7 +25,7 @@ GUIDES = ("first_track", "mouth", "film", "signer", "page", "many_clips", "measu
 BY_DAY = ("README.md", *(f"{name}.md" for name in GUIDES))
 SHORT = {
     "RUN_STOP": "12", "RUN_NO_VIDEO": "1", "SUGGEST_FRAMES": "12", "EVAL_PARTIAL": "1", "COMPARE_STOP": "12",
-    "COMPARE_SEEDS": "1", "REPEAT_STOP": "12", "REPEAT_SEEDS": "2",
+    "COMPARE_SEEDS": "1",
 }  # fmt: skip
 MORE = {
     "film.md": {"RUN_STOP": "60"},  # until both people are there

@@ -28,7 +28,6 @@ COMMANDS = {
     "export": "Write a trajectory as other tools read it.",
     "eval": "Measure a trajectory against ground truth.",
     "compare": "Run and rank several recipes on a clip with ground truth.",
-    "repeat": "Show how far a recipe's runs differ from seed to seed.",
     "regress": "Check clips against their golden results, for CI.",
     "recipes": "List, show and check the recipes of trackers.",
     "calibrate": "Learn from ground truth how sure a recipe's rows are.",

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from facetrack_cli.core.types import Box
     from facetrack_cli.editor.web.session import Page as PageSession
     from facetrack_cli.evaluation.experiments.compare import Comparison
-    from facetrack_cli.evaluation.experiments.repeat import Repetition
     from facetrack_cli.evaluation.rows import Pair
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
@@ -388,7 +387,7 @@ class Results:
             yield stopped, shown, partial(self._publish, names, shown, folder)
 
     def _publish(
-        self, names: Sequence[str], shown: Progress, folder: Folder, found: Comparison | Repetition, figures: Figures
+        self, names: Sequence[str], shown: Progress, folder: Folder, found: Comparison, figures: Figures
     ) -> None:
         """Write all files, without matplotlib all but the plots, and print the table, or the data."""
         texts, sheet = (found.json(), found.csv()), found.sheet()

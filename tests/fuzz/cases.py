@@ -292,7 +292,6 @@ def _reading(rng: Random, bench: Bench, name: str) -> list[str]:
         motion fit @
         compare @ --config sir
         compare {clip} --config mil --stop 2 --truth @
-        repeat @
         calibrate @
     """
     return [word.replace("@", name) for word in rng.choice(every.strip().splitlines()).split()]
@@ -323,7 +322,6 @@ def _arguments(rng: Random, bench: Bench, case: Case) -> list[str]:
         gallery fit {bench.path("people")}
         gallery show {bench.path("gallery.npz")} -o out.png
         compare {clip} --stop 2 --seeds 2
-        repeat {clip} --stop 2 --seeds 2
         calibrate {clip} --stop 2 --seeds 1
     """
     argv = rng.choice(begins.strip().splitlines()).split()
