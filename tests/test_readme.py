@@ -24,7 +24,7 @@ from tests.test_docs import FENCE, PAGES, ROOT
 GUIDES = ("first_track", "mouth", "film", "signer", "page", "many_clips", "measure", "smooth")
 BY_DAY = ("README.md", *(f"{name}.md" for name in GUIDES))
 SHORT = {
-    "RUN_STOP": "12", "RUN_NO_VIDEO": "1", "SUGGEST_FRAMES": "12", "EVAL_PARTIAL": "1", "COMPARE_STOP": "12",
+    "RUN_STOP": "12", "RUN_NO_VIDEO": "1", "EVAL_PARTIAL": "1", "COMPARE_STOP": "12",
     "COMPARE_SEEDS": "1",
 }  # fmt: skip
 MORE = {

@@ -18,7 +18,6 @@ from facetrack_cli.core.log import VARIABLE
 COMMANDS = {
     "run": "Track faces, heads and hands in videos and image folders.",
     "init": "Write where the track of a clip begins, as a file to edit.",
-    "suggest": "Try recipes on the start of a clip; say which to take.",
     "status": "Tell how far a batch is: done, running, failed, time left.",
     "fix": "Correct a finished run, on a page.",
     "people": "Show and correct who is in a film.",

@@ -218,7 +218,7 @@ class Run:
                     batch=several,
                     retry_failed=self.retry_failed,
                     split=split,
-                    default_reason=default_reason(self.extent.box, clip) if self.config is None else "",
+                    default_reason=default_reason(self.extent.box) if self.config is None else "",
                     threads=self.threads or (1 if self.cluster else max(1, cores() // workers)),
                     **vars(self.extent) | ({"fps": None} if self.extent.fps and brings_rate(clip) else {}),
                 )
