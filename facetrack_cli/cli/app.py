@@ -30,7 +30,6 @@ COMMANDS = {
     "regress": "Check clips against their golden results, for CI.",
     "recipes": "List, show and check the recipes of trackers.",
     "calibrate": "Learn from ground truth how sure a recipe's rows are.",
-    "motion": "Learn motion models from annotated tracks.",
     "prior": "Learn shape priors from annotated frames, and draw them.",
     "gallery": "Learn who is who from images and videos, and draw it.",
     "models": "List and fetch optional networks.",

@@ -225,11 +225,6 @@ CLIP = option("--clip INPUT", "The clip, if it is elsewhere now.", type=FILE)
 TITLE = option("--title TEXT", "Title of the page [default: clip and recipe].")
 TARGET = option("--target NAME[/PART]", "One target, or one part of it, alone.")
 OVERWRITE = flag("--overwrite", "Replace files that are there already.")
-MOTION = option(
-    "--motion WHICH",
-    "Noise of the motion: the `recipe`'s, or `fitted`, what the clip itself shows [default: recipe].",
-    type=click.Choice(["recipe", "fitted"]), default="recipe", show_default=False,
-)  # fmt: skip
 QUIET = flag("--quiet -q", "Say nothing but errors.")
 
 

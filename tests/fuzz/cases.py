@@ -149,7 +149,7 @@ def _posterior(rng: Random, bench: Bench, case: Case) -> list[str]:
     shutil.copytree(bench.path("run"), case.folder / "run")
     case.put("run/posterior.npz", hostile.arrays(rng, bench.arrays("run/posterior.npz")))
     case.named = (*case.named, "run")
-    return ["smooth", "run", "-o", "out", "--no-video", "-q", *rng.choice(([], ["--motion", "fitted"]))]
+    return ["smooth", "run", "-o", "out", "--no-video", "-q"]
 
 
 def _run_folder(rng: Random, bench: Bench, case: Case) -> list[str]:
@@ -289,7 +289,6 @@ def _reading(rng: Random, bench: Bench, name: str) -> list[str]:
         fix @ --init {truth}
         fix {run} --init @
         regress @
-        motion fit @
         compare @ --config sir
         compare {clip} --config mil --stop 2 --truth @
         calibrate @
@@ -316,7 +315,6 @@ def _arguments(rng: Random, bench: Bench, case: Case) -> list[str]:
         fix run --init {bench.path("corrected.init.yaml")}
         recipes check sir
         regress {bench.folder}
-        motion fit {truth}
         prior fit {truth}
         prior show {bench.path("prior.npz")} -o out.png
         gallery fit {bench.path("people")}
