@@ -34,7 +34,6 @@ COMMANDS = {
     "gallery": "Learn who is who from images and videos, and draw it.",
     "models": "List and fetch optional networks.",
     "completion": "Print what makes a shell complete command lines.",
-    "trax": "Speak TraX, the protocol of the VOT toolkit.",
 }
 """The one-line helps stand here because to ask the commands for theirs would load them."""
 SECTIONS = {
