@@ -4,8 +4,6 @@ import importlib.util
 import os
 import re
 import shlex
-import shutil
-import subprocess
 from pathlib import Path
 
 import click
@@ -95,20 +93,11 @@ def test_a_stale_page_is_told(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(tool, "DOCS", tmp_path)
     (tmp_path / "recipes.md").write_text(f"# Recipes\n\n{tool.BEGIN}\nold\n{tool.END}\n\nkept\n")
     assert tool.main(["--check"]) == 1
-    assert capsys.readouterr().out.count("is stale") == 3 and not (tmp_path / "commands.md").exists()
+    assert capsys.readouterr().out.count("is stale") == 2 and not (tmp_path / "commands.md").exists()
     assert tool.main([]) == 0
     assert tool.main(["--check"]) == 0
     text = (tmp_path / "recipes.md").read_text()
     assert "\nold\n" not in text and text.endswith("kept\n") and "| `filter.particles` |" in text
-
-
-def test_the_man_page_reads_without_a_complaint():
-    page = ROOT / "docs" / "facetrack.1"
-    text = page.read_text(encoding="utf-8")
-    assert ".SH FACETRACK RUN" in text and r"\fB\-j, \-\-jobs\fR N" in text
-    if shutil.which("groff"):
-        done = subprocess.run(["groff", "-man", "-Tutf8", "-ww", str(page)], capture_output=True, text=True)
-        assert (done.returncode, done.stderr) == (0, "") and "facetrack run [OPTIONS] INPUT..." in done.stdout
 
 
 def links():
@@ -196,7 +185,6 @@ SHORT = {
     "run": ["--no-video", "--stop", "3", "--overwrite", "-q"],
     "calibrate": ["--stop", "3", "--seeds", "1", "--overwrite", "-q"],
     "compare": ["--stop", "3", "--seeds", "1", "--no-plots", "--overwrite", "-q"],
-    "repeat": ["--stop", "3", "--seeds", "2", "--overwrite", "-q"],
     "prior": ["--overwrite", "-q"],
     "gallery": ["--overwrite", "-q"],
     "export": ["--overwrite"],

@@ -24,8 +24,8 @@ from tests.test_docs import FENCE, PAGES, ROOT
 GUIDES = ("first_track", "mouth", "film", "signer", "page", "many_clips", "measure", "smooth")
 BY_DAY = ("README.md", *(f"{name}.md" for name in GUIDES))
 SHORT = {
-    "RUN_STOP": "12", "RUN_NO_VIDEO": "1", "SUGGEST_FRAMES": "12", "EVAL_PARTIAL": "1", "COMPARE_STOP": "12",
-    "COMPARE_SEEDS": "1", "REPEAT_STOP": "12", "REPEAT_SEEDS": "2",
+    "RUN_STOP": "12", "RUN_NO_VIDEO": "1", "EVAL_PARTIAL": "1", "COMPARE_STOP": "12",
+    "COMPARE_SEEDS": "1",
 }  # fmt: skip
 MORE = {
     "film.md": {"RUN_STOP": "60"},  # until both people are there
@@ -36,7 +36,7 @@ MORE = {
 OTHERS = ("results.md", "corrections.md", "posterior.md", "commands.md", "python.md", "extending.md")
 CLIPS = {"skin.md": "signing"}  # what clip.mp4 is there
 # words of blocks that are typed where there is such a program or module
-TOOLS = {"jq ": "jq", "| parallel": "parallel", "parquet": "pyarrow", "pandas": "pandas", "facetrack tune": "optuna"}
+TOOLS = {"jq ": "jq", "| parallel": "parallel", "parquet": "pyarrow", "pandas": "pandas"}
 
 FACETRACK = """#!/bin/sh
 case " $* " in

@@ -1,6 +1,6 @@
 """Write the reference of commands and of recipe keys, from the help of the commands and the settings of recipes.
 
-python tools/commands_doc.py            # writes docs/commands.md, docs/facetrack.1, and the tables in docs/recipes.md
+python tools/commands_doc.py            # writes docs/commands.md, and the tables in docs/recipes.md
 python tools/commands_doc.py --check    # writes nothing; exit code 1 if one of them is stale
 """
 
@@ -53,36 +53,6 @@ def commands_page() -> str:
     for name, command in everything:
         parts += [f"## {name}", f"```\n{usage(name, command)}\n```", *help_of(command), *options(command)]
     return "\n\n".join(parts) + "\n"
-
-
-def man_page() -> str:
-    """docs/facetrack.1, which the wheel installs: the help of all commands in the language of man."""
-    lines = [
-        '.\\" written by tools/commands_doc.py',
-        ".TH FACETRACK 1",
-        ".SH NAME",
-        "facetrack \\- track faces, facial features, heads and hands in video",
-    ]
-    for name, command in commands():
-        lines += [f".SH {name.upper()}", ".nf", roff(usage(name, command)), ".fi"]
-        for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
-            kept = paragraph.startswith("\b\n")
-            text = roff(paragraph.removeprefix("\b\n").replace("\n\b\n", "\n"))
-            lines += [".PP", ".nf", text, ".fi"] if kept else [".PP", text]
-        for option in command.params:
-            if isinstance(option, click.Option):
-                value = "" if option.is_flag else " " + (option.metavar or "VALUE")
-                names = ", ".join(sorted(option.opts, key=len))
-                about = " ".join((option.help or "").split()) + extra(option)
-                lines += [".TP", f"\\fB{roff(names)}\\fR{roff(value)}", roff(about)]
-    lines += [".SH MORE", "The recipes, files and measures are explained in the folder docs of the project."]
-    return "\n".join(lines) + "\n"
-
-
-def roff(text: str) -> str:
-    """Plain text for man: no backslash escapes, no hyphen becomes a dash, no line begins a request."""
-    text = text.replace("\\", "\\e").replace("-", "\\-")
-    return re.sub(r"^([.'])", r"\\&\1", text, flags=re.MULTILINE)
 
 
 def short(command: click.Command) -> str:
@@ -282,8 +252,7 @@ def recipes_page(text: str) -> str:
 def pages() -> dict[Path, str]:
     """The text of each page."""
     recipes = DOCS / "recipes.md"
-    texts = {DOCS / "commands.md": commands_page(), recipes: recipes_page(recipes.read_text(encoding="utf-8"))}
-    return {**texts, DOCS / "facetrack.1": man_page()}
+    return {DOCS / "commands.md": commands_page(), recipes: recipes_page(recipes.read_text(encoding="utf-8"))}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

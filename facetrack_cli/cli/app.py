@@ -18,7 +18,6 @@ from facetrack_cli.core.log import VARIABLE
 COMMANDS = {
     "run": "Track faces, heads and hands in videos and image folders.",
     "init": "Write where the track of a clip begins, as a file to edit.",
-    "suggest": "Try recipes on the start of a clip; say which to take.",
     "status": "Tell how far a batch is: done, running, failed, time left.",
     "fix": "Correct a finished run, on a page.",
     "people": "Show and correct who is in a film.",
@@ -28,17 +27,13 @@ COMMANDS = {
     "export": "Write a trajectory as other tools read it.",
     "eval": "Measure a trajectory against ground truth.",
     "compare": "Run and rank several recipes on a clip with ground truth.",
-    "repeat": "Show how far a recipe's runs differ from seed to seed.",
     "regress": "Check clips against their golden results, for CI.",
     "recipes": "List, show and check the recipes of trackers.",
-    "tune": "Search settings of a recipe, checked on held-out clips.",
     "calibrate": "Learn from ground truth how sure a recipe's rows are.",
-    "motion": "Learn motion models from annotated tracks.",
     "prior": "Learn shape priors from annotated frames, and draw them.",
     "gallery": "Learn who is who from images and videos, and draw it.",
     "models": "List and fetch optional networks.",
     "completion": "Print what makes a shell complete command lines.",
-    "trax": "Speak TraX, the protocol of the VOT toolkit.",
 }
 """The one-line helps stand here because to ask the commands for theirs would load them."""
 SECTIONS = {

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from facetrack_cli.core.types import Box
     from facetrack_cli.editor.web.session import Page as PageSession
     from facetrack_cli.evaluation.experiments.compare import Comparison
-    from facetrack_cli.evaluation.experiments.repeat import Repetition
     from facetrack_cli.evaluation.rows import Pair
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
@@ -226,11 +225,6 @@ CLIP = option("--clip INPUT", "The clip, if it is elsewhere now.", type=FILE)
 TITLE = option("--title TEXT", "Title of the page [default: clip and recipe].")
 TARGET = option("--target NAME[/PART]", "One target, or one part of it, alone.")
 OVERWRITE = flag("--overwrite", "Replace files that are there already.")
-MOTION = option(
-    "--motion WHICH",
-    "Noise of the motion: the `recipe`'s, or `fitted`, what the clip itself shows [default: recipe].",
-    type=click.Choice(["recipe", "fitted"]), default="recipe", show_default=False,
-)  # fmt: skip
 QUIET = flag("--quiet -q", "Say nothing but errors.")
 
 
@@ -388,7 +382,7 @@ class Results:
             yield stopped, shown, partial(self._publish, names, shown, folder)
 
     def _publish(
-        self, names: Sequence[str], shown: Progress, folder: Folder, found: Comparison | Repetition, figures: Figures
+        self, names: Sequence[str], shown: Progress, folder: Folder, found: Comparison, figures: Figures
     ) -> None:
         """Write all files, without matplotlib all but the plots, and print the table, or the data."""
         texts, sheet = (found.json(), found.csv()), found.sheet()

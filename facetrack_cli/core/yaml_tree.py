@@ -8,7 +8,6 @@ Plain scalars follow the core schema of YAML 1.2.2, section 10.3.2: `1e-3` is a 
 from __future__ import annotations
 
 import codecs
-import io
 import math
 import re
 import unicodedata
@@ -168,26 +167,6 @@ def assign(root: Node, option: str, assignment: str) -> None:
             if child is None or child.value is None:
                 child = node.value[name] = Node(key, {}, key)
             node = child
-
-
-def rewritten(text: str, assignments: Sequence[str]) -> str:
-    """A valid text with values put into it as `assign` does; all else, comments too, stays as it is."""
-    yaml = YAML()
-    yaml.width, yaml.preserve_quotes = MAX_BYTES, True
-    # otherwise nothing at all is written for null in a block
-    yaml.representer.add_representer(type(None), lambda r, _: r.represent_scalar("tag:yaml.org,2002:null", "null"))
-    tree = yaml.load(text)
-    for path, _, value in (one.partition("=") for one in assignments):
-        *above, last = (name.strip() for name in path.split("."))
-        node = tree
-        for name in above:
-            if node.get(name) is None:
-                node[name] = {}
-            node = node[name]
-        node[last] = yaml.load(value)
-    out = io.StringIO()
-    yaml.dump(tree, out)
-    return out.getvalue()
 
 
 @dataclass

@@ -7,13 +7,12 @@ Features", FG 2004; of `adaptive`, those of Zhou, Chellappa & Moghaddam, ICME 20
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from facetrack_cli.recipe.affine import MAX_COMPARED_PARTICLES, AffineWalk
-from facetrack_cli.recipe.sections import Filter, Length, Refusal, Section, Steps
+from facetrack_cli.recipe.sections import Filter, Refusal, Steps
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import ParticleFilter
@@ -28,57 +27,12 @@ class Resampled(Filter):
     """How particles are picked by their weights."""
 
 
-class Tempered(Filter):
-    """A filter that can keep more particles than a narrow likelihood leaves; beyond the papers."""
-
-    temper: Annotated[float, Field(gt=0, lt=1)] | None = None
-    """Share of the particles that stays effective: the likelihood counts to a power of 1 or less; null: to 1."""
-    moves: Annotated[int, Field(ge=0, le=100)] = 0
-    """With temper: the rest of the likelihood follows in stages, each with so many Metropolis moves; 0: left out."""
-
-    def mistakes(self) -> Iterable[Refusal]:
-        if self.moves and self.temper is None:
-            yield Refusal(
-                ("moves",), "moves are made between the stages of temper; add temper: 0.5, or leave moves out"
-            )
-
-
-class Kept(Resampled, Tempered):
-    """A filter that weights particles by the likelihood alone, and need not pick new ones in each frame."""
-
-    resample_below: Annotated[float, Field(gt=0, le=1)] = 1.0
-    """New particles are picked only where less than this share of them is effective; as published 1, in each frame."""
-    regularise: Annotated[float, Field(ge=0, le=2)] = 0.0
-    """Picked particles come from a kernel density (Musso et al. 2001), this times as wide as best; as published 0."""
-
-
-class Kld(Section):
-    """As many particles as the spread of the prediction asks for (Fox, "Adapting the sample size", IJRR 2003)."""
-
-    error: Annotated[float, Field(gt=0, lt=10)] = 0.05
-    """Kullback-Leibler divergence, in nats, from the prediction that is accepted with a probability of 0.99."""
-    bin: Length
-    """Side of the bins over places by which the divergence is measured."""
-    least: Annotated[int, Field(ge=1)] = 20
-    """Never fewer particles than this; `particles` are the most."""
-
-
-class Sir(Kept):
+class Sir(Resampled):
     """Sampling/importance resampling over the joint state (section 2); weights are p(y|s), or p(y|s) p(s)."""
 
     engine = "facetrack_cli.tracking.filters:sir"
     goes_with = ("points", "region", "cloud", "affine")
     type: Literal["sir"]
-    kld: Kld | None = None
-    """Beyond the papers: as many particles as the spread of the prediction asks for; null: `particles`."""
-
-    def build(self, context: Any) -> Any:
-        return partial(super().build(context), unit=context.placed.unit)
-
-    def mistakes(self) -> Iterable[Refusal]:
-        yield from super().mistakes()
-        if self.kld is not None and self.resample_below < 1:
-            yield Refusal(("resample_below",), "kld picks anew in each frame; leave resample_below out, or kld")
 
 
 class Auxiliary(Resampled):
@@ -91,18 +45,11 @@ class Auxiliary(Resampled):
     """What a particle is picked by: the likelihood at a draw of its transition, as published, or at its mean."""
 
 
-class LooksAhead(Kept):
+class LooksAhead(Resampled):
     """A filter that steps each part on its own."""
 
     look_ahead: Literal["draw", "mean", "none"] = "draw"
     """What a part is picked by: the likelihood at a draw of its transition, as published, at its mean, or none."""
-
-    def mistakes(self) -> Iterable[Refusal]:
-        yield from super().mistakes()
-        if self.look_ahead != "none":
-            for key, off in (("temper", None), ("resample_below", 1.0)):
-                if getattr(self, key) != off:
-                    yield Refusal((key,), f"{key} goes with look_ahead: none; add that, or leave {key} out")
 
 
 class Factorized(LooksAhead):
@@ -128,8 +75,6 @@ class Factorized(LooksAhead):
         elif self.from_prior > 0 and not by_prior:
             goes = "goes with reweight: prior; eq. 7 knows the motion model alone"
             yield Refusal(("filter", "from_prior"), f"filter.from_prior above 0 {goes}")
-        elif self.from_prior > 0 and self.moves:
-            yield Refusal(("filter", "moves"), "moves follow the motion alone; leave filter.from_prior out, or moves")
 
 
 class Independent(LooksAhead):
@@ -147,7 +92,7 @@ class Independent(LooksAhead):
             yield Refusal(("prior",), message)
 
 
-class Adaptive(Tempered):
+class Adaptive(Filter):
     """All particles around the predicted place, as many as the prediction is worth (figure 1, eq. 17)."""
 
     engine = "facetrack_cli.tracking.filters:adaptive"

@@ -231,12 +231,11 @@ def note_failure(
         commit(lock, job.out, [], failed(known, error, log))
 
 
-def default_reason(box: Box | None, clip: Path) -> str:
+def default_reason(box: Box | None) -> str:
     """Why a run that names no recipe took its own, and how to find others."""
     why = "for whatever is in a --box" if box is not None else "for a face and its features, where no --box is given"
-    said = "" if box is None else f" --box {','.join(f'{value:g}' for value in box)}"
     name = default_recipe(box=box is not None)
-    return f"; recipe {name} is the default {why}, others: facetrack suggest {shlex.quote(str(clip))}{said}"
+    return f"; recipe {name} is the default {why}, others: facetrack recipes"
 
 
 def check(job: Job, *, kept: bool = False, locked: bool = False) -> None:

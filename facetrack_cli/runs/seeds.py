@@ -1,4 +1,4 @@
-"""Recipes as --config names them, run over a clip with many seeds: for the commands that compare, repeat and check.
+"""Recipes as --config names them, run over a clip with many seeds: for the commands that compare and check.
 
 All seeds of a plan advance side by side over one decoding of the clip, so memory stays flat but for the results.
 Every tracker is given a frame of its own, and only its own work is timed. Several processes share plans, and then their
@@ -112,18 +112,16 @@ def run_plans(
     workers: int = 1,
     stopped: Stop | None = None,
     report: Report = lambda done, total: None,
-    *,
-    partial: bool = False,
 ) -> Generator[Ended, None, None]:
     """Run all plans, in `workers` processes; each is yielded as it ends, in their order.
 
-    Once `stopped` says so, nothing more is yielded; with `partial` the runs at work still are, up to the last frame.
+    Once `stopped` says so, nothing more is yielded.
     """
     stopped = stopped or Stop()
     total = _total(plans)
     pieces = -(-workers // max(len(plans), 1))  # of each plan, so that no process is idle
     shares = [(number, share) for number, plan in enumerate(plans) for share in _shares(plan.seeds, pieces)]
-    tasks = [(plans[number], share, partial) for number, share in shares]
+    tasks = [(plans[number], share) for number, share in shares]
     found: dict[int, object] = {}
     threads = max(1, cores() // workers)
     results = side_by_side(tasks, _work, workers, stopped, lambda done: report(done, total), threads=threads)
@@ -132,7 +130,7 @@ def run_plans(
             mine = [i for i, share in enumerate(shares) if share[0] == number]
             while not found.keys() >= {*mine} and (one := next(results, None)) is not None:
                 found[one[0]] = one[1]
-            if stopped() and not partial:
+            if stopped():
                 return
             yield _ended(plan, [found.pop(i) for i in mine if i in found])
 
@@ -157,9 +155,9 @@ def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Trajectory:
     return joined(rows, path=plan.clip, header={"source": {"size": list(size)}})
 
 
-def _work(task: tuple[Plan, tuple[int, ...], bool], stop: Stop, report: Callable[[int], None]) -> list[SeedRun]:
-    """The runs of some seeds of a plan; none if it is stopped, or, with `partial`, those up to the frame before."""
-    plan, seeds, partial = task
+def _work(task: tuple[Plan, tuple[int, ...]], stop: Stop, report: Callable[[int], None]) -> list[SeedRun]:
+    """The runs of some seeds of a plan; none if it is stopped."""
+    plan, seeds = task
     frame: Frame
 
     def present() -> Iterator[Frame]:
@@ -173,8 +171,6 @@ def _work(task: tuple[Plan, tuple[int, ...], bool], stop: Stop, report: Callable
         count, notes = 0, tuple[str, ...]()
         for frame in source:  # noqa: B007 -- `present` yields it
             if stop():
-                if partial and count:
-                    break
                 return []
             for i, run in enumerate(runs):
                 began = time.perf_counter()

@@ -38,7 +38,7 @@ from facetrack_cli.run_folder.manifest import (
 from facetrack_cli.runs.job import Report, silent
 from facetrack_cli.runs.posterior import read_posterior
 from facetrack_cli.runs.signals import Stopped, StoppedError, never
-from facetrack_cli.tracking.smoothed import MotionName, renamed_hands, smoothed_rows
+from facetrack_cli.tracking.smoothed import renamed_hands, smoothed_rows
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded, successive
 from facetrack_cli.video.overlay.overlay import Overlay
@@ -48,22 +48,21 @@ from facetrack_cli.video.writer import VideoWriter
 Write: TypeAlias = Callable[[Callable[[bytes], object]], object]  # writes one file by calls of `write(data)`
 
 
-def smooth(run: str | Path, *, motion: MotionName = "recipe") -> Trajectory:
+def smooth(run: str | Path) -> Trajectory:
     """The rows of a run estimated from its whole clip; `run` is the folder, made with `facetrack run --keep-posterior`.
 
-    With `motion` "fitted" the noise of each part's motion is estimated from the clip, not taken from the recipe. Rows
-    that were given by hand stay, and so do rows of a part that is never seen again. Nothing is written; `smoothed` in
-    the header says how. Raises InputError for a folder without a JSON trajectory or posterior, or with damaged ones.
+    Rows that were given by hand stay, and so do rows of a part that is never seen again. Nothing is written;
+    `smoothed` in the header says so. Raises InputError for a folder without a JSON trajectory or posterior, or with
+    damaged ones.
     """
     folder = Path(run)
-    return _smoothed(folder, _read(folder), motion)
+    return _smoothed(folder, _read(folder))
 
 
 def save_smoothed(
     folder: Path,
     to: Path | None = None,
     *,
-    motion: MotionName = "recipe",
     overwrite: bool = False,
     video: bool = True,
     clip: Path | None = None,
@@ -84,7 +83,7 @@ def save_smoothed(
     elif not overwrite:
         raise OutputError(f"{folder}: has the filter's rows, which --overwrite replaces; or name a folder with -o")
     run = open_run(folder, clip) if drawn else None
-    after = _smoothed(folder, rows, motion)
+    after = _smoothed(folder, rows)
     files = {
         place / f"trajectory.{form}": partial(write_rows, form, rows=after, corrections=None)
         for form in run_files(folder)
@@ -110,13 +109,13 @@ def _read(folder: Path) -> Trajectory:
     return read_files(run_files(folder))
 
 
-def _smoothed(folder: Path, rows: Trajectory, motion: MotionName) -> Trajectory:
+def _smoothed(folder: Path, rows: Trajectory) -> Trajectory:
     if not (folder / POSTERIOR).exists():
         raise InputError(f"{folder}: has no {POSTERIOR}; run again with --keep-posterior, or --smooth")
     rows, beliefs = renamed_hands(rows, read_posterior(folder / POSTERIOR, rows))
-    pieces = [smoothed_rows(choose(rows, name), beliefs[name], motion) for name in rows.targets]
+    pieces = [smoothed_rows(choose(rows, name), beliefs[name]) for name in rows.targets]
     after = successive(pieces, rows)
-    return replace(after, header={**rows.header, "smoothed": {"motion": motion}})
+    return replace(after, header={**rows.header, "smoothed": {"lag": None}})
 
 
 def replace_files(

@@ -21,7 +21,6 @@ from facetrack_cli.tracking.resampling import (
     logsumexp,
     normalise,
     summed,
-    tempered,
     uniform,
 )
 
@@ -68,41 +67,10 @@ Stepped: TypeAlias = tuple[Particles, Info]
 Step: TypeAlias = Callable[[Generator, Particles, FrameModel], Stepped]
 
 
-def sir(settings: filters.Sir, rng: Generator, particles: Particles, model: FrameModel, unit: float = 1.0) -> Stepped:
-    """Sampling/importance resampling over the joint state (section 2), p(y|s)p(s) as the observation.
-
-    `unit` is the recipe's unit of length in pixels.
-    """
-    chosen, base = _parents(settings, rng, particles, 1)
-    parents = _regularised(settings, rng, particles.x[chosen[:, 0]], chosen)
-    if settings.kld is None:
-        x = model.propagate(rng, parents)
-    else:
-        parents = rng.permuted(parents, axis=0)
-        x = model.propagate(rng, parents)
-        n = kld_number(settings.kld, x, settings.kld.bin.pixels(unit))
-        x, parents, base = x[:n], parents[:n], base[:n]
-    return _weighted(settings, rng, model, x, parents, base)
-
-
-def kld_number(settings: filters.Kld, x: Array, side: float) -> int:
-    """How many of the particles x (N, K, D), drawn of the prediction, are enough (Fox 2003, eq. 7).
-
-    That is the least n of at least
-
-        (b - 1) / (2 error) (1 - 2 / (9 (b - 1)) + sqrt(2 / (9 (b - 1))) z)^3,  z the quantile of 0.99,
-
-    with b the bins of `side` pixels over the places of the parts that the first n occupy.
-    """
-    n = len(x)
-    _, first = np.unique(np.floor(x[..., :2].reshape(n, -1) / side), axis=0, return_index=True)
-    occupied = np.cumsum(np.bincount(first, minlength=n))
-    ninth = 2 / (9 * np.maximum(occupied - 1, 1))
-    enough = np.where(
-        occupied > 1, (occupied - 1) / (2 * settings.error) * (1 - ninth + np.sqrt(ninth) * 2.3263479) ** 3, 1
-    )
-    done = np.flatnonzero(np.arange(1, n + 1) >= np.maximum(enough, settings.least))
-    return int(done[0]) + 1 if done.size else n
+def sir(settings: filters.Sir, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
+    """Sampling/importance resampling over the joint state (section 2), p(y|s)p(s) as the observation."""
+    parents = particles.x[_parents(settings, rng, particles, 1)[:, 0]]
+    return _weighted(model, model.propagate(rng, parents), parents, 0.0)
 
 
 def auxiliary(settings: filters.Auxiliary, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
@@ -114,7 +82,7 @@ def auxiliary(settings: filters.Auxiliary, rng: Generator, particles: Particles,
     log_first = particles.log_w + (log_lambda := _log_observation(model, mu, particles.x))
     chosen = SCHEMES[settings.resampling](rng, normalise(log_first), len(mu))
     parents = particles.x[chosen]
-    found, info = _weighted(None, rng, model, model.propagate(rng, parents), parents, -log_lambda[chosen, None])
+    found, info = _weighted(model, model.propagate(rng, parents), parents, -log_lambda[chosen])
     return found, info._replace(evidence=info.evidence + float(logsumexp(log_first)))
 
 
@@ -143,7 +111,7 @@ def factorized(
     resample, columns = SCHEMES[settings.resampling], np.arange(k)
     jumps = rng.random((n, k)) < settings.from_prior if settings.from_prior > 0 else None
     if settings.look_ahead == "none":
-        (chosen, base), evidence = _parents(settings, rng, particles, k), 0.0
+        chosen, base, evidence = _parents(settings, rng, particles, k), np.zeros((n, k)), 0.0
     else:
         mean, all_ = settings.look_ahead == "mean", np.broadcast_to(np.arange(n)[:, None], (n, k))
         mu = _move(rng, particles.x, model, particles.x, jumps, all_, mean=mean)
@@ -153,10 +121,10 @@ def factorized(
         base, evidence = -log_lambda.take(chosen * k + columns), float(log_first.sum())
     parents = particles.x.reshape(n * k, d).take(chosen * k + columns, axis=0)
     s = _move(rng, parents, model, particles.x, None if jumps is None else jumps[chosen, columns], chosen)
-    s, _, marginal, each = _observed(settings, rng, model, _log_parts, s, parents, base)
+    marginal, each = summed(np.maximum(model.log_likelihood(s, parents), MIN_LOG) + base)
     # shuffled, because resampled indices come in order and would tie the parts together
     picked = rng.permuted(resample(rng, marginal, n), axis=0)
-    x = _regularised(settings, rng, s.reshape(n * k, d).take(picked * k + columns, axis=0), picked)
+    x = s.reshape(n * k, d).take(picked * k + columns, axis=0)
     log_ratio = np.zeros(n)
     if settings.reweight in ("prior", "both"):
         log_ratio = log_ratio + model.log_prior(x)
@@ -164,44 +132,16 @@ def factorized(
         log_ratio = log_ratio + _log_ratio(x, particles, model)
     log_w, log_sum = summed(log_ratio)
     log_w = uniform(n) if settings.reweight == "none" else log_w
-    evidence += each + float(log_sum) - math.log(n)
+    evidence += float(each.sum()) - k * math.log(n) + float(log_sum) - math.log(n)
     return Particles(x, log_w), Info(distinct(picked, log_w), evidence)
 
 
-def _parents(settings: filters.Kept, rng: Generator, particles: Particles, columns: int) -> tuple[Whole, Array]:
-    """Indices (N, C) of the parents of each column, and their log weights (N, C), 0 after resampling.
-
-    Particles that are not resampled keep their weights, times N.
-    """
-    n = len(particles.x)
-    if settings.resample_below < 1 and effective_sample_size(particles.log_w) >= settings.resample_below * n:
-        both = np.arange(n), particles.log_w + np.log(n)
-        return tuple(np.repeat(one[:, None], columns, axis=1) for one in both)  # type: ignore[return-value]
+def _parents(
+    settings: filters.Sir | filters.Factorized | filters.Independent, rng: Generator, particles: Particles, columns: int
+) -> Whole:
+    """Indices (N, C) of the parents of each column."""
     log_w = np.repeat(particles.log_w[:, None], columns, axis=1)
-    return SCHEMES[settings.resampling](rng, log_w, n), np.zeros((n, columns))
-
-
-def _regularised(settings: filters.Kept, rng: Generator, x: Array, origins: Whole) -> Array:
-    """x (N, K, D), picked from `origins` (N, C), as drawn of a kernel density over them (Musso et al. 2001, 12.2.1).
-
-    The kernel is normal, with the covariance of each part's particles times h^2, h the best width for a normal density
-    of as many samples as there are origins, times `regularise`. x is drawn to its mean, so that the covariance stays.
-    """
-    if settings.regularise == 0 or len(x) < 2:
-        return x
-    n, k, d = x.shape
-    if (origins[:, 0] == np.arange(n)).all():
-        return x  # nothing was picked
-    out = np.empty_like(x)
-    for i in range(k):
-        samples = len(np.unique(origins[:, min(i, origins.shape[1] - 1)]))
-        h = min(settings.regularise * (4 / (samples * (d + 2))) ** (1 / (d + 4)), 1.0)
-        mean = x[:, i].mean(axis=0)
-        off = x[:, i] - mean
-        values, vectors = np.linalg.eigh(off.T @ off / n)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        out[:, i] = mean + np.sqrt(1 - h * h) * off + h * rng.standard_normal((n, d)) @ root.T
-    return out
+    return SCHEMES[settings.resampling](rng, log_w, len(particles.x))
 
 
 def _log_ratio(x: Array, previous: Particles, model: FrameModel) -> Array:
@@ -236,7 +176,7 @@ def adaptive(settings: filters.Adaptive, rng: Generator, particles: Particles, m
     x = model.propagate(rng, parents)
     if settings.centre:
         x[0] = ahead.state + ahead.shift
-    return _weighted(settings, rng, model, x, parents, np.zeros((len(x), 1)))
+    return _weighted(model, x, parents, 0.0)
 
 
 def number(settings: filters.Adaptive, ahead: Prediction) -> int:
@@ -297,79 +237,12 @@ def peak(settings: correlation_filter.Peak, rng: Generator, particles: Particles
     return Particles(x, np.zeros(1)), Info(np.ones(1))
 
 
-def _weighted(
-    settings: filters.Tempered | None, rng: Generator, model: FrameModel, x: Array, parents: Array, base: Array
-) -> Stepped:
-    """Whole particles x by their observation, with log weights `base` (N, 1) before it."""
-    x, _, log_w, evidence = _observed(settings, rng, model, _log_whole, x, parents, base)
+def _weighted(model: FrameModel, x: Array, parents: Array, base: Array | float) -> Stepped:
+    """Whole particles x by their observation, with log weights `base` (N,) before it."""
+    log_w, log_sum = summed(_log_observation(model, x, parents) + base)
     # a joint weight says the same of every part
-    return Particles(x, log_w[:, 0]), Info(np.full(x.shape[1], float(effective_sample_size(log_w[:, 0]))), evidence)
-
-
-_Observe: TypeAlias = Callable[[FrameModel, Array, Array], Array]
-
-
-def _observed(
-    settings: filters.Tempered | None, rng: Generator, model: FrameModel, observe: _Observe, x: Array, parents: Array,
-    base: Array,
-) -> tuple[Array, Array, Array, float]:  # fmt: skip
-    """x (N, K, D) and their parents, weighted by `observe`: with normalised log weights (N, C), and the log evidence.
-
-    C is K where parts are weighted apart, else 1; `base` (N, C) are the log weights before. With `temper` the
-    likelihood counts to the power that keeps so many particles effective; with `moves` the rest of it follows in such
-    stages (Del Moral, Doucet & Jasra 2006), between which particles are picked and moved.
-    """
-    n, log_l = len(x), observe(model, x, parents)
-    if settings is None or settings.temper is None:
-        log_w, log_sums = summed(log_l + base)
-        return x, parents, log_w, float(log_sums.sum()) - log_l.shape[1] * math.log(n)
-    done = tempered(base, log_l, settings.temper)
-    log_ratio = base + done * log_l
-    evidence = float(np.sum(logsumexp(log_ratio) - np.log(n)))
-    columns = np.arange(x.shape[1])
-    while settings.moves and (done < 1).any():
-        chosen = SCHEMES["systematic"](rng, normalise(log_ratio), n)
-        x, parents = x[chosen, columns], parents[chosen, columns]
-        log_l = log_l[chosen, np.arange(log_l.shape[1])]
-        for _ in range(settings.moves):
-            x, log_l = _moved(rng, model, observe, x, parents, log_l, done)
-        # a stage adds something, or there would be no end of them
-        step = np.minimum(np.maximum(tempered(np.zeros(1), log_l, settings.temper, 1 - done), 0.01), 1 - done)
-        done, log_ratio = done + step, step * log_l
-        evidence += float(np.sum(logsumexp(log_ratio) - np.log(n)))
-    return x, parents, normalise(log_ratio), evidence
-
-
-def _moved(
-    rng: Generator, model: FrameModel, observe: _Observe, x: Array, parents: Array, log_l: Array, power: Array
-) -> tuple[Array, Array]:
-    """x (N, K, D) and log likelihoods (N, C) after a Metropolis move that keeps p(x | parents) L(x)^power invariant.
-
-    The noise of the motion, which is normal, is turned into fresh noise (preconditioned Crank-Nicolson; Cotter et al.,
-    Statistical Science 2013), so that no density of the motion is needed, which may have none.
-    """
-    expected = model.expect(parents)
-    fresh, noise = model.propagate(rng, parents) - expected, x - expected
-    # as far as the particles still reach
-    reach = np.sqrt(
-        np.var(x[..., :2], axis=0).sum(axis=1) / np.maximum(np.var(fresh[..., :2], axis=0).sum(axis=1), 1e-12)
-    )
-    part = np.clip(reach if log_l.shape[1] > 1 else reach.min(keepdims=True), 0.02, 1.0)[:, None]
-    tried = expected + np.sqrt(1 - part**2) * noise + part * fresh
-    new = observe(model, tried, parents)
-    with np.errstate(divide="ignore"):
-        accepted = np.log(rng.random(new.shape)) < power * (new - log_l)
-    return np.where(accepted[..., None], tried, x), np.where(accepted, new, log_l)
-
-
-def _log_parts(model: FrameModel, x: Array, parents: Array) -> Array:
-    """(N, K): log p(y | x) of each part."""
-    return np.maximum(model.log_likelihood(x, parents), MIN_LOG)
-
-
-def _log_whole(model: FrameModel, x: Array, parents: Array) -> Array:
-    """(N, 1): what the filters over the joint state take for the observation."""
-    return _log_observation(model, x, parents)[:, None]
+    ess = np.full(x.shape[1], float(effective_sample_size(log_w)))
+    return Particles(x, log_w), Info(ess, float(log_sum) - math.log(len(x)))
 
 
 def _log_observation(model: FrameModel, x: Array, parents: Array) -> Array:

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from facetrack_cli.core.types import Array, Whole
-from facetrack_cli.tracking.kernels.resampling import invert_cdf, powers
+from facetrack_cli.tracking.kernels.resampling import invert_cdf
 
 Resampling: TypeAlias = Callable[[np.random.Generator, Array, int], Whole]
 
@@ -59,17 +59,6 @@ def distinct(chosen: Whole, log_w: Array) -> Array:
     n, k = chosen.shape
     each = np.bincount((chosen + n * np.arange(k)).ravel(), np.repeat(np.exp(log_w), k), n * k).reshape(k, n)
     return np.asarray(1.0 / np.square(each).sum(axis=1))
-
-
-def tempered(base: Array, log_l: Array, share: float, most: Array | None = None) -> Array:
-    """(C,): the powers of likelihoods exp(log_l) (N, C) that keep a `share` of the particles effective.
-
-    `base` (N, C) are the log weights without the likelihood. No power is above `most` (C,), 1 if not given. Adaptive
-    tempering after Del Moral, Doucet & Jasra, "An adaptive sequential Monte Carlo method for approximate Bayesian
-    computation", Statistics and Computing 2012.
-    """
-    most = np.ones(log_l.shape[1]) if most is None else most
-    return np.asarray(powers(np.ascontiguousarray(np.broadcast_to(base, log_l.shape)), log_l, share * len(log_l), most))
 
 
 def uniform(n: int) -> Array:

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Final, Literal, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -19,19 +19,17 @@ from facetrack_cli.tracking.smoothing import Belief, Chain
 from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostics, outlines
 from facetrack_cli.trajectory.trajectory import SPREAD, UNSEEN, FrameResult, Trajectory, successive
 
-MotionName: TypeAlias = Literal["recipe", "fitted"]
 _Moments: TypeAlias = tuple[Array, Array]  # means (T, K, D), covariances (T, K, D, D)
 Beliefs: TypeAlias = Sequence[tuple[Belief, ...]]
 _SMOOTHED: Final = ("x", "y", "w", "h", "angle", *SPREAD)
 
 
-def smoothed_rows(rows: Trajectory, beliefs: Beliefs, motion: MotionName = "recipe") -> Trajectory:
+def smoothed_rows(rows: Trajectory, beliefs: Beliefs) -> Trajectory:
     """The rows of one target in T frames given all of them; `beliefs` (T,) are those of the frames, () where absent.
 
-    With a `fitted` motion, the noise of the recipe's is scaled to what the clip shows. Rows that a correction gave,
-    absent ones, and those of a part that is never seen again stay as they are.
+    Rows that a correction gave, absent ones, and those of a part that is never seen again stay as they are.
     """
-    return _SmoothedTarget(rows, beliefs, aspect=rows.pixel_aspect).rows(motion)
+    return _SmoothedTarget(rows, beliefs, aspect=rows.pixel_aspect).rows()
 
 
 def renamed_hands(rows: Trajectory, beliefs: Mapping[str, Beliefs]) -> tuple[Trajectory, dict[str, Beliefs]]:
@@ -94,7 +92,7 @@ def _next(
         beliefs = [() if (given := one.targets[i].beliefs) is None else given() for one in kept]
         found = _SmoothedTarget(rows, beliefs, before[i] if before else (), lag=True, aspect=now.frame.aspect)
         frame = now.frame.index
-        targets.append(target._replace(rows=found.rows("recipe").between(frame, frame + 1)))
+        targets.append(target._replace(rows=found.rows().between(frame, frame + 1)))
         after.append(found.carried(at))
     if before:
         kept.popleft()
@@ -136,17 +134,17 @@ class _SmoothedTarget:
             for i, (a, b) in enumerate(pairwise(ends.tolist()))
         ]
 
-    def rows(self, motion: MotionName) -> Trajectory:
+    def rows(self) -> Trajectory:
         if not self.chains:
             return self.all
         columns = {name: self.of[name].copy() for name in _SMOOTHED}
         # of a face points, box, and a network's points
         head = self.chains[min(len(self.chains) - 1, 1)]
         before, box = [head], BOX in [part for _, part in self.all.names]
-        after = [_smoothed(head, motion)]
+        after = [smoothing.smoothed(head)]
         if len(self.chains) > 1:
             points = _side_by_side([one for one in self.chains if one is not head])
-            before, after = [points, head], [self._face(columns, points, head, *after[0], motion), *after]
+            before, after = [points, head], [self._face(columns, points, head, *after[0]), *after]
         elif box and before[0].mean.shape[-1] > 2:
             self._box(columns, before[0], *after[0])
         else:
@@ -179,9 +177,7 @@ class _SmoothedTarget:
         angle = np.degrees(np.arctan2(a3 * half[0] - a2 * half[1], a1 * half[0] + a4 * half[1]))
         columns["angle"] = shown_angle(angle, self.aspect)
 
-    def _face(
-        self, columns: dict[str, Array], points: Chain, head: Chain, boxes: Array, box_cov: Array, motion: MotionName
-    ) -> _Moments:
+    def _face(self, columns: dict[str, Array], points: Chain, head: Chain, boxes: Array, box_cov: Array) -> _Moments:
         """Points of a stabilized image, which the box leads to the frame, where head and box become `boxes`.
 
         What a point's filter corrects of its head's noise must not come apart from it: the points are smoothed in the
@@ -197,7 +193,7 @@ class _SmoothedTarget:
         old, new = (each[:, None, None] * turn for each in (scale, scale * ratio))
         was = np.einsum("tde,tke->tkd", old, points.mean - MIDDLE) + place[:, None]
         begun = np.einsum("tde,tke->tkd", np.linalg.inv(new), was - moved[:, None]) + MIDDLE
-        still, cov = _smoothed(points._replace(mean=begun, cov=points.cov / ratio[:, None, None, None] ** 2), motion)
+        still, cov = smoothing.smoothed(points._replace(mean=begun, cov=points.cov / ratio[:, None, None, None] ** 2))
         now = np.einsum("tde,tke->tkd", new, still - MIDDLE) + moved[:, None]
         # what the rows have beside the filter's mean and covariance is kept
         at = np.stack([self.of["x"][:, those], self.of["y"][:, those]], axis=-1) + now - was
@@ -271,12 +267,3 @@ def _places(mean: Array, cov: Array) -> dict[str, Array]:
     std = np.sqrt(np.maximum(np.diagonal(cov, axis1=-2, axis2=-1), 0.0))
     known = {"x": mean[..., 0], "y": mean[..., 1], "std_x": std[..., 0], "std_y": std[..., 1]}
     return {**known, "cov_xy": cov[..., 0, 1]}
-
-
-def _smoothed(one: Chain, motion: MotionName) -> _Moments:
-    """Means and covariances; with a `fitted` motion the means follow from it, the covariances from the recipe's.
-
-    Errors of a filter last from frame to frame, and do not become as small as those of a quiet motion would.
-    """
-    mean, cov = smoothing.smoothed(one)
-    return (mean, cov) if motion == "recipe" else (smoothing.smoothed(smoothing.fitted(one)[0])[0], cov)

@@ -123,13 +123,8 @@ def bridged(one: Chain) -> Chain:
 
 def smoothed(one: Chain) -> tuple[Array, Array]:
     """(T, K, D) means and (T, K, D, D) covariances given all T frames."""
-    mean, cov, _ = _backward(bridged(one))
-    return mean, cov
-
-
-def _backward(one: Chain) -> tuple[Array, Array, Array]:
-    """The same of beliefs that are `bridged`, and the gains (T, K, D, D) from each frame to the one before."""
-    mean, cov, gains = one.mean.copy(), one.cov.copy(), np.zeros_like(one.cov)
+    one = bridged(one)
+    mean, cov = one.mean, one.cov
     for t in range(len(mean) - 1, 0, -1):
         if not one.linked[t].any():
             continue
@@ -138,8 +133,7 @@ def _backward(one: Chain) -> tuple[Array, Array, Array]:
         gain[~one.linked[t]] = 0.0
         mean[t - 1] += np.einsum("kde,ke->kd", gain, mean[t] - ahead)
         cov[t - 1] = _even(cov[t - 1] + gain @ (cov[t] - spread) @ _turned(gain))
-        gains[t] = gain
-    return mean, cov, gains
+    return mean, cov
 
 
 def _predicted(one: Chain, t: int, mean: Array, cov: Array) -> tuple[Array, Array]:
@@ -147,34 +141,6 @@ def _predicted(one: Chain, t: int, mean: Array, cov: Array) -> tuple[Array, Arra
     matrix = one.motion.matrix[t]
     ahead = np.einsum("kde,ke->kd", matrix, mean) + one.motion.offset[t]
     return ahead, matrix @ cov @ _turned(matrix) + one.motion.cov[t]
-
-
-def fitted(one: Chain) -> tuple[Chain, Array]:
-    """The chain with the motion that the clip itself shows, and its noise over that of the recipe (K,).
-
-    Of each part, the recipe's noise is multiplied by the factor that makes the beliefs most likely, by expectation and
-    maximisation (Shumway & Stoffer, Journal of Time Series Analysis 1982). What a frame says is what its belief has
-    beyond the recipe's prediction, N(z, R) with R^-1 = P^-1 - P'^-1; from that the beliefs follow by a Kalman filter
-    with the other noise.
-    """
-    told = _observations(bridged(one))
-    motion, inverse = one.motion, _inverse(one.motion.cov)
-    rank = np.maximum(np.linalg.matrix_rank(motion.cov @ inverse, tol=1e-6), 1)
-    factor, counted = np.ones(one.mean.shape[1]), one.linked
-    now = one
-    for _ in range(ROUNDS):
-        now = _filtered(one._replace(motion=motion._replace(cov=motion.cov * factor[:, None, None])), told)
-        mean, cov, gains = _backward(now)
-        matrix = motion.matrix[1:]
-        off = mean[1:] - np.einsum("tkde,tke->tkd", matrix, mean[:-1]) - motion.offset[1:]
-        cross = cov[1:] @ _turned(gains[1:]) @ _turned(matrix)
-        squared = off[..., None] * off[..., None, :] + cov[1:] + matrix @ cov[:-1] @ _turned(matrix)
-        squared -= cross + _turned(cross)
-        each = np.einsum("tkde,tked->tk", inverse[1:], squared) / rank[1:]
-        total = np.sum(each, axis=0, where=counted[1:])
-        found = total / np.maximum(counted[1:].sum(axis=0), 1)
-        factor = np.where(counted[1:].any(axis=0), np.clip(found, 1e-6, 1e3), 1.0)
-    return now, factor
 
 
 def steadied(at: Array, shown: Mask) -> Array:
@@ -211,42 +177,6 @@ def steadied(at: Array, shown: Mask) -> Array:
         wide = np.where(joined, (TAIL + 2 * moved / step) / (TAIL + 2), 1.0)
         step = np.sum(moved / wide, axis=0, where=joined) / np.maximum(joined.sum(axis=0), 1) + _MIN_VARIANCE
     return smooth
-
-
-class _Told(NamedTuple):
-    """What frames say of parts: their state, `at` (T, K, D), up to N(0, `noise` (T, K, D, D))."""
-
-    at: Array
-    noise: Array
-
-
-def _observations(one: Chain) -> _Told:
-    at, noise = one.mean.copy(), one.cov.copy()
-    for t in range(1, len(at)):
-        ahead, spread = _predicted(one, t, one.mean[t - 1], one.cov[t - 1])
-        before = _inverse(spread)
-        values, vectors = np.linalg.eigh(_even(_inverse(one.cov[t]) - before))
-        # a frame that made the belief no narrower than the prediction says next to nothing
-        least = 1e-3 * np.trace(before, axis1=1, axis2=2)[:, None] / before.shape[1]
-        r = vectors / np.maximum(values, least)[:, None] @ _turned(vectors)
-        exact = np.trace(one.cov[t], axis1=1, axis2=2) <= _MIN_VARIANCE
-        use = one.linked[t] & ~exact
-        z = one.mean[t] + np.einsum("kde,kef,kf->kd", r, before, one.mean[t] - ahead)
-        at[t, use], noise[t, use] = z[use], r[use]
-    return _Told(at, noise)
-
-
-def _filtered(one: Chain, told: _Told) -> Chain:
-    """The beliefs that follow from what frames say."""
-    mean, cov = one.mean.copy(), one.cov.copy()
-    for t in range(1, len(mean)):
-        use = one.linked[t]
-        ahead, spread = _predicted(one, t, mean[t - 1], cov[t - 1])
-        gain = spread @ _inverse(spread + told.noise[t])
-        gain[one.unseen[t]] = 0.0
-        mean[t, use] = (ahead + np.einsum("kde,ke->kd", gain, told.at[t] - ahead))[use]
-        cov[t, use] = _even(spread - gain @ spread)[use]
-    return one._replace(mean=mean, cov=cov)
 
 
 def _inverse(cov: Array) -> Array:

@@ -1,4 +1,4 @@
-"""facetrack compare and facetrack repeat as their users meet them: tables, files, exit codes."""
+"""facetrack compare as its users meet it: tables, files, exit codes."""
 
 import csv
 import io
@@ -114,10 +114,9 @@ def test_without_matplotlib_the_table_is_there(facetrack, monkeypatch):
         raise UsageError("figures need matplotlib, which is not installed: pip install 'facetrack[plot]'")
 
     monkeypatch.setattr(style, "need_matplotlib", missing)
-    for command in (["compare", CLIP, *TWO], ["repeat", CLIP, "--config", "sir"]):
-        code, out, err = facetrack(*command, *SHORT)
-        assert code == 0 and "facetrack[plot]" in err and out
-    assert not list(Path().rglob("*.png")) and len(list(Path().rglob("*.json"))) == 2
+    code, out, err = facetrack("compare", CLIP, *TWO, *SHORT)
+    assert code == 0 and "facetrack[plot]" in err and out
+    assert not list(Path().rglob("*.png")) and len(list(Path().rglob("*.json"))) == 1
 
 
 def test_an_interrupt_keeps_what_is_complete(facetrack, monkeypatch):
@@ -133,17 +132,15 @@ def test_an_interrupt_keeps_what_is_complete(facetrack, monkeypatch):
     found = json.loads(Path("occlusion-compare/compare.json").read_text(encoding="utf-8"))
     assert not found["complete"] and [len(one["runs"]) for one in found["recipes"]] == [2, 0]
 
-    def at_once(plans, workers, stop, report, *, partial=False):
+    def at_once(plans, workers, stop, report):
         stop.code = ExitCode.INTERRUPTED
-        yield from map(runs.Ended, plans if partial else ())
+        yield from ()
 
-    for module in (compare, runs):
-        monkeypatch.setattr(module, "run_plans", at_once)
-    for command in (["compare", CLIP, *TWO], ["repeat", CLIP]):
-        code, out, err = facetrack(*command, *SHORT, "-o", "none", "--no-plots")
-        assert code == ExitCode.INTERRUPTED and not out
-        assert err.startswith("facetrack: interrupted before ") and err.endswith("; nothing was written\n")
-        assert not Path("none").exists()
+    monkeypatch.setattr(compare, "run_plans", at_once)
+    code, out, err = facetrack("compare", CLIP, *TWO, *SHORT, "-o", "none", "--no-plots")
+    assert code == ExitCode.INTERRUPTED and not out
+    assert err.startswith("facetrack: interrupted before ") and err.endswith("; nothing was written\n")
+    assert not Path("none").exists()
 
 
 def test_what_does_not_fit_the_truth_is_told_before_anything_runs(facetrack, monkeypatch):
@@ -180,8 +177,6 @@ def test_a_truth_of_other_frames_is_told_after_the_first_recipe(facetrack):
 
     code, _, err = facetrack("compare", "cut.mp4", *TWO, *given, "--seeds", "1", "--partial")
     assert code == 0 and err.count("warning: cut.mp4: cut short or damaged") == 1
-    code, _, err = facetrack("repeat", "cut.mp4", *given[2:], "--seeds", "2")
-    assert code == 0 and err.count("warning: cut.mp4: cut short or damaged") == 1
 
 
 @pytest.mark.nightly
@@ -189,58 +184,24 @@ def test_a_disk_that_fills_up_costs_files_not_the_table(facetrack, monkeypatch):
     original = Path.replace
 
     def full(self, to):
-        if to.endswith(("error.png", "spread.png")):
+        if to.endswith("error.png"):
             raise OSError(28, "No space left on device")
         return original(self, to)
 
     monkeypatch.setattr(Path, "replace", full)
-    for command in (["compare", CLIP, *TWO], ["repeat", CLIP]):
-        code, out, err = facetrack(*command, *SHORT)
-        assert code == ExitCode.USAGE and "No space left" in err and "frames 0 to 11" in out
+    code, out, err = facetrack("compare", CLIP, *TWO, *SHORT)
+    assert code == ExitCode.USAGE and "No space left" in err and "frames 0 to 11" in out
 
 
-# --- repeat ------------------------------------------------------------------------------------------------------
-
-
-def test_repeat_writes_the_spread_of_each_frame(facetrack):
-    truth = SAMPLES / "occlusion.truth.csv"
-    code, out, err = facetrack(
-        "repeat", CLIP, "--config", "sir", "--set", "filter.particles=20", "--seeds", "5", "--stop", "40",
-        "--truth", truth,
-    )  # fmt: skip
+def test_of_one_recipe_the_spread_over_seeds_is_told(facetrack):
+    one = ["--config", "sir", "--set", "filter.particles=20"]
+    code, out, err = facetrack("compare", CLIP, *one, "--seeds", "5", "--stop", "40", "--no-plots")
     assert code == 0, err
-    folder = Path("occlusion-sir-repeat")
-    assert {path.name for path in folder.iterdir()} == {"repeat.csv", "repeat.json", "repeat.md", "spread.png"}
-    assert (folder / "spread.png").read_bytes()[:4] == PNG
-    assert max(map(len, out.splitlines())) <= 100
-    rows = list(csv.DictReader(io.StringIO((folder / "repeat.csv").read_text(encoding="utf-8"))))
-    assert len(rows) == 40 * 5 and rows[0]["part"] == "nose" and float(rows[0]["std_x"]) == 0
-    assert sum(float(row["std_x"]) for row in rows) > 0
-
-    # 20 particles over a joint state of ten dimensions: the runs part, and the table says where
-    found = json.loads((folder / "repeat.json").read_text(encoding="utf-8"))
-    assert found["parting"] == min(part["parting"] for part in found["parts"] if part["parting"] is not None)
-    assert f"The first to part ways, at frame {found['parting']}:" in " ".join(out.split())
-    for part in found["parts"]:
-        assert len(part["error_px"]) == 5 and min(part["error_px"]) >= 0
-        assert all(leave["frame"] >= part["parting"] and leave["farthest_px"] > 0 for leave in part["leaves"])
-        far = np.array(part["from_median"])
-        assert far.max() == max(float(row["from_median"]) for row in rows if row["part"] == part["part"])
-
-
-def test_repeat_says_that_runs_are_identical(facetrack):
-    code, out, err = facetrack("repeat", CLIP, "--config", "mil", "--seeds", "2", "--stop", "3", "--no-plots")
-    assert code == 0, err
-    assert "All 2 runs are identical.\n" in out, "MIL draws random numbers, which make no difference so soon"
-    found = json.loads(Path("occlusion-mil-repeat/repeat.json").read_text(encoding="utf-8"))
-    assert found["identical"] and found["parting"] is None
-
-
-def test_repeat_refuses_an_empty_span(facetrack):
-    code, _, err = facetrack("repeat", CLIP, "--start", "5", "--stop", "5")
-    assert code == ExitCode.USAGE and "--stop 5" in err
-    code, _, err = facetrack("repeat", CLIP, "--set", "seed=5")
-    assert code == ExitCode.USAGE and "seed has no effect here" in err
+    assert "Mean ± standard deviation over 5 seeds" in " ".join(out.split())
+    [found] = json.loads(Path("occlusion-compare/compare.json").read_text(encoding="utf-8"))["recipes"]
+    values = [run["points.mean_px"] for run in found["runs"]]
+    assert len(values) == 5 and found["mean"]["points.mean_px"] == pytest.approx(np.mean(values), abs=1e-5)
+    assert found["std"]["points.mean_px"] == pytest.approx(np.std(values, ddof=1), abs=1e-5) and min(values) > 0
 
 
 def test_a_truth_is_moved_by_frames(facetrack):
@@ -253,23 +214,6 @@ def test_a_truth_is_moved_by_frames(facetrack):
     arguments += ["--seeds", "1", "--stop", "120", "--no-plots", "-q"]
     code, out, _ = facetrack(*arguments, "--shift", "6", "--json")
     assert code == 0 and json.loads(out)["recipes"][0]["mean"]["points.mean_px"] < 2
-
-
-def test_repeat_shows_what_there_was_when_it_was_interrupted(facetrack, monkeypatch):
-    def interrupted(plans, workers, stop, report, **more):
-        def tell(done, total):
-            if done >= 3 * 9:
-                stop.code = ExitCode.INTERRUPTED
-
-        return whole(plans, workers, stop, tell, **more)
-
-    whole = runs.run_plans
-    monkeypatch.setattr(runs, "run_plans", interrupted)
-    code, out, _ = facetrack("repeat", CLIP, "--seeds", "3", "--no-plots")
-    assert code == ExitCode.INTERRUPTED and "3 runs of face on frames 0 to 8" in out
-    assert "Interrupted: these are the frames that 3 runs had reached." in out
-    found = json.loads(Path("occlusion-face-repeat/repeat.json").read_text(encoding="utf-8"))
-    assert not found["complete"] and found["seeds"] == [0, 1, 2]
 
 
 def test_a_start_elsewhere_than_the_truth_is_told(facetrack):

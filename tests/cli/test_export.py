@@ -362,7 +362,6 @@ def test_otb_says_which_frame_is_line_1(track):
         (["--to", "coco"], 3, "trajectory.csv: does not say how large and how fast its frames are"),
         (["--to", "eaf", "--media", "nowhere.mp4"], 3, "nowhere.mp4: no such file; correct --media"),
         (["--to", "mot", "-o", ""], 2, "--out is empty"),
-        (["--to", "parquet", "-o", "-"], 2, "parquet is not text"),
         (["--to", "dlc-h5", "-o", "-"], 2, "dlc-h5 is not text"),
     ],
 )

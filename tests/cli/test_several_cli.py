@@ -179,9 +179,6 @@ def test_a_fallback_is_told_once_and_kept(facetrack):
     assert code == 0 and err.count("Kovac") == 1
     [recipe] = json.loads(Path("c/compare.json").read_text())["recipes"]
     assert len(recipe["warnings"]) == 1 and "Kovac" in recipe["warnings"][0]
-    code, _, err = facetrack("repeat", "IN/dark", "--config", "head_hands", *both, "-o", "r")
-    assert code == 0 and err.count("Kovac") == 1
-    assert json.loads(Path("r/repeat.json").read_text())["warnings"] == recipe["warnings"]
 
 
 def test_of_a_batch_each_line_names_its_clip_once_and_what_worked_is_kept(facetrack, clips):

@@ -58,18 +58,18 @@ def test_smoothing_later_is_smoothing_at_once(kept, tmp_path):
     assert once == later
     assert (tmp_path / "once" / "trajectory.filtered.csv").read_bytes() == (kept / "trajectory.csv").read_bytes()
     header = read_trajectory(tmp_path / "later" / "trajectory.json").header
-    assert header["smoothed"] == {"motion": "recipe"}
+    assert header["smoothed"] == {"lag": None}
     again = smooth(kept)
     np.testing.assert_allclose(again.x, read_trajectory(tmp_path / "later").x, atol=5.1e-4)
-    assert again.header["smoothed"] == {"motion": "recipe"}
+    assert again.header["smoothed"] == {"lag": None}
 
 
 def test_in_place_the_filtered_rows_are_kept(run):
     before = (run / "trajectory.csv").read_bytes()
-    done("smooth", run, "--motion", "fitted", "--overwrite")
+    done("smooth", run, "--overwrite")
     assert (run / "trajectory.filtered.csv").read_bytes() == before != (run / "trajectory.csv").read_bytes()
     assert not (run / "posterior.npz").exists()
-    assert json.loads((run / "trajectory.json").read_text())["smoothed"] == {"motion": "fitted"}
+    assert json.loads((run / "trajectory.json").read_text())["smoothed"] == {"lag": None}
     for command in ("smooth", "fix"):
         code, line = refused(command, run)
         assert code == 3 and "its rows are smoothed" in line
@@ -112,7 +112,6 @@ def test_a_lag_is_in_the_header_and_changes_the_rows(kept, tmp_path):
         (("--smooth", "--keep-posterior"), "give one of them"),
         (("--smooth", "-o", "-"), "take --lag, or a folder"),
         (("--smooth", "--format", "csv"), "give --format csv,json"),
-        (("--motion", "fitted"), "give that too"),
         (("--config", "mil", "--smooth"), "no posterior to smooth"),
         (("--config", "mil", "--lag", "3"), "no posterior to smooth"),
     ],

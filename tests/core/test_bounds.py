@@ -106,12 +106,11 @@ def test_a_number_of_thousands_of_digits(tmp_path, form):
     [
         (["plot", "x", "--dpi", "nan"], 2, "'nan' is no finite number"),
         (["plot", "x", "--width", "nan"], 2, "'nan' is no finite number"),
-        (["repeat", "x", "--apart", "inf"], 2, "'inf' is no finite number"),
         ([*RUN, "--threads", "99999999999"], 2, "is not in the range 1<=x<=1000"),
         ([*RUN, "-j", "99999999999"], 2, "is not in the range 1<=x<=1000"),
         (["gallery", "show", "."], 3, ".: cannot be read: Is a directory"),
         (["run", "x/" * 2100 + "clip.mp4"], 3, "File name too long; name another file or folder"),
-        (["repeat", "x" * 300 + ".mp4"], 3, "File name too long"),
+        (["compare", "x" * 300 + ".mp4", "--config", "mil"], 3, "File name too long"),
     ],
 )
 def test_what_is_the_users_is_no_internal_error(capsys, tmp_path, monkeypatch, arguments, code, line):

@@ -149,7 +149,7 @@ def _posterior(rng: Random, bench: Bench, case: Case) -> list[str]:
     shutil.copytree(bench.path("run"), case.folder / "run")
     case.put("run/posterior.npz", hostile.arrays(rng, bench.arrays("run/posterior.npz")))
     case.named = (*case.named, "run")
-    return ["smooth", "run", "-o", "out", "--no-video", "-q", *rng.choice(([], ["--motion", "fitted"]))]
+    return ["smooth", "run", "-o", "out", "--no-video", "-q"]
 
 
 def _run_folder(rng: Random, bench: Bench, case: Case) -> list[str]:
@@ -289,19 +289,15 @@ def _reading(rng: Random, bench: Bench, name: str) -> list[str]:
         fix @ --init {truth}
         fix {run} --init @
         regress @
-        motion fit @
         compare @ --config sir
         compare {clip} --config mil --stop 2 --truth @
-        repeat @
         calibrate @
-        tune @ {clip} --set-range motion.sigma=0.1..0.2
-        tune factorized @ --set-range motion.sigma=0.1..0.2
     """
     return [word.replace("@", name) for word in rng.choice(every.strip().splitlines()).split()]
 
 
 _PAGE = {"pick", "browse", "debug", "help", "version"}
-_WORK = {"seeds", "trials", "jobs"}  # to ask for a million runs is no fault
+_WORK = {"seeds", "jobs"}  # to ask for a million runs is no fault
 
 
 def _arguments(rng: Random, bench: Bench, case: Case) -> list[str]:
@@ -319,15 +315,12 @@ def _arguments(rng: Random, bench: Bench, case: Case) -> list[str]:
         fix run --init {bench.path("corrected.init.yaml")}
         recipes check sir
         regress {bench.folder}
-        motion fit {truth}
         prior fit {truth}
         prior show {bench.path("prior.npz")} -o out.png
         gallery fit {bench.path("people")}
         gallery show {bench.path("gallery.npz")} -o out.png
         compare {clip} --stop 2 --seeds 2
-        repeat {clip} --stop 2 --seeds 2
         calibrate {clip} --stop 2 --seeds 1
-        tune sir {clip} --stop 2 --trials 1
     """
     argv = rng.choice(begins.strip().splitlines()).split()
     if argv[1] == "run":  # what is written goes into the case's folder

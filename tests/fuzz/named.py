@@ -38,7 +38,7 @@ COMMANDS = {
     "gallery-that-never-ends": ("/dev/zero", "gallery show /dev/zero -o out.png"),
     "folder-shown-as-a-gallery": ("", "gallery show ."),
     "name-that-is-too-long": ("", f"eval {'x' * 300}.csv --truth IN/truth.csv"),
-    "name-that-is-too-long-for-repeat": ("", f"repeat {'x' * 300}.csv"),
+    "name-that-is-too-long-for-compare": ("", f"compare {'x' * 300}.csv --config mil"),
     "path-that-is-too-long": ("", f"run {'x/' * 3000}clip.mp4 -o out"),
     "output-whose-path-is-too-long": ("", f"run IN/frames {MIL} -o {'x/' * 3000}"),
     "command-that-colours-the-terminal": ("", "\x1b]0;x\x07run"),
@@ -46,7 +46,6 @@ COMMANDS = {
     "one-frame-in-an-hour": ("", f"run IN/frames --fps 1/3600 {MIL} -o out -q --stop 3"),
     "resolution-that-is-no-number": ("", "plot IN/run -o out.png --dpi nan"),
     "width-that-is-no-number": ("", "plot IN/run -o out.png --width nan"),
-    "share-that-is-infinite": ("", f"repeat IN/frames {MIL} --stop 3 --seeds 2 --apart inf -o out -q"),
     "threads-without-number": ("", f"run IN/frames {MIL} -o out --threads 99999999999"),
     "frame-number-beyond-any-clip": ("", f"run IN/frames {MIL} -o out --init-frame {'9' * 30}"),
 }

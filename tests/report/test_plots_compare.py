@@ -65,17 +65,6 @@ def test_error_over_time_has_the_median_and_what_is_hidden():
     assert plots.render(figure, "svg").startswith(b"<?xml")
 
 
-def test_spread_marks_where_runs_part_ways():
-    frames = np.arange(50)
-    figure = plots.spread_figure(frames, {"nose": frames / 5.0, "chin": frames * 0.0}, 30, {"nose": 6.0, "chin": 6.0})
-    axes = figure.subfigs[1].axes[0]
-    assert [text.get_text() for text in axes.texts] == ["runs part ways at frame 30"]
-    assert any(np.allclose(line.get_ydata(), 6) for line in axes.lines)
-    calm = plots.spread_figure(frames, {"nose": np.zeros(50)}, None, {"nose": 6.0})
-    assert not calm.subfigs[1].axes[0].texts
-    assert plots.render(calm).startswith(b"\x89PNG")
-
-
 def test_calibration_shows_share_and_count():
     confidence = np.r_[np.full(30, 0.95), np.full(10, 0.15)]
     near = np.r_[np.ones(24, bool), np.zeros(16, bool)]

@@ -118,12 +118,11 @@ def test_mistakes_in_a_recipe_of_an_affine_target(recipe, keys, said):
         ("x" * 300, 3, ["no such file"]),
     ],
 )
-@pytest.mark.parametrize("how", ["run", "repeat", "compare", "regress"])
+@pytest.mark.parametrize("how", ["run", "compare", "regress"])
 def test_a_file_that_is_no_gallery_of_the_recipe(facetrack, how, file, code, said):
     one = ["--config", "adaptive_recognition"]
     args = {
         "run": ["run", "IN/zoom", *one],
-        "repeat": ["repeat", "IN/zoom", "--seeds", 2, *one],
         "compare": ["compare", "IN/zoom", "--truth", FOLDER / "zoom.truth.csv", "--seeds", 2, *one],
         "regress": ["regress", "IN/.", *one],
     }[how]
@@ -139,9 +138,9 @@ def test_a_shape_prior_is_no_gallery(facetrack):
     assert "mouth_prior.npz: is not a gallery" in refused(run(facetrack, "--gallery", prior), 3)
 
 
-@pytest.mark.parametrize("how", ["run", "repeat", "compare"])
+@pytest.mark.parametrize("how", ["run", "compare"])
 def test_who_is_to_be_recognised_must_be_said(facetrack, how):
-    more = {"run": [], "repeat": [], "compare": ["--truth", FOLDER / "zoom.truth.csv", "--config", "adaptive"]}[how]
+    more = {"run": [], "compare": ["--truth", FOLDER / "zoom.truth.csv", "--config", "adaptive"]}[how]
     told = refused(facetrack(how, "IN/zoom", "--config", "adaptive_recognition", *more), 2)
     assert told.startswith("--gallery is missing: adaptive_recognition") and "facetrack gallery fit" in told
     assert "--gallery is empty" in refused(

@@ -19,7 +19,17 @@ from facetrack_cli.core.types import Frame
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs import live
 from facetrack_cli.runs.live import follow, piped
-from tests.cli.test_suggest import sway
+
+
+def sway(frames):
+    """A textured square that moves over a textured ground."""
+    rng = np.random.default_rng(1)
+    ground = np.repeat(np.repeat(rng.integers(60, 120, (12, 16, 3), np.uint8), 8, 0), 8, 1)
+    square = np.repeat(np.repeat(rng.integers(120, 255, (6, 6, 3), np.uint8), 4, 0), 4, 1)
+    for i in range(frames):
+        image = ground.copy()
+        image[30:54, 40 + i : 64 + i] = square
+        yield image
 
 
 def mjpeg(images):
@@ -39,7 +49,7 @@ def claims(width, height):
     return data[:at] + height.to_bytes(2, "big") + width.to_bytes(2, "big") + data[at + 4 :]
 
 
-IMAGES = [frame.bgr for frame in sway(6)]
+IMAGES = list(sway(6))
 
 
 @pytest.mark.parametrize("encoded", [mjpeg, y4m])

@@ -109,24 +109,6 @@ def test_a_wish_to_stop_ends_it(workers):
     assert list(run_plans([plan(stop=200), plan(stop=200)], workers, stop, report)) == []
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_what_is_there_so_far_can_be_had(workers):
-    stop = Stop()
-
-    def report(done, total):
-        if done >= 12:
-            stop.code = ExitCode.INTERRUPTED
-
-    ended = run_plans([plan(stop=None), plan(stop=None)], workers, stop, report, partial=True)
-    found = [run for one in ended for run in one.runs]
-    assert {run.seed for run in found} <= {0, 1} and len(found) >= 2
-    longest = max(found, key=lambda run: len(run.trajectory.parts[0].x))  # a process that begins late has one frame
-    [whole] = runs_of(plan(seeds=(longest.seed,), stop=60))
-    x = longest.trajectory.parts[0].x
-    assert 1 < len(x) < 275
-    np.testing.assert_array_equal(x[:60], whole.trajectory.parts[0].x[: len(x)])
-
-
 def test_a_start_beyond_the_clip_is_told():
     late = Start(9999, plan().start.targets, "late.yaml")
     [ended] = run_plans([Plan("late", CLIP, load_recipe("factorized"), late, (0,))])

@@ -116,7 +116,7 @@ def test_a_hand_that_is_taken_for_a_face_is_said_to_be_doubtful(tmp_path, monkey
     assert main([*begin, "--format", "csv", "-o", "d"]) == 0
     assert "facetrack fix" not in capsys.readouterr().err  # which needs the JSON
     assert main([*begin, "-o", "e"]) == 0
-    assert "suggest" not in capsys.readouterr().err, "nothing is doubtful"
+    assert "others: facetrack recipes" not in capsys.readouterr().err, "nothing is doubtful"
 
 
 def test_what_was_lost_is_told_once_a_target_worst_first():

@@ -13,7 +13,6 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
-from facetrack_cli.evaluation.experiments.repeat import spread_of
 from facetrack_cli.evaluation.goldens.goldens import read_golden, record, write_golden
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.points import measure_points, measure_recovery, occlusions
@@ -217,18 +216,6 @@ def test_a_trajectory_with_absent_rows_may_be_measured_and_be_truth(table):
     truth = replace(table, status=np.full(26, "visible"), header={}, path=Path("truth.csv"))
     with pytest.raises(InputError, match="name them the other way round"):
         match(truth, table, partial=False, select=None)
-
-
-def test_runs_of_a_part_that_is_absent_do_not_part_ways():
-    positions = np.full((5, 40, 2), 30.0) + np.random.default_rng(1).normal(0, 0.3, (5, 40, 2))
-    positions[:, 10:30] = NAN
-    found = spread_of("face", "lip", range(5), np.arange(40), positions, 5.0, NAN)
-    assert found.leaves == () and not found.away.any() and np.isnan(found.mean[15]).all()
-    positions[:, 30:] = NAN
-    assert spread_of("face", "lip", range(5), np.arange(40), positions, 5.0, NAN).leaves == ()
-    positions[0, 10:] = 30.0
-    apart = spread_of("face", "lip", range(5), np.arange(40), positions, 5.0, NAN)
-    assert apart.away[1:, 15].all(), "but where one has a place, those without are away"
 
 
 def test_a_golden_remembers_the_corrections(tmp_path):

@@ -178,20 +178,18 @@ def jitter(at):
     return np.median(np.abs(at[2:] - 2 * at[1:-1] + at[:-2]))
 
 
-@pytest.mark.parametrize("motion", ["recipe", "fitted"])
-def test_smoothed_points_of_parts_and_network_are_nearer_and_quieter(moved, motion):
+def test_smoothed_points_of_parts_and_network_are_nearer_and_quieter(moved):
     mesh, results = moved
     rows = successive([one.rows for one in results])
     beliefs = [one.targets[0].beliefs() for one in results]
     assert [len(one.mean) for one in beliefs[0]] == [5, 1, 23]
-    after = smoothed_rows(rows, beliefs, motion)
+    after = smoothed_rows(rows, beliefs)
     assert after.names == rows.names
     for name in ("status", "confidence", "frame"):
         np.testing.assert_array_equal(getattr(after, name), getattr(rows, name))
     smooth = [after.at(one.frame.index) for one in results]
     index = {part: i for i, (_, part) in enumerate(rows.names)}
-    # a motion that is fitted to a few frames is that of the head
-    for parts, quieter in ((FEATURES, 0.8), *([(PARTS, 1.05)] if motion == "recipe" else [])):
+    for parts, quieter in ((FEATURES, 0.8), (PARTS, 1.05)):
         which = [index[part] for part in parts]
         at = np.stack([np.stack([one.x, one.y], axis=1)[which] for one in smooth])
         before = places(results, parts)

@@ -131,28 +131,6 @@ def test_a_hidden_part_moves_with_those_that_are_seen():
     np.testing.assert_allclose(mean[3:6, 1], x[3:6, 1], atol=0.1)
 
 
-def test_the_noise_of_a_clip_is_found_and_its_posterior_is_exact(monkeypatch):
-    """The filter believed in a noise ten times as large as the target has."""
-    monkeypatch.setattr(smoothing, "ROUNDS", 40)
-    true, x0 = RandomWalk(np.array([0.5, 0.5])), MOTIONS["random_walk"][1]
-    _, seen = kalman(true, x0, np.random.default_rng(4), 150)
-    wide = RandomWalk(np.array([5.0, 5.0])).linear(x0)
-    mean, cov = x0.copy(), np.zeros((2, 2, 2))
-    found = [Belief(mean, cov, wide, np.zeros(2, bool))]
-    for z in seen:
-        cov = cov + wide.cov
-        gain = cov @ np.linalg.inv(cov + 1.5**2 * np.eye(2))
-        mean, cov = mean + np.einsum("kde,ke->kd", gain, z - mean), cov - gain @ cov
-        found.append(Belief(mean, cov, wide, np.zeros(2, bool)))
-    lost = np.zeros((len(found), 2), bool)
-    now, factor = smoothing.fitted(smoothing.chain(found, lost, lost))
-    assert np.all(np.abs(np.sqrt(factor) - 0.1) < 0.05)
-    mean, cov = smoothing.smoothed(now)
-    exact, spread = batch(wide._replace(cov=now.motion.cov[0]), x0, seen[:60], (), 1.5, 0)
-    np.testing.assert_allclose(mean[1:20, 0], exact[:19], atol=0.02)
-    np.testing.assert_allclose(cov[1:20, 0], spread[:19], atol=0.02)
-
-
 def test_particles_come_to_the_exact_posterior():
     """A bootstrap filter of many particles, smoothed by the moments of its particles."""
     motion, x0 = MOTIONS["random_walk"]

@@ -1,9 +1,7 @@
-"""Tables for spreadsheets and data frames, read back by csv, pandas and pyarrow."""
+"""Tables for spreadsheets and data frames, read back by csv and pandas."""
 
-import builtins
 import csv
 import io
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -12,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.numbers import csv_text
 from facetrack_cli.trajectory.formats.keypoints import write_dlc
-from facetrack_cli.trajectory.formats.tables import write_measures, write_parquet, write_pose, write_wide
-from facetrack_cli.trajectory.trajectory import COLUMNS, FLOATS, joined, one_part
+from facetrack_cli.trajectory.formats.tables import write_measures, write_pose, write_wide
+from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.support.face_shape import moving_face
 
 
@@ -125,35 +123,3 @@ def test_spreadsheets_see_other_alphabets_and_no_formulas():
     text = write_wide(joined([part("Fräulein", "nose", [0]), part("=1+1", "box", [0]), part("a,b", 'c"d', [0])]))
     assert text.startswith("\ufeff")
     assert {"Fräulein_nose_x", "_=1+1_x", 'a,b_c"d_x'} <= set(read(text)[0])
-
-
-def test_parquet_has_types_nulls_and_the_header():
-    pa = pytest.importorskip("pyarrow", reason="pyarrow is not installed")
-    from pyarrow import parquet
-
-    table = joined(
-        [part("face", "nose", [0, 1, 2]), part("face", "lip", [1])], header={"seed": 3, "source": {"fps": 25}}
-    )
-    found = parquet.read_table(pa.BufferReader(write_parquet(table)))
-    assert found.column_names == list(COLUMNS)
-    kinds = {field.name: field.type for field in found.schema}
-    assert kinds["frame"] == pa.int64() == kinds["particles"]
-    assert all(kinds[name] == pa.float64() for name in FLOATS if name != "particles")
-    assert all(kinds[name] == pa.dictionary(pa.int32(), pa.string()) for name in ("target", "part", "status"))
-    assert json.loads(found.schema.metadata[b"facetrack"]) == table.header
-    rows = found.to_pylist()
-    assert [(row["frame"], row["part"]) for row in rows] == [(0, "nose"), (1, "nose"), (1, "lip"), (2, "nose")]
-    assert rows[0]["x"] == table.parts[0].x[0] and rows[0]["std_x"] is None and rows[0]["identity"] is None
-
-
-def test_without_pyarrow_one_line_says_what_to_install(monkeypatch):
-    load = builtins.__import__
-
-    def missing(name, *args, **more):
-        if name.startswith("pyarrow"):
-            raise ImportError(name)
-        return load(name, *args, **more)
-
-    monkeypatch.setattr(builtins, "__import__", missing)
-    with pytest.raises(UsageError, match=r"Parquet needs pyarrow; install it: pip install 'facetrack\[parquet\]'"):
-        write_parquet(part("face", "nose", [0]))

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 ENDINGS = {
     "csv-wide": "wide.csv",
-    "parquet": "parquet",
     "pose": "pose.csv",
     "measures": "measures.csv",
     "openface": "openface.csv",
@@ -38,7 +37,6 @@ ENDINGS = {
 }
 """How the file of each format is called, after the name of the trajectory."""
 ONE_TARGET = ("otb", "got10k", "vot")
-BINARY = ("parquet", "dlc-h5")
 OF_BOXES = ("mot", *ONE_TARGET, "coco")
 OF_MEDIA = ("openface", "coco", "eaf", "cvat", "labelstudio")
 
@@ -52,7 +50,6 @@ class Export:
     \b
     Formats:
       csv-wide  CSV with one row a frame, for spreadsheets
-      parquet   the rows of trajectory.csv, with types; needs pyarrow
       pose      CSV of the head's pitch, yaw and roll, with their spread
       measures  CSV of mouth opening, smile, brows, lids, pose, and their spread
       openface  OpenFace's CSV: confidence, success, pose, landmarks
@@ -72,7 +69,7 @@ class Export:
 
     Lost rows hold the tracker's estimate. mot, coco and dlc give its confidence, coco also the visibility 1 (2 is
     tracked). With --drop-lost they are as if nothing was found: no row in mot, no keypoint in coco, an empty cell in
-    dlc, csv-wide and parquet, nan in otb, zeros in got10k, a failure in vot.
+    dlc and csv-wide, nan in otb, zeros in got10k, a failure in vot.
 
     cvat and labelstudio go to the annotation tool, and what is corrected there comes back by facetrack fix --import.
     A lost row is occluded in cvat, and not enabled in labelstudio; with --drop-lost it is outside in cvat, too.
@@ -119,8 +116,8 @@ class Export:
             raise UsageError("--drop-lost is not for eaf, which has a tier for what was lost; leave it out")
         if self.out == "":
             raise OutputError("--out is empty; name a file, or - for standard output")
-        if self.out == "-" and self.to in BINARY:
-            raise OutputError(f"{self.to} is not text, and does not go to standard output; name a file with -o")
+        if self.out == "-" and self.to == "dlc-h5":
+            raise OutputError("dlc-h5 is not text, and does not go to standard output; name a file with -o")
         table = choose(read_run(self.trajectory), self.target)
         beside = table.path.with_name(f"{table.path.stem}.{ENDINGS[self.to]}")
         path = None if self.out == "-" else Path(self.out) if self.out else beside
@@ -163,7 +160,6 @@ class Export:
             table = hide_outside(table, sides)
         writers: dict[str, Callable[[], str | bytes]] = {
             "csv-wide": lambda: tables.write_wide(table),
-            "parquet": lambda: tables.write_parquet(table),
             "pose": lambda: tables.write_pose(table),
             "measures": lambda: tables.write_measures(table),
             "openface": lambda: openface.write_openface(table, size),

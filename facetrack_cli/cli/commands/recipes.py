@@ -129,4 +129,4 @@ def _list() -> None:
         for name in names:
             group.add_row("->" if name in TAKE else "", name, row(name)[2])
         console.print(group)
-    console.print("-> is the one to take; facetrack suggest CLIP tries those that fit on your clip")
+    console.print("-> is the one to take; docs/recipes.md says when another")

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from facetrack_cli.runs.job import Job, Outcome, Report, Split
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.tracking.smoothed import MotionName
     from facetrack_cli.trajectory.writers import Format
 
     After: TypeAlias = Callable[[Outcome, Stop, Progress], None]
@@ -133,7 +132,6 @@ class Run:
         "--format LIST", "csv, json, jsonl [default: csv,json; csv with -o -].", type=_formats
     )
     smooth: bool = flag("--smooth", "Then smooth it: every row given the whole clip, see docs/smooth.md.")
-    motion: Literal["recipe", "fitted"] = options.MOTION
     lag: int | None = option("--lag N", "Rows N frames later, given the frames up to then.", type=Whole(1, 1000))
     keep_posterior: bool = flag("--keep-posterior", "Write posterior.npz, for facetrack smooth.")
     overwrite: bool = options.OVERWRITE
@@ -222,7 +220,7 @@ class Run:
                     batch=several,
                     retry_failed=self.retry_failed,
                     split=split,
-                    default_reason=default_reason(self.extent.box, clip) if self.config is None else "",
+                    default_reason=default_reason(self.extent.box) if self.config is None else "",
                     threads=self.threads or (1 if self.cluster else max(1, cores() // workers)),
                     **vars(self.extent) | ({"fps": None} if self.extent.fps and brings_rate(clip) else {}),
                 )
@@ -232,7 +230,7 @@ class Run:
             if split is not None:
                 code = _chunks(jobs[0], workers, ending, shown, self.shard or (1, 1))
             elif self.cluster is not None and local is None:
-                there = partial(_smoothed, motion=self.motion) if self.smooth else None
+                there = _smoothed if self.smooth else None
                 batch = partial(run_cluster, where=self.cluster, after=there)
                 code = _several(jobs, batch, ending, shown, self._smooth_left)
             elif several or self.cluster is not None:
@@ -318,8 +316,6 @@ class Run:
         from facetrack_cli.runs.posterior import check_smoothing
 
         whole = "--smooth" if self.smooth else "--keep-posterior" if self.keep_posterior else ""
-        if self.motion != "recipe" and not self.smooth:
-            raise UsageError("--motion is that of --smooth; give that too")
         if not whole:
             return
         check_smoothing(recipe)
@@ -341,7 +337,7 @@ class Run:
         folder = outcome.files[0].parent
         shown.begin(f"{outcome.clip.name}, smoothed")
         try:
-            files, notes = _smoothed(outcome, stop, self.motion, shown.update)
+            files, notes = _smoothed(outcome, stop, shown.update)
         except StoppedError:
             shown.say(f"{outcome.clip}: not smoothed; facetrack smooth {folder} --overwrite does it")
             return
@@ -365,15 +361,13 @@ class Run:
         return [Path(self.out or ".") / name for name in names], self.format or ("csv", "json")
 
 
-def _smoothed(
-    outcome: Outcome, stop: Stop, motion: MotionName, report: Report | None = None
-) -> tuple[list[Path], list[str]]:
+def _smoothed(outcome: Outcome, stop: Stop, report: Report | None = None) -> tuple[list[Path], list[str]]:
     """Smooth a clip that was tracked, also on a worker; its files, and warnings that were not given yet."""
     from facetrack_cli.runs.job import silent
     from facetrack_cli.runs.smooth import save_smoothed
 
     files, notes = save_smoothed(
-        outcome.files[0].parent, motion=motion, overwrite=True, clip=outcome.clip, report=report or silent, stop=stop
+        outcome.files[0].parent, overwrite=True, clip=outcome.clip, report=report or silent, stop=stop
     )
     return files, [note for note in notes if note not in outcome.warnings]
 

@@ -1,7 +1,6 @@
 """facetrack smooth: a finished run, every row given the whole clip."""
 
 from pathlib import Path
-from typing import Literal
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import FILE, argument, flag, option, verb
@@ -21,7 +20,7 @@ class Smooth:
     Examples:
       facetrack run clip.mp4 --keep-posterior -o out
       facetrack smooth out -o smooth
-      facetrack smooth out --motion fitted --overwrite
+      facetrack smooth out --overwrite
 
     \b
     Exit codes: 0 done, 2 usage or output, 3 input, 130 interrupted,
@@ -29,7 +28,6 @@ class Smooth:
     """
 
     folder: Path = argument("RUN_DIR")
-    motion: Literal["recipe", "fitted"] = options.MOTION
     out: Path | None = option("-o --out DIR", "Folder for the smoothed run.", type=FILE)
     clip: Path | None = options.CLIP
     no_video: bool = flag("--no-video", "Do not draw annotated.mp4 again.")
@@ -47,7 +45,6 @@ class Smooth:
                 files, notes = save_smoothed(
                     self.folder,
                     self.out,
-                    motion=self.motion,
                     overwrite=self.overwrite,
                     video=not self.no_video,
                     clip=self.clip,

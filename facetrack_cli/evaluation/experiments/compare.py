@@ -145,12 +145,12 @@ def less_is_better(measure: str) -> bool:
     return MEASURES[measure].better == "less"
 
 
-def check_measure(measure: str, option: str = "--rank-by") -> str:
+def check_measure(measure: str) -> str:
     """`measure`, if it can rank recipes; UsageError that lists the measures that can."""
     able = [name for name, one in MEASURES.items() if one.better is not None]
     if measure not in able:
         near = [name for name in able if measure.rpartition(".")[2] in name] or able
-        raise UsageError(f"{option} {measure}: is nothing to rank by; there are {', '.join(near)}")
+        raise UsageError(f"--rank-by {measure}: is nothing to rank by; there are {', '.join(near)}")
     return measure
 
 

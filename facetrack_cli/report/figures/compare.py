@@ -96,38 +96,6 @@ def error_over_time_figure(
         return figure
 
 
-def spread_figure(
-    frames: Whole,
-    distances: Mapping[str, Array],
-    parting: int | None,
-    limits: Mapping[str, float],
-    *,
-    title: str = "Spread over seeds",
-) -> Figure:
-    """The distance (T,) in pixels of the farthest run from the median of all, by part, and the most that it may be,
-    `limits`; `parting` is the frame where the first run leaves the others.
-    """
-    with style.style():
-        figure, axes, pen = _over_time(frames, list(distances))
-        style.limit(axes, list(distances.values()), 0.0, 6)
-        for number, value in enumerate(distances.values()):
-            pen.line(axes, frames, value, linewidth=1.2, **style.line_style(number))
-        for end in sorted(set(limits.values())):
-            if end < axes.get_ylim()[1]:
-                axes.axhline(end, **_MARK)
-        if parting is not None:
-            axes.axvline(parting, color=style.STATUS["lost"], linewidth=1.2, zorder=1)
-            late = parting > (float(frames[0]) + float(frames[-1])) / 2
-            place: Any = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "va": "top"}
-            place |= {"xytext": (-5 if late else 5, -3), "ha": "right" if late else "left", "fontsize": 8.5}
-            box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5}
-            axes.annotate(f"runs part ways at frame {parting:,}", (parting, 1), bbox=box, **place)
-        note = "the farthest run's distance from the median" + ("; dashed: limit" if limits else "")
-        style.heading(axes, title, note)
-        axes.set_ylabel("distance (px)")
-        return figure
-
-
 def calibration_figure(bins: Sequence[ReliabilityBin]) -> Figure:
     """By bin of confidence, the share of rows that are right and of visible rows, and the number of rows. On the
     diagonal, confidence is the probability of being right. Bins without rows are left out; some bin must have rows.

@@ -1,4 +1,4 @@
-"""The plots of `compare` and `repeat` as PNG files: names and bytes, which need matplotlib."""
+"""The plots of `compare` as PNG files: names and bytes, which need matplotlib."""
 
 from collections.abc import Callable, Iterator
 
@@ -7,7 +7,6 @@ import numpy as np
 from facetrack_cli.core.types import Array
 from facetrack_cli.evaluation.boxes import PRECISION_THRESHOLDS, SUCCESS_THRESHOLDS
 from facetrack_cli.evaluation.experiments.compare import CUMULATIVE_AT, Comparison, Score, aligned
-from facetrack_cli.evaluation.experiments.repeat import Repetition
 from facetrack_cli.evaluation.points import FAILURE
 from facetrack_cli.evaluation.sheet import clip_name
 from facetrack_cli.report import figures as plots
@@ -35,15 +34,3 @@ def compare_figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
     hidden = np.unique(np.concatenate([score.hidden for entry in entries for score in entry.scores]))
     figure = plots.error_over_time_figure(frame, errors, np.isin(frame, hidden), title=f"Error on {clip}")
     yield "error.png", render(figure)
-
-
-def repeat_figures(found: Repetition) -> Iterator[tuple[str, bytes]]:
-    """The farthest run of each part over time."""
-    figure = plots.spread_figure(
-        found.spreads[0].frame,
-        {name: one.from_median for name, one in found.named},
-        found.parting,
-        {name: one.limit for name, one in found.named},
-        title=f"{len(found.seeds)} runs of {found.label} on {clip_name(found.clip)}",
-    )
-    yield "spread.png", render(figure)

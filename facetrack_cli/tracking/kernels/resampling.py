@@ -1,6 +1,4 @@
-"""Drawing indices by weights, and weights that keep enough particles."""
-
-import math
+"""Drawing indices by weights."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,35 +32,3 @@ def _invert_cdf(weights, points, out):
                 i += 1
                 cumulated += weights[i, k]
             out[j, k] = i
-
-
-@exact
-def powers(base, log_l, least, most):
-    """(C,): for each column the largest power b up to `most` (C,) with an effective sample size of `least` or more.
-
-    That is of weights proportional to exp(base + b log_l); `base`, `log_l` (N, C), finite. Found by bisection; 0 where
-    the base itself has less.
-    """
-    n, columns = log_l.shape
-    out = np.empty(columns)
-    for c in range(columns):
-        low, high = 0.0, most[c]
-        for step in range(40):
-            b = high if step == 0 else 0.5 * (low + high)
-            top = -math.inf
-            for i in range(n):
-                top = max(top, base[i, c] + b * log_l[i, c])
-            total, squares = 0.0, 0.0
-            for i in range(n):
-                w = math.exp(base[i, c] + b * log_l[i, c] - top)
-                total += w
-                squares += w * w
-            enough = total * total >= least * squares
-            if enough:
-                low = b
-            else:
-                high = b
-            if (step == 0 and enough) or high - low < 1e-4 * low:
-                break
-        out[c] = low
-    return out

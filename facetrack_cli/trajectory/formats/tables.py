@@ -1,27 +1,25 @@
-"""Tables for spreadsheets and data frames: one row a frame, head poses, and the rows as they are in Parquet.
+"""Tables for spreadsheets and data frames: one row a frame, head poses, and measures of a face.
 
-All keep the conventions of trajectory.csv: frames and pixels from 0, x and y the centre, "" or null what is not known.
+All keep the conventions of trajectory.csv: frames and pixels from 0, x and y the centre, "" what is not known.
 Where a row is a frame there is one for each of `every_frame`, since readers count them.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import POINTS
 from facetrack_cli.core.numbers import csv_text
 from facetrack_cli.core.types import BOX, Whole
 from facetrack_cli.trajectory.analysis.hands import HAND_MEASURES
 from facetrack_cli.trajectory.analysis.head_pose import SHAPE, head_pose
 from facetrack_cli.trajectory.analysis.measures import MEASURES, Measured
-from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, Trajectory, aligned, every_frame
+from facetrack_cli.trajectory.trajectory import DECIMALS, Trajectory, aligned, every_frame
 
 WIDE = ("x", "y", "w", "h", "confidence", "status")
-WHOLE = ("frame", "particles")
 STD = ("", "_std")
 POSE = ("frame", "time_s", "target", "pitch", "yaw", "roll", "std_pitch", "std_yaw", "std_roll", "ambiguous")
 
@@ -89,32 +87,6 @@ def _measured(found: Mapping[str, Measured], names: Sequence[str], frames: Whole
         if name in found:
             values[k][:, np.searchsorted(frames, found[name].frame)] = found[name].value, found[name].std
     return texts(values.reshape(-1, len(frames)).T, 4)
-
-
-def write_parquet(table: Trajectory) -> bytes:
-    """The columns of trajectory.csv as an Apache Parquet file; what is not known is null.
-
-    `frame` and `particles` are int64, other numbers float64, texts dictionaries of strings. The header of a
-    trajectory.json is the JSON text of the key `facetrack` in the file's metadata. UsageError without pyarrow.
-    """
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError:
-        raise UsageError("Parquet needs pyarrow; install it: pip install 'facetrack[parquet]'") from None
-    named = pa.dictionary(pa.int32(), pa.string())
-    kinds = dict.fromkeys(COLUMNS, named) | dict.fromkeys(FLOATS, pa.float64()) | dict.fromkeys(WHOLE, pa.int64())
-    metadata = {"facetrack": json.dumps(dict(table.header))}
-    schema = pa.schema([pa.field(name, kinds[name]) for name in COLUMNS], metadata=metadata)
-    columns: list[Any] = []
-    for name, values in table.columns().items():
-        missing = values == "" if values.dtype.kind == "U" else ~np.isfinite(values)
-        whole = np.where(missing, 0, values).astype(np.int64) if name in WHOLE else values
-        columns.append(pa.array(whole, mask=missing).cast(kinds[name]))
-    sink = pa.BufferOutputStream()
-    parquet.write_table(pa.Table.from_arrays(columns, schema=schema), sink)
-    found: bytes = sink.getvalue().to_pybytes()
-    return found
 
 
 def _called(target: str, part: str) -> str:
