@@ -92,7 +92,10 @@ class Sensor(NamedTuple):
         total = var + self.noise + spread
         use = np.where(np.isfinite(squared) & (squared < MAX_SQUARED_DISTANCE * total), visible * visible.min(), 0.0)
         far = total + ASTRAY**2
-        evidence = told + np.log(far / total) - squared * (1 / total - 1 / far)
+        alone = squared
+        if (known := np.isfinite(squared)).sum() >= 3:  # where all parts are off alike, the head has slipped
+            alone = 0.5 * np.sum((off - np.median(off[known], axis=0)) ** 2, axis=1)
+        evidence = told + np.log(far / total) - alone * (1 / total - 1 / far)
         ahead = self._right_ahead
         odds = np.log(ahead / (1 - ahead)) + visible * np.nan_to_num(np.clip(evidence, -TOLD, TOLD))
         right = 1 / (1 + np.exp(-odds))
