@@ -318,12 +318,17 @@ def of_frame(
 ) -> Trajectory:
     """`build` of the rows of one frame, one for each of `names` and in their order, without looking for mistakes.
 
-    An angle is that in the frame's pixels.
+    An angle is that in the frame's pixels. What lies beyond the outermost pixels of the frame cannot be seen: it is
+    hidden where it would be tracked.
     """
     rows, known = len(names), dict(_unknown(len(names)))
     known |= {"which": np.arange(rows), "frame": np.full(rows, frame.index), "time_s": np.full(rows, frame.time_s)}
     known |= {name: np.asarray(values, dtype=_TYPES.get(name, np.float64)) for name, values in columns.items()}
     known["angle"] = shown_angle(known["angle"], frame.aspect)
+    (x, y), (width, height) = (known["x"], known["y"]), frame.size
+    beyond = (x < 0) | (x > width - 1) | (y < 0) | (y > height - 1)
+    if beyond.any():
+        known["status"] = np.where(beyond & (known["status"] == "tracked"), "hidden", known["status"])
     return Trajectory(names, **known, diagnostics=diagnostics)
 
 

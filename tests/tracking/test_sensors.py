@@ -62,12 +62,14 @@ def test_the_bias_is_the_kalman_filter_of_an_offset_that_drifts_and_may_fade(kee
         said = one.measured(z, VISIBLE)
         np.testing.assert_allclose(said.z, z - keep * mean)
         np.testing.assert_allclose(said.var, keep**2 * var + DRIFT**2 + r2)
+        common = np.median(z - keep * mean - PLACES, axis=0)  # the head's, not the sensor's
         for k in range(3):
             predicted = keep**2 * var[k] + DRIFT**2
             mean[k] *= keep
             off = z[k] - mean[k] - PLACES[k]
             total = predicted + r2[k] + 0.2
-            here, far = (np.exp(-0.5 * off @ off / v) / (2 * np.pi * v) for v in (total, total + ASTRAY**2))
+            own = off - common
+            here, far = (np.exp(-0.5 * own @ own / v) / (2 * np.pi * v) for v in (total, total + ASTRAY**2))
             ahead = right[k] * (1 - ENDS * wrong[k] / (1 - wrong[k])) + (1 - right[k]) * ENDS
             odds = ahead / (1 - ahead) * np.clip(here / far, np.exp(-TOLD), np.exp(TOLD))
             right[k] = odds / (1 + odds)
