@@ -37,8 +37,10 @@ from facetrack_cli.trajectory.trajectory import SPREAD, Trajectory
 FORMAT: Final = "facetrack-calibration"
 MAX_SPREAD_FACTOR: Final = 20.0
 """What a spread is multiplied by at most; divided by no more."""
-Feature: TypeAlias = Literal["confidence", "log_odds", "spread", "ess", "lost"]
-RISES: Final[Mapping[Feature, int]] = {"confidence": 1, "log_odds": 1, "spread": -1, "ess": 0, "lost": -1}
+Feature: TypeAlias = Literal["confidence", "log_odds", "spread", "ess", "lost", "size"]
+RISES: Final[Mapping[Feature, int]] = {
+    "confidence": 1, "log_odds": 1, "spread": -1, "ess": 0, "lost": -1, "size": 1,
+}  # fmt: skip
 """Whether p rises with a feature or falls; 0: either."""
 PartKind: TypeAlias = Literal["points", "box"]
 _Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
@@ -186,7 +188,9 @@ def features(rows: Trajectory, boxes: Mask, size: float) -> dict[Feature, Array]
         spread = np.log(np.minimum(np.maximum(np.hypot(rows.std_x, rows.std_y) / sides, 1e-3), 10))
         ess = np.log10(np.minimum(np.maximum(rows.ess / rows.particles, 1e-3), 1))
     odds = np.log((c + 0.01) / (1.01 - c))
-    return {"confidence": c, "log_odds": odds, "spread": spread, "ess": ess, "lost": (rows.status == "lost") * 1.0}
+    known: dict[Feature, Array] = {"confidence": c, "log_odds": odds, "spread": spread, "ess": ess}
+    # what is small in the picture is placed less exactly, in terms of its size
+    return {**known, "lost": (rows.status == "lost") * 1.0, "size": np.log(np.clip(sides, 3.0, 1000.0)) + 0.0 * c}
 
 
 def load_calibration(path: Path) -> Calibration:
