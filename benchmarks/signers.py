@@ -74,7 +74,7 @@ def measure(rows: Trajectory, reference: Mapping[int, Mapping[str, Box]], all_ro
         (int(one.frame[i]), one.target): (float(one.x[i]), float(one.y[i]))
         for one in rows.parts
         if one.target in NAMES
-        for i in np.flatnonzero((all_rows | np.isin(one.status, SEEN)) & np.isfinite(one.x))
+        for i in np.flatnonzero((all_rows | ~np.isin(one.status, ("lost", "absent"))) & np.isfinite(one.x))
     }
     hands = followed = named = 0
     for frame, boxes in reference.items():
