@@ -24,6 +24,7 @@ def sample(probability, rows=400, clips=20, random=1):
     c = rng.random(n)
     known = {"confidence": c, "log_odds": np.log((c + 0.01) / (1.01 - c)), "spread": rng.uniform(-6, 2, n)}
     known |= {"ess": rng.uniform(-3, 0, n), "lost": (rng.random(n) < 0.2) * 1.0}
+    known["size"] = np.random.default_rng(1000 + random).uniform(1, 7, n)
     right = rng.random(n) < probability(known)
     return Sample(known, right, np.ones(n, np.bool_), np.repeat(np.arange(clips), rows), rng.chisquare(2, n))
 

@@ -74,8 +74,8 @@ def test_a_file_is_read_as_it_was_written(file):
         ({"maps": {"box": {"method": "isotonic", "score": "spread", "knots": [[0, 0.4], [1, 0.5]]}}}, "fall"),
         ({"maps": {"box": {"method": "isotonic", "score": "confidence", "knots": [[0, 0.4], [1, 1.5]]}}}, "within"),
         ({"maps": {"nose": {"method": "logistic", "intercept": 1.0, "coefficients": {}}}}, "maps.nose"),
-        ({"maps": {"box": {"method": "logistic", "intercept": 1.0, "coefficients": {"size": 1.0}}}}, "size"),
-        ({"maps": {"box": {"method": "isotonic", "score": "size", "knots": [[0.0, 0.5]]}}}, "isotonic.score: input"),
+        ({"maps": {"box": {"method": "logistic", "intercept": 1.0, "coefficients": {"hue": 1.0}}}}, "hue"),
+        ({"maps": {"box": {"method": "isotonic", "score": "hue", "knots": [[0.0, 0.5]]}}}, "isotonic.score: input"),
         ({"colour": 1}, "colour"),
     ],
 )
@@ -113,6 +113,7 @@ def test_features_by_hand():
     assert known["spread"][[0, 1, 3]].tolist() == pytest.approx([np.log(1e-3), np.log(5 / 50), np.log(5 / 20)])
     assert known["ess"][[0, 1, 3]].tolist() == pytest.approx([0, -1, -2])
     assert known["log_odds"][1] == pytest.approx(np.log(0.61 / 0.41)) and known["lost"].tolist() == [0, 1, 0, 0]
+    assert known["size"][[0, 1, 3]].tolist() == pytest.approx([np.log(50), np.log(50), np.log(20)])
     # a single point has no distance to others, but a window
     assert features(given, np.zeros(4, np.bool_), 0.0)["spread"][1] == pytest.approx(np.log(5 / 8))
 
