@@ -3,10 +3,9 @@
 A detector sees faces anywhere in a frame, or the points are seen where the face is expected. That face k of K is the
 target has the log odds
 
-    prior + head + looks + place,      p_k = exp(odds_k) / (1 + sum_j exp(odds_j))
+    prior + looks + place,      p_k = exp(odds_k) / (1 + sum_j exp(odds_j))
 
     prior       SHOT / K, after a cut CUT / K: a lone face is most likely the target; 0 where the clip has shown others
-    head        HEAD where the filter of the head sees it
     looks       the face in grey, its colours and, with the extra `people`, dlib's embedding, against views of the
                 target: `same_person` in people/identity.py, where each is bounded by how often it is wrong
     place       NEAR where the target was last seen, -AWAY elsewhere while it is held to be covered; 0 after a cut
@@ -35,15 +34,14 @@ from facetrack_cli.tracking.people.identity import same_person
 from facetrack_cli.tracking.people.looks import Picture, together
 from facetrack_cli.tracking.start.detectors import Found
 
-SHOT, CUT = 5.0, 2.5  # log odds that the one face of a frame is the target, in one shot and after a cut
+SHOT, CUT = 5.0, 2.3  # log odds that the one face of a frame is the target, in one shot and after a cut
 BOUND: Final = 4.0  # of the log odds by looks
-HEAD: Final = 1.0  # log odds of a face that the filter of the head follows
 NEAR: Final = 3.0  # log odds of a face where the target was
 AWAY: Final = 2.0  # ... less, of a face elsewhere while the target is covered
 STAYS: Final = 0.5  # seconds that a face is seen before it is the target, and after which a cut was one
 KNOWN: Final = 2.0  # log odds by looks above which a face is the target at once
 SURE: Final = 0.9  # probability below which it is said that the face may be another one
-MAYBE: Final = 0.2  # probability below which a face is no sighting
+MAYBE: Final = 0.05  # probability below which a face is no sighting
 SAME: Final = 0.6  # sizes of a face within which it is the same one at the next look
 NEW: Final = 0.6  # correlation with all looks below which another one is kept
 MAX_LOOKS: Final = 6  # looks that are kept
@@ -55,7 +53,7 @@ class Sighting(NamedTuple):
     """A face that is seen while the target is lost.
 
     Its box, its roll in radians, since when it is seen in s, the probability `p` that it is the target, and the log
-    odds of that by its looks alone.
+    odds of that by its looks alone, the mean of `views`.
     """
 
     box: Box
@@ -63,6 +61,7 @@ class Sighting(NamedTuple):
     since: float
     p: float = 0.0
     by_looks: float = 0.0
+    views: int = 1
 
     @classmethod
     def of(cls, face: Found, frame: Frame) -> Sighting:
@@ -73,11 +72,14 @@ class Sighting(NamedTuple):
         return Similarity(np.array(centre(self.box)), self.box[2] / FACE, self.roll)
 
     def after(self, before: Sighting | None) -> Sighting:
-        """With the time since when it is seen, if the sighting `before` is of the same face."""
+        """With what the sighting `before` tells, if it is of the same face."""
         if before is None:
             return self
-        near = math.dist(centre(before.box), centre(self.box)) < SAME * max(before.box[2], self.box[2])
-        return self._replace(since=before.since) if near else self
+        if math.dist(centre(before.box), centre(self.box)) >= SAME * max(before.box[2], self.box[2]):
+            return self
+        views = before.views + 1
+        mean = before.by_looks + (self.by_looks - before.by_looks) / views
+        return self._replace(since=before.since, by_looks=mean, views=views)
 
     def is_target(self, frame: Frame) -> bool:
         """Whether it is followed from this frame on: at once if it looks so, else if it stays."""
@@ -103,7 +105,7 @@ def probabilities(looks: Array, others: Array, *, cut: bool, company: bool) -> A
     Parameters
     ----------
     looks : (K,) log odds, as `by_looks` gives them.
-    others : (K,) log odds by place and head.
+    others : (K,) log odds by place.
     cut : whether the target was not seen since a cut.
     company : whether the clip has shown several faces in one frame.
     """

@@ -32,7 +32,6 @@ from facetrack_cli.recipe.face import Head
 from facetrack_cli.tracking.calibration import Calibration
 from facetrack_cli.tracking.face import stabilized
 from facetrack_cli.tracking.face.evidence import (
-    HEAD,
     MAYBE,
     NEW,
     STAYS,
@@ -213,7 +212,7 @@ class FaceTarget:
         if sure_of(state.head) < self.settings.lost_below or state.sure <= 0:
             return False
         looks = by_looks(state.pictures, [self._map(state.head.estimated.state, state.pose)], frame)
-        [p] = probabilities(looks, np.array([HEAD]), cut=True, company=state.several >= COMPANY)
+        [p] = probabilities(looks, np.zeros(1), cut=True, company=state.several >= COMPANY)
         return bool(p > 0.5)
 
     def _picture(self, frame: Frame, face: Similarity) -> Picture:
@@ -320,11 +319,14 @@ class FaceTarget:
         seen = [Sighting.of(one, frame) for one in faces]
         if seen:
             lie = [one.similarity for one in seen]
-            cut, looks = state.cut is not None, by_looks(state.pictures, lie, frame)
+            cut, looks = state.cut is not None, by_looks(state.pictures, lie, frame).tolist()
+            seen = [one._replace(by_looks=odds).after(state.sighting) for one, odds in zip(seen, looks, strict=True)]
             place = by_place(state.seen, lie, covered=self._is_covered(state.head)) * (not cut)
-            p = probabilities(looks, place, cut=cut, company=state.several >= COMPANY)
+            p = probabilities(
+                np.array([one.by_looks for one in seen]), place, cut=cut, company=state.several >= COMPANY
+            )
             best = int(p.argmax())
-            found = seen[best]._replace(p=float(p[best]), by_looks=float(looks[best])).after(state.sighting)
+            found = seen[best]._replace(p=float(p[best]))
         sighting = found if seen and found.p > MAYBE else None
         facing = state.facing.looked(found=False) if sighting is None else state.facing
         head = replace(state.head, learned=state.head.learned._replace(sighted=places))
