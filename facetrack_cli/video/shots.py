@@ -28,7 +28,7 @@ SURE: Final = 3.0  # log odds of a dissolve
 ONE_FRAMES: Final = 6  # between two dissolves, at most, that are one
 SAME_SCENE: Final = 0.7  # correlation of two images between which there is no dissolve
 _AFTER: Final = 4  # frames after which a cut of a clip that passes is decided
-_LATE: Final = 12  # frames after which a dissolve is known to have ended
+_LATE: Final = 12  # frames from one look for a dissolve to the next; it has ended half as many ago, at least
 _KEPT: Final = SPANS[-1] + 2 * _LATE  # images that are kept of a clip that passes
 _READ: Final = 5  # pixels a row and column that a pixel of a small image is the mean of, at least
 _MARGIN: Final = 2 * SPANS[-1]  # frames on either side that a decision rests on
@@ -106,7 +106,7 @@ class Passing(NamedTuple):
             return passing, "cut" if len(last) - _AFTER in _hard(_flat(last), _AFTER) else "none"
         if passing.frames % _LATE == 0 and len(images) > SPANS[0] and _alike(_flat(images[:1])[0], now) < SAME_SCENE:
             ends = [last - len(images) for _, _, last in _dissolves(_flat(images))]
-            return passing, "cut" if any(-2 * _LATE <= one < -_LATE for one in ends) else ""
+            return passing, "cut" if any(-1.5 * _LATE <= one < -0.5 * _LATE for one in ends) else ""
         return passing, ""
 
 

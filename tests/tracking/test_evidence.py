@@ -103,9 +103,9 @@ def test_time_runs_from_the_first_sighting_of_a_face():
 
 
 def test_a_face_is_followed_at_once_if_it_looks_so_else_if_it_stays_and_never_if_it_is_unlikely():
-    face = Sighting(BOX, 0.0, 1.0, p=0.7, by_looks=3.0)
+    face = Sighting(BOX, 0.0, 1.0, p=0.7, latest=3.0)
     assert face.is_target(shown(time_s=1.0)) and not face._replace(p=0.4).is_target(shown(time_s=9.0))
-    waits = face._replace(by_looks=-3.0)
+    waits = face._replace(latest=-3.0)
     assert not waits.is_target(shown(time_s=1.0 + 0.9 * STAYS)) and waits.is_target(shown(time_s=1.0 + STAYS))
 
 

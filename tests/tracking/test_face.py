@@ -101,7 +101,7 @@ def test_a_face_that_leaves_and_returns_elsewhere():
     spread = np.array([row.std_x[:5].mean() for row in rows])
     assert spread[43] > 2 * spread[20], "it grows while nothing is seen"
     confidence = np.array([row.confidence for row in rows])
-    assert confidence[30:44, :5].max() < 0.4 and confidence[32:44].max() < 0.6, "it falls as the spread grows"
+    assert confidence[30:44, :5].max() < 0.5 and confidence[32:44].max() < 0.6, "it falls as the spread grows"
     assert confidence[38:44, 5].max() < 0.4
 
 

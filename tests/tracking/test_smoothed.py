@@ -179,7 +179,7 @@ def test_a_face_moves_as_one(points):
         results = results_of("face", 40, seed=seed)
         before = rows_of(results)
         more.append(off_in(smoothed_rows(before, beliefs_of(results))) - off_in(before))
-    assert np.mean(more) < 0.03, "pixels"
+    assert np.mean(more) < 0.04, "pixels; the calibrated spread of points is 2.6 times the filter's"
 
 
 def off_in(rows):

@@ -39,7 +39,7 @@ BOUND: Final = 4.0  # of the log odds by looks
 NEAR: Final = 3.0  # log odds of a face where the target was
 AWAY: Final = 2.0  # ... less, of a face elsewhere while the target is covered
 STAYS: Final = 0.5  # seconds that a face is seen before it is the target, and after which a cut was one
-KNOWN: Final = 2.0  # log odds by looks above which a face is the target at once
+KNOWN: Final = 1.5  # log odds by a look above which a face is the target at once
 SURE: Final = 0.9  # probability below which it is said that the face may be another one
 MAYBE: Final = 0.05  # probability below which a face is no sighting
 SAME: Final = 0.6  # sizes of a face within which it is the same one at the next look
@@ -53,7 +53,7 @@ class Sighting(NamedTuple):
     """A face that is seen while the target is lost.
 
     Its box, its roll in radians, since when it is seen in s, the probability `p` that it is the target, and the log
-    odds of that by its looks alone, the mean of `views`.
+    odds of that by its looks alone: of the `latest`, and the mean of `views`.
     """
 
     box: Box
@@ -61,6 +61,7 @@ class Sighting(NamedTuple):
     since: float
     p: float = 0.0
     by_looks: float = 0.0
+    latest: float = 0.0
     views: int = 1
 
     @classmethod
@@ -83,7 +84,7 @@ class Sighting(NamedTuple):
 
     def is_target(self, frame: Frame) -> bool:
         """Whether it is followed from this frame on: at once if it looks so, else if it stays."""
-        return self.p > 0.5 and (self.by_looks > KNOWN or frame.time_s - self.since >= STAYS)
+        return self.p > 0.5 and (self.latest > KNOWN or frame.time_s - self.since >= STAYS)
 
 
 def by_place(last: Similarity, faces: Sequence[Similarity], *, covered: bool) -> Array:

@@ -320,7 +320,10 @@ class FaceTarget:
         if seen:
             lie = [one.similarity for one in seen]
             cut, looks = state.cut is not None, by_looks(state.pictures, lie, frame).tolist()
-            seen = [one._replace(by_looks=odds).after(state.sighting) for one, odds in zip(seen, looks, strict=True)]
+            seen = [
+                one._replace(by_looks=odds, latest=odds).after(state.sighting)
+                for one, odds in zip(seen, looks, strict=True)
+            ]
             place = by_place(state.seen, lie, covered=self._is_covered(state.head)) * (not cut)
             p = probabilities(
                 np.array([one.by_looks for one in seen]), place, cut=cut, company=state.several >= COMPANY
