@@ -15,7 +15,7 @@ People change places over cuts, so the looks decide there, and hardly elsewhere.
 a whip pan, a hand across the lens or lost frames, is none as soon as the frames after it say so, or the face is seen.
 
 Looks are small grey pictures of the upright face, without mean and of unit norm. They cost little, and say when the
-face looks otherwise than in all views so far: then it is asked who it is, and the view is kept.
+face looks otherwise than in all views so far: then the view is kept.
 """
 
 from __future__ import annotations

@@ -227,10 +227,8 @@ class FaceTarget:
         around, told = [before.mean(axis=0)], np.isfinite(z2).all(axis=1)
         if told.any():
             around.append((before + (z2 - before)[told].mean(axis=0)).mean(axis=0))
-        (parts, network, others), visible = (
-            self.senses.sensed(frame, similarity, seen, around),
-            self._visible(state.features),
-        )
+        parts, network, others = self.senses.sensed(frame, similarity, seen, around)
+        visible = self._visible(state.features)
         places = parts.at, z2, network
         measured = tuple(one.measured(z, visible) for one, z in zip(state.sensors, places, strict=True))
         first, second = joined(measured[0], measured[2]), measured[1]
