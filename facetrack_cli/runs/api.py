@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 import cv2
 import numpy as np
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.recipe.face import DETECTORS, DetectorName
 from facetrack_cli.recipe.files import default_recipe
@@ -76,7 +76,9 @@ def track_video(
     )
     check(job, kept=True)
     with Memory(job) as memory:
-        track_clip(job, memory, Stop(), report)
+        error = track_clip(job, memory, Stop(), report).error
+    if error is not None and not isinstance(error, FacetrackError):
+        raise error  # a fault of ours is not the end of a clip
     found = memory.trajectory
     if job.everyone:
         known = cast_in(job, found, never, silent)

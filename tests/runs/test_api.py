@@ -140,6 +140,15 @@ def test_a_recording_is_what_run_writes(tmp_path, recipe, clip):
     assert names[0] == names[1]
 
 
+def test_a_fault_of_ours_is_raised_and_not_the_end_of_a_clip(monkeypatch):
+    def broken(*_):
+        raise AttributeError("ours")
+
+    monkeypatch.setattr("facetrack_cli.tracking.target.ParticleTarget.advance", broken)
+    with pytest.raises(AttributeError, match="ours"):
+        facetrack.track_video(CLIP, "factorized")
+
+
 def test_a_recording_keeps_what_came_before_an_error(tmp_path, images):
     results = list(facetrack.track_frames(images, "factorized", init=CLIP.with_suffix(".init.yaml")))
 

@@ -1,6 +1,8 @@
 """What is known of a sensor of points, and of a detector of faces: against chains written out, and where they must not
 learn."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,6 +10,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.tracking.face import sensors
 from facetrack_cli.tracking.face.sensors import (
+    AREA,
     ASTRAY,
     BLIND,
     DRIFT,
@@ -24,6 +27,7 @@ from facetrack_cli.tracking.face.sensors import (
     Sensor,
     common_shift,
     joined,
+    who_is_right,
 )
 from facetrack_cli.tracking.face.stabilized import EYES, SIDE
 from facetrack_cli.tracking.models.motion import SensorReading
@@ -204,6 +208,44 @@ def test_what_all_parts_move_together_is_the_head_s_and_what_one_moves_is_not():
     np.testing.assert_allclose(common_shift(said(opened, var, 0.9), PLACES), 0, atol=1e-9)
     two = said(PLACES + 6.0, var, 0.9)._replace(sure=np.array([0.9, 0.9, 0.2]))
     np.testing.assert_array_equal(common_shift(two, PLACES), 0)
+
+
+def test_who_is_right_is_the_sum_over_all_sets_of_readings_that_may_be():
+    """Against integrals over the place of a part on a grid, for each set of those that are right."""
+    rng, area, k = np.random.default_rng(5), 60.0**2, 3
+    one, two, windows = (said(PLACES + 6 * rng.standard_normal((3, 2)), v, 0.9) for v in (9.0, 16.0, 4.0))
+    readings = [each._replace(area=area) for each in (one, two, windows)]
+    scores = rng.uniform(-3, 0, (8, k))
+    got = who_is_right(readings, scores)
+    step = np.arange(-60, 60, 0.5)
+    grid = np.stack(np.meshgrid(step, step), axis=2)
+    for part in range(k):
+        share = np.zeros(8)
+        # the order of `modes`: the last reading says something in the first half
+        for index, off in enumerate(product([False, True], repeat=3)):
+            right, density, p = off[::-1], np.ones(grid.shape[:2]) / area, 1.0
+            for is_off, each in zip(right, readings, strict=True):
+                if is_off:
+                    p *= 0.1 / area
+                else:
+                    squared = np.sum((PLACES[part] + grid - each.z[part]) ** 2, axis=2)
+                    density = density * 0.9 * np.exp(-0.5 * squared / each.var[part]) / (2 * np.pi * each.var[part])
+            p *= 1.0 if all(off) else density.sum() * 0.25
+            share[index] = p * np.exp(np.clip(scores[index, part] - scores[:-1, part].max(), -TOLD, 0))
+        for i in range(3):
+            says = (np.arange(8) >> i) % 2 == 0
+            odds = np.log(share[says].sum() / share[~says].sum()) - np.log(0.9 / 0.1)
+            assert got[i, part] == pytest.approx(odds, rel=1e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize(("second", "windows_right"), [(FAR_AWAY, False), (0.0, True), (-FAR_AWAY, True)])
+def test_what_two_sensors_say_alike_is_believed_though_windows_prefer_another_place(second, windows_right):
+    one, two = said(PLACES + FAR_AWAY, 9.0, 0.97), said(PLACES + second, 9.0, 0.97)
+    windows = said(PLACES, 1.0, 0.97)
+    readings = [each._replace(area=AREA) for each in (one, two, windows)]
+    there = np.array([-9.0 if (set_ >> 2) % 2 else 0.0 for set_ in range(8)])
+    odds = who_is_right(readings, np.repeat(there[:, None], 3, axis=1)) + np.log(0.97 / 0.03)
+    assert ((odds[2] > 0) == windows_right).all() and ((odds[0] < 0) == windows_right).all()
 
 
 # --- is the face turned to the camera? -----------------------------------------------------------------------------

@@ -18,6 +18,7 @@ does is learned from the clip.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -25,7 +26,7 @@ import numpy as np
 from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.tracking.face.descent import PlacedPoints
 from facetrack_cli.tracking.face.stabilized import EYES
-from facetrack_cli.tracking.models.motion import SensorReading
+from facetrack_cli.tracking.models.motion import SensorReading, modes
 
 DRIFT: Final = 0.001 * EYES  # standard deviation of b in a frame, pixels
 REGRESSION, NETWORK, DETECTOR = 0.05 * EYES, 0.02 * EYES, 0.05 * EYES  # the least r of a sensor
@@ -35,6 +36,7 @@ MISLED: Final = 0.1 * EYES  # r in a face of which a part is hidden: a sensor pl
 LEARNS: Final = 0.02  # share of a measurement in r^2
 SLIP: Final = 0.1 * EYES  # standard deviation of what a head moves in a frame and its box does not
 MAX_SQUARED_DISTANCE: Final = 9.0  # of squared distances, in variances
+WINDOWS: Final = 0.97  # probability that windows see a part that is visible, and nothing like it
 SURE: Final = 0.97  # probability that a sensor says something of a part that is visible, before it is learned
 BLIND: Final = 0.1  # its share that is left of a part that is hidden
 ASTRAY: Final = 0.25 * EYES  # standard deviation of z where a sensor takes something else for the part
@@ -79,12 +81,19 @@ class Sensor(NamedTuple):
         return SensorReading(at, self._ahead + noise, sure, AREA)
 
     def learned(
-        self, z: Array, state: Array, cov: Array, visible: Array, told: Array | float = 0.0, cross: Array | float = 0.0
+        self,
+        z: Array,
+        state: Array,
+        cov: Array,
+        visible: Array,
+        told: Array | float = math.nan,
+        cross: Array | float = 0.0,
     ) -> Sensor:
         """After z (K, 2), where the filter has the parts at `state` (K, 2), with `cov` (K, 2, 2).
 
-        `told` (K,): by how much windows rather see the parts where it says, in log odds. `cross` (K,): its share of the
-        squared distance from an independent sensor, since the filter's state is partly what it has said itself.
+        `told` (K,): the log odds of a frame that it sees the parts, nan where that follows from `state` alone.
+        `cross` (K,): its share of the squared distance from an independent sensor, since the filter's state is partly
+        what it has said itself.
         """
         var, spread, before = self._ahead, 0.5 * np.trace(cov, axis1=1, axis2=2), self.keep * self.bias
         off = z - before - state
@@ -92,10 +101,8 @@ class Sensor(NamedTuple):
         total = var + self.noise + spread
         use = np.where(np.isfinite(squared) & (squared < MAX_SQUARED_DISTANCE * total), visible * visible.min(), 0.0)
         far = total + ASTRAY**2
-        alone = squared
-        if (known := np.isfinite(squared)).sum() >= 3:  # where all parts are off alike, the head has slipped
-            alone = 0.5 * np.sum((off - np.median(off[known], axis=0)) ** 2, axis=1)
-        evidence = told + np.log(far / total) - alone * (1 / total - 1 / far)
+        alone = 0.5 * np.sum((off - in_common(off, np.isfinite(squared))) ** 2, axis=1)
+        evidence = np.where(np.isnan(told), np.log(far / total) - alone * (1 / total - 1 / far), told)
         ahead = self._right_ahead
         odds = np.log(ahead / (1 - ahead)) + visible * np.nan_to_num(np.clip(evidence, -TOLD, TOLD))
         right = 1 / (1 + np.exp(-odds))
@@ -128,6 +135,27 @@ class Sensor(NamedTuple):
         return np.asarray(self.keep**2 * self.var + DRIFT**2)
 
 
+def who_is_right(readings: Sequence[SensorReading], scores: Array) -> Array:
+    """By how much a frame says that readings see the parts, and not something else, in log odds (S, K).
+
+    Each set of readings may be right, and is if its members agree and windows see the parts there; all others are
+    anywhere. What two independent sensors say alike is hardly wrong, though windows follow something else.
+
+    Parts are anywhere in the area of the first of the S `readings`; all must be known. `scores` (2^S, K): log
+    likelihoods of windows at the sets' places, in the order of `modes`.
+    """
+    _, p, w = modes(readings, len(readings[0].sure))
+    known = w + np.clip(scores - scores[:-1].max(axis=0), -TOLD, 0)
+    known[:-1] += np.log(2 * math.pi / p[:-1] / readings[0].area)
+    share, sets = np.exp(known - known.max(axis=0)), np.arange(len(known))
+    each = []
+    for i, one in enumerate(readings):
+        says = (sets >> i) % 2 == 0
+        sure = np.clip(one.sure, 1e-6, 1 - 1e-6)
+        each.append(np.log(share[says].sum(axis=0) / share[~says].sum(axis=0)) - np.log(sure / (1 - sure)))
+    return np.stack(each)
+
+
 def joined(one: SensorReading, other: SensorReading) -> SensorReading:
     """What two sensors say together; where they are far apart, what the other says alone."""
     weight = np.where(apart(one, other), 0.0, one.sure / one.var), other.sure / other.var
@@ -143,6 +171,11 @@ def apart(one: SensorReading, other: SensorReading) -> Mask:
         (np.minimum(one.sure, other.sure) > 0)
         & (np.sum((one.z - other.z) ** 2, axis=1) > MAX_SQUARED_DISTANCE * (one.var + other.var))
     )
+
+
+def in_common(off: Array, known: Mask) -> Array:
+    """By how much (2,) all `known` (K,) parts are `off` (K, 2) alike: then the head has slipped, and no sensor errs."""
+    return np.asarray(np.median(off[known], axis=0)) if known.sum() >= 3 else np.zeros(2)
 
 
 def common_shift(measured: SensorReading, state: Array) -> Array:

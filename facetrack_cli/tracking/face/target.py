@@ -21,6 +21,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
@@ -46,12 +47,21 @@ from facetrack_cli.tracking.face.evidence import (
 )
 from facetrack_cli.tracking.face.mesh_points import NO_FACE, MeshPoints
 from facetrack_cli.tracking.face.senses import Senses
-from facetrack_cli.tracking.face.sensors import AREA, TOLD, Facing, apart, common_shift, joined
+from facetrack_cli.tracking.face.sensors import (
+    AREA,
+    WINDOWS,
+    Facing,
+    apart,
+    common_shift,
+    in_common,
+    joined,
+    who_is_right,
+)
 from facetrack_cli.tracking.face.stabilized import EYES, FACE, Similarity
 from facetrack_cli.tracking.face.state import FaceState, View, shifted, sure_of, updated
 from facetrack_cli.tracking.loop import Footprint
 from facetrack_cli.tracking.models.likelihoods import window_ncc
-from facetrack_cli.tracking.models.motion import JumpingWalk, SensorReading
+from facetrack_cli.tracking.models.motion import JumpingWalk, SensorReading, modes
 from facetrack_cli.tracking.models.spaces import Estimate
 from facetrack_cli.tracking.people.looks import Picture
 from facetrack_cli.tracking.roles import Names
@@ -247,12 +257,15 @@ class FaceTarget:
         given = view.measured if isinstance(self.features.motion, JumpingWalk) else None  # others have the shift alone
         features, points = self.features.advance(rng, features, view.seen, (), given)
         estimated, visible = features.estimated, self._visible(features)
-        told = self._rather(state.features, view, estimated)
+        told, own = self._judged(state.features, view, estimated)
         regression, _, network = view.measured
         off = np.sum((network.z - regression.z) ** 2, axis=1)
         cross = np.where((network.sure > 0) & ~apart(network, regression), 0.25 * off, 0.0)
         each = zip(state.sensors, view.places, told, (cross, 0.0, cross), strict=True)
         sensors = tuple(one.learned(z, estimated.state, estimated.cov, visible, *more) for one, z, *more in each)
+        if isinstance(features.learned, window_ncc.WindowState):
+            doubted = window_ncc.doubted(features.learned, np.minimum(np.nan_to_num(own), 0))
+            features = replace(features, learned=doubted)
         points = points._replace(beliefs=None)  # those are of the state
         facing = state.facing if self.senses.detector is None else state.facing.predicted()
         others, far, similarity, head = state.others, view.others, view.similarity, state.head
@@ -283,21 +296,23 @@ class FaceTarget:
         known = isinstance(features.learned, window_ncc.WindowState)
         return np.asarray(features.learned.visible if known else np.ones(len(self.features.parts)))
 
-    def _rather(self, features: ParticleState, view: View, found: Estimate) -> Array:
-        """(S, K): by how much windows see parts rather where a sensor says than where others or the estimate are.
+    def _judged(self, features: ParticleState, view: View, found: Estimate) -> tuple[Array, Array]:
+        """By how much it is said that sensors see parts (S, K), and that windows do (K,), in log odds.
 
-        In log odds; 0 where they are not apart.
+        nan of parts of which all are where the estimate is.
         """
-        likelihood, own, each = self.features.likelihood, found.state, view.measured
-        told, var = np.zeros((len(each), len(own))), 0.5 * np.trace(found.cov, axis1=1, axis2=2)
-        places = *each, SensorReading(own, var, np.ones(len(own)), AREA)
-        differ = {(i, j): apart(places[i], places[j]) for i in range(len(each)) for j in range(len(places)) if i != j}
-        if isinstance(likelihood, window_ncc.WindowNcc) and any(one.any() for one in differ.values()):
-            learned = likelihood.look(features.learned, view.seen, own)
-            score = likelihood.score(learned, view.seen, np.stack([one.z for one in places]), own)
-            for (i, j), those in differ.items():
-                told[i] += np.where(those, np.clip(score[i] - score[j], -TOLD, TOLD), 0)
-        return told
+        likelihood, own, measured = self.features.likelihood, found.state, view.measured
+        odds = np.full((len(measured) + 1, len(own)), np.nan)
+        visible = self._visible(features)
+        each = [one._replace(z=one.z - in_common(one.z - own, one.sure > 0)) for one in measured]
+        each.append(SensorReading(own, 0.5 * np.trace(found.cov, axis1=1, axis2=2), WINDOWS * visible, AREA))
+        said = [i for i, one in enumerate(each) if one.sure.any()]
+        differ = np.any([apart(one, other) for one, other in combinations([each[i] for i in said], 2)], axis=0)
+        if isinstance(likelihood, window_ncc.WindowNcc) and differ.any():
+            learned, readings = likelihood.look(features.learned, view.seen, own), [each[i] for i in said]
+            score = likelihood.score(learned, view.seen, modes(readings, len(own))[0], own)
+            odds[said] = np.where(differ, who_is_right(readings, score), np.nan)
+        return odds[:-1], odds[-1]
 
     def _map(self, head: Array, pose: Array) -> Similarity:
         """Of the face that lies so in a head at `head` (1, D)."""

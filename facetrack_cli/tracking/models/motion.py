@@ -83,7 +83,7 @@ def _log_sum(values: Array) -> Array:
     return np.asarray(highest + np.log(np.exp(values - highest).sum(axis=0)))
 
 
-def _modes(measured: Sequence[SensorReading], parts: int) -> tuple[Array, Array, Array]:
+def modes(measured: Sequence[SensorReading], parts: int) -> tuple[Array, Array, Array]:
     """p(z | a) as sum_m exp(w_m - p_m |a - z_m|^2 / 2), a mode for each set of sensors that say something."""
     z, p, w = np.zeros((1, parts, 2)), np.zeros((1, parts)), np.zeros((1, parts))
     for one in (each for each in measured if each.sure.any()):
@@ -143,7 +143,7 @@ class JumpingWalk:
         For each set of sensors that say something, with a step and with a jump.
         """
         rest = self.expect(x)
-        z, precision, w = _modes(measured, x.shape[1])
+        z, precision, w = modes(measured, x.shape[1])
         z, precision, w = (np.repeat(one, 2, axis=0)[:, None] for one in (z, precision, w))
         var = np.tile(np.stack([self.sigma**2, self.jump**2]), (len(z) // 2, 1))[:, None]
         share = np.tile(np.log([max(1 - self.jumps, 1e-12), max(self.jumps, 1e-12)]), len(z) // 2)[:, None, None]

@@ -209,6 +209,12 @@ def visible_after(before: Array, evidence: Array) -> Array:
     return np.asarray(1 / (1 + (1 - v) / v * np.exp(-evidence)))
 
 
+def doubted(learned: WindowState, odds: Array) -> WindowState:
+    """Where other senses say by log `odds` (K,) that windows follow something like the parts."""
+    v = np.clip(learned.visible, *BOUNDS)
+    return learned._replace(visible=1 / (1 + (1 - v) / v * np.exp(-np.maximum(odds, -BY_WINDOW[1]))))
+
+
 def _read(frame: Frame, centre: Array, w: int, h: int) -> Channels:
     """The channels (h, w, 2) of a region around `centre` (2,), read bilinearly; outside the frame, its border.
 
