@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from facetrack_cli.report.figures.page import page_figure as plot
     from facetrack_cli.run_folder.manifest import read_run as read_trajectory
     from facetrack_cli.runs.api import Recording, draw, track_frames, track_video
-    from facetrack_cli.runs.smooth import smooth
     from facetrack_cli.trajectory.formats.read import read_truth
     from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
     from facetrack_cli.video.overlay.overlay import Overlay
@@ -49,7 +48,6 @@ __all__ = [
     "plot",
     "read_trajectory",
     "read_truth",
-    "smooth",
     "track_frames",
     "track_video",
 ]
@@ -57,7 +55,6 @@ __all__ = [
 _PLACES = {
     "core.errors": ("FacetrackError", "InputError", "RecipeError"),
     "core.types": ("Frame", "Start", "TargetStart"),
-    "runs.smooth": ("smooth",),
     "recipe.load": ("load_recipe",),
     "report.figures.page": ("page_figure",),
     "run_folder.manifest": ("read_run",),

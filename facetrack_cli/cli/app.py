@@ -21,7 +21,6 @@ COMMANDS = {
     "status": "Tell how far a batch is: done, running, failed, time left.",
     "fix": "Correct a finished run, on a page.",
     "people": "Show and correct who is in a film.",
-    "smooth": "Smooth a finished run: every row given the whole clip.",
     "report": "Write one HTML page about a run.",
     "plot": "Draw what happened in a trajectory.",
     "export": "Write a trajectory as other tools read it.",

@@ -8,14 +8,20 @@ from pathlib import Path
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.run_folder.finished import Run, stamp, write_rows
-from facetrack_cli.run_folder.manifest import outdated, read_manifest
+from facetrack_cli.run_folder.manifest import FILTERED, outdated, read_manifest
 from facetrack_cli.runs.clip import past_end
 from facetrack_cli.runs.job import Report, silent
-from facetrack_cli.runs.signals import Stopped, never
-from facetrack_cli.runs.smooth import Write, repaint, replace_files
+from facetrack_cli.runs.signals import Stopped, StoppedError, never
+from facetrack_cli.runs.smooth import Write, given_all, repaint, replace_files
+from facetrack_cli.tracking.build.build import tracker_for
+from facetrack_cli.tracking.loop import track
+from facetrack_cli.tracking.smoothed import lagged
+from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.tracking.start.init_file import as_yaml, write_init
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
+from facetrack_cli.trajectory.trajectory import Collector, Trajectory
 from facetrack_cli.trajectory.writers import ending_of
+from facetrack_cli.video.source import open_source
 
 
 def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Stopped = never) -> list[str]:
@@ -27,7 +33,12 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     if not fixer.changed:
         forget(run)
         return [f"{folder}: nothing was corrected, all is as it was"]
-    files: dict[Path, Write] = {
+    files: dict[Path, Write] = {}
+    if "smoothed" in rows.header:
+        filtered, rows = _given_all(fixer, report, stop)
+        if filtered is not None:
+            files[folder / FILTERED] = partial(write_rows, "csv", rows=filtered)
+    files |= {
         path: partial(write_rows, form, rows=rows, corrections=fixer.corrections)
         for form, (path, _) in run.files.items()
     }
@@ -42,6 +53,28 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     if run.video is not None and not video:
         notes.append(f"{run.video}: left as it was, it shows the track of before")
     return [*(f"{path}: written" for path in written), *notes, *outdated(folder)]
+
+
+def _given_all(fixer: Fixer, report: Report, stop: Stopped) -> tuple[Trajectory | None, Trajectory]:
+    """The rows of a smoothed run, whose clip is tracked again with the corrections: the filter's, and the smoothed.
+
+    Of a run with a lag there are no others. Raises StoppedError once `stop` says so.
+    """
+    run, lag = fixer.run, fixer.run.rows.header["smoothed"]["lag"]
+    collected, beliefs = Collector(), {name: list[tuple[Belief, ...]]() for name in run.rows.targets}
+    total, stream = run.last - run.first + 1, run.header.source.stream
+    with open_source(run.clip, fps=run.fps, start=run.first, stop=run.last + 1, stream=stream) as source:
+        tracker = tracker_for(run.recipe, fixer.start, source.size, source.fps)
+        results = track(tracker, iter(source), run.recipe.seed, clip=str(run.clip))
+        for done, result in enumerate(lagged(results, lag) if lag else results, 1):
+            if stop():
+                raise StoppedError
+            collected.add(result.rows)
+            for name, target in zip(beliefs, () if lag else result.targets, strict=False):
+                beliefs[name].append(() if target.beliefs is None else target.beliefs())
+            report(done, total)
+    rows = collected.trajectory(header=run.rows.header, path=run.rows.path)
+    return (None, rows) if lag else (rows, given_all(rows, beliefs))
 
 
 def _check(run: Run) -> None:

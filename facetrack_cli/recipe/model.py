@@ -1,6 +1,7 @@
 """The kinds of recipe; their sections are in the files beside this one. No numerics are imported here."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias, TypeVar
 
@@ -18,6 +19,7 @@ from facetrack_cli.recipe.sections import Component, Filter, Kind, Likelihood, M
 from facetrack_cli.recipe.skin import Exclusion, SkinCloud
 from facetrack_cli.recipe.times import FRAMES
 
+MAX_SEED: Final = 2**63 - 1
 S = TypeVar("S", bound=Kind)
 MAX_HYPOTHESES = 5_000_000  # particles times parts: some gigabytes
 TargetName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
@@ -113,7 +115,7 @@ class Recipe(Section):
     type: str
     description: Annotated[str, Field(min_length=1, max_length=300)]
     """One line for `facetrack recipes`."""
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    seed: Annotated[int, Field(ge=0, le=MAX_SEED)] = 0
     """Seed of the random numbers: the same seed gives the same track."""
 
     _path: Path = PrivateAttr(default=Path("recipe.yaml"))
@@ -287,6 +289,15 @@ class ParticlesRecipe(Recipe):
 KINDS: Mapping[str, type[Recipe]] = {
     sections.type_of(one): one for one in (ParticleRecipe, ParticlesRecipe, OpenCvRecipe)
 }
+
+
+def seeded(recipe: Recipe, seed: Any) -> Recipe:
+    """The recipe with another seed, None for its own. RecipeError for what is no seed."""
+    if seed is None:
+        return recipe
+    if not isinstance(seed, Integral) or isinstance(seed, bool) or not 0 <= seed <= MAX_SEED:
+        raise RecipeError(f"seed {seed!r} is no whole number from 0 to {MAX_SEED}")
+    return recipe.model_copy(update={"seed": int(seed)})
 
 
 def register(section: type[S]) -> type[S]:

@@ -121,9 +121,6 @@ def read_files(files: Mapping[Format, Path]) -> Trajectory:
     rows = read_run(main)
     if "lost_frames" not in rows.header or "init" not in rows.header:
         raise _not_ours(main)
-    if "smoothed" in rows.header:
-        how = f"take a run that was not, as with --keep-posterior, and smooth it last: {_AGAIN}"
-        raise InputError(f"{main}: its rows are smoothed, and can be neither corrected nor smoothed; {how}")
     _check_main(rows)
     for form, path in files.items():
         with reading(path):

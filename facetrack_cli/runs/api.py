@@ -15,7 +15,7 @@ from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.recipe.face import DETECTORS, DetectorName
 from facetrack_cli.recipe.files import default_recipe
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.recipe.model import Recipe, seeded
 from facetrack_cli.runs.clip import track_clip
 from facetrack_cli.runs.job import Job, check, silent
 from facetrack_cli.runs.people import cast_in
@@ -182,7 +182,7 @@ def _recipe(recipe: str | Path | Recipe | None, seed: int | None, init: Init | N
         recipe = default_recipe(box=init is not None and not isinstance(init, str | Path | Start))
     if not isinstance(recipe, Recipe):
         recipe = load_recipe(str(recipe))
-    return recipe if seed is None else recipe.model_copy(update={"seed": seed})
+    return seeded(recipe, seed)
 
 
 def _init(init: Init | None, start: int) -> Path | DetectorName | Start | None:

@@ -20,7 +20,7 @@ from facetrack_cli.tracking.smoothed import Beliefs
 from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 
-KIND: Final = Kind("facetrack-posterior", 1, "posterior of a run", "facetrack run --keep-posterior")
+KIND: Final = Kind("facetrack-posterior", 1, "posterior of a run", "facetrack run --smooth")
 _BLOCK_FRAMES: Final = 500  # that are written together
 _NAMES: Final = ("mean", "cov", "matrix", "offset", "noise", "doubt")
 
@@ -116,7 +116,7 @@ def read_posterior(path: Path, rows: Trajectory) -> dict[str, Beliefs]:
             block += 1
         corrections = stored.text("corrections")
         if corrections != dumps(rows.header["init"].get("corrections", [])):
-            again = "run again with --init and --keep-posterior"
+            again = "run again with --init and --smooth"
             raise InputError(f"{path}: was kept before the run was corrected; {again}")
         frames = rows.frames.tolist()
         if any(set(known) - set(frames) for known in found.values()) or not any(found.values()):

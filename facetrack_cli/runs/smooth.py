@@ -1,7 +1,4 @@
-"""The files of a finished run, written again: all of them, or none, with the video drawn anew from rows.
-
-`smooth` estimates each row from the whole clip, by the posterior of `run --keep-posterior`.
-"""
+"""The files of a finished run, written again: all of them, or none, with the video drawn again from rows."""
 
 from __future__ import annotations
 
@@ -13,20 +10,11 @@ from pathlib import Path
 from typing import TypeAlias
 
 from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.core.files import (
-    FULL,
-    check_folder,
-    check_plain,
-    discard,
-    make_folder,
-    remove_folders,
-    temporary_path,
-)
+from facetrack_cli.core.files import FULL, check_plain, discard, temporary_path
 from facetrack_cli.run_folder.finished import Painted, open_run, read_files, run_files, write_rows
 from facetrack_cli.run_folder.lock import FolderLock, sweep
 from facetrack_cli.run_folder.manifest import (
     FILTERED,
-    OWNED,
     POSTERIOR,
     VIDEO,
     Manifest,
@@ -35,10 +23,10 @@ from facetrack_cli.run_folder.manifest import (
     read_manifest,
     trajectory_of,
 )
-from facetrack_cli.runs.job import Report, silent
+from facetrack_cli.runs.job import Report
 from facetrack_cli.runs.posterior import read_posterior
-from facetrack_cli.runs.signals import Stopped, StoppedError, never
-from facetrack_cli.tracking.smoothed import renamed_hands, smoothed_rows
+from facetrack_cli.runs.signals import Stopped, StoppedError
+from facetrack_cli.tracking.smoothed import Beliefs, renamed_hands, smoothed_rows
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded, successive
 from facetrack_cli.video.overlay.overlay import Overlay
@@ -48,73 +36,31 @@ from facetrack_cli.video.writer import VideoWriter
 Write: TypeAlias = Callable[[Callable[[bytes], object]], object]  # writes one file by calls of `write(data)`
 
 
-def smooth(run: str | Path) -> Trajectory:
-    """The rows of a run estimated from its whole clip; `run` is the folder, made with `facetrack run --keep-posterior`.
+def save_smoothed(folder: Path, clip: Path, report: Report, stop: Stopped) -> tuple[list[Path], tuple[str, ...]]:
+    """Smooth a run of `clip` in its folder, with its video; the files, and warnings, also on outdated files.
 
-    Rows that were given by hand stay, and so do rows of a part that is never seen again. Nothing is written;
-    `smoothed` in the header says so. Raises InputError for a folder without a JSON trajectory or posterior, or with
-    damaged ones.
-    """
-    folder = Path(run)
-    return _smoothed(folder, _read(folder))
-
-
-def save_smoothed(
-    folder: Path,
-    to: Path | None = None,
-    *,
-    overwrite: bool = False,
-    video: bool = True,
-    clip: Path | None = None,
-    report: Report = silent,
-    stop: Stopped = never,
-) -> tuple[list[Path], tuple[str, ...]]:
-    """Write the smoothed run into `to`, None for its own folder; the files, and warnings, also on outdated files.
-
-    The trajectories are written and, with `video`, the annotated video of the run, drawn again from `clip`. In its own
-    folder the filter's rows are kept in trajectory.filtered.csv, and the posterior is removed. Raises OutputError or
+    The filter's rows are kept in trajectory.filtered.csv, and the posterior is removed. Raises OutputError or
     InputError, StoppedError once `stop` says so; nothing is written then.
     """
-    rows, place = _read(folder), folder if to is None else to
-    drawn = video and (folder / VIDEO).is_file()
-    in_place = place.resolve() == folder.resolve()
-    if not in_place:
-        check_folder(place, OWNED, overwrite=overwrite, inputs=[])
-    elif not overwrite:
-        raise OutputError(f"{folder}: has the filter's rows, which --overwrite replaces; or name a folder with -o")
-    run = open_run(folder, clip) if drawn else None
-    after = _smoothed(folder, rows)
-    files = {
-        place / f"trajectory.{form}": partial(write_rows, form, rows=after, corrections=None)
-        for form in run_files(folder)
-    }
+    trajectory_of(folder)  # a save that was interrupted is finished first
+    rows = read_files(run_files(folder))
+    after = given_all(rows, read_posterior(folder / POSTERIOR, rows))
+    files = {folder / FILTERED: partial(write_rows, "csv", rows=rows)}
+    files |= {path: partial(write_rows, form, rows=after) for form, path in run_files(folder).items()}
     known = read_manifest(folder)
-    stays = dict(known.files) if known is not None and in_place else {}
-    if in_place:
-        files[place / FILTERED] = partial(write_rows, "csv", rows=rows)
-        stays.pop(POSTERIOR, None)  # smoothed rows are not smoothed again
+    stays = {name: one for name, one in known.files.items() if name != POSTERIOR} if known else {}
     ended = known and replace(known, smoothed=True, files=stays)
-    paint = None if run is None else partial(repaint, run.painted, rows=after, report=report, stop=stop)
-    made = make_folder(place)
-    try:
-        written, notes = replace_files(place, files, ended, [place / POSTERIOR] if in_place else [], paint)
-    finally:
-        remove_folders(made)
-    return written, (*notes, *outdated(place))
+    paint = None
+    if (folder / VIDEO).is_file():
+        paint = partial(repaint, open_run(folder, clip).painted, rows=after, report=report, stop=stop)
+    written, notes = replace_files(folder, files, ended, [folder / POSTERIOR], paint)
+    return written, (*notes, *outdated(folder))
 
 
-def _read(folder: Path) -> Trajectory:
-    """The run's rows. A save that was interrupted is finished first."""
-    trajectory_of(folder)
-    return read_files(run_files(folder))
-
-
-def _smoothed(folder: Path, rows: Trajectory) -> Trajectory:
-    if not (folder / POSTERIOR).exists():
-        raise InputError(f"{folder}: has no {POSTERIOR}; run again with --keep-posterior, or --smooth")
-    rows, beliefs = renamed_hands(rows, read_posterior(folder / POSTERIOR, rows))
-    pieces = [smoothed_rows(choose(rows, name), beliefs[name]) for name in rows.targets]
-    after = successive(pieces, rows)
+def given_all(rows: Trajectory, beliefs: Mapping[str, Beliefs]) -> Trajectory:
+    """The rows of a filter, given the whole clip, by the `beliefs` of each target in each frame."""
+    rows, beliefs = renamed_hands(rows, beliefs)
+    after = successive([smoothed_rows(choose(rows, name), beliefs[name]) for name in rows.targets], rows)
     return replace(after, header={**rows.header, "smoothed": {"lag": None}})
 
 

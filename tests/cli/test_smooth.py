@@ -1,4 +1,4 @@
-"""facetrack smooth, run --smooth and --lag: the files that they write, and what they refuse."""
+"""run --smooth and --lag: the files that they write, and what they refuse."""
 
 import json
 import shutil
@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from facetrack_cli import smooth
 from facetrack_cli.cli.app import cli
 from facetrack_cli.core.errors import FacetrackError, InputError
+from facetrack_cli.runs.job import silent
+from facetrack_cli.runs.signals import StoppedError, never
+from facetrack_cli.runs.smooth import save_smoothed
 from facetrack_cli.trajectory.reader import read_trajectory
 
 CLIP = Path(__file__).parents[2] / "sample_videos" / "expressions.mp4"
@@ -37,9 +39,16 @@ def refused(*args):
 
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory):
-    """A run with its posterior, and without a video."""
+    """A run that was stopped before it was smoothed."""
     folder = tmp_path_factory.mktemp("smooth") / "run"
-    done(*RUN, "--keep-posterior", "--no-video", "-o", folder)
+
+    def stopped(*_):
+        raise StoppedError
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("facetrack_cli.runs.smooth.save_smoothed", stopped)
+        said = done(*RUN[:-1], "--smooth", "--no-video", "-o", folder).output
+    assert "not smoothed; the same command again does it" in said and (folder / "posterior.npz").is_file()
     return folder
 
 
@@ -48,51 +57,44 @@ def run(kept, tmp_path):
     return Path(shutil.copytree(kept, tmp_path / "run"))
 
 
-def test_smoothing_later_is_smoothing_at_once(kept, tmp_path):
+def test_the_same_command_again_smooths_what_was_not_and_leaves_what_was(run, tmp_path):
     done(*RUN, "--smooth", "-o", tmp_path / "once", "--threads", "1")
     names = {path.name for path in (tmp_path / "once").iterdir()}
     assert names == {"annotated.mp4", "run.json", "trajectory.csv", "trajectory.json", "trajectory.filtered.csv"}
-    done("smooth", kept, "-o", tmp_path / "later", "-q")
-    assert {path.name for path in (tmp_path / "later").iterdir()} == {"run.json", "trajectory.csv", "trajectory.json"}
-    once, later = ((tmp_path / name / "trajectory.csv").read_bytes() for name in ("once", "later"))
-    assert once == later
-    assert (tmp_path / "once" / "trajectory.filtered.csv").read_bytes() == (kept / "trajectory.csv").read_bytes()
-    header = read_trajectory(tmp_path / "later" / "trajectory.json").header
-    assert header["smoothed"] == {"lag": None}
-    again = smooth(kept)
-    np.testing.assert_allclose(again.x, read_trajectory(tmp_path / "later").x, atol=5.1e-4)
-    assert again.header["smoothed"] == {"lag": None}
-
-
-def test_in_place_the_filtered_rows_are_kept(run):
     before = (run / "trajectory.csv").read_bytes()
-    done("smooth", run, "--overwrite")
+    done(*RUN, "--smooth", "--no-video", "-o", run)
     assert (run / "trajectory.filtered.csv").read_bytes() == before != (run / "trajectory.csv").read_bytes()
     assert not (run / "posterior.npz").exists()
-    assert json.loads((run / "trajectory.json").read_text())["smoothed"] == {"lag": None}
-    for command in ("smooth", "fix"):
-        code, line = refused(command, run)
-        assert code == 3 and "its rows are smoothed" in line
+    for name in ("trajectory.csv", "trajectory.filtered.csv"):
+        assert (run / name).read_bytes() == (tmp_path / "once" / name).read_bytes()
+    assert read_trajectory(run / "trajectory.json").header["smoothed"] == {"lag": None}
+    stamps = {path.name: path.stat().st_mtime_ns for path in run.iterdir()}
+    assert "done before" in done(*RUN[:-1], "--smooth", "--no-video", "-o", run).output
+    assert stamps == {path.name: path.stat().st_mtime_ns for path in run.iterdir()}
     done("eval", run, "--truth", CLIP.with_suffix(".truth.csv"), "--partial")
     done("report", run)
     done("export", run, "--to", "mot", "-o", "-")
 
 
-def test_in_place_by_another_name_of_the_folder(run, monkeypatch):
-    monkeypatch.chdir(run.parent)
-    done("smooth", run.name, "-o", run, "--overwrite")
-    assert (run / "trajectory.filtered.csv").exists() and not (run / "posterior.npz").exists()
-
-
-def test_the_video_is_drawn_again(kept, tmp_path):
-    run = shutil.copytree(kept, tmp_path / "run")
-    done(*RUN, "--keep-posterior", "--overwrite", "-o", run)
-    done("smooth", run, "-o", tmp_path / "out")
-    assert (tmp_path / "out" / "annotated.mp4").stat().st_size > 10_000
-    done("smooth", run, "-o", tmp_path / "bare", "--no-video")
-    assert not (tmp_path / "bare" / "annotated.mp4").exists()
-    assert refused("smooth", run, "-o", tmp_path / "more", "--clip", tmp_path / "gone.mp4")[0] == 3
-    assert not (tmp_path / "more").exists()
+@pytest.mark.parametrize("how", [("--smooth",), ("--lag", "4")])
+def test_a_smoothed_run_is_corrected_as_a_run_that_begins_with_the_corrections(how, tmp_path):
+    run, again = tmp_path / "run", tmp_path / "again"
+    done(*RUN, *how, "-o", run)
+    old = (run / "annotated.mp4").read_bytes()
+    corrections = CLIP.with_suffix(".init.yaml").read_text() + (
+        "corrections:\n  - frame: 12\n    points: {nose: [150, 135], mouth_left: [130, 150], "
+        "mouth_right: [172, 150], lip_upper: [150, 150], lip_lower: [150, 166]}\n"
+    )
+    (tmp_path / "fixed.yaml").write_text(corrections)
+    done("fix", run, "--init", tmp_path / "fixed.yaml", "-q")
+    done(*RUN, *how, "--init", run / "corrected.init.yaml", "--no-video", "-o", again)
+    for name in {"trajectory.csv", "trajectory.filtered.csv"} & {path.name for path in again.iterdir()}:
+        assert (run / name).read_bytes() == (again / name).read_bytes()
+    rows = read_trajectory(run / "trajectory.json")
+    assert rows.header["smoothed"] == {"lag": None if how == ("--smooth",) else 4}
+    assert rows.header["init"]["corrections"][0]["frame"] == 12
+    assert (run / "annotated.mp4").read_bytes() != old
+    assert "done before" in done(*RUN[:-1], *how, "-o", run).output, "it is the same job, corrected"
 
 
 def test_a_lag_is_in_the_header_and_changes_the_rows(kept, tmp_path):
@@ -109,7 +111,6 @@ def test_a_lag_is_in_the_header_and_changes_the_rows(kept, tmp_path):
     ("more", "says"),
     [
         (("--smooth", "--lag", "3"), "give one of them"),
-        (("--smooth", "--keep-posterior"), "give one of them"),
         (("--smooth", "-o", "-"), "take --lag, or a folder"),
         (("--smooth", "--format", "csv"), "give --format csv,json"),
         (("--config", "mil", "--smooth"), "no posterior to smooth"),
@@ -123,17 +124,8 @@ def test_what_cannot_be_smoothed_is_refused(more, says, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_run_that_is_in_the_way_or_has_nothing_to_smooth_is_refused(run, tmp_path):
-    assert "--overwrite replaces" in refused("smooth", run)[1]
-    done("smooth", run, "-o", tmp_path / "out")
-    assert "exists already" in refused("smooth", run, "-o", tmp_path / "out")[1]
-    (run / "posterior.npz").unlink()
-    with pytest.raises(InputError, match="run again with --keep-posterior"):
-        smooth(run)
-
-
 @pytest.mark.parametrize("damage", ["cut", "empty", "other", "frames", "shape", "nan", "lacks"])
-def test_a_damaged_posterior_is_refused_in_one_line(damage, run, kept, tmp_path):
+def test_a_damaged_posterior_is_refused_in_one_line(damage, run, tmp_path):
     path = run / "posterior.npz"
     data = path.read_bytes()
     if damage == "cut":
@@ -153,14 +145,17 @@ def test_a_damaged_posterior_is_refused_in_one_line(damage, run, kept, tmp_path)
             arrays["0/0/0/noise"][3] = np.nan
         np.savez(path, **arrays)
     else:
-        done(*RUN[:-3], "--stop", "10", "-q", "--keep-posterior", "--no-video", "-o", tmp_path / "short")
-        shutil.copy(tmp_path / "short" / "posterior.npz", path)
-    code, line = refused("smooth", run, "-o", tmp_path / "out")
-    assert code == 3 and "posterior.npz" in line
-    assert not (tmp_path / "out").exists()
+        with np.load(path) as file:
+            arrays = dict(file)
+        arrays["0/0/frame"] = arrays["0/0/frame"] + 100
+        np.savez(path, **arrays)
+    before = (run / "trajectory.csv").read_bytes()
+    with pytest.raises(InputError, match=r"posterior\.npz") as error:
+        save_smoothed(run, CLIP, silent, never)
+    assert "\n" not in str(error.value) and (run / "trajectory.csv").read_bytes() == before
 
 
-def test_a_posterior_of_before_corrections_is_refused(run, tmp_path):
+def test_a_posterior_of_before_corrections_is_refused(run):
     text = (run / "trajectory.json").read_text()
     head = json.loads(text)["init"]
     head["corrections"] = [{"frame": 5, "target": "face", "points": {"nose": [1, 2]}}]
@@ -169,5 +164,5 @@ def test_a_posterior_of_before_corrections_is_refused(run, tmp_path):
     lines[at] = f'"init": {json.dumps(head)},'
     (run / "trajectory.json").write_text("\n".join(lines))
     (run / "run.json").unlink()
-    code, line = refused("smooth", run, "-o", tmp_path / "out")
-    assert code == 3 and "before the run was corrected" in line
+    with pytest.raises(InputError, match="before the run was corrected"):
+        save_smoothed(run, CLIP, silent, never)

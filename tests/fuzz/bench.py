@@ -87,7 +87,7 @@ def make(folder: Path, *, warm: bool) -> Bench:
     shutil.copy(FOLDER.parent / "configs" / "calibration" / "factorized_robust.json", folder / "calibration.json")
     clip, run, box = str(folder / "clip.mp4"), str(folder / "run"), str(folder / "box")
     shared = ["--threads", "1", "-q"]
-    kept = ["--format", "csv,json,jsonl", "--keep-posterior"]
+    kept = ["--format", "csv,json,jsonl", "--smooth"]
     done(["run", clip, "--config", "factorized_robust", "-o", run, *kept, *shared])
     done(["run", clip, "--config", "histogram", "--box", "115,58,113,113", "-o", box, "--no-video", *shared])
     done(["run", clip, "--config", "adaptive", "--box", "115,58,113,113", "-o", f"{box}2", "--no-video", *shared])
@@ -121,7 +121,6 @@ def warm_up(folder: Path) -> None:
     done(["plot", str(folder / "run"), "-o", str(out / "x.png"), "--truth", str(folder / "truth.csv")])
     done(["report", str(folder / "run"), "-o", str(out / "x.html"), "-q"])
     done(["prior", "show", str(folder / "prior.npz"), "-o", str(out / "prior.png")])
-    done(["smooth", str(folder / "run"), "-o", str(out / "smooth"), "-q"])
     # of every family of recipes, or the first case of each would take as long as its kernels take to compile
     once = ["run", str(folder / "frames"), "--no-video", "-q", "--threads", "1", "--stop", "3"]
     for name in ("face", "independent", "sir", "auxiliary_prior"):

@@ -238,7 +238,7 @@ def test_of_two_runs_at_once_one_writes(clip, tmp_path):
 
 
 def test_a_run_owns_all_its_outputs(clip, tmp_path):
-    assert run(clip, "-o", tmp_path, "--stop", 5, *SMALL, "--format", "csv,json,jsonl", "--keep-posterior", "-q") == 0
+    assert run(clip, "-o", tmp_path, "--stop", 5, *SMALL, "--format", "csv,json,jsonl", "--smooth", "-q") == 0
     (tmp_path / "report.html").write_text("mine")
     assert run(clip, "-o", tmp_path, "--stop", 4, *SMALL, "--no-video", "--format", "csv", "--overwrite", "-q") == 0
     assert names(tmp_path) == ["report.html", NAME, "trajectory.csv"]

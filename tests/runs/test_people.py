@@ -413,7 +413,7 @@ def test_a_film_of_nobody(tmp_path, capsys):
     assert "grey.mp4: no face found in frames 0 to 19" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("given", [["--smooth"], ["--lag", "5"], ["--keep-posterior"], ["-o", "-"]])
+@pytest.mark.parametrize("given", [["--smooth"], ["--lag", "5"], ["-o", "-"]])
 def test_what_a_film_cannot_is_refused(given, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["run", str(FILM), "--faces", "all", *given]) == ExitCode.USAGE

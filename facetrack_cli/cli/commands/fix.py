@@ -26,6 +26,8 @@ class Fix:
     trajectories and the annotated video again, and RUN_DIR/corrected.init.yaml, with which facetrack run makes the same
     trajectory.
 
+    The rows of a smoothed run are given the whole clip, so at Save all of it is tracked and smoothed again.
+
     Where a recipe has mutual exclusion, the corrected target avoids the others at their recorded places, and their rows
     stay; a whole run from the file moves them, too.
 

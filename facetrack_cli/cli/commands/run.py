@@ -122,7 +122,7 @@ class Run:
     )
     config: str | None = options.CONFIG
     set: tuple[str, ...] = options.OVERRIDES
-    seed: int | None = option("--seed N", "Seed of the random numbers, instead of the recipe's.", type=Whole(min=0))
+    seed: int | None = option("--seed N", "Seed of the random numbers, instead of the recipe's.", type=int)
     gallery: str | None = options.GALLERY
     out: str | None = option(
         "-o --out DIR", "Folder for results [default: ./<clip>-<recipe>, with --set]; - streams to stdout."
@@ -133,7 +133,6 @@ class Run:
     )
     smooth: bool = flag("--smooth", "Then smooth it: every row given the whole clip, see docs/smooth.md.")
     lag: int | None = option("--lag N", "Rows N frames later, given the frames up to then.", type=Whole(1, 1000))
-    keep_posterior: bool = flag("--keep-posterior", "Write posterior.npz, for facetrack smooth.")
     overwrite: bool = options.OVERWRITE
     no_resume: bool = flag("--no-resume", "Track from the start what was interrupted, not from its last checkpoint.")
     strict: bool = flag("--strict", "Exit with 3 if a clip is cut short or damaged.")
@@ -214,7 +213,7 @@ class Run:
                     gallery=Path(self.gallery) if self.gallery and self.faces == "all" and recipe.has_head else None,
                     overwrite=self.overwrite,
                     lag=self.lag or 0,
-                    posterior=self.smooth or self.keep_posterior,
+                    posterior=self.smooth,
                     strict=self.strict,
                     resume=not self.no_resume,
                     batch=several,
@@ -230,9 +229,9 @@ class Run:
             if split is not None:
                 code = _chunks(jobs[0], workers, ending, shown, self.shard or (1, 1))
             elif self.cluster is not None and local is None:
-                there = _smoothed if self.smooth else None
+                there, left = (_smoothed, self._smooth_left) if self.smooth else (None, None)
                 batch = partial(run_cluster, where=self.cluster, after=there)
-                code = _several(jobs, batch, ending, shown, self._smooth_left)
+                code = _several(jobs, batch, ending, shown, left)
             elif several or self.cluster is not None:
                 code = _several(jobs, partial(run_batch, workers=workers), ending, shown, after)
             else:  # whose error is the command's
@@ -242,13 +241,13 @@ class Run:
     def _recipe(self) -> Recipe:
         from facetrack_cli.recipe.files import default_recipe
         from facetrack_cli.recipe.load import load_recipe
+        from facetrack_cli.recipe.model import seeded
         from facetrack_cli.runs.seeds import load_recipes
 
-        seed = () if self.seed is None else (f"seed={self.seed}",)
         config = default_recipe(box=self.extent.box is not None) if self.config is None else self.config
-        asked = config, (*self.set, *seed)
+        asked = config, self.set
         named = self.faces == "all" and load_recipe(*asked).has_head  # people are named at the end, by the looks of all
-        return load_recipes([asked], None if named else self.gallery)[0]
+        return seeded(load_recipes([asked], None if named else self.gallery)[0], self.seed)
 
     def _live(self) -> int:
         """Track what comes from a camera, a pipe or a clip; the exit code."""
@@ -285,7 +284,7 @@ class Run:
 
     def _smooth_left(self, outcome: Outcome, stop: Stop, shown: Progress) -> None:
         """Smooth what an earlier batch tracked, and did not smooth: workers smooth what they track."""
-        if self.smooth and outcome.again is not None and not outcome.again.smoothed:
+        if outcome.again is not None:
             self._smooth(outcome, stop, shown)
 
     def _check_split(self, clips: int) -> Split | None:
@@ -305,7 +304,7 @@ class Run:
             raise UsageError("--split keeps its chunks in a folder; name one with --out")
         if self.overwrite and self.shard is not None:
             raise UsageError("--overwrite would replace what the other shards did; remove the folder before them")
-        given = {"--smooth": self.smooth, "--keep-posterior": self.keep_posterior, "--lag": self.lag}
+        given = {"--smooth": self.smooth, "--lag": self.lag}
         if unfit := next((name for name, value in given.items() if value), ""):
             raise UsageError(f"{unfit} goes over the whole clip, --split cuts it in chunks; give one of them")
         if clips > 1:
@@ -315,31 +314,27 @@ class Run:
     def _check_smoothing(self, recipe: Recipe, formats: tuple[Format, ...]) -> None:
         from facetrack_cli.runs.posterior import check_smoothing
 
-        whole = "--smooth" if self.smooth else "--keep-posterior" if self.keep_posterior else ""
-        if not whole:
+        if not self.smooth:
             return
         check_smoothing(recipe)
-        if self.smooth and self.keep_posterior:
-            raise UsageError("--keep-posterior is for facetrack smooth, later, --smooth does it now; give one of them")
         if self.lag:
-            raise UsageError(f"--lag smooths while it runs, {whole} after it; give one of them")
+            raise UsageError("--lag smooths while it runs, --smooth after it; give one of them")
         if self.out == "-":
-            raise UsageError(f"{whole} reads the run's files again, and -o - writes none; take --lag, or a folder")
+            raise UsageError("--smooth reads the run's files again, and -o - writes none; take --lag, or a folder")
         if not {"json", "jsonl"} & {*formats}:
-            raise UsageError(f"{whole} reads the rows from JSON; give --format csv,json")
+            raise UsageError("--smooth reads the rows from JSON; give --format csv,json")
 
     def _smooth(self, outcome: Outcome, stop: Stop, shown: Progress) -> None:
         """Smooth what a clip gave."""
         from facetrack_cli.runs.signals import StoppedError
 
-        if not outcome.files or outcome.error is not None:
+        if not outcome.files or outcome.error is not None or (outcome.again is not None and outcome.again.smoothed):
             return
-        folder = outcome.files[0].parent
         shown.begin(f"{outcome.clip.name}, smoothed")
         try:
             files, notes = _smoothed(outcome, stop, shown.update)
         except StoppedError:
-            shown.say(f"{outcome.clip}: not smoothed; facetrack smooth {folder} --overwrite does it")
+            shown.say(f"{outcome.clip}: not smoothed; the same command again does it")
             return
         for note in notes:
             shown.say(f"facetrack: warning: {note}")
@@ -366,9 +361,7 @@ def _smoothed(outcome: Outcome, stop: Stop, report: Report | None = None) -> tup
     from facetrack_cli.runs.job import silent
     from facetrack_cli.runs.smooth import save_smoothed
 
-    files, notes = save_smoothed(
-        outcome.files[0].parent, overwrite=True, clip=outcome.clip, report=report or silent, stop=stop
-    )
+    files, notes = save_smoothed(outcome.files[0].parent, outcome.clip, report or silent, stop)
     return files, [note for note in notes if note not in outcome.warnings]
 
 
