@@ -295,7 +295,8 @@ def seeded(recipe: Recipe, seed: Any) -> Recipe:
     """The recipe with another seed, None for its own. RecipeError for what is no seed."""
     if seed is None:
         return recipe
-    if not isinstance(seed, Integral) or isinstance(seed, bool) or not 0 <= seed <= MAX_SEED:
+    whole = isinstance(seed, Integral) and not isinstance(seed, bool)
+    if not whole or not 0 <= int(seed) <= MAX_SEED:
         raise RecipeError(f"seed {seed!r} is no whole number from 0 to {MAX_SEED}")
     return recipe.model_copy(update={"seed": int(seed)})
 
