@@ -70,7 +70,7 @@ def command(header: Header, last: int, folder: Path | None = None) -> str:
     words = ["facetrack", "run", header.source.path, *_recipe_words(header), "--seed", str(header.seed)]
     words += [*_init_words(header.init, folder), "--stop", str(last + 1), *_rate_words(header.source)]
     if header.split is not None:
-        words += ["--split", header.split.length, "--starts", header.split.starts]
+        words += ["--split", header.split.length]
     words += ["-o", "again"]
     return shlex.join(words)
 

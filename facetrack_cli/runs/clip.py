@@ -16,7 +16,7 @@ from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import frames_of
 from facetrack_cli.runs.stitch import join
 from facetrack_cli.tracking.build.build import tracker_for
-from facetrack_cli.tracking.corrected import restored, resumed_at
+from facetrack_cli.tracking.corrected import restored
 from facetrack_cli.tracking.kernels.precompile import Precompiler
 from facetrack_cli.tracking.loop import Tracker, TrackState, track
 from facetrack_cli.tracking.smoothed import lagged
@@ -52,7 +52,7 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) 
 
 def _names(job: Job) -> bool:
     """Whether people are named at the end of a job."""
-    return job.everyone and job.chunk is None and job.out is not None
+    return job.everyone and not job.chunk and job.out is not None
 
 
 def track_clip(job: Job, out: Recorder, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
@@ -62,13 +62,12 @@ def track_clip(job: Job, out: Recorder, stop: Stop, report: Report = silent, loo
         out.outcome.stopped = stop.reason
         return out.outcome
     start, shots = found
-    begins = start.frame if job.chunk is None or job.chunk.correction is None else job.chunk.correction
-    state = out.resume(start, begins)
+    state = out.resume(start)
     before, error = state.outcome.frames, None
     with job.open(state.frame) as source:
         check_lag(job, source)
         more = {"shots": [list(one) for one in shots]} if shots else {}
-        tracker = () if shots else _tracker(job, start, source, state.at, begins)
+        tracker = () if shots else _tracker(job, start, source, state.at)
         out.begin(ClipFacts.of(job.clip, source), start, more)
         asked = frames_of(source, state.frame, job.origin(start))
         try:
@@ -86,8 +85,8 @@ def track_clip(job: Job, out: Recorder, stop: Stop, report: Report = silent, loo
             out.outcome.stopped = stop.reason
             return out.outcome
         stopped = stop.reason if stop() else None
-        if shots and error is None and stopped is None and job.chunk is None and not out.outcome.evidence:
-            raise InputError(f"{job.clip}: no face found in frames {begins} to {state.frame - 1}")
+        if shots and error is None and stopped is None and not job.chunk and not out.outcome.evidence:
+            raise InputError(f"{job.clip}: no face found in frames {start.frame} to {state.frame - 1}")
         warnings = (*source.warnings, *state.notes, *(crowded(state.at) if shots else ()))
         if stopped is None and error is None and job.stop is None:
             warnings += past_end(start.corrections, state.frame - 1, start.origin)
@@ -120,11 +119,9 @@ def _find_start(job: Job, stop: Stop, looked: Report) -> tuple[Start, list[Shot]
         return None
 
 
-def _tracker(job: Job, start: Start, source: Source, at: TrackState, begins: int) -> Tracker:
+def _tracker(job: Job, start: Start, source: Source, at: TrackState) -> Tracker:
     """The tracker of a clip, in the state that a run before it reached."""
     tracker = tracker_for(job.recipe, start, source.size, source.fps)
-    if begins != start.frame and not at.states:
-        tracker = resumed_at(tracker, job.frame(start.frame))
     at.states = restored(tracker, at.states, job.frame)
     return tracker
 

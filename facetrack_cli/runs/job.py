@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, UsageError
 from facetrack_cli.core.files import check_folder, check_plain
@@ -39,7 +39,6 @@ from facetrack_cli.video.source import Source
 
 MAX_LAG_BYTES: Final = 1 << 30  # of the frames that wait for later ones
 Report: TypeAlias = Callable[..., None]  # frames done, frames in all if that is known, and what is done
-Starts: TypeAlias = Literal["detect", "init"]
 
 
 def silent(*_: object) -> None:
@@ -47,14 +46,13 @@ def silent(*_: object) -> None:
 
 
 class Split(NamedTuple):
-    """How long chunks are to be, in frames or in seconds, and where those after the first begin."""
+    """How long chunks are to be, in frames or in seconds."""
 
     length: float
     frames: bool
-    starts: Starts
 
     def record(self) -> dict[str, str]:
-        return {"length": f"{self.length:.15g}{'f' if self.frames else 's'}", "starts": self.starts}
+        return {"length": f"{self.length:.15g}{'f' if self.frames else 's'}"}
 
 
 @dataclass(frozen=True)
@@ -97,7 +95,7 @@ class Job(Begin):
         options = [str(self.fps), self.lag, self.posterior, self.formats, self.video, self.strict]
         options += [] if self.gallery is None else [str(self.gallery)]
         options += [] if self.stream is None else [f"stream {self.stream}"]
-        chunks = [self.split, self.chunk and [self.chunk.correction]] if self.split or self.chunk else []
+        chunks = [self.split, self.chunk] if self.split or self.chunk else []
         return job_digest(self.recipe, init, settings, options, *chunks)
 
     def previous(self) -> Manifest | None:
@@ -191,7 +189,7 @@ def finished(job: Job) -> Manifest | None:
 
 
 def _is_whole(job: Job, known: Manifest) -> bool:
-    named = not job.everyone or job.chunk is not None or PEOPLE in known.files
+    named = not job.everyone or job.chunk or PEOPLE in known.files
     return is_tracked(known) and named and (VIDEO in known.files or not job.video)
 
 
@@ -260,7 +258,7 @@ def check(job: Job, *, kept: bool = False, locked: bool = False) -> None:
     if job.lag or job.posterior:
         check_smoothing(job.recipe)
     if job.out is not None:
-        if job.chunk is not None:
+        if job.chunk:
             check_plain(job.out)
         there = None
         if is_there(job.out):

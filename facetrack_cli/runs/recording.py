@@ -153,10 +153,10 @@ class Recorder:
             raise
         return self
 
-    def resume(self, start: Start, first: int) -> RunState:
-        """Where the last run of the same job stood, if that is known and wished; else the beginning, at `first`."""
+    def resume(self, start: Start) -> RunState:
+        """Where the last run of the same job stood, if that is known and wished; else the beginning."""
         job = self.job
-        self.state.frame, self.outcome.note = first, start.note
+        self.state.frame, self.outcome.note = start.frame, start.note
         if job.out is not None:
             watch = self.state.watch = Watch.of(job.recipe, start)
             found = None
@@ -233,7 +233,7 @@ class Recorder:
         job, source, goes_on = self.job, self._source, self.outcome.resumed is not None
         self._began_s = time.perf_counter()  # the rate leaves the start-up out
         header = {**_header(job, source, self._start, rows), **self._more}
-        self._digest = ClipDigest(job.clip, whole=job.chunk is None)
+        self._digest = ClipDigest(job.clip, whole=not job.chunk)
         if self.lock is not None:
             self._run.clip = self._digest.clip
             self.lock.frame, self.lock.frames = self._before, self.total

@@ -1,8 +1,7 @@
 """One long clip in chunks that are tracked side by side, by one process or several, and joined once all are done.
 
 A chunk is a run of some frames of the clip, in a folder of its own. Chunks overlap, and begin at keyframes where there
-are some about the wished place. Where a clip is cut at corrections chunks do not overlap: what follows a complete
-correction depends on nothing that was tracked before (`tracking/corrected.py`).
+are some about the wished place. In each but the first a detector looks for the face.
 """
 
 from __future__ import annotations
@@ -22,17 +21,13 @@ from facetrack_cli.core.files import check_plain
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Array, Start, Whole
 from facetrack_cli.recipe.face import DETECTORS
-from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.run_folder.fingerprint import clip_stat
 from facetrack_cli.runs.batch import check_all, run_batch
 from facetrack_cli.runs.job import Job, Outcome, Split, check, ended
 from facetrack_cli.runs.people import film_start
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.start import Chunk
 from facetrack_cli.runs.stitch import CHUNKS, Plan, folder_of, read_plan
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.corrected import is_complete
 from facetrack_cli.tracking.start.detectors import check_parts, detector
 from facetrack_cli.video.decode import read_index
 from facetrack_cli.video.source import FolderSource
@@ -73,10 +68,9 @@ def chunks_of(job: Job, plan: Plan) -> list[Job]:
     by = by or next(name for name in DETECTORS if name == detector().name)
     found = []
     for i, (first, stop) in enumerate(plan.cuts):
-        begins = first if i and job.split.starts == "init" else None
-        search = job.everyone or (i > 0 and begins is None)
+        search = job.everyone or i > 0
         where: dict[str, Any] = {"init": by if search else plan.start, "box": None, "init_frame": None}
-        where |= {"start": first if search else plan.start.frame, "stop": stop, "chunk": Chunk(begins)}
+        where |= {"start": first if search else plan.start.frame, "stop": stop, "chunk": True}
         alone: dict[str, Any] = {"split": None, "formats": ("json",), "video": False, "strict": False, "batch": True}
         found.append(replace(job, out=folder_of(job.out, i), **where, **alone))
     return found
@@ -101,27 +95,21 @@ def _planned(job: Job, stop: Stop, progress: Progress) -> Plan:
         shutil.rmtree(folder, ignore_errors=True)
     progress.begin(f"{job.clip.name}: looking where it can be cut")
     if job.everyone:
-        if job.split.starts == "init":
-            raise UsageError("--starts init needs corrections, and --faces all has none; take --starts detect")
         start = film_start(job.first)
     else:
         start = job.find(job.recipe, stopped=stop, looked=progress.looked)
-    if job.split.starts == "detect" and not job.everyone:
         _check_detector(job, start)
     times, keys = _frames(job, start, stop, progress)
-    if job.split.starts == "detect":
-        cuts = cut_by_length(start.frame, times, job.split, keys, str(job.clip))
-    else:
-        cuts = cut_by_corrections(job.recipe, start, times, job.split, str(job.clip))
+    cuts = cut_by_length(start.frame, times, job.split, keys, str(job.clip))
     Plan.of(key, start, [*cuts[:-1], (cuts[-1][0], job.stop)]).write(job.out)
     return read_plan(job.out)  # as others read it
 
 
 def _check_detector(job: Job, start: Start) -> None:
     """UsageError where a detector cannot begin what the clip's start begins."""
-    fix = "correct the run with facetrack fix and take --starts init, or leave --split out"
+    fix = "or leave --split out"
     if start.corrections:
-        raise UsageError(f"{start.origin}: has corrections, which --starts detect does not follow; take --starts init")
+        raise UsageError(f"{start.origin}: has corrections, which --split does not follow; leave --split out")
     if not job.recipe.points and not job.recipe.followed and start.origin not in DETECTORS:
         what = f"{job.recipe.name} follows what is in the box of {start.origin}"
         raise UsageError(f"{job.clip}: {what}, which no detector finds again; begin with --init haar, {fix}")
@@ -130,7 +118,7 @@ def _check_detector(job: Job, start: Start) -> None:
     try:
         check_parts(job.recipe.points)
     except InputError as e:
-        raise UsageError(f"{job.clip}: --starts detect: {e}; {fix}") from None
+        raise UsageError(f"{job.clip}: --split: {e}; {fix}") from None
 
 
 def _frames(job: Job, start: Start, stop: Stop, progress: Progress) -> tuple[Array, Whole]:
@@ -176,24 +164,3 @@ def cut_by_length(
         begins.append(int(near[-1]) if len(near) else at)
     stops = [min(int(np.searchsorted(times, times[begin] + OVERLAP_S)), end) for begin in begins[1:]]
     return list(zip(begins, [*stops, end], strict=True))
-
-
-def cut_by_corrections(recipe: Recipe, start: Start, times: Array, split: Split, clip: str) -> list[tuple[int, int]]:
-    """[first, stop) of chunks that begin where a correction tells of all targets; as long as is wished, or longer."""
-    whole: dict[int, set[str]] = {}
-    parts = {target.name: target.parts for target in build_tracker(recipe, start)}
-    for one in start.corrections:
-        if is_complete(one, parts[one.target]):
-            whole.setdefault(one.frame, set()).add(one.target)
-    able = np.array(sorted(frame for frame, named in whole.items() if named == {*parts} and frame < len(times)), int)
-    if not len(able):
-        of = " and ".join(parts) if len(parts) < 4 else f"all {len(parts)} targets"
-        raise UsageError(
-            f"{clip}: {start.origin} has no correction of all parts of {of} in one frame, where it could be cut; "
-            "make some with facetrack fix, take --starts detect, or leave --split out"
-        )
-    clock = np.arange(len(times), dtype=np.float64) if split.frames else times
-    begins = [start.frame]
-    while len(rest := able[clock[able] >= clock[begins[-1]] + split.length / 2]):
-        begins.append(int(rest[np.argmin(np.abs(clock[rest] - clock[begins[-1]] - split.length))]))
-    return list(zip(begins, [*begins[1:], len(times)], strict=True))

@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass, replace
 from fractions import Fraction
 from itertools import chain, islice
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -33,12 +33,6 @@ MIN_MOVED, MOVES_MORE = 2.0, 2.0  # sizes of its face; and times as far as the h
 MIN_OVERLAP: Final = 0.5  # of the boxes: a region with less does not count as found
 
 
-class Chunk(NamedTuple):
-    """One chunk. `correction`: the frame of the correction that it begins with; None: where a face is found first."""
-
-    correction: int | None = None
-
-
 @dataclass(frozen=True)
 class Begin:
     """A clip, what says where its tracks begin, and which of its frames are read.
@@ -60,7 +54,7 @@ class Begin:
     stop: int | None = None
     fps: Fraction | None = None
     stream: int | None = None
-    chunk: Chunk | None = None
+    chunk: bool = False
 
     @property
     def first(self) -> int:
@@ -118,7 +112,7 @@ class Begin:
                 except InputError:
                     if stopped():
                         raise InputError(f"{self.clip}: stopped before a start was found") from None
-                    further = None if self.chunk is None else next(frames, None)
+                    further = next(frames, None) if self.chunk else None
                     if further is None:
                         raise
                     frames = chain([further], frames)

@@ -240,7 +240,7 @@ class _Survey:
                 continue
             begins = first if job.everyone else int(rows.frames[0])
             names, marked = {name: name for name in rows.targets}, frozenset[str]()
-            if before is not None and job.split.starts == "detect":
+            if before is not None:
                 seam, names, marked = stitch(before, rows, taken, matched=matched)
                 begins = seam.frame
                 if not seam.agrees:

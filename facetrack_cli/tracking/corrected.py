@@ -156,13 +156,6 @@ def restored(tracker: Tracker, states: Sequence[Any], frame: Callable[[int], Fra
     return [one.complete(state, frame) if isinstance(one, CorrectedTarget) else state for one, state in both]
 
 
-def resumed_at(tracker: Tracker, first: Frame) -> Tracker:
-    """The tracker from a correction of all targets on, of a run whose first frame is `first`. ValueError without."""
-    if not all(isinstance(one, CorrectedTarget) for one in tracker):
-        raise ValueError("a target that is not corrected cannot begin there")
-    return tuple(one.resumed(first) for one in tracker if isinstance(one, CorrectedTarget))
-
-
 def is_complete(correction: Correction, parts: Sequence[str]) -> bool:
     """Whether it says of all `parts` of its target where they are, or that they are absent; a box alone does."""
     given = correction.given

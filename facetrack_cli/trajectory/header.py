@@ -127,11 +127,10 @@ class InitHeader(StartRecord):
 
 
 class SplitHeader(BaseModel):
-    """How a clip was cut into chunks, as --split and --starts take it."""
+    """How a clip was cut into chunks, as --split takes it."""
 
     model_config = ConfigDict(frozen=True)
     length: str
-    starts: str
 
 
 class SeamHeader(BaseModel):

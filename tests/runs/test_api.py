@@ -142,9 +142,7 @@ def test_a_recording_is_what_run_writes(tmp_path, recipe, clip):
 
 @pytest.mark.parametrize("seed", [-1, 2**63, 2**64, 1.5, True, "1"])
 def test_a_seed_that_is_none_is_refused_in_one_line_wherever_it_is_given(seed, capsys):
-    with pytest.raises(
-        facetrack.RecipeError, match=f"^seed {seed!r} is no whole number from 0 to 9"
-    ):
+    with pytest.raises(facetrack.RecipeError, match=f"^seed {seed!r} is no whole number from 0 to 9"):
         facetrack.track_video(CLIP, "sir", seed=seed)
     if type(seed) is int:
         assert main(["run", str(CLIP), "--config", "sir", "--seed", str(seed), "-q"]) == 2

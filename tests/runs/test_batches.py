@@ -337,7 +337,7 @@ def test_a_batch_that_is_killed_leaves_no_process(tmp_path, how, moment):
     sample, clip = FOLDER / "expressions.mp4", tmp_path / "long.mp4"
     again = [get_ffmpeg_exe(), "-v", "error", "-stream_loop", "9", "-i", str(sample), "-c", "copy", str(clip)]
     subprocess.run(again, check=True)
-    words = [clip, FOLDER / "film.mp4"] if how == "-j" else [clip, "--split", "10s", "--starts", "detect"]
+    words = [clip, FOLDER / "film.mp4"] if how == "-j" else [clip, "--split", "10s"]
     command = [*FACETRACK, "run", *map(str, words), "-j", "2", "-q", "-o", str(tmp_path / "out")]
     process = subprocess.Popen(command, cwd=tmp_path)
     time.sleep(moment)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,7 +37,7 @@ POINTS = {
     "lip_upper": (159.0 * SMALL, 153.6 * SMALL),
     "lip_lower": (159.0 * SMALL, 168.6 * SMALL),
 }
-SPLIT = ("--config", "factorized", "--init", "haar", "--split", "75f", "--starts", "detect")
+SPLIT = ("--config", "factorized", "--init", "haar", "--split", "75f")
 # at 5 frames/s chunks overlap by 25 frames
 
 
@@ -51,6 +50,8 @@ def clips(tmp_path_factory):
     for name, text in filters.items():
         options = ("-r", "5", "-c:v", "libx264", "-preset", "veryfast", "-g", "20", "-bf", "2")
         media.ffmpeg("-i", CLIP, "-vf", text, *options, folder / name)
+    given = TargetStart(points=POINTS)
+    write_init(folder / "corrected.yaml", Start(0, {"face": given}, "x", (Correction(60, "face", given),)))
     return folder
 
 
@@ -77,7 +78,7 @@ def test_chunks_are_tracked_and_joined(facetrack, clips, tmp_path):
     assert [seam["agrees"] for seam in seams] == [True] * 3
     assert [seam["frame"] for seam in seams] == [72, 132, 192]  # the middle of the frames that both have
     assert header["complete"] and header["frames_tracked"] == 275
-    assert header["split"] == {"length": "75f", "starts": "detect"}
+    assert header["split"] == {"length": "75f"}
     # the rows are those of the chunks, the first of which is as the whole run
     rows = frames_of(out)
     assert len(rows) == 275
@@ -110,45 +111,6 @@ def test_shards_share_the_chunks_and_the_last_joins_them(facetrack, clips, tmp_p
     assert frames_of(work / "out") == frames_of(work / "alone")
 
 
-def test_corrections_are_exact_cuts(facetrack, clips, tmp_path, monkeypatch):
-    start = Start(0, {"face": TargetStart(points=POINTS)}, "x")
-    corrected = [Correction(frame, "face", TargetStart(points=POINTS)) for frame in (60, 77, 140, 200)]
-    partly = Correction(101, "face", TargetStart(points={"nose": POINTS["nose"]}))
-    hidden = Correction(170, "face", absent=True)
-    start = replace(start, corrections=tuple(sorted([*corrected, partly, hidden], key=lambda one: one.frame)))
-    write_init(tmp_path / "c.yaml", start)
-    common = ("run", "IN/slow.mp4", "--config", "factorized", "--init", tmp_path / "c.yaml", "--no-video", "-o")
-    assert facetrack(*common, "whole")[0] == 0
-    code, _, err = facetrack(*common, "out", "--split", "75f", "--starts", "init")
-    assert code == 0, err
-    work = tmp_path / "work"
-    header = json.loads((work / "out/trajectory.json").read_text())
-    # the nearest to 75 frames on, then to 75 after that; what is corrected in part is no cut
-    assert [chunk["first"] for chunk in header["chunks"]] == [0, 77, 140, 200]
-    assert "seams" not in header
-    assert (work / "out/trajectory.csv").read_bytes() == (work / "whole/trajectory.csv").read_bytes()
-    assert frames_of(work / "out") == frames_of(work / "whole")
-    whole = json.loads((work / "whole/trajectory.json").read_text())
-    for key in ("init", "complete", "lost_frames", "variable_fps", "source_sha256", "warnings", "recipe"):
-        assert header[key] == whole[key], key
-    assert header["evidence"] == pytest.approx(whole["evidence"], abs=0.02)
-
-
-def test_targets_that_exclude_each_other_are_cut_where_all_are_corrected(facetrack, clips, tmp_path):
-    boxes = {"head": (135.0, 44.0, 50.0, 50.0), "left_hand": (82, 138, 48, 57), "right_hand": (188, 130, 50, 60)}
-    both = [Correction(12, name, TargetStart(box=box)) for name, box in boxes.items()]
-    alone = Correction(8, "head", TargetStart(box=boxes["head"]))
-    targets = {name: TargetStart(box=box) for name, box in boxes.items()}
-    write_init(tmp_path / "c.yaml", Start(0, targets, "x", (alone, *both)))
-    at = ("run", SAMPLES / "signing.mp4", "--config", "head_hands", "--init", tmp_path / "c.yaml", "--stop", "18")
-    few = ("--set", "targets.head.filter.particles=60", "--no-video", "-o")
-    assert facetrack(*at, *few, "whole")[0] == 0
-    assert facetrack(*at, *few, "out", "--split", "9f", "--starts", "init")[0] == 0
-    work = tmp_path / "work"
-    assert [chunk["first"] for chunk in json.loads((work / "out/trajectory.json").read_text())["chunks"]] == [0, 12]
-    assert lines(work / "out") == lines(work / "whole")
-
-
 def test_what_no_chunk_found_is_missing_and_said(facetrack, clips, tmp_path):
     command = ("run", "IN/dark.mp4", *SPLIT, "-o", "out")
     code, _, err = facetrack(*command)
@@ -170,7 +132,7 @@ def test_what_no_chunk_found_is_missing_and_said(facetrack, clips, tmp_path):
     assert any(event.kind == "seam" for key in key_frames(history, 0, 274) for event in key.events)
     page = make_report(out).html.decode()
     assert "Two chunks differ" in page
-    assert "--split 75f --starts detect" in page
+    assert "--split 75f" in page
     with open_source(out / "annotated.mp4") as source:
         assert sum(1 for _ in source) == 275
 
@@ -202,17 +164,15 @@ def test_a_chunk_that_fails_does_not_stop_the_others(facetrack, clips, tmp_path,
     [
         (("--split", "30"), "give a unit"),
         (("--split", "m"), "is no length"),
-        (("--split", "10m"), "give --starts detect"),
-        (("--starts", "detect"), "give that too"),
-        (("--split", "8s", "--starts", "detect"), "overlap by 5 s; give --split 10s or more"),
-        (("--split", "40f", "--starts", "detect"), "give --split 50f or more"),
+        (("--split", "8s"), "overlap by 5 s; give --split 10s or more"),
+        (("--split", "40f"), "give --split 50f or more"),
         ((*SPLIT, "--smooth"), "--smooth goes over the whole clip"),
         ((*SPLIT, "--lag", "5"), "--lag goes over the whole clip"),
         ((*SPLIT, "-o", "-"), "name one with --out"),
         ((*SPLIT, "IN/dark.mp4"), "--split cuts one clip"),
         ((*SPLIT, "--overwrite", "--shard", "1/2"), "remove the folder before them"),
         ((*SPLIT[4:], "--config", "contour", "--box", "110,80,90,90"), "which no detector finds again"),
-        (("--split", "20s", "--starts", "init", "--init", "haar"), "has no correction"),
+        (("--split", "20s", "--init", "IN/corrected.yaml", "--config", "factorized"), "has corrections, which --split"),
     ],
 )
 def test_what_cannot_be_split_is_refused_in_a_line(facetrack, clips, options, said):
@@ -239,7 +199,7 @@ def test_chunks_of_another_split_are_not_mixed(facetrack, clips, tmp_path):
 )
 def test_chunks_cover_all_frames_and_overlap(first, count, gaps, length, spacing):
     times = np.cumsum(np.resize(gaps, first + count))
-    chunks = cut_by_length(first, times, Split(length, False, "detect"), range(0, len(times), spacing), "clip")
+    chunks = cut_by_length(first, times, Split(length, False), range(0, len(times), spacing), "clip")
     assert chunks[0][0] == first
     assert chunks[-1][1] == len(times)
     for (begin, stop), (after, _) in itertools.pairwise(chunks):

@@ -93,7 +93,7 @@ class Run:
       facetrack run frames/ --fps 25 -o - | head
       facetrack run 0 --live
       facetrack run @list.txt --shard 3/20 -o results
-      facetrack run day.mp4 --split 10m --starts detect -j 8 -o day
+      facetrack run day.mp4 --split 10m -j 8 -o day
 
     \b
     Exit codes: 0 done (also if a clip was cut short or is damaged: a warning
@@ -151,11 +151,6 @@ class Run:
     split: tuple[float, bool] | None = option(
         "--split LENGTH", "Track one long clip in chunks of 10m, 90s, 1h or 5000f (frames), see docs/pipelines.md.",
         type=_length,
-    )  # fmt: skip
-    starts: Literal["detect", "init"] | None = option(
-        "--starts HOW",
-        "Where chunks begin: `detect` looks for the face, `init` takes corrections in the init file.",
-        type=click.Choice(["detect", "init"]), default=None, show_default=False,
     )  # fmt: skip
     retry_failed: bool = flag("--retry-failed", "Try clips again that have failed before.")
     cluster: str | None = option(
@@ -292,14 +287,7 @@ class Run:
         from facetrack_cli.runs.job import Split
 
         if self.split is None:
-            if self.starts is not None:
-                raise UsageError("--starts says where the chunks of --split begin; give that too")
             return None
-        if self.starts is None:
-            raise UsageError(
-                "--split needs to know where its chunks begin: give --starts detect, which looks for the face, or "
-                "--starts init, which takes the corrections in the init file"
-            )
         if self.out == "-":
             raise UsageError("--split keeps its chunks in a folder; name one with --out")
         if self.overwrite and self.shard is not None:
@@ -309,7 +297,7 @@ class Run:
             raise UsageError(f"{unfit} goes over the whole clip, --split cuts it in chunks; give one of them")
         if clips > 1:
             raise UsageError(f"--split cuts one clip, and {clips} are given; split one at a time")
-        return Split(*self.split, self.starts)
+        return Split(*self.split)
 
     def _check_smoothing(self, recipe: Recipe, formats: tuple[Format, ...]) -> None:
         from facetrack_cli.runs.posterior import check_smoothing
