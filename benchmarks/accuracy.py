@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError
-from facetrack_cli.evaluation.experiments.compare import Scoring, default_truth, within
+from facetrack_cli.evaluation.compare import Scoring, default_truth, within
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.measure import Value
 from facetrack_cli.evaluation.points import Occlusion, measure_recovery

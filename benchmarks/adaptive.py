@@ -36,7 +36,7 @@ from adaptive_runs import MADE, Run, clip_of, follow
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Array
-from facetrack_cli.evaluation.experiments.compare import default_truth
+from facetrack_cli.evaluation.compare import default_truth
 from facetrack_cli.evaluation.reliability import auroc
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.start import Begin

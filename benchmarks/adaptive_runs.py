@@ -13,7 +13,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Mask, Start
 from facetrack_cli.evaluation.boxes import SUCCESS_THRESHOLDS, BoxMeasures, measure_boxes, share_above
-from facetrack_cli.evaluation.experiments.compare import TAIL_IOU, default_truth, tail_overlap
+from facetrack_cli.evaluation.compare import TAIL_IOU, default_truth, tail_overlap
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.seeds import variant
 from facetrack_cli.runs.start import Begin

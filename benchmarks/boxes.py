@@ -33,7 +33,7 @@ from reference import HANDS, MESH
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Array, Frame, Image, Mask, Start, TargetStart
 from facetrack_cli.evaluation.boxes import measure_boxes
-from facetrack_cli.evaluation.experiments.compare import default_truth
+from facetrack_cli.evaluation.compare import default_truth
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.seeds import variant
 from facetrack_cli.runs.start import truth_start

@@ -49,7 +49,7 @@ from annotator import BOUND, Outcome, Truth, Way, Work
 from facetrack_cli.core.errors import FacetrackError, InputError, RecipeError
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start
-from facetrack_cli.evaluation.experiments.compare import default_truth
+from facetrack_cli.evaluation.compare import default_truth
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe, Recipe
 from facetrack_cli.runs.seeds import variant

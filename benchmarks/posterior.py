@@ -34,7 +34,7 @@ import numpy as np
 from boxes import clip_in
 
 from facetrack_cli.core.types import Array, Start, TargetStart
-from facetrack_cli.evaluation.experiments.compare import default_truth
+from facetrack_cli.evaluation.compare import default_truth
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.summary import evaluate
 from facetrack_cli.recipe.load import load_recipe

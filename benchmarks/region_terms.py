@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from facetrack_cli.core.types import Frame, Particles
-from facetrack_cli.evaluation.experiments.compare import default_truth
+from facetrack_cli.evaluation.compare import default_truth
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.build.build import build_tracker

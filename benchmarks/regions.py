@@ -33,7 +33,7 @@ from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Array, Start, TargetStart
 from facetrack_cli.evaluation.boxes import centre_errors, measure_boxes
-from facetrack_cli.evaluation.experiments.compare import TAIL_IOU, default_truth, tail_overlap
+from facetrack_cli.evaluation.compare import TAIL_IOU, default_truth, tail_overlap
 from facetrack_cli.evaluation.reliability import auroc
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.recipe.load import load_recipe

@@ -32,7 +32,7 @@ from accuracy import paired
 from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.evaluation.boxes import measure_boxes, normalised_errors, within
-from facetrack_cli.evaluation.experiments.compare import TAIL, default_truth
+from facetrack_cli.evaluation.compare import TAIL, default_truth
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.seeds import Plan, labels, variant

@@ -1,6 +1,5 @@
 """The documentation holds: generated pages are fresh, links lead somewhere, command lines parse, examples are valid."""
 
-import importlib.util
 import os
 import re
 import shlex
@@ -16,17 +15,11 @@ from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.seeds import variant
 from facetrack_cli.tracking.start.init_file import read_init
+from tests.support.samples import from_tools
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(r"^( *)```(\w*)\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
-
-
-def load_tool():
-    spec = importlib.util.spec_from_file_location("commands_doc", ROOT / "tools" / "commands_doc.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def blocks(page, *languages):
@@ -84,12 +77,12 @@ def shell_lines():
 
 
 def test_generated_pages_are_fresh(capsys):
-    assert load_tool().main(["--check"]) == 0, capsys.readouterr().out
+    assert from_tools("commands_doc").main(["--check"]) == 0, capsys.readouterr().out
 
 
 @pytest.mark.nightly
 def test_a_stale_page_is_told(tmp_path, monkeypatch, capsys):
-    tool = load_tool()
+    tool = from_tools("commands_doc")
     monkeypatch.setattr(tool, "DOCS", tmp_path)
     (tmp_path / "recipes.md").write_text(f"# Recipes\n\n{tool.BEGIN}\nold\n{tool.END}\n\nkept\n")
     assert tool.main(["--check"]) == 1
@@ -183,7 +176,6 @@ def test_the_annotated_recipe_is_the_shipped_one(tmp_path):
 # what makes a run of each short; commands that are not here want what another one made, or have tests of their own
 SHORT = {
     "run": ["--no-video", "--stop", "3", "--overwrite", "-q"],
-    "calibrate": ["--stop", "3", "--seeds", "1", "--overwrite", "-q"],
     "compare": ["--stop", "3", "--seeds", "1", "--no-plots", "--overwrite", "-q"],
     "prior": ["--overwrite", "-q"],
     "gallery": ["--overwrite", "-q"],

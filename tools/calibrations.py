@@ -33,13 +33,13 @@ import cv2
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 
+import calibration_fit
 from boxes import clip_in
 from reference import MESH, points_in, take_regression
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import BOX
-from facetrack_cli.evaluation.experiments import calibrate
-from facetrack_cli.evaluation.experiments.compare import default_truth
+from facetrack_cli.evaluation.compare import default_truth
 from facetrack_cli.evaluation.sheet import clip_name
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.model import Recipe
@@ -112,9 +112,9 @@ def runs_of(clip: Path, recipe: Recipe, seeds: int, regressions: Path | None) ->
 
 def fit(
     recipe: Recipe, clips: Sequence[Path], seeds: int, workers: int, regressions: Path | None
-) -> calibrate.Calibrated:
+) -> calibration_fit.Calibrated:
     """The calibration by all clips that the recipe runs on. Raises InputError if it runs on none."""
-    raw, found = calibrate.uncalibrated(recipe), {}
+    raw, found = calibration_fit.uncalibrated(recipe), {}
     with ProcessPoolExecutor(workers) as pool:
         ordered = sorted(clips, key=clip_name)  # their order must not show in the last digit
         waiting = {clip: pool.submit(runs_of, clip, raw, seeds, regressions) for clip in ordered}
@@ -129,7 +129,7 @@ def fit(
         kind = clip.stem.rpartition("-")[0]
         return kind if kind in KINDS else str(clip)
 
-    return calibrate.of_runs(recipe.name, found, seeds, kind_of)
+    return calibration_fit.of_runs(recipe.name, found, seeds, kind_of)
 
 
 def main() -> None:

@@ -28,7 +28,6 @@ COMMANDS = {
     "compare": "Run and rank several recipes on a clip with ground truth.",
     "regress": "Check clips against their golden results, for CI.",
     "recipes": "List, show and check the recipes of trackers.",
-    "calibrate": "Learn from ground truth how sure a recipe's rows are.",
     "prior": "Learn shape priors from annotated frames, and draw them.",
     "gallery": "Learn who is who from images and videos, and draw it.",
     "models": "List and fetch optional networks.",

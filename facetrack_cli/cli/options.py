@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from facetrack_cli.core.files import Folder
     from facetrack_cli.core.types import Box
     from facetrack_cli.editor.web.session import Page as PageSession
-    from facetrack_cli.evaluation.experiments.compare import Comparison
+    from facetrack_cli.evaluation.compare import Comparison
     from facetrack_cli.evaluation.rows import Pair
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop

@@ -41,7 +41,7 @@ class Confidence(Section):
     beside: Annotated[float, Field(ge=0, le=1)] = 0.5
     """Quantile of the windows beside the part in the first frame that counts as no match; the lower, the stricter."""
     calibration: Annotated[str, Field(min_length=1)] | None = None
-    """File of `facetrack calibrate`: `confidence` is a probability, lost below 1/2, and the spread covers."""
+    """File of a calibration: `confidence` is a probability, lost below 1/2, and the spread covers."""
 
 
 class ParticleFilter(Section):

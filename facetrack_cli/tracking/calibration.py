@@ -1,7 +1,7 @@
 """The probability that a row is right, from what its recipe knows of it (ours).
 
-A row is right if the error of its centre is less than a quarter of the size. `facetrack calibrate` fits a map from the
-features below to that probability, one for points and one for boxes, and a recipe names its file:
+A row is right if the error of its centre is less than a quarter of the size. `tools/calibrations.py` fits a map from
+the features below to that probability, one for points and one for boxes, and a recipe names its file:
 
     confidence   as the recipe says it without a calibration
     log_odds     log (c + 0.01) / (1.01 - c) of that confidence c
@@ -194,8 +194,8 @@ def features(rows: Trajectory, boxes: Mask, size: float) -> dict[Feature, Array]
 
 
 def load_calibration(path: Path) -> Calibration:
-    """The calibration in a file of `facetrack calibrate`. Raises InputError for anything else."""
-    remedy = "make it anew with facetrack calibrate"
+    """The calibration in a file. Raises InputError for anything else."""
+    remedy = "make it with tools/calibrations.py, or take confidence.calibration=null"
     try:
         stored = json.loads(read_bounded(path, what="calibration"))
     except OSError as e:

@@ -10,7 +10,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode, UsageError
-from facetrack_cli.evaluation.experiments import compare
+from facetrack_cli.evaluation import compare
 from facetrack_cli.report.figures import style
 from facetrack_cli.runs import seeds as runs
 

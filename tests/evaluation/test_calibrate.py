@@ -1,7 +1,5 @@
 """Which rows a calibration is fitted to, and what it takes as right."""
 
-import importlib.util
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -9,14 +7,12 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.evaluation.experiments import calibrate
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import joined, one_part
-from tests.support.samples import FOLDER
+from tests.support.samples import FOLDER, from_tools
 
-ROOT = Path(__file__).parents[2]
+calibrate = from_tools("calibration_fit")
 CLIPS = [FOLDER / f"{name}.mp4" for name in ("occlusion", "expressions")]
 GONE = Path("gone.mp4")
 
@@ -82,20 +78,11 @@ def test_without_confidence_there_is_nothing_to_collect():
     with pytest.raises(InputError, match="both a confidence and known ground truth"):
         calibrate.collect([([face([0, 0], confidence=np.full(2, np.nan))], true(2))])
     with pytest.raises(UsageError, match="kcf gives no confidence"):
-        calibrate.run(load_recipe("kcf"), [], 1)
-
-
-def test_a_clip_that_cannot_run_is_an_error():
-    recipe, truth = load_recipe("independent", {"filter.particles": 20}), read_truth(CLIPS[0].with_suffix(".truth.csv"))
-    with pytest.raises(InputError, match=r"gone\.mp4"):
-        calibrate.run(recipe, [(GONE, truth), (CLIPS[0], truth)], 1, 5)
+        calibrate.uncalibrated(load_recipe("kcf"))
 
 
 def test_the_tool_leaves_out_a_clip_that_cannot_run(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    spec = importlib.util.spec_from_file_location("calibrations", ROOT / "tools" / "calibrations.py")
-    tool = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tool)
+    tool = from_tools("calibrations")
     monkeypatch.setattr(tool, "ProcessPoolExecutor", ThreadPoolExecutor)
     found = tool.fit(load_recipe("independent", {"filter.particles": 20}), [GONE, *CLIPS], 1, 1, None)
     assert found.clips == ("expressions.mp4", "occlusion.mp4")

@@ -8,10 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.evaluation.experiments import calibration_fit as fitting
-from facetrack_cli.evaluation.experiments.calibration_fit import Sample, figures, fit, fit_isotonic, fit_logistic, pool
 from facetrack_cli.evaluation.reliability import ELLIPSE_90
 from facetrack_cli.tracking.calibration import RISES
+from tests.support.samples import from_tools
+
+fitting = from_tools("calibration_fit")
+Sample, figures, fit, pool = fitting.Sample, fitting.figures, fitting.fit, fitting.pool
+fit_isotonic, fit_logistic = fitting.fit_isotonic, fitting.fit_logistic
 
 
 def logistic(z):

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.evaluation.experiments.compare import (
+from facetrack_cli.evaluation.compare import (
     CUMULATIVE_AT,
     Comparison,
     Entry,

@@ -275,13 +275,11 @@ def _reading(rng: Random, bench: Bench, name: str) -> list[str]:
         plot {run} -o out.png --truth @
         report @
         report {run} -o out.html --clip @
-        smooth @ -o out
         fix @ --init {truth}
         fix {run} --init @
         regress @
         compare @ --config sir
         compare {clip} --config mil --stop 2 --truth @
-        calibrate @
     """
     return [word.replace("@", name) for word in rng.choice(every.strip().splitlines()).split()]
 
@@ -300,7 +298,6 @@ def _arguments(rng: Random, bench: Bench, case: Case) -> list[str]:
         eval {run} --truth {truth}
         plot run
         export run --to {rng.choice(TO)}
-        smooth run
         report run
         fix run --init {bench.path("corrected.init.yaml")}
         recipes check sir
@@ -310,7 +307,6 @@ def _arguments(rng: Random, bench: Bench, case: Case) -> list[str]:
         gallery fit {bench.path("people")}
         gallery show {bench.path("gallery.npz")} -o out.png
         compare {clip} --stop 2 --seeds 2
-        calibrate {clip} --stop 2 --seeds 1
     """
     argv = rng.choice(begins.strip().splitlines()).split()
     if argv[1] == "run":  # what is written goes into the case's folder

@@ -1,7 +1,10 @@
 """The files of the sample clips, as tests read them."""
 
 import csv
+import importlib
+import sys
 from pathlib import Path
+from types import ModuleType
 from typing import NamedTuple
 
 import cv2
@@ -12,6 +15,16 @@ from facetrack_cli.video.source import open_source
 from tests.support.results import file_rows
 
 FOLDER = Path(__file__).parents[2] / "sample_videos"
+
+
+def from_tools(name: str) -> ModuleType:
+    """A module of tools/, which are not installed; it may import those beside it."""
+    folder = str(FOLDER.parent / "tools")
+    sys.path.insert(0, folder)
+    try:
+        return importlib.import_module(name)
+    finally:
+        sys.path.remove(folder)
 
 
 class TrackClip:

@@ -85,7 +85,7 @@ def test_a_damaged_file_is_refused_in_a_line_that_names_it(file, change, said):
     with pytest.raises(InputError) as refused:
         load_calibration(file)
     line = str(refused.value)
-    assert line.startswith(f"{file}: ") and said in line and "\n" not in line and "facetrack calibrate" in line
+    assert line.startswith(f"{file}: ") and said in line and "\n" not in line and "tools/calibrations.py" in line
 
 
 def test_isotonic_of_a_logistic_regression(tmp_path):

@@ -1,6 +1,5 @@
 """The shape prior: kernels against their twins, conditionals against the density, files, fitting, the shipped prior."""
 
-import importlib.util
 import math
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from facetrack_cli.tracking.models.shape_prior import (
 )
 from facetrack_cli.trajectory.trajectory import COLUMNS, joined, one_part
 from facetrack_cli.trajectory.writers import csv_frames
+from tests.support.samples import from_tools
 from tests.twins import shape as naive_shape
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -407,9 +407,7 @@ def test_fit_says_what_is_wrong(tmp_path):
 
 
 def test_the_shipped_prior_is_what_the_script_makes(tmp_path):
-    spec = importlib.util.spec_from_file_location("mouth_prior", ROOT / "tools" / "mouth_prior.py")
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
+    script = from_tools("mouth_prior")
     script.make().save(tmp_path / "again.npz")
     script.make().save(tmp_path / "twice.npz")
     assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "twice.npz").read_bytes()

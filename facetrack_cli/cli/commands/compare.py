@@ -64,8 +64,8 @@ class Compare:
     results: Results = group(Results)
 
     def run(self) -> int:
-        from facetrack_cli.evaluation.experiments import compare
-        from facetrack_cli.evaluation.experiments.compare import Comparison
+        from facetrack_cli.evaluation import compare
+        from facetrack_cli.evaluation.compare import Comparison
         from facetrack_cli.report.figures.comparison import compare_figures
         from facetrack_cli.runs.batch import title
         from facetrack_cli.runs.seeds import labels, load_recipes, refuse_seed, variant

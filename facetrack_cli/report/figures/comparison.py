@@ -6,7 +6,7 @@ import numpy as np
 
 from facetrack_cli.core.types import Array
 from facetrack_cli.evaluation.boxes import PRECISION_THRESHOLDS, SUCCESS_THRESHOLDS
-from facetrack_cli.evaluation.experiments.compare import CUMULATIVE_AT, Comparison, Score, aligned
+from facetrack_cli.evaluation.compare import CUMULATIVE_AT, Comparison, Score, aligned
 from facetrack_cli.evaluation.points import FAILURE
 from facetrack_cli.evaluation.sheet import clip_name
 from facetrack_cli.report import figures as plots

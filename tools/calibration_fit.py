@@ -5,27 +5,50 @@ much alike, so a clip counts as `ALIKE` independent rows. With n of those in all
 probability (n y + 1) / (n + 2), where y is 1 if it is and else 0 (Platt, 1999): few clips do not give 0 or 1.
 
 The map is the candidate of the least log loss in cross-validation, each clip by the map that was fitted to the others.
+Of each clip at most `MAX_ROWS` rows of a kind are taken, evenly spaced: a long one is no better than a short one.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array, Mask, Whole
+from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.geometry import size_of_points
+from facetrack_cli.core.types import BOX, Array, Mask, Whole
+from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.reliability import (
     ELLIPSE_50,
     ELLIPSE_90,
     ReliabilityBin,
     calibration_error,
+    mahalanobis_squared,
     reliability_bins,
 )
-from facetrack_cli.recipe.model import LIKELY
-from facetrack_cli.tracking.calibration import MAX_SPREAD_FACTOR, RISES, CrossChecked, Feature, Isotonic, Logistic, Map
+from facetrack_cli.evaluation.rows import Pair, rows_of
+from facetrack_cli.evaluation.sheet import clip_name
+from facetrack_cli.evaluation.summary import units_of
+from facetrack_cli.recipe.model import LIKELY, ParticleFilter, ParticlesRecipe, Recipe
+from facetrack_cli.tracking.calibration import (
+    MAX_SPREAD_FACTOR,
+    RISES,
+    Calibration,
+    CrossChecked,
+    Feature,
+    Isotonic,
+    Logistic,
+    Map,
+    PartKind,
+    boxes_of,
+    features,
+)
+from facetrack_cli.trajectory.trajectory import Trajectory
 
+MAX_ROWS: Final = 500  # of a kind of part in a clip
+KINDS: Final[tuple[PartKind, ...]] = ("points", "box")
 ALIKE: Final = 20
 LEVELS: Final = 20  # quantiles of a score that isotonic regression tells apart
 RIDGE: Final = 1.0  # precision of the coefficients of standardised features; an independent row adds at most 1/4
@@ -287,3 +310,106 @@ def figures(sample: Sample, p: Array) -> Figures:
     each = (p - sample.right) ** 2, -np.log(chance)
     brier, loss = (float(np.average(values, weights=sample.weight)) for values in each)
     return Figures(calibration_error(bins_of(sample, p)), brier, loss)
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """What was fitted to a recipe's runs, `seeds` of each clip, by kind of part."""
+
+    recipe: str
+    clips: tuple[str, ...]
+    seeds: int
+    fitted: Mapping[PartKind, Fitted]
+
+    @property
+    def calibration(self) -> Calibration:
+        """What is stored; the order of the clips says nothing."""
+        maps = {kind: one.map for kind, one in self.fitted.items()}
+        checked = {kind: one.checked for kind, one in self.fitted.items()}
+        spread = {kind: one.sample.spread for kind, one in self.fitted.items()}
+        clips = sorted(self.clips)
+        lost = self.fitted["box"].sample.lost if "box" in self.fitted else 0.0
+        return Calibration(
+            recipe=self.recipe, maps=maps, lost=lost, spread=spread, checked=checked, clips=clips, seeds=self.seeds
+        )
+
+
+def of_runs(
+    recipe: str,
+    runs: Mapping[Path, tuple[Sequence[Trajectory], Trajectory]],
+    seeds: int,
+    kind_of: Callable[[Path], str] = str,
+) -> Calibrated:
+    """The calibration that follows from runs of a recipe without one: of each clip `seeds` runs, and its ground truth.
+
+    Clips of one kind count as one clip. Raises InputError as `collect` does.
+    """
+    kinds = list(dict.fromkeys(map(kind_of, runs)))
+    samples = collect(list(runs.values()), [kinds.index(kind_of(clip)) for clip in runs])
+    # a kind of a single clip has no map, unless it is the only one: then that is the error
+    several = {kind: one for kind, one in samples.items() if len(one.clips) > 1} or samples
+    return Calibrated(
+        recipe, tuple(map(clip_name, runs)), seeds, {kind: fit(one, boxes=kind == BOX) for kind, one in several.items()}
+    )
+
+
+def uncalibrated(recipe: Recipe) -> Recipe:
+    """The recipe with the confidence that it computes itself. Raises UsageError for a recipe that computes none."""
+    if not recipe.judges or not recipe.filters:
+        raise UsageError(f"{recipe.name} gives no confidence to calibrate; take a recipe that does")
+
+    def raw(one: ParticleFilter) -> ParticleFilter:
+        return one.model_copy(update={"confidence": one.confidence.model_copy(update={"calibration": None})})
+
+    if isinstance(recipe, ParticlesRecipe):
+        targets = {name: None if one is None else raw(one) for name, one in recipe.targets.items()}
+        return recipe.model_copy(update={"targets": targets})
+    return raw(recipe) if isinstance(recipe, ParticleFilter) else recipe  # type: ignore[return-value]
+
+
+def collect(
+    clips: Sequence[tuple[Sequence[Trajectory], Trajectory]], numbers: Sequence[int] = ()
+) -> dict[PartKind, Sample]:
+    """The rows of each kind of part: of each clip the runs, one a seed, and the ground truth.
+
+    Clips with the same of `numbers`, by default each has its own, count as one clip. Raises InputError as `match`
+    does, and where no row has confidence and known ground truth.
+    """
+    found: dict[PartKind, Sample] = {}
+    numbered = zip(numbers or range(len(clips)), clips, strict=True)
+    every = [[_rows(run, truth, number) for run in runs] for number, (runs, truth) in numbered]
+    for kind in KINDS:
+        thinned = []
+        for runs in every:
+            whole = joined([one.take(boxes == (kind == BOX)) for one, boxes in runs])
+            thinned.append(
+                whole.take(np.unique(np.linspace(0, len(whole) - 1, min(len(whole), MAX_ROWS)).astype(np.int64)))
+            )
+        if len(sample := joined(thinned)):
+            found[kind] = sample
+    if not found:
+        raise InputError("no row has both a confidence and known ground truth; give clips with the truth of its parts")
+    return found
+
+
+def _rows(run: Trajectory, truth: Trajectory, clip: int) -> tuple[Sample, Mask]:
+    """The rows of a run whose truth is known, and whether each is of a box."""
+    pairs, samples, boxes = [], [], []
+    alone = [one.name for one in run.parts if one.part == BOX]
+    # boxes without names are those of the only box, though points have windows
+    select = alone[0] if truth.targets == ("",) and len(alone) == 1 else None
+    for ours, true in match(run, truth, partial=True, select=select):
+        stated = true.status != "lost"  # as a trajectory has it that serves as ground truth
+        pairs.append(Pair(ours.take(stated), true.take(stated)))
+    units = units_of(pairs, "size", truth.parts)
+    for pair in pairs:
+        ours = pair.ours
+        points = [one for one in run.of_target(ours.target) if one.part != BOX and len(one)]
+        size = size_of_points(np.array([(one.x[0], one.y[0]) for one in points])) if points else 0.0
+        one, mine = rows_of(pair, units[ours.target].at(ours.frame)), boxes_of(ours)
+        known = features(ours, mine, size)
+        kept = one.judged & ~one.init & np.all([np.isfinite(values) for values in known.values()], axis=0)
+        far = mahalanobis_squared(one.offset, one.std, one.cov_xy)
+        samples.append(Sample(known, one.right, one.visible, np.full(len(ours), clip), far).take(kept))
+        boxes.append(mine[kept])
+    return joined(samples), np.concatenate(boxes)
