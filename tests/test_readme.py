@@ -40,7 +40,7 @@ TOOLS = {"jq ": "jq", "| parallel": "parallel", "parquet": "pyarrow", "pandas": 
 
 FACETRACK = """#!/bin/sh
 case " $* " in
-*" --pick "* | *" --page "* | *" 0 --live "*) exit 0 ;;  # which somebody ends
+*" --pick "* | *" --page "* | *" 0 --live "* | *" rtsp:"*) exit 0 ;;  # which somebody ends
 *" --init "* | *" --import "*) ;;
 *" fix "*) exit 0 ;;
 esac

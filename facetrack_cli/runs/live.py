@@ -1,4 +1,4 @@
-"""Tracking of images as they come: from a camera, or MJPEG or YUV4MPEG2 (y4m) on a pipe.
+"""Tracking of images as they come: from a camera, an address of the network, or a pipe.
 
 One image is held at a time. Each frame gives a line of JSON with its age, as soon as it is tracked.
 """
@@ -6,6 +6,7 @@ One image is held at a time. Each frame gives a line of JSON with its age, as so
 from __future__ import annotations
 
 import json
+import math
 import re
 import sys
 import threading
@@ -14,43 +15,50 @@ from collections.abc import Callable, Iterator
 from contextlib import nullcontext, suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from types import SimpleNamespace
 from typing import Any, BinaryIO, Final
 
 import cv2
 import numpy as np
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.types import Box, Frame, Image
 from facetrack_cli.recipe.face import DetectorName
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_frames
 from facetrack_cli.runs.signals import never
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
-from facetrack_cli.video import images
+from facetrack_cli.video.decode import FORMATS, pixels
+from facetrack_cli.video.images import MOST_PIXELS, check_pixels
 from facetrack_cli.video.source import open_source
 
-MAX_IMAGE_BYTES: Final = 64 << 20  # of one encoded image, and of one y4m frame
 LOOK_S: Final = 0.1  # between two looks at the wish to stop
-_CHUNK_BYTES: Final = 1 << 16
-_MAX_LINE_BYTES: Final = 4096  # of a header of y4m
+OPEN_S, READ_S = 10.0, 10.0  # seconds without a byte, after which an address is given up
+LEAST_WAIT_S, MOST_WAIT_S = 1.0, 30.0  # until an address is opened again
 _PIPE: Final = "standard input"
-_REMEDY: Final = "pipe MJPEG or y4m, as from ffmpeg -i ... -f mjpeg -"
+_PROTOCOLS: Final = "rtsp,rtsps,rtp,udp,tcp,tls,srt,http,https,crypto"
+_ADDRESS: Final = re.compile(r"(rtsps?|rtp|udp|tcp|srt|https?):/{1,2}")  # a path has lost the second stroke
+_REMEDY: Final = "give what ffmpeg reads, as from ffmpeg -i ... -f yuv4mpegpipe -pix_fmt yuv420p -"
 
 
 def is_live(clip: Path) -> bool:
-    """Whether an input is a camera, by its number, or standard input."""
-    return str(clip) == "-" or (str(clip).isdecimal() and not clip.exists())
+    """Whether an input is a camera, by its number or device, an address, or standard input."""
+    name = str(clip)
+    camera = name.startswith("/dev/video") or (name.isdecimal() and not clip.exists())
+    return name == "-" or camera or _ADDRESS.match(name) is not None
 
 
-def images_of(clip: Path) -> Iterator[Image | Frame]:
-    """The images of a camera, of standard input, or of a clip; frames where these say when they are shown."""
+def images_of(clip: Path, say: Callable[[str], None]) -> Iterator[Image | Frame]:
+    """The images of a camera, an address, standard input, or a clip; frames where these say when they are shown."""
     if str(clip) == "-":
         pipe: Any = sys.stdin.buffer
         # a file of its own: at its end the interpreter would wait for a thread that reads from sys.stdin
         with open(pipe.fileno(), "rb", closefd=False) if hasattr(pipe, "raw") else nullcontext(pipe) as stream:
             yield from piped(stream)
-    elif is_live(clip):
+    elif str(clip).isdecimal():
         yield from camera(int(str(clip)))
+    elif is_live(clip):
+        yield from received(_ADDRESS.sub(r"\1://", str(clip)), say)
     else:
         with open_source(clip) as source:
             yield from source
@@ -76,7 +84,8 @@ def follow(
         for index, image in enumerate(awaited(images, stopped)):
             now = came[index] = time.monotonic()
             began = now if began is None else began
-            shown[index] = image.time_s if isinstance(image, Frame) else now - began
+            own = image.time_s if isinstance(image, Frame) else math.nan
+            shown[index] = now - began if math.isnan(own) else own
             yield image.bgr if isinstance(image, Frame) else image
 
     count = 0
@@ -148,69 +157,58 @@ def camera(number: int) -> Iterator[Image]:
         capture.release()
 
 
-def piped(stream: BinaryIO) -> Iterator[Image | Frame]:
-    """The images of a pipe, (H, W, 3) uint8 BGR, or its frames, of y4m that tells its rate.
+def received(address: str, say: Callable[[str], None]) -> Iterator[Image]:
+    """The images of a device, or of an address of the network, which is opened again when it ends.
 
-    InputError for what is neither MJPEG nor y4m, or too large.
+    Each time it is said. InputError for what gives no image at first.
     """
-    head = stream.read(9)
-    if head == b"YUV4MPEG2":
-        yield from _y4m(stream)
-    elif head[:2] == b"\xff\xd8":
-        yield from _mjpeg(stream, head)
-    else:
-        what = "is empty" if not head else "is neither MJPEG nor y4m"
-        raise InputError(f"{_PIPE}: {what}; {_REMEDY}")
-
-
-def _mjpeg(stream: BinaryIO, data: bytes) -> Iterator[Image]:
-    """Each JPEG ends at the first end-of-image mark: inside of its data, 0xFF is followed by 0 or a restart mark."""
-    held, searched, count = bytearray(data), 2, 0
+    network = "://" in address
+    options = {"protocol_whitelist": _PROTOCOLS, "rtsp_transport": "tcp"} if network else {}
+    wait = 0.0
     while True:
-        end = held.find(b"\xff\xd9", searched)
-        if end >= 0:
-            data = bytes(held[: end + 2])
-            size, image = images.header_size(data), None
-            if size is not None:
-                images.check_pixels(Path(f"{_PIPE}: image {count}"), *size)
-                image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-            if image is None:
-                raise InputError(f"{_PIPE}: image {count} is damaged, or very large; {_REMEDY}")
-            yield np.asarray(image, np.uint8)
-            count += 1
-            del held[: end + 2]
-            searched = 0
-            continue
-        searched = max(len(held) - 1, 0)
-        if len(held) > MAX_IMAGE_BYTES:
-            raise InputError(f"{_PIPE}: image {count} has no end in {MAX_IMAGE_BYTES >> 20} MB; {_REMEDY}")
-        more = stream.read1(_CHUNK_BYTES) if hasattr(stream, "read1") else stream.read(_CHUNK_BYTES)
-        if not more:
+        try:
+            for frame in _decoded(address, options, address):
+                wait = LEAST_WAIT_S
+                yield frame.bgr
+            why = "it has ended"
+        except InputError as e:
+            if not wait:
+                raise
+            why = str(e).removeprefix(f"{address}: ")
+        if not network or not wait:
             return
-        held += more
+        say(f"{address}: {why}; it is opened again in {wait:g} s")
+        time.sleep(wait)
+        wait = min(2 * wait, MOST_WAIT_S)
 
 
-def _y4m(stream: BinaryIO) -> Iterator[Image | Frame]:
-    header = stream.readline(_MAX_LINE_BYTES).decode("ascii", "replace")
-    known = dict(re.findall(r" ([A-Z])(\S+)", header))
+def piped(stream: BinaryIO) -> Iterator[Image | Frame]:
+    """The frames of a pipe in any format of video that needs no seeking; of MJPEG the images, since it has no times.
+
+    InputError for what is no video, or too large.
+    """
+    # read() would wait until a whole block has come
+    yield from _decoded(SimpleNamespace(read=stream.read1 if hasattr(stream, "read1") else stream.read), {}, _PIPE)
+
+
+def _decoded(file: Any, options: dict[str, str], name: str) -> Iterator[Frame]:
+    import av
+
+    if av.logging.get_level() is None:
+        av.logging.set_level(av.logging.PANIC)  # errors are counted, and none is shown
+    device = "v4l2" if isinstance(file, str) and file.startswith("/dev/") else None
+    options |= {} if device else {"format_whitelist": f"{FORMATS},jpeg_pipe,rtsp,rtp,sdp", "probesize": "1000000"}
     try:
-        width, height = int(known["W"]), int(known["H"])
-    except (KeyError, ValueError):
-        raise InputError(f"{_PIPE}: is a y4m without a size; {_REMEDY}") from None
-    colours = known.get("C", "420")
-    if not re.fullmatch(r"420(jpeg|mpeg2|paldv)?", colours):
-        raise InputError(f"{_PIPE}: is y4m of colours {colours}, and 420 is read; add -pix_fmt yuv420p")
-    size = width * height + 2 * ((width + 1) // 2) * ((height + 1) // 2)
-    if min(width, height) < 1 or size > MAX_IMAGE_BYTES or width % 2 or height % 2:
-        raise InputError(
-            f"{_PIPE}: is y4m of {width}x{height}; sides must be even, and a frame at most {MAX_IMAGE_BYTES >> 20} MB"
-        )
-    rate, index = re.fullmatch(r"([1-9][0-9]*):([1-9][0-9]*)", known.get("F", "")), 0
-    while line := stream.readline(_MAX_LINE_BYTES):
-        data = stream.read(size)
-        if not line.startswith(b"FRAME") or len(data) < size:
-            raise InputError(f"{_PIPE}: a frame of y4m is damaged or cut short; {_REMEDY}")
-        planes = np.frombuffer(data, np.uint8).reshape(height * 3 // 2, width)
-        image = np.asarray(cv2.cvtColor(planes, cv2.COLOR_YUV2BGR_I420), np.uint8)
-        yield image if rate is None else Frame(index, index * int(rate[2]) / int(rate[1]), image)
-        index += 1
+        with av.open(file, "r", format=device, options=options, timeout=(OPEN_S, READ_S)) as container:
+            if not container.streams.video:
+                raise InputError(f"{name}: has no video; {_REMEDY}")
+            video = container.streams.video[0]
+            timed, began = container.format.name not in ("mjpeg", "jpeg_pipe"), None
+            video.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
+            check_pixels(Path(name), video.codec_context.width, video.codec_context.height)
+            for index, raw in enumerate(container.decode(video)):
+                began = raw.time if began is None else began
+                time_s = (raw.time or 0.0) - (began or 0.0)
+                yield Frame(index, time_s if timed else math.nan, pixels(raw))
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"{name}: {reason(error)}; {_REMEDY}") from None

@@ -1,14 +1,19 @@
 """What comes from a pipe or a camera: a line a frame, with its age; bounded, and refused in one line."""
 
 import io
+import itertools
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -18,7 +23,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs import live
-from facetrack_cli.runs.live import follow, piped
+from facetrack_cli.runs.live import follow, is_live, piped, received
 
 
 def sway(frames):
@@ -36,10 +41,10 @@ def mjpeg(images):
     return b"".join(cv2.imencode(".jpg", image)[1].tobytes() for image in images)
 
 
-def y4m(images, colours="420jpeg"):
+def y4m(images):
     height, width = images[0].shape[:2]
     frames = [b"FRAME\n" + cv2.cvtColor(image, cv2.COLOR_BGR2YUV_I420).tobytes() for image in images]
-    return f"YUV4MPEG2 W{width} H{height} F25:1 C{colours}\n".encode() + b"".join(frames)
+    return f"YUV4MPEG2 W{width} H{height} F25:1 C420jpeg\n".encode() + b"".join(frames)
 
 
 def claims(width, height):
@@ -52,39 +57,86 @@ def claims(width, height):
 IMAGES = list(sway(6))
 
 
-@pytest.mark.parametrize("encoded", [mjpeg, y4m])
+def container(images, form):
+    """The images as a file of H.264 in memory."""
+    data = io.BytesIO()
+    with av.open(data, "w", format=form) as file:
+        stream = file.add_stream("libx264", rate=25, options={"preset": "ultrafast", "tune": "zerolatency"})
+        stream.height, stream.width = images[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        for image in images:
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
+        file.mux(stream.encode())
+    return data.getvalue()
+
+
+def mpegts(images):
+    return container(images, "mpegts")
+
+
+def matroska(images):
+    return container(images, "matroska")
+
+
+@pytest.mark.parametrize("encoded", [mjpeg, y4m, mpegts, matroska])
 def test_images_of_a_pipe_are_those_that_went_in(encoded):
-    found = [getattr(one, "bgr", one) for one in piped(io.BytesIO(encoded(IMAGES)))]
-    assert len(found) == 6 and all(one.shape == IMAGES[0].shape for one in found)
-    assert max(np.abs(a.astype(int) - b).mean() for a, b in zip(found, IMAGES, strict=True)) < 12
+    found = list(piped(io.BytesIO(encoded(IMAGES))))
+    assert len(found) == 6 and all(one.bgr.shape == IMAGES[0].shape for one in found)
+    assert max(np.abs(a.bgr.astype(int) - b).mean() for a, b in zip(found, IMAGES, strict=True)) < 12
+    times = np.array([one.time_s for one in found])
+    assert np.isnan(times).all() if encoded is mjpeg else np.allclose(times, np.arange(6) / 25, atol=2e-3)
 
 
-@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")  # as in a run
 @pytest.mark.parametrize(
-    ("data", "said"),
-    [
-        (b"", "is empty"),
-        (b"RIFF....AVI LIST", "neither MJPEG nor y4m"),
-        (b"YUV4MPEG2 H48 F25:1\n", "without a size"),
-        (b"YUV4MPEG2 W99999998 H99999998 F25:1\n", "at most 64 MB"),
-        (y4m(IMAGES[:1], "444"), "colours 444"),
-        (y4m(IMAGES)[:-9], "cut short"),
-        (b"YUV4MPEG2 W-64 H-48 F25:1\n", "is y4m of -64x-48; sides must be even"),
-        (b"YUV4MPEG2 W0 H48 F25:1\n", "is y4m of 0x48; sides must be even"),
-        (b"\xff\xd8" + bytes(100) + b"\xff\xd9", "image 0 is damaged, or very large"),
-        (claims(30000, 30000), "image 0 is damaged, or very large"),
-        (claims(12000, 10000), "image 0: is too large for a frame: 12000x10000, and at most 100 megapixels are read"),
-    ],
-)
-def test_a_pipe_that_is_no_clip_is_one_line(data, said):
-    with pytest.raises(InputError, match=said):
+    "data",
+    [b"", b"RIFF....AVI LIST", b"YUV4MPEG2 H48 F25:1\n", b"YUV4MPEG2 W99999998 H99999998 F25:1\n",
+     b"\xff\xd8" + bytes(100) + b"\xff\xd9", claims(30000, 30000), claims(12000, 10000),
+     b"#EXTM3U\n#EXTINF:1,\nfile:///etc/hostname\n"],
+)  # fmt: skip
+def test_a_pipe_that_is_no_clip_is_one_line(data):
+    with pytest.raises(InputError, match=r"^standard input: ") as error:
         list(piped(io.BytesIO(data)))
+    assert "\n" not in str(error.value)
 
 
-def test_an_image_without_an_end_is_not_held(monkeypatch):
-    monkeypatch.setattr(live, "MAX_IMAGE_BYTES", 1 << 20)
-    with pytest.raises(InputError, match="has no end in 1 MB"):
-        list(piped(io.BytesIO(b"\xff\xd8" + bytes(3 << 20))))
+def served(data, times):
+    """The port of a server that sends the data to each of so many visitors."""
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def serve():
+        with server:
+            for _ in range(times):
+                visitor, _ = server.accept()
+                with visitor:
+                    visitor.sendall(data)
+
+    threading.Thread(target=serve, daemon=True).start()
+    return server.getsockname()[1]
+
+
+def test_an_address_is_opened_again_when_it_ends(monkeypatch):
+    monkeypatch.setattr(live, "LEAST_WAIT_S", 0.01)
+    port, said = served(mpegts(IMAGES), 2), []
+    images = received(f"tcp://127.0.0.1:{port}", said.append)
+    found = list(itertools.islice(images, 12))
+    images.close()
+    assert [one.shape for one in found] == [IMAGES[0].shape] * 12
+    assert said == [f"tcp://127.0.0.1:{port}: it has ended; it is opened again in 0.01 s"]
+
+
+def test_an_address_that_gives_nothing_is_one_line_and_no_waiting():
+    with pytest.raises(InputError, match=r"^tcp://127\.0\.0\.1:9: ") as error:
+        next(received("tcp://127.0.0.1:9", print))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "live"),
+    [("-", True), ("0", True), ("/dev/video2", True), ("rtsp://host/a", True), ("https://host/a.mp4", True),
+     ("clip.mp4", False), ("a/rtsp", False)],
+)  # fmt: skip
+def test_what_comes_as_it_is_shown(name, live):
+    assert is_live(Path(name)) == live
 
 
 def test_lines_come_as_the_frames_do_with_their_age():

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal, TypeAlias
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FRAME, Extent, Whole, argument, flag, group, option, verb
+from facetrack_cli.cli.options import FRAME, Extent, Whole, argument, flag, group, option, say, verb
 from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, OutputError, UsageError
 
 if TYPE_CHECKING:
@@ -138,7 +138,7 @@ class Run:
     strict: bool = flag("--strict", "Exit with 3 if a clip is cut short or damaged.")
     fail_on_lost: bool = flag("--fail-on-lost", "Exit with 4 if a part is lost in the last frame.")
     live: bool = flag(
-        "--live", "Write a JSON line a frame to stdout as it comes; INPUT may be a camera's number, or -."
+        "--live", "Write a JSON line a frame to stdout as it comes; INPUT may be a camera, an address, or -."
     )
     quiet: bool = options.QUIET
     jobs: int = options.jobs_option("Clips at a time.")
@@ -262,7 +262,7 @@ class Run:
         recipe = self._recipe()
         init = self.extent.box if self.extent.box is not None else self.extent.init
         with Stop().listening() as stop:
-            follow(images_of(clip), recipe, init, lambda line: click.echo(line), stop)
+            follow(images_of(clip, say), recipe, init, lambda line: click.echo(line), stop)
         return stop.code or ExitCode.DONE
 
     def _check_cluster(self, where: str) -> int | None:
