@@ -9,6 +9,8 @@
         for result in facetrack.track_frames(images, recipe):   # any iterable of images, as a webcam
             out.write(result)
             image = facetrack.draw(result)                  # a new image with what the tracker says
+    tracker = facetrack.Tracker("face")                     # one image at a time, as in a service
+    result = tracker.update(image, time_s)                  # None until a face is found
     facetrack.read_trajectory("clip-sir").to_pandas()       # what `facetrack run` wrote
     facetrack.plot(facetrack.read_trajectory("clip-sir"))   # a figure of matplotlib
 
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from facetrack_cli.report.figures.page import page_figure as plot
     from facetrack_cli.run_folder.manifest import read_run as read_trajectory
     from facetrack_cli.runs.api import Recording, draw, track_frames, track_video
+    from facetrack_cli.runs.online import Tracker
     from facetrack_cli.trajectory.formats.read import read_truth
     from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
     from facetrack_cli.video.overlay.overlay import Overlay
@@ -42,6 +45,7 @@ __all__ = [
     "Recording",
     "Start",
     "TargetStart",
+    "Tracker",
     "Trajectory",
     "draw",
     "load_recipe",
@@ -59,6 +63,7 @@ _PLACES = {
     "report.figures.page": ("page_figure",),
     "run_folder.manifest": ("read_run",),
     "runs.api": ("Recording", "draw", "track_frames", "track_video"),
+    "runs.online": ("Tracker",),
     "trajectory.formats.read": ("read_truth",),
     "trajectory.trajectory": ("FrameResult", "Trajectory"),
     "video.overlay.overlay": ("Overlay",),

@@ -18,6 +18,8 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from facetrack_cli.core.npz import Stored
+
 Arrays: TypeAlias = dict[str, NDArray[Any]]
 _PACKAGE: Final = __name__.partition(".")[0]
 _KINDS: Final[Mapping[str, type]] = {"tuple": tuple, "list": list, "set": set, "frozenset": frozenset, "deque": deque}
@@ -134,3 +136,16 @@ def _axes(array: NDArray[Any]) -> list[int]:
 
 def _laid_out(packed: NDArray[Any], axes: list[int]) -> NDArray[Any]:
     return packed.transpose(np.argsort(axes)) if axes else packed
+
+
+def flat_value(name: str, value: Any) -> Arrays:
+    """The value as arrays of an .npz file, under a name."""
+    text, those = flatten(value)
+    return {name: np.array(text), **{f"{name}/{key}": one for key, one in those.items()}}
+
+
+def read_value(stored: Stored, name: str) -> Any:
+    """The value that `flat_value` gave to a file. ValueError for anything else."""
+    prefix = f"{name}/"
+    names = [key for key in stored.file.files if key.startswith(prefix)]
+    return restore(stored.text(name), {key.removeprefix(prefix): stored.file[key] for key in names})

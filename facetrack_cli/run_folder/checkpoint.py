@@ -20,7 +20,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import check_plain
 from facetrack_cli.core.npz import Kind, Stored
-from facetrack_cli.core.snapshot import Arrays, flatten, restore
+from facetrack_cli.core.snapshot import Arrays, flat_value, read_value
 from facetrack_cli.run_folder.lock import sweep
 
 FOLDER: Final = ".checkpoint"
@@ -51,7 +51,7 @@ class Checkpoints:
             if stored.text("key") != self._key or ("painted" in stored) != self._video:
                 return None
             self._last_frames = int(stored.file["frames"])
-            return _read(stored, "run"), _read(stored, "painted") if self._video else None
+            return read_value(stored, "run"), read_value(stored, "painted") if self._video else None
 
         if (self.folder / _FILE).is_file():
             sweep(self.folder)
@@ -68,7 +68,7 @@ class Checkpoints:
     def mark(self, frames: int, state: Any, sync: Callable[[], None]) -> None:
         """Keep the `state` after so many frames: at once, or when the video has come as far. `sync` ends its tables."""
         self._last_s, self._last_frames = time.monotonic(), frames
-        arrays = {"frames": np.array(frames), **_flat("run", state)}
+        arrays = {"frames": np.array(frames), **flat_value("run", state)}
         if self._video:
             self._marked[frames] = arrays, sync
         else:
@@ -79,7 +79,7 @@ class Checkpoints:
         self._worker.submit(self._keep, {}, finish)
         if frames in self._marked:
             arrays, sync = self._marked.pop(frames)
-            self._ready = arrays | _flat("painted", cut), sync
+            self._ready = arrays | flat_value("painted", cut), sync
 
     def release(self, *, video: bool = False) -> None:
         """Keep what is marked, now that there is one more frame (`video`: painted): after the last one nothing is."""
@@ -103,14 +103,3 @@ class Checkpoints:
 def forget(out: Path) -> None:
     """Remove the checkpoints of a run that is done, or is begun anew."""
     shutil.rmtree(out / FOLDER, ignore_errors=True)
-
-
-def _flat(name: str, state: Any) -> Arrays:
-    text, those = flatten(state)
-    return {name: np.array(text), **{f"{name}/{key}": one for key, one in those.items()}}
-
-
-def _read(stored: Stored, name: str) -> Any:
-    prefix = f"{name}/"
-    names = [key for key in stored.file.files if key.startswith(prefix)]
-    return restore(stored.text(name), {key.removeprefix(prefix): stored.file[key] for key in names})

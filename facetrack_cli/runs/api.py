@@ -64,7 +64,7 @@ def track_video(
     """
     job = Job(
         Path(path),
-        _recipe(recipe, seed, init),
+        chosen_recipe(recipe, seed, init),
         None,
         video=False,
         init=_init(init, start),
@@ -105,17 +105,17 @@ def track_frames(
     each image, in s, by its number; without it images come at `fps`.
     Raises InputError for images that are none, or no start in them.
     """
-    chosen = _recipe(recipe, seed, init)
+    chosen = chosen_recipe(recipe, seed, init)
     if lag:
         check_smoothing(chosen)
     frames = _frames(images, clock or (lambda index: index / fps))
-    begin = _init(init, 0)
+    begin = chosen_start(init)
     if begin is None or isinstance(begin, str):
         looked, frames = tee(frames)
         start = search(chosen, looked, IMAGES, by=begin, whole=False)  # all that are looked at are kept
         del looked  # or it would keep all frames
     else:
-        start = begin if isinstance(begin, Start) else read_init(begin)
+        start = begin
     frames = dropwhile(lambda frame: frame.index < start.frame, frames)
     found = next(frames, None)
     if found is None:
@@ -150,7 +150,7 @@ class Recording(Recorder):
         video: bool = True,
         overwrite: bool = False,
     ) -> None:
-        chosen, rate = _recipe(recipe, None, None), Fraction(fps).limit_denominator(1001)
+        chosen, rate = chosen_recipe(recipe, None, None), Fraction(fps).limit_denominator(1001)
         super().__init__(Job(Path(clip), chosen, Path(out), formats=tuple(formats), video=video, overwrite=overwrite))
         self._rate = rate
 
@@ -177,7 +177,7 @@ def draw(result: FrameResult, overlay: Overlay | None = None) -> Image:
     return (overlay or Overlay(result.frame.size)).draw(result)
 
 
-def _recipe(recipe: str | Path | Recipe | None, seed: int | None, init: Init | None) -> Recipe:
+def chosen_recipe(recipe: str | Path | Recipe | None, seed: int | None, init: Init | None) -> Recipe:
     if recipe is None:
         recipe = default_recipe(box=init is not None and not isinstance(init, str | Path | Start))
     if not isinstance(recipe, Recipe):
@@ -197,18 +197,30 @@ def _init(init: Init | None, start: int) -> Path | DetectorName | Start | None:
     return Start(start, {"face": TargetStart(box=(left, top, width, height))}, "init")
 
 
+def chosen_start(init: Init | None) -> Start | DetectorName | None:
+    """Where a track of images begins: at a start, or at the first face that a detector finds."""
+    begin = _init(init, 0)
+    return read_init(begin) if isinstance(begin, Path) else begin
+
+
 def _frames(images: Iterable[Image], clock: Callable[[int], float]) -> Iterator[Frame]:
     size: tuple[int, int] | None = None
-    for index, given in enumerate(images):
-        image = np.asarray(given)
-        if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
-            raise InputError(
-                f"image {index}: is {image.dtype} {image.shape}; give (height, width, 3) uint8, blue first, or grey"
-            )
-        if image.ndim == 2:
-            image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
-        frame = Frame(index, clock(index), image)
-        size = frame.size if size is None else size
-        if frame.size != size:
-            raise InputError(f"image {index}: is {frame.size[0]}x{frame.size[1]}, not {size[0]}x{size[1]} as the first")
+    for index, image in enumerate(images):
+        frame = frame_of(image, index, clock(index), size)
+        size = frame.size
         yield frame
+
+
+def frame_of(given: Image, index: int, time_s: float, size: tuple[int, int] | None) -> Frame:
+    """An image as a frame. InputError for what is no image, or not of the `size` (width, height) of those before."""
+    image = np.asarray(given)
+    if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
+        raise InputError(
+            f"image {index}: is {image.dtype} {image.shape}; give (height, width, 3) uint8, blue first, or grey"
+        )
+    if image.ndim == 2:
+        image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
+    frame = Frame(index, time_s, image)
+    if size is not None and frame.size != size:
+        raise InputError(f"image {index}: is {frame.size[0]}x{frame.size[1]}, not {size[0]}x{size[1]} as the first")
+    return frame
