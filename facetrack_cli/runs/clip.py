@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame, Start
+from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.checkpoint import forget
 from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended, is_tracked, silent
@@ -90,6 +91,9 @@ def track_clip(job: Job, out: Recorder, stop: Stop, report: Report = silent, loo
         warnings = (*source.warnings, *state.notes, *(crowded(state.at) if shots else ()))
         if stopped is None and error is None and job.stop is None:
             warnings += past_end(start.corrections, state.frame - 1, start.origin)
+        if job.faces == "all" and not shots and start.origin not in DETECTORS:
+            named = " and ".join(start.targets)
+            warnings += (f"{start.origin} says where {named} begins, so --faces all follows no other; --init haar does",)
         if state.watch is not None and (unseen := state.watch.unseen()):
             warnings += (unseen,)
         done = out.close(

@@ -36,7 +36,7 @@ from facetrack_cli.video.shots import Shot
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
 from tests.support.film_run import FILM, film_run
-from tests.support.samples import read_rows
+from tests.support.samples import FOLDER, read_rows
 
 CUTS = [45, 90, 140, 190, 253]
 
@@ -418,6 +418,14 @@ def test_what_a_film_cannot_is_refused(given, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["run", str(FILM), "--faces", "all", *given]) == ExitCode.USAGE
     assert "--faces all" in capsys.readouterr().err
+
+
+def test_an_init_file_beside_the_clip_is_followed_alone_and_that_is_said(tmp_path, capsys):
+    clip = FOLDER / "expressions.mp4"
+    few = ["--config", "factorized", "--stop", "3", "--no-video", "-o", str(tmp_path)]
+    assert main(["run", str(clip), "--faces", "all", *few]) == 0
+    said = "expressions.init.yaml says where face begins, so --faces all follows no other; --init haar does"
+    assert said in capsys.readouterr().err.replace("\n", " ")
 
 
 def test_moments():
