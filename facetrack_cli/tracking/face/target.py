@@ -175,11 +175,12 @@ class FaceTarget:
             after, result = self._step(rng, state, frame, footprints)
             if cut is None or after.cut is None or self._stays(after, frame):
                 return replace(after, cut=None), result
-        if event or self._is_due(state):
+        just = frame.time_s - cut <= STAYS  # then every frame counts
+        if just or event or self._is_due(state):
             state = self._sighted(state, frame)
             if (seen := state.sighting) is not None and seen.is_target(frame):
                 return self._returned(rng, state, seen, frame)
-        head, box = self.head.unseen(rng, state.head, frame, anywhere=frame.time_s - cut > STAYS)
+        head, box = self.head.unseen(rng, state.head, frame, anywhere=not just)
         state = replace(state, head=head, sure=_FORGETS * state.sure)
         return state, self._result(state, box, frame)
 
