@@ -23,7 +23,7 @@ from facetrack_cli.tracking.start.closer import again
 from facetrack_cli.tracking.start.detectors import Detector, Found
 
 OF_EYES: Final = (*GROUPS["eyes"], *IRISES)
-TRUSTED: Final = 0.6  # weight of the network for eyes beside the regression
+TRUSTED: Final = 0.5  # weight of the network for eyes beside the regression
 BLINKS: Final = 0.1 * EYES  # the least standard deviation of how lids and irises move, pixels
 SHUT: Final = 0.15  # opening of an eye, below which its iris is covered; by as much more it is surely seen
 
