@@ -23,7 +23,7 @@ from facetrack_cli.tracking.start.closer import again
 from facetrack_cli.tracking.start.detectors import Detector, Found
 
 OF_EYES: Final = (*GROUPS["eyes"], *IRISES)
-TRUSTED: Final = 0.5  # weight of the network for eyes beside the regression
+TRUSTED: Final = 0.4  # weight of the network for eyes beside the regression
 BLINKS: Final = 0.1 * EYES  # the least standard deviation of how lids and irises move, pixels
 SHUT: Final = 0.15  # opening of an eye, below which its iris is covered; by as much more it is surely seen
 
@@ -88,7 +88,8 @@ class Senses:
         wrong, least = np.full(len(OF_EYES), OFF), np.full(len(OF_EYES), BLINKS)
         wrong[np.array(SIDES)], least[CORNERS] = load_eyes().std, MIN_MOVES
         index = [OF_EYES.index(part) for part in self.eyes]
-        return Begun(sensors, begun, MeshPoints.begin(eyes.at, wrong[index], least[index]))
+        points = MeshPoints.begin(eyes.at, wrong[index], least[index])
+        return Begun(sensors, begun, points._replace(visible=0.5 * points.visible).after(*eyes))
 
     def sensed(self, frame: Frame, similarity: Similarity, seen: Frame, around: Sequence[Array] = ()) -> Sensed:
         """What sensors say of the points in the stabilized image `seen`; nan, and 0, of parts that none of them knows.
