@@ -10,7 +10,7 @@ NAME, by `tools/eye_descent.py --without NAME`. Networks are used where their fi
     r             correlation of the opening, mean of both eyes, with the reference's, times the share of rows with one
     blinks        of the reference, found, right; a blink is a run of at most 15 frames in which the opening is below
                   half of its running median of 61 frames, widened to where it passes .75 of that
-    90 %          share of corners and lids in the ellipse that should hold 90 % of them, without constant offsets
+    90 %          share of corners and lids in the ellipse that should hold 90 % of them
 """
 
 from __future__ import annotations
@@ -63,7 +63,6 @@ def score(clip: Path, seed: int, regressions: Path | None) -> tuple[float, int, 
         rows, seen = part, np.isin(part.status, SEEN) & (part.frame < len(frames))
         at[rows.frame[seen], j] = np.stack([rows.x, rows.y], axis=1)[seen]
         off = (at - true)[rows.frame[seen], j]
-        off -= np.nanmedian(off, axis=0)
         cov = np.array([[rows.std_x**2, rows.cov_xy], [rows.cov_xy, rows.std_y**2]]).transpose(2, 0, 1)[seen]
         squared = np.einsum("ti,tij,tj->t", off, np.linalg.inv(cov), off)
         inside.extend((squared < ELLIPSE)[np.isfinite(squared)].tolist())
