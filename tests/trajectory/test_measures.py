@@ -32,7 +32,7 @@ def test_groups_lines_and_the_mesh_name_the_same_28_points():
 
 def test_a_face_that_is_drawn_by_hand():
     """The points of tests/support/face_shape.py, 100 pixels between the eyes: read off and divided by 100."""
-    found = values(moving_face(2, open=[0, 0.3], smile=[0, 0.1], brows=[0, 0.05], shut=[0, 0.5]))
+    found = values(moving_face(2, open=[0, 0.3], smile=[0, 0.1], brows=[0, 0.05], shut=[0, 0.5], looks=[0, 0.1]))
     assert list(found) == [one.name for one in MEASURES]
     expected = {
         "mouth_opening": (0.25, 0.55),
@@ -41,6 +41,8 @@ def test_a_face_that_is_drawn_by_hand():
         "smile": (1.125 - 1.1, 1.275 - 1.0),  # the middle of the lips sinks by .15, the corners rise by .1
         "brow_raise": (0.4, 0.45),
         "eye_opening": (0.15 / 0.5, 0.075 / 0.5),
+        "gaze_x": (0, 0.1 / 0.5),
+        "gaze_y": (0.01 / 0.5, 0.01 / 0.5),
         "roll": (0, 0),
     }
     for name, wanted in expected.items():
@@ -67,7 +69,7 @@ def test_where_a_point_is_lost_or_hidden_its_measures_are_nan():
         assert all(np.isfinite(value[[0, 1, 3]]).all() for value in found.values())
     eye = np.where((names == "eye_left_inner") & (table.frame == 2), "lost", "tracked")
     lost = {name for name, value in values(replace(table, status=eye)).items() if np.isnan(value[2])}
-    assert lost == {"mouth_opening", "lips_apart", "mouth_width", "smile", "brow_raise", "eye_opening"}
+    assert lost == {"brow_raise", "eye_opening", "gaze_x", "gaze_y"}, "without an eye the box is the unit"
 
 
 @settings(max_examples=25)

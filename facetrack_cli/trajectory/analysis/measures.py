@@ -1,6 +1,6 @@
 """What a face does, as numbers: how far its mouth opens, its smile, its brows, its lids, how its head stands.
 
-Lengths are in distances between the eyes. With points of both eyes that is the distance of their centres over `share`,
+Lengths are in distances between the eyes. Where both eyes are seen that is the distance of their centres over `share`,
 so that it does not shrink when the head turns; else it is .363 of the width of the face's box. Widths of mouth and eyes
 are over `share`, too: it is how long the head's own horizontal is in the image, by its pose; 1 from the front, or where
 the pose is not known, and at least .5. Heights are across the line of the eyes, without eyes across that horizontal.
@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.face_points import EYE_DISTANCE
+from facetrack_cli.core.face_points import EYE_DISTANCE, IRISES
 from facetrack_cli.core.types import BOX, Array, Whole
 from facetrack_cli.trajectory.analysis.head_pose import SHAPE, head_pose, rotation_of, with_eyes
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned, joined
@@ -27,6 +27,8 @@ EYES, BROWS = ("eye_left", "eye_right"), ("brow_left_middle", "brow_right_middle
 LIPS, INNER = ("lip_upper", "lip_lower"), ("inner_lip_upper", "inner_lip_lower")
 CORNERS = ("mouth_left", "mouth_right")
 LIDS = tuple(f"{eye}_{place}" for eye in EYES for place in ("upper", "lower", "outer", "inner"))
+ENDS = ("eye_left_outer", "eye_left_inner"), ("eye_right_inner", "eye_right_outer")  # of an eye, from the left
+GAZE = (*IRISES, *ENDS[0], *ENDS[1])
 STEP: Final = 1e-3  # pixels, of the differences
 
 
@@ -42,9 +44,17 @@ class Face(NamedTuple):
     @property
     def across(self) -> Any:
         """(T,) from the left eye to the right one as they are apart from the front, as x + iy."""
-        if self.at.keys() >= {*EYES}:
-            return (self.at["eye_right"] - self.at["eye_left"]) / self.share
-        return EYE_DISTANCE * self.at[BOX].real * self.lean
+        box = EYE_DISTANCE * self.at[BOX].real * self.lean if BOX in self.at else np.nan
+        if not self.at.keys() >= {*EYES}:
+            return box
+        apart = (self.at["eye_right"] - self.at["eye_left"]) / self.share
+        return np.where(np.isfinite(apart), apart, box)  # an eye may be hidden
+
+    @property
+    def gaze(self) -> Any:
+        """(T,) the irises in the frames of their eyes, whose corners are at -1/2 and 1/2; mean of both, as x + iy."""
+        each = [(self.at[i] - self.at[a]) / (self.at[b] - self.at[a]) for i, (a, b) in zip(IRISES, ENDS, strict=True)]
+        return sum(each) / 2 - 0.5
 
     def apart(self, one: str, other: str) -> Array:
         return np.asarray(np.abs(self.at[one] - self.at[other]))
@@ -76,6 +86,10 @@ MEASURES: Final = (
             BROWS + EYES, lambda f: f.height(*BROWS, *EYES)),
     Measure("eye_opening", "eye widths", "distance of an eye's lids over its width, mean of both", LIDS,
             lambda f: sum(f.apart(*LIDS[i : i + 2]) / f.apart(*LIDS[i + 2 : i + 4]) for i in (0, 4)) * f.share / 2),
+    Measure("gaze_x", "eye widths", "how far the irises are right of the middle of the eyes' corners, mean of both",
+            GAZE, lambda f: f.gaze.real),
+    Measure("gaze_y", "eye widths", "how far the irises are above the line of the eyes' corners, mean of both",
+            GAZE, lambda f: -f.gaze.imag),
     Measure("roll", DEGREES, "roll of the head's pose; where it is not known, the angle of the face's box"),
     Measure("yaw", DEGREES, "yaw of the head's pose"),
     Measure("pitch", DEGREES, "pitch of the head's pose"),
@@ -113,6 +127,8 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
         std = np.sqrt(np.diagonal(pose.of_points, axis1=1, axis2=2))
         for i, one in enumerate(known.values()):
             one[:, np.searchsorted(frame, pose.frame)] = pose.angles[:, i], std[:, i]
+    for name in {*EYES} & {*names}:
+        spread[name] = np.nan_to_num(spread[name])  # where they are hidden they are not the unit
     if BOX in names:
         spread[BOX] = np.nan_to_num(spread[BOX])  # of trackers that do not say it
         known["roll"][0] = np.where(np.isfinite(known["roll"][0]), known["roll"][0], angle[names.index(BOX)])
