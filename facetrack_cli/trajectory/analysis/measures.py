@@ -9,25 +9,41 @@ Nothing corrects heights for pitch.
 The spread is of first order: derivatives, by central differences, times the covariance of each point in its row. It
 takes points as independent and the pose as known. That of an angle is what the points alone make of it: what a person's
 proportions add (head_pose.py) is the same in all frames.
+
+That spread is of the value, with an offset that all frames of a clip share. The noise is what is left without it, so
+that two frames differ with the spread hypot(noise, noise). It has three parts: jitter from frame to frame, by the
+median of second differences; a share of how far the measure varies in the clip, since a tracker follows a face's motion
+in part; and a share of the spread.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from facetrack_cli.core.face_points import EYE_DISTANCE
 from facetrack_cli.core.types import BOX, Array, Whole
+from facetrack_cli.trajectory.analysis.head_motion import gauss, turning_points
 from facetrack_cli.trajectory.analysis.head_pose import SHAPE, head_pose, rotation_of, with_eyes
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned, joined
 
 LENGTH, DEGREES = "eye distances", "degrees"
-EYES, BROWS = ("eye_left", "eye_right"), ("brow_left_middle", "brow_right_middle")
+SIDES, EYES = ("left", "right"), ("eye_left", "eye_right")
+BROWS = tuple((f"brow_left_{place}", f"brow_right_{place}") for place in ("middle", "inner", "outer"))
 LIPS, INNER = ("lip_upper", "lip_lower"), ("inner_lip_upper", "inner_lip_lower")
 CORNERS = ("mouth_left", "mouth_right")
-LIDS = tuple(f"{eye}_{place}" for eye in EYES for place in ("upper", "lower", "outer", "inner"))
+LIDS = tuple(tuple(f"{eye}_{place}" for place in ("upper", "lower", "outer", "inner")) for eye in EYES)
 STEP: Final = 1e-3  # pixels, of the differences
+# the noise's shares of what a measure varies and of its spread, by `benchmarks/expressions.py --fit` on eight people
+VARIES, SHARE = 0.5, 0.2
+# a mouth that talks: its swings are so large and last at most so long, and within a second or so there are so many
+SWING, SWING_S, AROUND_S, SWINGS, SWINGS_STD = 0.03, 0.5, 0.6, 1.6, 0.5
+NORMAL: Final = 0.6745  # median absolute deviation of a standard normal number
+OWN: Final = {"nose", *CORNERS, *LIPS, BOX}
+"""The parts that the recipe `face` has without a network."""
 
 
 class Face(NamedTuple):
@@ -49,14 +65,23 @@ class Face(NamedTuple):
     def apart(self, one: str, other: str) -> Array:
         return np.asarray(np.abs(self.at[one] - self.at[other]))
 
-    def height(self, one: str, other: str, *below: str) -> Array:
-        """(T,) how far the middle of two points is above that of two others, in distances between the eyes."""
-        apart = sum(self.at[name] for name in below) - self.at[one] - self.at[other]
-        return np.asarray((apart / (2j * self.across)).real)
+    def height(self, above: Sequence[str], below: Sequence[str]) -> Array:
+        """(T,) how far the middle of some points is above that of others, in distances between the eyes."""
+        middles = [sum(self.at[name] for name in names) / len(names) for names in (below, above)]
+        return np.asarray(((middles[0] - middles[1]) / (1j * self.across)).real)
+
+    def aside(self, one: str, other: str) -> Array:
+        """(T,) how far a point is to the right of another in the image, in distances between the eyes."""
+        return np.asarray(((self.at[one] - self.at[other]) / self.across).real)
+
+    def opening(self, *eyes: int) -> Array:
+        """(T,) the distance of lids over the width of an eye, mean of some eyes."""
+        each = [self.apart(*LIDS[k][:2]) / self.apart(*LIDS[k][2:]) for k in eyes]
+        return np.asarray(sum(each) * self.share / len(each))
 
 
 class Measure(NamedTuple):
-    """What is measured, and of which parts; `of` is None of an angle of the head's pose."""
+    """What is measured, and of which parts; `of` is None of an angle of the head's pose, or of other measures."""
 
     name: str
     unit: str
@@ -64,23 +89,45 @@ class Measure(NamedTuple):
     needs: tuple[str, ...] = ()
     of: Callable[[Face], Array] | None = None
 
+    @property
+    def by_network(self) -> bool:
+        """Whether it needs points that the recipe `face` has of a network alone."""
+        return not OWN.issuperset(self.needs)
+
 
 MEASURES: Final = (
     Measure("mouth_opening", LENGTH, "distance of the outer lips", LIPS, lambda f: f.apart(*LIPS) / abs(f.across)),
     Measure("lips_apart", LENGTH, "distance of the inner lips", INNER, lambda f: f.apart(*INNER) / abs(f.across)),
+    Measure("lips_pressed", LENGTH, "distance of the inner lips less that of the outer lips: more where lips are thin",
+            LIPS + INNER, lambda f: (f.apart(*INNER) - f.apart(*LIPS)) / abs(f.across)),
+    Measure("lips_rounded", "ratio", "distance of the outer lips over that of the corners of the mouth", LIPS + CORNERS,
+            lambda f: f.apart(*LIPS) / f.apart(*CORNERS) * f.share),
     Measure("mouth_width", LENGTH, "distance of the corners of the mouth", CORNERS,
             lambda f: f.apart(*CORNERS) / abs(f.across) / f.share),
     Measure("smile", LENGTH, "height of the middle of the corners of the mouth above that of the outer lips",
-            CORNERS + LIPS, lambda f: f.height(*CORNERS, *LIPS)),
-    Measure("brow_raise", LENGTH, "height of the middles of the brows above the centres of the eyes, mean of both",
-            BROWS + EYES, lambda f: f.height(*BROWS, *EYES)),
-    Measure("eye_opening", "eye widths", "distance of an eye's lids over its width, mean of both", LIDS,
-            lambda f: sum(f.apart(*LIDS[i : i + 2]) / f.apart(*LIDS[i + 2 : i + 4]) for i in (0, 4)) * f.share / 2),
-    Measure("roll", DEGREES, "roll of the head's pose; where it is not known, the angle of the face's box"),
+            CORNERS + LIPS, lambda f: f.height(CORNERS, LIPS)),
+    *(Measure(f"smile_{side}", LENGTH, f"height of the {side} corner of the mouth above the middle of the outer lips",
+              (corner, *LIPS), lambda f, corner=corner: f.height([corner], LIPS))
+      for side, corner in zip(SIDES, CORNERS, strict=True)),
+    Measure("jaw_sideways", LENGTH, "how far the chin is to the right of the nose, along the line of the eyes",
+            ("chin", "nose"), lambda f: f.aside("chin", "nose")),
+    *(Measure(f"brow_{name}", LENGTH, f"height of the {place} of the brows above the centres of the eyes, mean of both",
+              parts + EYES, lambda f, parts=parts: f.height(parts, EYES))
+      for name, place, parts in zip(("raise", "inner", "outer"), ("middles", "inner ends", "outer ends"), BROWS,
+                                    strict=True)),
+    Measure("eye_opening", "eye widths", "distance of an eye's lids over its width, mean of both", LIDS[0] + LIDS[1],
+            lambda f: f.opening(0, 1)),
+    *(Measure(f"eye_opening_{side}", "eye widths", f"distance of the lids of the {side} eye over its width", LIDS[k],
+              lambda f, k=k: f.opening(k)) for k, side in enumerate(SIDES)),
+    Measure("eyes_differ", "eye widths", "opening of the right eye less that of the left", LIDS[0] + LIDS[1],
+            lambda f: f.opening(1) - f.opening(0)),
+    Measure("roll", DEGREES, "roll of the head's pose, its tilt; where it is not known, the angle of the face's box"),
     Measure("yaw", DEGREES, "yaw of the head's pose"),
     Measure("pitch", DEGREES, "pitch of the head's pose"),
+    Measure("thrust", "share", "how much larger the head is in the image than the clip's median, by the scale of its pose"),
+    Measure("talking", "probability", "that the mouth moves as in talking"),
 )  # fmt: skip
-"""All measures, in the order of columns."""
+"""All measures, in the order of columns; left and right are as seen in the image."""
 USED: Final = {BOX, *SHAPE, *(name for one in MEASURES for name in one.needs)}
 
 
@@ -93,6 +140,7 @@ class Measured(NamedTuple):
     time_s: Array
     value: Array
     std: Array
+    noise: Array
 
 
 @np.errstate(all="ignore")
@@ -113,10 +161,12 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
         std = np.sqrt(np.diagonal(pose.of_points, axis1=1, axis2=2))
         for i, one in enumerate(known.values()):
             one[:, np.searchsorted(frame, pose.frame)] = pose.angles[:, i], std[:, i]
+        known["thrust"] = np.full((2, len(frame)), np.nan)
+        known["thrust"][0, np.searchsorted(frame, pose.frame)] = pose.scale / np.nanmedian(pose.scale) - 1
     if BOX in names:
         spread[BOX] = np.nan_to_num(spread[BOX])  # of trackers that do not say it
         known["roll"][0] = np.where(np.isfinite(known["roll"][0]), known["roll"][0], angle[names.index(BOX)])
-    turned = rotation_of(np.radians(np.nan_to_num([one[0] for one in known.values()])).T)
+    turned = rotation_of(np.radians(np.nan_to_num([known[name][0] for name in ("pitch", "yaw", "roll")])).T)
     axis = turned[:, 0, 0] + 1j * turned[:, 1, 0]
     face = Face(dict(zip(names, x + 1j * y, strict=True)), np.maximum(abs(axis), 0.5), axis / abs(axis))
     found = {}
@@ -126,8 +176,35 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
             both = np.stack([of(face), _spread(of, face, {part: spread[part] for part in needs})])
             known[name] = np.where(np.abs(both) < 1e6, both, np.nan)  # the face may have no size
         if name in known and (of or np.isfinite(known[name]).any()):
-            found[name] = Measured(name, unit, frame, time_s, *known[name])
+            found[name] = Measured(name, unit, frame, time_s, *known[name], _noise(*known[name]))
+    if (mouth := found.get("lips_apart", found.get("mouth_opening"))) is not None:
+        blank = np.full(len(frame), np.nan)
+        found["talking"] = Measured("talking", "probability", frame, time_s, _talking(mouth), blank, blank)
     return found
+
+
+def _talking(mouth: Measured) -> Array:
+    """(T,) the probability that a mouth talks, by the number of its quick swings around each frame."""
+    rows = np.flatnonzero(np.isfinite(mouth.value + mouth.time_s))
+    swings, talks = np.zeros(len(rows)), np.full(len(mouth.value), np.nan)
+    if len(rows) > 2:
+        value, time_s = mouth.value[rows], mouth.time_s[rows]
+        turns = turning_points(value, max(SWING, 4 * jitter(value)))
+        for a, b in pairwise(turns):
+            swings[(a + b) // 2] += time_s[b] - time_s[a] <= SWING_S
+        sigma = AROUND_S / max(float(np.median(np.diff(time_s))), AROUND_S / 500)
+        talks[rows] = above(gauss(swings, sigma) * sigma * np.sqrt(2 * np.pi) - SWINGS, SWINGS_STD)
+    return talks
+
+
+def above(value: Array, spread: Array | float) -> Array:
+    """The probability that what was measured as a value, with this spread, is above 0."""
+    return np.asarray(np.vectorize(math.erfc, otypes=[float])(-value / spread / math.sqrt(2)) / 2)
+
+
+def jitter(values: Array) -> float:
+    """The standard deviation of what is independent from frame to frame, by the median of second differences."""
+    return float(np.median(np.abs(np.diff(values, n=2)))) / NORMAL / math.sqrt(6)
 
 
 def _spread(of: Callable[[Face], Array], face: Face, spread: Mapping[str, Array]) -> Array:
@@ -138,3 +215,13 @@ def _spread(of: Callable[[Face], Array], face: Face, spread: Mapping[str, Array]
         along_x, along_y = (moved[0] - moved[1]) / (2 * STEP), (moved[2] - moved[3]) / (2 * STEP)
         variance += (along_x * std_x) ** 2 + (along_y * std_y) ** 2 + 2 * along_x * along_y * np.nan_to_num(cov_xy)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _noise(value: Array, std: Array) -> Array:
+    """(T,) the standard deviation of a measure without the offset that its clip shares, at most its spread."""
+    known = value[np.isfinite(value)]
+    if len(known) < 3:
+        return std
+    varies = np.median(np.abs(known - np.median(known))) / NORMAL
+    noise = np.sqrt(jitter(known) ** 2 + (VARIES * varies) ** 2 + (SHARE * np.nan_to_num(std)) ** 2)
+    return np.asarray(np.where(np.isfinite(value), np.fmin(noise, np.where(std > 0, std, np.inf)), np.nan))
