@@ -21,11 +21,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.numbers import spans
-from facetrack_cli.core.types import Array
-from facetrack_cli.trajectory.analysis.measures import SHARE, Measured
+from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.trajectory.analysis.measures import PAUSE_S, Measured, settled, stretches
 
 PRIOR, ROUNDS = 100.0, 8
-GAP_S, HALFWAY_S, LEAST = 0.25, 0.1, 1e-9
+HALFWAY_S, LEAST_STEP, LEAST = 0.1, 0.75, 1e-9
 QUIET: Final = 0.1  # quantile of a measure that begins as its level at rest, where that is no running median
 
 
@@ -56,9 +56,9 @@ class Kind(NamedTuple):
 
 
 KINDS: Final = {
-    "mouth": Kind("open", ("mouth_opening",), 1, 0.1, (0.02, 0.05), (0.3, 0.2), 0.6),
-    "smile": Kind("smile", ("mouth_width",), 1, 0.16, (0.05, 0.05), (3.0, 1.5), 0.1),
-    "blinks": Kind("blink", ("eye_opening",), -1, 0.7, (0.1, 0.15), (3.0, 0.15), 0.3, 1.0, True, 0.5, "shut"),
+    "mouth": Kind("open", ("mouth_opening",), 1, 0.1, (0.02, 0.05), (0.3, 0.2), 0.5),
+    "smile": Kind("smile", ("mouth_width",), 1, 0.13, (0.04, 0.05), (3.0, 1.5), 0.15),
+    "blinks": Kind("blink", ("eye_opening",), -1, 0.5, (0.1, 0.1), (3.0, 0.15), 1.0, 1.0, True, 0.5, "shut"),
     "dips": Kind("nod", ("pitch",), 1, 12.0, (3.0, 4.0), (3.0, 0.3), 0.3, 1.0, longest_s=1.0, needs="eye_opening"),
     "shakes": Kind("shake", ("yaw",), 0, 12.0, (3.0, 4.0), (3.0, 0.3), 0.3, 1.0, longest_s=2.0),
     "wink_left": Kind("wink", ("eyes_differ",), 1, 0.2, (0.04, 0.08), (3.0, 0.3), 0.3, 1.0),
@@ -91,18 +91,19 @@ def events_of(target: str, measures: Mapping[str, Measured]) -> dict[str, list[F
     for tier, kind in KINDS.items():
         best = next((measures[one] for one in kind.measures if one in measures), None)
         if best is not None and (not kind.needs or kind.needs in measures):
-            found[tier] = sorted(_events(target, tier, kind, best))
+            shots = [best.between(*ends) for ends in stretches(best.time_s)] if kind.step else [best]
+            found[tier] = sorted(event for shot in shots for event in _events(target, tier, kind, shot))
     return found
 
 
 def _events(target: str, tier: str, kind: Kind, one: Measured) -> Iterator[FaceEvent]:
-    rows = np.flatnonzero(np.isfinite(one.value + one.time_s))
+    rows = settled(one) if kind.step else np.flatnonzero(np.isfinite(one.value + one.time_s))
     if len(rows) < 2:
         return
     time_s, frame = one.time_s[rows], one.frame[rows]
-    pause, usual = np.diff(time_s) > GAP_S, float(np.median(np.diff(time_s)))
+    pause, usual = np.diff(time_s) > PAUSE_S, float(np.median(np.diff(time_s)))
     until = np.append(np.where(pause, time_s[:-1] + usual, time_s[1:]), time_s[-1] + usual)
-    z, log_p = _log_likelihoods(kind, one.value[rows], SHARE * one.std[rows], time_s)
+    z, log_p = _log_likelihoods(kind, one, rows)
     rest_s, away_s = kind.lasts
     lasts = (rest_s, *([HALFWAY_S if kind.sign else away_s] if kind.step else []), away_s)
     passes = [(kind.value, log_p, z)] + ([(kind.other, log_p[:, ::-1], -z)] if kind.other else [])
@@ -117,8 +118,9 @@ def _events(target: str, tier: str, kind: Kind, one: Measured) -> Iterator[FaceE
                 yield FaceEvent(float(time_s[a]), target, tier, name, *times, int(frame[a]), int(frame[b - 1]), chance)
 
 
-def _log_likelihoods(kind: Kind, value: Array, noise: Array, time_s: Array) -> tuple[Array, Array]:
-    """(T,) how far a measure is away from rest, and (T, S) log likelihoods of the states."""
+def _log_likelihoods(kind: Kind, one: Measured, rows: Whole) -> tuple[Array, Array]:
+    """(T,) how far a measure is away from rest in these rows, and (T, S) log likelihoods of the states."""
+    value, time_s = one.value[rows], one.time_s[rows]
     if not kind.step:
         return value, np.log(np.clip(np.stack([1 - value, value], axis=1), LEAST, 1))
     if kind.reach_s:
@@ -126,9 +128,13 @@ def _log_likelihoods(kind: Kind, value: Array, noise: Array, time_s: Array) -> t
         padded = np.pad(value, reach, mode="symmetric")
         rest = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1), axis=1)
     else:
-        rest = np.full(len(value), np.quantile(kind.sign * value, QUIET) * kind.sign)
+        sure = one.doubt[rows] <= 2 * np.median(one.doubt[rows])
+        rest = np.full(len(value), np.quantile(kind.sign * value[sure], QUIET) * kind.sign)
     unit = np.maximum(np.abs(rest), LEAST) if kind.relative else 1.0
-    z, noise = (kind.sign or 1) * (value - rest) / unit, np.nan_to_num(noise) / unit
+    z = (kind.sign or 1) * (value - rest) / unit
+    std, noise = (np.nan_to_num(spread[rows]) / unit for spread in (one.std, one.doubt))
+    noise = np.sqrt(noise**2 + np.maximum(std**2 - kind.step**2, 0.0))  # one as large as the step is no offset
+    z = np.sign(z) * np.maximum(np.abs(z) - noise, 0.0)  # errors of a while are alike: more frames tell no more of them
     level, step, quiet = 0.0, kind.step, kind.varies[0]
     log_p = _normal(kind, z, noise, level, step, quiet)
     for _ in range(ROUNDS):
@@ -139,6 +145,7 @@ def _log_likelihoods(kind: Kind, value: Array, noise: Array, time_s: Array) -> t
         quiet = math.sqrt((at_rest @ excess + PRIOR * kind.varies[0] ** 2) / (at_rest.sum() + PRIOR))
         height = np.abs(z - level) if not kind.sign else z - level
         step = float((away @ height + PRIOR * kind.step) / (away.sum() + PRIOR))
+        step = max(step, LEAST_STEP * kind.step)
         log_p = _normal(kind, z, noise, level, step, quiet)
     return (z if kind.sign else np.abs(z)), log_p
 

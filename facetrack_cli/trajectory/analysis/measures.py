@@ -10,10 +10,10 @@ The spread is of first order: derivatives, by central differences, times the cov
 takes points as independent and the pose as known. That of an angle is what the points alone make of it: what a person's
 proportions add (head_pose.py) is the same in all frames.
 
-That spread is of the value, with an offset that all frames of a clip share. The noise is what is left without it, so
-that two frames differ with the spread hypot(noise, noise). It has three parts: jitter from frame to frame, by the
-median of second differences; a share of how far the measure varies in the clip, since a tracker follows a face's motion
-in part; and a share of the spread.
+That spread is of the value, with an offset that all frames of a clip share as long as the head stands alike. The noise
+is what is left without it, so that two frames differ with the spread hypot(noise, noise): jitter from frame to frame,
+by the median of second differences; a share of how far the measure varies in the clip, as a tracker follows a face's
+motion in part; and of the spread a share, which is the whole where the head is turned or nearer than usual.
 """
 
 import math
@@ -25,6 +25,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.face_points import EYE_DISTANCE
+from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Whole
 from facetrack_cli.trajectory.analysis.head_motion import gauss, turning_points
 from facetrack_cli.trajectory.analysis.head_pose import SHAPE, head_pose, rotation_of, with_eyes
@@ -39,8 +40,11 @@ LIDS = tuple(tuple(f"{eye}_{place}" for place in ("upper", "lower", "outer", "in
 STEP: Final = 1e-3  # pixels, of the differences
 # the noise's shares of what a measure varies and of its spread, by `benchmarks/expressions.py --fit` on eight people
 VARIES, SHARE = 0.5, 0.2
+UNIT: Final = 0.2  # how far off the unit may be, where the head has moved
+NEAR_S, PAUSE_S = 0.3, 0.25
 # a mouth that talks: its swings are so large and last at most so long, and within a second or so there are so many
 SWING, SWING_S, AROUND_S, SWINGS, SWINGS_STD = 0.03, 0.5, 0.6, 1.6, 0.5
+TURNED, NEARER = 25.0, 0.15  # degrees, and the logarithm of the size, from the clip's median: there the share is 1
 NORMAL: Final = 0.6745  # median absolute deviation of a standard normal number
 OWN: Final = {"nose", *CORNERS, *LIPS, BOX}
 """The parts that the recipe `face` has without a network."""
@@ -124,7 +128,7 @@ MEASURES: Final = (
     Measure("roll", DEGREES, "roll of the head's pose, its tilt; where it is not known, the angle of the face's box"),
     Measure("yaw", DEGREES, "yaw of the head's pose"),
     Measure("pitch", DEGREES, "pitch of the head's pose"),
-    Measure("thrust", "share", "how much larger the head is in the image than the clip's median, by the scale of its pose"),
+    Measure("thrust", "share", "how much larger the face's box is than the clip's median, by the root of its area"),
     Measure("talking", "probability", "that the mouth moves as in talking"),
 )  # fmt: skip
 """All measures, in the order of columns; left and right are as seen in the image."""
@@ -132,7 +136,10 @@ USED: Final = {BOX, *SHAPE, *(name for one in MEASURES for name in one.needs)}
 
 
 class Measured(NamedTuple):
-    """One measure of one target in T frames; nan where a point that it needs is lost or absent."""
+    """One measure of one target in T frames; nan where a point that it needs is lost or absent.
+
+    `std` is the spread of a value, `doubt` what of it is not an offset that the whole clip shares.
+    """
 
     name: str
     unit: str
@@ -140,7 +147,22 @@ class Measured(NamedTuple):
     time_s: Array
     value: Array
     std: Array
-    noise: Array
+    doubt: Array
+
+    def between(self, begin: int, end: int) -> "Measured":
+        """The rows from `begin` to before `end`."""
+        return Measured(self.name, self.unit, *(one[begin:end] for one in self[2:]))
+
+    @property
+    def noise(self) -> Array:
+        """(T,) the standard deviation without the offset that the clip shares, at most the spread."""
+        known = self.value[np.isfinite(self.value)]
+        if len(known) < 3:
+            return self.std
+        varies = VARIES * np.median(np.abs(known - np.median(known))) / NORMAL
+        noise = np.sqrt(jitter(known) ** 2 + varies**2 + np.nan_to_num(self.doubt) ** 2)
+        at_most = np.where(self.std > 0, self.std, np.inf)
+        return np.asarray(np.where(np.isfinite(self.value), np.fmin(noise, at_most), np.nan))
 
 
 @np.errstate(all="ignore")
@@ -161,14 +183,20 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
         std = np.sqrt(np.diagonal(pose.of_points, axis1=1, axis2=2))
         for i, one in enumerate(known.values()):
             one[:, np.searchsorted(frame, pose.frame)] = pose.angles[:, i], std[:, i]
-        known["thrust"] = np.full((2, len(frame)), np.nan)
-        known["thrust"][0, np.searchsorted(frame, pose.frame)] = pose.scale / np.nanmedian(pose.scale) - 1
     if BOX in names:
         spread[BOX] = np.nan_to_num(spread[BOX])  # of trackers that do not say it
         known["roll"][0] = np.where(np.isfinite(known["roll"][0]), known["roll"][0], angle[names.index(BOX)])
     turned = rotation_of(np.radians(np.nan_to_num([known[name][0] for name in ("pitch", "yaw", "roll")])).T)
     axis = turned[:, 0, 0] + 1j * turned[:, 1, 0]
     face = Face(dict(zip(names, x + 1j * y, strict=True)), np.maximum(abs(axis), 0.5), axis / abs(axis))
+    away = [(known["yaw"][0] / TURNED, 0.0)]
+    if BOX in names:
+        size = np.sqrt(np.prod([one[names.index(BOX)] for one in (x, y)], axis=0))
+        known["thrust"] = np.stack([size / np.nanmedian(size) - 1, np.full(len(frame), np.nan)])
+        away.append((np.log(size) / NEARER, 1.0))
+    moved = np.zeros(len(frame))
+    for a, b in stretches(time_s):
+        moved[a:b] = np.minimum(sum(_moved(one[a:b], time_s[a:b], by) for one, by in away), 1)
     found = {}
     for name, unit, _, needs, of in MEASURES:
         needs += () if unit != LENGTH else EYES if face.at.keys() >= {*EYES} else (BOX,)
@@ -176,7 +204,7 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
             both = np.stack([of(face), _spread(of, face, {part: spread[part] for part in needs})])
             known[name] = np.where(np.abs(both) < 1e6, both, np.nan)  # the face may have no size
         if name in known and (of or np.isfinite(known[name]).any()):
-            found[name] = Measured(name, unit, frame, time_s, *known[name], _noise(*known[name]))
+            found[name] = Measured(name, unit, frame, time_s, *known[name], _doubt(*known[name], moved))
     if (mouth := found.get("lips_apart", found.get("mouth_opening"))) is not None:
         blank = np.full(len(frame), np.nan)
         found["talking"] = Measured("talking", "probability", frame, time_s, _talking(mouth), blank, blank)
@@ -185,7 +213,7 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
 
 def _talking(mouth: Measured) -> Array:
     """(T,) the probability that a mouth talks, by the number of its quick swings around each frame."""
-    rows = np.flatnonzero(np.isfinite(mouth.value + mouth.time_s))
+    rows = settled(mouth)
     swings, talks = np.zeros(len(rows)), np.full(len(mouth.value), np.nan)
     if len(rows) > 2:
         value, time_s = mouth.value[rows], mouth.time_s[rows]
@@ -195,6 +223,36 @@ def _talking(mouth: Measured) -> Array:
         sigma = AROUND_S / max(float(np.median(np.diff(time_s))), AROUND_S / 500)
         talks[rows] = above(gauss(swings, sigma) * sigma * np.sqrt(2 * np.pi) - SWINGS, SWINGS_STD)
     return talks
+
+
+def _moved(pose: Array, time_s: Array, by: float) -> Array:
+    """(T,) how far a pose is from its median and, times `by`, moves within a second before and after, squared."""
+    off = np.nan_to_num(pose - np.nanmedian(pose))
+    around = round(1 / max(float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0, 0.002))
+    near = np.lib.stride_tricks.sliding_window_view(np.pad(off, around, mode="edge"), 2 * around + 1)
+    return np.asarray(off**2 + (by * (near.max(axis=1) - near.min(axis=1)) / 2) ** 2)
+
+
+def _doubt(value: Array, std: Array, moved: Array) -> Array:
+    """(T,) what of a spread is no offset: a share, and all of it, with that of the unit, where the head has moved."""
+    return np.hypot(SHARE * std, moved * np.hypot(std, UNIT * value))
+
+
+def stretches(time_s: Array) -> list[tuple[int, int]]:
+    """[begin, end) of rows without a pause between them, as in each shot of a film."""
+    return spans(np.ones(len(time_s), np.bool_), np.diff(time_s) > PAUSE_S)
+
+
+def settled(one: Measured) -> Whole:
+    """The rows that have a value, and are not within `NEAR_S` of one that has none, where points come and go."""
+    known = np.isfinite(one.value + one.time_s)
+    there = known.copy()
+    for a, b in spans(~known):
+        if a > 0:
+            there &= (one.time_s <= one.time_s[a - 1] - NEAR_S) | (one.time_s > one.time_s[a - 1])
+        if b < len(known):
+            there &= (one.time_s >= one.time_s[b] + NEAR_S) | (one.time_s < one.time_s[b])
+    return np.flatnonzero(known & there)
 
 
 def above(value: Array, spread: Array | float) -> Array:
@@ -215,13 +273,3 @@ def _spread(of: Callable[[Face], Array], face: Face, spread: Mapping[str, Array]
         along_x, along_y = (moved[0] - moved[1]) / (2 * STEP), (moved[2] - moved[3]) / (2 * STEP)
         variance += (along_x * std_x) ** 2 + (along_y * std_y) ** 2 + 2 * along_x * along_y * np.nan_to_num(cov_xy)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
-
-def _noise(value: Array, std: Array) -> Array:
-    """(T,) the standard deviation of a measure without the offset that its clip shares, at most its spread."""
-    known = value[np.isfinite(value)]
-    if len(known) < 3:
-        return std
-    varies = np.median(np.abs(known - np.median(known))) / NORMAL
-    noise = np.sqrt(jitter(known) ** 2 + (VARIES * varies) ** 2 + (SHARE * np.nan_to_num(std)) ** 2)
-    return np.asarray(np.where(np.isfinite(value), np.fmin(noise, np.where(std > 0, std, np.inf)), np.nan))

@@ -20,7 +20,7 @@ from facetrack_cli.trajectory.analysis.measures import MEASURES, Measured
 from facetrack_cli.trajectory.trajectory import DECIMALS, Trajectory, aligned, every_frame
 
 WIDE = ("x", "y", "w", "h", "confidence", "status")
-STD = ("", "_std")
+STD = ("", "_std", "_noise")
 POSE = ("frame", "time_s", "target", "pitch", "yaw", "roll", "std_pitch", "std_yaw", "std_roll", "ambiguous")
 
 
@@ -81,11 +81,11 @@ def write_measures(table: Trajectory) -> str:
 
 
 def _measured(found: Mapping[str, Measured], names: Sequence[str], frames: Whole) -> Any:
-    """(T, 2 N) texts of N measures and their spreads in T frames, "" of what is not known."""
-    values = np.full((len(names), 2, len(frames)), np.nan)
+    """(T, 3 N) texts of N measures, their spreads and noises in T frames, "" of what is not known."""
+    values = np.full((len(names), len(STD), len(frames)), np.nan)
     for k, name in enumerate(names):
         if name in found:
-            values[k][:, np.searchsorted(frames, found[name].frame)] = found[name].value, found[name].std
+            values[k][:, np.searchsorted(frames, found[name].frame)] = found[name][4:]
     return texts(values.reshape(-1, len(frames)).T, 4)
 
 
