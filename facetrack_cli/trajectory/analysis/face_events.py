@@ -36,8 +36,8 @@ class Kind(NamedTuple):
     by `step` from rest, about which `varies` are standard deviations at rest and away. Step 0: the measure is the
     probability. `lasts` are mean seconds at rest and away; the evidence of a
     frame `counts` for so much, as frames are not independent. Rest is the median over `reach_s` before and after, else
-    one level; `relative`: the measure counts as a share of it. What takes more than `longest_s` is called `longer`, or
-    is none; what a probability has below one half, `other`. `needs` is a measure without which it is not told.
+    one level; `relative`: the measure counts as a share of it. What takes less than `least_s` is none, what takes
+    more than `longest_s` is called `longer`, or is none; what a probability has below one half, `other`. `needs` is a measure without which it is not told.
     """
 
     value: str
@@ -49,6 +49,7 @@ class Kind(NamedTuple):
     counts: float = 0.3
     reach_s: float = 0.0
     relative: bool = False
+    least_s: float = 0.0
     longest_s: float = math.inf
     longer: str = ""
     other: str = ""
@@ -57,16 +58,16 @@ class Kind(NamedTuple):
 
 KINDS: Final = {
     "mouth": Kind("open", ("mouth_opening",), 1, 0.1, (0.02, 0.05), (0.3, 0.2), 0.5),
-    "smile": Kind("smile", ("mouth_width",), 1, 0.13, (0.04, 0.05), (3.0, 1.5), 0.15),
-    "blinks": Kind("blink", ("eye_opening",), -1, 0.5, (0.1, 0.1), (3.0, 0.15), 1.0, 1.0, True, 0.5, "shut"),
+    "smile": Kind("smile", ("mouth_width",), 1, 0.13, (0.04, 0.05), (3.0, 1.5), 0.15, least_s=0.3),
+    "blinks": Kind("blink", ("eye_opening",), -1, 0.5, (0.1, 0.1), (3.0, 0.15), 1.0, 1.0, True, longest_s=0.6, longer="shut"),
     "dips": Kind("nod", ("pitch",), 1, 12.0, (3.0, 4.0), (3.0, 0.3), 0.3, 1.0, longest_s=1.0, needs="eye_opening"),
     "shakes": Kind("shake", ("yaw",), 0, 12.0, (3.0, 4.0), (3.0, 0.3), 0.3, 1.0, longest_s=2.0),
     "wink_left": Kind("wink", ("eyes_differ",), 1, 0.2, (0.04, 0.08), (3.0, 0.3), 0.3, 1.0),
     "wink_right": Kind("wink", ("eyes_differ",), -1, 0.2, (0.04, 0.08), (3.0, 0.3), 0.3, 1.0),
-    "speech": Kind("talks", ("talking",), lasts=(2.0, 2.0)),
-    "phases": Kind("hold", ("held",), other="movement"),
-    "hand_contact": Kind("hand", ("touches_hand",)),
-    "face_contact": Kind("face", ("touches_face",)),
+    "speech": Kind("talks", ("talking",), lasts=(2.0, 2.0), least_s=0.5),
+    "phases": Kind("hold", ("held",), least_s=0.1, other="movement"),
+    "hand_contact": Kind("hand", ("touches_hand",), least_s=0.1),
+    "face_contact": Kind("face", ("touches_face",), least_s=0.1),
 }
 """All kinds by the names of their tiers."""
 
@@ -111,8 +112,9 @@ def _events(target: str, tier: str, kind: Kind, one: Measured) -> Iterator[FaceE
         chain = Chain.of(kind.counts * each, time_s, lasts)
         for a, b in spans(chain.posterior[:, 0] < 0.5, pause):
             chance = chain.visits(a, b, (1, 2) if kind.step and not kind.sign else (each.shape[1] - 1,))
-            name = value if until[b - 1] - time_s[a] <= kind.longest_s else kind.longer
-            if chance >= 0.5 and name:
+            lasts_s = until[b - 1] - time_s[a]
+            name = value if lasts_s <= kind.longest_s else kind.longer
+            if chance >= 0.5 and name and lasts_s >= kind.least_s:
                 peak = a + int(np.argmax(height[a:b]))
                 times = float(time_s[peak]), float(until[b - 1])
                 yield FaceEvent(float(time_s[a]), target, tier, name, *times, int(frame[a]), int(frame[b - 1]), chance)

@@ -39,7 +39,7 @@ CORNERS = ("mouth_left", "mouth_right")
 LIDS = tuple(tuple(f"{eye}_{place}" for place in ("upper", "lower", "outer", "inner")) for eye in EYES)
 STEP: Final = 1e-3  # pixels, of the differences
 # the noise's shares of what a measure varies and of its spread, by `benchmarks/expressions.py --fit` on eight people
-VARIES, SHARE = 0.5, 0.2
+VARIES, SHARE = 0.6, 0.2
 UNIT: Final = 0.2  # how far off the unit may be, where the head has moved
 NEAR_S, PAUSE_S = 0.3, 0.25
 # a mouth that talks: its swings are so large and last at most so long, and within a second or so there are so many
@@ -192,7 +192,7 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
     away = [(known["yaw"][0] / TURNED, 0.0)]
     if BOX in names:
         size = np.sqrt(np.prod([one[names.index(BOX)] for one in (x, y)], axis=0))
-        known["thrust"] = np.stack([size / np.nanmedian(size) - 1, np.full(len(frame), np.nan)])
+        known["thrust"] = np.stack([size / _median(size) - 1, np.full(len(frame), np.nan)])
         away.append((np.log(size) / NEARER, 1.0))
     moved = np.zeros(len(frame))
     for a, b in stretches(time_s):
@@ -225,9 +225,15 @@ def _talking(mouth: Measured) -> Array:
     return talks
 
 
+def _median(values: Array) -> float:
+    """Of what is known; nan if that is nothing."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else np.nan
+
+
 def _moved(pose: Array, time_s: Array, by: float) -> Array:
     """(T,) how far a pose is from its median and, times `by`, moves within a second before and after, squared."""
-    off = np.nan_to_num(pose - np.nanmedian(pose))
+    off = np.nan_to_num(pose - _median(pose))
     around = round(1 / max(float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0, 0.002))
     near = np.lib.stride_tricks.sliding_window_view(np.pad(off, around, mode="edge"), 2 * around + 1)
     return np.asarray(off**2 + (by * (near.max(axis=1) - near.min(axis=1)) / 2) ** 2)
