@@ -294,11 +294,15 @@ class Trajectory:
             return pandas.DataFrame(self.events, columns=FaceEvent._fields)
         names = ("frame", "time_s", "value", "std", "noise")
         each = [
-            pandas.DataFrame({"target": target, "measure": name, "unit": one.unit, **{k: getattr(one, k) for k in names}})
+            pandas.DataFrame(
+                {"target": target, "measure": name, "unit": one.unit, **{k: getattr(one, k) for k in names}}
+            )
             for target, found in self.measures.items()
             for name, one in found.items()
         ]
-        return pandas.concat(each, ignore_index=True) if each else pandas.DataFrame(columns=["target", "measure", *names])
+        return (
+            pandas.concat(each, ignore_index=True) if each else pandas.DataFrame(columns=["target", "measure", *names])
+        )
 
 
 _ARRAYS = tuple(f.name for f in fields(Trajectory) if str(f.type).startswith(("Whole", "Array", "Texts", "Mask")))

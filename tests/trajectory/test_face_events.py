@@ -19,7 +19,9 @@ STD = 0.05
 def measured(name, value, std=STD, rate=25.0, doubt=None):
     t, value = np.arange(len(value)), np.asarray(value, float)
     spread = np.broadcast_to(np.asarray(std, float), len(value))
-    return Measured(name, "", t, t / rate, value, spread, SHARE * spread if doubt is None else np.broadcast_to(doubt, len(value)))
+    return Measured(
+        name, "", t, t / rate, value, spread, SHARE * spread if doubt is None else np.broadcast_to(doubt, len(value))
+    )
 
 
 def events(std=STD, rate=25.0, doubt=None, **signals):
@@ -163,7 +165,13 @@ def test_a_mouth_talks_where_it_swings_quickly():
 @pytest.mark.parametrize("kept", [0.0, 0.5, 0.9, 0.98])
 @pytest.mark.parametrize("frames", [100, 500])
 def test_noise_of_half_a_step_makes_hardly_an_event(frames, kept):
-    for name, size in (("mouth_opening", 0.02), ("mouth_width", 0.03), ("eye_opening", 0.03), ("pitch", 3.0), ("yaw", 3.0)):
+    for name, size in (
+        ("mouth_opening", 0.02),
+        ("mouth_width", 0.03),
+        ("eye_opening", 0.03),
+        ("pitch", 3.0),
+        ("yaw", 3.0),
+    ):
         rest = {"eye_opening": np.full(frames, 0.3)}
         some = 0
         for seed in range(40):
@@ -172,13 +180,18 @@ def test_noise_of_half_a_step_makes_hardly_an_event(frames, kept):
         assert some <= 4, f"{name}: {some}"
 
 
-@pytest.mark.parametrize("value", [np.full(50, 0.3), np.linspace(0.3, 0.31, 50), np.full(50, np.nan), np.zeros(4), [0.3]])
+@pytest.mark.parametrize(
+    "value", [np.full(50, 0.3), np.linspace(0.3, 0.31, 50), np.full(50, np.nan), np.zeros(4), [0.3]]
+)
 def test_a_mouth_that_does_not_move_makes_no_event(value):
     assert [*events(mouth_opening=value), *events(eye_opening=value), *events(yaw=value)] == []
 
 
 def test_each_shot_of_a_film_has_its_own_rest():
-    one, other = measured("mouth_opening", np.full(100, 0.2)), measured("mouth_opening", bumps(100, (50,), 20, rest=0.5))
+    one, other = (
+        measured("mouth_opening", np.full(100, 0.2)),
+        measured("mouth_opening", bumps(100, (50,), 20, rest=0.5)),
+    )
     film = Measured("mouth_opening", "", *(np.concatenate(both) for both in (
         (one.frame, other.frame + 500), (one.time_s, other.time_s + 20), *zip(one[4:], other[4:], strict=True)
     )))  # fmt: skip

@@ -161,7 +161,9 @@ class Export:
         if many := self.trajectory.is_dir() and not any(self.trajectory.glob("trajectory.*")):
             paths = [self.trajectory / one.folder for one in survey(self.trajectory).clips]
             if self.to not in OF_RUNS:
-                raise UsageError(f"{self.trajectory}: is a folder of runs, and {self.to} takes one; name that of one run")
+                raise UsageError(
+                    f"{self.trajectory}: is a folder of runs, and {self.to} takes one; name that of one run"
+                )
         found = []
         for path in paths:
             try:
@@ -172,7 +174,9 @@ class Export:
                 say(f"facetrack: warning: {e}; it is left out")
                 continue
             clip = clip_of(table)
-            found.append(Clip(clip.name if clip else table.path.parent.name, blank_lost(table) if self.drop_lost else table))
+            found.append(
+                Clip(clip.name if clip else table.path.parent.name, blank_lost(table) if self.drop_lost else table)
+            )
         if not found:
             raise InputError(f"{self.trajectory}: none of its runs can be read; look at facetrack status")
         return found, many

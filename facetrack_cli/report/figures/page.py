@@ -71,13 +71,17 @@ def measures_figure(
             for k, (target, found) in enumerate(one for one in table.measures.items() if name in one[1]):
                 one, colour = found[name], style.COLOURS[k % len(style.COLOURS)]
                 noise = np.nan_to_num(one.noise)
-                axes.fill_between(one.time_s, one.value - noise, one.value + noise, color=colour, alpha=0.2, linewidth=0)
+                axes.fill_between(
+                    one.time_s, one.value - noise, one.value + noise, color=colour, alpha=0.2, linewidth=0
+                )
                 axes.plot(one.time_s, one.value, color=colour, linewidth=1.2, label=target)
                 for e in events:
                     if e.target == target and name in KINDS[e.tier].measures:
                         axes.axvspan(e.begin_s, e.end_s, color=colour, alpha=0.15, linewidth=0)
                         axes.plot(e.peak_s, 1, "v", color=colour, markersize=4, transform=axes.get_xaxis_transform())
-            style.heading(axes, name.replace("_", " "), next(f[name].unit for f in table.measures.values() if name in f))
+            style.heading(
+                axes, name.replace("_", " "), next(f[name].unit for f in table.measures.values() if name in f)
+            )
         if len(table.targets) > 1:
             column[0].legend(loc="upper right")
         column[-1].set_xlabel("seconds")

@@ -4,10 +4,15 @@ Each kind is a hidden Markov model over one measure. Its states are rest, halfwa
 ways rest and either side; of a measure that is a probability itself, no and yes. A state is left at a constant rate,
 for any state, so a pause between rows makes the state after it less sure.
 
-A value about the level of its state is normal, with the state's variation and the row's noise; beyond the outer levels
-it counts as on them. The level at rest, its variation and the step from it are learned from the clip by expectation
-maximization, from what people do (`KINDS`, fitted by `benchmarks/expressions.py --fit`), which counts for `PRIOR`
-frames. Frames are not independent: the log likelihood of each has the weight `counts`.
+A row's noise is its doubt (measures.py), and what its spread has beyond the step that people make. A value counts by
+what it is away from rest more than that, since errors last, and many frames say no more of them than one. Rows beside
+lost ones do not count. What is left is normal about the level of its state, with the state's variation and the noise;
+beyond the outer levels it counts as on them. The level at rest, its variation and the step from it are learned from the
+clip by expectation maximization, from what people do (`KINDS`), which counts for `PRIOR` frames; each shot of a film
+has its own. Frames are not independent: the log likelihood of each has the weight `counts`.
+
+The numbers of mouths and smiles were fitted to eight people, those of blinks to their eyes with noise; the table in
+docs/measures.md leaves a person out. Those of nods, shakes, winks and speech are by hand.
 
 An event is where rest has less than half of the posterior. Its probability is that of a visit to the state away from
 rest meanwhile, 1 - p(rows, no visit) / p(rows); below one half it is no event.
@@ -26,7 +31,7 @@ from facetrack_cli.trajectory.analysis.measures import PAUSE_S, Measured, settle
 
 PRIOR, ROUNDS = 100.0, 8
 HALFWAY_S, LEAST_STEP, LEAST = 0.1, 0.75, 1e-9
-QUIET: Final = 0.1  # quantile of a measure that begins as its level at rest, where that is no running median
+QUIET: Final = 0.1  # quantile of the rows without much doubt that rest begins as, where it is no running median
 
 
 class Kind(NamedTuple):
@@ -34,10 +39,10 @@ class Kind(NamedTuple):
 
     It is told by the first of `measures` that is there, by its increase (`sign` 1), decrease (-1) or both in turn (0);
     by `step` from rest, about which `varies` are standard deviations at rest and away. Step 0: the measure is the
-    probability. `lasts` are mean seconds at rest and away; the evidence of a
-    frame `counts` for so much, as frames are not independent. Rest is the median over `reach_s` before and after, else
-    one level; `relative`: the measure counts as a share of it. What takes less than `least_s` is none, what takes
-    more than `longest_s` is called `longer`, or is none; what a probability has below one half, `other`. `needs` is a measure without which it is not told.
+    probability. `lasts` are mean seconds at rest and away; the evidence of a frame `counts` for so much. Rest is the
+    median over `reach_s` before and after, else one level; `relative`: the measure counts as a share of it. What takes
+    less than `least_s` is none, what takes more than `longest_s` is called `longer`, or is none; what a probability has
+    below one half, `other`. `needs` is a measure without which it is not told.
     """
 
     value: str
@@ -57,9 +62,11 @@ class Kind(NamedTuple):
 
 
 KINDS: Final = {
-    "mouth": Kind("open", ("mouth_opening",), 1, 0.1, (0.02, 0.05), (0.3, 0.2), 0.5),
-    "smile": Kind("smile", ("mouth_width",), 1, 0.13, (0.04, 0.05), (3.0, 1.5), 0.15, least_s=0.3),
-    "blinks": Kind("blink", ("eye_opening",), -1, 0.5, (0.1, 0.1), (3.0, 0.15), 1.0, 1.0, True, longest_s=0.6, longer="shut"),
+    "mouth": Kind("open", ("mouth_opening",), 1, 0.1, (0.02, 0.05), (0.5, 0.2), 0.5),
+    "smile": Kind("smile", ("mouth_width",), 1, 0.13, (0.03, 0.05), (3.0, 1.5), 0.15, least_s=0.3),
+    "blinks": Kind(
+        "blink", ("eye_opening",), -1, 0.5, (0.1, 0.1), (3.0, 0.15), 1.0, 1.0, True, longest_s=0.6, longer="shut"
+    ),
     "dips": Kind("nod", ("pitch",), 1, 12.0, (3.0, 4.0), (3.0, 0.3), 0.3, 1.0, longest_s=1.0, needs="eye_opening"),
     "shakes": Kind("shake", ("yaw",), 0, 12.0, (3.0, 4.0), (3.0, 0.3), 0.3, 1.0, longest_s=2.0),
     "wink_left": Kind("wink", ("eyes_differ",), 1, 0.2, (0.04, 0.08), (3.0, 0.3), 0.3, 1.0),
@@ -125,18 +132,18 @@ def _log_likelihoods(kind: Kind, one: Measured, rows: Whole) -> tuple[Array, Arr
     value, time_s = one.value[rows], one.time_s[rows]
     if not kind.step:
         return value, np.log(np.clip(np.stack([1 - value, value], axis=1), LEAST, 1))
+    std, doubt = (np.nan_to_num(spread[rows]) for spread in (one.std, one.doubt))
     if kind.reach_s:
         reach = round(kind.reach_s / max(float(np.median(np.diff(time_s))), kind.reach_s / 500))
         padded = np.pad(value, reach, mode="symmetric")
         rest = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1), axis=1)
     else:
-        sure = one.doubt[rows] <= 2 * np.median(one.doubt[rows])
+        sure = doubt <= 2 * np.median(doubt)
         rest = np.full(len(value), np.quantile(kind.sign * value[sure], QUIET) * kind.sign)
     unit = np.maximum(np.abs(rest), LEAST) if kind.relative else 1.0
-    z = (kind.sign or 1) * (value - rest) / unit
-    std, noise = (np.nan_to_num(spread[rows]) / unit for spread in (one.std, one.doubt))
-    noise = np.sqrt(noise**2 + np.maximum(std**2 - kind.step**2, 0.0))  # one as large as the step is no offset
-    z = np.sign(z) * np.maximum(np.abs(z) - noise, 0.0)  # errors of a while are alike: more frames tell no more of them
+    z, std, doubt = (kind.sign or 1) * (value - rest) / unit, std / unit, doubt / unit
+    noise = np.sqrt(doubt**2 + np.maximum(std**2 - kind.step**2, 0.0))
+    z = np.sign(z) * np.maximum(np.abs(z) - noise, 0.0)
     level, step, quiet = 0.0, kind.step, kind.varies[0]
     log_p = _normal(kind, z, noise, level, step, quiet)
     for _ in range(ROUNDS):
@@ -146,8 +153,7 @@ def _log_likelihoods(kind: Kind, one: Measured, rows: Whole) -> tuple[Array, Arr
         excess = np.maximum((z - level) ** 2 - noise**2, 0.0)
         quiet = math.sqrt((at_rest @ excess + PRIOR * kind.varies[0] ** 2) / (at_rest.sum() + PRIOR))
         height = np.abs(z - level) if not kind.sign else z - level
-        step = float((away @ height + PRIOR * kind.step) / (away.sum() + PRIOR))
-        step = max(step, LEAST_STEP * kind.step)
+        step = max(float((away @ height + PRIOR * kind.step) / (away.sum() + PRIOR)), LEAST_STEP * kind.step)
         log_p = _normal(kind, z, noise, level, step, quiet)
     return (z if kind.sign else np.abs(z)), log_p
 
@@ -165,8 +171,9 @@ def _normal(kind: Kind, z: Array, noise: Array, level: float, step: float, quiet
 class Chain(NamedTuple):
     """A hidden Markov model of T rows in S states, all in logarithms; the first state is rest.
 
-    `log_p` (T, S) are likelihoods, `share` (S,) how much of all time each has, `move` (T - 1, S, S) probabilities of steps from row to row; `forward` (T, S) of a
-    state and all rows up to its own, `backward` (T, S) of all later rows given a state.
+    `log_p` (T, S) are likelihoods, `share` (S,) how much of all time each has, `move` (T - 1, S, S) probabilities of
+    steps from row to row; `forward` (T, S) of a state and all rows up to its own, `backward` (T, S) of all later rows
+    given a state.
     """
 
     log_p: Array
@@ -181,6 +188,7 @@ class Chain(NamedTuple):
         usual = float(np.median(np.diff(time_s)))
         stay = np.exp(-usual / np.asarray(lasts))[:, None]
         once = stay * np.eye(len(lasts)) + (1 - stay) / len(lasts)
+        # a pause is as many steps
         count, which = np.unique(np.maximum(np.rint(np.diff(time_s) / usual), 1), return_inverse=True)
         move = np.log([np.linalg.matrix_power(once, int(n)) for n in count])[which]
         share = np.log((1 / (1 - stay[:, 0])) / np.sum(1 / (1 - stay)))

@@ -68,7 +68,8 @@ def hand_measures(table: Trajectory) -> dict[str, dict[str, Measured]]:
         std = {"speed": np.where(np.isfinite(speed), noise, np.nan)}
         has = [one for one in HAND_MEASURES if one.name in values]
         measures[name] = {
-            key: Measured(key, unit, frame, time_s, values[key], *[std.get(key, speed * np.nan)] * 2) for key, unit, *_ in has
+            key: Measured(key, unit, frame, time_s, values[key], *[std.get(key, speed * np.nan)] * 2)
+            for key, unit, *_ in has
         }
     return measures
 

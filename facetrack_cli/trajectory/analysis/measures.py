@@ -19,6 +19,7 @@ motion in part; and of the spread a share, which is the whole where the head is 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -46,7 +47,8 @@ NEAR_S, PAUSE_S = 0.3, 0.25
 SWING, SWING_S, AROUND_S, SWINGS, SWINGS_STD = 0.03, 0.5, 0.6, 1.6, 0.5
 TURNED, NEARER = 25.0, 0.15  # degrees, and the logarithm of the size, from the clip's median: there the share is 1
 NORMAL: Final = 0.6745  # median absolute deviation of a standard normal number
-OWN: Final = {"nose", *CORNERS, *LIPS, BOX}
+MOST_STD: Final = 0.15  # of a length or a ratio: where a clip's median spread is larger, it is not measured
+OWN: Final = {"nose", *CORNERS, *LIPS, *LIDS[0], *LIDS[1], *EYES, BOX}
 """The parts that the recipe `face` has without a network."""
 
 
@@ -74,11 +76,7 @@ class Face(NamedTuple):
         middles = [sum(self.at[name] for name in names) / len(names) for names in (below, above)]
         return np.asarray(((middles[0] - middles[1]) / (1j * self.across)).real)
 
-    def aside(self, one: str, other: str) -> Array:
-        """(T,) how far a point is to the right of another in the image, in distances between the eyes."""
-        return np.asarray(((self.at[one] - self.at[other]) / self.across).real)
-
-    def opening(self, *eyes: int) -> Array:
+    def opening(self, eyes: Sequence[int]) -> Array:
         """(T,) the distance of lids over the width of an eye, mean of some eyes."""
         each = [self.apart(*LIDS[k][:2]) / self.apart(*LIDS[k][2:]) for k in eyes]
         return np.asarray(sum(each) * self.share / len(each))
@@ -109,22 +107,22 @@ MEASURES: Final = (
     Measure("mouth_width", LENGTH, "distance of the corners of the mouth", CORNERS,
             lambda f: f.apart(*CORNERS) / abs(f.across) / f.share),
     Measure("smile", LENGTH, "height of the middle of the corners of the mouth above that of the outer lips",
-            CORNERS + LIPS, lambda f: f.height(CORNERS, LIPS)),
+            CORNERS + LIPS, partial(Face.height, above=CORNERS, below=LIPS)),
     *(Measure(f"smile_{side}", LENGTH, f"height of the {side} corner of the mouth above the middle of the outer lips",
-              (corner, *LIPS), lambda f, corner=corner: f.height([corner], LIPS))
+              (corner, *LIPS), partial(Face.height, above=(corner,), below=LIPS))
       for side, corner in zip(SIDES, CORNERS, strict=True)),
     Measure("jaw_sideways", LENGTH, "how far the chin is to the right of the nose, along the line of the eyes",
-            ("chin", "nose"), lambda f: f.aside("chin", "nose")),
+            ("chin", "nose"), lambda f: ((f.at["chin"] - f.at["nose"]) / f.across).real),
     *(Measure(f"brow_{name}", LENGTH, f"height of the {place} of the brows above the centres of the eyes, mean of both",
-              parts + EYES, lambda f, parts=parts: f.height(parts, EYES))
+              parts + EYES, partial(Face.height, above=parts, below=EYES))
       for name, place, parts in zip(("raise", "inner", "outer"), ("middles", "inner ends", "outer ends"), BROWS,
                                     strict=True)),
     Measure("eye_opening", "eye widths", "distance of an eye's lids over its width, mean of both", LIDS[0] + LIDS[1],
-            lambda f: f.opening(0, 1)),
+            partial(Face.opening, eyes=(0, 1))),
     *(Measure(f"eye_opening_{side}", "eye widths", f"distance of the lids of the {side} eye over its width", LIDS[k],
-              lambda f, k=k: f.opening(k)) for k, side in enumerate(SIDES)),
+              partial(Face.opening, eyes=(k,))) for k, side in enumerate(SIDES)),
     Measure("eyes_differ", "eye widths", "opening of the right eye less that of the left", LIDS[0] + LIDS[1],
-            lambda f: f.opening(1) - f.opening(0)),
+            lambda f: f.opening((1,)) - f.opening((0,))),
     Measure("roll", DEGREES, "roll of the head's pose, its tilt; where it is not known, the angle of the face's box"),
     Measure("yaw", DEGREES, "yaw of the head's pose"),
     Measure("pitch", DEGREES, "pitch of the head's pose"),
@@ -151,7 +149,8 @@ class Measured(NamedTuple):
 
     def between(self, begin: int, end: int) -> "Measured":
         """The rows from `begin` to before `end`."""
-        return Measured(self.name, self.unit, *(one[begin:end] for one in self[2:]))
+        frame, time_s, value, std, doubt = (one[begin:end] for one in self[2:])
+        return Measured(self.name, self.unit, np.asarray(frame, np.int64), time_s, value, std, doubt)
 
     @property
     def noise(self) -> Array:
@@ -204,7 +203,9 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
             both = np.stack([of(face), _spread(of, face, {part: spread[part] for part in needs})])
             known[name] = np.where(np.abs(both) < 1e6, both, np.nan)  # the face may have no size
         if name in known and (of or np.isfinite(known[name]).any()):
-            found[name] = Measured(name, unit, frame, time_s, *known[name], _doubt(*known[name], moved))
+            value, std = known[name]
+            if unit == DEGREES or not _median(std) > MOST_STD:
+                found[name] = Measured(name, unit, frame, time_s, value, std, _doubt(value, std, moved))
     if (mouth := found.get("lips_apart", found.get("mouth_opening"))) is not None:
         blank = np.full(len(frame), np.nan)
         found["talking"] = Measured("talking", "probability", frame, time_s, _talking(mouth), blank, blank)
@@ -252,13 +253,11 @@ def stretches(time_s: Array) -> list[tuple[int, int]]:
 def settled(one: Measured) -> Whole:
     """The rows that have a value, and are not within `NEAR_S` of one that has none, where points come and go."""
     known = np.isfinite(one.value + one.time_s)
-    there = known.copy()
-    for a, b in spans(~known):
-        if a > 0:
-            there &= (one.time_s <= one.time_s[a - 1] - NEAR_S) | (one.time_s > one.time_s[a - 1])
-        if b < len(known):
-            there &= (one.time_s >= one.time_s[b] + NEAR_S) | (one.time_s < one.time_s[b])
-    return np.flatnonzero(known & there)
+    rows, gone = np.flatnonzero(known), np.flatnonzero(~known)
+    after = np.searchsorted(gone, rows)
+    sides = [np.append(gone, -1)[after - 1], np.append(gone, -1)[after]]  # -1: there is none
+    near = [(side >= 0) & (np.abs(one.time_s[rows] - one.time_s[side]) <= NEAR_S) for side in sides]
+    return np.asarray(rows[~(near[0] | near[1])])
 
 
 def above(value: Array, spread: Array | float) -> Array:

@@ -8,7 +8,6 @@ modifier of both; rows stand in the order of time. A subject that is not declare
 import html
 from collections.abc import Sequence
 from datetime import datetime
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from facetrack_cli.core.numbers import csv_text, dumps
@@ -62,12 +61,12 @@ def _clock(ms: int, form: str) -> str:
 
 def write_boris(clips: Sequence[Clip], *, written: datetime) -> str:
     """A project with an observation for each clip; several of one name are numbered."""
-    date, observations = written.isoformat(timespec="seconds"), {}
-    subjects: dict[str, None] = {}
+    date, subjects = written.isoformat(timespec="seconds"), dict[str, None]()
+    observations: dict[str, Any] = {}
     values: dict[str, dict[str, None]] = {}
     for name, table in clips:
         path, fps = str(clip_of(table) or name), said(table, "source", "fps")
-        rows = []
+        rows: list[list[Any]] = []
         for e in table.events:
             subjects[e.target] = values.setdefault(e.tier, {})[e.value] = None
             for time, frame in ((e.begin_s, e.first_frame), (e.end_s, e.last_frame + 1)):
