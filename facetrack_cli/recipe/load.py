@@ -91,12 +91,16 @@ def _load(path: Path, overrides: Sequence[str], *, installed: bool = True) -> Re
         recipe = kind.model_validate(root.plain(), context={"path": path, "root": root})
     except ValidationError as error:
         raise YamlProblems(problems(error, kind, root)) from None
-    heads = [name for name, one in recipe.filters.items() if one.head and one.head.landmarks.network == "auto"]
-    if not heads:
-        return recipe
+    more = []
+    for name, one in recipe.filters.items():
+        network, key = None if one.head is None else one.head.landmarks.network, f"{above(name)}head.landmarks."
+        if network == "auto":
+            network = "mesh" if installed and model_path("mesh") else None
+            more.append(f"{key}network={network or 'null'}")
+        if one.head is not None and one.head.landmarks.iris == "auto":
+            more.append(f"{key}iris={'iris' if network and installed and model_path('iris') else 'null'}")
     # said in the recipe, so that what continues a run uses the same
-    network = "mesh" if installed and model_path("mesh") else "null"
-    return _load(path, [*overrides, *(f"{above(name)}head.landmarks.network={network}" for name in heads)])
+    return _load(path, [*overrides, *more]) if more else recipe
 
 
 def _kind(root: Node) -> type[Recipe]:

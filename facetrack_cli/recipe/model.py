@@ -171,9 +171,9 @@ class Recipe(Section):
 
     @property
     def networks(self) -> tuple[str, ...]:
-        """The networks that place points: `mesh`, or the paths of files."""
-        heads = [one.head for one in self.filters.values() if one.head is not None]
-        return tuple(head.landmarks.network for head in heads if head.landmarks.network is not None)
+        """The networks that place points: `mesh` or the paths of files, and `iris`."""
+        heads = [one.head.landmarks for one in self.filters.values() if one.head is not None]
+        return tuple(name for head in heads for name in (head.network, head.iris) if name is not None)
 
     @property
     def random(self) -> bool:

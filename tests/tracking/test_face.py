@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import UsageError
+from facetrack_cli.core.face_points import GROUPS
 from facetrack_cli.core.types import BOX, Correction, Frame, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.start import Begin
@@ -54,8 +55,8 @@ def lost(rows):
 def test_the_head_carries_its_points(overrides):
     poses = [Pose(110 + 1.6 * t, 110 + 12 * np.sin(t / 9), 80 * 1.009**t) for t in range(40)]
     rows = run(moving.clip(poses), replace(moving.start(poses[0]), origin="haar"), overrides)
-    assert [part for _, part in rows[0].names] == [*PARTS, BOX]
-    assert {*rows[0].status} == {"init"}
+    assert [part for _, part in rows[0].names] == [*PARTS, BOX, *GROUPS["eyes"]]
+    assert {*rows[0].status[:6]} == {"init"} and {*rows[0].status[6:]} == {"tracked"}, "nobody has placed the eyes"
     found = errors(rows, poses)
     assert np.median(found) < 0.08 and np.mean(found < 0.35) > 0.98
     assert lost(rows).mean() < 0.05
@@ -131,7 +132,8 @@ def test_a_tiny_face_at_the_border_and_a_flat_frame_are_survived():
     poses = [Pose(20 - t, 18 - t, 34) for t in range(20)]
     rows = run([*moving.clip(poses), *(Frame(20 + i, 0.8, np.full((240, 320, 3), 90, np.uint8)) for i in range(5))],
                moving.start(poses[0]))  # fmt: skip
-    assert all(np.isfinite(np.stack([row.x, row.y, row.w, row.confidence])).all() for row in rows)
+    assert all(np.isfinite(np.stack([row.x, row.y, row.confidence])).all() for row in rows)
+    assert all(np.isfinite(row.w[:6]).all() for row in rows)
 
 
 @pytest.mark.one_in(2)
@@ -153,7 +155,7 @@ def test_a_correction_says_that_the_mouth_or_the_whole_face_is_absent():
     some = Correction(6, "face", absent=("lip_upper", "lip_lower"))
     every = Correction(12, "face", absent=PARTS)
     rows = run(moving.clip(poses), replace(moving.start(poses[0]), corrections=(some, every)), ALONE)
-    assert rows[8].status.tolist() == ["tracked"] * 3 + ["absent"] * 2 + ["tracked"]
+    assert rows[8].status.tolist() == ["tracked"] * 3 + ["absent"] * 2 + ["tracked"] * 9
     assert np.isnan(rows[8].x[3:5]).all() and np.isfinite(rows[8].x[:3]).all()
     assert {*rows[13].status} == {"absent"}
 

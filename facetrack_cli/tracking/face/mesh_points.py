@@ -27,13 +27,14 @@ NO_FACE: Final = -1.0  # log odds where the network sees no face
 MEMORY: Final = 100.0  # frames over which s and r are learned, and four times that for the place at rest
 MOVES, TREMBLES = 0.05 * EYES, 0.015 * EYES  # s and r at first, pixels
 MIN_MOVES, MIN_TREMBLES, MAX_TREMBLES = 0.02 * EYES, 0.005 * EYES, 0.05 * EYES
-OFF: Final = 0.03 * EYES  # by how much the network itself is off for long
+OFF: Final = 0.08 * EYES  # by how much the network itself is off for long
 
 
 class MeshPoints(NamedTuple):
     """Of J points: places at rest (J, 2), a - m (J, 2) and its variance (J,), s^2 and r^2 (J,), P(visible) (J,).
 
-    `moved` (J, 2) is m, and `before` (2, J, 2) the last places that were measured; all in pixels.
+    `moved` (J, 2) is m, and `before` (2, J, 2) the last places that were measured; `wrong` (J,): by how much the sensor
+    itself is off for long; `least` (J,): the least s; all in pixels.
     """
 
     rest: Array
@@ -44,14 +45,15 @@ class MeshPoints(NamedTuple):
     visible: Array
     moved: Array
     before: Array
+    wrong: Array
+    least: Array
 
     @classmethod
-    def begin(cls, z: Array) -> MeshPoints:
+    def begin(cls, z: Array, wrong: Array | float = OFF, least: Array | float = MIN_MOVES) -> MeshPoints:
         """At the first measurement z (J, 2)."""
         ones = np.ones(len(z))
-        return cls(
-            z, np.zeros_like(z), TREMBLES**2 * ones, MOVES**2 * ones, TREMBLES**2 * ones, ones, z, np.stack([z, z])
-        )
+        r2, s2, both = TREMBLES**2 * ones, np.maximum(MOVES * ones, least) ** 2, np.stack([z, z])
+        return cls(z, np.zeros_like(z), r2, s2, r2, ones, z, both, wrong * ones, least * ones)
 
     @property
     def at(self) -> Array:
@@ -61,7 +63,7 @@ class MeshPoints(NamedTuple):
     @property
     def cov(self) -> Array:
         """(J, 2, 2): how sure they are."""
-        return (self.var + OFF**2)[:, None, None] * np.eye(2)
+        return (self.var + self.wrong**2)[:, None, None] * np.eye(2)
 
     def mapped(self, to: Callable[[Array], Array]) -> MeshPoints:
         """In another stabilized image; the similarity `to` maps places of this image to it."""
@@ -82,9 +84,10 @@ class MeshPoints(NamedTuple):
         # what moves is no noise
         jitter = np.minimum(jitter, 4 * self.trembles)
         trembles = np.clip(self.trembles + rate * (jitter - self.trembles), MIN_TREMBLES**2, MAX_TREMBLES**2)
-        moves = np.maximum(self.moves + rate * (0.5 * np.sum(off**2, axis=1) - self.moves), MIN_MOVES**2)
+        moves = np.maximum(self.moves + rate * (0.5 * np.sum(off**2, axis=1) - self.moves), self.least**2)
         rest = self.rest + (rate / 4)[:, None] * off
-        return MeshPoints(rest, off, (1 - gain) * var, moves, trembles, v, moved, np.stack([self.before[1], z]))
+        before = np.stack([self.before[1], z])
+        return MeshPoints(rest, off, (1 - gain) * var, moves, trembles, v, moved, before, self.wrong, self.least)
 
     def belief(self) -> Belief:
         """What is known after a frame, for the smoother; by what the network is off for long does not move."""

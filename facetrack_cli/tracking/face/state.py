@@ -29,7 +29,8 @@ _MAX_POSE: Final = np.array([math.inf, 0.7, 0.3, 0.3])  # a face may lie, and a 
 class FaceState:
     """The states of head and points, the last `points` as rows of the stabilized image; what is known of their sensors.
 
-    `sensors` are regression, detector, network; `others` the network's points, None before it has seen the face.
+    `sensors` are regression, detector, network; `others` the network's points, None before it has seen the face;
+    `eyes` those of the eyes, None where they have no rows.
 
     `pose` (4,) is that of the face in its head: roll in radians, the logarithm of its size, and its middle in sizes of
     the head's box; `pose_var` (4,) are their variances. `frames` counts those since the start. `sure` are the log odds
@@ -47,6 +48,7 @@ class FaceState:
     pose: Array
     pose_var: Array
     others: MeshPoints | None
+    eyes: MeshPoints | None
     looks: tuple[Array, ...]
     pictures: tuple[Picture, ...]
     seen: Similarity
@@ -72,6 +74,7 @@ class View(NamedTuple):
     found: Found | None
     parts: PlacedPoints
     others: PlacedPoints | None
+    eyes: PlacedPoints | None
     places: tuple[Array, ...]
     measured: tuple[SensorReading, ...]
     upright: Array

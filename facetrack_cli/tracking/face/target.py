@@ -80,8 +80,8 @@ _BY_PAIRS: Final = np.array([math.radians(3), np.inf, np.inf, np.inf])
 class FaceTarget:
     """A face whose box has sides of `side` pixels at the start, and lies in it as `pose` (4,) says.
 
-    Rows are those of the points, of the box, and of the `others`. `alone`: while it is lost, any face that is seen may
-    be this one.
+    Rows are those of the points, of the box, of the eyes, and of the `others`. `alone`: while it is lost, any face that
+    is seen may be this one.
     """
 
     name: str
@@ -96,7 +96,7 @@ class FaceTarget:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        return (*self.features.parts, BOX, *self.senses.others)
+        return (*self.features.parts, BOX, *self.senses.eyes, *self.senses.others)
 
     @property
     def windows(self) -> Mapping[str, tuple[float, float]]:
@@ -110,13 +110,13 @@ class FaceTarget:
         seen = similarity.read(frame)
         features, points = self.features.begin(rng, seen)
         facing, found = Facing(), self.senses.detected(seen)
-        sensors, others = self.senses.begin(frame, similarity, seen, found, self.features.x0)
+        sensors, others, eyes = self.senses.begin(frame, similarity, seen, found, self.features.x0)
         if self.senses.detector is not None and not self.senses.searched and found is None:
             facing = facing.unseen()
         points = points._replace(beliefs=None)
         state = FaceState(
-            head, features, points, sensors, facing, self.pose, np.zeros(4), others, (look_of(seen),),
-            (self._picture(frame, similarity),), similarity, Passing((small(frame),)),
+            head, features, points, sensors, facing, self.pose, np.zeros(4), others, eyes,
+            (look_of(seen),), (self._picture(frame, similarity),), similarity, Passing((small(frame),)),
         )  # fmt: skip
         return state, self._result(state, box, frame)
 
@@ -144,11 +144,11 @@ class FaceTarget:
         seen, there = similarity.read(frame), TargetStart(points=moved)
         features, rows = self.features.restart(rng, seen, first.features, there, absent, anew)
         found, at = self.senses.detected(seen), features.estimated.state
-        sensors, others = self.senses.begin(frame, similarity, seen, found, at)
+        sensors, others, eyes = self.senses.begin(frame, similarity, seen, found, at)
         points = rows._replace(beliefs=None)
         state = FaceState(
-            head, features, points, sensors, Facing(), pose, np.zeros(4), others, first.looks, first.pictures,
-            similarity, Passing((small(frame),)),
+            head, features, points, sensors, Facing(), pose, np.zeros(4), others, eyes, first.looks,
+            first.pictures, similarity, Passing((small(frame),)),
         )  # fmt: skip
         return state, self._result(state, boxed, frame)
 
@@ -227,14 +227,14 @@ class FaceTarget:
         around, told = [before.mean(axis=0)], np.isfinite(z2).all(axis=1)
         if told.any():
             around.append((before + (z2 - before)[told].mean(axis=0)).mean(axis=0))
-        parts, network, others = self.senses.sensed(frame, similarity, seen, around)
+        parts, network, others, eyes = self.senses.sensed(frame, similarity, seen, around)
         visible = self._visible(state.features)
         places = parts.at, z2, network
         measured = tuple(one.measured(z, visible) for one, z in zip(state.sensors, places, strict=True))
         first, second = joined(measured[0], measured[2]), measured[1]
         upright = np.where(first.sure[:, None] > 0, first.z, np.nan)
         shift, sure = common_shift(joined(first, second), before), 0.0 if apart(first, second).any() else parts.sure
-        return View(similarity, seen, due, found, parts, others, places, measured, upright, shift, sure)
+        return View(similarity, seen, due, found, parts, others, eyes, places, measured, upright, shift, sure)
 
     def _followed(
         self, rng: Generator, state: FaceState, view: View, frame: Frame, box: TargetResult | None
@@ -264,11 +264,14 @@ class FaceTarget:
             )
         elif far is not None:
             others = MeshPoints.begin(far.at)
+        eyes = state.eyes
+        if eyes is not None and view.eyes is not None:
+            eyes = eyes.after(*view.eyes)
         if box is None:
             head, box = self.head.carried(rng, head, frame, similarity.matrix @ shift)
         state = replace(
             state, head=head, features=features, points=points, sensors=sensors, facing=facing, others=others,
-            sure=view.sure,
+            eyes=eyes, sure=view.sure,
         )  # fmt: skip
         if view.found is not None and view.sure >= EASY and state.cut is None:
             state = replace(state, seen=similarity)
@@ -386,11 +389,11 @@ class FaceTarget:
 
         origin = moved(np.zeros(2))
         sensors = tuple(one._replace(bias=moved(one.bias) - origin) for one in state.sensors)
-        others = state.others and state.others.mapped(moved)
+        others, eyes = (one and one.mapped(moved) for one in (state.others, state.eyes))
         x, y = moved(np.stack([rows.x, rows.y], axis=1)).T
         points = state.points._replace(rows=replace(rows, x=x, y=y), cloud=moved(state.points.cloud))
         features = shifted(state.features, moved)
-        return replace(state, features=features, points=points, sensors=sensors, others=others)
+        return replace(state, features=features, points=points, sensors=sensors, others=others, eyes=eyes)
 
     def footprint(self, state: FaceState, *, ahead: bool) -> Footprint | None:
         return self.head.footprint(state.head, ahead=ahead)
@@ -400,7 +403,7 @@ class FaceTarget:
         return (SCALE, ROLL, EVIDENCE) if self.senses.mesh is None else (SCALE, ROLL, EVIDENCE, NETWORK)
 
     def _result(self, state: FaceState, box: TargetResult, frame: Frame) -> TargetResult:
-        """Rows of the points, as last seen in the stabilized image, of the box, and of the network's points."""
+        """Rows of the points, as last seen in the stabilized image, of the box, and of points without windows."""
         similarity, rows = self._map(state.head.estimated.state, state.pose), state.points.rows
         scale = similarity.scale
         cov = np.array([[rows.std_x**2, rows.cov_xy], [rows.cov_xy, rows.std_y**2]]).transpose(2, 0, 1)
@@ -416,17 +419,18 @@ class FaceTarget:
         face = {name: getattr(box.rows, name) for name in points} | self._face(box.rows, similarity)
         blank = {name: np.full((1, *one.shape[1:]), np.nan) for name, one in face.items() if name != "status"}
         sections = [points, face]
-        if self.senses.others and (mesh := state.others) is not None:
-            covered = mesh.visible < self.settings.lost_below
-            sections.append(self._rows(state, mesh.at, mesh.cov, mesh.visible, covered, placed=True))
-        elif self.senses.others:
-            sections.append({"status": np.full(len(self.senses.others), "lost")})
-        counts = len(rows), 1, len(self.senses.others)
+        for names, one in self._without_windows(state):
+            if one is None:
+                sections.append({"status": np.full(len(names), "lost")})
+            else:
+                covered = one.visible < self.settings.lost_below
+                sections.append(self._rows(state, one.at, one.cov, one.visible, covered, placed=True))
+        counts = len(rows), 1, *(len(names) for names, _ in self._without_windows(state))
         columns = {
             name: np.concatenate(
                 [
                     section[name] if name in section else np.repeat(blank[name], n, axis=0)
-                    for section, n in zip(sections, counts, strict=False)
+                    for section, n in zip(sections, counts, strict=True)
                 ]
             )
             for name in face
@@ -470,22 +474,25 @@ class FaceTarget:
         }  # fmt: skip
 
     def beliefs(self, state: FaceState, unseen: Mask) -> tuple[Belief, ...]:
-        """What is known of the points in the stabilized image, of the head, and of the network's points.
+        """What is known of the points in the stabilized image, of the head, and of points without windows.
 
         Which of them are `unseen` (K,) is in doubt.
         """
-        found, names = [*self.features.beliefs(state.features), *self.head.beliefs(state.head)], self.senses.others
+        found = [*self.features.beliefs(state.features), *self.head.beliefs(state.head)]
         if self.calibration is not None:
             found = list(map(self.calibration.believed, (self.features.parts, self.head.parts), found))
-        if names:
+        for names, one in self._without_windows(state):
             nobody = MeshPoints.begin(np.full((len(names), 2), stabilized.MIDDLE))
             nobody = nobody._replace(visible=np.zeros(len(names)))
-            others = (state.others or nobody).belief()
-            # what returns to rest is never less known than its motion says
-            found.append(others if self.calibration is None else self.calibration.believed(names, others, moves=True))
+            found.append((one or nobody).belief())
         ends = np.cumsum([len(one.mean) for one in found])[:-1]
         each = zip(found, np.split(unseen, ends), strict=True)
         return tuple(one._replace(doubt=one.doubt | gone) for one, gone in each)
+
+    def _without_windows(self, state: FaceState) -> list[tuple[tuple[str, ...], MeshPoints | None]]:
+        """The names of points without windows, in the order of rows, and what is known of them."""
+        each = (self.senses.eyes, state.eyes), (self.senses.others, state.others)
+        return [(names, one) for names, one in each if names]
 
     def _slope(self, pair: list[int]) -> float:
         """Of the line between two parts when the face is upright."""

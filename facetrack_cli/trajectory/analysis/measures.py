@@ -1,6 +1,6 @@
 """What a face does, as numbers: how far its mouth opens, its smile, its brows, its lids, how its head stands.
 
-Lengths are in distances between the eyes. With points of both eyes that is the distance of their centres over `share`,
+Lengths are in distances between the eyes. Where both eyes are seen that is the distance of their centres over `share`,
 so that it does not shrink when the head turns; else it is .363 of the width of the face's box. Widths of mouth and eyes
 are over `share`, too: it is how long the head's own horizontal is in the image, by its pose; 1 from the front, or where
 the pose is not known, and at least .5. Heights are across the line of the eyes, without eyes across that horizontal.
@@ -25,7 +25,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.face_points import EYE_DISTANCE
+from facetrack_cli.core.face_points import EYE_DISTANCE, IRISES
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Whole
 from facetrack_cli.trajectory.analysis.head_motion import gauss, turning_points
@@ -38,6 +38,8 @@ BROWS = tuple((f"brow_left_{place}", f"brow_right_{place}") for place in ("middl
 LIPS, INNER = ("lip_upper", "lip_lower"), ("inner_lip_upper", "inner_lip_lower")
 CORNERS = ("mouth_left", "mouth_right")
 LIDS = tuple(tuple(f"{eye}_{place}" for place in ("upper", "lower", "outer", "inner")) for eye in EYES)
+ENDS = ("eye_left_outer", "eye_left_inner"), ("eye_right_inner", "eye_right_outer")  # of an eye, from the left
+GAZE = (*IRISES, *ENDS[0], *ENDS[1])
 STEP: Final = 1e-3  # pixels, of the differences
 # the noise's shares of what a measure varies and of its spread, by `benchmarks/expressions.py --fit` on eight people
 VARIES, SHARE = 0.6, 0.2
@@ -64,9 +66,17 @@ class Face(NamedTuple):
     @property
     def across(self) -> Any:
         """(T,) from the left eye to the right one as they are apart from the front, as x + iy."""
-        if self.at.keys() >= {*EYES}:
-            return (self.at["eye_right"] - self.at["eye_left"]) / self.share
-        return EYE_DISTANCE * self.at[BOX].real * self.lean
+        box = EYE_DISTANCE * self.at[BOX].real * self.lean if BOX in self.at else np.nan
+        if not self.at.keys() >= {*EYES}:
+            return box
+        apart = (self.at["eye_right"] - self.at["eye_left"]) / self.share
+        return np.where(np.isfinite(apart), apart, box)  # an eye may be hidden
+
+    @property
+    def gaze(self) -> Any:
+        """(T,) the irises in the frames of their eyes, whose corners are at -1/2 and 1/2; mean of both, as x + iy."""
+        each = [(self.at[i] - self.at[a]) / (self.at[b] - self.at[a]) for i, (a, b) in zip(IRISES, ENDS, strict=True)]
+        return sum(each) / 2 - 0.5
 
     def apart(self, one: str, other: str) -> Array:
         return np.asarray(np.abs(self.at[one] - self.at[other]))
@@ -123,6 +133,10 @@ MEASURES: Final = (
               partial(Face.opening, eyes=(k,))) for k, side in enumerate(SIDES)),
     Measure("eyes_differ", "eye widths", "opening of the right eye less that of the left", LIDS[0] + LIDS[1],
             lambda f: f.opening((1,)) - f.opening((0,))),
+    Measure("gaze_x", "eye widths", "how far the irises are right of the middle of the eyes' corners, mean of both",
+            GAZE, lambda f: f.gaze.real),
+    Measure("gaze_y", "eye widths", "how far the irises are above the line of the eyes' corners, mean of both",
+            GAZE, lambda f: -f.gaze.imag),
     Measure("roll", DEGREES, "roll of the head's pose, its tilt; where it is not known, the angle of the face's box"),
     Measure("yaw", DEGREES, "yaw of the head's pose"),
     Measure("pitch", DEGREES, "pitch of the head's pose"),
@@ -149,8 +163,9 @@ class Measured(NamedTuple):
 
     def between(self, begin: int, end: int) -> "Measured":
         """The rows from `begin` to before `end`."""
-        frame, time_s, value, std, doubt = (one[begin:end] for one in self[2:])
-        return Measured(self.name, self.unit, np.asarray(frame, np.int64), time_s, value, std, doubt)
+        at = slice(begin, end)
+        value, std, doubt = self.value[at], self.std[at], self.doubt[at]
+        return self._replace(frame=self.frame[at], time_s=self.time_s[at], value=value, std=std, doubt=doubt)
 
     @property
     def noise(self) -> Array:
@@ -182,6 +197,8 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
         std = np.sqrt(np.diagonal(pose.of_points, axis1=1, axis2=2))
         for i, one in enumerate(known.values()):
             one[:, np.searchsorted(frame, pose.frame)] = pose.angles[:, i], std[:, i]
+    for name in {*EYES} & {*names}:
+        spread[name] = np.nan_to_num(spread[name])  # where they are hidden they are not the unit
     if BOX in names:
         spread[BOX] = np.nan_to_num(spread[BOX])  # of trackers that do not say it
         known["roll"][0] = np.where(np.isfinite(known["roll"][0]), known["roll"][0], angle[names.index(BOX)])

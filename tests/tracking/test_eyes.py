@@ -1,0 +1,129 @@
+"""The regression that places eyes: a real face in many poses, lids that shut, covers, small faces, and its file."""
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Frame
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.tracking.build.build import build_tracker
+from facetrack_cli.tracking.face.descent import load_descent, seen_in
+from facetrack_cli.tracking.face.eyes import CORNERS, POINTS, SMALL, load_eyes, openings
+from facetrack_cli.tracking.face.mesh import Iris
+from facetrack_cli.tracking.face.stabilized import EYES
+from facetrack_cli.tracking.loop import track
+from tests.support import moving_face as moving
+from tests.support.fake_mesh import _AT, IN_CLIP, head_of
+from tests.support.moving_face import PARTS, Pose
+
+TRUE = np.array([_AT[point] for point in POINTS], float)  # in the stabilized image
+POSES = [IN_CLIP, Pose(120, 110, 60), Pose(180, 125, 130, 12), Pose(160, 120, 90, -20)]
+
+
+def found(pose, change=lambda picture, to_frame: picture):
+    """What the regression says of a frame that is changed, and what is in that frame."""
+    [frame] = moving.clip([pose])
+    head = head_of(pose)
+    frame = Frame(0, 0.0, change(frame.bgr.copy(), head.to_frame))
+    still = head.read(frame).bgr
+    return load_eyes().fit(frame, head, seen_in(still), load_descent().fit(still).at), frame
+
+
+def squeezed(picture, to_frame, to=0.15):
+    """Both eyes with what is between their lids that much lower: skin is pulled down."""
+    height, width = picture.shape[:2]
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    for i in (0, 4):
+        lids, ends = to_frame(TRUE[i + 2 : i + 4]), to_frame(TRUE[i : i + 2])
+        half = 0.75 * abs(ends[1, 0] - ends[0, 0])
+        inside = np.clip((half - abs(x - ends[:, 0].mean())) / (0.3 * half), 0, 1)
+        low, up = lids[1, 1] + 1, lids[0, 1] - 1
+        above = low - y  # of the lower lid
+        open_ = low - up
+        source = np.where(above < to * open_, above / to, open_ + (above - to * open_) * 1.0)
+        reach = np.clip(2 - above / open_, 0, 1)  # and back to the brow
+        moved = np.where((above > 0) & (above < 2 * open_), low - (reach * source + (1 - reach) * above), y)
+        y = np.where(inside > 0, inside * moved + (1 - inside) * y, y).astype(np.float32)
+    return cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_eyes_are_found_wherever_the_face_is(pose):
+    (at, odds), _ = found(pose)
+    assert (np.hypot(*(at - TRUE).T) / EYES).max() < 0.12
+    assert np.all(odds > 1)
+    assert np.all(openings(at) > 0.28) and np.all(openings(at) < 0.52), "they are open"
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_eyes_that_shut_are_followed_in_the_frame(pose):
+    before, after = openings(found(pose)[0].at), openings(found(pose, squeezed)[0].at)
+    assert np.all(after < 0.6 * before)
+    np.testing.assert_allclose(found(pose, squeezed)[0].at[CORNERS], TRUE[CORNERS], atol=0.12 * EYES)
+
+
+def test_an_eye_that_a_board_covers_is_likely_not_seen_and_the_other_is():
+    def covered(picture, to_frame):
+        x, y = np.round(to_frame(TRUE[:2].mean(axis=0))).astype(int)
+        cells = np.random.default_rng(2).integers(20, 230, (4, 6, 3)).astype(np.uint8)
+        picture[y - 12 : y + 12, x - 18 : x + 18] = cv2.resize(cells, (36, 24), interpolation=cv2.INTER_NEAREST)
+        return picture
+
+    odds = found(IN_CLIP, covered)[0].odds
+    assert np.all(odds[:4] < 0) and np.all(odds[4:] > 0)
+
+
+def test_eyes_that_are_too_small_are_not_seen():
+    small = Pose(120, 110, 0.8 * SMALL * IN_CLIP.side / (head_of(IN_CLIP).scale * EYES))
+    assert np.all(found(small)[0].odds < 0)
+
+
+def test_a_run_has_rows_of_eyes_though_its_start_has_none():
+    poses = [IN_CLIP] * 6
+    tracker = build_tracker(load_recipe("face", ["head.detections=null"]), moving.start(poses[0]))
+    assert tracker[0].parts == (*PARTS, "box", *POINTS)
+    one = list(track(tracker, iter(moving.clip(poses)), 0))
+    names = [part for _, part in one[-1].rows.names]
+    rows = one[-1].rows
+    index = [names.index(part) for part in POINTS]
+    assert np.all(rows.status[index] == "tracked") and np.all(rows.std_x[index] > 0)
+    at = head_of(IN_CLIP).to_stabilized(np.stack([rows.x, rows.y], axis=1)[index])
+    assert (np.hypot(*(at - TRUE).T) / EYES).max() < 0.12
+
+
+def test_the_network_for_an_eye_places_lids_and_iris(iris_model):
+    iris = Iris(iris_model)
+    for pose in POSES:
+        _, frame = found(pose)
+        lids, irises = iris.measure(frame, head_of(pose), TRUE[CORNERS])
+        assert (np.hypot(*(lids - TRUE).T) / EYES).max() < 0.12
+        middles = TRUE[CORNERS].reshape(2, 2, 2).mean(axis=1)
+        assert (np.hypot(*(irises - middles).T) / EYES).max() < 0.15
+    _, frame = found(IN_CLIP, squeezed)
+    assert np.all(openings(iris.measure(frame, head_of(IN_CLIP), TRUE[CORNERS])[0]) < 0.7 * openings(TRUE))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda one: one._replace(mean=one.mean[:3]), "are no regressions of eyes"),
+        (lambda one: one._replace(lids=one.lids[:-1]), "are no regressions of eyes"),
+        (lambda one: one._replace(stages=one.stages[:2]), "are no regressions of eyes"),
+        (lambda one: one._replace(scales=one.scales[:0], stages=one.stages[:0]), "above 0"),
+        (lambda one: one._replace(first=one.first * np.nan), "not finite"),
+        (lambda one: one._replace(std=0 * one.std), "above 0"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused_in_a_line(tmp_path, change, said):
+    path = tmp_path / "odd.npz"
+    change(load_eyes()).save(path)
+    with pytest.raises(InputError, match=said) as refused:
+        load_eyes(path)
+    assert str(path) in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_a_file_gives_back_what_was_saved(tmp_path):
+    load_eyes().save(tmp_path / "a.npz")
+    for one, other in zip(load_eyes(tmp_path / "a.npz"), load_eyes(), strict=True):
+        np.testing.assert_array_equal(one, other)
