@@ -62,8 +62,8 @@ class Kind(NamedTuple):
 
 
 KINDS: Final = {
-    "mouth": Kind("open", ("mouth_opening",), 1, 0.1, (0.02, 0.05), (0.5, 0.2), 0.5),
-    "smile": Kind("smile", ("mouth_width",), 1, 0.13, (0.03, 0.05), (3.0, 1.5), 0.15, least_s=0.3),
+    "mouth": Kind("open", ("mouth_opening",), 1, 0.09, (0.02, 0.05), (0.5, 0.2), 0.5),
+    "smile": Kind("smile", ("mouth_width",), 1, 0.14, (0.03, 0.05), (3.0, 1.5), 0.15, least_s=0.3),
     "blinks": Kind(
         "blink", ("eye_opening",), -1, 0.5, (0.1, 0.1), (3.0, 0.15), 1.0, 1.0, True, longest_s=0.6, longer="shut"
     ),

@@ -42,12 +42,12 @@ ENDS = ("eye_left_outer", "eye_left_inner"), ("eye_right_inner", "eye_right_oute
 GAZE = (*IRISES, *ENDS[0], *ENDS[1])
 STEP: Final = 1e-3  # pixels, of the differences
 # the noise's shares of what a measure varies and of its spread, by `benchmarks/expressions.py --fit` on eight people
-VARIES, SHARE = 0.6, 0.2
+VARIES, SHARE = 0.6, 0.15
 UNIT: Final = 0.2  # how far off the unit may be, where the head has moved
 NEAR_S, PAUSE_S = 0.3, 0.25
 # a mouth that talks: its swings are so large and last at most so long, and within a second or so there are so many
 SWING, SWING_S, AROUND_S, SWINGS, SWINGS_STD = 0.03, 0.5, 0.6, 1.6, 0.5
-TURNED, NEARER = 25.0, 0.15  # degrees, and the logarithm of the size, from the clip's median: there the share is 1
+TURNED, NEARER = 40.0, 0.15  # degrees, and the logarithm of the size, from the clip's median: there the share is 1
 NORMAL: Final = 0.6745  # median absolute deviation of a standard normal number
 MOST_STD: Final = 0.15  # of a length or a ratio: where a clip's median spread is larger, it is not measured
 OWN: Final = {"nose", *CORNERS, *LIPS, *LIDS[0], *LIDS[1], *EYES, BOX}
@@ -208,7 +208,8 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
     away = [(known["yaw"][0] / TURNED, 0.0)]
     if BOX in names:
         size = np.sqrt(np.prod([one[names.index(BOX)] for one in (x, y)], axis=0))
-        known["thrust"] = np.stack([size / _median(size) - 1, np.full(len(frame), np.nan)])
+        of_size = np.hypot(*(spread[BOX][i] / one[names.index(BOX)] for i, one in enumerate((x, y)))) / 2
+        known["thrust"] = np.stack([size / _median(size) - 1, size / _median(size) * of_size])
         away.append((np.log(size) / NEARER, 1.0))
     moved = np.zeros(len(frame))
     for a, b in stretches(time_s):
