@@ -29,7 +29,6 @@ from mouth_descent import (
     IN_MESH,
     LEAST,
     NAMES,
-    SCALES,
     Clip,
     Sample,
     clips_in,
@@ -56,7 +55,7 @@ SHUT = 0.8  # of the median opening, below which all frames are read
 LARGE = 20.0  # pixels between the eyes, from which the network is the truth
 STEPS = 5  # of opening relative to its median, each as often as the root of how often it occurs
 PICTURES, SAMPLES = 400, 200  # of a clip
-RIDGE = (1.5, 0.4, 0.2, 0.15)  # in mean squares of a channel
+SCALES, RIDGE = (1.6, 1.0), (1.0, 0.2)  # as of nose and mouth; the patch forgives what two stages are off
 FOLLOWS = 0.003  # ridge of how corners follow nose and mouth
 LIDS_RIDGE, ODDS_RIDGE = 0.1, 0.3
 CLOSED, WEIGHT = 0.15, 5.0  # opening below which an eye has that weight, since the regression draws to the mean

@@ -1,8 +1,8 @@
-"""A face of 28 points, drawn by hand, that opens its mouth, smiles, raises its brows, blinks, moves and turns."""
+"""A face of 28 points and two irises, drawn by hand, that opens its mouth, smiles, blinks, looks, moves and turns."""
 
 import numpy as np
 
-from facetrack_cli.core.face_points import POINTS
+from facetrack_cli.core.face_points import IRISES, POINTS
 from facetrack_cli.trajectory.trajectory import joined, one_part
 
 # in distances between the eyes, which are at (-.5, 0) and (.5, 0); y points down
@@ -16,18 +16,19 @@ SHAPE = {
     "brow_right_inner": (0.2, -0.3), "brow_right_middle": (0.55, -0.4), "brow_right_outer": (0.9, -0.25),
     "nose": (0, 0.55), "nose_left": (-0.22, 0.66), "nose_right": (0.22, 0.66),
     "jaw_left": (-1.05, 0.9), "chin_left": (-0.6, 1.6), "chin": (0, 1.75), "chin_right": (0.6, 1.6),
-    "jaw_right": (1.05, 0.9),
+    "jaw_right": (1.05, 0.9), "iris_left": (-0.5, -0.01), "iris_right": (0.5, -0.01),
 }  # fmt: skip
 MOVES = {
     "open": {"inner_lip_lower": (0, 1), "lip_lower": (0, 1), "chin": (0, 0.5)},
     "smile": {"mouth_left": (0, -1), "mouth_right": (0, -1)},
     "brows": {"brow_left_middle": (0, -1), "brow_right_middle": (0, -1)},
+    "looks": dict.fromkeys(IRISES, (1, 0)),
     "shut": {f"eye_{side}_upper": (0, 0.15) for side in ("left", "right")},
 }
 
 
 def moving_face(
-    frames, *, unit=100.0, place=(320.0, 200.0), roll=0.0, std=0.5, noise=0.0, names=POINTS, seed=0, **moves
+    frames, *, unit=100.0, place=(320.0, 200.0), roll=0.0, std=0.5, noise=0.0, names=(*POINTS, *IRISES), seed=0, **moves
 ):
     """The trajectory of `face`; `moves` are (T,) amounts in distances between the eyes, of `shut` from 0 to 1."""
     rng, t = np.random.default_rng(seed), np.arange(frames)

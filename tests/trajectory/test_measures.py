@@ -19,7 +19,6 @@ from tests.support.face_shape import moving_face
 
 FIVE = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 ENDS = ("", "_std", "_noise")
-NAMES = [one.name for one in MEASURES]
 OF_FIVE = (
     "mouth_opening", "lips_rounded", "mouth_width", "smile", "smile_left", "smile_right", "roll", "yaw", "pitch",
     "thrust", "talking",
@@ -38,8 +37,8 @@ def test_groups_lines_and_the_mesh_name_the_same_28_points():
 
 def test_a_face_that_is_drawn_by_hand():
     """The points of tests/support/face_shape.py, 100 pixels between the eyes: read off and divided by 100."""
-    found = values(moving_face(2, open=[0, 0.3], smile=[0, 0.1], brows=[0, 0.05], shut=[0, 0.5]))
-    assert list(found) == [name for name in NAMES if "gaze" not in name]
+    found = values(moving_face(2, open=[0, 0.3], smile=[0, 0.1], brows=[0, 0.05], shut=[0, 0.5], looks=[0, 0.1]))
+    assert list(found) == [one.name for one in MEASURES]
     expected = {
         "mouth_opening": (0.25, 0.55),
         "lips_apart": (0.01, 0.31),
@@ -56,6 +55,8 @@ def test_a_face_that_is_drawn_by_hand():
         "brow_outer": (0.25, 0.25),
         **dict.fromkeys(("eye_opening", "eye_opening_left", "eye_opening_right"), (0.15 / 0.5, 0.075 / 0.5)),
         "eyes_differ": (0, 0),
+        "gaze_x": (0, 0.1 / 0.5),
+        "gaze_y": (0.01 / 0.5, 0.01 / 0.5),
         "roll": (0, 0),
         "thrust": (0, 0),
     }
@@ -84,7 +85,7 @@ def test_where_a_point_is_lost_or_hidden_its_measures_are_nan():
         assert all(np.isfinite(value[[0, 1, 3]]).all() for value in found.values())
     eye = np.where((names == "eye_left_inner") & (table.frame == 2), "lost", "tracked")
     lost = {name for name, value in values(replace(table, status=eye)).items() if np.isnan(value[2])}
-    eyes = {"eye_opening", "eye_opening_left", "eyes_differ"}
+    eyes = {"eye_opening", "eye_opening_left", "eyes_differ", "gaze_x", "gaze_y"}
     assert lost == {*eyes, "brow_raise", "brow_inner", "brow_outer"}, "without an eye the box is the unit"
 
 
@@ -161,7 +162,7 @@ def test_the_tables_have_each_measure_with_its_spread():
     both = joined([*one.parts, *two.parts])
     rows = list(csv.DictReader(io.StringIO(write_measures(both))))
     assert [(row["frame"], row["target"]) for row in rows] == [(f, t) for f in "012" for t in ("face", "other")]
-    assert list(rows[0])[3:] == [f"{one.name}{end}" for one in MEASURES if "gaze" not in one.name for end in ENDS]
+    assert list(rows[0])[3:] == [f"{one.name}{end}" for one in MEASURES for end in ENDS]
     assert rows[2]["mouth_opening"] == "0.3500" and rows[2]["time_s"] == "0.0400000"
     assert float(rows[2]["mouth_opening_std"]) == pytest.approx(0.0072, abs=2e-4)
     assert rows[3]["eye_opening"] == "" and rows[3]["mouth_opening"] == "0.2500"

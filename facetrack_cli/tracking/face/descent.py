@@ -41,6 +41,7 @@ NEAR: Final = 3.0  # pixels
 SEEN: Final = 14.0  # log odds of all parts, above which nothing else is tried
 SURE: Final = 4.0  # bound of what one part says of how well a face lies, in log odds
 STEP: Final = 5.0  # pixels between the points of the grid, times the stage's scale
+GREY: Final = np.array([0.114, 0.587, 0.299], np.float32)
 _TURNS: Final = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
 WAYS: Final = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1).astype(np.float32)
 _AROUND: Final = (np.stack(np.meshgrid(*2 * [np.arange(GRID) - (GRID - 1) / 2]), axis=2) * STEP).reshape(-1, 2)
@@ -173,7 +174,7 @@ def channels(image: Image) -> NDArray[np.float32]:
 def looks(image: Image) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """log(grey + 16), and the redness log((red + 8) / (green + 8)), (H, W) each, of an image (H, W, 3)."""
     bgr = image.astype(np.float32)
-    grey = bgr @ np.array([0.114, 0.587, 0.299], np.float32)
+    grey = bgr @ GREY
     return np.log(grey + 16), np.log((bgr[..., 2] + 8) / (bgr[..., 1] + 8))
 
 

@@ -26,7 +26,7 @@ from facetrack_cli.core.face_points import GROUPS
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.shipped import shipped_folder
 from facetrack_cli.core.types import Array, Frame, Image
-from facetrack_cli.tracking.face.descent import CORNER, DIRECTIONS, GRID, WAYS, PlacedPoints, descended, looks
+from facetrack_cli.tracking.face.descent import CORNER, DIRECTIONS, GREY, GRID, WAYS, PlacedPoints, descended
 from facetrack_cli.tracking.face.stabilized import EYES, MIDDLE, Similarity, slope
 from facetrack_cli.tracking.kernels.orientations import smoothed_channels
 
@@ -39,7 +39,7 @@ CORNERS: Final = [0, 1, 4, 5]
 SIDES: Final = ([0, 1, 2, 3], [5, 4, 6, 7])
 """Of the left and the right eye: outer and inner corner, upper and lower lid."""
 ZOOM: Final = 2.0  # of a patch
-SIDE: Final = 52  # of a patch, pixels
+SIDE: Final = 48  # of a patch, pixels
 CELL: Final = 4  # pixels between the points of its grid
 NARROW: Final = 0.25  # width of an eye in distances between the eyes, below which it is turned away
 SMALL: Final = 16.0  # pixels of the frame between the eyes, below which lids are not seen
@@ -109,7 +109,7 @@ def views(head: Similarity, corners: Array) -> list[Similarity]:
 
 def phi(patch: Image) -> NDArray[np.float32]:
     """(WIDTH,) of a patch (SIDE, SIDE, 3)."""
-    grey, _ = looks(np.asarray(cv2.blur(patch, (3, 3)), np.uint8))
+    grey = np.log(cv2.blur(patch, (3, 3)) @ GREY + 16)
     across, down = (np.asarray(cv2.Sobel(grey, cv2.CV_32F, *way), np.float32) for way in ((1, 0), (0, 1)))
     size = np.sqrt(across**2 + down**2)
     usual = np.full_like(size, math.sqrt(np.mean(size**2)))

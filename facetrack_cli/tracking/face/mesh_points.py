@@ -1,11 +1,11 @@
-"""Points of a face that a landmark network places and no window follows: eyes, brows, jaw, ... (ours).
+"""Points of a face that a regression or a network places and no window follows: eyes, brows, jaw, ... (ours).
 
 With z the place of a point in the stabilized image, m its place at rest, moved with the points that are visible,
 
     a_t - m_t = 1/2 (a_{t-1} - m_{t-1}) + N(0, 3/4 s^2 I),    z_t = a_t + N(0, r^2 I) while the point is visible
 
 is followed by a Kalman filter for each point, the same along x and y. How far a point moves with expressions (s), and
-how much the network's places tremble (r), are running means of the clip. What is hidden lies where the visible points
+how much the places tremble (r), are running means of the clip. What is hidden lies where the visible points
 say, up to s. Whether a point is visible is a chain of two states, as in `window_ncc`.
 """
 
