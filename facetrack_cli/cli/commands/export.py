@@ -152,20 +152,16 @@ class Export:
     def _clips(self) -> tuple[list[Clip], bool]:
         """The trajectory, or those of the many runs in a folder, less what cannot be read; whether there are many."""
         from facetrack_cli.run_folder.manifest import read_run
-        from facetrack_cli.run_folder.status import survey
         from facetrack_cli.trajectory.formats.events import Clip
         from facetrack_cli.trajectory.header import clip_of
         from facetrack_cli.trajectory.select import blank_lost, choose
 
-        paths = [self.trajectory]
-        if many := self.trajectory.is_dir() and not any(self.trajectory.glob("trajectory.*")):
-            paths = [self.trajectory / one.folder for one in survey(self.trajectory).clips]
-            if self.to not in OF_RUNS:
-                raise UsageError(
-                    f"{self.trajectory}: is a folder of runs, and {self.to} takes one; name that of one run"
-                )
+        paths = [] if any(self.trajectory.glob("trajectory.*")) else self.trajectory.glob("*/trajectory.*")
+        folders = sorted({path.parent for path in paths})
+        if (many := bool(folders)) and self.to not in OF_RUNS:
+            raise UsageError(f"{self.trajectory}: is a folder of runs, and {self.to} takes one; name that of one run")
         found = []
-        for path in paths:
+        for path in folders or [self.trajectory]:
             try:
                 table = choose(read_run(path), self.target)
             except (InputError, UsageError) as e:

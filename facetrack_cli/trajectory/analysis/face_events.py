@@ -15,7 +15,7 @@ The numbers of mouths and smiles were fitted to eight people, those of blinks to
 docs/measures.md leaves a person out. Those of nods, shakes, winks and speech are by hand.
 
 An event is where rest has less than half of the posterior. Its probability is that of a visit to the state away from
-rest meanwhile, 1 - p(rows, no visit) / p(rows); below one half it is no event.
+rest meanwhile, 1 - p(rows, no visit) / p(rows); below `told` it is no event.
 """
 
 import math
@@ -39,7 +39,8 @@ class Kind(NamedTuple):
 
     It is told by the first of `measures` that is there, by its increase (`sign` 1), decrease (-1) or both in turn (0);
     by `step` from rest, about which `varies` are standard deviations at rest and away. Step 0: the measure is the
-    probability. `lasts` are mean seconds at rest and away; the evidence of a frame `counts` for so much. Rest is the
+    probability. `lasts` are mean seconds at rest and away; the evidence of a frame `counts` for so much, and
+    what is less probable than `told` is none. Rest is the
     median over `reach_s` before and after, else one level; `relative`: the measure counts as a share of it. What takes
     less than `least_s` is none, what takes more than `longest_s` is called `longer`, or is none; what a probability has
     below one half, `other`. `needs` is a measure without which it is not told.
@@ -52,6 +53,7 @@ class Kind(NamedTuple):
     varies: tuple[float, float] = (0.0, 0.0)
     lasts: tuple[float, float] = (0.3, 0.3)
     counts: float = 0.3
+    told: float = 0.5
     reach_s: float = 0.0
     relative: bool = False
     least_s: float = 0.0
@@ -62,15 +64,25 @@ class Kind(NamedTuple):
 
 
 KINDS: Final = {
-    "mouth": Kind("open", ("mouth_opening",), 1, 0.09, (0.02, 0.05), (0.5, 0.2), 0.5),
-    "smile": Kind("smile", ("mouth_width",), 1, 0.14, (0.03, 0.05), (3.0, 1.5), 0.15, least_s=0.3),
+    "mouth": Kind("open", ("mouth_opening",), 1, 0.09, (0.02, 0.05), (0.5, 0.2), 0.5, 0.7),
+    "smile": Kind("smile", ("mouth_width",), 1, 0.14, (0.03, 0.05), (3.0, 1.5), 0.15, 0.7, least_s=0.3),
     "blinks": Kind(
-        "blink", ("eye_opening",), -1, 0.5, (0.1, 0.1), (3.0, 0.15), 1.0, 1.0, True, longest_s=0.6, longer="shut"
+        "blink",
+        ("eye_opening",),
+        -1,
+        0.5,
+        (0.1, 0.1),
+        (3.0, 0.15),
+        1.0,
+        reach_s=1.0,
+        relative=True,
+        longest_s=0.6,
+        longer="shut",
     ),
-    "dips": Kind("nod", ("pitch",), 1, 12.0, (3.0, 4.0), (3.0, 0.3), 0.3, 1.0, longest_s=1.0, needs="eye_opening"),
-    "shakes": Kind("shake", ("yaw",), 0, 12.0, (3.0, 4.0), (3.0, 0.3), 0.3, 1.0, longest_s=2.0),
-    "wink_left": Kind("wink", ("eyes_differ",), 1, 0.2, (0.04, 0.08), (3.0, 0.3), 0.3, 1.0),
-    "wink_right": Kind("wink", ("eyes_differ",), -1, 0.2, (0.04, 0.08), (3.0, 0.3), 0.3, 1.0),
+    "dips": Kind("nod", ("pitch",), 1, 12.0, (3.0, 4.0), (3.0, 0.3), reach_s=1.0, longest_s=1.0, needs="eye_opening"),
+    "shakes": Kind("shake", ("yaw",), 0, 12.0, (3.0, 4.0), (3.0, 0.3), reach_s=1.0, longest_s=2.0),
+    "wink_left": Kind("wink", ("eyes_differ",), 1, 0.2, (0.04, 0.08), (3.0, 0.3), reach_s=1.0),
+    "wink_right": Kind("wink", ("eyes_differ",), -1, 0.2, (0.04, 0.08), (3.0, 0.3), reach_s=1.0),
     "speech": Kind("talks", ("talking",), lasts=(2.0, 2.0), least_s=0.5),
     "phases": Kind("hold", ("held",), least_s=0.1, other="movement"),
     "hand_contact": Kind("hand", ("touches_hand",), least_s=0.1),
@@ -121,7 +133,7 @@ def _events(target: str, tier: str, kind: Kind, one: Measured) -> Iterator[FaceE
             chance = chain.visits(a, b, (1, 2) if kind.step and not kind.sign else (each.shape[1] - 1,))
             lasts_s = until[b - 1] - time_s[a]
             name = value if lasts_s <= kind.longest_s else kind.longer
-            if chance >= 0.5 and name and lasts_s >= kind.least_s:
+            if chance >= kind.told and name and lasts_s >= kind.least_s:
                 peak = a + int(np.argmax(height[a:b]))
                 times = float(time_s[peak]), float(until[b - 1])
                 yield FaceEvent(float(time_s[a]), target, tier, name, *times, int(frame[a]), int(frame[b - 1]), chance)

@@ -235,10 +235,10 @@ def _talking(mouth: Measured) -> Array:
     rows = settled(mouth)
     swings, talks = np.zeros(len(rows)), np.full(len(mouth.value), np.nan)
     if len(rows) > 2:
-        value, time_s = mouth.value[rows], mouth.time_s[rows]
-        turns = turning_points(value, max(SWING, 4 * jitter(value)))
-        for a, b in pairwise(turns):
-            swings[(a + b) // 2] += time_s[b] - time_s[a] <= SWING_S
+        value, time_s, doubt = mouth.value[rows], mouth.time_s[rows], np.nan_to_num(mouth.doubt[rows])
+        for a, b in pairwise(turning_points(value, max(SWING, 4 * jitter(value)))):
+            clear = abs(value[b] - value[a]) > 2 * doubt[(a + b) // 2]
+            swings[(a + b) // 2] += clear and time_s[b] - time_s[a] <= SWING_S
         sigma = AROUND_S / max(float(np.median(np.diff(time_s))), AROUND_S / 500)
         talks[rows] = above(gauss(swings, sigma) * sigma * np.sqrt(2 * np.pi) - SWINGS, SWINGS_STD)
     return talks
