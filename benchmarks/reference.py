@@ -6,12 +6,15 @@ import csv
 from pathlib import Path
 from typing import Final
 
-from facetrack_cli.core.types import Box
-from facetrack_cli.tracking.face import descent
+import numpy as np
+
+from facetrack_cli.core.types import Array, Box
+from facetrack_cli.tracking.face import descent, eyes
 
 MESH: Final = "mesh.csv"
+EYES: Final = "eyes.csv"
 HANDS: Final = "hands.csv"
-SHIPPED: Final = descent.DEFAULT
+SHIPPED: Final = descent.DEFAULT, eyes.DEFAULT
 
 
 def points_in(path: Path) -> dict[int, dict[str, tuple[float, float, float]]]:
@@ -40,5 +43,18 @@ def inside(x: float, y: float, box: Box) -> bool:
 
 
 def take_regression(folder: Path | None, name: str) -> None:
-    """Let recipes use the regression of a folder that has not seen the clip, without_NAME.npz; None: the package's."""
-    descent.DEFAULT = SHIPPED if folder is None else str((folder / f"without_{name}.npz").resolve())
+    """Let recipes use the regressions of a folder that have not seen the clip: without_NAME.npz and, where it is there,
+    eyes_without_NAME.npz. None: the package's.
+    """
+    descent.DEFAULT, eyes.DEFAULT = SHIPPED
+    if folder is not None:
+        descent.DEFAULT = str((folder / f"without_{name}.npz").resolve())
+        if (lids := folder / f"eyes_without_{name}.npz").exists():
+            eyes.DEFAULT = str(lids.resolve())
+
+
+def openings_in(path: Path) -> tuple[list[int], Array]:
+    """The frames and the openings (T,) of an eyes.csv (frame, opening_left, opening_right), mean of both eyes."""
+    with path.open(encoding="utf-8") as file:
+        rows = [(int(r["frame"]), float(r["opening_left"]), float(r["opening_right"])) for r in csv.DictReader(file)]
+    return [frame for frame, *_ in rows], np.array([both for _, *both in rows]).mean(axis=1)

@@ -153,7 +153,7 @@ def _peaks(table: Trajectory) -> Iterator[tuple[int, Event]]:
     for kind, name, sign in kinds:
         for one in [found[name] for found in table.measures.values() if name in found][:1]:
             sure = sign * one.value - np.nan_to_num(one.std)
-            if np.isfinite(sure).any() and (kind != "blink" or any(event.name == kind for event in table.events)):
+            if np.isfinite(sure).any() and (kind != "blink" or any(event.value == kind for event in table.events)):
                 row = int(np.nanargmax(sure))
                 words = f"{name.replace('_', ' ')} {one.value[row]:.2f} ± {one.std[row]:.2f} {one.unit}"
                 yield int(one.frame[row]), Event(kind, words=words)

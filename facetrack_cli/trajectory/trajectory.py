@@ -277,12 +277,32 @@ class Trajectory:
         own = {"target": targets[self.which], "part": parts[self.which]}
         return {name: (own[name] if name in own else getattr(self, name))[order] for name in COLUMNS}
 
-    def to_pandas(self) -> DataFrame:
-        """The columns as a pandas DataFrame. UsageError without pandas, which the extra `pandas` brings."""
+    def to_pandas(self, what: Literal["rows", "measures", "events"] = "rows") -> DataFrame:
+        """The columns, the measures or the events as a pandas DataFrame.
+
+        Of measures there is a row for each target, measure and frame: value, std and noise. UsageError without pandas,
+        which the extra `pandas` brings.
+        """
         with needed("data frames", "pandas", "pandas"):
             import pandas
 
-        return pandas.DataFrame(self.columns())
+        if what == "rows":
+            return pandas.DataFrame(self.columns())
+        if what == "events":
+            from facetrack_cli.trajectory.analysis.face_events import FaceEvent
+
+            return pandas.DataFrame(self.events, columns=FaceEvent._fields)
+        names = ("frame", "time_s", "value", "std", "noise")
+        each = [
+            pandas.DataFrame(
+                {"target": target, "measure": name, "unit": one.unit, **{k: getattr(one, k) for k in names}}
+            )
+            for target, found in self.measures.items()
+            for name, one in found.items()
+        ]
+        return (
+            pandas.concat(each, ignore_index=True) if each else pandas.DataFrame(columns=["target", "measure", *names])
+        )
 
 
 _ARRAYS = tuple(f.name for f in fields(Trajectory) if str(f.type).startswith(("Whole", "Array", "Texts", "Mask")))

@@ -112,7 +112,9 @@ def test_frames_without_rows_are_in_no_span():
 
 
 def test_every_kind_of_motion_has_a_vocabulary_with_its_labels():
-    assert tuple(VOCABULARIES) == ("seen", *KINDS, *face_events.KINDS, *face_events.INTERVALS)
+    assert tuple(VOCABULARIES) == ("seen", *KINDS, *face_events.KINDS)
+    for tier, kind in face_events.KINDS.items():
+        assert {*filter(None, (kind.value, kind.longer, kind.other))} == set(VOCABULARIES[tier])
     assert all(set(LABELS[kind]) == set(VOCABULARIES[kind]) for kind in LABELS)
 
 

@@ -87,22 +87,24 @@ def test_a_short_time_lost_is_bridged_and_a_long_one_is_not_known():
 def test_holds_movements_and_contacts_are_intervals_with_probabilities():
     rows = table(MOVES, way((0, 600), (40, 600), (45, 290), (59, 290)))
     mine = [event for event in rows.events if event.target == "left_hand"]
-    phases = [(event.name, event.first, event.last) for event in mine if event.name in ("hold", "movement")]
+    phases = [
+        (event.value, event.first_frame, event.last_frame) for event in mine if event.value in ("hold", "movement")
+    ]
     assert [name for name, *_ in phases] == ["hold", "movement", "hold"]
     assert [first for _, first, _ in phases[1:]] == [pytest.approx(20, abs=2), pytest.approx(31, abs=2)]
     assert all(one[2] + 1 == other[1] for one, other in pairwise(phases))
-    [contact] = [event for event in mine if event.name == "hand"]
-    assert contact.first == pytest.approx(45, abs=1) and contact.last == N - 1
-    assert all(0.5 < event.probability <= 1 for event in mine) and contact.time_s == contact.first / 25
+    [contact] = [event for event in mine if event.value == "hand"]
+    assert contact.first_frame == pytest.approx(45, abs=1) and contact.last_frame == N - 1
+    assert all(0.5 < event.probability <= 1 for event in mine) and contact.begin_s == contact.first_frame / 25
 
 
 def test_an_interval_of_a_moment_is_part_of_those_around_it():
     on_off = way((0, 100), (30, 100), (31, 275), (32, 100), (59, 100))
     touching = table(on_off, np.full(N, 300.0))
     assert touching.measures["left_hand"]["touches_hand"].value[31] > 0.8
-    assert not [event for event in touching.events if event.name == "hand"]
+    assert not [event for event in touching.events if event.value == "hand"]
     quiet = table(np.full(N, 100.0), STAYS).events
-    assert [(event.name, event.first, event.last) for event in quiet] == [("hold", 0, N - 1)] * 2
+    assert [(event.value, event.first_frame, event.last_frame) for event in quiet] == [("hold", 0, N - 1)] * 2
 
 
 def test_elan_and_tables_have_them():

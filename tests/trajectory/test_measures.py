@@ -18,6 +18,11 @@ from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.support.face_shape import moving_face
 
 FIVE = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
+ENDS = ("", "_std", "_noise")
+OF_FIVE = (
+    "mouth_opening", "lips_rounded", "mouth_width", "smile", "smile_left", "smile_right", "roll", "yaw", "pitch",
+    "thrust", "talking",
+)  # fmt: skip
 
 
 def values(table):
@@ -37,13 +42,23 @@ def test_a_face_that_is_drawn_by_hand():
     expected = {
         "mouth_opening": (0.25, 0.55),
         "lips_apart": (0.01, 0.31),
+        "lips_pressed": (0.01 - 0.25, 0.31 - 0.55),
+        "lips_rounded": (0.25 / 0.8, 0.55 / 0.8),
         "mouth_width": (0.8, 0.8),
-        "smile": (1.125 - 1.1, 1.275 - 1.0),  # the middle of the lips sinks by .15, the corners rise by .1
+        **dict.fromkeys(
+            ("smile", "smile_left", "smile_right"),
+            (1.125 - 1.1, 1.275 - 1.0),  # the middle of the lips sinks by .15, the corners rise by .1
+        ),
+        "jaw_sideways": (0, 0),
         "brow_raise": (0.4, 0.45),
-        "eye_opening": (0.15 / 0.5, 0.075 / 0.5),
+        "brow_inner": (0.3, 0.3),
+        "brow_outer": (0.25, 0.25),
+        **dict.fromkeys(("eye_opening", "eye_opening_left", "eye_opening_right"), (0.15 / 0.5, 0.075 / 0.5)),
+        "eyes_differ": (0, 0),
         "gaze_x": (0, 0.1 / 0.5),
         "gaze_y": (0.01 / 0.5, 0.01 / 0.5),
         "roll": (0, 0),
+        "thrust": (0, 0),
     }
     for name, wanted in expected.items():
         np.testing.assert_allclose(found[name], wanted, atol=1e-6, err_msg=name)
@@ -51,11 +66,11 @@ def test_a_face_that_is_drawn_by_hand():
 
 def test_without_eyes_the_unit_is_that_of_the_box_and_other_measures_are_not_there():
     whole, five = moving_face(3, open=[0, 0.1, 0.2]), moving_face(3, open=[0, 0.1, 0.2], names=FIVE)
-    assert list(values(five)) == ["mouth_opening", "mouth_width", "smile", "roll", "yaw", "pitch"]
+    assert list(values(five)) == [*OF_FIVE]
     np.testing.assert_allclose(values(five)["mouth_opening"], values(whole)["mouth_opening"], rtol=1e-6)
-    assert {one.unit for one in five.measures["face"].values()} == {LENGTH, "degrees"}
+    assert {one.unit for one in five.measures["face"].values()} == {LENGTH, "degrees", "ratio", "share", "probability"}
     points = joined([part for part in five.parts if part.part != "box"])
-    assert list(values(points)) == ["roll", "yaw", "pitch"], "nothing says how large the face is"
+    assert list(values(points)) == ["lips_rounded", "roll", "yaw", "pitch"], "nothing says how large the face is"
     assert not values(joined([part for part in five.parts if part.part == "box"]))
 
 
@@ -65,11 +80,13 @@ def test_where_a_point_is_lost_or_hidden_its_measures_are_nan():
     for status in ("lost", "absent", "hidden"):
         gone = np.where((names == "lip_lower") & (table.frame == 2), status, "tracked")
         found = values(replace(table, status=gone))
-        assert [name for name, value in found.items() if np.isnan(value[2])] == ["mouth_opening", "smile"]
+        lip = {"mouth_opening", "lips_pressed", "lips_rounded", "smile", "smile_left", "smile_right"}
+        assert {name for name, value in found.items() if np.isnan(value[2])} == lip
         assert all(np.isfinite(value[[0, 1, 3]]).all() for value in found.values())
     eye = np.where((names == "eye_left_inner") & (table.frame == 2), "lost", "tracked")
     lost = {name for name, value in values(replace(table, status=eye)).items() if np.isnan(value[2])}
-    assert lost == {"brow_raise", "eye_opening", "gaze_x", "gaze_y"}, "without an eye the box is the unit"
+    eyes = {"eye_opening", "eye_opening_left", "eyes_differ", "gaze_x", "gaze_y"}
+    assert lost == {*eyes, "brow_raise", "brow_inner", "brow_outer"}, "without an eye the box is the unit"
 
 
 @settings(max_examples=25)
@@ -109,7 +126,7 @@ def test_the_spread_is_what_noise_of_the_points_makes(names):
     moves = {"open": np.full(4000, 0.3), "smile": np.full(4000, 0.05), "shut": np.zeros(4000)}
     table = moving_face(4000, noise=0.8, std=0.8, names=names, roll=10.0, **moves)
     for name, one in table.measures["face"].items():
-        if one.unit != "degrees":  # tests/trajectory/test_head_pose.py has those
+        if one.unit not in ("degrees", "probability"):  # tests/trajectory/test_head_pose.py has those
             assert np.std(one.value) == pytest.approx(np.median(one.std), rel=0.05), name
 
 
@@ -145,7 +162,7 @@ def test_the_tables_have_each_measure_with_its_spread():
     both = joined([*one.parts, *two.parts])
     rows = list(csv.DictReader(io.StringIO(write_measures(both))))
     assert [(row["frame"], row["target"]) for row in rows] == [(f, t) for f in "012" for t in ("face", "other")]
-    assert list(rows[0])[3:] == [f"{one.name}{end}" for one in MEASURES for end in ("", "_std")]
+    assert list(rows[0])[3:] == [f"{one.name}{end}" for one in MEASURES for end in ENDS]
     assert rows[2]["mouth_opening"] == "0.3500" and rows[2]["time_s"] == "0.0400000"
     assert float(rows[2]["mouth_opening_std"]) == pytest.approx(0.0072, abs=2e-4)
     assert rows[3]["eye_opening"] == "" and rows[3]["mouth_opening"] == "0.2500"

@@ -15,6 +15,7 @@ from facetrack_cli.cli.options import FILE, argument, flag, option, say, verb
 from facetrack_cli.core.errors import InputError, OutputError, UsageError
 
 if TYPE_CHECKING:
+    from facetrack_cli.trajectory.formats.events import Clip
     from facetrack_cli.trajectory.select import Around
     from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -23,6 +24,10 @@ ENDINGS = {
     "csv-wide": "wide.csv",
     "pose": "pose.csv",
     "measures": "measures.csv",
+    "events": "events.csv",
+    "boris": "boris",
+    "srt": "srt",
+    "vtt": "vtt",
     "openface": "openface.csv",
     "mot": "mot.txt",
     "otb": "otb.txt",
@@ -36,6 +41,8 @@ ENDINGS = {
     "labelstudio": "labelstudio.json",
 }
 """How the file of each format is called, after the name of the trajectory."""
+OF_RUNS = ("measures", "events", "boris")
+"""Those that take the folder of many runs."""
 ONE_TARGET = ("otb", "got10k", "vot")
 OF_BOXES = ("mot", *ONE_TARGET, "coco")
 OF_MEDIA = ("openface", "coco", "eaf", "cvat", "labelstudio")
@@ -44,14 +51,17 @@ OF_MEDIA = ("openface", "coco", "eaf", "cvat", "labelstudio")
 class Export:
     """Write a trajectory as other tools read it.
 
-    TRAJECTORY is a trajectory.csv, .json or .jsonl, or the folder of a run. The file goes beside it, with the ending of
-    its format, unless -o says otherwise.
+    TRAJECTORY is a trajectory.csv, .json or .jsonl, or the folder of a run; for measures, events and boris also that of
+    many runs. The file goes beside it, with the ending of its format, unless -o says otherwise.
 
     \b
     Formats:
       csv-wide  CSV with one row a frame, for spreadsheets
       pose      CSV of the head's pitch, yaw and roll, with their spread
       measures  CSV of mouth opening, smile, brows, lids, pose, and their spread
+      events    CSV of when mouths open, eyes blink, heads nod, hands move
+      boris     the same as a project of BORIS 8, a clip an observation
+      srt, vtt  the same as subtitles, of one run
       openface  OpenFace's CSV: confidence, success, pose, landmarks
       mot       MOTChallenge: frame, id, box, confidence; all from 1
       otb       OTB boxes, one a line, pixels from 1; one target
@@ -104,9 +114,7 @@ class Export:
 
     def run(self) -> None:
         from facetrack_cli.core.files import StreamSink, check_new, write_new
-        from facetrack_cli.run_folder.manifest import read_run
         from facetrack_cli.trajectory.header import clip_of
-        from facetrack_cli.trajectory.select import blank_lost, choose
 
         if self.media is not None and self.to not in OF_MEDIA:
             raise UsageError(f"--media is for {', '.join(OF_MEDIA)}; {self.to} does not name the clip")
@@ -118,13 +126,15 @@ class Export:
             raise OutputError("--out is empty; name a file, or - for standard output")
         if self.out == "-" and self.to == "dlc-h5":
             raise OutputError("dlc-h5 is not text, and does not go to standard output; name a file with -o")
-        table = choose(read_run(self.trajectory), self.target)
+        clips, many = self._clips()
+        table = clips[0].table
         beside = table.path.with_name(f"{table.path.stem}.{ENDINGS[self.to]}")
+        beside = beside if not many else self.trajectory / f"{self.trajectory.resolve().name}.{ENDINGS[self.to]}"
         path = None if self.out == "-" else Path(self.out) if self.out else beside
         if path is not None:
             check_new(path, overwrite=self.overwrite, inputs=(table.path, self.media, clip_of(table)))
         try:
-            content = self._content(blank_lost(table) if self.drop_lost else table, path)
+            content = self._content(clips, path, many)
         except InputError as e:
             # what is wrong within the table has no file's name yet
             known = str(e).startswith((str(table.path), str(self.media)))
@@ -136,16 +146,46 @@ class Export:
         write_new(path, data, overwrite=self.overwrite)
         frames = table.frames
         begins = f"; line 1 is frame {frames[0]}" if self.to in ("otb", "got10k") and frames[0] else ""
-        say(f"{path}: {len(frames)} frames of {', '.join(table.targets) or 'one target'}{begins}")
+        what = f"{len(frames)} frames of {', '.join(table.targets) or 'one target'}"
+        say(f"{path}: {what if not many else f'{len(clips)} clips'}{begins}")
 
-    def _content(self, table: Trajectory, path: Path | None) -> str | bytes:
+    def _clips(self) -> tuple[list[Clip], bool]:
+        """The trajectory, or those of the many runs in a folder, less what cannot be read; whether there are many."""
+        from facetrack_cli.run_folder.manifest import read_run
+        from facetrack_cli.trajectory.formats.events import Clip
+        from facetrack_cli.trajectory.header import clip_of
+        from facetrack_cli.trajectory.select import blank_lost, choose
+
+        paths = [] if any(self.trajectory.glob("trajectory.*")) else self.trajectory.glob("*/trajectory.*")
+        folders = sorted({path.parent for path in paths})
+        if (many := bool(folders)) and self.to not in OF_RUNS:
+            raise UsageError(f"{self.trajectory}: is a folder of runs, and {self.to} takes one; name that of one run")
+        found = []
+        for path in folders or [self.trajectory]:
+            try:
+                table = choose(read_run(path), self.target)
+            except (InputError, UsageError) as e:
+                if not many:
+                    raise
+                say(f"facetrack: warning: {e}; it is left out")
+                continue
+            clip = clip_of(table)
+            found.append(
+                Clip(clip.name if clip else table.path.parent.name, blank_lost(table) if self.drop_lost else table)
+            )
+        if not found:
+            raise InputError(f"{self.trajectory}: none of its runs can be read; look at facetrack status")
+        return found, many
+
+    def _content(self, clips: list[Clip], path: Path | None, many: bool) -> str | bytes:
         import numpy as np
 
-        from facetrack_cli.trajectory.formats import boxes, cvat, eaf, keypoints, labelstudio, openface, tables
+        from facetrack_cli.trajectory.formats import boxes, cvat, eaf, events, keypoints, labelstudio, openface, tables
         from facetrack_cli.trajectory.header import frame_size_of, said
         from facetrack_cli.trajectory.select import enclose, hide_outside
 
-        if not np.isfinite(table.x).any():
+        table = clips[0].table
+        if not any(np.isfinite(one.x).any() for _, one in clips):
             raise InputError("no row has a place, x and y; there is nothing to export")
         if self.to in ONE_TARGET and len(table.targets) > 1:
             raise UsageError(f"{self.to} holds one target; choose with --target among {', '.join(table.targets)}")
@@ -161,7 +201,13 @@ class Export:
         writers: dict[str, Callable[[], str | bytes]] = {
             "csv-wide": lambda: tables.write_wide(table),
             "pose": lambda: tables.write_pose(table),
-            "measures": lambda: tables.write_measures(table),
+            "measures": lambda: tables.write_measures(
+                *(one for _, one in clips), clips=[name for name, _ in clips if many]
+            ),
+            "events": lambda: events.write_events(clips),
+            "boris": lambda: events.write_boris(clips, written=datetime.now()),
+            "srt": lambda: events.write_subtitles(table, "srt"),
+            "vtt": lambda: events.write_subtitles(table, "vtt"),
             "openface": lambda: openface.write_openface(table, size),
             "cvat": lambda: cvat.write_cvat(table, size, name),
             "dlc": lambda: keypoints.write_dlc(table, scorer),

@@ -21,12 +21,15 @@ class Plot:
     error, from its JSON. What the tracker does not report is left out. A long track is drawn by the range and the mean
     of as many frames as fall on a pixel, so that no peak is lost.
 
+    With --measure the figure has a panel for each of these measures, with bars where the events named are.
+
     \b
     Examples:
       facetrack plot out/
       facetrack plot out/ --truth clip.truth.csv -o page.pdf
       facetrack plot out/trajectory.csv --target face/nose -o nose.svg
       facetrack plot out/ --truth groundtruth_rect.txt --partial --overwrite
+      facetrack plot out/ --measure mouth_opening,blink -o figure.pdf
 
     \b
     Exit codes: 0 done, 2 usage or output, or matplotlib is missing,
@@ -37,6 +40,7 @@ class Plot:
     trajectory: Path = argument("TRAJECTORY")
     truth: Path | None = option("--truth FILE", "Draw the ground truth too, and the error.", type=FILE)
     truth_options: TruthOptions = group(TruthOptions)
+    measure: str | None = option("--measure NAMES", "Draw these measures and events alone, separated by commas.")
     out: Path | None = options.figure_file("plot.png beside TRAJECTORY")
     overwrite: bool = options.OVERWRITE
     title: str | None = options.TITLE
@@ -54,12 +58,15 @@ class Plot:
         say(f"{self.trajectory} -> {out}")
 
     def _draw(self) -> Figure:
-        from facetrack_cli.report.figures import page_figure
+        from facetrack_cli.report.figures import measures_figure, page_figure
         from facetrack_cli.run_folder.manifest import read_run
         from facetrack_cli.trajectory.select import choose
 
         table = read_run(self.trajectory)
         known = self.truth_options
+        if self.measure is not None:
+            names = [name.strip() for name in self.measure.split(",")]
+            return measures_figure(choose(table, known.target), names, title=self.title, width=self.width)
         pairs = None if self.truth is None else known.pairs(table, known.read(self.truth), say)
         return page_figure(choose(table, known.target), pairs, title=self.title, width=self.width)
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.evaluation.rows import Pair
@@ -19,11 +19,16 @@ from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.diagnostics import adaptation, known, panels
 from facetrack_cli.report.figures.lines import MAX_LINES, Line, Panel, Pen, columns_for, lines_of, quantiles, stacked
 from facetrack_cli.report.figures.style import Axes, Figure
+from facetrack_cli.trajectory.analysis.face_events import KINDS
 from facetrack_cli.trajectory.analysis.hands import HAND_MEASURES
 from facetrack_cli.trajectory.analysis.measures import DEGREES, MEASURES, Measured
 from facetrack_cli.trajectory.header import said
 from facetrack_cli.trajectory.trajectory import Trajectory
 
+USUAL = (
+    "mouth_opening", "lips_apart", "mouth_width", "smile", "brow_raise", "eye_opening", "roll", "yaw", "pitch",
+)  # fmt: skip
+"""The measures of a face on the page."""
 BINS = 1000  # about the pixels across a panel
 UNSEEN = ("hidden", "absent")
 _UNIT = (-0.03, 1.06)  # the axis of what is from 0 to 1
@@ -42,6 +47,47 @@ def page_figure(
     """
     with style.style():
         return _Page(table, pairs or (), width).figure(_title(table) if title is None else title)
+
+
+def measures_figure(
+    table: Trajectory, names: Sequence[str], *, title: str | None = None, width: float = style.WIDTH
+) -> Figure:
+    """Measures over seconds with a band of a standard deviation of their noise, and bars where events of `names` are.
+
+    `names` are measures, tiers of events or their values. An event is shown in the panel of the measure that tells it.
+    Raises UsageError for a name that the table has not.
+    """
+    told = {name: one for found in table.measures.values() for name, one in found.items()}
+    events = [one for one in table.events if {one.tier, one.value} & {*names}]
+    by = {word: kind.measures[0] for tier, kind in KINDS.items() for word in (tier, kind.value, kind.longer)}
+    rows = list(dict.fromkeys(name if name in told else by.get(name, name) for name in names))
+    if missing := [name for name in rows if name not in told]:
+        known = [*told, *(word for word, measure in by.items() if word and measure in told)]
+        raise UsageError(f"{table.path}: has no {', '.join(missing)}; choose among {', '.join(known) or 'none'}")
+    with style.style():
+        figure = style.new_figure(width, 0.7 + 1.3 * len(rows))
+        column = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, name in zip(column, rows, strict=True):
+            for k, (target, found) in enumerate(one for one in table.measures.items() if name in one[1]):
+                one, colour = found[name], style.COLOURS[k % len(style.COLOURS)]
+                noise = np.nan_to_num(one.noise)
+                axes.fill_between(
+                    one.time_s, one.value - noise, one.value + noise, color=colour, alpha=0.2, linewidth=0
+                )
+                axes.plot(one.time_s, one.value, color=colour, linewidth=1.2, label=target)
+                for e in events:
+                    if e.target == target and name in KINDS[e.tier].measures:
+                        axes.axvspan(e.begin_s, e.end_s, color=colour, alpha=0.15, linewidth=0)
+                        axes.plot(e.peak_s, 1, "v", color=colour, markersize=4, transform=axes.get_xaxis_transform())
+            style.heading(
+                axes, name.replace("_", " "), next(f[name].unit for f in table.measures.values() if name in f)
+            )
+        if len(table.targets) > 1:
+            column[0].legend(loc="upper right")
+        column[-1].set_xlabel("seconds")
+        if title:
+            figure.suptitle(title)
+    return figure
 
 
 def size(s: Trajectory) -> Array:
@@ -211,7 +257,8 @@ class _Page:
             notes = [bands, "standard deviation of the particles, both axes together"]
             yield Panel("spread (px)", notes, 0.95, partial(self._positive, of=spread))
         for name, unit, formula, *_ in (*MEASURES, *HAND_MEASURES):
-            if found := {target: one[name] for target, one in table.measures.items() if name in one}:
+            found = {target: one[name] for target, one in table.measures.items() if name in one}
+            if found and name in {*USUAL, *(one.name for one in HAND_MEASURES)}:
                 title = f"{'pose: ' if unit == DEGREES else ''}{name.replace('_', ' ')} ({unit})"
                 notes = ["band: a standard deviation to either side", formula]
                 yield Panel(title, notes, 0.7, partial(self._measure, found=found))

@@ -1,131 +1,230 @@
-"""Events in what a face does, with times and probabilities: a mouth opens and closes, eyes blink, a head nods.
-And intervals in which a hand is held still, moves, or touches the other one or the face (hands.py).
+"""Events in what a face or a hand does, with times and probabilities: a mouth is open, eyes blink, a head nods.
 
-A measure has two levels, at rest and away from it, if the clip shows both. They are the means below and above the cut
-at which two normal distributions describe its values best (Kittler & Illingworth, "Minimum error thresholding", Pattern
-Recognition 1986); the threshold is midway. They count only if they are `APART` times the measure's spread apart, and if
-the likelihood gains on a single level, whose width is that of the values, or the spread where that is less: by the
-share `GAIN` more than it costs to say which frames are at which level. So noise that the spread explains is no event.
+Each kind is a hidden Markov model over one measure. Its states are rest, halfway and away from rest; of what goes both
+ways rest and either side; of a measure that is a probability itself, no and yes. A state is left at a constant rate,
+for any state, so a pause between rows makes the state after it less sure.
 
-The state changes where a measure passes the threshold by twice its noise from frame to frame. The probability of a
-state is that of the measure being on this side, by its spread, in the clearest frame; that of an event is the product
-over the states before and after it, and of `blink` and `nod`, which are short, in it. A state that the clip or a pause
-of `GAP_S` cuts off makes none. Rest, of what is short, is the median over `REST_S` before and after.
+A row's noise is its doubt (measures.py), and what its spread has beyond the step that people make. A value counts by
+what it is away from rest more than that, since errors last, and many frames say no more of them than one. Rows beside
+lost ones do not count. What is left is normal about the level of its state, with the state's variation and the noise;
+beyond the outer levels it counts as on them. The level at rest, its variation and the step from it are learned from the
+clip by expectation maximization, from what people do (`KINDS`), which counts for `PRIOR` frames; each shot of a film
+has its own. Frames are not independent: the log likelihood of each has the weight `counts`.
+
+The numbers of mouths and smiles were fitted to eight people, those of blinks to their eyes with noise; the table in
+docs/measures.md leaves a person out. Those of nods, shakes, winks and speech are by hand.
+
+An event is where rest has less than half of the posterior. Its probability is that of a visit to the state away from
+rest meanwhile, 1 - p(rows, no visit) / p(rows); below `told` it is no event.
 """
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from facetrack_cli.core.numbers import spans
-from facetrack_cli.core.types import Array
-from facetrack_cli.trajectory.analysis.measures import Measured
+from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.trajectory.analysis.measures import PAUSE_S, Measured, settled, stretches
 
-GAIN, APART, GAP_S, REST_S, MIN_FRAMES = 0.5, 3.0, 0.25, 1.0, 3  # the last are frames at either level
-# the events of a kind; the measure that tells it, or the one in its place; the sign of its change; its longest, in s
+PRIOR, ROUNDS = 100.0, 8
+HALFWAY_S, LEAST_STEP, LEAST = 0.1, 0.75, 1e-9
+QUIET: Final = 0.1  # quantile of the rows without much doubt that rest begins as, where it is no running median
+
+
+class Kind(NamedTuple):
+    """A kind of event: what it is called, the measure that tells it, and what people do.
+
+    It is told by the first of `measures` that is there, by its increase (`sign` 1), decrease (-1) or both in turn (0);
+    by `step` from rest, about which `varies` are standard deviations at rest and away. Step 0: the measure is the
+    probability. `lasts` are mean seconds at rest and away; the evidence of a frame `counts` for so much, and
+    what is less probable than `told` is none. Rest is the
+    median over `reach_s` before and after, else one level; `relative`: the measure counts as a share of it. What takes
+    less than `least_s` is none, what takes more than `longest_s` is called `longer`, or is none; what a probability has
+    below one half, `other`. `needs` is a measure without which it is not told.
+    """
+
+    value: str
+    measures: tuple[str, ...]
+    sign: int = 1
+    step: float = 0.0
+    varies: tuple[float, float] = (0.0, 0.0)
+    lasts: tuple[float, float] = (0.3, 0.3)
+    counts: float = 0.3
+    told: float = 0.5
+    reach_s: float = 0.0
+    relative: bool = False
+    least_s: float = 0.0
+    longest_s: float = math.inf
+    longer: str = ""
+    other: str = ""
+    needs: str = ""
+
+
 KINDS: Final = {
-    "mouth": (("mouth_opens", "mouth_closes"), "lips_apart", "mouth_opening", 1, math.inf),
-    "blinks": (("blink",), "eye_opening", "", -1, 0.5),
-    "dips": (("nod",), "pitch", "", 1, 1.0),
+    "mouth": Kind("open", ("mouth_opening",), 1, 0.09, (0.02, 0.05), (0.5, 0.2), 0.5, 0.7),
+    "smile": Kind("smile", ("mouth_width",), 1, 0.14, (0.03, 0.05), (3.0, 1.5), 0.15, 0.7, least_s=0.3),
+    "blinks": Kind(
+        "blink",
+        ("eye_opening",),
+        -1,
+        0.5,
+        (0.1, 0.1),
+        (3.0, 0.15),
+        1.0,
+        reach_s=1.0,
+        relative=True,
+        longest_s=0.6,
+        longer="shut",
+    ),
+    "dips": Kind("nod", ("pitch",), 1, 12.0, (3.0, 4.0), (3.0, 0.3), reach_s=1.0, longest_s=1.0, needs="eye_opening"),
+    "shakes": Kind("shake", ("yaw",), 0, 12.0, (3.0, 4.0), (3.0, 0.3), reach_s=1.0, longest_s=2.0),
+    "wink_left": Kind("wink", ("eyes_differ",), 1, 0.2, (0.04, 0.08), (3.0, 0.3), reach_s=1.0),
+    "wink_right": Kind("wink", ("eyes_differ",), -1, 0.2, (0.04, 0.08), (3.0, 0.3), reach_s=1.0),
+    "speech": Kind("talks", ("talking",), lasts=(2.0, 2.0), least_s=0.5),
+    "phases": Kind("hold", ("held",), least_s=0.1, other="movement"),
+    "hand_contact": Kind("hand", ("touches_hand",), least_s=0.1),
+    "face_contact": Kind("face", ("touches_face",), least_s=0.1),
 }
-
-
-# what hands do, by the measure that is its probability: what it is above one half, and below
-INTERVALS: Final = {"phases": ("held", ("hold", "movement")), "hand_contact": ("touches_hand", ("hand",)),
-                    "face_contact": ("touches_face", ("face",))}  # fmt: skip
-BRIEF_S: Final = 0.1  # an interval of a hand that is shorter than this is part of those around it
+"""All kinds by the names of their tiers."""
 
 
 class FaceEvent(NamedTuple):
-    """What a face or hand does in `frame`, at `time_s`: the mouth is open, a hand is held, from `first` to `last`."""
+    """What a face or hand does, from `begin_s` to `end_s`, when the frame after it begins; most of all at `peak_s`."""
 
-    time_s: float
+    begin_s: float
     target: str
-    name: str
-    frame: int
-    first: int
-    last: int
+    tier: str
+    value: str
+    peak_s: float
+    end_s: float
+    first_frame: int
+    last_frame: int
     probability: float
 
 
 def events_of(target: str, measures: Mapping[str, Measured]) -> dict[str, list[FaceEvent]]:
-    """The events of one target by those of KINDS that its measures tell. A nod needs eyes: a mouth moves lips alike."""
-    found: dict[str, list[FaceEvent]] = {}
-    for kind, (names, best, other, sign, longest) in KINDS.items():
-        one = measures.get(best, measures.get(other))
-        if one is not None and (kind != "dips" or "eye_opening" in measures):
-            found[kind] = []
-            for first, last, back, before, within, after in _away(one, sign, longest):
-                begins = before * within * (after if len(names) == 1 else 1.0)
-                for name, row, chance in zip(names, (first, back), (begins, within * after), strict=False):
-                    if math.isfinite(chance):
-                        at, begun, until = one.frame[[row, first, last]].tolist()
-                        found[kind].append(FaceEvent(float(one.time_s[row]), target, name, at, begun, until, chance))
-    for kind, (measure, names) in INTERVALS.items():
-        if measure in measures:
-            found[kind] = sorted(_intervals(target, measures[measure], names))
+    """The events of one target by the kinds that its measures tell, each in the order of time."""
+    found = {}
+    for tier, kind in KINDS.items():
+        best = next((measures[one] for one in kind.measures if one in measures), None)
+        if best is not None and (not kind.needs or kind.needs in measures):
+            shots = [best.between(*ends) for ends in stretches(best.time_s)] if kind.step else [best]
+            found[tier] = sorted(event for shot in shots for event in _events(target, tier, kind, shot))
     return found
 
 
-def _intervals(target: str, one: Measured, names: Sequence[str]) -> Iterator[FaceEvent]:
-    """Where a probability is above one half, and below if that has a name, with its mean there."""
-    rows = np.flatnonzero(np.isfinite(one.value + one.time_s))
-    if not len(rows):
+def _events(target: str, tier: str, kind: Kind, one: Measured) -> Iterator[FaceEvent]:
+    rows = settled(one) if kind.step else np.flatnonzero(np.isfinite(one.value + one.time_s))
+    if len(rows) < 2:
         return
-    p, time_s, frame = one.value[rows], one.time_s[rows], one.frame[rows]
-    pause = np.diff(time_s) > GAP_S
-    for begin, stop in spans(np.ones(len(rows), np.bool_), pause):
-        state = p[begin:stop] > 0.5
-        step = (time_s[stop - 1] - time_s[begin]) / max(stop - begin - 1, 1)
-        both = [spans(state), spans(~state)]
-        for a, b in sorted(both[0] + both[1], key=lambda span: span[1] - span[0]):
-            if (b - a) * step < BRIEF_S and (a > 0 or b < len(state)):
-                state[a:b] = state[a - 1] if a else state[b]
-        for name, those, chance in zip(names, (state, ~state), (p, 1 - p), strict=False):
-            for a, b in spans(those):
-                first, last = begin + a, begin + b - 1
-                yield FaceEvent(float(time_s[first]), target, name, int(frame[first]), int(frame[first]),
-                                int(frame[last]), float(chance[first : last + 1].mean()))  # fmt: skip
+    time_s, frame = one.time_s[rows], one.frame[rows]
+    pause, usual = np.diff(time_s) > PAUSE_S, float(np.median(np.diff(time_s)))
+    until = np.append(np.where(pause, time_s[:-1] + usual, time_s[1:]), time_s[-1] + usual)
+    z, log_p = _log_likelihoods(kind, one, rows)
+    rest_s, away_s = kind.lasts
+    lasts = (rest_s, *([HALFWAY_S if kind.sign else away_s] if kind.step else []), away_s)
+    passes = [(kind.value, log_p, z)] + ([(kind.other, log_p[:, ::-1], -z)] if kind.other else [])
+    for value, each, height in passes:
+        chain = Chain.of(kind.counts * each, time_s, lasts)
+        for a, b in spans(chain.posterior[:, 0] < 0.5, pause):
+            chance = chain.visits(a, b, (1, 2) if kind.step and not kind.sign else (each.shape[1] - 1,))
+            lasts_s = until[b - 1] - time_s[a]
+            name = value if lasts_s <= kind.longest_s else kind.longer
+            if chance >= kind.told and name and lasts_s >= kind.least_s:
+                peak = a + int(np.argmax(height[a:b]))
+                times = float(time_s[peak]), float(until[b - 1])
+                yield FaceEvent(float(time_s[a]), target, tier, name, *times, int(frame[a]), int(frame[b - 1]), chance)
 
 
-def _away(one: Measured, sign: int, longest: float) -> Iterator[tuple[int, int, int, float, float, float]]:
-    """First and last row away from rest, the next one; probabilities before, in, after, nan where nothing is known."""
-    rows = np.flatnonzero(np.isfinite(one.value + one.time_s))
-    if len(rows) < 2 * MIN_FRAMES:
-        return
-    value, time_s, short = sign * one.value[rows], one.time_s[rows], math.isfinite(longest)
-    if short:
-        reach = round(REST_S / max(float(np.median(np.diff(time_s))), REST_S / 500))
-        around = np.lib.stride_tricks.sliding_window_view(np.pad(value, reach, mode="symmetric"), 2 * reach + 1)
-        value = value - np.median(around, axis=1)
-    noise = max(float(np.median(np.abs(np.diff(value, n=2)))) / 0.6745 / math.sqrt(6), 1e-9)
-    spread = np.fmax(one.std[rows], noise)
-    beyond = value - _threshold(value, noise, float(np.median(spread)))
-    clear = np.abs(beyond) > 2 * noise
-    away = beyond[np.maximum.accumulate(np.where(clear, np.arange(len(rows)), 0))] > 0
-    pause = np.diff(time_s) > GAP_S
-    states = sorted(spans(away, pause) + spans(~away, pause))
-    sure = (float(np.max((beyond if away[a] else -beyond)[a:b] / spread[a:b])) for a, b in states)
-    chance = [math.erfc(-z / math.sqrt(2)) / 2 for z in sure]
-    for k, (a, b) in enumerate(states):
-        if away[a] and not (short and time_s[min(b, len(rows) - 1)] - time_s[a] > longest):
-            before = chance[k - 1] if a and not pause[a - 1] else math.nan
-            after = chance[k + 1] if b < len(rows) and not pause[b - 1] else math.nan
-            yield int(rows[a]), int(rows[b - 1]), int(rows[min(b, len(rows) - 1)]), before, chance[k], after
+def _log_likelihoods(kind: Kind, one: Measured, rows: Whole) -> tuple[Array, Array]:
+    """(T,) how far a measure is away from rest in these rows, and (T, S) log likelihoods of the states."""
+    value, time_s = one.value[rows], one.time_s[rows]
+    if not kind.step:
+        return value, np.log(np.clip(np.stack([1 - value, value], axis=1), LEAST, 1))
+    std, doubt = (np.nan_to_num(spread[rows]) for spread in (one.std, one.doubt))
+    if kind.reach_s:
+        reach = round(kind.reach_s / max(float(np.median(np.diff(time_s))), kind.reach_s / 500))
+        padded = np.pad(value, reach, mode="symmetric")
+        rest = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1), axis=1)
+    else:
+        sure = doubt <= 2 * np.median(doubt)
+        rest = np.full(len(value), np.quantile(kind.sign * value[sure], QUIET) * kind.sign)
+    unit = np.maximum(np.abs(rest), LEAST) if kind.relative else 1.0
+    z, std, doubt = (kind.sign or 1) * (value - rest) / unit, std / unit, doubt / unit
+    noise = np.sqrt(doubt**2 + np.maximum(std**2 - kind.step**2, 0.0))
+    z = np.sign(z) * np.maximum(np.abs(z) - noise, 0.0)
+    level, step, quiet = 0.0, kind.step, kind.varies[0]
+    log_p = _normal(kind, z, noise, level, step, quiet)
+    for _ in range(ROUNDS):
+        is_in = np.exp(log_p - np.logaddexp.reduce(log_p, axis=1, keepdims=True)) * kind.counts
+        at_rest, away = is_in[:, 0], is_in[:, 1:].sum(axis=1) if not kind.sign else is_in[:, 2]
+        level = float(at_rest @ z / (at_rest.sum() + PRIOR))
+        excess = np.maximum((z - level) ** 2 - noise**2, 0.0)
+        quiet = math.sqrt((at_rest @ excess + PRIOR * kind.varies[0] ** 2) / (at_rest.sum() + PRIOR))
+        height = np.abs(z - level) if not kind.sign else z - level
+        step = max(float((away @ height + PRIOR * kind.step) / (away.sum() + PRIOR)), LEAST_STEP * kind.step)
+        log_p = _normal(kind, z, noise, level, step, quiet)
+    return (z if kind.sign else np.abs(z)), log_p
 
 
-def _threshold(value: Array, noise: float, spread: float) -> float:
-    """Midway between the two levels of a measure; nan if it has only one."""
-    x, n = np.sort(value - value.mean()), len(value)
-    k = np.arange(MIN_FRAMES, n - MIN_FRAMES + 1)  # values below the cut
-    share, sums, squares = k / n, np.cumsum(x)[k - 1], np.cumsum(x**2)[k - 1]
-    low, high = sums / k, -sums / (n - k)
-    variances = squares / k - low**2, (np.sum(x**2) - squares) / (n - k) - high**2, x.var()
-    below, above, whole = (np.maximum(variance, noise**2) for variance in variances)
-    one, cost = np.minimum(whole, spread**2), -share * np.log(share) - (1 - share) * np.log(1 - share)
-    gain = (np.log(one) + whole / one - 1 - share * np.log(below) - (1 - share) * np.log(above)) / 2 - cost
-    best = int(np.argmax(gain))
-    told_apart = gain[best] > GAIN * cost[best] and high[best] - low[best] > APART * spread
-    return float(value.mean() + (low[best] + high[best]) / 2) if told_apart else math.nan
+def _normal(kind: Kind, z: Array, noise: Array, level: float, step: float, quiet: float) -> Array:
+    """(T, 3) log densities about the levels of the states."""
+    steps, spread = (0.0, 0.5, 1.0), (quiet, step / 4, kind.varies[1])
+    if not kind.sign:
+        steps, spread = (0.0, -1.0, 1.0), (quiet, kind.varies[1], kind.varies[1])
+    off = np.clip(z - level, min(steps) * step, step)[:, None] - np.multiply(steps, step)
+    variance = np.square(spread) + noise[:, None] ** 2
+    return np.asarray(-0.5 * (off**2 / variance + np.log(variance)))
+
+
+class Chain(NamedTuple):
+    """A hidden Markov model of T rows in S states, all in logarithms; the first state is rest.
+
+    `log_p` (T, S) are likelihoods, `share` (S,) how much of all time each has, `move` (T - 1, S, S) probabilities of
+    steps from row to row; `forward` (T, S) of a state and all rows up to its own, `backward` (T, S) of all later rows
+    given a state.
+    """
+
+    log_p: Array
+    share: Array
+    move: Array
+    forward: Array
+    backward: Array
+
+    @classmethod
+    def of(cls, log_p: Array, time_s: Array, lasts: Sequence[float]) -> "Chain":
+        """States that last so many seconds on average; where one ends each is as likely, by steps of the usual time."""
+        usual = float(np.median(np.diff(time_s)))
+        stay = np.exp(-usual / np.asarray(lasts))[:, None]
+        once = stay * np.eye(len(lasts)) + (1 - stay) / len(lasts)
+        # a pause is as many steps
+        count, which = np.unique(np.maximum(np.rint(np.diff(time_s) / usual), 1), return_inverse=True)
+        move = np.log([np.linalg.matrix_power(once, int(n)) for n in count])[which]
+        share = np.log((1 / (1 - stay[:, 0])) / np.sum(1 / (1 - stay)))
+        forward, backward = np.empty_like(log_p), np.zeros_like(log_p)
+        forward[0] = share + log_p[0]
+        for t, step in enumerate(move):
+            forward[t + 1] = np.logaddexp.reduce(forward[t][:, None] + step, axis=0) + log_p[t + 1]
+        for t in range(len(move) - 1, -1, -1):
+            backward[t] = np.logaddexp.reduce(move[t] + log_p[t + 1] + backward[t + 1], axis=1)
+        return cls(log_p, share, move, forward, backward)
+
+    @property
+    def posterior(self) -> Array:
+        """(T, S) the probability of each state given all rows."""
+        return np.asarray(np.exp(self.forward + self.backward - np.logaddexp.reduce(self.forward[-1])))
+
+    def visits(self, first: int, stop: int, states: Sequence[int]) -> float:
+        """The probability, given all rows, that each of `states` is visited in rows `first` to before `stop`."""
+        chance, whole = 0.0, np.logaddexp.reduce(self.forward[-1])
+        for none in (list(one) for n in range(len(states) + 1) for one in combinations(states, n)):
+            at = self.forward[max(first - 1, 0)]
+            for t in range(first, stop):
+                at = np.logaddexp.reduce(at[:, None] + self.move[t - 1], axis=0) if t else self.share
+                at = at + self.log_p[t]
+                at[none] = -np.inf
+            chance += (-1) ** len(none) * math.exp(np.logaddexp.reduce(at + self.backward[stop - 1]) - whole)
+        return min(max(chance, 0.0), 1.0)

@@ -20,7 +20,7 @@ import numpy as np
 from facetrack_cli.core.hands import HANDS
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Mask
-from facetrack_cli.trajectory.analysis.measures import Measure, Measured
+from facetrack_cli.trajectory.analysis.measures import Measure, Measured, above
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned, joined
 
 GAP_S, REACH_S = 0.4, 0.07
@@ -56,7 +56,7 @@ def hand_measures(table: Trajectory) -> dict[str, dict[str, Measured]]:
     measures: dict[str, dict[str, Measured]] = {}
     for k, name in enumerate(hands):
         speed, noise = _speed(at[:, k], seen[:, k], time_s)
-        values = {"speed": speed, "held": _above(HOLD - speed, math.hypot(noise, BORDER))}
+        values = {"speed": speed, "held": above(HOLD - speed, math.hypot(noise, BORDER))}
         for j in range(len(parts)):
             if j != k:
                 off = at[:, j] - at[:, k]
@@ -64,18 +64,14 @@ def hand_measures(table: Trajectory) -> dict[str, dict[str, Measured]]:
                 way = off / np.maximum(apart, 1e-9)[:, None]
                 reach = sum(1 / np.maximum(np.hypot(*(way / half[:, i]).T), 1e-9) for i in (j, k))
                 spread = np.sqrt(var[:, j] + var[:, k] + OUTLINE**2)
-                values["touches_face" if j == len(hands) else "touches_hand"] = _above(reach - apart, spread)
+                values["touches_face" if j == len(hands) else "touches_hand"] = above(reach - apart, spread)
         std = {"speed": np.where(np.isfinite(speed), noise, np.nan)}
         has = [one for one in HAND_MEASURES if one.name in values]
         measures[name] = {
-            key: Measured(key, unit, frame, time_s, values[key], std.get(key, speed * np.nan)) for key, unit, *_ in has
+            key: Measured(key, unit, frame, time_s, values[key], *[std.get(key, speed * np.nan)] * 2)
+            for key, unit, *_ in has
         }
     return measures
-
-
-def _above(value: Array, spread: Array | float) -> Array:
-    """The probability that what was measured as a value, with this spread, is above 0."""
-    return np.asarray(np.vectorize(math.erfc, otypes=[float])(-value / spread / math.sqrt(2)) / 2)
 
 
 def _bridged(values: Array, time_s: Array) -> Array:

@@ -202,7 +202,7 @@ def _spans(pose: Pose, rows: Whole) -> Iterator[Span]:
 
 
 def _moving(signal: Array, dt: float, rate: Rate, labels: tuple[str, str]) -> Iterator[tuple[int, int, str]]:
-    smooth = _gauss(signal, rate.smooth_s / dt)
+    smooth = gauss(signal, rate.smooth_s / dt)
     speed = np.gradient(smooth, dt)
     slope = np.gradient(_kernel(rate.smooth_s / dt), dt)
     begin_above = max(rate.begin, NOISE * _noise(signal) * _left_by(slope))
@@ -218,9 +218,9 @@ def _swinging(x: Array, y: Array, dt: float) -> Iterator[tuple[int, int, str]]:
     """Nods and shakes, in order of time: runs of quick swings between turning points."""
     found: list[tuple[int, int, str]] = []
     for main, across, label in ((y, x, "nod"), (x, y, "shake")):
-        light, side = _gauss(main, LIGHT_S / dt), _gauss(across, LIGHT_S / dt)
+        light, side = gauss(main, LIGHT_S / dt), gauss(across, LIGHT_S / dt)
         least = max(SWING, NOISE * _noise(main) * _left_by(_kernel(LIGHT_S / dt)))
-        turns = _turning_points(light, least)
+        turns = turning_points(light, least)
         quick = np.zeros(max(0, len(turns) - 1), dtype=bool)
         for n, (a, b) in enumerate(pairwise(turns)):
             # half a swing more at both ends: a circle is as wide as it is high, but not within half of its way
@@ -240,7 +240,7 @@ def _swinging(x: Array, y: Array, dt: float) -> Iterator[tuple[int, int, str]]:
             after = end
 
 
-def _turning_points(signal: Array, least: float) -> list[int]:
+def turning_points(signal: Array, least: float) -> list[int]:
     """Where a signal turns by at least `least`: highs and lows in turn, smaller wiggles passed over."""
     turns: list[int] = []
     low = high = 0
@@ -274,7 +274,7 @@ def _kernel(sigma: float) -> Array:
     return weights / np.sum(weights)
 
 
-def _gauss(signal: Array, sigma: float) -> Array:
+def gauss(signal: Array, sigma: float) -> Array:
     """Smoothed by a Gaussian of `sigma` samples; beyond its ends the signal is mirrored."""
     kernel = _kernel(sigma)
     smooth: Array = np.convolve(np.pad(signal, len(kernel) // 2, mode="symmetric"), kernel, mode="valid")

@@ -9,27 +9,49 @@ Nothing corrects heights for pitch.
 The spread is of first order: derivatives, by central differences, times the covariance of each point in its row. It
 takes points as independent and the pose as known. That of an angle is what the points alone make of it: what a person's
 proportions add (head_pose.py) is the same in all frames.
+
+That spread is of the value, with an offset that all frames of a clip share as long as the head stands alike. The noise
+is what is left without it, so that two frames differ with the spread hypot(noise, noise): jitter from frame to frame,
+by the median of second differences; a share of how far the measure varies in the clip, as a tracker follows a face's
+motion in part; and of the spread a share, which is the whole where the head is turned or nearer than usual.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from facetrack_cli.core.face_points import EYE_DISTANCE, IRISES
+from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Whole
+from facetrack_cli.trajectory.analysis.head_motion import gauss, turning_points
 from facetrack_cli.trajectory.analysis.head_pose import SHAPE, head_pose, rotation_of, with_eyes
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned, joined
 
 LENGTH, DEGREES = "eye distances", "degrees"
-EYES, BROWS = ("eye_left", "eye_right"), ("brow_left_middle", "brow_right_middle")
+SIDES, EYES = ("left", "right"), ("eye_left", "eye_right")
+BROWS = tuple((f"brow_left_{place}", f"brow_right_{place}") for place in ("middle", "inner", "outer"))
 LIPS, INNER = ("lip_upper", "lip_lower"), ("inner_lip_upper", "inner_lip_lower")
 CORNERS = ("mouth_left", "mouth_right")
-LIDS = tuple(f"{eye}_{place}" for eye in EYES for place in ("upper", "lower", "outer", "inner"))
+LIDS = tuple(tuple(f"{eye}_{place}" for place in ("upper", "lower", "outer", "inner")) for eye in EYES)
 ENDS = ("eye_left_outer", "eye_left_inner"), ("eye_right_inner", "eye_right_outer")  # of an eye, from the left
 GAZE = (*IRISES, *ENDS[0], *ENDS[1])
 STEP: Final = 1e-3  # pixels, of the differences
+# the noise's shares of what a measure varies and of its spread, by `benchmarks/expressions.py --fit` on eight people
+VARIES, SHARE = 0.6, 0.15
+UNIT: Final = 0.2  # how far off the unit may be, where the head has moved
+NEAR_S, PAUSE_S = 0.3, 0.25
+# a mouth that talks: its swings are so large and last at most so long, and within a second or so there are so many
+SWING, SWING_S, AROUND_S, SWINGS, SWINGS_STD = 0.03, 0.5, 0.6, 1.6, 0.5
+TURNED, NEARER = 40.0, 0.15  # degrees, and the logarithm of the size, from the clip's median: there the share is 1
+NORMAL: Final = 0.6745  # median absolute deviation of a standard normal number
+MOST_STD: Final = 0.15  # of a length or a ratio: where a clip's median spread is larger, it is not measured
+OWN: Final = {"nose", *CORNERS, *LIPS, *LIDS[0], *LIDS[1], *EYES, BOX}
+"""The parts that the recipe `face` has without a network."""
 
 
 class Face(NamedTuple):
@@ -59,14 +81,19 @@ class Face(NamedTuple):
     def apart(self, one: str, other: str) -> Array:
         return np.asarray(np.abs(self.at[one] - self.at[other]))
 
-    def height(self, one: str, other: str, *below: str) -> Array:
-        """(T,) how far the middle of two points is above that of two others, in distances between the eyes."""
-        apart = sum(self.at[name] for name in below) - self.at[one] - self.at[other]
-        return np.asarray((apart / (2j * self.across)).real)
+    def height(self, above: Sequence[str], below: Sequence[str]) -> Array:
+        """(T,) how far the middle of some points is above that of others, in distances between the eyes."""
+        middles = [sum(self.at[name] for name in names) / len(names) for names in (below, above)]
+        return np.asarray(((middles[0] - middles[1]) / (1j * self.across)).real)
+
+    def opening(self, eyes: Sequence[int]) -> Array:
+        """(T,) the distance of lids over the width of an eye, mean of some eyes."""
+        each = [self.apart(*LIDS[k][:2]) / self.apart(*LIDS[k][2:]) for k in eyes]
+        return np.asarray(sum(each) * self.share / len(each))
 
 
 class Measure(NamedTuple):
-    """What is measured, and of which parts; `of` is None of an angle of the head's pose."""
+    """What is measured, and of which parts; `of` is None of an angle of the head's pose, or of other measures."""
 
     name: str
     unit: str
@@ -74,32 +101,57 @@ class Measure(NamedTuple):
     needs: tuple[str, ...] = ()
     of: Callable[[Face], Array] | None = None
 
+    @property
+    def by_network(self) -> bool:
+        """Whether it needs points that the recipe `face` has of a network alone."""
+        return not OWN.issuperset(self.needs)
+
 
 MEASURES: Final = (
     Measure("mouth_opening", LENGTH, "distance of the outer lips", LIPS, lambda f: f.apart(*LIPS) / abs(f.across)),
     Measure("lips_apart", LENGTH, "distance of the inner lips", INNER, lambda f: f.apart(*INNER) / abs(f.across)),
+    Measure("lips_pressed", LENGTH, "distance of the inner lips less that of the outer lips: more where lips are thin",
+            LIPS + INNER, lambda f: (f.apart(*INNER) - f.apart(*LIPS)) / abs(f.across)),
+    Measure("lips_rounded", "ratio", "distance of the outer lips over that of the corners of the mouth", LIPS + CORNERS,
+            lambda f: f.apart(*LIPS) / f.apart(*CORNERS) * f.share),
     Measure("mouth_width", LENGTH, "distance of the corners of the mouth", CORNERS,
             lambda f: f.apart(*CORNERS) / abs(f.across) / f.share),
     Measure("smile", LENGTH, "height of the middle of the corners of the mouth above that of the outer lips",
-            CORNERS + LIPS, lambda f: f.height(*CORNERS, *LIPS)),
-    Measure("brow_raise", LENGTH, "height of the middles of the brows above the centres of the eyes, mean of both",
-            BROWS + EYES, lambda f: f.height(*BROWS, *EYES)),
-    Measure("eye_opening", "eye widths", "distance of an eye's lids over its width, mean of both", LIDS,
-            lambda f: sum(f.apart(*LIDS[i : i + 2]) / f.apart(*LIDS[i + 2 : i + 4]) for i in (0, 4)) * f.share / 2),
+            CORNERS + LIPS, partial(Face.height, above=CORNERS, below=LIPS)),
+    *(Measure(f"smile_{side}", LENGTH, f"height of the {side} corner of the mouth above the middle of the outer lips",
+              (corner, *LIPS), partial(Face.height, above=(corner,), below=LIPS))
+      for side, corner in zip(SIDES, CORNERS, strict=True)),
+    Measure("jaw_sideways", LENGTH, "how far the chin is to the right of the nose, along the line of the eyes",
+            ("chin", "nose"), lambda f: ((f.at["chin"] - f.at["nose"]) / f.across).real),
+    *(Measure(f"brow_{name}", LENGTH, f"height of the {place} of the brows above the centres of the eyes, mean of both",
+              parts + EYES, partial(Face.height, above=parts, below=EYES))
+      for name, place, parts in zip(("raise", "inner", "outer"), ("middles", "inner ends", "outer ends"), BROWS,
+                                    strict=True)),
+    Measure("eye_opening", "eye widths", "distance of an eye's lids over its width, mean of both", LIDS[0] + LIDS[1],
+            partial(Face.opening, eyes=(0, 1))),
+    *(Measure(f"eye_opening_{side}", "eye widths", f"distance of the lids of the {side} eye over its width", LIDS[k],
+              partial(Face.opening, eyes=(k,))) for k, side in enumerate(SIDES)),
+    Measure("eyes_differ", "eye widths", "opening of the right eye less that of the left", LIDS[0] + LIDS[1],
+            lambda f: f.opening((1,)) - f.opening((0,))),
     Measure("gaze_x", "eye widths", "how far the irises are right of the middle of the eyes' corners, mean of both",
             GAZE, lambda f: f.gaze.real),
     Measure("gaze_y", "eye widths", "how far the irises are above the line of the eyes' corners, mean of both",
             GAZE, lambda f: -f.gaze.imag),
-    Measure("roll", DEGREES, "roll of the head's pose; where it is not known, the angle of the face's box"),
+    Measure("roll", DEGREES, "roll of the head's pose, its tilt; where it is not known, the angle of the face's box"),
     Measure("yaw", DEGREES, "yaw of the head's pose"),
     Measure("pitch", DEGREES, "pitch of the head's pose"),
+    Measure("thrust", "share", "how much larger the face's box is than the clip's median, by the root of its area"),
+    Measure("talking", "probability", "that the mouth moves as in talking"),
 )  # fmt: skip
-"""All measures, in the order of columns."""
+"""All measures, in the order of columns; left and right are as seen in the image."""
 USED: Final = {BOX, *SHAPE, *(name for one in MEASURES for name in one.needs)}
 
 
 class Measured(NamedTuple):
-    """One measure of one target in T frames; nan where a point that it needs is lost or absent."""
+    """One measure of one target in T frames; nan where a point that it needs is lost or absent.
+
+    `std` is the spread of a value, `doubt` what of it is not an offset that the whole clip shares.
+    """
 
     name: str
     unit: str
@@ -107,6 +159,24 @@ class Measured(NamedTuple):
     time_s: Array
     value: Array
     std: Array
+    doubt: Array
+
+    def between(self, begin: int, end: int) -> "Measured":
+        """The rows from `begin` to before `end`."""
+        at = slice(begin, end)
+        value, std, doubt = self.value[at], self.std[at], self.doubt[at]
+        return self._replace(frame=self.frame[at], time_s=self.time_s[at], value=value, std=std, doubt=doubt)
+
+    @property
+    def noise(self) -> Array:
+        """(T,) the standard deviation without the offset that the clip shares, at most the spread."""
+        known = self.value[np.isfinite(self.value)]
+        if len(known) < 3:
+            return self.std
+        varies = VARIES * np.median(np.abs(known - np.median(known))) / NORMAL
+        noise = np.sqrt(jitter(known) ** 2 + varies**2 + np.nan_to_num(self.doubt) ** 2)
+        at_most = np.where(self.std > 0, self.std, np.inf)
+        return np.asarray(np.where(np.isfinite(self.value), np.fmin(noise, at_most), np.nan))
 
 
 @np.errstate(all="ignore")
@@ -132,9 +202,18 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
     if BOX in names:
         spread[BOX] = np.nan_to_num(spread[BOX])  # of trackers that do not say it
         known["roll"][0] = np.where(np.isfinite(known["roll"][0]), known["roll"][0], angle[names.index(BOX)])
-    turned = rotation_of(np.radians(np.nan_to_num([one[0] for one in known.values()])).T)
+    turned = rotation_of(np.radians(np.nan_to_num([known[name][0] for name in ("pitch", "yaw", "roll")])).T)
     axis = turned[:, 0, 0] + 1j * turned[:, 1, 0]
     face = Face(dict(zip(names, x + 1j * y, strict=True)), np.maximum(abs(axis), 0.5), axis / abs(axis))
+    away = [(known["yaw"][0] / TURNED, 0.0)]
+    if BOX in names:
+        size = np.sqrt(np.prod([one[names.index(BOX)] for one in (x, y)], axis=0))
+        of_size = np.hypot(*(spread[BOX][i] / one[names.index(BOX)] for i, one in enumerate((x, y)))) / 2
+        known["thrust"] = np.stack([size / _median(size) - 1, size / _median(size) * of_size])
+        away.append((np.log(size) / NEARER, 1.0))
+    moved = np.zeros(len(frame))
+    for a, b in stretches(time_s):
+        moved[a:b] = np.minimum(sum(_moved(one[a:b], time_s[a:b], by) for one, by in away), 1)
     found = {}
     for name, unit, _, needs, of in MEASURES:
         needs += () if unit != LENGTH else EYES if face.at.keys() >= {*EYES} else (BOX,)
@@ -142,8 +221,71 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
             both = np.stack([of(face), _spread(of, face, {part: spread[part] for part in needs})])
             known[name] = np.where(np.abs(both) < 1e6, both, np.nan)  # the face may have no size
         if name in known and (of or np.isfinite(known[name]).any()):
-            found[name] = Measured(name, unit, frame, time_s, *known[name])
+            value, std = known[name]
+            if unit == DEGREES or not _median(std) > MOST_STD:
+                found[name] = Measured(name, unit, frame, time_s, value, std, _doubt(value, std, moved))
+    if (mouth := found.get("lips_apart", found.get("mouth_opening"))) is not None:
+        blank = np.full(len(frame), np.nan)
+        found["talking"] = Measured("talking", "probability", frame, time_s, _talking(mouth), blank, blank)
     return found
+
+
+def _talking(mouth: Measured) -> Array:
+    """(T,) the probability that a mouth talks, by the number of its quick swings around each frame."""
+    rows = settled(mouth)
+    swings, talks = np.zeros(len(rows)), np.full(len(mouth.value), np.nan)
+    if len(rows) > 2:
+        value, time_s, doubt = mouth.value[rows], mouth.time_s[rows], np.nan_to_num(mouth.doubt[rows])
+        for a, b in pairwise(turning_points(value, max(SWING, 4 * jitter(value)))):
+            clear = abs(value[b] - value[a]) > 2 * doubt[(a + b) // 2]
+            swings[(a + b) // 2] += clear and time_s[b] - time_s[a] <= SWING_S
+        sigma = AROUND_S / max(float(np.median(np.diff(time_s))), AROUND_S / 500)
+        talks[rows] = above(gauss(swings, sigma) * sigma * np.sqrt(2 * np.pi) - SWINGS, SWINGS_STD)
+    return talks
+
+
+def _median(values: Array) -> float:
+    """Of what is known; nan if that is nothing."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else np.nan
+
+
+def _moved(pose: Array, time_s: Array, by: float) -> Array:
+    """(T,) how far a pose is from its median and, times `by`, moves within a second before and after, squared."""
+    off = np.nan_to_num(pose - _median(pose))
+    around = round(1 / max(float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0, 0.002))
+    near = np.lib.stride_tricks.sliding_window_view(np.pad(off, around, mode="edge"), 2 * around + 1)
+    return np.asarray(off**2 + (by * (near.max(axis=1) - near.min(axis=1)) / 2) ** 2)
+
+
+def _doubt(value: Array, std: Array, moved: Array) -> Array:
+    """(T,) what of a spread is no offset: a share, and all of it, with that of the unit, where the head has moved."""
+    return np.hypot(SHARE * std, moved * np.hypot(std, UNIT * value))
+
+
+def stretches(time_s: Array) -> list[tuple[int, int]]:
+    """[begin, end) of rows without a pause between them, as in each shot of a film."""
+    return spans(np.ones(len(time_s), np.bool_), np.diff(time_s) > PAUSE_S)
+
+
+def settled(one: Measured) -> Whole:
+    """The rows that have a value, and are not within `NEAR_S` of one that has none, where points come and go."""
+    known = np.isfinite(one.value + one.time_s)
+    rows, gone = np.flatnonzero(known), np.flatnonzero(~known)
+    after = np.searchsorted(gone, rows)
+    sides = [np.append(gone, -1)[after - 1], np.append(gone, -1)[after]]  # -1: there is none
+    near = [(side >= 0) & (np.abs(one.time_s[rows] - one.time_s[side]) <= NEAR_S) for side in sides]
+    return np.asarray(rows[~(near[0] | near[1])])
+
+
+def above(value: Array, spread: Array | float) -> Array:
+    """The probability that what was measured as a value, with this spread, is above 0."""
+    return np.asarray(np.vectorize(math.erfc, otypes=[float])(-value / spread / math.sqrt(2)) / 2)
+
+
+def jitter(values: Array) -> float:
+    """The standard deviation of what is independent from frame to frame, by the median of second differences."""
+    return float(np.median(np.abs(np.diff(values, n=2)))) / NORMAL / math.sqrt(6)
 
 
 def _spread(of: Callable[[Face], Array], face: Face, spread: Mapping[str, Array]) -> Array:

@@ -19,6 +19,7 @@ import numpy as np
 
 from facetrack_cli.core import numbers
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.hands import HANDS
 from facetrack_cli.core.types import BOX
 from facetrack_cli.trajectory.analysis.face_events import events_of
 from facetrack_cli.trajectory.analysis.head_motion import head_motion, kinds_of
@@ -47,8 +48,12 @@ VOCABULARIES = {
     "nods": {"nod": "swings up and down, three times or more", "shake": "swings left and right, three times or more"},
     "still": {"still": "none of the motions of the other tiers for a second or more"},
     "mouth": {"open": "the mouth is open"},
-    "blinks": {"blink": "the eyes are shut, for half a second at most"},
+    "smile": {"smile": "the mouth is wide, for half a second or more"},
+    "blinks": {"blink": "the eyes are shut, for half a second at most", "shut": "the eyes are shut for longer"},
     "dips": {"nod": "the head goes down and back, by its pitch"},
+    "shakes": {"shake": "the head turns to one side and to the other, by its yaw"},
+    **{f"wink_{side}": {"wink": f"the {side} eye alone is shut"} for side in ("left", "right")},
+    "speech": {"talks": "the mouth moves as in talking"},
     "phases": {"hold": "the hand is held still", "movement": "the hand moves"},
     "hand_contact": {"hand": "meets the other hand in the image"},
     "face_contact": {"face": "meets the face in the image"},
@@ -130,11 +135,10 @@ def _tiers(
     yield "absent", name, spans_of([part.take(~part.vanished) for part in parts], "absent")  # as corrections say
     moved = head_motion(parts)
     for kind in kinds_of(parts):
-        yield kind, name, [(span.first, span.last, span.label) for span in moved if span.kind == kind]
+        if kind != "nods" or target not in HANDS:
+            yield kind, name, [(span.first, span.last, span.label) for span in moved if span.kind == kind]
     for kind, events in events_of(name, measures).items():
-        usual = next(iter(VOCABULARIES[kind]))  # of a mouth, whose events are its begin and its end
-        labels = {(e.first, e.last): e.name if e.name in VOCABULARIES[kind] else usual for e in events}
-        yield kind, name, [(*span, label) for span, label in sorted(labels.items())]
+        yield kind, name, [(event.first_frame, event.last_frame, event.value) for event in events]
 
 
 def _times(table: Trajectory) -> list[dict[int, int]]:

@@ -20,7 +20,7 @@ from facetrack_cli.trajectory.analysis.measures import MEASURES, Measured
 from facetrack_cli.trajectory.trajectory import DECIMALS, Trajectory, aligned, every_frame
 
 WIDE = ("x", "y", "w", "h", "confidence", "status")
-STD = ("", "_std")
+STD = ("", "_std", "_noise")
 POSE = ("frame", "time_s", "target", "pitch", "yaw", "roll", "std_pitch", "std_yaw", "std_roll", "ambiguous")
 
 
@@ -66,26 +66,33 @@ def write_pose(table: Trajectory) -> str:
     return csv_text(POSE, sorted(rows, key=itemgetter(0)))
 
 
-def write_measures(table: Trajectory) -> str:
-    """A CSV with a row for each frame and target: those measures that any target has, and the spread `_std` of each."""
-    has = {target: found for target, found in table.measures.items() if found}
-    names = [one.name for one in (*MEASURES, *HAND_MEASURES) if any(one.name in found for found in has.values())]
+def write_measures(*tables: Trajectory, clips: Sequence[str] = ()) -> str:
+    """A CSV with a row for each frame and target: those measures that any target has, and of each `_std` and `_noise`.
+
+    Of several tables, `clips` are their names, the first column.
+    """
+    has = [{target: found for target, found in table.measures.items() if found} for table in tables]
+    known = {name for those in has for found in those.values() for name in found}
+    names = [one.name for one in (*MEASURES, *HAND_MEASURES) if one.name in known]
     if not names:
         face = f"a measure needs parts of a face, among {', '.join(POINTS)}, and its box or its eyes"
         raise InputError(f"{face}, or hands beside the box of a head")
-    frames, times = timed(table)
-    each = [_measured(found, names, frames).tolist() for found in has.values()]
-    rows = zip(frames.tolist(), times.tolist(), *each, strict=True)
-    lines = ([frame, time, target, *of] for frame, time, *cells in rows for target, of in zip(has, cells, strict=True))
-    return csv_text(["frame", "time_s", "target", *(name + end for name in names for end in STD)], lines)
+    lines: list[list[Any]] = []
+    for n, (table, those) in enumerate(zip(tables, has, strict=True)):
+        frames, times = timed(table)
+        each = [_measured(found, names, frames).tolist() for found in those.values()]
+        for frame, time, *cells in zip(frames.tolist(), times.tolist(), *each, strict=True):
+            lines += ([*clips[n : n + 1], frame, time, target, *of] for target, of in zip(those, cells, strict=True))
+    first = [*(["clip"] if clips else []), "frame", "time_s", "target"]
+    return csv_text([*first, *(name + end for name in names for end in STD)], lines)
 
 
 def _measured(found: Mapping[str, Measured], names: Sequence[str], frames: Whole) -> Any:
-    """(T, 2 N) texts of N measures and their spreads in T frames, "" of what is not known."""
-    values = np.full((len(names), 2, len(frames)), np.nan)
+    """(T, 3 N) texts of N measures, their spreads and noises in T frames, "" of what is not known."""
+    values = np.full((len(names), len(STD), len(frames)), np.nan)
     for k, name in enumerate(names):
         if name in found:
-            values[k][:, np.searchsorted(frames, found[name].frame)] = found[name].value, found[name].std
+            values[k][:, np.searchsorted(frames, found[name].frame)] = found[name][4:]
     return texts(values.reshape(-1, len(frames)).T, 4)
 
 

@@ -1,0 +1,96 @@
+"""Events of faces and hands, of one clip or of many: a table, subtitles (SRT, WebVTT), a project of BORIS 8.
+
+A row of the table is an event. Times are seconds in the clip; an event ends when the frame after its last one begins.
+In BORIS a clip is an observation, a tier a behaviour, an event two rows, its begin and its end, with the value as
+modifier of both; rows stand in the order of time. A subject that is not declared would not be shown.
+"""
+
+import html
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Any, NamedTuple
+
+from facetrack_cli.core.numbers import csv_text, dumps
+from facetrack_cli.trajectory.header import clip_of, said
+from facetrack_cli.trajectory.trajectory import Trajectory
+
+COLUMNS = (
+    "clip", "person", "tier", "value", "begin_s", "peak_s", "end_s", "first_frame", "last_frame", "probability",
+)  # fmt: skip
+
+
+class Clip(NamedTuple):
+    """A clip's name, and its trajectory."""
+
+    name: str
+    table: Trajectory
+
+
+def write_events(clips: Sequence[Clip]) -> str:
+    """The table, in the order of clips and times."""
+    return csv_text(COLUMNS, rows_of(clips))
+
+
+def rows_of(clips: Sequence[Clip]) -> list[list[Any]]:
+    """The rows of the table; times and probabilities are rounded to 4 decimals."""
+    rows = []
+    for name, table in clips:
+        for e in table.events:
+            times = [round(t, 4) for t in (e.begin_s, e.peak_s, e.end_s)]
+            frames = [e.first_frame, e.last_frame]
+            rows.append([name, e.target, e.tier, e.value, *times, *frames, round(e.probability, 4)])
+    return rows
+
+
+def write_subtitles(table: Trajectory, form: str) -> str:
+    """The events as `srt` or `vtt`, to the nearest millisecond, without those that have no extent then."""
+    several, texts = len(table.targets) > 1, [] if form == "srt" else ["WEBVTT"]
+    spans = [(round(e.begin_s * 1000), round(e.end_s * 1000), e) for e in table.events]
+    for n, (begin, end, e) in enumerate((one for one in spans if one[1] > one[0]), 1):
+        who = f"{e.target}: " if several and e.target else ""
+        text = html.escape(f"{who}{e.tier.replace('_', ' ')}: {e.value}", quote=False)
+        text = text if form == "vtt" else html.unescape(text)
+        texts.append(f"{n}\n{_clock(begin, form)} --> {_clock(end, form)}\n{text}")
+    return "\n\n".join(texts) + "\n"
+
+
+def _clock(ms: int, form: str) -> str:
+    point = "," if form == "srt" else "."
+    return f"{ms // 3600000:02d}:{ms // 60000 % 60:02d}:{ms // 1000 % 60:02d}{point}{ms % 1000:03d}"
+
+
+def write_boris(clips: Sequence[Clip], *, written: datetime) -> str:
+    """A project with an observation for each clip; several of one name are numbered."""
+    date, subjects = written.isoformat(timespec="seconds"), dict[str, None]()
+    observations: dict[str, Any] = {}
+    values: dict[str, dict[str, None]] = {}
+    for name, table in clips:
+        path, fps = str(clip_of(table) or name), said(table, "source", "fps")
+        rows: list[list[Any]] = []
+        for e in table.events:
+            subjects[e.target] = values.setdefault(e.tier, {})[e.value] = None
+            for time, frame in ((e.begin_s, e.first_frame), (e.end_s, e.last_frame + 1)):
+                rows.append([round(time, 3), e.target, e.tier, e.value, f"probability {e.probability:.2f}", frame])
+        known = {"length": {path: float(table.times[-1])}, "fps": {path: fps or 25.0}}
+        media = {"hasVideo": {path: True}, "hasAudio": {path: False}, "offset": {"1": 0.0}}
+        number = sum(one.partition(" (")[0] == name for one in observations)
+        observations[f"{name} ({number + 1})" if number else name] = {
+            "file": {"1": [path], **{str(n): [] for n in range(2, 9)}}, "type": "MEDIA", "date": date,
+            "description": "", "time offset": 0, "events": sorted(rows, key=lambda row: row[0]),
+            "observation time interval": [0, 0], "independent_variables": {}, "media_info": known | media,
+            "close_behaviors_between_videos": False, "visualize_spectrogram": False, "visualize_waveform": False,
+        }  # fmt: skip
+    about = {"key": "", "description": ""}
+    behaviours = [
+        {**about, "type": "State event", "code": tier, "color": "", "category": "", "excluded": "", "coding map": "",
+         "modifiers": {"0": {"name": "value", "description": "", "type": 0, "ask at stop": False, "values": [*these]}}}
+        for tier, these in values.items()
+    ]  # fmt: skip
+    return dumps({
+        "time_format": "hh:mm:ss", "project_date": date, "project_name": "facetrack", "project_description": "",
+        "project_format_version": "7.0", "observations": observations,
+        "subjects_conf": {str(n): {**about, "name": name} for n, name in enumerate(subjects)},
+        "behaviors_conf": {str(n): one for n, one in enumerate(behaviours)},
+        "behavioral_categories": [], "independent_variables": {}, "coding_map": {}, "behaviors_coding_map": [],
+        "converters": {},
+    })  # fmt: skip
