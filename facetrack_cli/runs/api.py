@@ -1,5 +1,6 @@
 """The Python interface: track a video or any images, by the same functions as the command line."""
 
+import contextlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -20,6 +21,7 @@ from facetrack_cli.runs.clip import track_clip
 from facetrack_cli.runs.job import Job, check, silent
 from facetrack_cli.runs.people import cast_in
 from facetrack_cli.runs.posterior import check_smoothing
+from facetrack_cli.runs.progress import Bar, Progress, watched
 from facetrack_cli.runs.recording import ClipFacts, Memory, Recorder
 from facetrack_cli.runs.signals import Stop, never
 from facetrack_cli.runs.start import completed, search
@@ -47,7 +49,7 @@ def track_video(
     fps: float | None = None,
     lag: int = 0,
     faces: Literal["one", "all"] = "one",
-    report: Callable[[int, int | None], None] = lambda done, total: None,
+    report: Callable[[int, int | None], None] | None = None,
 ) -> Trajectory:
     """Track a video file, or a folder of images, from its start to its end; what `facetrack run` does, in memory.
 
@@ -56,7 +58,8 @@ def track_video(
     width, height) in pixels; a `Start`. None: the init file beside the clip, else a face. `start` and `stop` are the
     first frame and the frame to stop before, `fps` the rate of a folder of images. With `lag`, each row takes so many
     later frames into account. `faces` "all": everybody, over cuts; each person is a target, and the trajectory's
-    `people` says who is seen when. `report` is called with the frames done and the frames in all, if that is known.
+    `people` says who is seen when. `report` is called with the frames done and the frames in all, if that is known;
+    without it a bar is shown on a terminal and in Jupyter.
 
     The trajectory's `header` says what a trajectory.json says: source, recipe, seed, init, warnings, `complete`.
     Raises a FacetrackError (RecipeError, InputError) as the command line would print it; what is wrong after the first
@@ -75,8 +78,9 @@ def track_video(
         faces=faces,
     )
     check(job, kept=True)
-    with Memory(job) as memory:
-        error = track_clip(job, memory, Stop(), report).error
+    with Memory(job) as memory, contextlib.closing(Bar() if report is None and watched() else Progress(True)) as shown:
+        shown.begin(job.clip.name)
+        error = track_clip(job, memory, Stop(), report or shown.update, shown.looked).error
     if error is not None and not isinstance(error, FacetrackError):
         raise error  # a fault of ours is not the end of a clip
     found = memory.trajectory

@@ -93,7 +93,9 @@ def track_clip(job: Job, out: Recorder, stop: Stop, report: Report = silent, loo
             warnings += past_end(start.corrections, state.frame - 1, start.origin)
         if job.faces == "all" and not shots and start.origin not in DETECTORS:
             named = " and ".join(start.targets)
-            warnings += (f"{start.origin} says where {named} begins, so --faces all follows no other; --init haar does",)
+            warnings += (
+                f"{start.origin} says where {named} begins, so --faces all follows no other; --init haar does",
+            )
         if state.watch is not None and (unseen := state.watch.unseen()):
             warnings += (unseen,)
         done = out.close(

@@ -277,6 +277,11 @@ class Trajectory:
         own = {"target": targets[self.which], "part": parts[self.which]}
         return {name: (own[name] if name in own else getattr(self, name))[order] for name in COLUMNS}
 
+    def _repr_html_(self) -> str:
+        from facetrack_cli.trajectory.notebook import html
+
+        return html(self)
+
     def to_pandas(self, what: Literal["rows", "measures", "events"] = "rows") -> DataFrame:
         """The columns, the measures or the events as a pandas DataFrame.
 
