@@ -39,11 +39,11 @@ class Kind(NamedTuple):
 
     It is told by the first of `measures` that is there, by its increase (`sign` 1), decrease (-1) or both in turn (0);
     by `step` from rest, about which `varies` are standard deviations at rest and away. Step 0: the measure is the
-    probability. `lasts` are mean seconds at rest and away; the evidence of a frame `counts` for so much, and
-    what is less probable than `told` is none. Rest is the
-    median over `reach_s` before and after, else one level; `relative`: the measure counts as a share of it. What takes
-    less than `least_s` is none, what takes more than `longest_s` is called `longer`, or is none; what a probability has
-    below one half, `other`. `needs` is a measure without which it is not told.
+    probability. `lasts` are mean seconds at rest and away; the evidence of a frame `counts` for so much, and what is
+    less probable than `told` is none. Rest is the median over `reach_s` before and after, else one level; `relative`:
+    the measure counts as a share of it. What takes less than `least_s` is none, what takes more than `longest_s` is
+    called `longer`, or is none; what a probability has below one half, `other`. `needs` is a measure without which it
+    is not told.
     """
 
     value: str
@@ -66,19 +66,8 @@ class Kind(NamedTuple):
 KINDS: Final = {
     "mouth": Kind("open", ("mouth_opening",), 1, 0.09, (0.02, 0.05), (0.5, 0.2), 0.5, 0.7),
     "smile": Kind("smile", ("mouth_width",), 1, 0.14, (0.03, 0.05), (3.0, 1.5), 0.15, 0.7, least_s=0.3),
-    "blinks": Kind(
-        "blink",
-        ("eye_opening",),
-        -1,
-        0.5,
-        (0.1, 0.1),
-        (3.0, 0.15),
-        1.0,
-        reach_s=1.0,
-        relative=True,
-        longest_s=0.6,
-        longer="shut",
-    ),
+    "blinks": Kind("blink", ("eye_opening",), -1, 0.5, (0.1, 0.1), (3.0, 0.15), 1.0, reach_s=1.0, relative=True,
+                   longest_s=0.6, longer="shut"),
     "dips": Kind("nod", ("pitch",), 1, 12.0, (3.0, 4.0), (3.0, 0.3), reach_s=1.0, longest_s=1.0, needs="eye_opening"),
     "shakes": Kind("shake", ("yaw",), 0, 12.0, (3.0, 4.0), (3.0, 0.3), reach_s=1.0, longest_s=2.0),
     "wink_left": Kind("wink", ("eyes_differ",), 1, 0.2, (0.04, 0.08), (3.0, 0.3), reach_s=1.0),
@@ -87,7 +76,7 @@ KINDS: Final = {
     "phases": Kind("hold", ("held",), least_s=0.1, other="movement"),
     "hand_contact": Kind("hand", ("touches_hand",), least_s=0.1),
     "face_contact": Kind("face", ("touches_face",), least_s=0.1),
-}
+}  # fmt: skip
 """All kinds by the names of their tiers."""
 
 

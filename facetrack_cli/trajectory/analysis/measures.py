@@ -41,7 +41,8 @@ LIDS = tuple(tuple(f"{eye}_{place}" for place in ("upper", "lower", "outer", "in
 ENDS = ("eye_left_outer", "eye_left_inner"), ("eye_right_inner", "eye_right_outer")  # of an eye, from the left
 GAZE = (*IRISES, *ENDS[0], *ENDS[1])
 STEP: Final = 1e-3  # pixels, of the differences
-# the noise's shares of what a measure varies and of its spread, by `benchmarks/expressions.py --fit` on eight people
+# the noise's shares of what a measure varies and of its spread, by which `benchmarks/measures.py` finds nine changes of
+# ten within 90 % on eight people
 VARIES, SHARE = 0.6, 0.15
 UNIT: Final = 0.2  # how far off the unit may be, where the head has moved
 NEAR_S, PAUSE_S = 0.3, 0.25
