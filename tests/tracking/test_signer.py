@@ -14,6 +14,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.hands import evidence, joint, names
+from facetrack_cli.tracking.hands import target as hand_target
 from facetrack_cli.tracking.loop import Footprint, track
 from facetrack_cli.tracking.models.motion import Linear
 from facetrack_cli.tracking.smoothed import renamed_hands
@@ -275,26 +276,40 @@ def test_two_places_of_one_bare_arm_are_one_hand():
 
 
 def test_near_places_of_skin_are_two_hands_only_if_they_were_seen_apart():
-    ends = ((3.0, 3.5), (3.75, 3.5))
+    ends = ((3.0, 3.5), (3.85, 3.5))
     assert likelihood(ends, ends, line=ends) > likelihood(ends, ends, line=ends, parted=False) + 10
     assert likelihood(ends, ends) == likelihood(ends, ends, parted=False)  # no skin between
 
 
-def test_a_hand_that_is_hardly_seen_does_not_leap_along_its_arm():
-    """Before the face a hand shows half of its skin, and the elbow all of it."""
-    scale, face = 16.0, joint.Face(np.array([4.0, 1.0]), 1.0)
-    e = np.zeros((96, 128), np.float32)
-    hand, elbow = np.array([3.9, 1.4]), np.array([3.0, 3.0])
-    cv2.line(e, *(tuple(np.rint(at * scale).astype(int).tolist()) for at in (hand, elbow)), 1.0, 6)
-    cv2.circle(e, tuple(np.rint(elbow * scale).astype(int).tolist()), 6, 1.0, -1)
-    cv2.circle(e, tuple(np.rint(hand * scale).astype(int).tolist()), 7, 0.5, -1)
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
-        cloud = joint.begin(rng, SETTINGS, face, np.array([hand, [np.nan, np.nan]]))
-        for _ in range(25):
-            cloud, belief = joint.step(rng, SETTINGS, cloud, evidence.Seen(e, 0 * e), scale, face)
-        seen = belief.at[belief.seen > 0.5]
-        assert len(seen) == 1 and math.dist(seen[0], hand) < 0.5
+def test_a_hand_leaps_to_more_skin_but_not_along_its_arm():
+    settings = SETTINGS.model_copy(update={"appears": 0.0, "proposed": 0.3, "particles": 2000})
+    scale, face, ends = 16.0, joint.Face(np.array([4.0, 1.0]), 1.0), []
+    for arm in (0.0, 0.6):
+        e = np.zeros((96, 128), np.float32)
+        cv2.line(e, (48, 24), (48, 60), arm, 5)
+        cv2.circle(e, (48, 24), 6, 0.45, -1)
+        cv2.circle(e, (48, 60), 6, 1.0, -1)
+        rng = np.random.default_rng(2)
+        cloud = joint.begin(rng, settings, face, np.array([[3.0, 1.5], [np.nan, np.nan]]))
+        for _ in range(10):
+            cloud, belief = joint.step(rng, settings, cloud, evidence.Seen(e, 0 * e), scale, face)
+        ends.append(float(belief.at[0, 1]))
+    assert ends == pytest.approx([3.8, 1.5], abs=0.2)
+
+
+def test_an_arm_that_leaves_the_picture_is_no_hand_in_it():
+    face = joint.Face(np.array([4.0, 1.0]), 1.0)
+
+    def present(y, skin, seen=1.0):
+        at = np.array([[3.0, y], [5.0, y]])
+        belief = joint.Belief(np.full(2, seen), at, np.zeros((2, 2, 2)), np.ones(2), 1.0, np.full(2, skin))
+        return hand_target.in_picture(belief, face, 4.6)[0]
+
+    assert present(2.5, 0.6) > 0.95 and present(2.5, 0.6, seen=0.0) < 0.1
+    assert present(4.5, 0.3) < 0.4 < 0.8 < present(2.5, 0.3)
+    raised = joint.Face(np.array([4.0, 0.1]), 1.0)
+    belief = joint.Belief(np.ones(2), np.array([[3.0, 4.5]] * 2), np.zeros((2, 2, 2)), np.ones(2), 1.0, np.full(2, 0.5))
+    assert hand_target.in_picture(belief, raised, 4.6)[0] > 0.95  # where hands hang
 
 
 def test_one_step_has_the_posterior_of_a_grid():

@@ -62,7 +62,8 @@ class Cloud(NamedTuple):
 
 class Belief(NamedTuple):
     """Of each hand: p that it is `seen`, the place `at` (2, 2) and `cov` (2, 2, 2) of the particles about it, in sizes;
-    `near` (2,), the share of those that see it which are there; `ess` of the filter's step.
+    `near` (2,), the share of those that see it which are there; `ess` of the filter's step; `skin` (2,), the share of
+    skin in a hand there.
     """
 
     seen: Array
@@ -70,9 +71,10 @@ class Belief(NamedTuple):
     cov: Array
     near: Array
     ess: float
+    skin: Array
 
     def exchanged(self) -> Belief:
-        return Belief(self.seen[::-1], self.at[::-1], self.cov[::-1], self.near[::-1], self.ess)
+        return Belief(self.seen[::-1], self.at[::-1], self.cov[::-1], self.near[::-1], self.ess, self.skin[::-1])
 
 
 class Face(NamedTuple):
@@ -132,6 +134,7 @@ def step(
     weight += log_likelihood(settings, x, seen, parted, (fit, share, evidence), scale, face)
     log_w = normalise(weight)
     belief = _belief(x, seen, np.exp(log_w), float(effective_sample_size(log_w)))
+    belief = belief._replace(skin=np.clip(_at(share, belief.at * scale), 0, 1))
     kept = systematic(rng, log_w, n)
     x, seen, parted = x[kept], seen[kept], parted[kept]
     # all particles have the order of the belief: which hand is which is not theirs to say
@@ -278,4 +281,4 @@ def _belief(x: Array, seen: Mask, w: Array, ess: float) -> Belief:
         there = share * (np.hypot(*off.T) < 0.5)
         near[hand], at[hand] = there.sum() if p[hand] > 1e-6 else 0.0, middle
         cov[hand] = (off.T * there) @ off / max(there.sum(), 1e-9)
-    return Belief(p, at, cov, near, ess)
+    return Belief(p, at, cov, near, ess, np.zeros(2))
