@@ -37,7 +37,7 @@ class Hands(Section):
     """What the share of skin in a hand, above `skin`, adds to log p(y | x)."""
     skin: Share = 0.18
     """Share of skin in a hand, from which on it is more likely a hand than not."""
-    lost_below: Share = 0.65
+    lost_below: Share = 0.6
     """A hand is lost while its confidence, the probability that it is there, is below this."""
 
     def mistakes(self) -> Iterable[Refusal]:

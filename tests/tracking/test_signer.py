@@ -14,6 +14,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.hands import evidence, joint, names
+from facetrack_cli.tracking.hands import target as hand_target
 from facetrack_cli.tracking.loop import Footprint, track
 from facetrack_cli.tracking.models.motion import Linear
 from facetrack_cli.tracking.smoothed import renamed_hands
@@ -244,7 +245,7 @@ def test_steps_and_proposals_have_densities_that_integrate_to_one():
     assert joint._mixture(grid, peaks, weights, 0.1).sum() * area == pytest.approx(1, abs=1e-3)
 
 
-def likelihood(blobs, at, *, line=None):
+def likelihood(blobs, at, *, line=None, parted=True):
     """log p of two hands at places in sizes, where `blobs` are discs of skin."""
     scale, e = 16.0, np.zeros((96, 128), np.float32)
     for x, y in blobs:
@@ -256,7 +257,8 @@ def likelihood(blobs, at, *, line=None):
     x = np.zeros((1, 2, 4))
     x[0, :, :2] = at
     face = joint.Face(np.array([4.0, 1.0]), 1.0)
-    return float(joint.log_likelihood(SETTINGS, x, np.ones((1, 2), bool), (fit, share, e), scale, face)[0])
+    seen, parted = np.ones((1, 2), bool), np.array([parted])
+    return float(joint.log_likelihood(SETTINGS, x, seen, parted, (fit, share, e), scale, face)[0])
 
 
 def test_the_likelihood_is_greatest_with_a_hand_at_each_place():
@@ -271,6 +273,43 @@ def test_two_places_of_one_bare_arm_are_one_hand():
     ends = ((3.0, 4.5), (3.8, 3.0))
     apart, arm = likelihood(ends, ends), likelihood(ends, ends, line=ends)
     assert apart > 20 > arm and arm < SETTINGS.evidence
+
+
+def test_near_places_of_skin_are_two_hands_only_if_they_were_seen_apart():
+    ends = ((3.0, 3.5), (3.85, 3.5))
+    assert likelihood(ends, ends, line=ends) > likelihood(ends, ends, line=ends, parted=False) + 10
+    assert likelihood(ends, ends) == likelihood(ends, ends, parted=False)  # no skin between
+
+
+def test_a_hand_leaps_to_more_skin_but_not_along_its_arm():
+    settings = SETTINGS.model_copy(update={"appears": 0.0, "proposed": 0.3, "particles": 2000})
+    scale, face, ends = 16.0, joint.Face(np.array([4.0, 1.0]), 1.0), []
+    for arm in (0.0, 0.6):
+        e = np.zeros((96, 128), np.float32)
+        cv2.line(e, (48, 24), (48, 64), arm, 6)
+        cv2.circle(e, (48, 24), 6, 0.45, -1)
+        cv2.circle(e, (48, 64), 6, 1.0, -1)
+        rng = np.random.default_rng(2)
+        cloud = joint.begin(rng, settings, face, np.array([[3.0, 1.5], [np.nan, np.nan]]))
+        for _ in range(6):
+            cloud, belief = joint.step(rng, settings, cloud, evidence.Seen(e, 0 * e), scale, face)
+        ends.append(float(belief.at[0, 1]))
+    assert ends == pytest.approx([4.0, 1.6], abs=0.2)
+
+
+def test_an_arm_that_leaves_the_picture_is_no_hand_in_it():
+    face = joint.Face(np.array([4.0, 1.0]), 1.0)
+
+    def present(y, skin, seen=1.0):
+        at = np.array([[3.0, y], [5.0, y]])
+        belief = joint.Belief(np.full(2, seen), at, np.zeros((2, 2, 2)), np.ones(2), 1.0, np.full(2, skin))
+        return hand_target.in_picture(belief, face, 4.6)[0]
+
+    assert present(2.5, 0.6) > 0.95 and present(2.5, 0.6, seen=0.0) < 0.1
+    assert present(4.5, 0.3) < 0.4 < 0.8 < present(2.5, 0.3)
+    raised = joint.Face(np.array([4.0, 0.1]), 1.0)
+    belief = joint.Belief(np.ones(2), np.array([[3.0, 4.5]] * 2), np.zeros((2, 2, 2)), np.ones(2), 1.0, np.full(2, 0.5))
+    assert hand_target.in_picture(belief, raised, 4.6)[0] > 0.95  # where hands hang
 
 
 def test_one_step_has_the_posterior_of_a_grid():
@@ -295,7 +334,7 @@ def test_one_step_has_the_posterior_of_a_grid():
     share = joint.disc_means(e, settings.radius * scale)
     fit = settings.evidence * (share - settings.skin) + joint._reach(e.shape, scale, face)
     only = np.tile([True, False], (len(places), 1))
-    log_p = np.log(prior) + joint.log_likelihood(settings, x, only, (fit, share, e), scale, face)
+    log_p = np.log(prior) + joint.log_likelihood(settings, x, only, only[:, 1], (fit, share, e), scale, face)
     p = np.exp(log_p - log_p.max())
     p /= p.sum()
     assert belief.seen.tolist() == pytest.approx([1, 0])
@@ -310,6 +349,28 @@ def test_evidence_is_what_is_new_and_of_this_skin():
     _, (e, _) = evidence.look(scene, drawn(2, ((160.0, 66.0),)), HEAD)  # before mouth and chin
     assert e[33, 80] > 0.5
     assert e[33, 80] > 5 * evidence.look(scene, drawn(2), HEAD)[1].evidence[33, 80]
+
+
+@pytest.mark.parametrize("light", [(0.8, 0.98, 1.1), (0.7, 0.7, 0.7), (1.1, 1.1, 1.1)])
+def test_a_camera_that_sets_its_light_anew_shows_no_hand(light):
+    def lit(index, hands=()):
+        share = min(index / 5, 1.0)
+        image = drawn(index, hands).bgr * (1 + share * (np.array(light) - 1))
+        return Frame(index, index / 25, np.clip(np.rint(image), 0, 255).astype(np.uint8))
+
+    scene, _ = evidence.begin(lit(0), HEAD)
+    for index in range(1, 12):
+        scene, seen = evidence.look(scene, lit(index), HEAD)
+        assert seen.evidence.max() < 0.5
+    _, seen = evidence.look(scene, lit(12, ((160.0, 160.0),)), HEAD)
+    assert seen.evidence[80, 80] > 0.8
+
+
+def test_the_light_is_told_only_where_pixels_agree():
+    first = drawn(0).bgr
+    other = np.ascontiguousarray(first[::-1, ::-1])
+    assert evidence._as_lit(first, other) is other
+    assert evidence._as_lit(first, np.zeros_like(first)).max() == 0
 
 
 def test_a_still_background_stays_where_the_reduced_frame_has_odd_lengths():

@@ -9,6 +9,9 @@ the first frame within the reach of an arm. From it is taken away:
 - the face and neck, where they look as before and no arm leads to: a hand in front of them changes what is seen, by
   more than a head that turns, its expressions and the light do while no hand is near. What changed is learned slowly.
 
+A camera that sets its exposure or white balance anew colours all things anew. So each frame is brought back to the
+light of the first one.
+
 All of it is on a frame reduced so that the face's box is 10 to 20 pixels large.
 """
 
@@ -39,6 +42,8 @@ CHANGED, CHANGED_WIDTH = 4.0, 1.0
 UNREST, UNREST_AT_FIRST = 2.5, 1.5  # by so many times as much as without a hand, if that is more; grey levels
 LEARNS, HELD = 0.1, 0.02  # share of a frame in the face's template, and where it has changed or a hand is before it
 REACHES: Final = 0.45  # sizes of the face, by which skin beside it speaks for a hand before it
+DARK, BRIGHT, ENOUGH = 20, 240, 0.1  # levels, and the share of pixels between them, by which the light is told
+LEAST_GAIN, AGREES = 0.01, 0.15  # of a channel: less is left as it is; between the quartiles of all pixels at most
 HEAD: Final = (-0.8, -1.3, 0.8, 1.1)  # head and neck about the face's middle, in sizes of the box
 
 
@@ -47,15 +52,17 @@ _NOBODY: Final = np.empty((0, 2))
 
 class Scene(NamedTuple):
     """What is known of the clip: `odds` (256, 256), log p(skin | c) - log p(not | c) by [Cb, Cr]; `still` (H, W), the p
-    of the background; `grey` (H, W), the last frame; `face` (h, w, 3), the template of the head; `factor` of reduced
-    frames, `side` of the face's box in their pixels in the first frame; `unrest`, the grey levels by which the head
-    differs from its template where no hand is near.
+    of the background; `grey` (H, W), the last frame; `face` (h, w, 3), the template of the head; `first`
+    (H, W, 3), the frame in whose light all are seen; `factor` of reduced frames, `side` of the face's box in their
+    pixels in the first frame; `unrest`, the grey levels by which the head differs from its template where no hand is
+    near.
     """
 
     odds: Map
     still: Map
     grey: Map
     face: Map
+    first: Image
     factor: int
     side: float
     unrest: float = UNREST_AT_FIRST
@@ -109,7 +116,7 @@ def begin(frame: Frame, head: Footprint, hands: tuple[Box, ...] = ()) -> tuple[S
         (x0, y0), (x1, y1) = (np.rint(to_map(np.array(at), factor)) for at in ((left, top), (left + w, top + h)))
         still[max(int(y0), 0) : max(int(y1) + 1, 0), max(int(x0), 0) : max(int(x1) + 1, 0)] = 0
     scene = Scene(
-        odds, still.astype(np.float32), _grey(small), _head(small, to_map(head.centre, factor), s, s), factor, s
+        odds, still.astype(np.float32), _grey(small), _head(small, to_map(head.centre, factor), s, s), small, factor, s
     )
     return look(scene, frame, head)
 
@@ -118,10 +125,12 @@ def look(
     scene: Scene, frame: Frame, head: Footprint, hands: Array = _NOBODY, radius: float = 0.0
 ) -> tuple[Scene, Seen]:
     """The scene after a frame with the head there, and what is seen; `hands` (n, 2) were there in the reduced frame."""
-    small = reduced(frame, scene.factor)
+    small = _as_lit(scene.first, reduced(frame, scene.factor))
     skin = _skin(scene.odds, _colours(small))
     grey = _grey(small)
-    still = np.minimum(skin, _followed(scene, grey, skin) + RISES)
+    followed = _followed(scene, grey, skin)
+    first = scene.first if followed is scene.still else small  # a camera that moves shows other things
+    still = np.minimum(skin, followed + RISES)
     at, s = to_map(head.centre, scene.factor), side_of(head) / scene.factor
     seen = _head(small, at, s, scene.side)
     # a head that turns a little is no hand: each pixel may come from beside its own
@@ -146,10 +155,24 @@ def look(
     arm = cv2.dilate(cv2.GaussianBlur(beside, (0, 0), 0.8), disc)
     evidence = beside + covered * np.maximum(changed, np.minimum(arm, 1)) * skin
     now = Seen(evidence.astype(np.float32), cv2.dilate(covered, disc).astype(np.float32))
-    return scene._replace(still=still, grey=grey, face=face.astype(np.float32), unrest=unrest), now
+    scene = scene._replace(still=still, grey=grey, face=face.astype(np.float32), first=first, unrest=unrest)
+    return scene, now
 
 
 _SHIFTS: Final = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1))
+
+
+def _as_lit(first: Image, now: Image) -> Image:
+    """A frame in the light of the first one: new exposure or white balance changes each channel by a factor, which is
+    the median over pixels if they agree.
+    """
+    usable = ((np.minimum(first, now) >= DARK) & (np.maximum(first, now) <= BRIGHT)).all(axis=2)
+    if np.mean(usable) < ENOUGH:
+        return now
+    low, gain, high = np.quantile(now[usable] / first[usable].astype(np.float32), (0.25, 0.5, 0.75), axis=0)
+    if np.abs(gain - 1).max() < LEAST_GAIN or (high - low).max() > AGREES:
+        return now
+    return np.asarray(np.clip(np.rint(now / gain), 0, 255), np.uint8)
 
 
 def _grey(image: Image) -> Map:

@@ -6,9 +6,10 @@ mean of e in a disc about x, and a hand that is seen has
     log p(y | x) = evidence * (A(x) - skin)
 
 one that is not seen has 0. Skin counts once: discs that overlap share it, and two places of one bare arm, with skin all
-along the line between them, are one hand (Gonzalez & Collet's mutual exclusion, section 3, for a joint state). A hand
-that is seen moves by a velocity, with steps of three normal densities; it is within the reach of an arm. One that is
-not seen drifts to where an arm hangs. `names.py` says which hand is which.
+along the line between them, are one hand (Gonzalez & Collet's mutual exclusion, section 3, for a joint state). Near to
+each other they may be two hands that touch, if they have been seen apart. A hand that is seen moves by a velocity, with
+steps of three normal densities, and does not leap along its arm, to the elbow; it is within the reach of an arm. One
+that is not seen drifts to where an arm hangs. `names.py` says which hand is which.
 
 Particles are proposed by the motion, and where there is most skin; their weights are p(y | x) p(x | x') / q(x).
 """
@@ -48,19 +49,21 @@ _OPPOSITE: Final = np.stack([2 * _AROUND, -2 * _AROUND])  # (2, 6, 2), radii
 
 class Cloud(NamedTuple):
     """Equally weighted particles: `x` (N, 2, 4) places and velocities in sizes of the face's box, from the corner of
-    the frame, and `seen` (N, 2).
+    the frame, `seen` (N, 2), and `parted` (N,), whether two hands that are seen have been apart since.
     """
 
     x: Array
     seen: Mask
+    parted: Mask
 
     def exchanged(self) -> Cloud:
-        return Cloud(self.x[:, ::-1], self.seen[:, ::-1])
+        return Cloud(self.x[:, ::-1], self.seen[:, ::-1], self.parted)
 
 
 class Belief(NamedTuple):
     """Of each hand: p that it is `seen`, the place `at` (2, 2) and `cov` (2, 2, 2) of the particles about it, in sizes;
-    `near` (2,), the share of those that see it which are there; `ess` of the filter's step.
+    `near` (2,), the share of those that see it which are there; `ess` of the filter's step; `skin` (2,), the share of
+    skin in a hand there.
     """
 
     seen: Array
@@ -68,9 +71,10 @@ class Belief(NamedTuple):
     cov: Array
     near: Array
     ess: float
+    skin: Array
 
     def exchanged(self) -> Belief:
-        return Belief(self.seen[::-1], self.at[::-1], self.cov[::-1], self.near[::-1], self.ess)
+        return Belief(self.seen[::-1], self.at[::-1], self.cov[::-1], self.near[::-1], self.ess, self.skin[::-1])
 
 
 class Face(NamedTuple):
@@ -86,7 +90,7 @@ def begin(rng: Generator, settings: Hands, face: Face, given: Array) -> Cloud:
     x = np.zeros((settings.particles, 2, 4))
     x[..., :2] = np.where(known, given, face.at + face.size * REST)
     x[..., :2] += np.where(known, START, 0.0) * rng.standard_normal(x[..., :2].shape)
-    return Cloud(x, np.repeat(known.T, settings.particles, axis=0))
+    return Cloud(x, np.repeat(known.T, settings.particles, axis=0), np.repeat(known.all(), settings.particles))
 
 
 def step(
@@ -118,22 +122,26 @@ def step(
             comes = np.log((1 - ANYWHERE) * near + ANYWHERE / (math.pi * REACH[2] * REACH[3])) - np.log(q + _TINY)
             comes -= BEYOND * np.maximum(_at(looked.face, at * scale), 0.0)
             weight += np.where(born, comes, np.where(now, stays, 0.0))
+        # nor does one leap along its own bare arm, to the elbow
+        weight -= np.where(now, settings.evidence * _arm(evidence, before[:, :2], at, scale, face), 0.0)
         drift = before[:, :2] + 0.5 * before[:, 2:] + 0.03 * (face.at + face.size * REST[hand] - before[:, :2])
         hidden = drift + 0.15 * rng.standard_normal((n, 2))
         x[:, hand, :2] = np.where(now[:, None], at, hidden)
         speed = np.where(was[:, None], NEWS * (at - before[:, :2]) + (1 - NEWS) * before[:, 2:], 0.0)
         x[:, hand, 2:] = np.where(now[:, None], speed, 0.5 * before[:, 2:])
         seen[:, hand] = now
-    weight += log_likelihood(settings, x, seen, (fit, share, evidence), scale, face)
+    parted = seen.all(axis=1) & (cloud.parted | (_joined(evidence, x[:, 0, :2], x[:, 1, :2], scale) <= 0))
+    weight += log_likelihood(settings, x, seen, parted, (fit, share, evidence), scale, face)
     log_w = normalise(weight)
     belief = _belief(x, seen, np.exp(log_w), float(effective_sample_size(log_w)))
+    belief = belief._replace(skin=np.clip(_at(share, belief.at * scale), 0, 1))
     kept = systematic(rng, log_w, n)
-    x, seen = x[kept], seen[kept]
+    x, seen, parted = x[kept], seen[kept], parted[kept]
     # all particles have the order of the belief: which hand is which is not theirs to say
     off = [np.sum((x[..., :2] - at) ** 2, axis=(1, 2)) for at in (belief.at, belief.at[::-1])]
     other = seen.all(axis=1) & (off[1] < off[0])
     x[other] = x[other][:, ::-1]
-    return Cloud(x, seen), belief
+    return Cloud(x, seen, parted), belief
 
 
 _SPREAD: Final = 0.6  # pixels of the reduced frame, about a place of most skin
@@ -153,7 +161,7 @@ def disc_means(evidence: Map, radius: float) -> Map:
 
 
 def log_likelihood(
-    settings: Hands, x: Array, seen: Mask, maps: tuple[Map, Map, Map], scale: float, face: Face
+    settings: Hands, x: Array, seen: Mask, parted: Mask, maps: tuple[Map, Map, Map], scale: float, face: Face
 ) -> Array:
     """(N,): log p(y, x) of both hands, but for the motion; `maps` are log p(y | x) of one hand, its share of skin, and
     the evidence.
@@ -177,14 +185,24 @@ def log_likelihood(
     if both.any():
         apart = np.hypot(*(x[:, 0, :2] - x[:, 1, :2]).T) / face.size
         shared = np.minimum(1.3 * np.maximum(1 - apart / (2 * settings.radius), 0.0), 1.0)
-        line = at[:, :1] + _ALONG[:, None] * (at[:, 1:] - at[:, :1])
-        skin = np.clip((np.maximum(_at(evidence, line), 0.0).min(axis=1) - 0.2) / 0.4, 0, 1)
-        nearest, surely, farthest = ARM
-        arm = skin * np.clip((apart - nearest) / surely, 0, 1) * np.clip((farthest - apart) / 0.5, 0, 1)
+        arm = _arm(evidence, x[:, 0, :2], x[:, 1, :2], scale, face, nearest=np.where(parted, ARM[0], -ARM[1]))
         least = _at(share, at).min(axis=1)
         twice = shared * np.maximum(least - HIDES * settings.skin, 0.0) + arm * np.maximum(least, 0.0)
         total -= np.where(both, settings.evidence * twice, 0.0)
     return np.asarray(total)
+
+
+def _arm(evidence: Map, a: Array, b: Array, scale: float, face: Face, nearest: Array | float = ARM[0]) -> Array:
+    """(N,): how surely places (N, 2) are of one bare arm: skin all along the line, `nearest` sizes apart at least."""
+    apart = np.hypot(*(a - b).T) / face.size
+    within = np.clip((apart - nearest) / ARM[1], 0, 1) * np.clip((ARM[2] - apart) / 0.5, 0, 1)
+    return np.asarray(_joined(evidence, a, b, scale) * within)
+
+
+def _joined(evidence: Map, a: Array, b: Array, scale: float) -> Array:
+    """(N,): whether there is skin all along the lines between places (N, 2), 0 to 1."""
+    line = scale * (a[:, None] + _ALONG[:, None] * (b - a)[:, None])
+    return np.asarray(np.clip((np.maximum(_at(evidence, line), 0.0).min(axis=1) - 0.2) / 0.4, 0, 1))
 
 
 def crop(evidence: Map, at: Array, far: float) -> tuple[Map, tuple[int, int]]:
@@ -263,4 +281,4 @@ def _belief(x: Array, seen: Mask, w: Array, ess: float) -> Belief:
         there = share * (np.hypot(*off.T) < 0.5)
         near[hand], at[hand] = there.sum() if p[hand] > 1e-6 else 0.0, middle
         cov[hand] = (off.T * there) @ off / max(there.sum(), 1e-9)
-    return Belief(p, at, cov, near, ess)
+    return Belief(p, at, cov, near, ess, np.zeros(2))

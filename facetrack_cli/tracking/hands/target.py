@@ -5,7 +5,8 @@ Once a hand is corrected by hand, each has its own: that of the corrected one be
 
 Confidence is the probability that the hand is where the row says, as MediaPipe Hands sees it: that of the particles
 times a logistic regression on the speed, since a fast hand is blurred. That the hand is in the picture at all is
-another number, `present`: of the particles that see it, a line. Both were fitted on clips of ten signs.
+another number, `present`, blurred or not: a logistic regression on the particles that see it, the skin there, and
+whether an arm may lead out of the picture (`tools/hands_present.py`). Both were fitted on clips of ten signs.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ from facetrack_cli.trajectory.diagnostics import NAMED, PRESENT, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
 
 CONFIDENCE: Final = (2.5, -8.9)  # of the regression: constant, by sizes of the face a frame
-IN_PICTURE: Final = (0.05, 0.91)  # p that a hand is in the picture that no particle sees, and that all of them see
+IN_PICTURE: Final = (-3.3, 2.7, 6.2, 7.9)  # of the regression: constant, and by particles: alone, by height, by skin
+HANGS, LOW = 4.0, 0.6  # sizes of the face below its middle where hands hang, and above the lower border of the picture
 HOLDS: Final = 1.0  # s for which hands are followed while the head is lost
 FORGETS: Final = 0.9  # share of p that is left after each later frame
 GONE: Final = 1.0  # s after which a hand that is not seen counts as absent, and not as lost
@@ -43,8 +45,8 @@ class HandState(NamedTuple):
 
     `last` (2,) are the times when each hand was seen last, -inf if never; `inside` (2,), whether that was within the
     picture; `shown`, when the head was. `speed` (2,) is in sizes of the face a frame, `size` (2, 2) width and height of
-    each hand in pixels. `named` (2,) are the probability that the hands have their own names, at least 0.5, and that
-    these are others than in the frame before.
+    each hand in pixels, `present` (2,) the probability that it is in the picture. `named` (2,) are the probability that
+    the hands have their own names, at least 0.5, and that these are others than in the frame before.
     """
 
     scene: Scene
@@ -55,6 +57,7 @@ class HandState(NamedTuple):
     now: int
     speed: Array
     size: Array
+    present: Array
     last: Array
     inside: Array
     shown: float
@@ -105,10 +108,10 @@ class HandTarget:
         cloud = joint.begin(rng, self.settings, _face(scene, face), _in_sizes(scene, middle))
         at = cloud.x[..., :2].mean(axis=0)
         cov = np.stack([np.cov(cloud.x[:, hand, :2].T) for hand in (0, 1)])
-        belief = joint.Belief(known * 1.0, at, cov, known * 1.0, float(len(cloud.x)))
+        belief = joint.Belief(known * 1.0, at, cov, known * 1.0, float(len(cloud.x)), np.zeros(2))
         size = np.array([(math.nan, math.nan) if box is None else box[2:] for box in given])
         last = np.where(known, frame.time_s, -math.inf)
-        at_first = np.zeros(2), size, last, known, frame.time_s, (1.0 if known.any() else 0.5, 0.5)
+        at_first = np.zeros(2), size, known * 1.0, last, known, frame.time_s, (1.0 if known.any() else 0.5, 0.5)
         return HandState(scene, cloud, belief, face, frame.index, frame.index, *at_first)
 
     def advance(
@@ -125,7 +128,9 @@ class HandTarget:
             state = state._replace(shown=frame.time_s)
         if frame.time_s - state.shown > HOLDS:
             belief = state.belief._replace(seen=FORGETS * state.belief.seen)
-            state = state._replace(belief=belief, now=frame.index, named=(state.named[0], 0.0))
+            state = state._replace(
+                belief=belief, present=FORGETS * state.present, now=frame.index, named=(state.named[0], 0.0)
+            )
             return state, self._result(state, frame)
         there, unit = state.belief.at[state.belief.seen >= 0.5], state.scene.side
         scene, seen = evidence.look(state.scene, frame, state.face, there * unit, 2 * self.settings.radius * unit)
@@ -143,7 +148,8 @@ class HandTarget:
         if named < 0.5:
             named, changed, last, inside = 1 - named, 1 - changed, last[::-1], inside[::-1]
             cloud, belief, before = cloud.exchanged(), belief.exchanged(), before.exchanged()
-        there = belief.seen >= 0.5
+        present = in_picture(belief, face, len(seen.evidence) / scene.side)
+        there = present >= 0.5
         known = there & (before.seen >= 0.5)
         speed = np.where(known, np.hypot(*(belief.at - before.at).T) / face.size, 0.0)
         places = belief.at * scene.side
@@ -152,7 +158,7 @@ class HandTarget:
         height, width = seen.evidence.shape
         away = np.minimum(places, np.array([width, height]) - 1 - places).min(axis=1) / (scene.side * face.size)
         return state._replace(
-            cloud=cloud, belief=belief, now=frame.index, speed=speed, size=size,
+            cloud=cloud, belief=belief, now=frame.index, speed=speed, size=size, present=present,
             last=np.where(there, frame.time_s, last), inside=np.where(there, away > BORDER, inside),
             named=(named, changed),
         )  # fmt: skip
@@ -163,11 +169,12 @@ class HandTarget:
 
     def _result(self, state: HandState, frame: Frame, *, given: bool = False) -> TargetResult:
         i, belief, unit = self.hand, state.belief, state.scene.side * state.scene.factor
-        p = float(belief.seen[i] * belief.near[i])
+        present = 1.0 if given else float(state.present[i])
+        p = float(present * belief.near[i])
         constant, by_speed = CONFIDENCE
         sure = 1.0 if given else p / (1 + math.exp(-constant - by_speed * min(float(state.speed[i]), 1.0)))
         status = "init" if given else "tracked" if sure >= self.settings.lost_below else "lost"
-        if belief.seen[i] < 0.5 and not (state.inside[i] and frame.time_s - state.last[i] < GONE):
+        if present < 0.5 and not (state.inside[i] and frame.time_s - state.last[i] < GONE):
             status = "absent"
         columns: dict[str, Any] = {"status": [status], "particles": [float(len(state.cloud.x))]}
         cov = belief.cov[i] * unit**2
@@ -177,7 +184,7 @@ class HandTarget:
                 "x": [x], "y": [y], "w": [w], "h": [h], "std_x": [std_x], "std_y": [std_y], "cov_xy": [cov[0, 1]],
                 "ess": [belief.ess], "confidence": [sure],
             }  # fmt: skip
-        told = {PRESENT.name: np.interp(belief.seen[[i]], (0, 1), IN_PICTURE), NAMED.name: np.array([state.named[0]])}
+        told = {PRESENT.name: np.array([present]), NAMED.name: np.array([state.named[0]])}
         reported = {self.name: Diagnostics((PRESENT, NAMED), np.array([frame.index]), told)}
         rows = of_frame(((self.name, BOX),), frame, reported, **columns)
         cloud = _in_pixels(state.scene, state.cloud.x[state.cloud.seen[:, i], i : i + 1, :2])
@@ -188,6 +195,18 @@ class HandTarget:
         at, doubt = np.stack([rows.x, rows.y], axis=1), np.array([status == "lost"])
         known = smoothing.Belief(at, cov[None], motion, doubt, np.array(state.named))
         return TargetResult(rows, cloud, beliefs=lambda: (known,))
+
+
+def in_picture(belief: joint.Belief, face: joint.Face, height: float) -> Array:
+    """(2,): the probability that each hand is in the picture, which is `height` sizes high.
+
+    A bare arm that reaches the lower border above where hands hang leads to a hand below, and is thinner than a hand.
+    """
+    y = belief.at[:, 1]
+    low = np.clip(1 - (height - y) / face.size / LOW, 0, 1.2) * ((y - face.at[1]) / face.size - HANGS)
+    constant, alone, by_height, by_skin = IN_PICTURE
+    odds = constant + belief.seen * (alone + by_height * low + by_skin * belief.skin)
+    return np.asarray(1 / (1 + np.exp(-np.clip(odds, -30, 30))))
 
 
 def _face(scene: Scene, face: Footprint) -> joint.Face:
