@@ -175,7 +175,7 @@ class Recipe(Section):
     def networks(self) -> tuple[str, ...]:
         """The networks that place points: `mesh` or the paths of files, and `iris`."""
         heads = [one.head.landmarks for one in self.filters.values() if one.head is not None]
-        return tuple(name for head in heads for name in (head.network, head.iris) if name is not None)
+        return tuple(name for one in heads if one.network for name in (one.network, one.iris) if name is not None)
 
     @property
     def random(self) -> bool:

@@ -16,7 +16,7 @@ from facetrack_cli.tracking.face import stabilized
 from facetrack_cli.tracking.face.descent import SURE, PlacedPoints, load_descent, seen_in
 from facetrack_cli.tracking.face.eyes import CORNERS, SIDES, load_eyes, openings
 from facetrack_cli.tracking.face.mesh import NAMES, Iris, Mesh
-from facetrack_cli.tracking.face.mesh_points import MIN_MOVES, NO_FACE, OFF, MeshPoints
+from facetrack_cli.tracking.face.mesh_points import MIN_MOVES, NO_FACE, MeshPoints
 from facetrack_cli.tracking.face.sensors import DETECTOR, FADES, NETWORK, REGRESSION, Sensor
 from facetrack_cli.tracking.face.stabilized import EYES, Similarity
 from facetrack_cli.tracking.start.closer import again
@@ -25,6 +25,7 @@ from facetrack_cli.tracking.start.detectors import Detector, Found
 OF_EYES: Final = (*GROUPS["eyes"], *IRISES)
 TRUSTED: Final = 0.4  # weight of the network for eyes beside the regression
 BLINKS: Final = 0.1 * EYES  # the least standard deviation of how lids and irises move, pixels
+IRIS_OFF: Final = 0.03 * EYES  # by how much the network is off for long with an iris, pixels; chosen, not measured
 SHUT: Final = 0.15  # opening of an eye, below which its iris is covered; by as much more it is surely seen
 
 
@@ -85,7 +86,7 @@ class Senses:
         begun = None if others is None else MeshPoints.begin(others.at)
         if eyes is None:
             return Begun(sensors, begun, None)
-        wrong, least = np.full(len(OF_EYES), OFF), np.full(len(OF_EYES), BLINKS)
+        wrong, least = np.full(len(OF_EYES), IRIS_OFF), np.full(len(OF_EYES), BLINKS)
         wrong[np.array(SIDES)], least[CORNERS] = load_eyes().std, MIN_MOVES
         index = [OF_EYES.index(part) for part in self.eyes]
         points = MeshPoints.begin(eyes.at, wrong[index], least[index])
