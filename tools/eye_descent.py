@@ -6,8 +6,8 @@
 `clips` is searched for clips of one face each, `models` holds the networks (facetrack models get mesh). Of a clip with
 an eyes.csv beside it (frame, left_outer_x, left_outer_y, ...; left is the person's) the points in that are the truth;
 of others it is what the iris network says. Shut and half shut eyes are drawn more often than they occur. Frames are
-changed at random and covered as by `mouth_descent.py`, at twice the size, and have glints. Each clip has the same
-weight.
+changed at random and covered as by `mouth_descent.py`, at twice the size, and have glints and dark glasses. Each clip
+has the same weight.
 
 `std` in the file, and the scale of the odds, are those on clips that a model of the others has not seen, five groups of
 clips in turn; `--quick` leaves that out.
@@ -60,7 +60,7 @@ FOLLOWS = 0.003  # ridge of how corners follow nose and mouth
 LIDS_RIDGE, ODDS_RIDGE = 0.1, 0.3
 CLOSED, WEIGHT = 0.15, 5.0  # opening below which an eye has that weight, since the regression draws to the mean
 BEGINS, JITTER = 0.03, 0.03  # standard deviations: of where the cascade and where a patch begins, eye distances
-GLINTS = 0.2  # share of samples
+GLINTS, SHADES = 0.2, 0.25  # shares of samples, and of those in which something covers the face
 # of the stabilized image in a picture of twice its size
 HEAD = Similarity((MIDDLE - CORNER + 0.5) * ZOOM - 0.5, ZOOM)
 
@@ -114,6 +114,19 @@ def glints(rng: np.random.Generator, one: Sample) -> Sample:
     return one._replace(picture=np.clip(picture, 0, 255).astype(np.uint8))
 
 
+def shades(rng: np.random.Generator, one: Sample) -> Sample:
+    """The sample with dark glasses."""
+    picture, unit, covered = one.picture.copy(), EYES * ZOOM, one.covered.copy()
+    half, colour = rng.uniform((0.3, 0.22), (0.45, 0.36)) * unit, rng.uniform(0, 60) + rng.normal(0, 6, 3)
+    middles = one.points[IN_NAMES][CORNERS].reshape(2, 2, 2).mean(axis=1) + rng.normal(0, 0.04 * unit, 2)
+    for middle in middles:
+        cv2.ellipse(picture, (middle.tolist(), (2 * half).tolist(), rng.normal(0, 8)), colour.clip(0).tolist(), -1)
+    ends = np.round(middles).astype(int).tolist()
+    cv2.line(picture, ends[0], ends[1], colour.clip(0).tolist(), int(rng.uniform(0.02, 0.1) * unit))
+    covered[IN_NAMES] = 1.0
+    return one._replace(picture=picture, covered=covered)
+
+
 class Drawn(NamedTuple):
     """A sample as the model sees it: frame, channels of the upper half, nose and mouth as found (5, 2); the true eyes
     (8, 2), how much of each is covered (2,).
@@ -132,6 +145,7 @@ def draw(
     rng: np.random.Generator, mouth: Descent, clip: Clip, others: Sequence[Clip] = (), share: float = 0.0
 ) -> Drawn:
     one = sample(rng, clip, others, share)
+    one = shades(rng, one) if rng.random() < SHADES * share else one
     one = glints(rng, one) if rng.random() < GLINTS else one
     seen = channels(np.asarray(cv2.resize(one.picture, (SIDE, SIDE), interpolation=cv2.INTER_AREA), np.uint8))
     covered = one.covered[IN_NAMES][np.array(SIDES)].mean(axis=1)

@@ -390,8 +390,9 @@ def test_picked_saved_and_run(clips, command, tmp_path, facetrack):
     run = json.loads(out)
     assert run["init"]["frame"] == 1
     [target] = run["frames"][0]["targets"]
-    assert {part["status"] for part in target["parts"]} == {"init"}
-    for part in target["parts"][:-1]:  # the last one is the box
+    *points, box = target["parts"][: len(POINTS) + 1]  # and then the eyes, which nobody has picked
+    assert {part["status"] for part in (*points, box)} == {"init"} and box["part"] == "box"
+    for part in points:
         assert np.allclose((part["x"], part["y"]), POINTS[part["part"]], atol=0.01)
 
 

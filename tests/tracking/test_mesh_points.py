@@ -122,3 +122,20 @@ def test_a_belief_has_the_motion_that_the_filter_predicts_by():
     # what is unseen for long is known as its motion says: more would let a smoother add up what is wrong
     cov, motion = after.belief()[1:3]
     np.testing.assert_allclose(motion.matrix @ cov @ motion.matrix + motion.cov, cov)
+
+
+def test_what_was_still_for_long_is_followed_at_once_where_its_least_motion_says_so():
+    """A blink: some lids of a face go down for three frames, after a minute."""
+    still, lids = REST + 0, np.arange(30) < 3
+    shut = still + np.where(lids[:, None], (0, 0.12 * EYES), 0)
+    followed = []
+    for least in (0.1 * EYES, 0.002 * EYES):
+        one = MeshPoints.begin(still, 0.02 * EYES, np.where(lids, least, 0.02 * EYES))
+        rng = np.random.default_rng(4)
+        for _ in range(600):
+            one = one.after(still + 0.02 * EYES * rng.standard_normal(still.shape), VISIBLE)
+        for _ in range(2):
+            one = one.after(shut, VISIBLE)
+        followed.append((one.at - still)[lids, 1].mean() / (0.12 * EYES))
+        np.testing.assert_allclose(one.cov[:, 0, 0], one.var + (0.02 * EYES) ** 2)
+    assert followed[0] > 0.85 and followed[1] < 0.6

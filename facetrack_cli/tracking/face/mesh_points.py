@@ -5,8 +5,8 @@ With z the place of a point in the stabilized image, m its place at rest, moved 
     a_t - m_t = 1/2 (a_{t-1} - m_{t-1}) + N(0, 3/4 s^2 I),    z_t = a_t + N(0, r^2 I) while the point is visible
 
 is followed by a Kalman filter for each point, the same along x and y. How far a point moves with expressions (s), and
-how much the places tremble (r), are running means of the clip. What is hidden lies where the visible points
-say, up to s. Whether a point is visible is a chain of two states, as in `window_ncc`.
+how much the places tremble (r), are running means of the clip. What is hidden lies where the visible points say, up
+to s. Whether a point is visible is a chain of two states, as in `window_ncc`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class MeshPoints(NamedTuple):
     """Of J points: places at rest (J, 2), a - m (J, 2) and its variance (J,), s^2 and r^2 (J,), P(visible) (J,).
 
     `moved` (J, 2) is m, and `before` (2, J, 2) the last places that were measured; `wrong` (J,): by how much the sensor
-    itself is off for long; `least` (J,): the least s; all in pixels.
+    is off for long; `least` (J,): the least s; all in pixels.
     """
 
     rest: Array
