@@ -186,7 +186,7 @@ def picture(path: Path, known: Mapping[str, Mapping[str, Sequence[Found]]]) -> N
                 axes.bar(at, values, width=0.36, color=style.COLOURS[k], label=title)
             axes.set(ylim=(0, 1), xticks=range(len(values)), xticklabels=[one[-1] for one in people], xlabel="person")
             style.heading(axes, name.replace("_", " "))
-        axes.legend(loc="lower right", fontsize=7)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
         path.write_bytes(style.render(figure, path.suffix[1:]))
 
 

@@ -3,6 +3,7 @@
 import csv
 import io
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -170,3 +171,25 @@ def test_the_tables_have_each_measure_with_its_spread():
     assert wide["face_mouth_opening"] == "0.2500" and "other_eye_opening" not in wide and "other_smile_std" in wide
     with pytest.raises(InputError, match="a measure needs parts of a face"):
         write_measures(joined([part for part in one.parts if part.part == "box"]))
+
+
+def test_the_noise_is_less_than_the_spread_and_the_page_says_what_needs_a_network():
+    t = np.arange(200)
+    one = moving_face(200, std=2.0, noise=0.2, open=0.1 * (t > 100)).measures["face"]["mouth_opening"]
+    assert (one.noise > 0).all() and (one.noise < one.std).all()
+    nearer = moving_face(200, std=2.0, noise=0.2)
+    grown = replace(nearer, w=np.where(np.arange(len(nearer)) % 200 >= 100, nearer.w * 1.4, nearer.w))
+    grown = grown.measures["face"]["mouth_opening"]
+    assert grown.doubt[50] > 2 * one.doubt[50], "the head comes nearer"
+    page = (Path(__file__).parents[2] / "docs" / "measures.md").read_text(encoding="utf-8")
+    table = page[page.index("| measure | unit | formula | network |") : page.index("Left and right are")]
+    cells = [line.split("|")[1:] for line in table.splitlines() if line.startswith("|")]
+    for measure in MEASURES:
+        [row] = [row for row in cells if f"`{measure.name}`" in row[0]]
+        assert (row[3].strip() == "yes") == measure.by_network, measure.name
+
+
+def test_a_length_that_is_hardly_known_is_absent():
+    sharp, vague = (moving_face(20, std=std).measures["face"] for std in (0.5, 12.0))
+    assert {"mouth_opening", "eye_opening", "roll"} <= sharp.keys()
+    assert "eye_opening" not in vague and "mouth_opening" not in vague and "roll" in vague
