@@ -2,10 +2,10 @@
 
 usage: python tools/hands_present.py FOLDER [--present CSV] [--seeds 2]
 
-FOLDER is as in benchmarks/signers.py: real clips, in each of which a detector's boxes of hands are in hands.csv. CSV has
+FOLDER is as in benchmarks/signers.py: real clips, and beside each a detector's boxes of hands in hands.csv. CSV has
 `clip,hand,first,last`, in which frames a hand is in the picture, by eye; a hand that it does not name is there in all.
-Each clip is tracked as it is, and cut at `CUT` of its height. Of a cut clip hands are where the detector saw them, or on
-the line between, and before and after they hang, below the picture; where that is not sure, frames do not count.
+Each clip is tracked as it is, and cut at `CUT` of its height. Of a cut clip hands are where the detector saw them, or
+on the line between, and before and after they hang, below the picture; where that is not sure, frames do not count.
 Prints the weights, and the calibration error with each clip left out.
 """
 
@@ -20,33 +20,36 @@ import cv2
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
-from boxes import clip_in  # noqa: E402
-from reference import HANDS, hands_in  # noqa: E402
+from boxes import clip_in
+from reference import HANDS, hands_in
 
-from facetrack_cli import load_recipe, track_frames  # noqa: E402
-from facetrack_cli.core.types import Array, Image  # noqa: E402
-from facetrack_cli.recipe.hands import NAMES  # noqa: E402
-from facetrack_cli.tracking.hands import target  # noqa: E402
+from facetrack_cli import load_recipe, track_frames
+from facetrack_cli.core.types import Array, Image
+from facetrack_cli.recipe.hands import NAMES
+from facetrack_cli.tracking.hands import target
 
 CUT, SURE, NEAR = 0.81, 15.0, 10  # of the height; pixels from there, and frames from when a hand is seen first or last
 WEIGHT, PRIOR = 0.25, 1e-4  # of a frame of a cut clip; of the weights' squares
 
 
-def cues_of(images: list[Image], seed: int) -> tuple[list[int], list[Array]]:
-    """The frames, and the cues (2, 4) of their hands."""
-    found: list[Array] = []
+def cues_of(images: list[Image], seed: int) -> dict[int, Array]:
+    """By frame the cues (2, 4) of its hands."""
+    last: list[Array] = []
+    found: dict[int, Array] = {}
     asked = target.in_picture
 
     def noted(cues: Array) -> Array:
-        found.append(cues)
+        last[:] = [cues]
         return asked(cues)
 
     target.in_picture = noted
     try:
-        frames = [one.frame.index for one in track_frames(images, load_recipe("signer"), seed=seed)]
+        for one in track_frames(images, load_recipe("signer"), seed=seed):
+            if last:
+                found[one.frame.index] = last.pop()
     finally:
         target.in_picture = asked
-    return frames, found
+    return found
 
 
 def cut_truth(middles: dict[int, float], height: float, frame: int) -> float:
@@ -88,12 +91,14 @@ def main() -> None:
     rows: list[tuple[str, bool, float, Array]] = []
     for table in sorted(asked.folder.glob(f"*/{HANDS}")):
         name, boxes, source = table.parent.name, hands_in(table), cv2.VideoCapture(str(clip_in(table.parent)))
-        images = list(iter(lambda read=source.read: read()[1], None))
+        images: list[Image] = []
+        while (read := source.read())[0]:
+            images.append(np.asarray(read[1], np.uint8))
         height = round(CUT * len(images[0]))
         for cut in (False, True):
             shown = [np.ascontiguousarray(one[:height]) for one in images] if cut else images
             for seed in range(asked.seeds):
-                for frame, cues in zip(*cues_of(shown, seed), strict=True):
+                for frame, cues in cues_of(shown, seed).items():
                     for hand, of_hand in zip(NAMES, cues, strict=True):
                         first, last = spans.get((name, hand), (0, len(images)))
                         middles = {f: at[hand][1] + at[hand][3] / 2 for f, at in boxes.items() if hand in at}

@@ -32,7 +32,7 @@ from facetrack_cli.trajectory.diagnostics import NAMED, PRESENT, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
 
 CONFIDENCE: Final = (2.5, -8.9)  # of the regression: constant, by sizes of the face a frame
-IN_PICTURE: Final = np.array([-3.3, 2.7, 6.2, 7.9])  # of the regression, by `cues`
+IN_PICTURE: Final = np.array([-3.6, 2.7, 7.2, 8.6])  # of the regression, by `cues`
 HANGS, LOW = 4.0, 0.6  # sizes of the face below its middle where hands hang, and above the lower border of the picture
 HOLDS: Final = 1.0  # s for which hands are followed while the head is lost
 FORGETS: Final = 0.9  # share of p that is left after each later frame
