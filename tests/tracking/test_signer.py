@@ -303,13 +303,13 @@ def test_an_arm_that_leaves_the_picture_is_no_hand_in_it():
     def present(y, skin, seen=1.0):
         at = np.array([[3.0, y], [5.0, y]])
         belief = joint.Belief(np.full(2, seen), at, np.zeros((2, 2, 2)), np.ones(2), 1.0, np.full(2, skin))
-        return hand_target.in_picture(belief, face, 4.6)[0]
+        return hand_target.in_picture(hand_target.cues(belief, face, 4.6))[0]
 
     assert present(2.5, 0.6) > 0.95 and present(2.5, 0.6, seen=0.0) < 0.1
     assert present(4.5, 0.3) < 0.4 < 0.8 < present(2.5, 0.3)
     raised = joint.Face(np.array([4.0, 0.1]), 1.0)
     belief = joint.Belief(np.ones(2), np.array([[3.0, 4.5]] * 2), np.zeros((2, 2, 2)), np.ones(2), 1.0, np.full(2, 0.5))
-    assert hand_target.in_picture(belief, raised, 4.6)[0] > 0.95  # where hands hang
+    assert hand_target.in_picture(hand_target.cues(belief, raised, 4.6))[0] > 0.95  # where hands hang
 
 
 def test_one_step_has_the_posterior_of_a_grid():

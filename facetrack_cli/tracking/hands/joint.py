@@ -123,14 +123,17 @@ def step(
             comes -= BEYOND * np.maximum(_at(looked.face, at * scale), 0.0)
             weight += np.where(born, comes, np.where(now, stays, 0.0))
         # nor does one leap along its own bare arm, to the elbow
-        weight -= np.where(now, settings.evidence * _arm(evidence, before[:, :2], at, scale, face), 0.0)
+        far = np.flatnonzero(now & (np.hypot(*(at - before[:, :2]).T) > ARM[0] * face.size))
+        weight[far] -= settings.evidence * _arm(evidence, before[far, :2], at[far], scale, face)
         drift = before[:, :2] + 0.5 * before[:, 2:] + 0.03 * (face.at + face.size * REST[hand] - before[:, :2])
         hidden = drift + 0.15 * rng.standard_normal((n, 2))
         x[:, hand, :2] = np.where(now[:, None], at, hidden)
         speed = np.where(was[:, None], NEWS * (at - before[:, :2]) + (1 - NEWS) * before[:, 2:], 0.0)
         x[:, hand, 2:] = np.where(now[:, None], speed, 0.5 * before[:, 2:])
         seen[:, hand] = now
-    parted = seen.all(axis=1) & (cloud.parted | (_joined(evidence, x[:, 0, :2], x[:, 1, :2], scale) <= 0))
+    parted = cloud.parted & seen.all(axis=1)
+    met = np.flatnonzero(seen.all(axis=1) & ~parted)
+    parted[met] = _joined(evidence, x[met, 0, :2], x[met, 1, :2], scale) <= 0
     weight += log_likelihood(settings, x, seen, parted, (fit, share, evidence), scale, face)
     log_w = normalise(weight)
     belief = _belief(x, seen, np.exp(log_w), float(effective_sample_size(log_w)))

@@ -32,7 +32,7 @@ from facetrack_cli.trajectory.diagnostics import NAMED, PRESENT, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
 
 CONFIDENCE: Final = (2.5, -8.9)  # of the regression: constant, by sizes of the face a frame
-IN_PICTURE: Final = (-3.3, 2.7, 6.2, 7.9)  # of the regression: constant, and by particles: alone, by height, by skin
+IN_PICTURE: Final = np.array([-3.6, 2.7, 7.2, 8.6])  # of the regression, by `cues`
 HANGS, LOW = 4.0, 0.6  # sizes of the face below its middle where hands hang, and above the lower border of the picture
 HOLDS: Final = 1.0  # s for which hands are followed while the head is lost
 FORGETS: Final = 0.9  # share of p that is left after each later frame
@@ -148,7 +148,7 @@ class HandTarget:
         if named < 0.5:
             named, changed, last, inside = 1 - named, 1 - changed, last[::-1], inside[::-1]
             cloud, belief, before = cloud.exchanged(), belief.exchanged(), before.exchanged()
-        present = in_picture(belief, face, len(seen.evidence) / scene.side)
+        present = in_picture(cues(belief, face, len(seen.evidence) / scene.side))
         there = present >= 0.5
         known = there & (before.seen >= 0.5)
         speed = np.where(known, np.hypot(*(belief.at - before.at).T) / face.size, 0.0)
@@ -197,16 +197,19 @@ class HandTarget:
         return TargetResult(rows, cloud, beliefs=lambda: (known,))
 
 
-def in_picture(belief: joint.Belief, face: joint.Face, height: float) -> Array:
-    """(2,): the probability that each hand is in the picture, which is `height` sizes high.
+def cues(belief: joint.Belief, face: joint.Face, height: float) -> Array:
+    """(2, 4): of each hand what tells whether it is in the picture, which is `height` sizes high.
 
     A bare arm that reaches the lower border above where hands hang leads to a hand below, and is thinner than a hand.
     """
     y = belief.at[:, 1]
     low = np.clip(1 - (height - y) / face.size / LOW, 0, 1.2) * ((y - face.at[1]) / face.size - HANGS)
-    constant, alone, by_height, by_skin = IN_PICTURE
-    odds = constant + belief.seen * (alone + by_height * low + by_skin * belief.skin)
-    return np.asarray(1 / (1 + np.exp(-np.clip(odds, -30, 30))))
+    return np.stack([np.ones(2), belief.seen, belief.seen * low, belief.seen * belief.skin], axis=1)
+
+
+def in_picture(cues: Array) -> Array:
+    """(2,): the probability that each hand is in the picture."""
+    return np.asarray(1 / (1 + np.exp(-np.clip(cues @ IN_PICTURE, -30, 30))))
 
 
 def _face(scene: Scene, face: Footprint) -> joint.Face:
