@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import sys
 import threading
 import time
@@ -29,6 +28,7 @@ from facetrack_cli.runs.api import track_frames
 from facetrack_cli.runs.signals import never
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 from facetrack_cli.video.decode import FORMATS, pixels
+from facetrack_cli.video.files import address_of
 from facetrack_cli.video.images import MOST_PIXELS, check_pixels
 from facetrack_cli.video.source import open_source
 
@@ -37,15 +37,13 @@ OPEN_S, READ_S = 10.0, 10.0  # seconds without a byte, after which an address is
 LEAST_WAIT_S, MOST_WAIT_S = 1.0, 30.0  # until an address is opened again
 _PIPE: Final = "standard input"
 _PROTOCOLS: Final = "rtsp,rtsps,rtp,udp,tcp,tls,srt,http,https,crypto"
-_ADDRESS: Final = re.compile(r"(rtsps?|rtp|udp|tcp|srt|https?):/{1,2}")  # a path has lost the second stroke
 _REMEDY: Final = "give what ffmpeg reads, as from ffmpeg -i ... -f yuv4mpegpipe -pix_fmt yuv420p -"
 
 
 def is_live(clip: Path) -> bool:
-    """Whether an input is a camera, by its number or device, an address, or standard input."""
+    """Whether an input is a camera, by its number or device, or standard input."""
     name = str(clip)
-    camera = name.startswith("/dev/video") or (name.isdecimal() and not clip.exists())
-    return name == "-" or camera or _ADDRESS.match(name) is not None
+    return name == "-" or name.startswith("/dev/video") or (name.isdecimal() and not clip.exists())
 
 
 def images_of(clip: Path, say: Callable[[str], None]) -> Iterator[Image | Frame]:
@@ -57,8 +55,8 @@ def images_of(clip: Path, say: Callable[[str], None]) -> Iterator[Image | Frame]
             yield from piped(stream)
     elif str(clip).isdecimal():
         yield from camera(int(str(clip)))
-    elif is_live(clip):
-        yield from received(_ADDRESS.sub(r"\1://", str(clip)), say)
+    elif is_live(clip) or address_of(clip):
+        yield from received(address_of(clip) or str(clip), say)
     else:
         with open_source(clip) as source:
             yield from source

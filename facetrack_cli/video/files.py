@@ -60,10 +60,15 @@ def brings_rate(clip: Path) -> bool:
     return not several and not is_image(clip)
 
 
+def address_of(path: Path) -> str | None:
+    """The address on the network of which a path has lost a slash; None for a path."""
+    found = _ADDRESS.match(str(path))
+    return found and f"{found[1]}://{str(path)[found.end() :]}"
+
+
 def check_local(path: Path) -> None:
-    """InputError for an address on the network, of which a path has lost a slash."""
-    if found := _ADDRESS.match(str(path)):
-        address = f"{found[1]}://{str(path)[found.end() :]}"
+    """InputError for an address on the network."""
+    if address := address_of(path):
         raise InputError(f"{address}: is an address on the network; download it first, then give the file")
 
 

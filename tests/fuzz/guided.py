@@ -25,9 +25,10 @@ FEW = 3  # images of a pipe
 def parsers() -> dict[str, Callable[[Path, bytes], object]]:
     """By name; each gets an empty folder, and bytes. The package is loaded here, under atheris if that guides."""
     from facetrack_cli.core.errors import InputError
+    from facetrack_cli.core.snapshot import read_value
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.run_folder import lock
-    from facetrack_cli.run_folder.checkpoint import KIND, _read
+    from facetrack_cli.run_folder.checkpoint import KIND
     from facetrack_cli.run_folder.manifest import read_manifest, recover_interrupted
     from facetrack_cli.runs.live import piped
     from facetrack_cli.tracking.calibration import load_calibration
@@ -56,7 +57,7 @@ def parsers() -> dict[str, Callable[[Path, bytes], object]]:
             load_gallery,
             load_people,
             load_prior,
-            lambda path: KIND.read(path, lambda one: _read(one, "run")),
+            lambda path: KIND.read(path, lambda one: read_value(one, "run")),
         ):
             with contextlib.suppress(InputError):
                 read(path)

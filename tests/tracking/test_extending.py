@@ -23,8 +23,8 @@ from facetrack_cli.tracking.start.init_file import read_init
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
 from facetrack_cli.video.source import open_source
 from tests.support.results import rows_of
-from tests.support.samples import FOLDER, read_rows
-from tests.test_docs import ROOT, blocks, load_tool
+from tests.support.samples import FOLDER, from_tools, read_rows
+from tests.test_docs import ROOT, blocks
 
 PAGE = ROOT / "docs" / "extending.md"
 MODULES = ("grey_difference", "heavy_tails", "lazy_sir")
@@ -188,7 +188,7 @@ def test_the_schema_and_the_tables_know_of_it(plugged):
     assert schema["$defs"]["GreyDifference"]["properties"]["sigma"]["maximum"] == 255
     mapping = schema["$defs"]["ParticleRecipe"]["properties"]["likelihood"]["discriminator"]["mapping"]
     assert mapping["grey_difference"] == "#/$defs/GreyDifference"
-    tables = load_tool().keys_tables()
+    tables = from_tools("commands_doc").keys_tables()
     assert "`grey_difference`: Mean squared difference of grey levels" in tables
     assert "| `likelihood.sigma` | number > 0, ≤ 255 | `20.0` | For `grey_difference` only. Standard" in tables
 

@@ -47,7 +47,8 @@ def run(config, clip, seed=0, frames=None, overrides=()):
 
 
 def places(results):
-    return np.array([[(p.x, p.y) for p in parts_of(result.targets[0]) if p.part != "box"] for result in results])
+    """Of nose, mouth and lips: a face has rows of its box and eyes, too."""
+    return np.array([[(p.x, p.y) for p in parts_of(result.targets[0])[:5]] for result in results])
 
 
 def errors(results, clip):
@@ -58,13 +59,13 @@ def errors(results, clip):
 def test_every_recipe_follows_the_face_of_a_sample_clip(config, expressions):
     results = run(config, expressions)
     assert [r.frame.index for r in results] == list(range(60))
-    assert {p.status for p in parts_of(results[0].targets[0])} == {"init"}
+    assert {p.status for p in parts_of(results[0].targets[0])[:5]} == {"init"}
     off = errors(results, expressions)
     # bounds from the measured tables, with room; the filters over the joint state are the ones that wander
     assert off.mean() < {"sir": 8.0, "auxiliary_prior": 5.5}.get(config, 3.0)
     assert off[:, 0].mean() < 4.0
     for result in results[1:]:
-        for part in parts_of(result.targets[0]):
+        for part in parts_of(result.targets[0])[:6]:
             assert part.status in ("tracked", "lost")
             assert 0.0 <= part.confidence <= 1.0
             assert part.cov[0] >= 0
