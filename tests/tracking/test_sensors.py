@@ -215,8 +215,8 @@ def test_who_is_right_is_the_sum_over_all_sets_of_readings_that_may_be():
     rng, area, k = np.random.default_rng(5), 60.0**2, 3
     one, two, windows = (said(PLACES + 6 * rng.standard_normal((3, 2)), v, 0.9) for v in (9.0, 16.0, 4.0))
     readings = [each._replace(area=area) for each in (one, two, windows)]
-    scores = rng.uniform(-3, 0, (8, k))
-    got = who_is_right(readings, scores)
+    windows_see, regression_sees = rng.uniform(-3, 0, (8, k)), rng.uniform(-9, 5, (8, k))
+    got = who_is_right(readings, windows_see, regression_sees)
     step = np.arange(-60, 60, 0.5)
     grid = np.stack(np.meshgrid(step, step), axis=2)
     for part in range(k):
@@ -231,7 +231,9 @@ def test_who_is_right_is_the_sum_over_all_sets_of_readings_that_may_be():
                     squared = np.sum((PLACES[part] + grid - each.z[part]) ** 2, axis=2)
                     density = density * 0.9 * np.exp(-0.5 * squared / each.var[part]) / (2 * np.pi * each.var[part])
             p *= 1.0 if all(off) else density.sum() * 0.25
-            share[index] = p * np.exp(np.clip(scores[index, part] - scores[:-1, part].max(), -TOLD, 0))
+            for scores in (windows_see, regression_sees):
+                p *= np.exp(np.clip(scores[index, part] - scores[:-1, part].max(), -TOLD, 0))
+            share[index] = p
         for i in range(3):
             says = (np.arange(8) >> i) % 2 == 0
             odds = np.log(share[says].sum() / share[~says].sum()) - np.log(0.9 / 0.1)

@@ -118,6 +118,17 @@ class Senses:
         placed = np.where(known[:, None], network[index], np.nan)
         return Sensed(parts, placed, PlacedPoints(others, there[nearest]), eyes)
 
+    def odds_at(self, seen: Frame, places: Array) -> Array:
+        """The log odds (M, K) that parts are visible at `places` (M, K, 2), by the regression; 0 of others."""
+        descent, channels, odds = load_descent(), seen_in(seen.bgr), np.zeros(places.shape[:2])
+        known = [k for k, part in enumerate(self.parts) if part in descent.parts]
+        at = np.zeros((len(descent.parts), 2))
+        index = [descent.parts.index(self.parts[k]) for k in known]
+        for own, those in zip(odds, places, strict=True):
+            at[index] = those[known]
+            own[known] = descent.visible(channels, at)[index]
+        return odds
+
     def _eyes(
         self, frame: Frame, face: Similarity, seen: NDArray[np.float32], parts: Array, mesh: Array | None
     ) -> PlacedPoints | None:

@@ -135,17 +135,17 @@ class Sensor(NamedTuple):
         return np.asarray(self.keep**2 * self.var + DRIFT**2)
 
 
-def who_is_right(readings: Sequence[SensorReading], scores: Array) -> Array:
+def who_is_right(readings: Sequence[SensorReading], *scores: Array) -> Array:
     """By how much a frame says that readings see the parts, and not something else, in log odds (S, K).
 
-    Each set of readings may be right, and is if its members agree and windows see the parts there; all others are
+    Each set of readings may be right, and is if its members agree and the parts are seen there; all others are
     anywhere. What two independent sensors say alike is hardly wrong, though windows follow something else.
 
-    Parts are anywhere in the area of the first of the S `readings`; all must be known. `scores` (2^S, K): log
-    likelihoods of windows at the sets' places, in the order of `modes`.
+    Parts are anywhere in the area of the first of the S `readings`. `scores` (2^S, K) each: log likelihoods of what is
+    seen at the sets' places, in the order of `modes`, as by windows.
     """
     _, p, w = modes(readings, len(readings[0].sure))
-    known = w + np.clip(scores - scores[:-1].max(axis=0), -TOLD, 0)
+    known = w + sum(np.clip(one - one[:-1].max(axis=0), -TOLD, 0) for one in scores)
     known[:-1] += np.log(2 * math.pi / p[:-1] / readings[0].area)
     share, sets = np.exp(known - known.max(axis=0)), np.arange(len(known))
     each = []

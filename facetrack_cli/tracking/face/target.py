@@ -315,8 +315,9 @@ class FaceTarget:
         differ = np.any([apart(one, other) for one, other in combinations([each[i] for i in said], 2)], axis=0)
         if isinstance(likelihood, window_ncc.WindowNcc) and differ.any():
             learned, readings = likelihood.look(features.learned, view.seen, own), [each[i] for i in said]
-            score = likelihood.score(learned, view.seen, modes(readings, len(own))[0], own)
-            odds[said] = np.where(differ, who_is_right(readings, score), np.nan)
+            places = modes(readings, len(own))[0]
+            scores = likelihood.score(learned, view.seen, places, own), self.senses.odds_at(view.seen, places)
+            odds[said] = np.where(differ, who_is_right(readings, *scores), np.nan)
         return odds[:-1], odds[-1]
 
     def _map(self, head: Array, pose: Array) -> Similarity:
