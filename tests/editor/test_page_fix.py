@@ -6,6 +6,7 @@ import signal
 import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
@@ -20,6 +21,7 @@ from facetrack_cli.tracking.start.init_file import read_init
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from facetrack_cli.video.seek import Frames
 from tests.support.browser import READY
+from tests.support.hands_run import hands_run
 from tests.support.page_client import Client, wait_for
 from tests.support.results import file_rows
 from tests.support.samples import FOLDER
@@ -94,6 +96,33 @@ def page(out):
     yield make
     for one in pages:
         one.close()
+
+
+# --- the names of hands ----------------------------------------------------------------------------------------------
+
+
+def test_two_hands_change_their_names_from_a_frame_on(tmp_path):
+    out = hands_run(tmp_path / "out")
+    one = Page(out)
+    try:
+        before = one.fixer.rows
+        assert one.post("exchange", frame=5).status == 202
+        one.idle()
+        after = one.fixer.rows
+        for name, other in (("left_hand", "right_hand"), ("right_hand", "left_hand")):
+            was, now = before.find(other, "box"), after.find(name, "box")
+            np.testing.assert_allclose(now.boxes[5], was.boxes[5], atol=0.02)
+            np.testing.assert_array_equal(now.x[:5], before.find(name, "box").x[:5])
+            assert np.hypot(now.x[7] - was.x[7], now.y[7] - was.y[7]) < 0.5 * was.w[7]
+        assert [(c.frame, c.target) for c in one.fixer.corrections] == [(5, "left_hand"), (5, "right_hand")]
+        assert one.post("exchange", frame=0).status == 422
+    finally:
+        one.close()
+
+
+def test_a_face_has_no_hands_to_exchange(page):
+    got = page().post("exchange", frame=5)
+    assert got.status == 422 and "there are no two hands in frame 5" in got.json["error"]
 
 
 # --- the page --------------------------------------------------------------------------------------------------------

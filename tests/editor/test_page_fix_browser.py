@@ -12,6 +12,7 @@ from facetrack_cli.tracking.start.detectors import PARTS
 from facetrack_cli.tracking.start.init_file import read_init
 from tests.support.browser import DESK, PHONE, SMALL, go_to, idle, until
 from tests.support.browser_looks import wrong_looks
+from tests.support.hands_run import hands_run
 from tests.support.media import write_pictures
 from tests.support.samples import FOLDER, read_pictures, read_rows
 
@@ -118,6 +119,19 @@ def move(window, part, by, target="face"):
     x, y = drafted.get(part) or window.get("rows")[PARTS.index(part)][:2]
     window.drag((x, y), (x + by[0], y + by[1]))
     return x + by[0], y + by[1]
+
+
+def test_one_key_exchanges_the_names_of_hands(command, windows, tmp_path):
+    window = windows(command("fix", hands_run(tmp_path / "out")).url)
+    before = table(window)
+    go_to(window, 5)
+    window.press("e")
+    window.until_message("The hands are exchanged from frame 5 on.")
+    after = table(window)
+    left, right = 1, 2  # after the head
+    assert after[4] == before[4]
+    np.testing.assert_allclose(after[5][left][:2], before[5][right][:2], atol=0.02)
+    np.testing.assert_allclose(after[5][right][:2], before[5][left][:2], atol=0.02)
 
 
 # --- lost in the middle ----------------------------------------------------------------------------------------------

@@ -11,18 +11,20 @@ from pydantic import Field, StrictBool, StrictInt
 
 from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.numbers import spans
-from facetrack_cli.core.types import BOX, Correction, Mask
+from facetrack_cli.core.types import BOX, Correction, Mask, TargetStart
 from facetrack_cli.editor.history import Fixer, merged
 from facetrack_cli.editor.save import keep, save
 from facetrack_cli.editor.web.frame import Draft, Json, Proposer
 from facetrack_cli.editor.web.pick_session import requirement
 from facetrack_cli.editor.web.session import Answer, RefusedError, Route, Session
+from facetrack_cli.recipe.hands import NAMES as HANDS
 from facetrack_cli.recipe.model import OpenCvRecipe
 from facetrack_cli.runs.job import Report
 from facetrack_cli.tracking.corrected import correctable_parts
 from facetrack_cli.tracking.start.detectors import PARTS
 from facetrack_cli.trajectory.diagnostics import outlines
 from facetrack_cli.trajectory.header import FrameNumber
+from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import by_frame
 from facetrack_cli.video.seek import Frames
@@ -64,6 +66,7 @@ class FixSession(Session):
             Route("GET", "api/overview", self._overview),
             Route("POST", "api/track", self._track),
             Route("POST", "api/remove", self._remove),
+            Route("POST", "api/exchange", self._exchange),
             Route("POST", "api/undo", self._undo),
         )
 
@@ -130,6 +133,21 @@ class FixSession(Session):
         if self.fixer.find(frame, target) is None:
             raise RefusedError(422, "there is no such correction")
         return self._begin(f"tracking {target}", partial(self.fixer.remove, frame, target))
+
+    def _exchange(self, frame: FrameNumber) -> Answer:
+        """From a frame on each of two hands is where the other is: a correction of both."""
+        hands, rows = [name for name in HANDS if name in self._parts], self.fixer.rows.at(frame)
+        given = []
+        for name, other in zip(hands, hands[::-1], strict=True):
+            box = choose(rows, other).boxes[0]
+            there = bool(np.isfinite(box).all())
+            at = tuple(np.round(box, 2).tolist())
+            given.append(Correction(frame, name, TargetStart(at)) if there else Correction(frame, name, absent=True))
+        if len(hands) < 2 or all(one.given.box is None for one in given):
+            raise RefusedError(422, f"there are no two hands in frame {frame}")
+        for one in given:
+            self.fixer.check(one)
+        return self._begin(f"tracking {' and '.join(hands)}", partial(self.fixer.put, given))
 
     def _undo(self) -> Answer:
         if not self.fixer.can_undo:

@@ -96,6 +96,16 @@ export class Jobs {
     }
   }
 
+  /** The hands change their names from a frame on. */
+  async exchange(frame) {
+    const { store } = this;
+    if (store.ended || store.beforeGesture) return;
+    if (!store.isEmpty()) return this.say("Track what was moved first, or discard it.", "warning");
+    if (await this.#run("exchange", () => ({ frame }), [frame, store.bounds.last])) {
+      this.say(`The hands are exchanged from frame ${frame} on.`);
+    }
+  }
+
   async undo(before) {
     if (!(await this.#run("undo", () => ({})))) return;
     this.say(`Undone: ${changes(before, await this.refreshed()) || "the last step"}.`);
