@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import threading
+import time
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
@@ -134,6 +135,12 @@ def check(frame: Frame, expected: Frame) -> None:
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("name", sorted(CLIPS))
+def waited_for(check: Callable[[], bool]) -> None:
+    """Nobody is told that somebody waits for a turn."""
+    while not check():
+        time.sleep(0.002)
+
+
 def test_every_frame_in_any_order_is_the_one_of_the_source(folder: Path, name: str) -> None:
     path, expected = made(folder, name)
     assert len(expected) > 40
@@ -340,8 +347,7 @@ def test_who_asks_last_has_the_next_turn_and_overtakes() -> None:
         threads = [threading.Thread(target=work, args=(ticket,)) for ticket in later]
         for thread in threads:
             thread.start()
-        with turns._condition:
-            turns._condition.wait_for(lambda: len(turns._waiting) == 3)
+        waited_for(lambda: len(turns._waiting) == 3)
         assert turns.overtaken(first) and not turns.overtaken(later[-1])
     for thread in threads:
         thread.join()
@@ -358,8 +364,7 @@ def test_a_long_way_gives_way_to_who_asks_later(folder: Path) -> None:
         def slow(wanted: int) -> bool:
             if frames._decoder.next == 50 and not late.ident:
                 late.start()
-                with frames._turns._condition:
-                    frames._turns._condition.wait_for(lambda: bool(frames._turns._waiting))
+                waited_for(lambda: bool(frames._turns._waiting))
             if late.ident:
                 after.append(frames._decoder.next)
             return decode(wanted)
