@@ -188,6 +188,15 @@ def test_a_mouth_that_does_not_move_makes_no_event(value):
     assert [*events(mouth_opening=value), *events(eye_opening=value), *events(yaw=value)] == []
 
 
+@pytest.mark.parametrize("low", [-0.6, -1.5])
+def test_rows_that_are_far_off_do_not_open_the_mouth_of_all_others(low):
+    rng = np.random.default_rng(1)
+    value, off = 0.24 + 0.01 * noise(3, 1800), rng.random(1800) < 0.06  # as where something goes by
+    value[off] += low * rng.random(off.sum())
+    found = spans(events(std=0.02, doubt=0.01, mouth_opening=value))
+    assert all(last - first < 10 for _, first, last in found)
+
+
 def test_each_shot_of_a_film_has_its_own_rest():
     one, other = (
         measured("mouth_opening", np.full(100, 0.2)),

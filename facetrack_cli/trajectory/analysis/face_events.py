@@ -151,8 +151,9 @@ def _log_likelihoods(kind: Kind, one: Measured, rows: Whole) -> tuple[Array, Arr
     for _ in range(ROUNDS):
         is_in = np.exp(log_p - np.logaddexp.reduce(log_p, axis=1, keepdims=True)) * kind.counts
         at_rest, away = is_in[:, 0], is_in[:, 1:].sum(axis=1) if not kind.sign else is_in[:, 2]
-        level = float(at_rest @ z / (at_rest.sum() + PRIOR))
-        excess = np.maximum((z - level) ** 2 - noise**2, 0.0)
+        # a few rows that are far off, as beside a hand before the mouth, say nothing of how it rests
+        level = float(at_rest @ np.clip(z, -step, step) / (at_rest.sum() + PRIOR))
+        excess = np.maximum(np.minimum(np.abs(z - level), step / 2) ** 2 - noise**2, 0.0)
         quiet = math.sqrt((at_rest @ excess + PRIOR * kind.varies[0] ** 2) / (at_rest.sum() + PRIOR))
         height = np.abs(z - level) if not kind.sign else z - level
         step = max(float((away @ height + PRIOR * kind.step) / (away.sum() + PRIOR)), LEAST_STEP * kind.step)
