@@ -30,6 +30,12 @@ TIMES = list(itertools.accumulate(GAPS, initial=0.0))
 CLIPS: dict[str, tuple[Callable[[Path], object], bool]] = {}
 
 
+def waited_for(check: Callable[[], bool]) -> None:
+    """Nobody is told that somebody waits for a turn."""
+    while not check():
+        time.sleep(0.002)
+
+
 def clip(name: str, jumps: bool = True) -> Callable[[Callable[[Path], object]], Callable[[Path], object]]:
     def keep(make: Callable[[Path], object]) -> Callable[[Path], object]:
         CLIPS[name] = make, jumps
@@ -135,12 +141,6 @@ def check(frame: Frame, expected: Frame) -> None:
 
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize("name", sorted(CLIPS))
-def waited_for(check: Callable[[], bool]) -> None:
-    """Nobody is told that somebody waits for a turn."""
-    while not check():
-        time.sleep(0.002)
-
-
 def test_every_frame_in_any_order_is_the_one_of_the_source(folder: Path, name: str) -> None:
     path, expected = made(folder, name)
     assert len(expected) > 40
