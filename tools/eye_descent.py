@@ -15,7 +15,6 @@ clips in turn; `--quick` leaves that out.
 
 from __future__ import annotations
 
-import argparse
 import csv
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,6 +30,7 @@ from mouth_descent import (
     NAMES,
     Clip,
     Sample,
+    arguments,
     clips_in,
     faces_in,
     picture_of,
@@ -40,7 +40,6 @@ from mouth_descent import (
 )
 from numpy.typing import NDArray
 
-from facetrack_cli.core.shipped import shipped_folder
 from facetrack_cli.core.types import Array, Frame
 from facetrack_cli.tracking.face import eyes
 from facetrack_cli.tracking.face.descent import CORNER, SIDE, Descent, channels, load_descent, read
@@ -229,16 +228,10 @@ def calibrated(model: EyeDescent, found: Sequence[Errors]) -> EyeDescent:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("clips", type=Path)
-    parser.add_argument("models", type=Path)
-    parser.add_argument("--without", action="append", default=[], help="clips whose path holds this are left out")
-    parser.add_argument("-o", "--output", type=Path, default=shipped_folder() / eyes.DEFAULT)
-    parser.add_argument("--quick", action="store_true")
-    args = parser.parse_args()
+    args = arguments(__doc__, "models", eyes.DEFAULT)
     mesh, iris = Mesh(args.models / "face_landmark.tflite"), Iris(args.models / "iris_landmark.tflite")
-    paths = [path for path in clips_in(args.clips) if not any(one in str(path) for one in args.without)]
-    clips, mouth = [clip for path in paths if (clip := load(path, mesh, iris)) is not None], load_descent()
+    found = (load(path, mesh, iris) for path in clips_in(args.clips, args.without))
+    clips, mouth = [clip for clip in found if clip is not None], load_descent()
     drawn = [drawn_of(mouth, clip, clips) for clip in clips]
     model = train(mouth, drawn)
     if not args.quick:

@@ -324,22 +324,27 @@ def platt(s: Array, visible: Mask) -> tuple[float, float]:
     return a, b
 
 
-def clips_in(folder: Path) -> Iterator[Path]:
+def clips_in(folder: Path, without: Sequence[str]) -> Iterator[Path]:
     for path in sorted(folder.rglob("*")):
-        if path.suffix in VIDEOS or path.name == "img":
+        if (path.suffix in VIDEOS or path.name == "img") and not any(one in str(path) for one in without):
             yield path
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def arguments(about: str | None, networks: str, output: str) -> argparse.Namespace:
+    """Of a tool that trains regressions on clips, with `networks`, for the shipped file `output`."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("clips", type=Path)
-    parser.add_argument("mesh", type=Path)
+    parser.add_argument(networks, type=Path)
     parser.add_argument("--without", action="append", default=[], help="clips whose path holds this are left out")
-    parser.add_argument("-o", "--output", type=Path, default=shipped_folder() / descent.DEFAULT)
+    parser.add_argument("-o", "--output", type=Path, default=shipped_folder() / output)
     parser.add_argument("--quick", action="store_true")
-    args = parser.parse_args()
+    return parser.parse_args()
+
+
+def main() -> None:
+    args = arguments(__doc__, "mesh", descent.DEFAULT)
     mesh = Mesh(args.mesh)
-    found = (load(path, mesh) for path in clips_in(args.clips) if not any(one in str(path) for one in args.without))
+    found = (load(path, mesh) for path in clips_in(args.clips, args.without))
     clips = [clip for clip in found if clip is not None]
     model = train(clips)
     if not args.quick:

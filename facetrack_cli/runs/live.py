@@ -27,7 +27,7 @@ from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_frames
 from facetrack_cli.runs.signals import never
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
-from facetrack_cli.video.decode import FORMATS, pixels
+from facetrack_cli.video.decode import FORMATS, pixels, silence
 from facetrack_cli.video.files import address_of
 from facetrack_cli.video.images import MOST_PIXELS, check_pixels
 from facetrack_cli.video.source import open_source
@@ -36,6 +36,7 @@ LOOK_S: Final = 0.1  # between two looks at the wish to stop
 OPEN_S, READ_S = 10.0, 10.0  # seconds without a byte, after which an address is given up
 LEAST_WAIT_S, MOST_WAIT_S = 1.0, 30.0  # until an address is opened again
 _PIPE: Final = "standard input"
+_FORMATS: Final = f"{FORMATS},jpeg_pipe"
 _PROTOCOLS: Final = "rtsp,rtsps,rtp,udp,tcp,tls,srt,http,https,crypto"
 _REMEDY: Final = "give what ffmpeg reads, as from ffmpeg -i ... -f yuv4mpegpipe -pix_fmt yuv420p -"
 
@@ -161,7 +162,13 @@ def received(address: str, say: Callable[[str], None]) -> Iterator[Image]:
     Each time it is said. InputError for what gives no image at first.
     """
     network = "://" in address
-    options = {"protocol_whitelist": _PROTOCOLS, "rtsp_transport": "tcp"} if network else {}
+    options = {}
+    if network:  # there alone a description of a stream may open more of it
+        options = {
+            "format_whitelist": f"{_FORMATS},rtsp,rtp,sdp",
+            "protocol_whitelist": _PROTOCOLS,
+            "rtsp_transport": "tcp",
+        }
     wait = 0.0
     while True:
         try:
@@ -180,22 +187,23 @@ def received(address: str, say: Callable[[str], None]) -> Iterator[Image]:
         wait = min(2 * wait, MOST_WAIT_S)
 
 
-def piped(stream: BinaryIO) -> Iterator[Image | Frame]:
-    """The frames of a pipe in any format of video that needs no seeking; of MJPEG the images, since it has no times.
+def piped(stream: BinaryIO) -> Iterator[Frame]:
+    """The frames of a pipe in any format of video that needs no seeking; MJPEG has no times.
 
     InputError for what is no video, or too large.
     """
     # read() would wait until a whole block has come
-    yield from _decoded(SimpleNamespace(read=stream.read1 if hasattr(stream, "read1") else stream.read), {}, _PIPE)
+    now = SimpleNamespace(read=stream.read1 if hasattr(stream, "read1") else stream.read)
+    yield from _decoded(now, {"format_whitelist": _FORMATS}, _PIPE)
 
 
 def _decoded(file: Any, options: dict[str, str], name: str) -> Iterator[Frame]:
+    """The frames of a device, an address or a file that is read as it comes; the time of one that has none is nan."""
     import av
 
-    if av.logging.get_level() is None:
-        av.logging.set_level(av.logging.PANIC)  # errors are counted, and none is shown
+    silence()
     device = "v4l2" if isinstance(file, str) and file.startswith("/dev/") else None
-    options |= {} if device else {"format_whitelist": f"{FORMATS},jpeg_pipe,rtsp,rtp,sdp", "probesize": "1000000"}
+    options = options if device else {**options, "probesize": "1000000"}
     try:
         with av.open(file, "r", format=device, options=options, timeout=(OPEN_S, READ_S)) as container:
             if not container.streams.video:

@@ -239,12 +239,19 @@ def _end(context: VideoCodecContext, container: InputContainer) -> None:
     container.close()
 
 
+def silence() -> None:
+    """FFmpeg shows no errors, unless somebody has asked for them: they are counted."""
+    import av
+
+    if av.logging.get_level() is None:
+        av.logging.set_level(av.logging.PANIC)
+
+
 def open_container(path: Path) -> InputContainer:
     """A local file as FFmpeg reads it. Raises OSError or ValueError for what is not one of its formats of video."""
     import av
 
-    if av.logging.get_level() is None:
-        av.logging.set_level(av.logging.PANIC)  # errors are counted, and none is shown
+    silence()
     # an absolute path never reads as an option or a protocol
     options = {"format_whitelist": FORMATS, "protocol_whitelist": "file"}
     try:

@@ -29,6 +29,7 @@ from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from facetrack_cli.trajectory.writers import csv_frames
 from facetrack_cli.video.seek import Frames
 from facetrack_cli.video.source import open_source
+from tests.support.hands_run import FEW as OF_HANDS
 from tests.support.samples import FOLDER
 
 CLIP = FOLDER / "expressions.mp4"
@@ -149,12 +150,9 @@ def test_rows_before_a_correction_stay_though_its_frame_is_tracked_once_more(sho
         assert kept.given != fixer.corrections[0].given and fixer.find(5, "face").kept["lip_lower"][1] > 160
 
 
-HANDS = [word for t in ("head", "left_hand", "right_hand") for word in ("--set", f"targets.{t}.filter.particles=40")]
-
-
 def signing(out, *words):
     """A run of head and hands."""
-    given = ["run", FOLDER / "signing.mp4", "-o", out, "--config", "head_hands", "--no-video", "-q", *HANDS, *words]
+    given = ["run", FOLDER / "signing.mp4", "-o", out, "--config", "head_hands", "--no-video", "-q", *OF_HANDS, *words]
     assert main([str(word) for word in given]) == 0
 
 

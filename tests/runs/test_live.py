@@ -91,6 +91,7 @@ def test_images_of_a_pipe_are_those_that_went_in(encoded):
     "data",
     [b"", b"RIFF....AVI LIST", b"YUV4MPEG2 H48 F25:1\n", b"YUV4MPEG2 W99999998 H99999998 F25:1\n",
      b"\xff\xd8" + bytes(100) + b"\xff\xd9", claims(30000, 30000), claims(12000, 10000),
+     b"v=0\r\no=- 0 0 IN IP4 127.0.0.1\r\ns=-\r\nc=IN IP4 127.0.0.1\r\nm=video 9 RTP/AVP 96\r\n",
      b"#EXTM3U\n#EXTINF:1,\nfile:///etc/hostname\n"],
 )  # fmt: skip
 def test_a_pipe_that_is_no_clip_is_one_line(data):

@@ -114,7 +114,7 @@ def senses_of(parts, mesh=None, others=(), searched=False):
 
 
 def test_without_a_network_the_regression_places_its_parts_and_of_others_nothing_is_known():
-    (parts, network, others, _), seen = sensed(senses_of(("lip_lower", "ear_left", "nose", "chin")))
+    (_, parts, network, others, _), seen = sensed(senses_of(("lip_lower", "ear_left", "nose", "chin")))
     expected, order = load_descent().fit(seen), [PARTS.index("lip_lower"), 0]
     np.testing.assert_array_equal(parts.at[[0, 2]], expected.at[order])
     np.testing.assert_array_equal(parts.odds[[0, 2]], expected.odds[order])
@@ -124,7 +124,7 @@ def test_without_a_network_the_regression_places_its_parts_and_of_others_nothing
 
 def test_a_network_and_the_regression_place_parts_which_are_visible_where_either_says():
     mesh, names = FakeMesh([IN_CLIP], noise=0.4), tuple(name for name in NAMES if name not in PARTS)
-    (parts, network, others, _), seen = sensed(senses_of((*PARTS, "ear_left"), mesh, names))
+    (_, parts, network, others, _), seen = sensed(senses_of((*PARTS, "ear_left"), mesh, names))
     [frame] = moving.clip([IN_CLIP])
     at = mesh.measure(frame, head_of(IN_CLIP)).mean(axis=0)
     np.testing.assert_allclose(network[:5], at[CORE])
@@ -144,7 +144,7 @@ def test_a_network_and_the_regression_place_parts_which_are_visible_where_either
 
 
 def test_a_network_that_sees_no_face_places_nothing_and_the_regression_says_what_is_visible():
-    (parts, network, others, _), seen = sensed(senses_of(PARTS, FakeMesh([None]), ("chin",)))
+    (_, parts, network, others, _), seen = sensed(senses_of(PARTS, FakeMesh([None]), ("chin",)))
     assert np.isnan(network).all() and others is None
     np.testing.assert_array_equal(parts.odds, load_descent().fit(seen).odds)
     sensors, points, _ = begun(senses_of(PARTS, FakeMesh([None]), ("chin",)), np.zeros((5, 2)))

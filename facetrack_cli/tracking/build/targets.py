@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from facetrack_cli.core.face_points import GROUPS, IRISES, POINTS
 from facetrack_cli.core.geometry import centre, size_of_points
-from facetrack_cli.core.models import model_path
+from facetrack_cli.core.models import MODELS, model_path
 from facetrack_cli.core.types import BOX, Array, Box, Start, TargetStart
 from facetrack_cli.recipe.face import Head
 from facetrack_cli.recipe.files import resolve_file
@@ -46,6 +47,16 @@ def particle_target(recipe: Recipe, key: str, given: ParticleFilter, start: Star
     )
 
 
+def _network(recipe: Recipe, key: str, name: str) -> Path:
+    """The file of a network that a key of the recipe names. RecipeError where it is not here."""
+    if name not in MODELS:
+        return resolve_file(recipe, name, key)
+    if (path := model_path(name)) is None:
+        message = f"the network {name} is not here; bring it by facetrack models get mesh, or write null"
+        raise recipe.error(key, message)
+    return path
+
+
 def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, start: Start, name: str) -> FaceTarget:
     """The head by its own filter, and the points by the recipe's, in the stabilized image."""
     begun = start.targets[name]
@@ -64,24 +75,14 @@ def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, sta
     alone = ParticleFilter.model_construct(
         target=head.target, motion=head.motion, likelihood=head.likelihood, filter=head.filter, confidence=judged
     )
-    network, mesh = head.landmarks.network, None
-    if network is not None:
-        key_of = f"{above(key)}head.landmarks.network"
-        path = model_path("mesh") if network == "mesh" else resolve_file(recipe, network, key_of)
-        if path is None:
-            raise recipe.error(
-                key_of, "the network mesh is not here; bring it by facetrack models get mesh, or write null"
-            )
-        mesh = Mesh(path)
+    named = head.landmarks
+    mesh = (
+        None if named.network is None else Mesh(_network(recipe, f"{above(key)}head.landmarks.network", named.network))
+    )
     iris = None
-    if mesh is not None and head.landmarks.iris is not None:
-        if (path := model_path("iris")) is None:
-            key_of = f"{above(key)}head.landmarks.iris"
-            raise recipe.error(
-                key_of, "the network iris is not here; bring it by facetrack models get mesh, or write null"
-            )
-        iris = Iris(path)
-    eyes, more = GROUPS["eyes"], POINTS if head.landmarks.points == "features" else tuple(NAMES)
+    if mesh is not None and named.iris is not None:
+        iris = Iris(_network(recipe, f"{above(key)}head.landmarks.iris", named.iris))
+    eyes, more = GROUPS["eyes"], POINTS if named.points == "features" else tuple(NAMES)
     still, boxed = (replace(start, targets={name: one}, corrections=()) for one in (inside, TargetStart(box)))
     features = replace(particle_target(recipe, key, given, still, name), exclusion=None, calibration=None)
     return FaceTarget(

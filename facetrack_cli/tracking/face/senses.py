@@ -32,9 +32,11 @@ SHUT: Final = 0.15  # opening of an eye, below which its iris is covered; by as 
 class Sensed(NamedTuple):
     """What sensors say of the points in the stabilized image: those with windows, and the network's `others` (J, 2).
 
-    `parts` are placed by the regression, and `network` (K, 2) by the network; `eyes` by both.
+    `parts` are placed by the regression, in the `channels` of that image, `network` (K, 2) by the network, and `eyes`
+    by both.
     """
 
+    channels: NDArray[np.float32]
     parts: PlacedPoints
     network: Array
     others: PlacedPoints | None
@@ -78,7 +80,7 @@ class Senses:
 
     def begin(self, frame: Frame, similarity: Similarity, seen: Frame, found: Found | None, x0: Array) -> Begun:
         """What is known in a frame whose parts are at x0 (K, 2), where the detector has found the face, or not."""
-        parts, network, others, eyes = self.sensed(frame, similarity, seen)
+        _, parts, network, others, eyes = self.sensed(frame, similarity, seen)
         keep, std = FADES if self.searched else 1.0, float(load_descent().std.mean())
         detected = self.named({} if found is None else found.points)
         each = (parts.at, std, REGRESSION), (detected, DETECTOR, DETECTOR), (network, std, NETWORK)
@@ -106,7 +108,8 @@ class Senses:
         eyes = self._eyes(frame, similarity, channels, at, points)
         at = np.where(known[:, None], at[index], np.nan)
         if points is None:
-            return Sensed(PlacedPoints(at, np.where(known, odds[index], 0.0)), np.full_like(at, np.nan), None, eyes)
+            parts = PlacedPoints(at, np.where(known, odds[index], 0.0))
+            return Sensed(channels, parts, np.full_like(at, np.nan), None, eyes)
         network = points[[NAMES[point] for point in descent.points]]
         there = descent.visible(channels, network)
         # a part is where either says
@@ -116,11 +119,11 @@ class Senses:
         others = points[[NAMES[part] for part in self.others]]
         nearest = np.hypot(*(others[:, None] - network).transpose(2, 0, 1)).argmin(axis=1)
         placed = np.where(known[:, None], network[index], np.nan)
-        return Sensed(parts, placed, PlacedPoints(others, there[nearest]), eyes)
+        return Sensed(channels, parts, placed, PlacedPoints(others, there[nearest]), eyes)
 
-    def odds_at(self, seen: Frame, places: Array) -> Array:
+    def odds_at(self, channels: NDArray[np.float32], places: Array) -> Array:
         """The log odds (M, K) that parts are visible at `places` (M, K, 2), by the regression; 0 of others."""
-        descent, channels, odds = load_descent(), seen_in(seen.bgr), np.zeros(places.shape[:2])
+        descent, odds = load_descent(), np.zeros(places.shape[:2])
         known = [k for k, part in enumerate(self.parts) if part in descent.parts]
         at = np.zeros((len(descent.parts), 2))
         index = [descent.parts.index(self.parts[k]) for k in known]

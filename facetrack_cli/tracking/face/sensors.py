@@ -184,10 +184,8 @@ def common_shift(measured: SensorReading, state: Array) -> Array:
     The mean under N(0, SLIP^2 I) of the shift, whose measurement is the median of the parts'.
     """
     known = measured.sure > 0.5
-    if known.sum() < 3:
-        return np.zeros(2)
-    off = np.median((measured.z - state)[known], axis=0)
-    return np.asarray(off * SLIP**2 / (SLIP**2 + np.median(measured.var[known])))
+    off = in_common(measured.z - state, known)
+    return np.asarray(off * SLIP**2 / (SLIP**2 + np.median(measured.var[known]))) if off.any() else off
 
 
 class Facing(NamedTuple):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame
 from facetrack_cli.tracking.face.descent import PlacedPoints
@@ -61,7 +62,7 @@ class FaceState:
 
 
 class View(NamedTuple):
-    """A frame as `seen` from the head, and what sensors say of the points there.
+    """A frame as `seen` from the head, its `channels` for the regressions, and what sensors say of the points there.
 
     `places` are those (K, 2) by each sensor, `measured` what they say without their bias; `upright` (K, 2): what
     regression and network say together; `shift` (2,): how far the face is from where the head was expected; `sure`:
@@ -70,6 +71,7 @@ class View(NamedTuple):
 
     similarity: Similarity
     seen: Frame
+    channels: NDArray[np.float32]
     due: bool
     found: Found | None
     parts: PlacedPoints

@@ -239,14 +239,14 @@ class FaceTarget:
         around, told = [before.mean(axis=0)], np.isfinite(z2).all(axis=1)
         if told.any():
             around.append((before + (z2 - before)[told].mean(axis=0)).mean(axis=0))
-        parts, network, others, eyes = self.senses.sensed(frame, similarity, seen, around)
+        channels, parts, network, others, eyes = self.senses.sensed(frame, similarity, seen, around)
         visible = self._visible(state.features)
         places = parts.at, z2, network
         measured = tuple(one.measured(z, visible) for one, z in zip(state.sensors, places, strict=True))
         first, second = joined(measured[0], measured[2]), measured[1]
         upright = np.where(first.sure[:, None] > 0, first.z, np.nan)
         shift, sure = common_shift(joined(first, second), before), 0.0 if apart(first, second).any() else parts.sure
-        return View(similarity, seen, due, found, parts, others, eyes, places, measured, upright, shift, sure)
+        return View(similarity, seen, channels, due, found, parts, others, eyes, places, measured, upright, shift, sure)
 
     def _followed(
         self, rng: Generator, state: FaceState, view: View, frame: Frame, box: TargetResult | None
@@ -266,8 +266,7 @@ class FaceTarget:
         each = zip(state.sensors, view.places, told, (cross, 0.0, cross), strict=True)
         sensors = tuple(one.learned(z, estimated.state, estimated.cov, visible, *more) for one, z, *more in each)
         if isinstance(features.learned, window_ncc.WindowState):
-            doubted = window_ncc.doubted(features.learned, np.minimum(np.nan_to_num(own), 0))
-            features = replace(features, learned=doubted)
+            features = replace(features, learned=window_ncc.doubted(features.learned, own))
         points = points._replace(beliefs=None)  # those are of the state
         facing = state.facing if self.senses.detector is None else state.facing.predicted()
         others, far, similarity, head = state.others, view.others, view.similarity, state.head
@@ -316,7 +315,7 @@ class FaceTarget:
         if isinstance(likelihood, window_ncc.WindowNcc) and differ.any():
             learned, readings = likelihood.look(features.learned, view.seen, own), [each[i] for i in said]
             places = modes(readings, len(own))[0]
-            scores = likelihood.score(learned, view.seen, places, own), self.senses.odds_at(view.seen, places)
+            scores = likelihood.score(learned, view.seen, places, own), self.senses.odds_at(view.channels, places)
             odds[said] = np.where(differ, who_is_right(readings, *scores), np.nan)
         return odds[:-1], odds[-1]
 

@@ -28,7 +28,8 @@ import numpy as np
 
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array, Whole
-from facetrack_cli.trajectory.analysis.measures import PAUSE_S, Measured, settled, stretches
+from facetrack_cli.trajectory.analysis.head_motion import GAP_S
+from facetrack_cli.trajectory.analysis.measures import Measured, settled, stretches
 
 PRIOR, ROUNDS = 100.0, 8
 HALFWAY_S, LEAST_STEP, LEAST = 0.1, 0.75, 1e-9
@@ -111,7 +112,7 @@ def _events(target: str, tier: str, kind: Kind, one: Measured) -> Iterator[FaceE
     if len(rows) < 2:
         return
     time_s, frame = one.time_s[rows], one.frame[rows]
-    pause, usual = np.diff(time_s) > PAUSE_S, float(np.median(np.diff(time_s)))
+    pause, usual = np.diff(time_s) > GAP_S, float(np.median(np.diff(time_s)))
     until = np.append(np.where(pause, time_s[:-1] + usual, time_s[1:]), time_s[-1] + usual)
     z, log_p = _log_likelihoods(kind, one, rows)
     rest_s, away_s = kind.lasts

@@ -17,7 +17,7 @@ changes when it opens wide.
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from facetrack_cli.trajectory.trajectory import UNSEEN, Trajectory, aligned, joi
 
 LIGHT_S = 0.04  # smoothing of swings: a nod of 6 Hz keeps a third of its height
 GAP_S = 0.25  # a pause between rows that ends a stretch
+NORMAL: Final = 0.6745  # median absolute deviation of a standard normal number
 NOISE, KEPT = 4.0, 0.5  # deviations of noise that a threshold stands above; what of it stays from frame to frame
 SWING, SWINGS, SWING_S, ACROSS = 0.03, 3, (0.05, 0.6), 1.5
 STILL_S, MIN_SPAN_S = 1.0, 0.2
@@ -205,7 +206,7 @@ def _moving(signal: Array, dt: float, rate: Rate, labels: tuple[str, str]) -> It
     smooth = gauss(signal, rate.smooth_s / dt)
     speed = np.gradient(smooth, dt)
     slope = np.gradient(_kernel(rate.smooth_s / dt), dt)
-    begin_above = max(rate.begin, NOISE * _noise(signal) * _left_by(slope))
+    begin_above = max(rate.begin, NOISE * noise_of(signal) * _left_by(slope))
     for sign, label in zip((-1, 1), labels, strict=True):
         for begin, end in spans(sign * speed > rate.last):
             fast = np.max(sign * speed[begin:end]) > begin_above
@@ -219,7 +220,7 @@ def _swinging(x: Array, y: Array, dt: float) -> Iterator[tuple[int, int, str]]:
     found: list[tuple[int, int, str]] = []
     for main, across, label in ((y, x, "nod"), (x, y, "shake")):
         light, side = gauss(main, LIGHT_S / dt), gauss(across, LIGHT_S / dt)
-        least = max(SWING, NOISE * _noise(main) * _left_by(_kernel(LIGHT_S / dt)))
+        least = max(SWING, NOISE * noise_of(main) * _left_by(_kernel(LIGHT_S / dt)))
         turns = turning_points(light, least)
         quick = np.zeros(max(0, len(turns) - 1), dtype=bool)
         for n, (a, b) in enumerate(pairwise(turns)):
@@ -281,14 +282,14 @@ def gauss(signal: Array, sigma: float) -> Array:
     return smooth
 
 
-def _noise(signal: Array) -> float:
+def noise_of(signal: Array, kept: float = KEPT) -> float:
     """The standard deviation of noise on a signal, from the median of its second differences.
 
-    Of the noise of particles about half stays from one frame to the next: of such noise of unit variance, second
-    differences have the variance 6 - 8 KEPT + 2 KEPT^2.
+    Of the noise of particles about half stays from one frame to the next. Where a share `kept` stays, of unit variance,
+    second differences have the variance 6 - 8 kept + 2 kept^2.
     """
     second = np.abs(np.diff(signal, n=2))
-    return float(np.median(second) / 0.6745 / np.sqrt(6 - 8 * KEPT + 2 * KEPT**2)) if second.size else 0.0
+    return float(np.median(second) / NORMAL / np.sqrt(6 - 8 * kept + 2 * kept**2)) if second.size else 0.0
 
 
 def _left_by(kernel: Array) -> float:

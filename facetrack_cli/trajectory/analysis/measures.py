@@ -28,7 +28,7 @@ import numpy as np
 from facetrack_cli.core.face_points import EYE_DISTANCE, IRISES
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Whole
-from facetrack_cli.trajectory.analysis.head_motion import gauss, turning_points
+from facetrack_cli.trajectory.analysis.head_motion import GAP_S, NORMAL, gauss, noise_of, turning_points
 from facetrack_cli.trajectory.analysis.head_pose import SHAPE, head_pose, rotation_of, with_eyes
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned, joined
 
@@ -45,11 +45,10 @@ STEP: Final = 1e-3  # pixels, of the differences
 # ten within 90 % on eight people
 VARIES, SHARE = 0.6, 0.15
 UNIT: Final = 0.2  # how far off the unit may be, where the head has moved
-NEAR_S, PAUSE_S = 0.3, 0.25
+NEAR_S: Final = 0.3
 # a mouth that talks: its swings are so large and last at most so long, and within a second or so there are so many
 SWING, SWING_S, AROUND_S, SWINGS, SWINGS_STD = 0.03, 0.5, 0.6, 1.6, 0.5
 TURNED, NEARER = 40.0, 0.15  # degrees, and the logarithm of the size, from the clip's median: there the share is 1
-NORMAL: Final = 0.6745  # median absolute deviation of a standard normal number
 MOST_STD: Final = 0.15  # of a length or a ratio: where a clip's median spread is larger, it is not measured
 OWN: Final = {"nose", *CORNERS, *LIPS, *LIDS[0], *LIDS[1], *EYES, BOX}
 """The parts that the recipe `face` has without a network."""
@@ -175,7 +174,7 @@ class Measured(NamedTuple):
         if len(known) < 3:
             return self.std
         varies = VARIES * np.median(np.abs(known - np.median(known))) / NORMAL
-        noise = np.sqrt(jitter(known) ** 2 + varies**2 + np.nan_to_num(self.doubt) ** 2)
+        noise = np.sqrt(noise_of(known, 0.0) ** 2 + varies**2 + np.nan_to_num(self.doubt) ** 2)
         at_most = np.where(self.std > 0, self.std, np.inf)
         return np.asarray(np.where(np.isfinite(self.value), np.fmin(noise, at_most), np.nan))
 
@@ -237,7 +236,7 @@ def _talking(mouth: Measured) -> Array:
     swings, talks = np.zeros(len(rows)), np.full(len(mouth.value), np.nan)
     if len(rows) > 2:
         value, time_s, doubt = mouth.value[rows], mouth.time_s[rows], np.nan_to_num(mouth.doubt[rows])
-        for a, b in pairwise(turning_points(value, max(SWING, 4 * jitter(value)))):
+        for a, b in pairwise(turning_points(value, max(SWING, 4 * noise_of(value, 0.0)))):
             clear = abs(value[b] - value[a]) > 2 * doubt[(a + b) // 2]
             swings[(a + b) // 2] += clear and time_s[b] - time_s[a] <= SWING_S
         sigma = AROUND_S / max(float(np.median(np.diff(time_s))), AROUND_S / 500)
@@ -266,7 +265,7 @@ def _doubt(value: Array, std: Array, moved: Array) -> Array:
 
 def stretches(time_s: Array) -> list[tuple[int, int]]:
     """[begin, end) of rows without a pause between them, as in each shot of a film."""
-    return spans(np.ones(len(time_s), np.bool_), np.diff(time_s) > PAUSE_S)
+    return spans(np.ones(len(time_s), np.bool_), np.diff(time_s) > GAP_S)
 
 
 def settled(one: Measured) -> Whole:
@@ -282,11 +281,6 @@ def settled(one: Measured) -> Whole:
 def above(value: Array, spread: Array | float) -> Array:
     """The probability that what was measured as a value, with this spread, is above 0."""
     return np.asarray(np.vectorize(math.erfc, otypes=[float])(-value / spread / math.sqrt(2)) / 2)
-
-
-def jitter(values: Array) -> float:
-    """The standard deviation of what is independent from frame to frame, by the median of second differences."""
-    return float(np.median(np.abs(np.diff(values, n=2)))) / NORMAL / math.sqrt(6)
 
 
 def _spread(of: Callable[[Face], Array], face: Face, spread: Mapping[str, Array]) -> Array:

@@ -48,8 +48,8 @@ def write_subtitles(table: Trajectory, form: str) -> str:
     spans = [(round(e.begin_s * 1000), round(e.end_s * 1000), e) for e in table.events]
     for n, (begin, end, e) in enumerate((one for one in spans if one[1] > one[0]), 1):
         who = f"{e.target}: " if several and e.target else ""
-        text = html.escape(f"{who}{e.tier.replace('_', ' ')}: {e.value}", quote=False)
-        text = text if form == "vtt" else html.unescape(text)
+        text = f"{who}{e.tier.replace('_', ' ')}: {e.value}"
+        text = html.escape(text, quote=False) if form == "vtt" else text
         texts.append(f"{n}\n{_clock(begin, form)} --> {_clock(end, form)}\n{text}")
     return "\n\n".join(texts) + "\n"
 

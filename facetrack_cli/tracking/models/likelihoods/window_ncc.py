@@ -205,14 +205,18 @@ class WindowNcc:
 
 def visible_after(before: Array, evidence: Array) -> Array:
     """P(visible) a frame later than `before`, given the log ratio of the likelihoods of visible and hidden."""
-    v = before * (1 - HIDE) + (1 - before) * SHOW
-    return np.asarray(1 / (1 + (1 - v) / v * np.exp(-evidence)))
+    return _weighed(before * (1 - HIDE) + (1 - before) * SHOW, evidence)
 
 
 def doubted(learned: WindowState, odds: Array) -> WindowState:
-    """Where other senses say by log `odds` (K,) that windows follow something like the parts."""
-    v = np.clip(learned.visible, *BOUNDS)
-    return learned._replace(visible=1 / (1 + (1 - v) / v * np.exp(-np.maximum(odds, -BY_WINDOW[1]))))
+    """Where other senses say by log `odds` (K,) below 0, nan where they do not, that windows follow something else."""
+    against = np.clip(np.nan_to_num(odds), -BY_WINDOW[1], 0)
+    return learned._replace(visible=_weighed(np.clip(learned.visible, *BOUNDS), against))
+
+
+def _weighed(p: Array, evidence: Array) -> Array:
+    """Probabilities after evidence in log odds."""
+    return np.asarray(1 / (1 + (1 - p) / p * np.exp(-evidence)))
 
 
 def _read(frame: Frame, centre: Array, w: int, h: int) -> Channels:
