@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import Array, Start
-from facetrack_cli.recipe.face import DETECTORS
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.start.detectors import detector
-from facetrack_cli.tracking.start.search import search_start
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.start.search import search_start
+from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.video.source import open_source
 
 

@@ -26,17 +26,18 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.types import BOX, Array, Frame, Particles
+from facetrack_cli.engine.loop import Tracker, track
+from facetrack_cli.engine.protocols import Likelihood
+from facetrack_cli.engine.target import ParticleTarget
 from facetrack_cli.evaluation.goldens.bands import judge, measure
 from facetrack_cli.evaluation.goldens.goldens import Golden, find_goldens, read_golden
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe
-from facetrack_cli.recipe.points import ColourRatio, RandomWalk
-from facetrack_cli.recipe.regions import FirstOrder, Product
-from facetrack_cli.recipe.skin import SkinNcc
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.loop import Tracker, track
-from facetrack_cli.tracking.roles import Likelihood
-from facetrack_cli.tracking.target import ParticleTarget
+from facetrack_cli.recipe.shared import RandomWalk
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.trackers.points.settings import ColourRatio
+from facetrack_cli.trackers.regions.settings import FirstOrder, Product
+from facetrack_cli.trackers.skin.settings import SkinNcc
 from facetrack_cli.trajectory.trajectory import Collector
 from facetrack_cli.video.source import open_source
 
@@ -67,7 +68,7 @@ CASES = (
 
 
 @dataclass(frozen=True)
-class Shifted:
+class Shifted(Likelihood):
     """A likelihood that looks 1.5 pixels to the right of where it is asked to."""
 
     within: Likelihood

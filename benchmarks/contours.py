@@ -21,10 +21,10 @@ import numpy as np
 from speed import best, decode, enlarged
 
 from facetrack_cli.core.types import Array, Frame
-from facetrack_cli.recipe import regions
+from facetrack_cli.engine.kernels.compiled import exact
 from facetrack_cli.recipe.sections import Length
-from facetrack_cli.tracking.kernels.compiled import exact
-from facetrack_cli.tracking.models.likelihoods.contour import Contour
+from facetrack_cli.trackers.regions import settings as regions
+from facetrack_cli.trackers.regions.contour import Contour
 from facetrack_cli.video.source import open_source
 
 FRAMES = 60

@@ -25,9 +25,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.types import Array, Frame, Image
-from facetrack_cli.recipe import regions
 from facetrack_cli.report.figures.style import COLOURS, FAINT, WIDTH, heading, new_figure, render, style
-from facetrack_cli.tracking.models.likelihoods.correlation import Correlation
+from facetrack_cli.trackers.regions import settings as regions
+from facetrack_cli.trackers.regions.correlation import Correlation
 from facetrack_cli.video.source import open_source
 
 ROOT = Path(__file__).parent.parent

@@ -26,10 +26,10 @@ from speed import report
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Frame, Image, Start, TargetStart
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.start.init_file import find_init, read_init
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.start.init_file import find_init, read_init
 from facetrack_cli.video.source import open_source
 
 SAMPLE = Path(__file__).parent.parent / "sample_videos" / "signing.mp4"

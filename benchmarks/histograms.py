@@ -20,9 +20,9 @@ import numpy as np
 from speed import best, decode, enlarged, report
 
 from facetrack_cli.core.types import Array, Frame
-from facetrack_cli.recipe import regions
-from facetrack_cli.tracking.kernels import histogram as kernel
-from facetrack_cli.tracking.models.likelihoods.histogram import Histogram, Reference
+from facetrack_cli.trackers.regions import histogram_kernels as kernel
+from facetrack_cli.trackers.regions import settings as regions
+from facetrack_cli.trackers.regions.histogram import Histogram, Reference
 from facetrack_cli.video.source import open_source
 
 SIDE = 80.0

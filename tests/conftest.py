@@ -58,7 +58,7 @@ def facetrack(clips, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(work)
     monkeypatch.delenv("FACETRACK_DEBUG", raising=False)
     # what is said must not depend on what earlier tests have compiled
-    monkeypatch.setattr("facetrack_cli.tracking.kernels.cache.tell", lambda say: None)
+    monkeypatch.setattr("facetrack_cli.engine.kernels.cache.tell", lambda say: None)
     threads = cv2.getNumThreads()
 
     def call(*args):

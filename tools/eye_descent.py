@@ -41,11 +41,11 @@ from mouth_descent import (
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame
-from facetrack_cli.tracking.face import eyes
-from facetrack_cli.tracking.face.descent import CORNER, SIDE, Descent, channels, load_descent, read
-from facetrack_cli.tracking.face.eyes import CORNERS, POINTS, SIDES, EyeDescent, openings, phi, views
-from facetrack_cli.tracking.face.mesh import Iris, Mesh
-from facetrack_cli.tracking.face.stabilized import EYES, MIDDLE, Similarity
+from facetrack_cli.trackers.face import eyes
+from facetrack_cli.trackers.face.descent import CORNER, SIDE, Descent, channels, load_descent, read
+from facetrack_cli.trackers.face.eyes import CORNERS, POINTS, SIDES, EyeDescent, openings, phi, views
+from facetrack_cli.trackers.face.mesh import Iris, Mesh
+from facetrack_cli.trackers.face.stabilized import EYES, MIDDLE, Similarity
 
 ZOOM = int(eyes.ZOOM)
 IN_NAMES = [NAMES.index(point) for point in POINTS]

@@ -1,4 +1,4 @@
-"""Fit `IN_PICTURE` of facetrack_cli/tracking/hands/target.py: when a hand of a signer is in the picture.
+"""Fit `IN_PICTURE` of facetrack_cli/trackers/hands/target.py: when a hand of a signer is in the picture.
 
 usage: python tools/hands_present.py FOLDER [--present CSV] [--seeds 2]
 
@@ -25,8 +25,8 @@ from reference import HANDS, hands_in
 
 from facetrack_cli import load_recipe, track_frames
 from facetrack_cli.core.types import Array, Image
-from facetrack_cli.recipe.hands import NAMES
-from facetrack_cli.tracking.hands import target
+from facetrack_cli.trackers.hands import target
+from facetrack_cli.trackers.hands.settings import NAMES
 
 CUT, SURE, NEAR = 0.81, 15.0, 10  # of the height; pixels from there, and frames from when a hand is seen first or last
 WEIGHT, PRIOR = 0.25, 1e-4  # of a frame of a cut clip; of the weights' squares

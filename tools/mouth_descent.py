@@ -34,11 +34,11 @@ from facetrack_cli.core.face_points import MESH as NUMBERS
 from facetrack_cli.core.face_points import POINTS
 from facetrack_cli.core.shipped import shipped_folder
 from facetrack_cli.core.types import Array, Frame, Image, Mask
-from facetrack_cli.tracking.face import descent
-from facetrack_cli.tracking.face.descent import SIDE, Descent, channels, read
-from facetrack_cli.tracking.face.mesh import Mesh
-from facetrack_cli.tracking.face.stabilized import EYE_LINE, EYES, MIDDLE, Similarity
-from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.trackers.face import descent
+from facetrack_cli.trackers.face.descent import SIDE, Descent, channels, read
+from facetrack_cli.trackers.face.detectors import detector
+from facetrack_cli.trackers.face.mesh import Mesh
+from facetrack_cli.trackers.face.stabilized import EYE_LINE, EYES, MIDDLE, Similarity
 from facetrack_cli.video.source import open_source
 
 PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")

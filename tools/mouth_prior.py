@@ -27,7 +27,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from facetrack_cli.tracking.models.shape_prior import DEFAULT, ShapePrior, suggested_sigma
+from facetrack_cli.trackers.points.shape_prior import DEFAULT, ShapePrior, suggested_sigma
 
 PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 PAIRS = 200  # shapes come in pairs, each with its mirror image

@@ -1,9 +1,12 @@
-"""Points of a face: their names, the groups they belong to, and the lines between them.
+"""Points of a face: their names, the groups they belong to, and the lines between them; and who may place them.
 
 Left and right are as seen in the frame.
 """
 
-from typing import Final
+from typing import Final, Literal, TypeAlias
+
+DetectorName: TypeAlias = Literal["haar", "yunet"]
+DETECTORS: Final[tuple[DetectorName, ...]] = ("haar", "yunet")
 
 GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "mouth": ("mouth_left", "mouth_right", "lip_upper", "lip_lower", "inner_lip_upper", "inner_lip_lower"),

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import check_opencv
+from facetrack_cli.core.face_points import DETECTORS
 
 check_opencv(getattr(cv2, "__version__", "of nothing"))  # before anything else asks what another version has not
 
@@ -257,3 +258,13 @@ class Start:
     note: str = ""
     detector: str = ""
     placed: bool = False
+
+    @property
+    def placed_by(self) -> str:
+        """The name of the detector that has placed the points; "" if somebody did by hand."""
+        return self.origin if self.origin in DETECTORS else self.detector if self.placed else ""
+
+    @property
+    def measured_by(self) -> str:
+        """The name of the detector that measures faces: what has placed the points, or what the start names."""
+        return self.placed_by or self.detector or DETECTORS[0]

@@ -8,8 +8,8 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX, Correction, TargetStart
+from facetrack_cli.engine.corrected import all_or
 from facetrack_cli.run_folder.finished import Run
-from facetrack_cli.tracking.corrected import all_or
 from facetrack_cli.trajectory.formats.cvat import read_cvat
 from facetrack_cli.trajectory.formats.labelstudio import read_labelstudio
 from facetrack_cli.trajectory.select import hide_outside

@@ -219,7 +219,7 @@ def vot_overlaps(
     missing, unknown = np.isnan(a).any(axis=(1, 2)), np.isnan(b).any(axis=(1, 2))
     if (other := (a_polygon | b_polygon) & ~missing & ~unknown).any():
         # numba takes a quarter of a second to load, and most ground truth is of rectangles
-        from facetrack_cli.tracking.kernels.polygons import count_pixels
+        from facetrack_cli.evaluation.polygon_kernels import count_pixels
 
         pixels = np.empty((int(other.sum()), 2))
         around = np.concatenate([low, high], axis=1)[other]

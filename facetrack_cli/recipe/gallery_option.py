@@ -7,8 +7,8 @@ from pathlib import Path
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.yaml_tree import YamlProblems, assign, printable
-from facetrack_cli.recipe.affine import Affine
 from facetrack_cli.recipe.model import Recipe, above, error_of
+from facetrack_cli.trackers.appearance.settings import Affine
 
 MADE_BY = "as facetrack gallery fit writes it"
 

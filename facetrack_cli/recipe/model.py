@@ -10,14 +10,14 @@ from pydantic import Field, PrivateAttr, ValidationError
 from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.core.yaml_tree import Node, Problem
 from facetrack_cli.recipe import sections
-from facetrack_cli.recipe.affine import Recognition
-from facetrack_cli.recipe.face import Head
-from facetrack_cli.recipe.hands import NAMES as HANDS
-from facetrack_cli.recipe.hands import Hands
 from facetrack_cli.recipe.messages import locate
 from facetrack_cli.recipe.sections import Component, Filter, Kind, Likelihood, Motion, Prior, Refusal, Section, Target
-from facetrack_cli.recipe.skin import Exclusion, SkinCloud
 from facetrack_cli.recipe.times import FRAMES
+from facetrack_cli.trackers.appearance.settings import Recognition
+from facetrack_cli.trackers.face.settings import Head
+from facetrack_cli.trackers.hands.settings import NAMES as HANDS
+from facetrack_cli.trackers.hands.settings import Hands
+from facetrack_cli.trackers.skin.settings import Exclusion, SkinCloud
 
 MAX_SEED: Final = 2**63 - 1
 S = TypeVar("S", bound=Kind)

@@ -32,8 +32,9 @@ if TYPE_CHECKING:
 Steps: TypeAlias = tuple[str | int, ...]
 T = TypeVar("T")
 MIN_LENGTH, MAX_LENGTH = 1e-6, 1e6  # lengths; no frame needs more, and squares would overflow
-# the modules beside this one that hold sections, in the order in which types are listed
-FAMILIES = ("points", "regions", "skin", "affine", "filters", "correlation_filter", "face")
+# the modules that hold sections, in the order in which types are listed
+TRACKERS = ("points", "regions", "skin", "appearance", "box", "face")
+FAMILIES = ("recipe.shared", *(f"trackers.{name}.settings" for name in TRACKERS))
 GROUP = "facetrack.sections"  # the entry points by which other packages bring sections of their own
 
 
@@ -72,7 +73,7 @@ class Component(Section):
     """A section from which a part of the tracker is built."""
 
     engine: ClassVar[str]
-    """What builds it, as `module:name`: a callable that takes the section and a `tracking.models.spaces.Context`."""
+    """What builds it, as `module:name`: a callable that takes the section and a `engine.spaces.Context`."""
     goes_with: ClassVar[tuple[str, ...]] = ()
     """The types of target that it goes with."""
 
@@ -122,7 +123,7 @@ class Target(Kind):
         return False
 
     def place(self, start: Any, name: str) -> Any:
-        """Where the target begins, a `tracking.models.spaces.Placed`; InputError if the start lacks what it needs."""
+        """Where the target begins, a `engine.spaces.Placed`; InputError if the start lacks what it needs."""
         return pkgutil.resolve_name(self.engine)(self, start, name)
 
 
@@ -140,7 +141,7 @@ class Likelihood(Kind):
 
 
 class Filter(Kind):
-    """How particles are proposed, weighted and resampled. Its engine is a function, as in `tracking/filters.py`."""
+    """How particles are proposed, weighted and resampled. Its engine is a function, as in `engine/filters.py`."""
 
     particles: int
 
@@ -166,7 +167,7 @@ def registered(kind: type[Kind]) -> Mapping[str, type[Kind]]:
         return _types[kind]
     _types.update({one: {} for one in KINDS})
     for family in FAMILIES:
-        for section in vars(import_module(f"facetrack_cli.recipe.{family}")).values():
+        for section in vars(import_module(f"facetrack_cli.{family}")).values():
             if isinstance(section, type) and issubclass(section, Kind) and type_of(section):
                 add(section)
     for point in metadata.entry_points(group=GROUP):

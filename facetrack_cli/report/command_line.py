@@ -14,12 +14,12 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.representer import RoundTripRepresenter
 
 from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.types import Correction, Start
-from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import completed, to_dict
-from facetrack_cli.tracking.start.init_file import as_yaml, read_init
+from facetrack_cli.start.init_file import as_yaml, read_init
 from facetrack_cli.trajectory.header import CORRECTED, ClipHeader, Header, InitHeader
 from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.source import FOLDER_FPS

@@ -24,7 +24,7 @@ from facetrack_cli.runs.pipeline import share_threads
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, cores, side_by_side
-from facetrack_cli.tracking.kernels.precompile import Precompiler
+from facetrack_cli.start.precompile import Precompiler
 from facetrack_cli.trajectory.header import is_there
 
 TRIES: Final = 2  # of a clip whose process a signal ends

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.types import Correction, Frame, Start
-from facetrack_cli.recipe.face import DETECTORS
+from facetrack_cli.engine.corrected import restored
+from facetrack_cli.engine.loop import Tracker, TrackState, track
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.checkpoint import forget
 from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended, is_tracked, silent
@@ -16,11 +18,9 @@ from facetrack_cli.runs.recording import ClipFacts, Recorder
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import frames_of
 from facetrack_cli.runs.stitch import join
-from facetrack_cli.tracking.build.build import tracker_for
-from facetrack_cli.tracking.corrected import restored
-from facetrack_cli.tracking.kernels.precompile import Precompiler
-from facetrack_cli.tracking.loop import Tracker, TrackState, track
-from facetrack_cli.tracking.smoothed import lagged
+from facetrack_cli.start.assembly import tracker_for
+from facetrack_cli.start.precompile import Precompiler
+from facetrack_cli.trackers.smoothed import lagged
 from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.shots import Shot

@@ -21,8 +21,8 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, reason
+from facetrack_cli.core.face_points import DetectorName
 from facetrack_cli.core.types import Box, Frame, Image
-from facetrack_cli.recipe.face import DetectorName
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_frames
 from facetrack_cli.runs.signals import never

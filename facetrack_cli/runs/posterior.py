@@ -12,12 +12,12 @@ from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.files import discard, publish, writing
 from facetrack_cli.core.npz import Kind, Stored, write_arrays
 from facetrack_cli.core.numbers import dumps
+from facetrack_cli.engine.protocols import Linear
+from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.recipe.skin import Cloud
 from facetrack_cli.run_folder.manifest import check_belongs
-from facetrack_cli.tracking.models.motion import Linear
-from facetrack_cli.tracking.smoothed import Beliefs
-from facetrack_cli.tracking.smoothing import Belief
+from facetrack_cli.trackers.skin.settings import Cloud
+from facetrack_cli.trackers.smoothed import Beliefs
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 
 KIND: Final = Kind("facetrack-posterior", 1, "posterior of a run", "facetrack run --smooth")

@@ -33,6 +33,7 @@ from facetrack_cli.core.files import (
 )
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Start
+from facetrack_cli.engine import loop
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder import checkpoint
 from facetrack_cli.run_folder.checkpoint import Checkpoints, forget
@@ -52,7 +53,6 @@ from facetrack_cli.runs.job import Job, Outcome, check, note_failure
 from facetrack_cli.runs.pipeline import Painter
 from facetrack_cli.runs.posterior import PosteriorWriter, WriterState, has_blocks
 from facetrack_cli.runs.verdict import Watch
-from facetrack_cli.tracking import loop
 from facetrack_cli.trajectory.diagnostics import KNOWN
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED, to_record
 from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory

@@ -26,7 +26,7 @@ from facetrack_cli.run_folder.manifest import (
 from facetrack_cli.runs.job import Report
 from facetrack_cli.runs.posterior import read_posterior
 from facetrack_cli.runs.signals import Stopped, StoppedError
-from facetrack_cli.tracking.smoothed import Beliefs, renamed_hands, smoothed_rows
+from facetrack_cli.trackers.smoothed import Beliefs, renamed_hands, smoothed_rows
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded, successive
 from facetrack_cli.video.overlay.overlay import Overlay

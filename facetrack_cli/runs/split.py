@@ -17,10 +17,10 @@ from typing import Any, Final
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, OutputError, UsageError
+from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.files import check_plain
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Array, Start, Whole
-from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.run_folder.fingerprint import clip_stat
 from facetrack_cli.runs.batch import check_all, run_batch
 from facetrack_cli.runs.job import Job, Outcome, Split, check, ended
@@ -28,7 +28,7 @@ from facetrack_cli.runs.people import film_start
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.stitch import CHUNKS, Plan, folder_of, read_plan
-from facetrack_cli.tracking.start.detectors import check_parts, detector
+from facetrack_cli.trackers.face.detectors import check_parts, detector
 from facetrack_cli.video.decode import read_index
 from facetrack_cli.video.source import FolderSource
 

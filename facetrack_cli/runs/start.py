@@ -11,19 +11,19 @@ from typing import Final
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.face_points import DETECTORS, DetectorName
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.hands import HANDS
 from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
-from facetrack_cli.recipe.face import DETECTORS, DetectorName
+from facetrack_cli.engine.checks import box_of, check_start
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.signals import never
-from facetrack_cli.tracking.build.build import tracker_for
-from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.start.checks import box_of, check_start
-from facetrack_cli.tracking.start.detectors import detector
-from facetrack_cli.tracking.start.init_file import find_init, read_init
-from facetrack_cli.tracking.start.search import Faces, box_start, search_start
-from facetrack_cli.tracking.start.targets import name_targets
+from facetrack_cli.start.assembly import tracker_for
+from facetrack_cli.start.init_file import find_init, read_init
+from facetrack_cli.start.search import Faces, box_start, search_start
+from facetrack_cli.start.targets import name_targets
+from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
 from facetrack_cli.trajectory.writers import by_frame
 from facetrack_cli.video.source import Source, open_source

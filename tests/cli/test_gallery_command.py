@@ -9,8 +9,8 @@ import pytest
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.report.figures.gallery import calibrated, gallery_figure, kept
 from facetrack_cli.report.figures.style import DPI, WIDTH, render
-from facetrack_cli.tracking.identity.fit import fit_gallery
-from facetrack_cli.tracking.identity.gallery import load_gallery
+from facetrack_cli.trackers.appearance.gallery import load_gallery
+from facetrack_cli.trackers.appearance.gallery_fit import fit_gallery
 from tests.support.gallery_faces import NAMES, people_folder
 from tests.support.samples import FOLDER
 
@@ -139,7 +139,7 @@ def test_what_is_there_is_not_replaced(facetrack):
     assert load_gallery(Path("gallery.npz")).names == NAMES
 
 
-@pytest.mark.parametrize("place", ["tracking.identity.people.find_faces", "core.files.publish"])
+@pytest.mark.parametrize("place", ["start.gallery_images.find_faces", "core.files.publish"])
 def test_an_interrupt_leaves_nothing_behind(facetrack, monkeypatch, place):
     def interrupted(*args, **kwargs):
         raise KeyboardInterrupt

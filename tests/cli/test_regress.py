@@ -19,7 +19,7 @@ from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.evaluation.goldens import check as regress
 from facetrack_cli.evaluation.goldens.goldens import find_goldens, read_golden
 from facetrack_cli.evaluation.goldens.output import as_junit
-from facetrack_cli.tracking.models.likelihoods.colour_ratio import ColourRatio
+from facetrack_cli.trackers.points.colour_ratio import ColourRatio
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
 Runner = Callable[..., tuple[int, str, str]]

@@ -21,7 +21,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.finished import _recipe, check_size, open_run
 from facetrack_cli.runs.signals import StoppedError
-from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.select import choose

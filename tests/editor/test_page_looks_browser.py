@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Start, TargetStart
-from facetrack_cli.tracking.start.init_file import read_init
+from facetrack_cli.start.init_file import read_init
 from tests.support.browser import DESK, PHONE, SMALL, until
 from tests.support.browser_looks import wrong_looks
 from tests.support.media import rotated, write_pictures, write_video

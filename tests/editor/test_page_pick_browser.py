@@ -8,8 +8,8 @@ import pytest
 
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.editor.web import session as session_module
-from facetrack_cli.tracking.start.detectors import PARTS
-from facetrack_cli.tracking.start.init_file import read_init
+from facetrack_cli.start.init_file import read_init
+from facetrack_cli.trackers.face.detectors import PARTS
 from tests.support.browser import until
 from tests.support.media import write_pictures, write_video
 from tests.support.samples import FOLDER, read_pictures

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.engine.calibration import RISES
 from facetrack_cli.evaluation.reliability import ELLIPSE_90
-from facetrack_cli.tracking.calibration import RISES
 from tests.support.samples import from_tools
 
 fitting = from_tools("calibration_fit")

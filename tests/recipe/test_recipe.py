@@ -11,12 +11,12 @@ from pydantic import ValidationError
 from facetrack_cli.core.errors import ExitCode, RecipeError
 from facetrack_cli.core.yaml_tree import MAX_BYTES, Source, YamlProblems, parse
 from facetrack_cli.recipe.files import read_recipe, resolve_file, shipped_recipes
-from facetrack_cli.recipe.filters import Factorized, Independent, Sir
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, to_dict
-from facetrack_cli.recipe.points import ColourRatio, Points
 from facetrack_cli.recipe.schema import json_schema
 from facetrack_cli.recipe.sections import Length
+from facetrack_cli.recipe.shared import Factorized, Independent, Sir
+from facetrack_cli.trackers.points.settings import ColourRatio, Points
 
 # from the tracker that Zhou et al. improve on to the whole of theirs, in this order, and what goes beyond it
 STEPS = [

@@ -12,7 +12,7 @@ import pytest
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.gallery_option import with_gallery
 from facetrack_cli.recipe.load import check_recipe, load_recipe
-from facetrack_cli.tracking.identity.fit import fit_gallery
+from facetrack_cli.trackers.appearance.gallery_fit import fit_gallery
 from tests.support.media import write_pictures
 from tests.support.samples import FOLDER, read_pictures
 from tests.support.terminal import refusal

@@ -153,7 +153,7 @@ def test_a_fault_of_ours_is_raised_and_not_the_end_of_a_clip(monkeypatch):
     def broken(*_):
         raise AttributeError("ours")
 
-    monkeypatch.setattr("facetrack_cli.tracking.target.ParticleTarget.advance", broken)
+    monkeypatch.setattr("facetrack_cli.engine.target.ParticleTarget.advance", broken)
     with pytest.raises(AttributeError, match="ours"):
         facetrack.track_video(CLIP, "factorized")
 

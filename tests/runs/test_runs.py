@@ -18,7 +18,7 @@ from facetrack_cli.runs.job import Job
 from facetrack_cli.runs.seeds import Plan, run_plans
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import Begin, truth_start
-from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import joined, one_part
 

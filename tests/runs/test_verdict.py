@@ -12,7 +12,7 @@ from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.job import lost_words
 from facetrack_cli.runs.verdict import EVERY_FRAMES, Watch
-from facetrack_cli.tracking.start.detectors import Found
+from facetrack_cli.trackers.face.detectors import Found
 from tests.support.results import part, result, target
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"

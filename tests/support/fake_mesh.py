@@ -6,8 +6,8 @@ import numpy as np
 
 from facetrack_cli.core.face_points import MESH
 from facetrack_cli.core.types import Frame
-from facetrack_cli.tracking.face.mesh import CROPS, NAMES, Mesh
-from facetrack_cli.tracking.face.stabilized import FACE, Similarity
+from facetrack_cli.trackers.face.mesh import CROPS, NAMES, Mesh
+from facetrack_cli.trackers.face.stabilized import FACE, Similarity
 from tests.support import moving_face as moving
 from tests.support.moving_face import PARTS, Pose
 

@@ -3,19 +3,25 @@
 from dataclasses import replace
 from functools import partial
 
-from facetrack_cli.recipe import affine, correlation_filter, filters, points, regions, skin
+from facetrack_cli.engine import filters as steps
+from facetrack_cli.recipe import shared as filters
 from facetrack_cli.recipe.sections import type_of
-from facetrack_cli.tracking import filters as steps
-from facetrack_cli.tracking.models.likelihoods.appearance import Appearance
-from facetrack_cli.tracking.models.likelihoods.colour_ratio import ColourRatio
-from facetrack_cli.tracking.models.likelihoods.contour import Contour
-from facetrack_cli.tracking.models.likelihoods.correlation import Correlation
-from facetrack_cli.tracking.models.likelihoods.histogram import Histogram
-from facetrack_cli.tracking.models.likelihoods.recognition import Recognition
-from facetrack_cli.tracking.models.likelihoods.skin_cloud import SkinCloud
-from facetrack_cli.tracking.models.likelihoods.skin_ncc import SkinNcc
-from facetrack_cli.tracking.models.motion import AffineWalk, VisibleWalk
-from facetrack_cli.tracking.models.velocity import PredictedWalk
+from facetrack_cli.trackers.appearance import settings as affine
+from facetrack_cli.trackers.appearance.appearance import Appearance
+from facetrack_cli.trackers.appearance.recognition import Recognition
+from facetrack_cli.trackers.appearance.velocity import AffineWalk, PredictedWalk
+from facetrack_cli.trackers.box import filters as box
+from facetrack_cli.trackers.box import settings as correlation_filter
+from facetrack_cli.trackers.box.motion import VisibleWalk
+from facetrack_cli.trackers.points import settings as points
+from facetrack_cli.trackers.points.colour_ratio import ColourRatio
+from facetrack_cli.trackers.regions import settings as regions
+from facetrack_cli.trackers.regions.contour import Contour
+from facetrack_cli.trackers.regions.correlation import Correlation
+from facetrack_cli.trackers.regions.histogram import Histogram
+from facetrack_cli.trackers.skin import settings as skin
+from facetrack_cli.trackers.skin.cloud import SkinCloud
+from facetrack_cli.trackers.skin.skin_ncc import SkinNcc
 
 
 def section(kind, **settings):
@@ -107,12 +113,12 @@ def factorized(reweight="prior", **settings):
 
 
 def adaptive(particles, **settings):
-    return section(filters.Adaptive, particles=particles, **settings)
+    return section(affine.Adaptive, particles=particles, **settings)
 
 
 def guided(particles, share):
-    return partial(steps.guided, section(correlation_filter.Guided, particles=particles, guided=share))
+    return partial(box.guided, section(correlation_filter.Guided, particles=particles, guided=share))
 
 
 def peak():
-    return partial(steps.peak, section(correlation_filter.Peak))
+    return partial(box.peak, section(correlation_filter.Peak))

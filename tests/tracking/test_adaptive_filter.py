@@ -11,13 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.recipe.affine import Noise, Velocity
-from facetrack_cli.tracking import filters
-from facetrack_cli.tracking.filters import Prediction
-from facetrack_cli.tracking.models.spaces import AffineSpace, Patches, estimate
-from facetrack_cli.tracking.models.velocity import eta
-from facetrack_cli.tracking.resampling import uniform
-from facetrack_cli.tracking.target import Bound, ParticleTarget
+from facetrack_cli.engine.filters import Prediction
+from facetrack_cli.engine.resampling import uniform
+from facetrack_cli.engine.spaces import estimate
+from facetrack_cli.engine.target import Bound, ParticleTarget
+from facetrack_cli.trackers.appearance import filters
+from facetrack_cli.trackers.appearance.settings import Noise, Velocity
+from facetrack_cli.trackers.appearance.space import AffineSpace, Patches
+from facetrack_cli.trackers.appearance.velocity import eta
 from facetrack_cli.trajectory.diagnostics import ENTROPY, POSTERIOR
 from tests.support.parts import adaptive, affine_walk, appearance, predicted
 from tests.support.results import parts_of

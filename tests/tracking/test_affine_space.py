@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.tracking.models.spaces import AffineSpace, estimate, evenly, scale_of
+from facetrack_cli.engine.spaces import estimate, evenly
+from facetrack_cli.trackers.appearance.space import AffineSpace, scale_of
 from tests.support.parts import affine_walk
 from tests.twins import guide as naive
 

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.tracking.kernels import mixture as kernel
-from facetrack_cli.tracking.kernels.compiled import exact
-from facetrack_cli.tracking.kernels.mixture import _exp2
-from facetrack_cli.tracking.models.likelihoods.appearance import OUTLIER_RANGE, Mixture
-from facetrack_cli.tracking.models.spaces import Patches
+from facetrack_cli.engine.kernels.compiled import exact
+from facetrack_cli.trackers.appearance import mixture_kernels as kernel
+from facetrack_cli.trackers.appearance.appearance import OUTLIER_RANGE, Mixture
+from facetrack_cli.trackers.appearance.mixture_kernels import _exp2
+from facetrack_cli.trackers.appearance.space import Patches
 from tests.support.parts import appearance, changed, components
 from tests.tracking.test_patches import frame, smooth, state, states
 from tests.twins import appearance as naive

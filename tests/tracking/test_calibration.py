@@ -8,9 +8,16 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import InputError, RecipeError
+from facetrack_cli.engine.calibration import (
+    Calibration,
+    CrossChecked,
+    Isotonic,
+    Logistic,
+    features,
+    load_calibration,
+)
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.runs.api import track_video
-from facetrack_cli.tracking.calibration import Calibration, CrossChecked, Isotonic, Logistic, features, load_calibration
 from facetrack_cli.trajectory.trajectory import SPREAD, build
 from tests.support.samples import FOLDER
 

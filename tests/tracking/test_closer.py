@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import BOX, Frame
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.face.stabilized import FACE, Similarity
-from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.start.closer import again, everywhere, righted
-from facetrack_cli.tracking.start.detectors import Found, Haar, YuNet, yunet_model
-from facetrack_cli.tracking.start.search import ALONE_S, STILL_S, box_start, search_start
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.start.search import ALONE_S, STILL_S, box_start, search_start
+from facetrack_cli.trackers.face.closer import again, everywhere, righted
+from facetrack_cli.trackers.face.detectors import Found, Haar, YuNet, yunet_model
+from facetrack_cli.trackers.face.stabilized import FACE, Similarity
 from tests.support import moving_face as moving
 from tests.support.moving_face import EYES, PARTS, Pose
 

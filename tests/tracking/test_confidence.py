@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame
+from facetrack_cli.engine import confidence as judging
 from facetrack_cli.recipe.model import Confidence
-from facetrack_cli.tracking import confidence as judging
 
 X0 = np.array([[50.0, 50.0], [80.0, 50.0]])
 WINDOWS = np.array([[10.0, 10.0], [20.0, 12.0]])

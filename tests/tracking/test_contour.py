@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.tracking.kernels import contour
-from facetrack_cli.tracking.models.likelihoods.contour import ellipse
+from facetrack_cli.trackers.regions import contour_kernels as contour
+from facetrack_cli.trackers.regions.contour import ellipse
 from tests.support import parts
 from tests.support.images import grey, states
 from tests.twins import contour as naive_contour

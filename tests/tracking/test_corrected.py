@@ -7,11 +7,13 @@ import pytest
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
+from facetrack_cli.engine.corrected import CorrectedTarget
+from facetrack_cli.engine.loop import track
+from facetrack_cli.engine.spaces import BoxSpace, Estimate, PointSpace
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.corrected import CorrectedTarget
-from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.models.spaces import AffineSpace, BoxSpace, CloudSpace, Estimate, PointSpace
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.trackers.appearance.space import AffineSpace
+from facetrack_cli.trackers.skin.space import CloudSpace
 from facetrack_cli.trajectory.trajectory import joined
 from facetrack_cli.trajectory.writers import csv_frames
 from tests.support.results import parts_of

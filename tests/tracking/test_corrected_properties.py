@@ -12,12 +12,12 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.save import save
+from facetrack_cli.engine.corrected import is_complete
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.run_folder.finished import open_run
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.corrected import is_complete
-from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.start.init_file import read_init, write_init
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.start.init_file import read_init, write_init
 from facetrack_cli.trajectory.header import CORRECTED
 from tests.support.samples import FOLDER
 from tests.tracking.test_corrected import PARTS, Clip, lines, part, run

@@ -7,9 +7,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame, Particles
-from facetrack_cli.tracking.kernels import patches
-from facetrack_cli.tracking.kernels.affine import boxes_extent
-from facetrack_cli.tracking.models.likelihoods.correlation import OUTSIDE
+from facetrack_cli.engine.kernels.affine import boxes_extent
+from facetrack_cli.trackers.regions import patch_kernels as patches
+from facetrack_cli.trackers.regions.correlation import OUTSIDE
 from tests.support.images import grey, states
 from tests.support.parts import correlation
 from tests.twins import patches as naive_patches

@@ -13,7 +13,7 @@ from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.save import save
 from facetrack_cli.report import figures as plots
 from facetrack_cli.run_folder.finished import open_run
-from facetrack_cli.tracking.models.likelihoods import colour_ratio
+from facetrack_cli.trackers.points import colour_ratio
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, Diagnostic
 from facetrack_cli.trajectory.header import CORRECTED
 from facetrack_cli.trajectory.reader import read_trajectory

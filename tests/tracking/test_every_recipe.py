@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Frame, Start, TargetStart
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe
-from facetrack_cli.tracking import opencv
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.loop import track
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.trackers import opencv
 from facetrack_cli.trajectory.writers import csv_frames
 from tests.support.samples import FOLDER, TrackClip
 

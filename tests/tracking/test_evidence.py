@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Frame
-from facetrack_cli.tracking.face import evidence
-from facetrack_cli.tracking.face.evidence import (
+from facetrack_cli.trackers.face import evidence
+from facetrack_cli.trackers.face.detectors import Found
+from facetrack_cli.trackers.face.evidence import (
     AWAY,
     BOUND,
     CUT,
@@ -24,9 +25,8 @@ from facetrack_cli.tracking.face.evidence import (
     look_of,
     probabilities,
 )
-from facetrack_cli.tracking.face.stabilized import Similarity
-from facetrack_cli.tracking.people.looks import Picture
-from facetrack_cli.tracking.start.detectors import Found
+from facetrack_cli.trackers.face.stabilized import Similarity
+from facetrack_cli.trackers.people.looks import Picture
 
 BOX = (40.0, 30.0, 60.0, 60.0)
 ELSEWHERE = (140.0, 60.0, 80.0, 80.0)

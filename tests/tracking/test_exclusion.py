@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.recipe.skin import Exclusion
-from facetrack_cli.tracking.loop import Footprint, log_weights
+from facetrack_cli.engine.loop import Footprint
+from facetrack_cli.trackers.skin.exclusion import log_weights
+from facetrack_cli.trackers.skin.settings import Exclusion
 
 HEAD = Footprint(np.array([50.0, 40.0]), np.array([10.0, 20.0]))
 number = st.floats(-1e7, 1e7)

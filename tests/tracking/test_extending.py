@@ -12,14 +12,14 @@ import pytest
 from pydantic import Field
 
 from facetrack_cli.core.errors import ExitCode, RecipeError
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe import Filter, Likelihood, Refusal, Section, sections
 from facetrack_cli.recipe.files import read_recipe, shipped_recipes
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.recipe.model import completed, rebuild, register, to_dict
 from facetrack_cli.recipe.schema import json_schema
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.start.init_file import read_init
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
 from facetrack_cli.video.source import open_source
 from tests.support.results import rows_of
@@ -205,7 +205,7 @@ def test_every_engine_that_a_section_names_is_there():
             assert callable(sections.pkgutil.resolve_name(section.engine)), section
             assert section.goes_with or kind is sections.Target
     engines = re.findall(r"engine = \"(.*)\"", PAGE.read_text(encoding="utf-8"))
-    assert engines and all(one.startswith("facetrack_cli.tracking.models.likelihoods.") for one in engines)
+    assert engines and all(one.startswith("facetrack_cli.trackers.points.") for one in engines)
 
 
 # --- what cannot be registered

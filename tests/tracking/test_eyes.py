@@ -6,13 +6,13 @@ import pytest
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.face.descent import load_descent, seen_in
-from facetrack_cli.tracking.face.eyes import CORNERS, POINTS, SMALL, load_eyes, openings
-from facetrack_cli.tracking.face.mesh import Iris
-from facetrack_cli.tracking.face.stabilized import EYES
-from facetrack_cli.tracking.loop import track
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.trackers.face.descent import load_descent, seen_in
+from facetrack_cli.trackers.face.eyes import CORNERS, POINTS, SMALL, load_eyes, openings
+from facetrack_cli.trackers.face.mesh import Iris
+from facetrack_cli.trackers.face.stabilized import EYES
 from tests.support import moving_face as moving
 from tests.support.fake_mesh import _AT, IN_CLIP, head_of
 from tests.support.moving_face import PARTS, Pose

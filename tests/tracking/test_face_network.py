@@ -11,15 +11,15 @@ from facetrack_cli.cli.app import cli
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import GROUPS, POINTS
 from facetrack_cli.core.types import BOX, Correction, TargetStart
+from facetrack_cli.engine.corrected import completed, correctable_parts, is_complete
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.run_folder.manifest import Manifest
-from facetrack_cli.tracking.build import targets
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.corrected import completed, correctable_parts, is_complete
-from facetrack_cli.tracking.face.mesh import CROPS, NAMES
-from facetrack_cli.tracking.face.stabilized import EYES
-from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.smoothed import smoothed_rows
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.trackers.face import assembly as targets
+from facetrack_cli.trackers.face.mesh import CROPS, NAMES
+from facetrack_cli.trackers.face.stabilized import EYES
+from facetrack_cli.trackers.smoothed import smoothed_rows
 from facetrack_cli.trajectory.diagnostics import NETWORK
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import UNSEEN, successive

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.tracking.models.spaces import estimate
-from facetrack_cli.tracking.resampling import distinct, effective_sample_size, uniform
+from facetrack_cli.engine.resampling import distinct, effective_sample_size, uniform
+from facetrack_cli.engine.spaces import estimate
 from tests.support.parts import auxiliary, factorized, sir
 from tests.tracking.test_filters import APART, FRAMES, K, LinearGaussian, Q, R, kalman, rmse, run, simulate
 

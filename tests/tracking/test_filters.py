@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.tracking.models.motion import RandomWalk
-from facetrack_cli.tracking.resampling import SCHEMES, logsumexp, uniform
+from facetrack_cli.engine.motion import RandomWalk
+from facetrack_cli.engine.resampling import SCHEMES, logsumexp, uniform
 from tests.support.parts import auxiliary, factorized, sir
 
 K, D, FRAMES = 4, 1, 30
@@ -46,7 +46,11 @@ class LinearGaussian:
     def log_prior(self, x):
         return -0.5 * np.einsum("nid,ij,njd->n", x, tie_precision(), x) if self.tied else np.zeros(len(x))
 
-    def propose_part(self, rng, x, part):
+    @property
+    def prior(self):
+        return self
+
+    def propose(self, rng, x, part):
         others = np.delete(np.arange(K), part)
         return x[:, others].mean(axis=1) + TIE * rng.standard_normal((len(x), D))
 

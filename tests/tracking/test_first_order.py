@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.tracking.models.likelihoods.product import Product
-from facetrack_cli.tracking.models.motion import FirstOrder
-from facetrack_cli.tracking.models.spaces import BoxSpace, evenly
-from facetrack_cli.tracking.resampling import uniform
+from facetrack_cli.engine.motion import FirstOrder
+from facetrack_cli.engine.resampling import uniform
+from facetrack_cli.engine.spaces import BoxSpace, evenly
+from facetrack_cli.trackers.regions.product import Product
 from tests.support.parts import auxiliary, factorized, sir
 
 A = np.array([[1.0, 0.9], [0.0, 0.8]])

@@ -8,9 +8,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.tracking.identity.fit import Samples, equal_errors, fit_gallery, fit_logistic, off_the_mark
-from facetrack_cli.tracking.identity.gallery import NONE, Gallery, load_gallery, logistic
-from facetrack_cli.tracking.identity.subspaces import MIN_RHO, Moments, Subspace, common_basis, fit_subspace, folds_by
+from facetrack_cli.trackers.appearance.gallery import NONE, Gallery, load_gallery, logistic
+from facetrack_cli.trackers.appearance.gallery_fit import (
+    Samples,
+    equal_errors,
+    fit_gallery,
+    fit_logistic,
+    off_the_mark,
+)
+from facetrack_cli.trackers.appearance.subspaces import (
+    MIN_RHO,
+    Moments,
+    Subspace,
+    common_basis,
+    fit_subspace,
+    folds_by,
+)
 from tests.twins import gallery as naive_gallery
 
 SHAPE = (10, 8)
@@ -132,7 +145,7 @@ def test_a_basis_changes_nothing():
     ("n", "d", "most", "rank"), [(9, 30, 12, 9), (40, 12, 12, None), (30, 40, 7, 7), (40, 30, 7, 7)]
 )
 def test_a_basis_has_the_largest_directions(monkeypatch, n, d, most, rank):
-    monkeypatch.setattr("facetrack_cli.tracking.identity.subspaces.MAX_ROWS", 10_000)
+    monkeypatch.setattr("facetrack_cli.trackers.appearance.subspaces.MAX_ROWS", 10_000)
     x = np.random.default_rng(n).normal(size=(n, d)) * np.linspace(3, 0.1, d)
     basis = common_basis(x, most)
     if rank is None:
@@ -140,7 +153,7 @@ def test_a_basis_has_the_largest_directions(monkeypatch, n, d, most, rank):
         return
     largest = np.linalg.svd(x, full_matrices=False)[2][:rank]
     np.testing.assert_allclose(np.abs(basis @ largest.T).round(6), np.eye(rank)[:, : len(largest)], atol=1e-6)
-    monkeypatch.setattr("facetrack_cli.tracking.identity.subspaces.MAX_ROWS", 20)
+    monkeypatch.setattr("facetrack_cli.trackers.appearance.subspaces.MAX_ROWS", 20)
     some = common_basis(x, most)  # of evenly spread rows
     assert some.shape == basis.shape
     np.testing.assert_allclose(some @ some.T, np.eye(len(some)), atol=1e-9)

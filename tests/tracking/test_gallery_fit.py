@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
-from facetrack_cli.tracking.identity.people import (
+from facetrack_cli.start.gallery_images import (
     SHIFT,
     STRETCH,
     TURN,
@@ -20,8 +20,8 @@ from facetrack_cli.tracking.identity.people import (
     off,
     read_faces,
 )
-from facetrack_cli.tracking.models.spaces import Patches
-from facetrack_cli.tracking.start.detectors import find_faces
+from facetrack_cli.trackers.appearance.space import Patches
+from facetrack_cli.trackers.face.detectors import find_faces
 from tests.support.gallery_faces import face_of, people_folder
 from tests.support.media import write_video
 

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.recipe.affine import Noise, Velocity
-from facetrack_cli.tracking.kernels.least_squares import differences, gain, mapped
-from facetrack_cli.tracking.models.spaces import Patches
-from facetrack_cli.tracking.models.velocity import RANK, Flow, eta
+from facetrack_cli.trackers.appearance.settings import Noise, Velocity
+from facetrack_cli.trackers.appearance.space import Patches
+from facetrack_cli.trackers.appearance.velocity import RANK, Flow, eta
+from facetrack_cli.trackers.appearance.velocity_kernels import differences, gain, mapped
 from tests.support.parts import affine_walk, appearance, changed, predicted
 from tests.tracking.test_patches import frame, smooth, state
 from tests.twins import guide as naive

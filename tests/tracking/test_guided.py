@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.tracking.guides import Guides
-from facetrack_cli.tracking.models.spaces import VISIBLE
-from facetrack_cli.tracking.resampling import logsumexp, normalise, uniform
+from facetrack_cli.engine.resampling import logsumexp, normalise, uniform
+from facetrack_cli.trackers.box.proposals import Guides
+from facetrack_cli.trackers.box.space import VISIBLE
 from tests.support.parts import guided, peak, visible_walk
 
 SIGMA, HIDDEN = 3.0, 1.5
@@ -34,14 +34,13 @@ class Modes:
     def propagate(self, rng, x):
         return self.motion.propagate(rng, x)
 
-    def forecast(self, particles):
-        return self.motion.forecast(particles)
-
-    def arrive(self, rng, z, particles, *, found=False):
-        return self.motion.arrive(rng, z, particles, found=found)
+    learned = None
 
     @property
-    def guides(self):
+    def likelihood(self):
+        return self
+
+    def guides(self, learned=None):
         mean = np.atleast_2d(np.asarray(self.mean, float))
         std = np.broadcast_to(np.asarray(self.std, float), mean.shape).copy()
         tops = np.broadcast_to(np.asarray(self.tops, float), len(mean)).copy()
@@ -54,7 +53,7 @@ class Modes:
     def at(self, z):
         if self.flat is not None:
             return np.full(len(z), self.flat)
-        of = self.guides
+        of = self.guides()
         return logsumexp(of.log_w - 0.5 * np.sum(((z[:, None] - of.mean) / of.std) ** 2, axis=2), axis=1)
 
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.tracking.models.correlation_filter.heights import Heights, Peaks, ResponseView, Usual, evidence
-from facetrack_cli.tracking.models.correlation_filter.trained import UPSAMPLED
+from facetrack_cli.trackers.box.peak_statistics import Heights, Peaks, ResponseView, Usual, evidence
+from facetrack_cli.trackers.box.trained import UPSAMPLED
 
 
 def log_density(x, of):

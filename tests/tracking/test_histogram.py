@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.tracking.kernels import histogram as kernel
+from facetrack_cli.trackers.regions import histogram_kernels as kernel
 from tests.support.images import frame, states
 from tests.support.parts import histogram
 from tests.twins import histogram as naive

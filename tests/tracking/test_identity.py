@@ -8,11 +8,27 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
-from facetrack_cli.tracking.face.stabilized import Similarity
-from facetrack_cli.tracking.people import identity
-from facetrack_cli.tracking.people.identity import SENSES, SURE, UNKNOWN, Seen, cast_of, clusters, same_person
-from facetrack_cli.tracking.people.looks import VIEWS, Looks, Reader, View, load_people, save_people, together
-from facetrack_cli.tracking.start.detectors import Found
+from facetrack_cli.trackers.face.detectors import Found
+from facetrack_cli.trackers.face.stabilized import Similarity
+from facetrack_cli.trackers.people import identity
+from facetrack_cli.trackers.people.identity import (
+    SENSES,
+    SURE,
+    UNKNOWN,
+    Seen,
+    cast_of,
+    clusters,
+    same_person,
+)
+from facetrack_cli.trackers.people.looks import (
+    VIEWS,
+    Looks,
+    Reader,
+    View,
+    load_people,
+    save_people,
+    together,
+)
 
 
 def unit(seed, size):

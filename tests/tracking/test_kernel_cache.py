@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from facetrack_cli.tracking.kernels import cache as kernel_cache
-from facetrack_cli.tracking.kernels import precompile
+from facetrack_cli.engine.kernels import cache as kernel_cache
+from facetrack_cli.start import precompile
 
 posix = pytest.mark.skipif(os.name != "posix", reason="owners and modes of POSIX")
 CLIPS = Path(__file__).parents[2] / "sample_videos"
@@ -23,7 +23,7 @@ RECIPES = {
 _RUN = """
 import json, sys
 from facetrack_cli.__main__ import main
-from facetrack_cli.tracking.kernels import precompile as kernels
+from facetrack_cli.start import precompile as kernels
 for recipe, clip in json.loads(sys.argv[1]).items():
     done = ["-o", f"{sys.argv[2]}/{recipe}", "--no-video", "--stop", "12", "--threads", "1", "-q"]
     assert main(["run", clip, "--config", recipe, *done]) == 0
@@ -99,11 +99,11 @@ def package(tmp_path_factory):
     """A module of two kernels and their own cache: (call both, the cache's folder)."""
     folder = tmp_path_factory.mktemp("kernels")
     (folder / "two.py").write_text(
-        "from facetrack_cli.tracking.kernels.compiled import exact\n"
+        "from facetrack_cli.engine.kernels.compiled import exact\n"
         "@exact\ndef add(a, b):\n    return a + b\n@exact\ndef less(a, b):\n    return a - b\n"
     )
     script = (
-        "from facetrack_cli.tracking.kernels import cache; cache.tell(print); import two\n"
+        "from facetrack_cli.engine.kernels import cache; cache.tell(print); import two\n"
         "print(two.add(1, two.less(2, 1)), sum(sum(one.stats.cache_hits.values()) for one in (two.add, two.less)))"
     )
 
@@ -198,12 +198,13 @@ def test_nothing_is_compiled_that_the_settings_do_not_call_nor_after_a_stop(comp
 
 
 def test_the_second_process_leaves_kernels_for_the_first(tmp_path):
-    order = json.dumps([sys.path, ["histogram.crop"]])
+    order = json.dumps([sys.path, ["trackers.regions.histogram_kernels.crop"]])
     done = python(precompile._SECOND.format(precompile.__name__), order, NUMBA_CACHE_DIR=str(tmp_path))
     assert (done.stdout, done.stderr) == ("", "")
     script = (
-        "from facetrack_cli.tracking.kernels import precompile\n"
-        "print(*(precompile._is_cached(name) for name in ('histogram.crop', 'histogram.edges')))"
+        "from facetrack_cli.start import precompile\n"
+        "names = ('trackers.regions.histogram_kernels.crop', 'trackers.regions.histogram_kernels.edges')\n"
+        "print(*(precompile._is_cached(name) for name in names))"
     )
     assert python(script, NUMBA_CACHE_DIR=str(tmp_path)).stdout == "True False\n"
 

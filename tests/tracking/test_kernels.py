@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.tracking.kernels import resampling, windows
+from facetrack_cli.engine.kernels import resampling
+from facetrack_cli.trackers.points import window_kernels as windows
 from tests.twins import windows as naive
 
 

@@ -10,12 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame, Particles, Start, TargetStart
+from facetrack_cli.engine.resampling import uniform
+from facetrack_cli.engine.target import ParticleTarget
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.models.spaces import CloudSpace
-from facetrack_cli.tracking.resampling import uniform
-from facetrack_cli.tracking.roles import PreparesFrame
-from facetrack_cli.tracking.target import ParticleTarget
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.trackers.skin.space import CloudSpace
 from tests.support.moving_head import START, H, W, path, scene
 from tests.support.samples import FOLDER
 
@@ -91,9 +90,7 @@ def fresh(frame):
 
 def prepared(target, learned, frame, expected=None):
     """What is learned, ready to score particles in a frame."""
-    if isinstance(target.likelihood, PreparesFrame):
-        return target.likelihood.look(learned, frame, target.x0 if expected is None else expected)
-    return learned
+    return target.likelihood.look(learned, frame, target.x0 if expected is None else expected)
 
 
 def scored(target, learned, frame, x):

@@ -7,12 +7,12 @@ import pytest
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import MESH, POINTS
-from facetrack_cli.tracking.face.descent import load_descent, seen_in
-from facetrack_cli.tracking.face.mesh import COUNT, CROPS, NAMES, Mesh
-from facetrack_cli.tracking.face.senses import Senses
-from facetrack_cli.tracking.face.sensors import DETECTOR, FADES, NETWORK, REGRESSION
-from facetrack_cli.tracking.face.stabilized import EYES
-from facetrack_cli.tracking.start.detectors import Found
+from facetrack_cli.trackers.face.descent import load_descent, seen_in
+from facetrack_cli.trackers.face.detectors import Found
+from facetrack_cli.trackers.face.mesh import COUNT, CROPS, NAMES, Mesh
+from facetrack_cli.trackers.face.senses import Senses
+from facetrack_cli.trackers.face.sensors import DETECTOR, FADES, NETWORK, REGRESSION
+from facetrack_cli.trackers.face.stabilized import EYES
 from tests.support import moving_face as moving
 from tests.support.fake_mesh import IN_CLIP, FakeMesh, head_of
 from tests.support.moving_face import PARTS, Pose

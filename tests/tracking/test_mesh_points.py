@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from facetrack_cli.tracking.face.mesh_points import MOVES, NO_FACE, OFF, TREMBLES, MeshPoints
-from facetrack_cli.tracking.face.stabilized import EYES, MIDDLE, Similarity
+from facetrack_cli.trackers.face.mesh_points import MOVES, NO_FACE, OFF, TREMBLES, MeshPoints
+from facetrack_cli.trackers.face.stabilized import EYES, MIDDLE, Similarity
 
 REST = MIDDLE + 30 * np.random.default_rng(7).standard_normal((30, 2))
 VISIBLE = np.full(30, 4.0)

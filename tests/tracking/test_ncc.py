@@ -9,8 +9,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.tracking.kernels import ncc as kernel
-from facetrack_cli.tracking.models.likelihoods import ncc as matching
+from facetrack_cli.trackers.skin import ncc as matching
+from facetrack_cli.trackers.skin import ncc_kernels as kernel
 from tests.support.images import frame, grey, smooth, states
 from tests.support.parts import pattern
 from tests.support.skin_faces import SIZE, TRUTH, learned, scene

@@ -7,10 +7,10 @@ import pytest
 
 from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.types import Frame, Start, TargetStart
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.tracking import opencv
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.loop import track
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.trackers import opencv
 from tests.support.results import file_rows, parts_of
 
 NAMES = ["mil", "csrt", "kcf", "mosse"]

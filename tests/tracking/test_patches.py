@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import MAX_REMEMBERED, Frame
-from facetrack_cli.tracking.models.spaces import Patches, scale_of
+from facetrack_cli.trackers.appearance.space import Patches, scale_of
 from tests.twins import appearance as naive
 
 SIZE, SHAPE = (26.0, 30.0), (30, 26)

@@ -12,10 +12,10 @@ from facetrack_cli.core.errors import InputError, RecipeError, UsageError
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.report.figures.shape_prior import prior_figure
 from facetrack_cli.report.figures.style import COLOURS, FAINT, render
-from facetrack_cli.tracking.kernels.shape import LANES, PADDING, log_parzen, pick_shape
-from facetrack_cli.tracking.models.shape_prior import (
+from facetrack_cli.trackers.face.shape_prior import StudentPrior
+from facetrack_cli.trackers.points.shape_kernels import LANES, PADDING, log_parzen, pick_shape
+from facetrack_cli.trackers.points.shape_prior import (
     ShapePrior,
-    StudentPrior,
     bind,
     default_prior_path,
     fit_prior,

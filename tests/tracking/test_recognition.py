@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.types import Frame, Particles
+from facetrack_cli.engine.resampling import normalise
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.tracking.build.build import check_gallery
-from facetrack_cli.tracking.identity.fit import fit_gallery
-from facetrack_cli.tracking.identity.gallery import NONE
-from facetrack_cli.tracking.models.spaces import Patches
-from facetrack_cli.tracking.resampling import normalise
+from facetrack_cli.start.assembly import check_gallery
+from facetrack_cli.trackers.appearance.gallery import NONE
+from facetrack_cli.trackers.appearance.gallery_fit import fit_gallery
+from facetrack_cli.trackers.appearance.space import Patches
 from tests.support import parts
 from tests.tracking.test_gallery import SHAPE, D, people
 from tests.twins import gallery as naive_gallery

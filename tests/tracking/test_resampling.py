@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from facetrack_cli.tracking.resampling import SCHEMES, effective_sample_size, logsumexp, normalise, uniform
+from facetrack_cli.engine.resampling import SCHEMES, effective_sample_size, logsumexp, normalise, uniform
 
 
 class Extreme(np.random.Generator):

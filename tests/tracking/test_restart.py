@@ -7,10 +7,10 @@ import pytest
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import TargetStart
+from facetrack_cli.engine.loop import track
+from facetrack_cli.engine.target import Bound
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.target import Bound
+from facetrack_cli.start.assembly import build_tracker
 from tests.tracking.test_corrected import PARTS, Clip, given, part, run
 
 HIDDEN = ("nose", "lip_upper")

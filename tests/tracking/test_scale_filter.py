@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Frame
-from facetrack_cli.tracking.models.correlation_filter.colour import ColourModel
-from facetrack_cli.tracking.models.correlation_filter.scale import ScaleTrainer
+from facetrack_cli.trackers.box.colour import ColourModel
+from facetrack_cli.trackers.box.scale import ScaleTrainer
 
 CENTRE = np.array([80.3, 59.6])
 STEP = 1.02

@@ -7,9 +7,9 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
-from facetrack_cli.tracking.face.descent import PlacedPoints, load_descent
-from facetrack_cli.tracking.start.detectors import Found
-from facetrack_cli.tracking.start.search import MIN_LOOKS, SEARCHED_FRAMES, search_start
+from facetrack_cli.start.search import MIN_LOOKS, SEARCHED_FRAMES, search_start
+from facetrack_cli.trackers.face.descent import PlacedPoints, load_descent
+from facetrack_cli.trackers.face.detectors import Found
 from tests.support import moving_face as moving
 from tests.support.moving_face import PARTS, Pose
 

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.tracking.face import sensors
-from facetrack_cli.tracking.face.sensors import (
+from facetrack_cli.trackers.face import sensors
+from facetrack_cli.trackers.face.motion import SensorReading
+from facetrack_cli.trackers.face.sensors import (
     AREA,
     ASTRAY,
     BLIND,
@@ -29,8 +30,7 @@ from facetrack_cli.tracking.face.sensors import (
     joined,
     who_is_right,
 )
-from facetrack_cli.tracking.face.stabilized import EYES, SIDE
-from facetrack_cli.tracking.models.motion import SensorReading
+from facetrack_cli.trackers.face.stabilized import EYES, SIDE
 
 PLACES = np.array([[80.0, 100.0], [64.0, 120.0], [96.0, 120.0]])
 VISIBLE = np.ones(3)

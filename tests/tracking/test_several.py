@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Frame, Info, Particles, Start, TargetStart
+from facetrack_cli.engine.loop import Footprint, track
+from facetrack_cli.engine.motion import FirstOrder
+from facetrack_cli.engine.spaces import BoxSpace, evenly
+from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.recipe.skin import Exclusion, SkinCloud
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.loop import Footprint, track
-from facetrack_cli.tracking.models.motion import FirstOrder
-from facetrack_cli.tracking.models.spaces import BoxSpace, CloudSpace, evenly
-from facetrack_cli.tracking.target import ParticleState, ParticleTarget
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.trackers.skin.settings import Exclusion, SkinCloud
+from facetrack_cli.trackers.skin.space import CloudSpace
 from tests.support.parts import sir
 from tests.support.results import target
 
@@ -134,13 +135,17 @@ def built(config, *overrides, names=ALL):
     return build_tracker(load_recipe(config, overrides), start)
 
 
+def settings(target):
+    return target.exclusion and target.exclusion.args[0]
+
+
 def test_targets_are_built_in_the_recipes_order_and_the_first_keep_off_none():
     tracker = built("head_hands", "exclusion.strength=0.3", "exclusion.reach=2", names=ALL[::-1])
     assert tuple(target.name for target in tracker) == ALL
     exclusion = Exclusion(strength=0.3, reach=2.0, first=("head",))
-    assert [target.exclusion for target in tracker] == [None, exclusion, exclusion]
+    assert [settings(target) for target in tracker] == [None, exclusion, exclusion]
     everyone = built("head_hands", "exclusion.first=[]")
-    assert all(target.exclusion == Exclusion(strength=0.9, reach=1.0) for target in everyone)
+    assert all(settings(target) == Exclusion(strength=0.9, reach=1.0) for target in everyone)
     assert all(target.exclusion is None for target in built("head_hands", "exclusion=null"))
 
 

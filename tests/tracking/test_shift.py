@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import facetrack_cli
-from facetrack_cli.tracking.models.shift import shift_between
+from facetrack_cli.engine.shift import shift_between
 
 ODD = [(240, 135), (135, 240), (80, 45), (45, 80), (75, 60), (60, 75), (81, 75), (25, 27)]
 EVEN = [(80, 60), (160, 120), (120, 90), (128, 96), (64, 120)]

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
-from facetrack_cli.recipe.skin import LEAST_SHARE
-from facetrack_cli.tracking.kernels import skin as kernel
-from facetrack_cli.tracking.models.skin_colour import MIN_CONTRAST, MIN_VARIANCE, kovac, learn_skin, note
+from facetrack_cli.trackers.skin import skin_kernels as kernel
+from facetrack_cli.trackers.skin.colour import MIN_CONTRAST, MIN_VARIANCE, kovac, learn_skin, note
+from facetrack_cli.trackers.skin.settings import LEAST_SHARE
 from tests.twins import skin as naive
 
 FACE = (50.0, 40.0, 60.0, 70.0)

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Frame, Start, TargetStart
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.loop import track
+from facetrack_cli.start.assembly import build_tracker
 from tests.support.parts import skin_cloud
 from tests.support.results import rows_of
 

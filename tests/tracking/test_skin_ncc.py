@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.recipe.skin import SkinNcc
-from facetrack_cli.tracking.kernels import skin as kernel
-from facetrack_cli.tracking.models.likelihoods import ncc as matching
-from facetrack_cli.tracking.models.likelihoods.skin_ncc import MIN_NCC
-from facetrack_cli.tracking.models.skin_colour import learn_skin
+from facetrack_cli.trackers.skin import ncc as matching
+from facetrack_cli.trackers.skin import skin_kernels as kernel
+from facetrack_cli.trackers.skin.colour import learn_skin
+from facetrack_cli.trackers.skin.settings import SkinNcc
+from facetrack_cli.trackers.skin.skin_ncc import MIN_NCC
 from tests.support.images import frame, states
 from tests.support.parts import pattern, skin_cue, skin_ncc
 from tests.support.samples import TrackClip

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Frame
-from facetrack_cli.tracking.models.skin_colour import learn_skin
-from facetrack_cli.tracking.start.targets import hand_regions
+from facetrack_cli.start.targets import hand_regions
+from facetrack_cli.trackers.skin.colour import learn_skin
 
 FACE = (130.0, 40.0, 50.0, 60.0)
 USUAL, DARK = (205, 150, 125), (52, 36, 30)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Correction, TargetStart
+from facetrack_cli.engine.loop import track
+from facetrack_cli.engine.motion import RandomWalk
+from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.tracking.build.build import tracker_for
-from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.models.motion import RandomWalk
-from facetrack_cli.tracking.smoothed import lagged, smoothed_rows
-from facetrack_cli.tracking.smoothing import Belief
+from facetrack_cli.start.assembly import tracker_for
+from facetrack_cli.trackers.smoothed import lagged, smoothed_rows
 from facetrack_cli.trajectory.trajectory import UNSEEN, FrameResult, TargetResult, build, successive
 from facetrack_cli.trajectory.writers import csv_frames
 from tests.support.samples import TrackClip

@@ -8,10 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.recipe import affine, correlation_filter
-from facetrack_cli.tracking import smoothing
-from facetrack_cli.tracking.models.motion import AffineWalk, FirstOrder, JumpingWalk, RandomWalk, VisibleWalk
-from facetrack_cli.tracking.smoothing import Belief
+from facetrack_cli.engine import smoothing
+from facetrack_cli.engine.motion import FirstOrder, RandomWalk
+from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.trackers.appearance import settings as affine
+from facetrack_cli.trackers.appearance.velocity import AffineWalk
+from facetrack_cli.trackers.box import settings as correlation_filter
+from facetrack_cli.trackers.box.motion import VisibleWalk
+from facetrack_cli.trackers.face.motion import JumpingWalk
 
 STAY = np.array([[1.0, 0.0], [0.0, 0.0]])
 PLACE = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[2.0], [1.0]])  # one source of noise for place and speed

@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError, UsageError
+from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.types import Frame, Start, TargetStart
-from facetrack_cli.recipe.face import DETECTORS
-from facetrack_cli.tracking.start.checks import check_start
-from facetrack_cli.tracking.start.detectors import PARTS, find_faces
-from facetrack_cli.tracking.start.init_file import find_init, read_init, write_init
-from facetrack_cli.tracking.start.points import mean_eyes, place
-from facetrack_cli.tracking.start.preview import draw_start
-from facetrack_cli.tracking.start.search import box_start, search_start
+from facetrack_cli.engine.checks import check_start
+from facetrack_cli.start.init_file import find_init, read_init, write_init
+from facetrack_cli.start.preview import draw_start
+from facetrack_cli.start.search import box_start, search_start
+from facetrack_cli.trackers.face.detectors import PARTS, find_faces
+from facetrack_cli.trackers.face.points import mean_eyes, place
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
 CLIPS = Path(os.environ.get("FACETRACK_CLIPS", "clips"))

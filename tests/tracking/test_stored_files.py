@@ -9,9 +9,9 @@ import pytest
 
 from facetrack_cli.core import files
 from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.tracking.face.descent import DEFAULT, load_descent
-from facetrack_cli.tracking.identity.gallery import load_gallery
-from facetrack_cli.tracking.models.shape_prior import default_prior_path, load_prior
+from facetrack_cli.trackers.appearance.gallery import load_gallery
+from facetrack_cli.trackers.face.descent import DEFAULT, load_descent
+from facetrack_cli.trackers.points.shape_prior import default_prior_path, load_prior
 from tests.support.samples import FOLDER
 
 LOADED = {

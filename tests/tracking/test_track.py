@@ -8,11 +8,11 @@ import pytest
 
 from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.types import Start, TargetStart
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.files import shipped_folder, shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.models.shape_prior import default_prior_path
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.trackers.points.shape_prior import default_prior_path
 from tests.support.results import parts_of
 from tests.support.samples import TrackClip
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from facetrack_cli.tracking.models.correlation_filter import trained
-from facetrack_cli.tracking.models.correlation_filter.features import inverse, spectrum
-from facetrack_cli.tracking.models.correlation_filter.trained import UPSAMPLED, Trainer, peaks
+from facetrack_cli.trackers.box import trained
+from facetrack_cli.trackers.box.features import inverse, spectrum
+from facetrack_cli.trackers.box.trained import UPSAMPLED, Trainer, peaks
 from tests.twins import cells as naive
 
 G, C = 8, 2

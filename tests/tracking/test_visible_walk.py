@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.tracking.kernels import walk
-from facetrack_cli.tracking.models.spaces import VISIBLE
-from facetrack_cli.tracking.resampling import logsumexp, normalise, uniform
+from facetrack_cli.engine.resampling import logsumexp, normalise, uniform
+from facetrack_cli.trackers.box import walk_kernels as walk
+from facetrack_cli.trackers.box.space import VISIBLE
 from tests.support.parts import visible_walk
 from tests.twins import walk as naive
 

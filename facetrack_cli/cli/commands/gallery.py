@@ -18,7 +18,7 @@ from facetrack_cli.cli.options import FRAME, Whole, argument, option, say, verb,
 from facetrack_cli.core.errors import InputError, UsageError, flat
 
 if TYPE_CHECKING:
-    from facetrack_cli.tracking.identity.gallery import Gallery
+    from facetrack_cli.trackers.appearance.gallery import Gallery
 
 
 MIN_SIDE, MAX_SIDE = 6, 128  # of a template, as in recipes
@@ -81,8 +81,8 @@ class Fit:
     def run(self) -> None:
         from facetrack_cli.core.files import check_new
         from facetrack_cli.runs.progress import progress
-        from facetrack_cli.tracking.identity.fit import fit_gallery
-        from facetrack_cli.tracking.identity.people import Reading, count, find_people, read_faces
+        from facetrack_cli.start.gallery_images import Reading, count, find_people, read_faces
+        from facetrack_cli.trackers.appearance.gallery_fit import fit_gallery
 
         start, stop, out = self.start, self.stop, self.out
         if stop is not None and stop <= start:
@@ -139,7 +139,7 @@ class Show:
 
     def run(self) -> None:
         from facetrack_cli.report.figures.gallery import gallery_figure
-        from facetrack_cli.tracking.identity.gallery import load_gallery
+        from facetrack_cli.trackers.appearance.gallery import load_gallery
 
         file = self.file
         gallery = load_gallery(file)

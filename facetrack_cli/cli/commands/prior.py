@@ -62,7 +62,7 @@ class Fit:
 
     def run(self) -> None:
         from facetrack_cli.core.files import check_new
-        from facetrack_cli.tracking.models.shape_prior import fit_prior
+        from facetrack_cli.trackers.points.shape_prior import fit_prior
 
         check_new(self.out, overwrite=self.overwrite)
         fitted = fit_prior(self.truth, self.parts, self.stable, self.scale, self.max_shapes)
@@ -92,7 +92,7 @@ class Show:
     def run(self) -> None:
         from facetrack_cli.evaluation.sheet import Sheet
         from facetrack_cli.report.figures.shape_prior import prior_figure
-        from facetrack_cli.tracking.models.shape_prior import default_prior_path, load_prior, suggested_sigma
+        from facetrack_cli.trackers.points.shape_prior import default_prior_path, load_prior, suggested_sigma
 
         path = self.file or default_prior_path()
         prior = load_prior(path)

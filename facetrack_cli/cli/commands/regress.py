@@ -61,7 +61,7 @@ class Regress:
         from facetrack_cli.recipe.gallery_option import check_file
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.signals import Stop
-        from facetrack_cli.tracking.identity.gallery import load_gallery
+        from facetrack_cli.trackers.appearance.gallery import load_gallery
 
         if self.update and (self.set or self.junit or self.json):
             raise UsageError("--update records recipes as they are; leave --set, --junit and --json to a check")

@@ -158,6 +158,7 @@ class Run:
     )
 
     def run(self) -> int:
+        from facetrack_cli.engine.kernels import cache
         from facetrack_cli.run_folder.status import check_networks, write_batch
         from facetrack_cli.runs.batch import run_batch, variant_name
         from facetrack_cli.runs.cluster import run_cluster
@@ -167,7 +168,6 @@ class Run:
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.signals import Stop
         from facetrack_cli.runs.workers import cores
-        from facetrack_cli.tracking.kernels import cache
         from facetrack_cli.video.files import brings_rate
 
         local = None if self.cluster is None else self._check_cluster(self.cluster)

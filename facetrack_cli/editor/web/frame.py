@@ -14,12 +14,12 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import inside
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.tracking.start.closer import righted
-from facetrack_cli.tracking.start.detectors import PARTS, NotHereError, detector
-from facetrack_cli.tracking.start.init_file import NAME, TARGET
-from facetrack_cli.tracking.start.points import named
-from facetrack_cli.tracking.start.search import box_start
-from facetrack_cli.tracking.start.targets import name_targets
+from facetrack_cli.start.init_file import NAME, TARGET
+from facetrack_cli.start.search import box_start
+from facetrack_cli.start.targets import name_targets
+from facetrack_cli.trackers.face.closer import righted
+from facetrack_cli.trackers.face.detectors import PARTS, NotHereError, detector
+from facetrack_cli.trackers.face.points import named
 from facetrack_cli.trajectory.header import FrameNumber, Pixels, Side
 from facetrack_cli.video.seek import Frames
 

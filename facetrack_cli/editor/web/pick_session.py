@@ -10,23 +10,22 @@ from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Box, Start, TargetStart
 from facetrack_cli.editor.web.frame import MAX_POINTS, Draft, Json, Proposer, draft_of
 from facetrack_cli.editor.web.session import RefusedError, Session
+from facetrack_cli.engine.checks import check_size, check_start
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
-from facetrack_cli.recipe.skin import SkinCloud
 from facetrack_cli.report.text import names as listed
-from facetrack_cli.tracking.start.checks import check_size, check_start
-from facetrack_cli.tracking.start.detectors import PARTS, detector
-from facetrack_cli.tracking.start.init_file import (
+from facetrack_cli.start.init_file import (
     KEYS,
     OF_CORRECTIONS,
     OF_FILES,
     TARGET,
     WHAT_PARTS_ARE,
-    placed_by,
     write_init,
 )
-from facetrack_cli.tracking.start.preview import write_preview
-from facetrack_cli.tracking.start.targets import name_targets
+from facetrack_cli.start.preview import write_preview
+from facetrack_cli.start.targets import name_targets
+from facetrack_cli.trackers.face.detectors import PARTS, detector
+from facetrack_cli.trackers.skin.settings import SkinCloud
 from facetrack_cli.video.seek import Frames
 
 ORIGIN: Final = "the page"
@@ -76,7 +75,7 @@ class PickSession(Session):
         self._unchanged = draft if box is None else None
         self._given: list[tuple[Draft, str]] = [] if box is None else [(draft, detector().name)]
         if begun is not None:
-            self._given.append((draft_of(begun.frame, begun.targets), placed_by(begun)))
+            self._given.append((draft_of(begun.frame, begun.targets), begun.placed_by))
         about = {
             "clip": clip.name or str(clip),
             "recipe": None if recipe is None else recipe.name,
@@ -228,8 +227,8 @@ def _missing(target: TargetStart, required: Json) -> list[str]:
 
 def _check_build(start: Start, size: tuple[int, int], recipe: Recipe) -> None:
     """Raises what the run would: build_tracker, and check_windows. Recognition is left out: it needs a gallery."""
-    from facetrack_cli.tracking.build.build import build_tracker
-    from facetrack_cli.tracking.start.checks import check_windows
+    from facetrack_cli.engine.checks import check_windows
+    from facetrack_cli.start.assembly import build_tracker
 
     nobody = {"recognition": None}
     if isinstance(recipe, ParticleRecipe):

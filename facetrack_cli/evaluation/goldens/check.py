@@ -33,8 +33,8 @@ from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, Recipe, com
 from facetrack_cli.runs.seeds import Plan, Report, SeedRun, run_plans
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import Begin
-from facetrack_cli.tracking.opencv import find as find_opencv
-from facetrack_cli.tracking.start.init_file import find_init
+from facetrack_cli.start.init_file import find_init
+from facetrack_cli.trackers.opencv import find as find_opencv
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 Status: TypeAlias = Literal["ok", "fails", "skipped"]

@@ -10,7 +10,7 @@ import numpy as np
 from facetrack_cli.core.types import Array
 from facetrack_cli.report.figures.lines import columns_for
 from facetrack_cli.report.figures.style import FAINT, INK, WIDTH, Axes, Figure, clean, line_style, new_figure, style
-from facetrack_cli.tracking.models.shape_prior import ShapePrior
+from facetrack_cli.trackers.points.shape_prior import ShapePrior
 
 # displacements have no place of their own: a neutral face, in mouth widths from the nose, to draw them on
 PLACES: Final = {

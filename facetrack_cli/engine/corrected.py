@@ -1,0 +1,207 @@
+"""Corrections along the clip: a target begins again in each frame in which a user corrected it.
+
+There its particles stand together, as in the first frame, and its random numbers come from a stream of their own,
+(seed, target, frame). A given part stands where the correction says; a part that is kept, or not named, stands where
+it was, rounded as in the CSV. The rows after it depend on the first frame, the correction, and the images from there
+on, and on nothing that was tracked before: `Resumed` tracks a part of a run and gives the rows of the whole run.
+
+A given box or point is learned again; the other points keep the appearance of the first frame. With `learn` false
+nothing is learned; with `learn` true all visible points and the size of the face are. An absent part has rows without a
+place until a later correction places it. None of this is in the papers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+from numpy.random import Generator
+
+from facetrack_cli.core.snapshot import STORED
+from facetrack_cli.core.types import BOX, Correction, Frame, TargetStart
+from facetrack_cli.engine.loop import Footprint, Target, Tracker
+from facetrack_cli.engine.protocols import Restarts
+from facetrack_cli.trajectory.trajectory import DECIMALS, TargetResult, Trajectory, build
+
+STREAM: Final = 2**31  # keeps the streams of corrections apart from those of targets
+
+
+class RestartPolicy(NamedTuple):
+    """How a target begins again: whether it is placed by `points`, and whether it is learned if `learn` is None.
+
+    `place` finds the visible points in a box given alone, `build` makes the target that learns from a frame.
+    """
+
+    points: bool
+    learn: bool
+    place: Callable[[Frame, Correction], TargetStart]
+    build: Callable[[Frame, TargetStart], Target]
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """`first`: the state after the first frame. `target` tracks now, with `inner`, None while nothing is to be seen.
+
+    `learned` is the frame of the correction that it was built for, with what that gave; None of the one at the start.
+    `rng` are its random numbers since the last correction; before the first, None, they are the loop's.
+    """
+
+    first: Any
+    streams: np.random.SeedSequence
+    target: Target = field(metadata={STORED: False})
+    inner: Any
+    rng: Generator | None = None
+    learned: tuple[int, TargetStart] | None = None
+
+
+@dataclass(frozen=True)
+class CorrectedTarget:
+    """A target and its corrections by their frames, all after the one in which it begins."""
+
+    target: Target
+    corrections: Mapping[int, Correction]
+    policy: RestartPolicy
+
+    @property
+    def name(self) -> str:
+        return self.target.name
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return self.target.parts
+
+    @property
+    def windows(self) -> Mapping[str, tuple[float, float]]:
+        return self.target.windows
+
+    def begin(self, rng: Generator, frame: Frame) -> tuple[State, TargetResult]:
+        streams = rng.bit_generator.seed_seq
+        assert isinstance(streams, np.random.SeedSequence)
+        inner, result = self.target.begin(rng, frame)
+        return State(inner, streams, self.target, inner), result
+
+    def advance(
+        self, rng: Generator, state: State, frame: Frame, footprints: Sequence[Footprint]
+    ) -> tuple[State, TargetResult]:
+        correction = self.corrections.get(frame.index)
+        if correction is not None and is_complete(correction, self.parts):
+            return self.correct(state, frame, correction)
+        if state.inner is None:
+            after, result = state, self._absent(frame)
+        else:
+            inner, result = state.target.advance(state.rng or rng, state.inner, frame, footprints)
+            after = replace(state, inner=inner)
+        return (after, result) if correction is None else self.correct(state, frame, completed(correction, result.rows))
+
+    def complete(self, state: State, frame: Callable[[int], Frame]) -> State:
+        """A state that was stored, with its target again; `frame` gives a frame of the clip."""
+        if state.learned is None:
+            return replace(state, target=self.target)
+        index, given = state.learned
+        return replace(state, target=self.policy.build(frame(index), given))
+
+    def resumed(self, first: Frame) -> Resumed:
+        """The same from a correction on, of a run whose first frame is `first`."""
+        return Resumed(self.target, self.corrections, self.policy, first)
+
+    def footprint(self, state: State, *, ahead: bool) -> Footprint | None:
+        return None if state.inner is None else state.target.footprint(state.inner, ahead=ahead)
+
+    def correct(self, state: State, frame: Frame, correction: Correction) -> tuple[State, TargetResult]:
+        """The state after `frame`, in which a `complete` correction says where the target is."""
+        given, absent = correction.given, correction.hidden(self.parts)
+        if set(absent) >= set(correctable_parts(self.parts)):
+            result = self._absent(frame)
+            rows = replace(result.rows, by_hand=np.isin(self.parts, absent))
+            return replace(state, inner=None), result._replace(rows=rows)
+        if self.policy.points and given.box is not None and not given.points:
+            given = self.policy.place(frame, correction)
+        by_hand = tuple(part for part in self.parts if part in given.points or not self.policy.points)
+        if self.policy.points:
+            # a part is compared by as much of the image as at the start
+            given = TargetStart(points={**correction.kept, **given.points}, windows=self.windows)
+        streams = state.streams
+        key = (*streams.spawn_key, STREAM, frame.index)
+        rng = np.random.default_rng(np.random.SeedSequence(streams.entropy, spawn_key=key))
+        if self.policy.learn if correction.learn is None else correction.learn:
+            target, learned = self.policy.build(frame, given), (frame.index, given)
+            inner, result = target.begin(rng, frame)
+        else:
+            target, learned = self.target, None
+            assert isinstance(target, Restarts)
+            anew = by_hand if correction.learn is None and self.policy.points else ()
+            inner, result = target.restart(rng, frame, state.first, given, absent, anew)
+        rows, sure = result.rows, np.isin(self.parts, by_hand)
+        # what is kept is where the tracker was, though it may be learned again
+        others = np.where(target is not self.target, "tracked", rows.status)
+        judged = np.where(sure & ~np.isnan(rows.confidence), 1.0, rows.confidence)
+        marked = np.isin(self.parts, (*by_hand, *absent))
+        rows = replace(rows, status=np.where(sure, "init", others), confidence=judged, by_hand=marked)
+        return replace(state, target=target, inner=inner, rng=rng, learned=learned), result._replace(rows=rows)
+
+    def _absent(self, frame: Frame) -> TargetResult:
+        """The result while nothing of the target is visible."""
+        k, names = len(self.parts), [(self.name, part) for part in self.parts]
+        frames, times = np.full(k, frame.index), np.full(k, frame.time_s)
+        rows = build(names, np.arange(k), frames, time_s=times, status=["absent"] * k)
+        return TargetResult(rows, np.zeros((0, k, 2)))
+
+
+def restored(tracker: Tracker, states: Sequence[Any], frame: Callable[[int], Frame]) -> list[Any]:
+    """The states of a tracker, which were stored, as it goes on from them; `frame` gives a frame of the clip."""
+    both = zip(tracker, states, strict=True) if states else ()
+    return [one.complete(state, frame) if isinstance(one, CorrectedTarget) else state for one, state in both]
+
+
+def is_complete(correction: Correction, parts: Sequence[str]) -> bool:
+    """Whether it says of all `parts` of its target where they are, or that they are absent; a box alone does."""
+    given = correction.given
+    if correction.absent is True or (given.box is not None and (not given.points or tuple(parts) == (BOX,))):
+        return True
+    return {*given.points, *correction.kept, *correction.absent} >= set(correctable_parts(parts))
+
+
+def correctable_parts(parts: Sequence[str]) -> tuple[str, ...]:
+    """The parts that a correction may place: of a face the points before its box; a network places the others."""
+    return tuple(parts[: parts.index(BOX)] if BOX in parts else parts) or tuple(parts)
+
+
+def completed(correction: Correction, rows: Trajectory) -> Correction:
+    """The correction with its other parts as in `rows` of its frame: placed, to the digits of the CSV, or absent."""
+    parts = [part for _, part in rows.names]
+    if is_complete(correction, parts):
+        return correction
+    assert correction.absent is not True
+    kept, absent = dict(correction.kept), list(correction.absent)
+    for (_, part), x, y in zip(rows.names, rows.x.tolist(), rows.y.tolist(), strict=True):
+        if part not in (*correction.given.points, *kept, *absent) and part in correctable_parts(parts):
+            if math.isnan(x) or math.isnan(y):
+                absent.append(part)
+            else:
+                kept[part] = round(x, DECIMALS["x"]), round(y, DECIMALS["y"])
+    return replace(correction, kept=kept, absent=all_or(absent, parts))
+
+
+def all_or(absent: Sequence[str], parts: Sequence[str]) -> tuple[str, ...] | Literal[True]:
+    """The absent ones of `parts`, as a correction has them: True for all."""
+    return True if set(absent) >= set(correctable_parts(parts)) else tuple(absent)
+
+
+@dataclass(frozen=True)
+class Resumed(CorrectedTarget):
+    """A corrected target from one of its corrections on, a complete one; `first` is the first frame of the whole run.
+
+    It gives the rows of the whole run if it keeps its place among the targets, by which random numbers are drawn.
+    """
+
+    first: Frame
+
+    def begin(self, rng: Generator, frame: Frame) -> tuple[State, TargetResult]:
+        correction = self.corrections[frame.index]
+        if not is_complete(correction, self.parts):
+            raise ValueError(f"the correction of {self.name} at frame {frame.index} does not tell of all its parts")
+        state, _ = super().begin(rng, self.first)
+        return self.correct(state, frame, correction)

@@ -1,0 +1,187 @@
+"""The particle filters, side by side.
+
+A filter is a function `(settings, rng, particles, model) -> (particles, info)`. It never sees a frame: `model` is the
+tracker with one frame bound in. All arithmetic on weights is in logs.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+from numpy.random import Generator
+
+from facetrack_cli.core.types import Array, Info, Mask, Particles, Whole
+from facetrack_cli.engine.resampling import (
+    SCHEMES,
+    distinct,
+    effective_sample_size,
+    logsumexp,
+    normalise,
+    summed,
+    uniform,
+)
+from facetrack_cli.recipe import shared
+
+
+class Prediction(NamedTuple):
+    """Where a target is expected in this frame, before any particle is drawn (Zhou et al. 2003, section 3.1.2).
+
+    `state` (K, D) is the point estimate of the last frame and `shift` (K, D) what is added to it (nu_t, eq. 12);
+    `noise` is eta, by which the noise is larger than usual (eq. 13), and `error` the eps_t that it follows from.
+    `entropy_fell`: whether the identity had become more certain in the last frame; None if nobody is recognised.
+    """
+
+    state: Array
+    shift: Array
+    noise: float = 1.0
+    error: float | None = None
+    entropy_fell: bool | None = None
+
+
+class FrameModel(Protocol):
+    """What a filter may ask. N particles, K parts, D coordinates a part; the parts of a particle move independently.
+
+    `motion`, `likelihood`, what it has `learned`, and `prior` are for the filters of one tracker, which know them.
+    """
+
+    @property
+    def motion(self) -> Any: ...
+    @property
+    def likelihood(self) -> Any: ...
+    @property
+    def learned(self) -> Any: ...
+    @property
+    def prior(self) -> Any: ...
+
+    @property
+    def ahead(
+        self,
+    ) -> Prediction: ...  # where the target is expected; `propagate` takes its shift and noise into account
+    def propagate(self, rng: Generator, x: Array) -> Array: ...  # (N, K, D) drawn from p(x_t | x_{t-1} = x)
+    def expect(self, x: Array) -> Array: ...  # (N, K, D): the mean of that
+    def log_transition(self, x: Array, parents: Array) -> Array: ...  # (N, M, K): log p(x_t | x_{t-1}) of each part
+    def log_likelihood(self, x: Array, parents: Array) -> Array: ...  # (N, K): log p(y | x) of each part
+    def log_prior(self, x: Array) -> Array: ...  # (N,): log p(x) of the shape, up to a constant; zeros without a prior
+
+
+# in place of log 0, so that a ratio of two zeros is 1 and not a NaN: where nothing is likely, nothing is preferred
+MIN_LOG = -1e30
+Stepped: TypeAlias = tuple[Particles, Info]
+Step: TypeAlias = Callable[[Generator, Particles, FrameModel], Stepped]
+
+
+def sir(settings: shared.Sir, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
+    """Sampling/importance resampling over the joint state (section 2), p(y|s)p(s) as the observation."""
+    parents = particles.x[_parents(settings, rng, particles, 1)[:, 0]]
+    return weighted(model, model.propagate(rng, parents), parents, 0.0)
+
+
+def auxiliary(settings: shared.Auxiliary, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
+    """Auxiliary filter over the joint state (section 4; Pitt & Shephard 1999); mu is drawn of p(s|s^-), not a mean.
+
+    `look_ahead: mean` takes the mean, as Pitt & Shephard do.
+    """
+    mu = model.expect(particles.x) if settings.look_ahead == "mean" else model.propagate(rng, particles.x)
+    log_first = particles.log_w + (log_lambda := _log_observation(model, mu, particles.x))
+    chosen = SCHEMES[settings.resampling](rng, normalise(log_first), len(mu))
+    parents = particles.x[chosen]
+    found, info = weighted(model, model.propagate(rng, parents), parents, -log_lambda[chosen])
+    return found, info._replace(evidence=info.evidence + float(logsumexp(log_first)))
+
+
+def factorized(
+    settings: shared.Factorized | shared.Independent, rng: Generator, particles: Particles, model: FrameModel
+) -> Stepped:
+    """Filter with factorized likelihoods (Patras & Pantic 2004, section 2.1).
+
+    Each part runs an auxiliary step of its own (steps 1-5), which represents its marginal posterior p(a_i | Y);
+    particles are put together from independent draws of those marginals, the proposal g(a) = prod_i p(a_i | Y); and
+    they are reweighted by
+
+    - `prior`: the shape prior in place of the ratio of eq. 5 (eq. 11);
+    - `transition`: eq. 7, the ratio of predictive densities estimated from the particles themselves;
+    - `both`, beyond the paper: what eq. 5 gives where the prior is a factor of the transition, eq. 7 times eq. 11;
+    - `none`, of `independent`: 1. That is N independent auxiliary filters, the paper's first baseline.
+
+    As published the auxiliary step looks ahead by a draw mu of the transition; the weights then divide by a random
+    lambda, and few of them are large. Beyond the paper, `look_ahead: mean` takes the mean of the transition, `none`
+    makes it a bootstrap step, which evaluates the likelihood half as often.
+
+    With `from_prior` (beyond the paper) the transition of a part is the mixture of both; the label of the component
+    belongs to the auxiliary variable, and the weights of steps 3 and 5 hold as they are.
+    """
+    n, k, d = particles.x.shape
+    resample, columns = SCHEMES[settings.resampling], np.arange(k)
+    jumps = rng.random((n, k)) < settings.from_prior if settings.from_prior > 0 else None
+    if settings.look_ahead == "none":
+        chosen, base, evidence = _parents(settings, rng, particles, k), np.zeros((n, k)), 0.0
+    else:
+        mean, all_ = settings.look_ahead == "mean", np.broadcast_to(np.arange(n)[:, None], (n, k))
+        mu = _move(rng, particles.x, model, particles.x, jumps, all_, mean=mean)
+        log_lambda = np.maximum(model.log_likelihood(mu, particles.x), MIN_LOG)
+        first, log_first = summed(particles.log_w[:, None] + log_lambda)
+        chosen = resample(rng, first, n)
+        base, evidence = -log_lambda.take(chosen * k + columns), float(log_first.sum())
+    parents = particles.x.reshape(n * k, d).take(chosen * k + columns, axis=0)
+    s = _move(rng, parents, model, particles.x, None if jumps is None else jumps[chosen, columns], chosen)
+    marginal, each = summed(np.maximum(model.log_likelihood(s, parents), MIN_LOG) + base)
+    # shuffled, because resampled indices come in order and would tie the parts together
+    picked = rng.permuted(resample(rng, marginal, n), axis=0)
+    x = s.reshape(n * k, d).take(picked * k + columns, axis=0)
+    log_ratio = np.zeros(n)
+    if settings.reweight in ("prior", "both"):
+        log_ratio = log_ratio + model.log_prior(x)
+    if settings.reweight in ("transition", "both"):
+        log_ratio = log_ratio + _log_ratio(x, particles, model)
+    log_w, log_sum = summed(log_ratio)
+    log_w = uniform(n) if settings.reweight == "none" else log_w
+    evidence += float(each.sum()) - k * math.log(n) + float(log_sum) - math.log(n)
+    return Particles(x, log_w), Info(distinct(picked, log_w), evidence)
+
+
+def _parents(
+    settings: shared.Sir | shared.Factorized | shared.Independent, rng: Generator, particles: Particles, columns: int
+) -> Whole:
+    """Indices (N, C) of the parents of each column."""
+    log_w = np.repeat(particles.log_w[:, None], columns, axis=1)
+    return SCHEMES[settings.resampling](rng, log_w, len(particles.x))
+
+
+def _log_ratio(x: Array, previous: Particles, model: FrameModel) -> Array:
+    """(N,): log of the ratio of eq. 7, of the joint predictive density to the product of the parts'."""
+    step = model.log_transition(x, previous.x)  # (N, M, K)
+    joint = logsumexp(step.sum(axis=2) + previous.log_w, axis=1)
+    marginals = logsumexp(step + previous.log_w[:, None], axis=1)
+    return np.asarray(joint - marginals.sum(axis=1))
+
+
+def _move(
+    rng: Generator, x: Array, model: FrameModel, whole: Array, jumps: Mask | None, chosen: Whole, *, mean: bool = False
+) -> Array:
+    """x (N, K, D) moved by the transition, or by the prior where `jumps` (N, K); `whole` are the parents entire.
+
+    With `mean` the transition's mean is taken in place of a draw.
+    """
+    moved = model.expect(x) if mean else model.propagate(rng, x)
+    if jumps is None:
+        return moved
+    for i in range(x.shape[1]):
+        rows = np.flatnonzero(jumps[:, i])
+        if rows.size:
+            moved[rows, i] = model.prior.propose(rng, whole[chosen[rows, i]], i)
+    return moved
+
+
+def weighted(model: FrameModel, x: Array, parents: Array, base: Array | float) -> Stepped:
+    """Whole particles x by their observation, with log weights `base` (N,) before it."""
+    log_w, log_sum = summed(_log_observation(model, x, parents) + base)
+    # a joint weight says the same of every part
+    ess = np.full(x.shape[1], float(effective_sample_size(log_w)))
+    return Particles(x, log_w), Info(ess, float(log_sum) - math.log(len(x)))
+
+
+def _log_observation(model: FrameModel, x: Array, parents: Array) -> Array:
+    """(N,): log p(y|s)p(s) of whole particles, what the filters over the joint state take for the observation."""
+    observed = model.log_likelihood(x, parents).sum(axis=1) + model.log_prior(x)
+    return np.asarray(np.maximum(observed, MIN_LOG))

@@ -1,0 +1,136 @@
+# mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
+"""How kernels are compiled and cached, a decorator for each kind of arithmetic, and the bilinear reading they share."""
+
+import contextlib
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numba.core import caching
+from numba.core.runtime.nrt import rtsys
+
+from facetrack_cli.core.log import warn
+from facetrack_cli.engine.kernels.cache import compiling
+
+
+class KernelCache(caching.FunctionCache):
+    """numba's cache of one kernel, which compiles a kernel anew where its files are damaged.
+
+    numba writes a file under another name first, so that a kill or a full disk damages none. Power loss may: numba then
+    raises whatever the bytes make of it, in each run.
+    """
+
+    warned = False
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        rtsys.initialize(
+            target_context
+        )  # enough to load; numba's own method makes the compiler ready, which takes 0.3 s
+        found = None
+        try:
+            with self._guard_against_spurious_io_errors():
+                found = self._load_overload(sig, target_context)
+        except Exception as error:
+            if not KernelCache.warned:
+                KernelCache.warned = True
+                warn(f"compiled kernels in {self._cache_path} are damaged ({type(error).__name__}): compiled anew")
+            with contextlib.suppress(OSError):
+                self.flush()
+        if found is None:
+            compiling()
+        return found
+
+    def holds(self, kernel: Any, sig: Any) -> bool:
+        """Whether `kernel` need not be compiled for `sig`. `load_overload` reports damaged files."""
+        try:
+            known = self._cache_file._load_index()
+            return sig in kernel.overloads or self._index_key(sig, kernel.targetctx.codegen()) in known
+        except Exception:
+            return True
+
+
+_SUMS: Any = {"contract", "reassoc", "nsz"}
+_KERNEL: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # only Python calls them
+
+
+def _cached(function: Any, **more: Any) -> Any:
+    kernel = njit(cache=True, **_KERNEL, **more)(function)
+    if isinstance(cache := getattr(kernel, "_cache", None), caching.FunctionCache):  # not with NUMBA_DISABLE_JIT
+        cache.__class__ = KernelCache
+    return kernel
+
+
+def exact(function: Any) -> Any:
+    return _cached(function)
+
+
+def fast(function: Any) -> Any:
+    """As `exact`, but sums may be reordered, which lets them vectorise; NaN and infinity keep their meaning."""
+    return _cached(function, fastmath=_SUMS)
+
+
+# parts of other kernels, exact and fast ones: typed once, not wherever they are called, which compiles in half the time
+_PART: Any = {"forceinline": True, "no_cpython_wrapper": True, **_KERNEL}
+part: Any = njit(**_PART)
+fast_part: Any = njit(fastmath=_SUMS, **_PART)
+
+# parts that as functions of their own do not vectorise, and take five times as long
+inline: Any = njit(inline="always", error_model="numpy")
+
+
+@inline
+def join(image, kind, bits):
+    """Each pixel of `image` (H, W) with those right, below and both, as `kind` (H * W,), from the lowest `bits` up.
+
+    The last row and column are their own neighbours.
+    """
+    height, width = image.shape
+    out, two = np.empty(height * width, kind), bits + bits
+    for y in range(height):
+        upper, lower, row = image[y], image[min(y + 1, height - 1)], out[y * width : (y + 1) * width]
+        for x in range(width - 1):
+            above = kind(upper[x]) | kind(upper[x + 1]) << bits
+            row[x] = above | kind(lower[x]) << two | kind(lower[x + 1]) << (two + bits)
+        above, below = kind(upper[width - 1]), kind(lower[width - 1])
+        row[width - 1] = above | above << bits | below << two | below << (two + bits)
+    return out
+
+
+@inline
+def look_up(joined, bits, mask, at, part, four, out):
+    """Bilinear values `out` (L,) within the joined pixels `at` (L,), by the fractions `part` (2, L) of a pixel."""
+    fx, fy = part[0], part[1]
+    # a loop of its own: loads from anywhere do not vectorise, all else does
+    for k in range(len(at)):
+        four[k] = joined[np.uint64(at[k])]
+    for k in range(len(at)):
+        out[k] = between(four[k], bits, mask, fx[k], fy[k])
+
+
+@inline
+def between(four, bits, mask, fx, fy):
+    """The bilinear value within four joined pixels."""
+    two = bits + bits
+    above, right = np.float32(np.int32(four & mask)), np.float32(np.int32(four >> bits & mask))
+    below, both = np.float32(np.int32(four >> two & mask)), np.float32(np.int32(four >> (two + bits)))
+    above += fx * (right - above)
+    below += fx * (both - below)
+    return above + fy * (below - above)
+
+
+@part
+def read_at(values, x, y):
+    """`values` (H, W) at (x, y), or at the nearest place within."""
+    height, width = values.shape[0] - 1, values.shape[1] - 1
+    x, y = min(max(x, 0.0), 1.0 * width), min(max(y, 0.0), 1.0 * height)
+    x0, y0 = min(int(x), width - 1), min(int(y), height - 1)  # of a single row or column -1, which is that one too
+    fx, fy = x - x0, y - y0
+    return (1.0 - fy) * ((1.0 - fx) * values[y0, x0] + fx * values[y0, x0 + 1]) + fy * (
+        (1.0 - fx) * values[y0 + 1, x0] + fx * values[y0 + 1, x0 + 1]
+    )
+
+
+@part
+def box_sum(sums, x0, y0, x1, y1):
+    """The sum over a box by an integral image (H + 1, W + 1): pixel edges are whole numbers, parts count by area."""
+    return read_at(sums, x1, y1) + read_at(sums, x0, y0) - read_at(sums, x1, y0) - read_at(sums, x0, y1)

@@ -1,0 +1,104 @@
+"""Resampling schemes, the effective sample size, and arithmetic on log weights.
+
+Every scheme takes the generator, normalised log weights (N,), or (N, K) for K populations side by side, and a number of
+draws M; it returns M indices (M,) or (M, K), in ascending order, never of weight zero. Expected counts are M * w.
+"""
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+
+from facetrack_cli.core.types import Array, Whole
+from facetrack_cli.engine.kernels.resampling import invert_cdf
+
+Resampling: TypeAlias = Callable[[np.random.Generator, Array, int], Whole]
+
+
+def logsumexp(a: Array, axis: int = 0) -> Array:
+    """log(sum(exp(a))) along `axis`, without overflow; -inf for an empty sum of weights."""
+    top = a.max(axis=axis, keepdims=True)
+    if np.isfinite(top).all():  # then a sum is 1 at least
+        return np.asarray((np.log(np.exp(a - top).sum(axis=axis, keepdims=True)) + top).squeeze(axis))
+    top = np.where(np.isfinite(top), top, 0.0)
+    with np.errstate(divide="ignore"):
+        return np.asarray((np.log(np.exp(a - top).sum(axis=axis, keepdims=True)) + top).squeeze(axis))
+
+
+def normalise(log_w: Array) -> Array:
+    """Log weights (N,) or (N, K) shifted so that the logsumexp along N is 0.
+
+    Where all are zero, or one is no number, they become equal: a frame that no particle explains must not end a track.
+    """
+    return summed(log_w)[0]
+
+
+def summed(log_w: Array) -> tuple[Array, Array]:
+    """`normalise` and `logsumexp` of log weights (N,) or (N, K), for what neither of them needs to compute twice."""
+    top = np.ascontiguousarray(log_w.T).max(axis=-1)  # along what is contiguous, in half the time
+    if np.isfinite(top).all():
+        shifted = log_w - top
+        total = np.log(np.exp(shifted).sum(axis=0))
+        return shifted - total, total + top
+    hopeless = ~np.isfinite(top)
+    known = np.where(hopeless, 0.0, log_w)
+    shifted = known - np.where(hopeless, 0.0, top)
+    return np.asarray(shifted - np.log(np.exp(shifted).sum(axis=0))), logsumexp(log_w)
+
+
+def effective_sample_size(log_w: Array) -> Array:
+    """1 / sum(w^2) of normalised log weights along N: from 1 (one particle holds all) to N (all equal)."""
+    return np.asarray(1.0 / np.exp(2.0 * log_w).sum(axis=0))
+
+
+def distinct(chosen: Whole, log_w: Array) -> Array:
+    """(K,): effective sample size of particles (N, K) that repeat: `chosen` (N, K) are their origins, log_w (N,).
+
+    What comes from one origin is one sample; of all different origins it is that of the weights.
+    """
+    n, k = chosen.shape
+    each = np.bincount((chosen + n * np.arange(k)).ravel(), np.repeat(np.exp(log_w), k), n * k).reshape(k, n)
+    return np.asarray(1.0 / np.square(each).sum(axis=1))
+
+
+def uniform(n: int) -> Array:
+    """Normalised log weights of n equal particles, (n,)."""
+    return np.full(n, -np.log(n))
+
+
+def _invert(w: Array, points: Array) -> Whole:
+    """`invert_cdf` for one population (N,) or several (N, K)."""
+    return np.asarray(invert_cdf(w.reshape(len(w), -1), points.reshape(len(points), -1)).reshape(points.shape))
+
+
+def systematic(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
+    """One uniform offset, M evenly spaced points: the least noisy, each count is floor or ceil of M * w."""
+    return _invert(np.exp(log_w), np.add.outer(np.arange(m), rng.random(log_w.shape[1:])) / m)
+
+
+def stratified(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
+    """One uniform point in each of M equal strata."""
+    return _invert(np.exp(log_w), (np.arange(m) + rng.random((*log_w.shape[1:], m))).T / m)
+
+
+def multinomial(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
+    """M independent draws, as the papers' algorithms are written."""
+    return _invert(np.exp(log_w), np.sort(rng.random((m, *log_w.shape[1:])), axis=0))
+
+
+def residual(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
+    """floor(M * w) copies of each particle, and the rest drawn systematically from the remainders."""
+    if log_w.ndim > 1:
+        return np.stack([residual(rng, column, m) for column in log_w.T], axis=1)
+    w = np.exp(log_w)
+    expected = m * w / w.sum()
+    copies = np.floor(expected).astype(np.int64)
+    rest = m - int(copies.sum())
+    fixed = np.repeat(np.arange(w.size), copies)
+    if rest <= 0:  # rounding can make the floors add up to all of M
+        return fixed[:m]
+    drawn = _invert(expected - copies, (np.arange(rest) + rng.random()) / rest)
+    return np.sort(np.concatenate([fixed, drawn]))
+
+
+SCHEMES: dict[str, Resampling] = {one.__name__: one for one in (systematic, stratified, multinomial, residual)}

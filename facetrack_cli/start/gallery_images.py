@@ -1,0 +1,332 @@
+"""Who is in a folder of folders, which face in each image is meant, and the faces for a gallery.
+
+One folder for each person, with the person's name; in it images, videos, and folders of a video's frames. An init file
+beside one says where the face is; of another image the largest face is taken, of another clip that of some frames.
+
+A face is read as the tracker reads one that begins in the same box. Copies and counter-examples follow a fixed sequence
+that fills the range evenly: equal input gives an equal gallery.
+"""
+
+import math
+import unicodedata
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, NamedTuple, TypeAlias
+
+import numpy as np
+
+from facetrack_cli.core.errors import InputError, reason
+from facetrack_cli.core.types import Array, Box, Frame, Start
+from facetrack_cli.core.yaml_tree import printable
+from facetrack_cli.engine.checks import check_size, check_start
+from facetrack_cli.start.init_file import SUFFIXES as INIT_SUFFIXES
+from facetrack_cli.start.init_file import default_path, find_init, read_init
+from facetrack_cli.trackers.appearance.gallery import name_problem
+from facetrack_cli.trackers.appearance.space import AffineSpace, Patches
+from facetrack_cli.trackers.appearance.subspaces import Rows
+from facetrack_cli.trackers.face.detectors import find_faces
+from facetrack_cli.video import images
+from facetrack_cli.video.source import open_source
+
+SHIFT, STRETCH, TURN = 0.03, 0.05, 3.0  # most of a copy: of the box's sides, of its size, degrees
+NEGATIVES: Final = 6  # counter-examples that are cut around each face; more where faces are few
+MIN_NEGATIVES: Final = 240
+PASSED_OVER: Final = frozenset((*INIT_SUFFIXES, ".csv", ".txt", ".md", ".npz"))  # what may lie beside images
+Warn: TypeAlias = Callable[[str], None]
+Look: TypeAlias = "tuple[Frame | None, Box | None]"  # what cannot be read, or shows no face, is None
+
+
+class Item(NamedTuple):
+    """An image of a person, or a clip: a video or a folder of its frames; with the init file beside it, if any."""
+
+    path: Path
+    is_image: bool
+    init: Path | None
+
+    def place(self, frame: Frame) -> str:
+        """Where a frame of it is, for messages."""
+        return str(self.path) if self.is_image else f"{self.path}: frame {frame.index}"
+
+
+class Person(NamedTuple):
+    """A person: the name of the folder without spaces around it, and the folder's items in natural order."""
+
+    name: str
+    folder: Path
+    items: tuple[Item, ...]
+
+
+class Reading(NamedTuple):
+    """How faces are taken: template (rows, columns); of each clip so many frames, evenly between `start` and `stop`."""
+
+    shape: tuple[int, int] = (30, 26)
+    frames: int = 15
+    start: int = 0
+    stop: int | None = None
+    jitter: int = 0
+
+
+def find_people(folder: Path, warn: Warn) -> list[Person]:
+    """Everyone who has a folder in `folder`, in natural order. Raises InputError where it is no gallery."""
+    entries = _entries(folder)
+    folders = [one for one in entries if one.is_dir()]
+    beside = [one for one in entries if not one.is_dir() and one.suffix.lower() not in PASSED_OVER]
+    if not folders and beside:
+        example = folder / "anna" / beside[0].name
+        raise InputError(f"{folder}: has images but no folders; make one for each person, as in {example}")
+    if not folders:
+        raise InputError(f"{folder}: is empty; put a folder of images in it for each person")
+    if beside:
+        more = f" and {len(beside) - 1} more" if len(beside) > 1 else ""
+        warn(f"{beside[0]}{more}: in no person's folder; passed over")
+    people = [_person(one, warn) for one in folders]
+    if len(people) < 2:
+        raise InputError(f"{folder}: {people[0].name} is the only person in it; add another folder, to be told apart")
+    known: dict[str, Person] = {}
+    for one in people:
+        other = known.setdefault(one.name.casefold(), one)
+        both = f"{one.folder} and {other.folder}"
+        if other is not one and other.name == one.name:
+            raise InputError(f"{both}: are both called {one.name}; rename one, or put their images into one folder")
+        if other is not one:
+            warn(f"{both}: are two persons; if they are one, put their images into one folder")
+    return people
+
+
+def count(people: Sequence[Person], reading: Reading) -> int:
+    """How many images and frames `read_faces` looks at, at most."""
+    items = [item for person in people for item in person.items]
+    return sum(1 if item.is_image or item.init is not None else reading.frames for item in items)
+
+
+def _entries(folder: Path) -> list[Path]:
+    """What is in a folder and not hidden, in natural order."""
+    try:
+        if not folder.is_dir():
+            what = "is no folder" if folder.exists() else "no such folder"
+            raise InputError(f"{folder}: {what}; name one that has a folder for each person")
+        found = [one for one in folder.iterdir() if not one.name.startswith(".")]
+    except OSError as e:
+        raise InputError(f"{folder}: {reason(e)}; check the name and the permissions") from e
+    return sorted(found, key=lambda one: images.natural_key(one.name))
+
+
+def _person(folder: Path, warn: Warn) -> Person:
+    # letters with marks may be written in two ways, which look alike
+    name = unicodedata.normalize("NFC", folder.name).strip()
+    if problem := name_problem(name):
+        raise InputError(f"{printable(str(folder))}: {problem}; rename the folder")
+    items = []
+    for one in _entries(folder):
+        suffix = one.suffix.lower()
+        if one.is_dir() and not images.listing(one):
+            warn(f"{one}: no images in this folder; skipped")
+        elif one.is_dir() or suffix not in PASSED_OVER:
+            items.append(Item(one, suffix in images.SUFFIXES and not one.is_dir(), find_init(one)))
+    if not items:
+        raise InputError(f"{folder}: no image or video in it; add one of {name}, or remove the folder")
+    return Person(name, folder, tuple(items))
+
+
+def faces_of(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
+    """The frames of an item, each with the box of its face."""
+    start = None if item.init is None else _read_start(item, item.init, reading)
+    if item.is_image:
+        try:
+            frame = Frame(0, 0.0, images.read(item.path))
+            yield frame, _in_image(item, frame, warn) if start is None else _given(start, frame)
+        except images.UnreadableError as e:
+            warn(f"{item.path}: {e.why}; skipped")
+            yield None, None
+    elif start is None:
+        yield from _in_clip(item, reading, warn)
+    else:
+        try:
+            with open_source(item.path, start=start.frame, stop=start.frame + 1) as source:
+                for frame in source:
+                    yield frame, _given(start, frame)
+        except InputError as e:
+            fits = str(e).startswith(start.origin)
+            raise InputError(str(e) if fits else f"{start.origin}: does not fit: {e}") from None
+
+
+def _in_image(item: Item, frame: Frame, warn: Warn) -> Box | None:
+    found = find_faces(frame.bgr)
+    if not found:
+        warn(f"{item.path}: no face found; skipped, or give its box in {default_path(item.path)}")
+        return None
+    if len(found) > 1:
+        box = ", ".join(f"{value:g}" for value in found[0])
+        other = f"for another give its box in {default_path(item.path)}"
+        warn(f"{item.path}: {len(found)} faces; the largest is taken, at [{box}], {other}")
+    return found[0]
+
+
+def _in_clip(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
+    looked, without = 0, []
+    try:
+        wanted = _spread(item.path, reading)
+        with open_source(item.path, start=wanted[0], stop=wanted[-1] + 1) as source:
+            for frame in source:
+                if frame.index not in wanted:
+                    continue
+                found, looked = find_faces(frame.bgr), looked + 1
+                if not found:
+                    without.append(frame.index)
+                yield frame, found[0] if found else None
+            for line in source.warnings:
+                warn(line)
+    except InputError as e:
+        warn(f"{e}; skipped")
+        yield None, None
+    if without:
+        frames = f"frame{'s' * (len(without) > 1)} {', '.join(map(str, without))}"
+        warn(f"{item.path}: no face found in {len(without)} of {looked} frames looked at; skipped {frames}")
+
+
+def _spread(path: Path, reading: Reading) -> list[int]:
+    """At most `reading.frames` frames of a clip, in the middles of as many equal pieces."""
+    with open_source(path, start=reading.start, stop=reading.stop) as source:
+        length = max(source.frames_hint or sum(1 for _ in source), 1)  # some containers do not say
+    number = min(reading.frames, length)
+    return [reading.start + (2 * i + 1) * length // (2 * number) for i in range(number)]
+
+
+def _read_start(item: Item, path: Path, reading: Reading) -> Start:
+    """The single face of an init file, with the checks that need no image."""
+    start = read_init(path)
+    if len(start.targets) > 1:
+        has = f"has {len(start.targets)} targets, {', '.join(start.targets)}"
+        raise InputError(f"{path}: {has}; leave the face of {item.path.parent.name} alone")
+    [(name, target)] = start.targets.items()
+    if target.box is None:
+        raise InputError(f"{path}: has no box of {name}; add box: [left, top, width, height]")
+    check_size(str(path), name, target.box)
+    if item.is_image and start.frame:
+        raise InputError(f"{path}: starts at frame {start.frame}, but {item.path.name} is an image; write frame: 0")
+    end = math.inf if reading.stop is None else reading.stop
+    if not item.is_image and not reading.start <= start.frame < end:
+        used = f"{reading.start} to {'the end' if reading.stop is None else reading.stop - 1}"
+        remedy = "choose one of these, or change --start and --stop"
+        raise InputError(f"{path}: starts at frame {start.frame}, and only frames {used} are to be used; {remedy}")
+    return replace(start, origin=str(path))
+
+
+def _given(start: Start, frame: Frame) -> Box:
+    check_start(start, frame.size, ())
+    box = next(iter(start.targets.values())).box
+    assert box is not None
+    return box
+
+
+class Faces(NamedTuple):
+    """What was read: `patches` (n, d) of zero mean and unit variance, of `persons` (n,) by name.
+
+    Of each of `images` (n,) first comes the face, then its copies; `negatives` (k, d) show no face in its place. `used`
+    and `skipped` count images and frames of each person, `proportion` is the median of the boxes' width over height.
+    """
+
+    patches: Rows
+    persons: tuple[str, ...]
+    images: tuple[int, ...]
+    negatives: Rows
+    used: dict[str, int]
+    skipped: dict[str, int]
+    proportion: float
+
+
+def read_faces(
+    people: Sequence[Person], reading: Reading, warn: Warn, advance: Callable[[int], None] = lambda done: None
+) -> Faces:
+    """The faces of all persons; what shows none is skipped with a warning.
+
+    `advance` is called with the number of images and frames looked at so far. Raises InputError for an init file that
+    does not fit, and for a person of whom nothing is left.
+    """
+    around = max(NEGATIVES, math.ceil(MIN_NEGATIVES / count(people, reading)))
+    used, skipped = ({person.name: 0 for person in people} for _ in range(2))
+    persons: list[str] = []
+    images: list[int] = []
+    found: list[tuple[Rows, Rows, float]] = []  # patches, negatives and proportion of each face
+    seen: dict[bytes, tuple[str, str]] = {}
+    looked = 0
+    for person in people:
+        for item in person.items:
+            for frame, box in faces_of(item, reading, warn):
+                looked += 1
+                advance(looked)
+                if frame is None or box is None:
+                    skipped[person.name] += 1
+                    continue
+                number, at = len(found), item.place(frame)
+                patches, negatives = _cut(frame, box, reading, number, around)
+                name, where = seen.setdefault(patches[0].tobytes(), (person.name, at))
+                why = "" if where == at else f"the same face as {where}"
+                why += "" if name == person.name else f", which is {name}"
+                why = why if patches[0].any() else "nothing to see in the face's box"
+                (skipped if why else used)[person.name] += 1
+                if why:
+                    warn(f"{at}: {why}; skipped")
+                    continue
+                patches, negatives = (rows[rows.any(axis=1)] for rows in (patches, negatives))
+                persons += [person.name] * len(patches)
+                images += [number] * len(patches)
+                found.append((patches, negatives, box[2] / box[3]))
+        if not used[person.name]:
+            remedy = "give its box in an init file beside an image, add another image, or remove the folder"
+            raise InputError(f"{person.folder}: no face of {person.name} was found; {remedy}")
+    all_patches, all_negatives, proportions = zip(*found, strict=True)
+    every, off_mark = np.concatenate(all_patches), np.concatenate(all_negatives)
+    return Faces(every, tuple(persons), tuple(images), off_mark, used, skipped, float(np.median(proportions)))
+
+
+def _cut(frame: Frame, box: Box, reading: Reading, number: int, around: int) -> tuple[Rows, Rows]:
+    """Patches of the face in the box and of its copies, and patches of `around` places beside it."""
+    patches, copies = Patches(size=(box[2], box[3]), shape=reading.shape), reading.jitter
+    [x] = AffineSpace(box[2:]).at(box)
+    ways = near(number * copies, copies), off(number * around, around)
+    every = np.concatenate([x[None], *(moved(x, box, way) for way in ways)])[:, None]
+    read = patches.read(frame, every, patches.factor(every[0]))
+    return read[: 1 + copies], read[1 + copies :]
+
+
+def near(first: int, number: int) -> Array:
+    """(number, 4) ways to draw a face's box a little off: right, down (box sides), log of size, turn (radians)."""
+    u = 2.0 * _even(first, number) - 1.0
+    return u * [SHIFT, SHIFT, math.log1p(STRETCH), math.radians(TURN)]
+
+
+def off(first: int, number: int) -> Array:
+    """(number, 4) as `near`, in which no face is in its place: half beside it, or too large, small, turned."""
+    u = _even(first, number)
+    kind = (first + np.arange(number)) % NEGATIVES
+    side, far = 2.0 * np.pi * u[:, 0], 0.2 + 0.5 * u[:, 1]
+    ways = np.stack([far * np.cos(side), far * np.sin(side), 0.4 * (u[:, 2] - 0.5), 0.5 * (u[:, 3] - 0.5)], axis=1)
+    at_place = 0.1 * (2.0 * u[:, :2] - 1.0)
+    turn = np.where(u[:, 3] < 0.5, -1.0, 1.0) * np.radians(30.0 + 150.0 * np.abs(2.0 * u[:, 3] - 1.0))
+    for number_of_kind, size in ((3, 0.4 + 0.5 * u[:, 2]), (4, -0.4 - 0.6 * u[:, 2]), (5, 0.2 * (u[:, 2] - 0.5))):
+        these = kind == number_of_kind
+        ways[these, :2], ways[these, 2] = at_place[these], size[these]
+        ways[these, 3] = turn[these] if number_of_kind == 5 else 0.2 * (u[these, 3] - 0.5)
+    return ways
+
+
+def moved(x: Array, box: Box, ways: Array) -> Array:
+    """States (n, 6) of the face at x (6,), which fills the box, after each of the `ways` (n, 4)."""
+    size, turn = np.exp(ways[:, 2]), ways[:, 3]
+    cos, sin = size * np.cos(turn), size * np.sin(turn)
+    return np.stack([x[0] + ways[:, 0] * box[2], x[1] + ways[:, 1] * box[3], cos, -sin, sin, cos], axis=1)
+
+
+def _even(first: int, number: int) -> Array:
+    """(number, 4) points in [0, 1) of a sequence that fills it evenly, however many are taken (Halton)."""
+    points = np.zeros((number, 4))
+    for column, base in enumerate((2, 3, 5, 7)):
+        # the digits in the base, read backwards behind the point
+        n, digit = first + 1 + np.arange(number), 1.0
+        while n.any():
+            digit /= base
+            points[:, column] += digit * (n % base)
+            n = n // base
+    return points

@@ -1,0 +1,343 @@
+"""Init files: where a track begins, and its corrections, as a YAML or JSON file that people edit.
+
+    frame: 0
+    placed_by: yunet                             # optional, the detector that has placed all that follows, or haar
+    face:
+      box: [100, 60, 80, 80]                     # left, top, width, height
+      points: {nose: [141.0, 112.5], mouth_left: [120, 140], lip_upper: [131, 133]}
+      windows: {nose: [25, 25]}                  # optional, pixels
+    corrections:                                 # optional, frames in any order
+    - frame: 31
+      face:
+        points: {mouth_left: [137.2, 153.9]}     # by hand
+        kept: {nose: [160, 138.4]}               # where other parts were; optional
+        absent: [lip_upper]                      # not visible from there on; or true: all of the target
+        learn: true                              # the appearance is learned again; optional
+
+There may be several targets, also in a correction. With a single target its keys may stand at the top level, then it is
+called `face`, and beside the `frame` of a correction.
+"""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from difflib import get_close_matches
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Final, NoReturn, TextIO, TypeAlias, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.face_points import DETECTORS
+from facetrack_cli.core.files import write_new
+from facetrack_cli.core.types import BOX, Correction, Point, Start, TargetStart
+from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems, parse, read_source
+from facetrack_cli.recipe.messages import locate, problems
+from facetrack_cli.recipe.sections import suggest
+from facetrack_cli.trackers.hands.settings import NAMES as HANDS
+from facetrack_cli.trajectory.header import CorrectedTarget, TargetRecord, corrected, whole
+from facetrack_cli.trajectory.reader import MAX_FRAME
+
+SUFFIXES: Final = (".yaml", ".yml", ".json")
+TARGET: Final = "face"
+KEYS: Final = tuple(TargetRecord.model_fields)
+OF_FILES: Final = ("frame", "placed_by", "corrections")
+OF_CORRECTIONS: Final = tuple(key for key in CorrectedTarget.model_fields if key not in KEYS)
+MAX_TARGETS: Final = 100
+NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
+MAX_BYTES: Final = 10**6  # some thousand corrections, which take seconds to read
+_FORMS: Final = {
+    "box": "[left, top, width, height] in pixels",
+    "points": "{nose: [x, y]} in pixels",
+    "windows": "{nose: [width, height]} in pixels",
+    "kept": "{nose: [x, y]} in pixels",
+    "absent": "[nose], or absent: true",
+    "learn": "true or learn: false",
+}
+_HOW: Final = {
+    "haar": "found by Haar cascades",
+    "yunet": "found by YuNet",
+    "--box": "placed in the box given",
+    "the page": "picked on the page",
+}
+WHAT_PARTS_ARE: Final = {
+    "nose": "the tip of the nose",
+    "mouth_left": "the corner of the mouth on the picture's left",
+    "mouth_right": "the corner on the picture's right",
+    "lip_upper": "the middle of the upper lip, at its upper edge",
+    "lip_lower": "the middle of the lower lip, at its lower edge",
+}
+_WIDE: Final = 88  # characters of a line; longer ones are split, a point on each
+_KEYS: TypeAlias = "dict[str, Node]"
+_Record = TypeVar("_Record", bound=BaseModel)
+
+
+def find_init(clip: Path) -> Path | None:
+    """The init file beside a video `clip.mp4` or a folder `clip/`: clip.init.yaml, else .yml, else .json; or None."""
+    return next((path for path in (default_path(clip, suffix) for suffix in SUFFIXES) if path.is_file()), None)
+
+
+def default_path(clip: Path, suffix: str = ".yaml") -> Path:
+    """Where `find_init` looks first: `clip.init.yaml` beside the clip."""
+    folder = clip.is_dir()
+    if folder and clip.name in ("", ".."):
+        clip = clip.resolve()
+    return clip.parent / f"{clip.name if folder else clip.stem}.init{suffix}"
+
+
+def write_init(to: Path | TextIO, start: Start, *, clip: str = "", overwrite: bool = False) -> None:
+    """Write an init file that `read_init` reads back as it was: JSON if `to` ends in .json, else YAML with comments.
+
+    Raises OutputError if the file exists and `overwrite` is not set, or cannot be written.
+    """
+    if not isinstance(to, Path):
+        to.write(as_yaml(start, clip))
+    else:
+        text = as_json(start) if to.suffix.lower() == ".json" else as_yaml(start, clip)
+        write_new(to, text.encode(), overwrite=overwrite)
+
+
+def as_json(start: Start) -> str:
+    """As JSON, with the keys of the YAML form."""
+    by = start.placed_by
+    whole: dict[str, Any] = {"frame": start.frame, **({"placed_by": by} if by else {})}
+    for name, target in start.targets.items():
+        keys = {"box": target.box, "points": dict(target.points), "windows": dict(target.windows)}
+        whole[name] = {key: value for key, value in keys.items() if value}
+    entries = groupby(start.corrections, key=lambda one: one.frame)
+    if corrections := [{"frame": frame, **{one.target: corrected(one) for one in group}} for frame, group in entries]:
+        whole["corrections"] = corrections
+    return json.dumps(whole, indent=2) + "\n"
+
+
+def as_yaml(start: Start, clip: str = "") -> str:
+    """As YAML with comments; `clip` is named at the top."""
+    how = f", {_HOW[start.origin]}" if start.origin in _HOW else ""
+    of = f" of {''.join(char if char.isprintable() else '?' for char in clip)}" if clip else ""
+    lines = [
+        f"# Where the track{of} begins{how}.",
+        "# Edit the numbers: pixels of this frame, x to the right, y down; the centre of the first pixel is 0, 0.",
+        f"frame: {start.frame}  # counted from 0",
+    ]
+    if by := start.placed_by:
+        lines.append(f"placed_by: {by}  # remove this line once you have edited a point or the box")
+    for name, target in start.targets.items():
+        lines += [f"{_key(name)}:", *_target_lines(target)]
+    if start.corrections:
+        lines += [
+            "# What was corrected by hand; from each of these frames on the target begins again.",
+            "# points, box: by hand; kept: where its other points were; absent: not to be seen from there on;",
+            "# learn: whether what it looks like is learned again there; if it is not said, what is given is.",
+            "corrections:",
+        ]
+    for frame, group in groupby(start.corrections, key=lambda one: one.frame):
+        lines.append(f"- frame: {frame}")
+        for one in group:
+            lines.append(f"  {_key(one.target)}:")
+            for key, value in corrected(one).items():
+                line = f"    {key}: {_flow(value)}"
+                split = isinstance(value, dict) and len(line) > _WIDE
+                lines += [f"    {key}:", *_below(value, 6)] if split else [line]
+    return "\n".join(lines) + "\n"
+
+
+def _target_lines(target: TargetStart) -> list[str]:
+    lines = [] if target.box is None else [f"  box: {_flow(target.box)}  # left, top, width, height"]
+    if target.points:
+        rows = list(zip(_below(target.points, 4), map(WHAT_PARTS_ARE.get, target.points), strict=True))
+        wide = max(len(row) for row, _ in rows)
+        lines.append("  points:  # x, y of each part; left and right as seen in the image")
+        lines += [f"{row:<{wide}}  # {what}" if what else row for row, what in rows]
+    if target.windows:
+        lines += ["  windows:  # width, height of the window that is compared", *_below(target.windows, 4)]
+    elif target.points:
+        lines += [
+            "  # To compare a larger or smaller window than the recipe's, give its width and height:",
+            f"  # windows: {_flow({next(iter(target.points)): (25, 25)})}",
+        ]
+    return lines
+
+
+def _below(pairs: Mapping[str, Point], indent: int) -> list[str]:
+    return [f"{' ' * indent}{_key(name)}: {_flow(pair)}" for name, pair in pairs.items()]
+
+
+def _flow(value: Any) -> str:
+    """Numbers, names, lists and mappings on one line."""
+    if isinstance(value, list | tuple):
+        value = [one if isinstance(one, str) else whole(one) for one in value]
+    return re.sub('"(.+?)"', lambda name: _key(name[1]), json.dumps(value))
+
+
+def _key(name: str) -> str:
+    return f'"{name}"' if name.lower() in ("null", "true", "false", "yes", "no", "on", "off", "y", "n") else name
+
+
+def read_init(path: Path) -> Start:
+    """The start and the corrections that an init file describes, the corrections by their frames.
+
+    Raises InputError, with file, line and column, for what is not valid: refused by YAML or `trajectory.header`, an
+    unknown key, a missing frame, a target without box and points, a correction of a frame that is not after the first,
+    of a target or part that the start does not have, or of the same part twice.
+    """
+    name = str(path)
+    try:
+        source = read_source(path, name, MAX_BYTES)
+        if path.suffix.lower() == ".json":  # JSON may be indented by tabs, YAML may not
+            source = replace(source, text=source.text.replace("\t", " "))
+        root = parse(source)
+        if root is None:
+            raise InputError(f"{name}:1: the init file is empty; make one with facetrack init")
+        keys = _mapping(root, "an init file", "frame: 0 and box: [left, top, width, height]")
+        frame, by, corrections = _frame(keys, root), _placed_by(keys), keys.pop("corrections", None)
+        targets = _targets(keys, root)
+        corrected = _corrections(corrections, frame, targets) if corrections else ()
+        return Start(frame, targets, name, corrected, detector=by, placed=by != "")
+    except FileNotFoundError:
+        raise InputError(f"{name}: no such init file; correct the name, or make one with facetrack init") from None
+    except IsADirectoryError:
+        raise InputError(f"{name}: is a folder; name the init file, as in clip.init.yaml") from None
+    except OSError as e:
+        raise InputError(f"{name}: cannot be read: {e.strerror or e}; make it readable, or name another") from None
+    except YamlProblems as refused:
+        more = f" (and {len(refused.problems) - 1} more)" if len(refused.problems) > 1 else ""
+        raise InputError(f"{refused.problems[0]}{more}") from None
+
+
+def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
+    add = "add box: [left, top, width, height] or points:"
+    if not keys:
+        _refuse(root, f"neither a box nor points are given; {add}")
+    alone = any(key in KEYS for key in keys)
+    for key, node in keys.items():
+        if key in OF_CORRECTIONS:
+            _refuse(node, f'"{key}" is a key of corrections; move it below corrections:', at_key=True)
+        near = get_close_matches(key, (*OF_FILES, *KEYS), n=1, cutoff=0.7)
+        if key not in KEYS if alone else near or not isinstance(node.value, dict) or not NAME.fullmatch(key):
+            form = f"keys are {', '.join(KEYS)}" if alone else "a target holds box: and points:, below its name"
+            meant = f'did you mean "{near[0]}"?' if near else form
+            _refuse(node, f'unknown key "{key}"; {meant}', at_key=True)
+    if len(keys) > MAX_TARGETS:
+        _refuse(root, f"{len(keys)} targets, and at most {MAX_TARGETS} are followed at a time; split the file")
+    targets = {}
+    for name, node in ({TARGET: Node(root.span, keys)} if alone else keys).items():
+        target = _read(TargetRecord, node, name)
+        if target.box is None and not target.points:
+            _refuse(node, f"neither a box nor points of {name} are given; {add}")
+        for part in target.windows:
+            _check_part(locate(node, ("windows", part))[0], "windows", part, tuple(target.points))
+        targets[name] = target.target()
+    return targets
+
+
+def _corrections(node: Node, first: int, targets: Mapping[str, TargetStart]) -> tuple[Correction, ...]:
+    if not isinstance(node.value, list):
+        _refuse(node, "corrections is a list; write - frame: 31 and, below it, what is corrected, or remove the key")
+    found: dict[tuple[int, str], tuple[Correction, int]] = {}
+    for entry in node.value:
+        keys = _mapping(entry, "a correction", "- frame: 31 and, below it, what is corrected")
+        at, frame = keys.get("frame", entry), _frame(keys, entry)
+        if frame <= first:
+            _refuse(at, f"corrects frame {frame}, but the track begins in frame {first}; corrections come after it")
+        for name, below in _corrected(keys, entry, targets).items():
+            if (frame, name) in found:
+                known = f"{name} has a correction of frame {frame} in line {found[frame, name][1]} already"
+                _refuse(below, f"{known}; join them", at_key=True)
+            line = (below.key or below.span).line + 1
+            found[frame, name] = _correction(frame, name, below, targets.get(name, TargetStart())), line
+    return tuple(one for one, _ in sorted(found.values(), key=lambda pair: pair[0].frame))
+
+
+def _corrected(keys: _KEYS, entry: Node, targets: Mapping[str, TargetStart]) -> _KEYS:
+    """The keys of each target of an entry."""
+    if any(key in (*KEYS, *OF_CORRECTIONS) for key in keys):
+        if len(targets) > 1:
+            _refuse(entry, f"which target is corrected? Indent the keys below its name: {', '.join(targets)}")
+        return {name: Node(entry.span, keys) for name in targets}
+    if not keys:
+        _refuse(entry, "nothing is corrected here; add points: or box: by hand, or absent: true")
+    for key, node in keys.items():
+        if key not in (*targets, *HANDS):  # these may appear after the start
+            known = suggest(key, (*targets, *CorrectedTarget.model_fields), "there are the start's targets, and keys")
+            _refuse(node, f'unknown key "{key}"; {known}', at_key=True)
+    return keys
+
+
+def _correction(frame: int, name: str, node: Node, start: TargetStart) -> Correction:
+    keys = _mapping(node, f"the correction of {name}", "points: or absent: below the name")
+    if "windows" in keys:
+        _refuse(keys["windows"], "windows stay as the start has them; remove them from the correction", at_key=True)
+    found = _read(CorrectedTarget, node, f"{name} in frame {frame}")
+    if not keys.keys() & {"box", "points", "absent"}:
+        _refuse(node, f"nothing of {name} is corrected; add points: or box: by hand, or absent: true, or remove it")
+    if found.absent is True and len(keys) > 1:
+        other = next(key for key in keys if key != "absent")
+        _refuse(keys[other], f"all of {name} is absent; remove {other}, or list the absent parts", at_key=True)
+    if found.box is not None and found.kept:
+        _refuse(keys["kept"], f"kept beside the box of {name}: a box has no other parts; remove kept", at_key=True)
+    # a start of a box alone leaves the parts to the recipe
+    parts = (*start.points, *((BOX,) if start.box is not None else ())) if start.points else ()
+    known = {BOX: "box"} if found.box is not None else {}
+    for key, names in (("points", found.points), ("kept", found.kept), ("absent", found.absent)):
+        for at, part in enumerate(() if names is True else names):
+            child, _, _ = locate(node, (key, at if key == "absent" else part))
+            if part in known:
+                _refuse(child, f"{part} is in {known[part]} already; leave it in one place", at_key=True)
+            _check_part(child, key, part, parts)
+            known[part] = key
+    return found.correction(frame, name)
+
+
+def _check_part(node: Node, key: str, part: str, parts: Sequence[str]) -> None:
+    if parts and part not in parts:
+        meant = suggest(part, parts, "it has")
+        _refuse(node, f'{key} names "{part}", which the start does not have; {meant}', at_key=True)
+
+
+def _read(model: type[_Record], node: Node, whose: str) -> _Record:
+    for path, child in node.walk():
+        if path and child.value in (None, [], {}):
+            _refuse(child, "nothing is given here; write a value, or remove the key", at_key=True)
+        if len(path) == 2 and isinstance(path[1], str) and not NAME.fullmatch(path[1]):
+            _refuse(child, f'"{path[1]}" cannot name a part; use letters, digits, _ and -', at_key=True)
+    try:
+        return model.model_validate(node.plain())
+    except ValidationError as error:
+        found = []
+        for one in problems(error, model, node):
+            form = next((f"; write {key}: {_FORMS[key]}" for key in _FORMS if re.match(rf"{key}\b", one.message)), "")
+            found.append(Problem(one.span, f"{whose}: {one.message}{form}"))
+        raise YamlProblems(found) from None
+
+
+def _mapping(node: Node, what: str, example: str) -> _KEYS:
+    """A copy of the mapping that a node is."""
+    if not isinstance(node.value, dict):
+        _refuse(node, f"{what} is a mapping of keys; write {example}")
+    return dict(node.value)
+
+
+def _frame(keys: _KEYS, node: Node) -> int:
+    """The frame number; its key is removed."""
+    if "frame" not in keys:
+        _refuse(node, 'the key "frame" is missing; add frame: N, counted from 0')
+    at = keys.pop("frame")
+    if isinstance(at.value, bool) or not isinstance(at.value, int) or not 0 <= at.value <= MAX_FRAME:
+        _refuse(at, f"frame must be a whole number, from 0 to {MAX_FRAME}")
+    return at.value
+
+
+def _placed_by(keys: _KEYS) -> str:
+    """The detector that has placed the points, "" if none has; the key is removed."""
+    node = keys.pop("placed_by", None)
+    if node is not None and node.value not in DETECTORS:
+        _refuse(node, f"placed_by names a detector, {' or '.join(DETECTORS)}; remove the line if none did")
+    return "" if node is None else str(node.value)
+
+
+def _refuse(node: Node, message: str, *, at_key: bool = False) -> NoReturn:
+    """Refuse the value of a node. An empty value has no place, so the error points at its key."""
+    span = node.key if (at_key or node.value is None) and node.key is not None else node.span
+    raise YamlProblems([Problem(span, message)])

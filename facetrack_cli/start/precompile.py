@@ -1,0 +1,173 @@
+"""The kernels of a recipe, compiled before they are called, in this process and in a second process beside it.
+
+This file declares the one signature of each kernel, and the settings that call it. numba holds the interpreter's lock
+while it compiles, so threads gain little. An error here costs time alone: the first call compiles a kernel that is
+missing.
+"""
+
+import contextlib
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from facetrack_cli.engine.kernels.cache import compiling
+
+_FILTERS = "filter=auxiliary filter=factorized filter=guided filter=independent filter=sir"
+_CELLS, _LOOKS, _NCC = "likelihood=correlation_filter", "likelihood=appearance", "ncc"
+_COLOURS = "likelihood=colour_ratio"
+# a kernel, the dearest first; what it takes: f8 a number, f8x2 a tuple, f8:2 an array of two axes, f8:2r a read-only
+# one; any of the settings that call it: `key=type`, or the key of a section without types
+KERNELS: Mapping[str, tuple[str, str]] = {
+    "trackers.regions.patch_kernels.patch_distances": (
+        "u1:2 i8x4 u1:2 i8x4 i8 f8:2 f8:2 f8x2 i8 i8 i8 f8 f8 f8:1",
+        "correlation",
+    ),
+    "trackers.regions.contour_kernels.nearest_edges": ("u2:2 f8:2 i8 i8 i8 f8:2 f8:2 f8 f8", "contour"),
+    "trackers.appearance.velocity_kernels._solve": ("f8:2 f8:2 f8:1 f8:1 f8:1 f8:1 f8:1 f8:2 i4:1 i8 f8", "velocity"),
+    "trackers.box.cell_kernels._of_scales": ("u1:2 f8 f8 f8:2 i8 f4:2 i8:2 f4:1 f4:3 f4:2 f4:2 i4:1 f4:4", _CELLS),
+    "trackers.face.channel_kernels._channels": ("f4:2 f4:2 f4:2 f4:2 f4:2 f4:3 f4:3 f4:2 f4:2 f4:3", "head"),
+    "engine.kernels.affine.read_patches": ("u1:2 i8 i8 i8 i8 i8 f8x4 f8:2 f8 f8 i8 i8", "target=affine"),
+    "trackers.appearance.mixture_kernels.log_densities": ("f4:2r f4:2 f4:2 f4:2 f8 b1", _LOOKS),
+    "trackers.points.window_kernels._distances": (
+        "u1:2 f4:1 i8:1 i8:2 i8:1 f8:3 i8 i8 i8 f8 i8 f8 f4:1 f4:1 f8:2",
+        _COLOURS,
+    ),
+    "trackers.appearance.mixture_kernels.update": ("f4:1r f4:2 f4:2 f4:2 f8:2 f4:2 f4:2 f8 b1 f8 f8 f8", _LOOKS),
+    "trackers.skin.ncc_kernels.moments_direct": ("u1:2 f4:2 f8:2", _NCC),
+    "trackers.points.shape_kernels._parzen": (
+        "f8:3 i8:1 f8:2 i8 f8 f4:2 f4:1 f8:1 f4:1 i4:1 f4:1 f8:1 i8:1",
+        "prior=parzen",
+    ),
+    "trackers.skin.ncc_kernels.place": ("f8:3 i8 f8x2 i8 i8 i8 i8", _NCC),
+    "trackers.skin.ncc_kernels.read_patch": ("u1:2 f8 f8 f8 i8 i8", _NCC),
+    "trackers.skin.ncc_kernels.variances": ("f8:2x5 f8:2 i8 i8 i8 i8", _NCC),
+    "trackers.box.walk_kernels._arrive": (
+        "f8:2 f8:2 f8:2 f8 f8:1 f8:1 f8:1 f8:1 f8:1 i8:1 f8:2 f8:2 f8:1",
+        "motion=visible_walk",
+    ),
+    "trackers.box.cell_kernels.multiply": ("f4:3 f4:3 f4:3", _CELLS),
+    "trackers.appearance.mixture_kernels.errors": ("f4:2r f4:2 f4:2 f4:2", "velocity"),
+    "trackers.regions.histogram_kernels.match_integral": ("u2:2 i8:2 i8:2 f8:1 f4:2", "histogram"),
+    "trackers.regions.histogram_kernels.match_direct": ("u2:2 i8:2 i8:2 f8:1 f4:2", "histogram"),
+    "trackers.appearance.mixture_kernels.best_matches": ("f4:2r f4:2", _LOOKS),
+    "trackers.appearance.velocity_kernels._differences": ("f4:2r i8:1 f4:1r f4:2 f8:2", "velocity"),
+    "trackers.skin.skin_kernels._map": ("u1:2 u1:1", "skin likelihood=skin"),
+    "trackers.skin.skin_kernels.differences": ("i4:2 f8:2 f8:2", "skin"),
+    "trackers.skin.ncc_kernels.means": ("f8:2 f8:2 f8:2 i8 i8", _NCC),
+    "engine.kernels.affine.diffuse": ("f8:2 f8:2 f8:2 f8:1 f8 f8 f8", "motion=affine_walk"),
+    "trackers.skin.skin_kernels.nested": ("f8:3 f8 f8 i8 i8 i8", "skin"),
+    "trackers.box.cell_kernels.project": ("f4:2 f4:2 f4:1 f4:2", _CELLS),
+    "trackers.box.cell_kernels.remember": ("f4:3 f4:3 f4", _CELLS),
+    "trackers.box.cell_kernels.respond": ("f4:3 f4:3 f4:2", _CELLS),
+    "trackers.box.cell_kernels._read_cubic": ("f4:2 f8:1 f8:1 f8:1 f8:1 f8:1", _CELLS),
+    "trackers.regions.histogram_kernels.code": ("u1:3 u2:2 u2:1 i8 i8", "histogram"),
+    "trackers.regions.histogram_kernels.edges": ("f8:2 f8 f8 i8 i8 i8 i8 i8", "histogram"),
+    "trackers.regions.histogram_kernels.crop": ("i8:2 i8:2", "histogram"),
+    "engine.kernels.resampling._invert_cdf": ("f8:2 f8:2 i8:2", _FILTERS),
+    "engine.kernels.affine.boxes_extent": ("f8:2 f8 f8 i8 i8", "target=affine correlation skin"),
+    "trackers.skin.ncc_kernels.bilinear": ("f4:2 f8:2 i8 i8", _NCC),
+    "trackers.skin.skin_kernels.at_points": ("u1:3 u1:2 f8:2", "likelihood=skin"),
+    "trackers.appearance.velocity_kernels._mapped": ("f8:2 f4:2 f4:1 f8:1", "velocity"),
+    "trackers.appearance.mixture_kernels.greys": ("f4:1", _LOOKS),
+    "trackers.points.window_kernels.extent": ("f8:3 f8", f"{_COLOURS} likelihood=skin"),
+}
+_SECOND = """import json, os, stat, sys; from threading import Thread  # its input ends with the process that began it
+if stat.S_ISFIFO(os.fstat(0).st_mode): Thread(target=lambda: os._exit(len(os.read(0, 1))), daemon=True).start()
+sys.path[:], names = json.loads(sys.argv[1])
+from {0} import *
+compile_kernels(names)"""
+
+
+def kernel(name: str) -> Any:
+    module, _, function = name.rpartition(".")
+    return getattr(import_module(f"facetrack_cli.{module}"), function)
+
+
+def signature(name: str) -> tuple[Any, ...]:
+    """numba's types of the arguments of a kernel."""
+    from numba import types
+
+    def of(word: str) -> Any:
+        word, _, many = word.partition("x")
+        word, _, axes = word.partition(":")
+        kind = getattr(types, word)
+        if axes:
+            kind = types.Array(kind, int(axes[0]), "C", readonly=axes.endswith("r"))
+        return types.UniTuple(kind, int(many)) if many else kind  # type: ignore[no-untyped-call]
+
+    return tuple(map(of, KERNELS[name][0].split()))
+
+
+def of_recipe(settings: Mapping[str, Any]) -> list[str]:
+    """The names of the kernels that a recipe calls, given as `to_dict` does; the dearest first."""
+    found = set(_settings("", settings))
+    return [name for name, (_, by) in KERNELS.items() if not found.isdisjoint(by.split())]
+
+
+def _settings(key: str, settings: Any) -> Iterator[str]:
+    if isinstance(settings, Mapping):
+        yield f"{key}={settings['type']}" if "type" in settings else key
+        for below, more in settings.items():
+            yield from _settings(below, more)
+
+
+class Precompiler:
+    """Compiles the kernels of a recipe that the cache lacks, while the `with` block lasts.
+
+    `processes`: how many there may be, this one included. The second process begins at once, this one with `finish`.
+    """
+
+    def __init__(self, settings: Mapping[str, Any], processes: int) -> None:
+        missing = [name for name in of_recipe(settings) if not _is_cached(name)]
+        # each process begins with the dear half of its own, then helps the other one from the cheap end: they meet in
+        # the middle, and find in the cache what the other one has compiled
+        mine, others = missing[::2], missing[1::2]
+        self._names = [*mine, *reversed(others)]
+        self._process: subprocess.Popen[bytes] | None = None
+        if missing:
+            compiling()
+        # a program that embeds Python, or is frozen, has no interpreter to start
+        if others and processes > 1 and Path(sys.executable or "").stem.startswith("python"):
+            order = json.dumps([sys.path, [*others, *reversed(mine)]])
+            nowhere = subprocess.DEVNULL
+            with contextlib.suppress(OSError):
+                self._process = subprocess.Popen(
+                    [sys.executable, "-c", _SECOND.format(__name__), order],
+                    stdin=subprocess.PIPE,
+                    stdout=nowhere,
+                    stderr=nowhere,
+                )
+
+    def __enter__(self) -> "Precompiler":
+        return self
+
+    def finish(self, stopped: Callable[[], bool] = lambda: False, report: Callable[..., None] | None = None) -> None:
+        """Compile or load all kernels, until all are there or `stopped`; `report` takes how many, of how many."""
+        compile_kernels(self._names, stopped, report)
+
+    def __exit__(self, *_: object) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
+
+
+def compile_kernels(
+    names: list[str], stopped: Callable[[], bool] = lambda: False, report: Callable[..., None] | None = None
+) -> None:
+    for done, name in enumerate(names):
+        if stopped():
+            return
+        if report is not None:
+            report(done, len(names), "compiling", "kernels")
+        with contextlib.suppress(Exception):  # the call of the kernel raises it again
+            kernel(name).compile(signature(name))
+
+
+def _is_cached(name: str) -> bool:
+    """Whether an earlier run has compiled a kernel; also True where numba is switched off."""
+    cache: Any = getattr(kernel(name), "_cache", None)
+    return not hasattr(cache, "holds") or bool(cache.holds(kernel(name), signature(name)))

@@ -1,0 +1,233 @@
+"""Everybody in a film: in each shot every face is a track of its own, from where it comes in to where it leaves (ours).
+
+A detector of faces looks at every few frames. A face that it sees in two frames near each other, and that no track has,
+begins a track; the track is followed back over the frames since the last look. Whether a track is still of a face is a
+probability: looks that find it or not, and what the tracker says of itself, are its evidence (a Bernoulli filter of
+existence, as in Mahler 2007). A track ends where that is small, where the face leaves the picture, and at every cut: no
+motion is carried over it. Two tracks of one face are one too many, and the later one ends. Who it is is decided later,
+of the whole film (`identity.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+from numpy.random import Generator
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import inside, overlap, share_inside
+from facetrack_cli.core.types import BOX, Box, Frame, Start, TargetStart
+from facetrack_cli.engine.loop import TrackState
+from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.start.assembly import tracker_for
+from facetrack_cli.trackers.face.closer import everywhere, near, righted
+from facetrack_cli.trackers.face.detectors import MIN_FACE_SHARE, Detector, Found
+from facetrack_cli.trackers.face.points import EYES_IN_BOX, MOUTH_Y, named
+from facetrack_cli.trackers.face.target import FaceTarget
+from facetrack_cli.trajectory.trajectory import UNSEEN, FrameResult, TargetResult
+from facetrack_cli.video.shots import Shot
+
+LOOK_FRAMES: Final = 5  # frames from one look of the detector to the next
+TWICE_FRAMES: Final = 2  # frames before a look, in which a new face is seen too
+MIN_FACE_PX: Final = 20  # pixels of a face's box; smaller faces have no features to track
+CLOSER: Final = 5  # looks from one closer look for anybody to the next, where nobody is
+MAX_FACES: Final = 12  # tracks at a time; of more faces the largest are followed
+SAME_FACE: Final = 0.3  # overlap of a detection with the track of that face
+INSIDE: Final = 0.9  # share of what lies between eyes and mouth that is in the picture at least
+ONE_FACE: Final = 0.5  # overlap of two tracks of one face
+STREAM: Final = "track_"
+_Results: TypeAlias = "dict[int, dict[str, TargetResult]]"  # by frame and track
+# the log odds that a track is of a face: at its start, at most, by a look that finds it, by a look that does not while
+# the tracker sees it and while it does not; a track below the last ends
+_BEGINS, _MOST, _FOUND, _UNFOUND, _LOST, _ENDS = 2.0, 4.0, 3.0, -1.0, -2.0, -3.0
+
+
+@dataclass
+class Track:
+    """One face in one shot: where it began, the state of its tracker and its log odds of being there."""
+
+    name: str
+    start: Start
+    rng: Generator
+    state: Any
+    odds: float = _BEGINS
+    closer: Found | None = None  # as it was found, where that took a closer look
+    box: Box | None = None  # where it is; None while it is lost
+
+    def see(self, rows: TargetResult) -> None:
+        face = rows.rows.parts[[part for _, part in rows.rows.names].index(BOX)]
+        self.box = None if face.status[0] in UNSEEN else tuple(face.boxes[0].tolist())
+
+
+@dataclass
+class Everyone:
+    """The state after a frame: the tracks that go on, and how many have begun."""
+
+    tracks: list[Track] = field(default_factory=list)
+    begun: int = 0
+    crowd: int | None = None  # the first frame with more than MAX_FACES
+
+
+@dataclass(frozen=True)
+class Film:
+    """What is followed: faces by a recipe that has a head, in the `shots` of a film of this size and rate."""
+
+    recipe: Recipe
+    shots: Sequence[Shot]
+    detector: Detector
+    size: tuple[int, int]
+    fps: float
+    seed: int
+
+    def follow(self, frames: Iterable[Frame], at: TrackState) -> Iterator[FrameResult]:
+        """A result for each frame, of all faces that are in it. `at` holds an `Everyone` where it can be resumed."""
+        known: Everyone = at.states[0] if at.states else Everyone()
+        shots, waiting = iter(self.shots), list[Frame]()
+        shot = next(shots)
+        for frame in frames:
+            while shot.stop is not None and frame.index >= shot.stop:
+                yield from self._block(known, waiting, shot, at)
+                shot = next(shots)
+            if frame.index == shot.first:  # no track is carried over a cut
+                known.tracks = []
+            waiting.append(frame)
+            if len(waiting) >= LOOK_FRAMES and frame.index >= shot.clear + LOOK_FRAMES - 1:
+                yield from self._block(known, waiting, shot, at)
+        yield from self._block(known, waiting, shot, at)
+
+    def _block(self, known: Everyone, frames: list[Frame], shot: Shot, at: TrackState) -> Iterator[FrameResult]:
+        """The results of successive frames of one shot, of which the detector looks at the last."""
+        if frames:
+            at.states = []  # what is between two blocks can be resumed
+            found, left = self._tracked(known, frames)
+            self._look(known, frames, found, left, shot)
+            results = [FrameResult(frame, tuple(found[frame.index].values())) for frame in frames]
+            frames.clear()
+            yield from results[:-1]
+            at.states = [known]
+            yield results[-1]
+
+    def _tracked(self, known: Everyone, frames: list[Frame]) -> tuple[_Results, list[Track]]:
+        """The results of the tracks that go on, and the tracks that leave the picture."""
+        each = [self._advance(track, frames) for track in known.tracks]
+        found: _Results = {frame.index: {} for frame in frames}
+        for track, results in zip(known.tracks, each, strict=True):
+            for frame, result in zip(frames, results, strict=False):
+                found[frame.index][track.name] = result
+        left = [track for track, results in zip(known.tracks, each, strict=True) if len(results) < len(frames)]
+        known.tracks = [track for track in known.tracks if track not in left]
+        return found, left
+
+    def _advance(self, track: Track, frames: Iterable[Frame], *, back: bool = False) -> list[TargetResult]:
+        """The results of one track in further frames, while it is in the picture; going `back`, while it is seen."""
+        target, results = self._target(track.start), list[TargetResult]()
+        for frame in frames:
+            track.state, result = target.advance(track.rng, track.state, _own(frame))
+            before = track.box
+            track.see(result)
+            at = track.box or before
+            if (back and track.box is None) or (at is not None and not in_view(at, self.size)):
+                break
+            results.append(result)
+        return results
+
+    def _target(self, start: Start) -> FaceTarget:
+        [target] = tracker_for(self.recipe, start, self.size, self.fps)
+        assert isinstance(target, FaceTarget)
+        return replace(target, alone=False)
+
+    def _look(self, known: Everyone, frames: list[Frame], found: _Results, left: list[Track], shot: Shot) -> None:
+        """Look at the last frame: which tracks go on, and which faces are new."""
+        frame = frames[-1]
+        free, age = self.detector.find(frame), (frame.index - shot.clear) // LOOK_FRAMES
+        nobody = not free and not known.tracks
+        if age == 0 or (nobody and age % CLOSER == 0):
+            free += [one for one in everywhere(self.detector, frame) if not _taken(one, free)]
+        for track in sorted(known.tracks, key=lambda one: -one.odds):
+            mine = max(free, key=lambda one: 0 if track.box is None else overlap(track.box, one.box), default=None)
+            if mine is not None and track.box is not None and overlap(track.box, mine.box) >= SAME_FACE:
+                free.remove(mine)
+                track.odds = min(track.odds + _FOUND, _MOST)
+            elif track.box and (it := track.closer) and near(self.detector, frame, track.box, it.turn):
+                track.odds = min(track.odds + _FOUND, _MOST)
+            else:
+                track.odds += _LOST if track.box is None else _UNFOUND
+        kept: list[Track] = []
+        for track in known.tracks:  # in the order of their age
+            twice = any(track.box and one.box and overlap(track.box, one.box) >= ONE_FACE for one in kept)
+            if track.odds > _ENDS and not twice:
+                kept.append(track)
+        known.tracks = kept
+        # a face that comes in when a shot ends is left out, and so is a face that another shot shows
+        able = shot.is_clear(frame.index) and (len(frames) > TWICE_FRAMES or frames[0].index == shot.first)
+        new = [one for one in free if able and self._is_new(one, [*kept, *left], frames, nobody=nobody)]
+        room = MAX_FACES - len(kept)
+        if len(new) > room and known.crowd is None:
+            known.crowd = frame.index
+        begun = [one for face in new[:room] if (one := self._begun(known, face, frame)) is not None]
+        passed = frames[-2::-1]
+        each = [self._back(track, passed) for track, _ in begun]
+        for (track, first), back in zip(begun, each, strict=True):
+            ordered = [*reversed(back), first]
+            for at, result in zip(frames[len(frames) - len(ordered) :], ordered, strict=True):
+                rows, how = result.rows, "init" if result is ordered[0] else "tracked"
+                status = np.where(rows.unseen, rows.status, how)
+                found[at.index][track.name] = result._replace(rows=replace(rows, status=status))
+            track.see(first)
+            known.tracks.append(track)
+
+    def _is_new(self, face: Found, kept: Sequence[Track], frames: Sequence[Frame], *, nobody: bool) -> bool:
+        """Whether a face in the picture is of no track, and seen in an earlier frame, too, if there is one.
+
+        Where `nobody` else is seen it may be small.
+        """
+        taken = any(track.box is not None and overlap(track.box, face.box) >= SAME_FACE for track in kept)
+        least = max(MIN_FACE_PX, 0 if nobody else MIN_FACE_SHARE * min(self.size))
+        if taken or not in_view(face.box, self.size) or face.box[2] < least:
+            return False
+        if len(frames) <= TWICE_FRAMES:
+            return True
+        before = frames[-1 - TWICE_FRAMES]
+        if face.closer:
+            return near(self.detector, before, face.box, face.turn) is not None
+        return _taken(face, self.detector.find(before))
+
+    def _begun(self, known: Everyone, face: Found, frame: Frame) -> tuple[Track, TargetResult] | None:
+        """A track that begins with a face; None where its points are not in the picture."""
+        face = righted(self.detector, frame, face)
+        points = named(face.placed(frame))
+        if not all(inside(points[part], self.size) for part in self.recipe.points):
+            return None
+        name = f"{STREAM}{known.begun + 1}"
+        start = Start(frame.index, {name: TargetStart(face.box, points)}, self.detector.name)
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, known.begun)))
+        try:
+            state, result = self._target(start).begin(rng, _own(frame))
+        except InputError:  # too small, or beyond the border
+            return None
+        known.begun += 1
+        return Track(name, start, rng, state, closer=face if face.closer else None), result
+
+    def _back(self, track: Track, passed: Sequence[Frame]) -> list[TargetResult]:
+        """The results of a track in the frames before, the last of them first."""
+        rng = np.random.default_rng(track.rng.bit_generator.random_raw())
+        return self._advance(replace(track, rng=rng), passed, back=True)
+
+
+def in_view(face: Box, size: tuple[int, int]) -> bool:
+    """Whether eyes, nose and mouth of the face in a box are in a picture of that size, whatever the border cuts off."""
+    (x, y, w, h), ((left, top), (right, _)) = face, EYES_IN_BOX
+    down = MOUTH_Y * (right - left)
+    return share_inside((x + left * w, y + top * h, (right - left) * w, down * h), size) >= INSIDE
+
+
+def _taken(face: Found, others: Sequence[Found]) -> bool:
+    return any(overlap(one.box, face.box) >= SAME_FACE for one in others)
+
+
+def _own(frame: Frame) -> Frame:
+    """The frame for one track: what is computed of it is kept apart."""
+    return Frame(frame.index, frame.time_s, frame.pixels, frame.bgr, aspect=frame.aspect)

@@ -1,0 +1,4 @@
+"""The trackers, a folder each: settings, likelihoods, motion, state spaces and kernels, with the paper on top.
+
+`settings.py` of a folder declares what a recipe may say, and imports no numerics; all else computes with it.
+"""

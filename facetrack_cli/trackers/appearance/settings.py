@@ -1,0 +1,223 @@
+"""The sections of a recipe that follows a face under affine maps, adapts to it, and may name it.
+
+All equations are those of Zhou, Chellappa & Moghaddam, "Adaptive Visual Tracking and Recognition using Particle
+Filters", ICME 2003. No numerics are imported here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+
+from pydantic import Field
+
+from facetrack_cli.recipe.sections import Component, Filter, Length, Likelihood, Motion, Refusal, Section, Steps
+from facetrack_cli.recipe.shared import MAX_COMPARED_PARTICLES, Factor, Scaled
+from facetrack_cli.recipe.times import SHARE
+
+if TYPE_CHECKING:
+    from facetrack_cli.recipe.model import ParticleFilter
+
+MAX_TEMPLATE_POINTS = 100_000_000  # particles times points of a template: some gigabytes
+Points: TypeAlias = Annotated[int, Field(ge=6, le=128)]
+Deviation: TypeAlias = Annotated[float, Field(ge=1e-3, le=100)]
+
+
+class Affine(Scaled):
+    """A face under affine maps: place, and what became of the box of the first frame (section 4)."""
+
+    engine = "facetrack_cli.trackers.appearance.space:AffineSpace.place"
+    type: Literal["affine"]
+    estimate: Literal["map", "mean"] = "map"
+    """The particle of the greatest weight, thus likelihood, which the paper calls MAP, or the mean of them all."""
+    scale: Annotated[tuple[Factor, Factor], Field(strict=False)] = (0.2, 5.0)
+    """The least and the largest scale, as factors of the size at the start."""
+
+    @property
+    def best(self) -> bool:
+        return self.estimate == "map"
+
+
+class Velocity(Section):
+    """Adaptive velocity: the shift that the change of the image predicts (eq. 12)."""
+
+    components: Annotated[int, Field(ge=1, le=500)] = 20
+    """q, how many of the largest singular values are kept."""
+    iterations: Annotated[int, Field(ge=1, le=100)] = 10
+    """How often the shift is corrected at most."""
+    settle: Annotated[float, Field(ge=0, lt=1)] = 0.02
+    """It ends when the error falls by less than this share."""
+    samples: Annotated[int, Field(ge=2)] | None = None
+    """From how many of the particles, evenly chosen, it is learned what a shift does to the patch; null: from all."""
+    towards: Literal["last", "appearance"] = "last"
+    """What the image should match again: the patch of the last frame, as published, or what the model expects."""
+    search: Annotated[float, Field(ge=0, le=3)] = 0.0
+    """Beyond the paper: first look for the face so far around, in units of its box; 0: do not."""
+
+
+class Noise(Section):
+    """Adaptive noise: r_t / r_0 = a + (b - a) tanh(eps_t / c), eps_t the error of the prediction (eq. 13)."""
+
+    least: Annotated[float, Field(gt=0, le=100)] = 0.5
+    """a, r_t / r_0 after a perfect prediction."""
+    most: Annotated[float, Field(gt=0, le=100)] = 2.0
+    """b, r_t / r_0 after a very bad one."""
+    rate: Annotated[float, Field(gt=0, le=1e6)] = 1.0
+    """c; the error is 1 where the patch differs from the appearance as much as that expects."""
+
+    def mistakes(self) -> Iterable[Refusal]:
+        if self.most < self.least:
+            yield Refusal(("most",), "motion.noise.most is below least; give it a value at least as large")
+
+
+class AffineWalk(Motion):
+    """Gaussian noise on the six parameters, around the predicted place: theta_t = theta_{t-1} + nu_t + u_t (eq. 1)."""
+
+    engine = "facetrack_cli.trackers.appearance.velocity:affine_walk"
+    goes_with = ("affine",)
+    type: Literal["affine_walk"]
+    sigma: Length
+    """r_0 u_0 of the place: standard deviation along x and y."""
+    deform: Annotated[float, Field(ge=0, le=1)]
+    """r_0 u_0 of the deformation [[a1, a2], [a3, a4]], the identity at the start: of its scale."""
+    turn: Annotated[float, Field(ge=0, le=1)] | None = None
+    """... of its turn; null: the same; 0: the box stays upright."""
+    shear: Annotated[float, Field(ge=0, le=1)] | None = None
+    """... and of its stretch along one side and its shear; null: the same; 0: the box keeps its shape."""
+    velocity: Velocity | None = None
+    """nu_t; null: none, the target is expected where it was."""
+    noise: Noise | None = None
+    """r_t; null: fixed, r_0."""
+
+    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+        if (self.velocity or self.noise) and not isinstance(whole.likelihood, PatchLikelihood):
+            message = f'likelihood type "{whole.likelihood.type}" does not compare patches'
+            key = "velocity" if self.velocity else "noise"
+            yield Refusal(("motion", key), f"{message}; write velocity: null, noise: null")
+        if self.velocity is None:
+            return
+        n, where = whole.filter.most(whole)
+        samples = self.velocity.samples
+        if min(n, samples or n) > MAX_COMPARED_PARTICLES:
+            remedy = "give velocity.samples, as in samples: 32"
+            message = f"motion.velocity compares every two of up to {n:,} particles; {remedy}"
+            yield Refusal(where if samples is None else ("motion", "velocity", "samples"), message)
+
+
+class Components(Section):
+    """One number for each component of the appearance."""
+
+    w: Annotated[float, Field(ge=0, le=100)]
+    """Of W, the last frame."""
+    s: Annotated[float, Field(ge=0, le=100)]
+    """Of S, what is stable."""
+    f: Annotated[float, Field(ge=0, le=100)]
+    """Of F, the first frame."""
+
+    @property
+    def each(self) -> tuple[float, float, float]:
+        return self.w, self.s, self.f
+
+
+class PatchLikelihood(Likelihood):
+    """A likelihood that scores patches by their distance from the appearance (eq. 13): `roles.ScoresPatches`."""
+
+    template: Annotated[tuple[Points, Points], Field(strict=False)] = (26, 30)
+    """[columns, rows] of the patch; its grey levels have zero mean and unit variance."""
+
+    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+        (n, where), (columns, rows) = whole.filter.most(whole), self.template
+        if n * columns * rows > MAX_TEMPLATE_POINTS:
+            most = f"no more than {MAX_TEMPLATE_POINTS:,} points fit into memory"
+            yield Refusal(where, f"{n:,} particles of {columns}x{rows} points each; {most}")
+
+
+class Appearance(PatchLikelihood):
+    """The adaptive appearance model: a mixture of W, S and F in each pixel of a patch (eq. 6 to 11)."""
+
+    engine = "facetrack_cli.trackers.appearance.appearance:Appearance.build"
+    goes_with = ("affine",)
+    type: Literal["appearance"]
+    mixing: Components
+    """m_i in the first frame, in proportion; 0 leaves a component out, and f alone is a fixed template."""
+    sigma: Components
+    """sigma_i in the first frame, in standard deviations of the patch."""
+    alpha: Annotated[float, Field(ge=0, lt=1), SHARE]
+    """The updating factor: the share of a new frame in what is known."""
+    least_sigma: Deviation = 0.1
+    """Floor of sigma_s, which a pixel that never changes would drive to zero."""
+    least_mixing: Annotated[float, Field(gt=0, lt=0.3)] = 0.01
+    """Floor of m_i."""
+    density: Literal["gaussian", "laplace"] = "gaussian"
+    """N of eq. 6, or the Laplacian of the earlier tracker that the paper improves on."""
+    outlier: Annotated[float, Field(gt=0, lt=1)] | None = None
+    """Beyond the paper: share of a fourth component, uniform, for pixels that are covered; null: none."""
+    pixels: Annotated[float, Field(gt=0, le=16384)] | None = None
+    """Beyond the paper: how many pixels of the patch count as independent; null: all."""
+    independent: Literal["all", "estimated"] = "all"
+    """Beyond the paper: how many pixels count as independent is estimated from their autocorrelation, or all do."""
+
+    def mistakes(self) -> Iterable[Refusal]:
+        if self.pixels is not None and self.independent != "all":
+            yield Refusal(("independent",), "pixels says how many are independent; leave it out, or independent")
+        if sum(self.mixing.each) <= 0:
+            yield Refusal(("mixing",), "likelihood.mixing is all 0; give w, s or f a share")
+        for name, share, sigma in zip("wsf", self.mixing.each, self.sigma.each, strict=True):
+            if share > 0 and sigma < 1e-3:
+                yield Refusal(("sigma", name), f"likelihood.sigma.{name} must be at least 0.001")
+
+
+class Recognition(Component):
+    """Who it is: the joint posterior of motion and identity (eq. 5, 14 to 16)."""
+
+    engine = "facetrack_cli.trackers.appearance.recognition:Recognition.build"
+    goes_with = ("affine",)
+
+    gallery: str | None = None
+    """The people, as `facetrack gallery fit` writes them; `--gallery FILE`. Sought beside the recipe."""
+    none: bool = False
+    """Beyond the paper: whether it may also be none of them."""
+    switch: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Probability that the identity changes from frame to frame (section 2.2)."""
+    sharpness: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """Beyond the paper: below 1 a patch says less of who it is: the log of eq. 16 times this."""
+
+    @property
+    def files(self) -> Mapping[str, str]:
+        return {} if self.gallery is None else {"gallery": self.gallery}
+
+    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+        if not isinstance(whole.likelihood, PatchLikelihood):
+            message = f'recognition does not go with likelihood type "{whole.likelihood.type}"; remove it'
+            yield Refusal(("recognition",), message)
+
+
+class Adaptive(Filter):
+    """All particles around the predicted place, as many as the prediction is worth (figure 1, eq. 17)."""
+
+    engine = "facetrack_cli.trackers.appearance.filters:adaptive"
+    goes_with = ("affine",)
+    type: Literal["adaptive"]
+    particles: Annotated[int, Field(ge=1)]
+    """J_0."""
+    adapt: bool = True
+    """J_t follows eq. 17; false: always J_0."""
+    entropy: Annotated[float, Field(ge=0, lt=1)] = 0.1
+    """d of eq. 17, by which there are more or fewer as the identity becomes less or more certain."""
+    least: Annotated[int, Field(ge=1)] = 10
+    """Never fewer particles than this."""
+    centre: bool = False
+    """Beyond the paper: the first particle is the predicted place itself."""
+
+    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+        if self.adapt and isinstance(whole.motion, AffineWalk) and whole.motion.noise is None:
+            message = "filter.adapt follows motion.noise, which is null; add noise: {}, or write adapt: false"
+            yield Refusal(("filter", "adapt"), message)
+
+    def most(self, whole: ParticleFilter) -> tuple[int, Steps]:
+        n, where = super().most(whole)
+        if not self.adapt:
+            return n, where
+        if isinstance(whole.motion, AffineWalk) and whole.motion.noise is not None:
+            n = round(n * (whole.motion.noise.most + self.entropy))
+        return (self.least, ("filter", "least")) if self.least > n else (n, where)

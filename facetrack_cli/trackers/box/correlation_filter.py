@@ -1,0 +1,368 @@
+"""A target by the response of a correlation filter, with its scale, its colours, and whether it is there.
+
+Ours, of published pieces; each has a file of its own in `models/correlation_filter`:
+
+    heights.py   how high responses are of the target, and of all else
+    features.py  gradients, grey and colours of a window, reduced (Danelljan et al. 2017, ECO)
+    trained.py   the filter and how it is learned (2015, SRDCF; ECO; Li et al. 2018, STRCF)
+    scale.py     the filter of scale (2014, DSST)
+    colour.py    colours of target and surroundings (Bertinetto et al. 2016, Staple)
+
+With R the response to a window and Rm its highest value, the log-likelihood ratio of a target visible at x = (place,
+log scale) against one that is hidden is
+
+    log L(x) = log p(Rm | visible) / p(Rm | hidden) + log sum_j (R_j / Rm)^sharpness N(x; x_j, std_j^2) / c
+
+R_j are the highest local maxima of R, as LMCF looks at several (Wang et al. 2017). Peaks of the target have a running
+mean and standard deviation, as in LMCF; those of all else are what other windows of the first frame have. Each density
+is Student's, so that no height is impossible, and flat beyond its mean on the side away from the other one; `evidence`
+bounds their log ratio. A face that turns or puts on a hat has a peak far below its mean, and far above all else: it is
+visible. std_j is that of R^sharpness beside the peak (Laplace's approximation), so that a blurred frame says less about
+the place; of the scale, that of the response over scales to the power `scales.sharpness`.
+The volume c makes the ratio a Bayes factor where the target is as likely in one place as in another within a box and a
+tenth of log scale. Far from all peaks L is about 0, and a target there must be hidden.
+
+All is learned in proportion to P(visible), and a little while the target is hidden: a face that turns away and one that
+is covered look alike, and after some seconds what is seen is taken for the target. What is visible with a low peak is
+learned slower: it may be partly covered. The filter of the first frames is part of R, so that what covers a target for
+some time does not replace it. While the target is hidden, windows on a lattice over the whole frame, those near the
+last place first, at one size after another, are compared with both filters alike; the best is a mode as well.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from facetrack_cli.core.types import Array, Frame, Particles
+from facetrack_cli.engine.protocols import Likelihood
+from facetrack_cli.engine.resampling import logsumexp
+from facetrack_cli.engine.spaces import Context
+from facetrack_cli.trackers.box import settings as recipe
+from facetrack_cli.trackers.box.cell_kernels import read_cubic
+from facetrack_cli.trackers.box.colour import ColourModel, Colours
+from facetrack_cli.trackers.box.features import Features, Single
+from facetrack_cli.trackers.box.peak_statistics import (
+    Heights,
+    Peaks,
+    ResponseView,
+    Usual,
+    evidence,
+    log_student,
+)
+from facetrack_cli.trackers.box.proposals import Guides
+from facetrack_cli.trackers.box.scale import ScaleTrainer, TrainedScale
+from facetrack_cli.trackers.box.space import VISIBLE
+from facetrack_cli.trackers.box.trained import UPSAMPLED, Trained, Trainer, peaks
+
+FIRST = 10  # frames from which the filter for re-detection is learned
+_USUAL = (0.75, 0.15)  # mean and standard deviation of peaks, in terms of that of the first window itself
+_OTHER = 0.06  # least standard deviation of such peaks in other windows
+_PRIOR = 10.0  # frames that these count for
+_LOW = 2.0  # standard deviations below the mean; a target with a lower peak is learned slower
+_SLOWER = 0.3  # by this factor at most
+_KEPT = 0.2  # weight of the first frames' response in R
+_MIN_RATIO = 1e-3  # of R / Rm and of S / Sm, whose logarithms are taken
+_SCALE_STD = 0.03
+_OFF = 0.25  # mean sides of the box; a peak further off the middle of the window is looked at once more
+_LEARNS = 0.05  # P(visible) below which nothing is learned
+_SIGHTED = 3.0  # log of how much likelier a detector sees a face there if it is the target
+_LATTICE = 0.4  # distance of two windows of re-detection, in sides of the window
+_SIZES = (1.0, 0.7, 1.0, 1.4)  # of what returns, in terms of its last size, one after another
+_MAX_LATTICE = 64  # windows of the lattice along a side of the frame, of a target that is tiny
+_MAX_COMPARED = 64  # windows at most that the first frame is compared with
+_SOON = 25  # frames within which what returns has its last size
+_SPEED = 0.5  # mean sides of the box a frame, by which re-detection widens
+
+
+class Seen(NamedTuple):
+    """What a frame shows: its modes, with log L at each, and how high responses are at the highest one."""
+
+    guides: Guides
+    heights: Peaks
+    candidate: Array | None
+
+
+class CorrelationState(NamedTuple):
+    """What is known of the clip. `first` are the filters of the first frames, `hidden` how long it has been hidden.
+
+    `last` is the index of the frame that was learned last.
+
+    `candidate` (3,) is the best place and log scale elsewhere of the last frame, which is looked at again; `sighted`
+    are those where somebody else has seen something like the target in this one; `told` is the log odds by which others
+    see it at its place.
+    """
+
+    features: Features
+    filters: Trained
+    first: Single
+    scales: TrainedScale | None
+    colours: Colours | None
+    heights: Usual
+    frames: int = 1
+    last: int = 0
+    hidden: int = 0
+    candidate: Array | None = None
+    sighted: tuple[Array, ...] = ()
+    told: float = 0.0
+    seen: Seen | None = None
+
+
+@dataclass(frozen=True)
+class CorrelationFilter(Likelihood):
+    """`size`: width and height of the box at the start, in pixels; `limits`: of its scale."""
+
+    settings: recipe.CorrelationFilter
+    size: tuple[float, float]
+    limits: tuple[float, float]
+
+    @classmethod
+    def build(cls, settings: recipe.CorrelationFilter, context: Context) -> CorrelationFilter:
+        return cls(settings, context.placed.size, context.placed.scale)
+
+    @cached_property
+    def _unit(self) -> float:
+        """The mean side of the box at the start, in pixels."""
+        return math.sqrt(self.size[0] * self.size[1])
+
+    @cached_property
+    def _trainer(self) -> Trainer:
+        one = self.settings
+        per_pixel = one.cells / (one.window * self._unit)
+        box = (max(self.size[0] * per_pixel, 1.0), max(self.size[1] * per_pixel, 1.0))
+        temporal = one.inertia if one.learn == "temporal" else None
+        return Trainer(one.cells, box, max(one.peak * one.cells / one.window, 0.3), temporal=temporal)
+
+    @cached_property
+    def _scale_trainer(self) -> ScaleTrainer | None:
+        one = self.settings.scales
+        return None if one is None else ScaleTrainer(self.size, one.count, one.step)
+
+    @cached_property
+    def _colour_model(self) -> ColourModel:
+        side = self.settings.window * self._unit
+        return ColourModel((self.size[0] / side, self.size[1] / side))
+
+    def _side(self, scale: float) -> float:
+        """Side of the window in pixels."""
+        return self.settings.window * self._unit * scale
+
+    def init(self, frame: Frame, x0: Array) -> CorrelationState:
+        centre, scale = x0[0, :2], float(x0[0, 2])
+        features = Features.learn(frame, centre, self._side(scale), self.settings.cells, self.settings.components)
+        x, window = features.read(frame, centre, self._side(scale))
+        filters = self._trainer.begin(x)
+        top = float(self._trainer.respond(filters.filters, x).max())
+        others = [0.0]
+        for place in self._lattice(frame, centre, scale)[:_MAX_COMPARED]:
+            if float(np.abs(place - centre).max()) > 0.5 * self._side(scale):
+                there, _ = features.read(frame, place, self._side(scale))
+                others.append(float(self._trainer.respond(filters.filters, there).max()))
+        one = Heights(_USUAL[0] * top, _USUAL[1] * top, _PRIOR)
+        other = Heights(float(np.mean(others)), max(float(np.std(others)), _OTHER * top), _PRIOR)
+        heights = Usual(one, one, other, other)
+        colours = None
+        if features.colour and self.settings.colour > 0:
+            colours = self._colour_model.learn(None, window, 1.0)
+        scales, trainer = None, self._scale_trainer
+        if trainer is not None:
+            scales = trainer.learn(None, trainer.read(frame, centre, scale), 1.0)
+        return CorrelationState(features, filters, filters.filters, scales, colours, heights, last=frame.index)
+
+    def look(self, learned: CorrelationState, frame: Frame, expected: Array) -> CorrelationState:
+        """With what the frame shows around the place (1, D) where the target is `expected`."""
+        one, centre, scale = self.settings, expected[0, :2], float(np.clip(expected[0, 2], *self.limits))
+        view = self._view(learned, frame, centre, scale)
+        found = peaks(view.response, 0.5, one.modes)
+        off = (found[0, :2] - len(view.response) // 2) * self._sample(scale)
+        if float(np.hypot(*off)) > _OFF * self._unit * scale:  # near the border of a window responses are low
+            view = self._view(learned, frame, centre + off, scale)
+            found = peaks(view.response, 0.5, one.modes)
+        heights = view.heights(found[0])
+        log_l: Any = evidence(learned.heights.now, learned.heights.others, heights.now, one.evidence) + learned.told
+        log_l = log_l + one.sharpness * np.log(np.maximum(found[:, 2] / found[0, 2], _MIN_RATIO))
+        modes = [self._modes(view, scale, found, log_l)]
+        log_s, std = self._scale_at(learned, frame, modes[0].mean[0, :2], scale)
+        modes[0].mean[:, 2] += log_s
+        modes[0].std[:, 2] = std
+        candidate = None
+        if (found_anew := self._detect(learned, frame, expected, scale)) is not None:
+            anew, height = found_anew
+            modes.append(anew)
+            candidate, heights = anew.mean[0], heights._replace(elsewhere=height)
+        guides = Guides(*(np.concatenate(column) for column in zip(*modes, strict=True)))
+        return learned._replace(seen=Seen(guides, heights, candidate))
+
+    def _sample(self, scale: float) -> float:
+        """Pixels between two samples of a response."""
+        return self._side(scale) / (UPSAMPLED * self.settings.cells)
+
+    def _view(self, learned: CorrelationState, frame: Frame, centre: Array, scale: float) -> ResponseView:
+        x, window = learned.features.read(frame, centre, self._side(scale))
+        now, first = (self._trainer.respond(of, x) for of in (learned.filters.filters, learned.first))
+        response, (usual, usual_first) = now, learned.heights[:2]
+        if learned.colours is not None:
+            score = self._colour_model.respond(learned.colours, window, len(now))
+            if score is not None:
+                share = self.settings.colour
+                response = (1 - share) * now + np.float32(share * usual.mean) * score
+        response = response + np.float32(_KEPT * usual.mean / max(usual_first.mean, 1e-9)) * first
+        return ResponseView(centre, response, now, first)
+
+    def _detect(
+        self, learned: CorrelationState, frame: Frame, expected: Array, scale: float
+    ) -> tuple[Guides, float] | None:
+        """A mode found elsewhere, where the target is hidden, and how high it is: the best of a few windows."""
+        best: tuple[float, Array, bool] | None = None
+        middle = UPSAMPLED * self.settings.cells // 2
+        places = [(place, False) for place in self._elsewhere(learned, frame, expected)]
+        if learned.hidden:
+            places += [(place, True) for place in learned.sighted]
+            if (last := learned.candidate) is not None:  # once more, and at the last size
+                places += [(last, False), (np.array([*last[:2], math.log(scale)]), False)]
+        for place, sighted in places:
+            size = float(np.clip(math.exp(place[2]), *self.limits))
+            view = self._view(learned, frame, place[:2], size)
+            [top] = peaks(self._both(learned, view), 1.0, 1)
+            if best is None or top[2] > best[0]:
+                at = place[:2] + (top[:2] - middle) * self._sample(size)
+                best = float(top[2]), np.array([*at, math.log(size)]), sighted
+        if best is None:
+            return None
+        size = math.exp(best[1][2])
+        view = self._view(learned, frame, best[1][:2], size)
+        found = peaks(self._both(learned, view), 1.0, 1)
+        height = float(found[0, 2])
+        log_l = (
+            evidence(learned.heights.now, learned.heights.elsewhere, height, self.settings.evidence)
+            + _SIGHTED * best[2]
+        )
+        return self._modes(view, size, found, np.array([log_l]), anew=True), height
+
+    def _both(self, learned: CorrelationState, view: ResponseView) -> Single:
+        """What both filters respond to, as high as R usually is."""
+        return np.float32(0.5) * (view.now + np.float32(learned.heights.ratio) * view.first)
+
+    def _modes(self, view: ResponseView, scale: float, found: Array, log_l: Array, *, anew: bool = False) -> Guides:
+        """The peaks `found` (J, 3) of a response as Gaussians of place and log scale, which is left open."""
+        n, sharpness, sample, response = len(view.response), self.settings.sharpness, self._sample(scale), view.response
+        usual = UPSAMPLED * self._trainer.sigma
+        widths = np.array([_widths(response, one, usual) for one in found])
+        mean = np.column_stack([view.centre + (found[:, :2] - n // 2) * sample, np.full(len(found), math.log(scale))])
+        std = np.column_stack([widths * sample / math.sqrt(sharpness), np.full(len(found), _SCALE_STD)])
+        return Guides(mean, std, log_l, np.full(len(found), anew))
+
+    def _scale_at(self, learned: CorrelationState, frame: Frame, place: Array, scale: float) -> tuple[float, float]:
+        """Mean and standard deviation of the change of log scale at a place, by S^sharpness times a broad prior."""
+        trainer, settings = self._scale_trainer, self.settings.scales
+        if trainer is None or settings is None or learned.scales is None:
+            return 0.0, _SCALE_STD
+        response = trainer.respond(learned.scales, trainer.read(frame, place, scale))
+        response = response - response.min()
+        if float(response.max()) < 1e-9:  # flat, as far outside of the frame
+            return 0.0, _SCALE_STD
+        w = (response / float(response.max())) ** settings.sharpness
+        w *= np.exp(-0.5 * (trainer.log_scales / _SCALE_STD) ** 2)
+        w /= w.sum()
+        mean = float(np.sum(w * trainer.log_scales))
+        between = math.log(settings.step) ** 2 / 12  # of a scale that is known to the nearest one
+        variance = max(float(np.sum(w * (trainer.log_scales - mean) ** 2)), between)
+        # the prior of the motion comes once more: it is taken out here
+        precision = max(1 / variance - 1 / _SCALE_STD**2, 1 / (4 * _SCALE_STD) ** 2)
+        return mean / (variance * precision), 1 / math.sqrt(precision)
+
+    def _elsewhere(self, learned: CorrelationState, frame: Frame, expected: Array) -> list[Array]:
+        """Where else to look for a target that is hidden, places and log scales (3,): a few of a lattice, in turn.
+
+        The nearest are first; after all the next size.
+        """
+        count = self.settings.detect
+        if not learned.hidden or not count:
+            return []
+        places = self._lattice(frame, expected[0, :2], float(expected[0, 2]))
+        away = np.hypot(*(places - expected[0, :2]).T)
+        step = _LATTICE * self._side(float(expected[0, 2]))
+        reach = step + _SPEED * self._unit * float(expected[0, 2]) * learned.hidden
+        places = places[: max(int(np.sum(away <= reach)), 1)]
+        begin = (learned.hidden - 1) * count
+        found, size = [], math.log(float(expected[0, 2]))
+        for k in range(begin, begin + min(count, len(places))):
+            turn, at = divmod(k, len(places))
+            factor = _SIZES[turn % len(_SIZES)] if learned.hidden > _SOON else 1.0
+            found.append(np.array([*places[at], size + math.log(factor)]))
+        return found
+
+    def _lattice(self, frame: Frame, near: Array, scale: float) -> Array:
+        """Middles (M, 2) of windows all over the frame, the nearest to a place (2,) first."""
+        step = _LATTICE * self._side(scale)
+        across, down = (np.arange(min(max(round(n / step), 1), _MAX_LATTICE)) for n in frame.size)
+        x, y = np.meshgrid((across + 0.5) / len(across) * frame.size[0], (down + 0.5) / len(down) * frame.size[1])
+        places = np.column_stack([x.ravel(), y.ravel()])
+        return places[np.argsort(np.hypot(*(places - near).T), kind="stable")]
+
+    def score(self, learned: CorrelationState, frame: Frame, x: Array, parents: Array) -> Array:
+        """(N, 1): log L of x (N, 1, D), the Gaussians of the modes; 0 far from all."""
+        assert learned.seen is not None
+        guides = learned.seen.guides
+        z = np.column_stack([x[:, 0, :2], np.log(x[:, 0, 2])])
+        off = np.sum(((z[:, None] - guides.mean) / guides.std) ** 2, axis=2)
+        # so that the mean of L over a box and a tenth of log scale is its evidence
+        volume = (
+            (2 * math.pi) ** 1.5 * np.prod(guides.std, axis=1) / (0.1 * self._unit**2 * np.exp(2 * guides.mean[:, 2]))
+        )
+        return logsumexp(guides.log_w - np.log(volume) - 0.5 * off, axis=1)[:, None]
+
+    def guides(self, learned: CorrelationState) -> Guides:
+        assert learned.seen is not None
+        return learned.seen.guides
+
+    def learn(self, learned: CorrelationState, frame: Frame, state: Array, particles: Particles) -> CorrelationState:
+        """In proportion to P(visible), the last number of the `state` (1, D)."""
+        one, seen = self.settings, learned.seen
+        visible = float(np.clip(state[0, VISIBLE], 0, 1))
+        frames = learned.frames + 1
+        if seen is not None:
+            learned = learned._replace(heights=learned.heights.learn(seen.heights, visible))
+        hidden = learned.hidden + 1 if visible < 0.5 else 0
+        candidate = seen.candidate if hidden and seen is not None else None
+        learned = learned._replace(hidden=hidden, candidate=candidate, sighted=(), told=0.0, seen=None, frames=frames)
+        share = one.hidden_rate + (1 - one.hidden_rate) * visible
+        if seen is not None:
+            low = max(learned.heights.now.z(seen.heights.now) - _LOW, 0.0)
+            share *= max(math.exp(log_student(low)), _SLOWER)
+        step = abs(frame.index - learned.last)  # a track may run backward
+        if share < _LEARNS or (frames > FIRST and step < one.every):
+            return learned
+        learned, step = learned._replace(last=frame.index), min(step, 2 * one.every)
+        centre, scale = state[0, :2], float(state[0, 2])
+        x, window = learned.features.read(frame, centre, self._side(scale))
+        rate = min(step * share * one.rate, 1.0) if one.learn == "memory" else share
+        filters = self._trainer.learn(learned.filters, x, rate)
+        scales, trainer, colours = learned.scales, self._scale_trainer, learned.colours
+        if trainer is not None and one.scales is not None:
+            rate = min(step * share * one.scales.rate, 1.0)
+            scales = trainer.learn(scales, trainer.read(frame, centre, scale), rate)
+        if colours is not None:
+            colours = self._colour_model.learn(colours, window, step * share)
+        if frames <= FIRST:
+            learned = learned._replace(first=filters.filters)
+        return learned._replace(filters=filters, scales=scales, colours=colours)
+
+    def distances(self, learned: CorrelationState, frame: Frame, x: Array) -> Array:
+        """(N, 1) of zeros: whether the target is visible is part of the state."""
+        return np.zeros(x.shape[:2])
+
+
+def _widths(response: Single, peak: Array, usual: float) -> tuple[float, float]:
+    """Standard deviations along x and y, in samples, of the Gaussian that falls as the response does beside a peak."""
+    column, row, height = peak.tolist()
+    at = [column - usual, column + usual, column, column], [row, row, row - usual, row + usual]
+    values = np.empty(4)
+    read_cubic(response, np.array(at[0]), np.array(at[1]), values)
+    shares = np.clip(0.5 * (values[::2] + values[1::2]) / height, 0.3, 0.9)
+    x, y = (usual / np.sqrt(-2 * np.log(shares))).tolist()
+    return x, y

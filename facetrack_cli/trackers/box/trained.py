@@ -1,0 +1,189 @@
+"""Spatially regularised correlation filters, kept from forgetting by a memory or by a temporal term.
+
+The response of filters f^d to a window with channels x^d is R = sum_d f^d * x^d (circular correlation). It should be
+y(c) = exp(-|c|^2 / (2 sigma_y^2)), a peak where the target is. Sought are the filters of
+
+    sum_k pi_k |sum_d f^d * x_k^d - y|^2 + sum_d |w f^d|^2       (Danelljan et al. 2015, SRDCF, eq. 4; 2017, ECO, eq. 7)
+
+with w small inside of the target's box and large outside, and pi_k the weights of the windows seen so far. ECO keeps
+some 30 to 50 of them and merges the most alike. Here all are kept, by their sufficient statistics: after PCA there are
+so few channels C that for each frequency sum_k pi_k x_k x_k^H, a matrix (C, C), is small, and a new window moves it by
+the learning rate. So nothing is merged, and memory is the same after any number of frames. The normal equations
+
+    (sum_k pi_k x_k x_k^H) f + F[w^2 F^-1 f] = sum_k pi_k x_k conj(y)
+
+are solved by conjugate gradients from the filters of the last frame on, a few steps each time.
+
+The alternative, of which no memory is needed (Li et al. 2018, STRCF, eq. 4, by ADMM; Galoogahi et al. 2017, BACF):
+
+    |sum_d f^d * x_t^d - y|^2 + sum_d |w f^d|^2 + mu |f - f_{t-1}|^2
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from facetrack_cli.core.types import Array
+from facetrack_cli.trackers.box.cell_kernels import multiply, remember, respond
+from facetrack_cli.trackers.box.features import Single, inverse, joined, spectrum
+
+UPSAMPLED = 2  # samples of a response for a cell
+_FIRST_STEPS = 50
+_INSIDE, _OUTSIDE = 0.1, 100.0  # w^2 inside of the target's box, and a whole box around it
+_ADMM_STEPS, _PENALTY, _GROWTH, _WALL = 2, 0.01, 10.0, 1e6
+
+
+class Trained(NamedTuple):
+    """`filters` (2, C, F), and of a memory its matrices (P, 2, F) and its right-hand side (2, C, F)."""
+
+    filters: Single
+    matrices: Single | None = None
+    target: Single | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Trainer:
+    """`box`: the target's width and height in cells; `sigma`: sigma_y in cells; `steps` of conjugate gradients."""
+
+    cells: int
+    box: tuple[float, float]
+    sigma: float
+    steps: int = 2
+    temporal: float | None = None  # mu, in terms of the number of cells; None: a memory
+    y: Single = field(init=False)
+    wall: Single = field(init=False)  # w^2 of each cell
+    _middle: Single = field(init=False)
+
+    def __post_init__(self) -> None:
+        g = self.cells
+        d = np.fft.fftfreq(g, 1 / g)
+        y = np.exp(-0.5 * (d[:, None] ** 2 + d[None] ** 2) / self.sigma**2)
+        half = np.abs(np.arange(g) - (g - 1) / 2)
+        # 1 on the border of the box
+        out = np.maximum((half / (self.box[1] / 2))[:, None], (half / (self.box[0] / 2))[None])
+        rise = np.clip(out - 1, 0, 1) ** 2 if self.temporal is None else np.clip((out - 1) / 0.3, 0, 1) ** 4
+        inside, outside = (_INSIDE, _OUTSIDE) if self.temporal is None else (0.0, _WALL)
+        # what moves place 0 into the middle
+        signs = (-1.0) ** (np.arange(g)[:, None] + np.arange(g // 2 + 1))
+        object.__setattr__(self, "_middle", (UPSAMPLED**2 * signs).astype(np.float32))
+        object.__setattr__(self, "y", np.fft.rfft2(y).real.ravel().astype(np.float32))  # y is even
+        object.__setattr__(self, "wall", (inside + (outside - inside) * rise).astype(np.float32))
+
+    def begin(self, x: Single) -> Trained:
+        """From the first window's spectrum x (2, C, F)."""
+        if self.temporal is not None:
+            return Trained(self._admm(x, None, 0.0))
+        channels, frequencies = x.shape[1:]
+        matrices = np.zeros((channels * (channels + 1) // 2, 2, frequencies), np.float32)
+        remember(matrices, x, np.float32(1.0))
+        return self._solve(Trained(np.zeros_like(x), matrices, self.y * x), _FIRST_STEPS)
+
+    def learn(self, known: Trained, x: Single, rate: float) -> Trained:
+        """With a window more, of weight `rate` in the memory, or, of a temporal term, at 1 / `rate` of its inertia."""
+        if known.matrices is None or known.target is None:
+            return Trained(self._admm(x, known.filters, 1.0 / max(rate, 1e-3)))
+        matrices = known.matrices.copy()
+        remember(matrices, x, np.float32(rate))
+        target = np.float32(1 - rate) * known.target + np.float32(rate) * self.y * x
+        return self._solve(Trained(known.filters, matrices, target), self.steps)
+
+    def respond(self, filters: Single, x: Single) -> Single:
+        """The response (2 G, 2 G), with place 0 in the middle, [G, G]: between the cells by its Fourier series."""
+        g, n = self.cells, UPSAMPLED * self.cells
+        found = np.empty((2, x.shape[2]), np.float32)
+        respond(filters, x, found)
+        few = joined(found).reshape(g, -1) * self._middle
+        many = np.zeros((n, n // 2 + 1), few.dtype)
+        half = g // 2
+        many[:half, :half], many[-half + 1 :, :half] = few[:half, :half], few[half + 1 :, :half]
+        return np.fft.irfft(np.fft.ifft(many, axis=0, out=many), n).astype(np.float32, copy=False)
+
+    def _solve(self, known: Trained, steps: int) -> Trained:
+        """Conjugate gradients, preconditioned by the diagonal."""
+        assert known.matrices is not None and known.target is not None
+        matrices, v = known.matrices, known.filters
+        channels = v.shape[1]
+        diagonal = matrices[np.cumsum([0, *range(channels, 1, -1)]), 0]
+        scale = np.float32(1.0) / (diagonal + np.float32(0.5 * float(diagonal.mean()) + _INSIDE))
+        r = known.target - self._times(matrices, v)
+        p = z = scale * r
+        rz = self._dot(r, z)
+        for _ in range(steps):
+            ap = self._times(matrices, p)
+            alpha = np.float32(rz / max(self._dot(p, ap), 1e-20))
+            v, r = v + alpha * p, r - alpha * ap
+            z = scale * r
+            rz, last = self._dot(r, z), rz
+            p = z + np.float32(rz / max(last, 1e-20)) * p
+        return known._replace(filters=v)
+
+    def _times(self, matrices: Single, v: Single) -> Single:
+        out, cells = np.empty_like(v), inverse(v, self.cells)
+        multiply(matrices, v, out)
+        cells *= self.wall
+        out += spectrum(cells)
+        return out
+
+    def _dot(self, a: Single, b: Single) -> float:
+        """The inner product of two real functions by half of their frequencies."""
+        product = np.sum(np.multiply(a, b, dtype=np.float64), axis=(0, 1)).reshape(self.cells, -1)
+        return float(2 * product.sum() - product[:, 0].sum() - product[:, -1].sum())
+
+    def _admm(self, x: Single, last: Single | None, inertia: float) -> Single:
+        """Two steps of ADMM: f by Sherman and Morrison's formula in each frequency, g by w in each cell."""
+        n = self.cells**2
+        whole = x[0] + 1j * x[1]
+        mu = 0.0 if last is None else (self.temporal or 0.0) * n * min(inertia, 50.0)
+        before = np.zeros_like(whole) if last is None else last[0] + 1j * last[1]
+        energy = np.sum(np.abs(whole) ** 2, axis=0)
+        g = h = np.zeros_like(whole)
+        penalty = _PENALTY
+        for _ in range(_ADMM_STEPS):
+            b = whole * self.y + mu * before + penalty * n * (g - h)
+            weight = mu + penalty * n
+            f = (b - whole * (np.sum(whole.conj() * b, axis=0) / (weight + energy))) / weight
+            both = f + h
+            cells = inverse(np.stack([both.real, both.imag]).astype(np.float32), self.cells)
+            found = spectrum(cells * np.float32(penalty) / (np.float32(penalty) + self.wall))
+            g = found[0] + 1j * found[1]
+            h = h + f - g
+            penalty *= _GROWTH
+        return np.stack([g.real, g.imag]).astype(np.float32)
+
+
+def peaks(response: Single, least: float, most: int) -> Array:
+    """At most `most` local maxima of at least `least` times the highest: rows of (column, row, height), highest first.
+
+    A parabola through the neighbours gives the place between samples (LMCF looks at several too; Wang et al. 2017).
+    """
+    top = float(response.max())
+    inner = response[1:-1, 1:-1]
+    higher = inner >= max(least * top, 1e-6)
+    for i in range(3):
+        for j in range(3):
+            if (i, j) != (1, 1):
+                near = response[i : i + inner.shape[0], j : j + inner.shape[1]]
+                higher &= inner > near if (i, j) < (1, 1) else inner >= near
+    rows, columns = np.nonzero(higher)
+    if not len(rows):  # the highest is on the border
+        row, column = np.unravel_index(int(response.argmax()), response.shape)
+        return np.array([[float(column), float(row), top]])
+    order = np.argsort(-inner[rows, columns], kind="stable")[:most]
+    return np.array([_vertex(response, int(rows[k]) + 1, int(columns[k]) + 1) for k in order])
+
+
+def _vertex(response: Single, row: int, column: int) -> tuple[float, float, float]:
+    middle, height = float(response[row, column]), float(response[row, column])
+    found = []
+    for a, b in (
+        (response[row, column - 1], response[row, column + 1]),
+        (response[row - 1, column], response[row + 1, column]),
+    ):
+        bend = float(a) + float(b) - 2 * middle
+        off = 0.5 * (float(a) - float(b)) / bend if bend < -1e-12 else 0.0
+        height -= 0.25 * (float(a) - float(b)) * off
+        found.append(off)
+    return column + found[0], row + found[1], height

@@ -1,0 +1,113 @@
+"""A closer look at a frame: turned, enlarged, or with room around it.
+
+Detectors see faces that are upright, of some sizes, and not cut off by the border. A view of the frame is a similarity;
+in it a face may be all that. What is seen there counts only if the regression, too, sees nose and mouth in it.
+"""
+
+import math
+from collections.abc import Iterable, Iterator
+from itertools import product
+from typing import Final
+
+import numpy as np
+
+from facetrack_cli.core.geometry import centre, overlap, square
+from facetrack_cli.core.types import Array, Box, Frame, Point, factor_for
+from facetrack_cli.trackers.face.detectors import MAX_SEARCHED_PX, MIN_SEARCHED_PX, Detector, Found
+from facetrack_cli.trackers.face.stabilized import FACE, Similarity
+
+FACE_PX: Final = 67  # pixels of a face's box in the view of a face that is known
+NEAR: Final = 3  # sizes of the face's box that this view shows
+ROOM: Final = 1.5  # sizes of the frame that the view with room around it shows
+SHARED_PX: Final = 96  # pixels that neighbouring tiles share; larger faces are seen in the coarser view
+LEAST_PX: Final = {"haar": 40, "yunet": 24}  # pixels of the box of a face that a detector sees well in a view
+MIN_OVERLAP: Final = 0.3
+CERTAIN: Final = 8.0  # log odds of nose and mouth: at least 10 of turned and small faces, at most 7 of what is none
+TURNS: Final = range(8)
+SKEW: Final = (1.0, 1.4)  # by how much a view shows more if it is turned by an odd number of eighths
+
+
+def seen(detector: Detector, frame: Frame, view: Similarity, side: int) -> Iterator[Found]:
+    """The faces that a detector sees in a view of `side` pixels, where they are in the frame."""
+
+    def at(point: Point) -> Point:
+        x, y = (view.matrix @ (np.array(point) - (side - 1) / 2) + view.centre).tolist()
+        return x, y
+
+    for one in detector.find(view.read(frame, side)):
+        box = square(np.array(at(centre(one.box))), one.box[2] * view.scale)
+        x, y, w, h = (round(value, 2) for value in box)  # to 0.01 px, as in an init file
+        eyes = None if one.eyes is None else (at(one.eyes[0]), at(one.eyes[1]))
+        points = {name: at(point) for name, point in one.points.items()}
+        yield Found((x, y, w, h), eyes, points, one.sure, one.score, eighths(view.angle), closer=True)
+
+
+def near(detector: Detector, frame: Frame, box: Box, turn: int) -> Found | None:
+    """The face about in a box, which is turned there by eighths of a turn."""
+    view = Similarity(np.array(centre(box)), box[2] / FACE_PX, turn * math.pi / 4)
+    best = max(seen(detector, frame, view, NEAR * FACE_PX), key=lambda one: overlap(one.box, box), default=None)
+    return None if best is None or overlap(best.box, box) < MIN_OVERLAP else best
+
+
+def righted(detector: Detector, frame: Frame, face: Found) -> Found:
+    """The face as it lies and as large as it is, where a closer view shows its nose and mouth; else as it is."""
+    best, odds = face, face.placed(frame).sure
+    factor = factor_for(max(frame.size), MAX_SEARCHED_PX)
+    small = factor > 1 and face.box[2] < LEAST_PX[detector.name] * factor
+    for turn in TURNS if odds <= 0 or small else ():
+        one = near(detector, frame, face.box, turn)
+        if one is not None and (sure := one.placed(frame).sure) > max(odds, CERTAIN):
+            best, odds = one, sure
+    return best
+
+
+def everywhere(detector: Detector, frame: Frame) -> list[Found]:
+    """The faces that turned and enlarged views show, and one with room around the frame."""
+    return _certain(detector, frame, _views(frame.size))
+
+
+def again(detector: Detector, frame: Frame, face: Similarity) -> list[Found]:
+    """The faces of a frame that lie as one that was lost, and are about as large or larger."""
+    turn, whole = eighths(face.angle), factor_for(max(frame.size), MAX_SEARCHED_PX)
+    factor = min(whole, 2 ** max(math.floor(math.log2(face.scale * FACE / LEAST_PX[detector.name])), 0))
+    if not turn and factor == whole:
+        return detector.find(frame)
+    return _certain(detector, frame, _tiles(frame.size, factor, turn))
+
+
+def eighths(angle: float) -> int:
+    """The eighths of a turn, 0 to 7, nearest to an angle in radians."""
+    return round(4 * angle / math.pi) % 8
+
+
+def _certain(detector: Detector, frame: Frame, views: Iterable[tuple[Similarity, int]]) -> list[Found]:
+    """The faces of views in which the regression sees nose and mouth, each once."""
+    found: list[Found] = []
+    for one in (one for view, side in views for one in seen(detector, frame, view, side)):
+        new = all(overlap(one.box, other.box) < MIN_OVERLAP for other in found)
+        if new and one.placed(frame).sure > CERTAIN:
+            found.append(one)
+    return found
+
+
+def _views(size: tuple[int, int]) -> Iterator[tuple[Similarity, int]]:
+    side, middle = min(max(*size, MIN_SEARCHED_PX), MAX_SEARCHED_PX), (np.array(size) - 1) / 2
+    yield Similarity(middle, ROOM * max(size) / side), side
+    yield from ((Similarity(middle, SKEW[turn % 2] * max(size) / side, turn * math.pi / 4), side) for turn in TURNS[1:])
+    factor = factor_for(max(size), MAX_SEARCHED_PX)
+    for finer in (2, 4):
+        if factor >= finer:
+            yield from _tiles(size, factor // finer)
+
+
+def _tiles(size: tuple[int, int], factor: int, turn: int = 0) -> Iterator[tuple[Similarity, int]]:
+    """Squares that cover a frame reduced by `factor`, seen after eighths of a turn."""
+    for x, y in product(*(_starts(length, factor) for length in size)):
+        middle = np.array([x, y]) + factor * (MAX_SEARCHED_PX - 1) / 2
+        yield Similarity(middle, SKEW[turn % 2] * factor, turn * math.pi / 4), MAX_SEARCHED_PX
+
+
+def _starts(length: int, factor: int) -> Array:
+    """Where tiles begin along a side of the frame."""
+    tile, shared = factor * MAX_SEARCHED_PX, factor * SHARED_PX
+    return np.linspace(0, max(length - tile, 0), max(math.ceil((length - shared) / (tile - shared)), 1))

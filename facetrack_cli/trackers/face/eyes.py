@@ -1,0 +1,145 @@
+"""The eyes of a face, placed by linear regressions (ours).
+
+From where nose and mouth are (`descent.py`), and by the same channels, a cascade places the corners of both eyes in the
+stabilized image. Lids need more: an eye is 18 pixels wide there, and a blink moves its upper lid by 5. So a patch
+around each eye is read from the frame itself, at twice the size, along the line of the eyes, the right eye mirrored.
+With phi the gradients of log(grey) in 8 directions and log(grey), on a grid in the patch, and a 1, one matrix gives
+corners and lids, and the log odds of the eye's being visible:
+
+    (x, odds) = R phi
+
+All matrices are ridge regressions, trained on real faces by `tools/eye_descent.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.core.face_points import GROUPS
+from facetrack_cli.core.npz import Kind, Stored
+from facetrack_cli.core.shipped import shipped_folder
+from facetrack_cli.core.types import Array, Frame, Image
+from facetrack_cli.trackers.face.channel_kernels import smoothed_channels
+from facetrack_cli.trackers.face.descent import (
+    CORNER,
+    DIRECTIONS,
+    GREY,
+    GRID,
+    WAYS,
+    PlacedPoints,
+    descended,
+)
+from facetrack_cli.trackers.face.stabilized import EYES, MIDDLE, Similarity, slope
+
+KIND = Kind("facetrack-eyes", 1, "eye descent", "python tools/eye_descent.py")
+DEFAULT = "eye_descent.npz"
+POINTS: Final = GROUPS["eyes"]
+"""The points that are placed, in this order."""
+CORNERS: Final = [0, 1, 4, 5]
+"""Which of them are corners: from left to right."""
+SIDES: Final = ([0, 1, 2, 3], [5, 4, 6, 7])
+"""Of the left and the right eye: outer and inner corner, upper and lower lid."""
+ZOOM: Final = 2.0  # of a patch
+SIDE: Final = 48  # of a patch, pixels
+CELL: Final = 4  # pixels between the points of its grid
+NARROW: Final = 0.25  # width of an eye in distances between the eyes, below which it is turned away
+SMALL: Final = 16.0  # pixels of the frame between the eyes, below which lids are not seen
+STEEP: Final = 40.0  # log odds of being visible that are lost by a width that is narrower by 1, or a face by its size
+_GRID: Final = slice(CELL // 2, None, CELL)
+WIDTH: Final = (SIDE // CELL) ** 2 * (DIRECTIONS + 1) + 1  # of phi
+
+
+class EyeDescent(NamedTuple):
+    """`rest` (5, 2): mean places of nose and mouth; `mean` (4, 2): of the corners, in the part that is read.
+
+    `first` (11, 8): how the corners follow nose and mouth; `stages` (S, F + 1, 8) and `scales` (S,) as of `Descent`;
+    `lids` (WIDTH, 9): R; `std` (4,): of the errors of outer and inner corner, upper and lower lid, on people that were
+    left out, in pixels of the stabilized image.
+    """
+
+    rest: Array
+    mean: Array
+    first: Array
+    scales: Array
+    std: Array
+    stages: NDArray[np.float32]
+    lids: NDArray[np.float32]
+
+    def fit(self, frame: Frame, head: Similarity, seen: NDArray[np.float32], parts: Array) -> PlacedPoints:
+        """The eyes (8, 2) of a face with nose and mouth at `parts` (5, 2), by the channels `seen` and by the frame.
+
+        Both are in the stabilized image.
+        """
+        at, odds = np.empty((len(POINTS), 2)), np.empty(len(POINTS))
+        for eye, view, way in zip(SIDES, views(head, self.corners(seen, parts)), (1, -1), strict=True):
+            told = phi(view.read(frame, SIDE).bgr[:, ::way]) @ self.lids
+            off = told[:-1].reshape(-1, 2).astype(np.float64) * (way, 1)
+            narrow = math.hypot(*(off[0] - off[1])) / (ZOOM * EYES) - NARROW  # turned away
+            small = head.scale * EYES / SMALL - 1
+            at[eye] = head.to_stabilized(view.to_frame(MIDDLE + off))
+            odds[eye] = told[-1] + min(STEEP * narrow, 0.0) + min(STEEP * small, 0.0)
+        return PlacedPoints(at, odds)
+
+    def corners(self, seen: NDArray[np.float32], parts: Array) -> Array:
+        """The corners (4, 2), as the cascade has them."""
+        x = self.mean + (np.append(parts - CORNER - self.rest, 1.0) @ self.first).reshape(-1, 2)
+        return descended(seen, x, self.scales, self.stages) + CORNER
+
+    def save(self, path: Path) -> None:
+        """Raises OutputError."""
+        kept = {
+            name: np.asarray(value, "<f2" if value.dtype == np.float32 else "<f8")
+            for name, value in self._asdict().items()
+        }
+        KIND.write(path, kept)
+
+
+def openings(at: Array) -> Array:
+    """(..., 2) how far eyes (..., 8, 2) are open: the distance of their lids over that of their corners."""
+    each = at[..., np.array(SIDES), :]
+    apart = np.hypot(*np.moveaxis(each[..., [0, 2], :] - each[..., [1, 3], :], -1, 0))
+    return np.asarray(apart[..., 1] / np.maximum(apart[..., 0], 1e-9))
+
+
+def views(head: Similarity, corners: Array) -> list[Similarity]:
+    """Those of the patches around both eyes, whose `corners` (4, 2) are known in the stabilized image."""
+    middles = corners.reshape(2, 2, 2).mean(axis=1)
+    angle = head.angle + slope(middles)
+    return [Similarity(at, head.scale / ZOOM, angle) for at in head.to_frame(middles)]
+
+
+def phi(patch: Image) -> NDArray[np.float32]:
+    """(WIDTH,) of a patch (SIDE, SIDE, 3)."""
+    grey = np.log(cv2.blur(patch, (3, 3)) @ GREY + 16)
+    across, down = (np.asarray(cv2.Sobel(grey, cv2.CV_32F, *way), np.float32) for way in ((1, 0), (0, 1)))
+    size = np.sqrt(across**2 + down**2)
+    usual = np.full_like(size, math.sqrt(np.mean(size**2)))
+    others = ((grey - grey.mean()) / (grey.std() + 0.05))[None]
+    return np.append(smoothed_channels(across, down, size, usual, WAYS, others)[_GRID, _GRID].ravel(), np.float32(1))
+
+
+@lru_cache(maxsize=8)
+def load_eyes(path: Path | None = None) -> EyeDescent:
+    """The regressions in a file that `save` wrote, by default the shipped one. Raises InputError for anything else."""
+    return KIND.read(shipped_folder() / DEFAULT if path is None else path, _made)
+
+
+def _made(stored: Stored) -> EyeDescent:
+    wide, width = len(CORNERS) * GRID**2 * (DIRECTIONS + 3) + 1, 2 * len(CORNERS)
+    scales, stages = stored.reals("scales", 1), stored.reals("stages", 3)
+    rest, mean, first, lids = (stored.reals(name, 2) for name in ("rest", "mean", "first", "lids"))
+    std = stored.reals("std", 1)
+    found = EyeDescent(rest, mean, first, scales, std, stages.astype(np.float32), lids.astype(np.float32))
+    shapes = [one.shape for one in found]
+    if shapes != [(5, 2), (4, 2), (11, width), (len(scales),), (4,), (len(scales), wide, width), (WIDTH, 9)]:
+        raise ValueError(f"arrays of {shapes} are no regressions of eyes")
+    if not all(np.isfinite(one).all() for one in found) or not len(scales) or min(*scales, *found.std) <= 0:
+        raise ValueError("a number is not finite, or a scale or an error not above 0")
+    return found

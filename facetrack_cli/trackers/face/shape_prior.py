@@ -1,0 +1,43 @@
+"""The shape prior of a face: Student's t over the parts' places (ours)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from facetrack_cli.core.types import Array
+from facetrack_cli.engine.protocols import Prior
+from facetrack_cli.engine.spaces import Context
+from facetrack_cli.trackers.face.settings import StudentT
+from facetrack_cli.trackers.points.settings import Parzen
+from facetrack_cli.trackers.points.shape_prior import MIN_SIGMA, BoundPrior, build
+
+
+def build_student(settings: StudentT, context: Context) -> StudentPrior:
+    """The Student t prior of a recipe, from the same files as `build`."""
+    return StudentPrior(build(Parzen(type="parzen", file=settings.file, sigma=MIN_SIGMA), context), settings.freedom)
+
+
+class StudentPrior(Prior):
+    """Student t density over the parts as seen from the stable one, with the shapes' second moments about rest (ours).
+
+    With q (2 (K - 1),) the displacements of the other parts since the first frame, relative to the stable part, in
+    units of L0, C = E[h h^T] + MIN_SIGMA^2 I over training shapes h, and n = `freedom`,
+
+        log_density(s) = -(n + 2 (K - 1)) / 2 log(1 + q^T C^-1 q / n)
+
+    without its constant. x is (N, K, 2) in pixels.
+    """
+
+    def __init__(self, bound: BoundPrior, freedom: float) -> None:
+        self.first, self.length, self.freedom = bound.first, bound.length, freedom
+        self._stable, self._moving = bound._stable, bound._moving
+        h = bound._shapes[:, self._moving].reshape(len(bound._shapes), -1)
+        self.cov = h.T @ h / len(h) + MIN_SIGMA**2 * np.eye(h.shape[1])
+        self._inverse = np.linalg.inv(self.cov)
+
+    def log_density(self, x: Array) -> Array:
+        """(N,): the log density, at most 0."""
+        moved = (x - self.first) / self.length
+        q = (moved - moved[:, [self._stable]])[:, self._moving].reshape(len(x), len(self.cov))
+        squared = np.einsum("ni,ij,nj->n", q, self._inverse, q)
+        return np.asarray(-0.5 * (self.freedom + q.shape[1]) * np.log1p(squared / self.freedom))

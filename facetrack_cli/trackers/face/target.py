@@ -1,0 +1,540 @@
+"""A face: a head that carries points, and the points tracked inside of it (ours).
+
+The head is a box with a particle filter of its own. Its place and scale, and the roll of the face, are a similarity T_t
+that maps a stabilized image of the face to the frame (`stabilized.py`). The points' filter sees that image, in which
+the face hardly moves. What is left to track is expression, and what the head turns out of the plane. For a head at rest
+T is constant, and that filter is the published one (Patras & Pantic, FG 2004). The shape prior is that of the
+stabilized image, so it is registered by the head: translation, scale and roll.
+
+In each frame sensors place the points in the stabilized image: a regression (`descent.py`), and a network if its file
+is there (`mesh.py`). Windows are exact and may be lost. Sensors are less exact and have no memory. The points' filter
+joins all (`sensors.py`, `models/motion.py`). Eyes (`eyes.py`) and further points of the network have no windows
+(`mesh_points.py`), and no say in where the face is.
+
+A detector of faces measures the face's box every so many frames. Of a head that is lost, it is asked as often where in
+the frame faces are; the head's filter compares them with what the first frames showed, and what it recognises is where
+it is proposed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+from numpy.random import Generator
+
+from facetrack_cli.core.geometry import centre, corners, square
+from facetrack_cli.core.types import BOX, Array, Frame, Mask, TargetStart
+from facetrack_cli.engine.calibration import Calibration
+from facetrack_cli.engine.loop import Footprint
+from facetrack_cli.engine.protocols import Names
+from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.engine.spaces import Estimate
+from facetrack_cli.engine.target import ParticleState, ParticleTarget
+from facetrack_cli.trackers.box.target import BoxTarget
+from facetrack_cli.trackers.face import stabilized, window_ncc
+from facetrack_cli.trackers.face.evidence import (
+    MAYBE,
+    NEW,
+    STAYS,
+    SURE,
+    Sighting,
+    by_looks,
+    by_place,
+    kept,
+    likeness,
+    look_of,
+    probabilities,
+)
+from facetrack_cli.trackers.face.mesh_points import NO_FACE, MeshPoints
+from facetrack_cli.trackers.face.motion import JumpingWalk, MeasuredWalk, SensorReading, modes
+from facetrack_cli.trackers.face.senses import Senses
+from facetrack_cli.trackers.face.sensors import (
+    AREA,
+    WINDOWS,
+    Facing,
+    apart,
+    common_shift,
+    in_common,
+    joined,
+    who_is_right,
+)
+from facetrack_cli.trackers.face.settings import Head
+from facetrack_cli.trackers.face.stabilized import EYES, FACE, Similarity
+from facetrack_cli.trackers.face.state import FaceState, View, shifted, sure_of, updated
+from facetrack_cli.trackers.people.looks import Picture
+from facetrack_cli.trajectory.diagnostics import EVIDENCE, NETWORK, ROLL, SCALE, Diagnostics
+from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, of_frame
+from facetrack_cli.video.shots import Passing, small
+
+OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
+COMPANY: Final = 2  # looks at several faces, from which the clip has shown somebody else
+LOOK: Final = 3  # frames from one look of the head's filter to the next, where the points are seen in between
+EASY: Final = 8.0  # log odds that the points are seen where they are
+DOUBT: Final = 8.0  # log odds, below which the detector looks at once
+STEADY: Final = 2.5  # pixels of the stabilized image, which a face is at most from where it is expected, in between
+_FORGETS: Final = 0.95  # share of `sure` that is left after a frame in which the head is lost
+_FACES: Final = 4  # that are compared with the one that is lost
+# standard deviations of the pose in a frame, of that by a detected box, and of that by parts left and right
+_POSE: Final = np.array([math.radians(1.5), 0.012, 0.004, 0.004])
+_BY_BOX: Final = np.array([np.inf, 0.15, 0.1, 0.1])
+_BY_EYES: Final = 0.06  # of its size, where the detector sees the eyes
+_BY_PAIRS: Final = np.array([math.radians(3), np.inf, np.inf, np.inf])
+
+
+@dataclass(frozen=True)
+class FaceTarget:
+    """A face whose box has sides of `side` pixels at the start, and lies in it as `pose` (4,) says.
+
+    Rows are those of the points, of the box, of the eyes, and of the `others`. `alone`: while it is lost, any face that
+    is seen may be this one.
+    """
+
+    name: str
+    head: BoxTarget
+    features: ParticleTarget
+    settings: Head
+    senses: Senses
+    side: float
+    pose: Array
+    calibration: Calibration | None = None
+    alone: bool = True
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return (*self.features.parts, BOX, *self.senses.eyes, *self.senses.others)
+
+    @property
+    def windows(self) -> Mapping[str, tuple[float, float]]:
+        scale = self.side / FACE
+        points = {part: (w * scale, h * scale) for part, (w, h) in self.features.windows.items()}
+        return {**points, **self.head.windows}
+
+    def begin(self, rng: Generator, frame: Frame) -> tuple[FaceState, TargetResult]:
+        head, box = self.head.begin(rng, frame)
+        similarity = self._map(head.estimated.state, self.pose)
+        seen = similarity.read(frame)
+        features, points = self.features.begin(rng, seen)
+        facing, found = Facing(), self.senses.detected(seen)
+        sensors, others, eyes = self.senses.begin(frame, similarity, seen, found, self.features.x0)
+        if self.senses.detector is not None and not self.senses.searched and found is None:
+            facing = facing.unseen()
+        points = points._replace(beliefs=None)
+        state = FaceState(
+            head, features, points, sensors, facing, self.pose, np.zeros(4), others, eyes,
+            (look_of(seen),), (self._picture(frame, similarity),), similarity, Passing((small(frame),)),
+        )  # fmt: skip
+        return state, self._result(state, box, frame)
+
+    def restart(
+        self, rng: Generator, frame: Frame, first: FaceState, given: TargetStart, absent: Names = (), anew: Names = ()
+    ) -> tuple[FaceState, TargetResult]:
+        """As `ParticleTarget.restart`; the head is where the points are as in the first frame."""
+        placed = {part: np.array(at) for part, at in given.points.items() if part not in absent}
+        known = np.isin(self.features.parts, list(placed))
+        at = np.array([placed[part] for part in self.features.parts if part in placed])
+        rest, scale, roll = self.features.x0[known], self.side / FACE, 0.0
+        if len(at) > 1:
+            spread = np.sum((rest - rest.mean(axis=0)) ** 2)
+            scale = math.sqrt(float(np.sum((at - at.mean(axis=0)) ** 2)) / max(float(spread), 1e-9))
+            roll = stabilized.change_between(at, rest)[0]
+        if given.box is not None and not given.points:
+            scale = math.sqrt(given.box[2] * given.box[3]) / FACE
+        shape = Similarity(np.zeros(2), scale, roll)
+        middle = at.mean(axis=0) - (rest.mean(axis=0) - stabilized.MIDDLE) @ shape.matrix.T
+        side = FACE * scale
+        head, boxed = self.head.restart(rng, frame, first.head, TargetStart(square(middle, side)))
+        pose = np.array([roll, 0.0, 0.0, 0.0])
+        similarity = self._map(head.estimated.state, pose)
+        moved = {part: tuple(similarity.to_stabilized(place).tolist()) for part, place in placed.items()}
+        seen, there = similarity.read(frame), TargetStart(points=moved)
+        features, rows = self.features.restart(rng, seen, first.features, there, absent, anew)
+        found, at = self.senses.detected(seen), features.estimated.state
+        sensors, others, eyes = self.senses.begin(frame, similarity, seen, found, at)
+        points = rows._replace(beliefs=None)
+        state = FaceState(
+            head, features, points, sensors, Facing(), pose, np.zeros(4), others, eyes, first.looks,
+            first.pictures, similarity, Passing((small(frame),)),
+        )  # fmt: skip
+        return state, self._result(state, boxed, frame)
+
+    def advance(
+        self, rng: Generator, state: FaceState, frame: Frame, footprints: Sequence[Footprint] = ()
+    ) -> tuple[FaceState, TargetResult]:
+        state = replace(state, frames=state.frames + 1)
+        if not self._searches:
+            return self._step(rng, state, frame, footprints)
+        passing, event = state.passing.after(frame)
+        cut = {"": state.cut, "none": None}.get(event, frame.time_s)
+        state = replace(state, passing=passing, cut=cut)
+        if cut is None or frame.time_s - cut <= STAYS:
+            after, result = self._step(rng, state, frame, footprints)
+            if cut is None or after.cut is None or self._stays(after, frame):
+                return replace(after, cut=None), result
+        just = frame.time_s - cut <= STAYS  # then every frame counts
+        if just or event or self._is_due(state):
+            state = self._sighted(state, frame)
+            if (seen := state.sighting) is not None and seen.is_target(frame):
+                return self._returned(rng, state, seen, frame)
+        head, box = self.head.unseen(rng, state.head, frame, anywhere=not just)
+        state = replace(state, head=head, sure=_FORGETS * state.sure)
+        return state, self._result(state, box, frame)
+
+    @cached_property
+    def _searches(self) -> bool:
+        """Whether a detector looks for the face anywhere in the frame while it is lost."""
+        return self.alone and self.senses.detector is not None and self.settings.detections is not None
+
+    def _is_due(self, state: FaceState) -> bool:
+        detections = self.settings.detections
+        return self.senses.detector is not None and detections is not None and state.frames % detections.every == 0
+
+    def _step(
+        self, rng: Generator, state: FaceState, frame: Frame, footprints: Sequence[Footprint]
+    ) -> tuple[FaceState, TargetResult]:
+        """A frame later, in the same scene."""
+        shown = sure_of(state.head) >= self.settings.lost_below
+        due = self._is_due(state)
+        if self.senses.detector is not None and self.settings.detections is not None:
+            due |= shown and state.sure <= DOUBT
+        if shown and state.sure >= EASY and state.frames % LOOK:
+            view = self._view(state, self.head.motion.expect(state.head.estimated.state[None])[0], frame, due=due)
+            if view.parts.sure >= EASY and math.hypot(*view.shift) < STEADY:
+                return self._followed(rng, state, view, frame, None)
+        if due and not shown and self.alone:
+            state = self._sighted(state, frame)
+            if (seen := state.sighting) is not None and seen.is_target(frame):
+                return self._returned(rng, state, seen, frame)
+        told = 0.0 if state.sighting is not None else state.facing.odds(state.sure)
+        before = replace(state.head, learned=state.head.learned._replace(told=told))
+        head, box = self.head.advance(rng, before, frame, footprints)
+        if sure_of(head) < self.settings.lost_below:
+            state = replace(state, head=head, facing=state.facing.predicted(), sure=_FORGETS * state.sure)
+            return state, self._result(state, box, frame)
+        state = replace(state, head=head, sighting=None)
+        return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=due), frame, box)
+
+    def _stays(self, state: FaceState, frame: Frame) -> bool:
+        """Whether what is followed, after what may be a cut, is the face of before."""
+        if sure_of(state.head) < self.settings.lost_below or state.sure <= 0:
+            return False
+        looks = by_looks(state.pictures, [self._map(state.head.estimated.state, state.pose)], frame)
+        [p] = probabilities(looks, np.zeros(1), cut=True, company=state.several >= COMPANY)
+        return bool(p > 0.5)
+
+    def _picture(self, frame: Frame, face: Similarity) -> Picture:
+        return Picture.of(frame, face._replace(scale=face.scale * FACE))
+
+    def _view(self, state: FaceState, head: Array, frame: Frame, *, due: bool) -> View:
+        """What is seen of the points where the head is at `head` (1, D); by the detector, too, where that is `due`."""
+        similarity = self._map(head, state.pose)
+        seen = similarity.read(frame)
+        found = self.senses.detected(seen) if due else None
+        before, z2 = state.features.estimated.state, self.senses.named({} if found is None else found.points)
+        around, told = [before.mean(axis=0)], np.isfinite(z2).all(axis=1)
+        if told.any():
+            around.append((before + (z2 - before)[told].mean(axis=0)).mean(axis=0))
+        channels, parts, network, others, eyes = self.senses.sensed(frame, similarity, seen, around)
+        visible = self._visible(state.features)
+        places = parts.at, z2, network
+        measured = tuple(one.measured(z, visible) for one, z in zip(state.sensors, places, strict=True))
+        first, second = joined(measured[0], measured[2]), measured[1]
+        upright = np.where(first.sure[:, None] > 0, first.z, np.nan)
+        shift, sure = common_shift(joined(first, second), before), 0.0 if apart(first, second).any() else parts.sure
+        return View(similarity, seen, channels, due, found, parts, others, eyes, places, measured, upright, shift, sure)
+
+    def _followed(
+        self, rng: Generator, state: FaceState, view: View, frame: Frame, box: TargetResult | None
+    ) -> tuple[FaceState, TargetResult]:
+        """The points in a frame of which there is a `view`; a head without a `box` goes with them."""
+        odds, features, shift = view.parts.odds, state.features, view.shift
+        if isinstance(features.learned, window_ncc.WindowState):
+            features = replace(features, learned=features.learned._replace(told=odds))
+        features = shifted(features, lambda x: x + shift)
+        walk = self.features.motion
+        given = (
+            MeasuredWalk(walk, view.measured) if isinstance(walk, JumpingWalk) else None
+        )  # others have the shift alone
+        features, points = self.features.advance(rng, features, view.seen, (), given)
+        estimated, visible = features.estimated, self._visible(features)
+        told, own = self._judged(state.features, view, estimated)
+        regression, _, network = view.measured
+        off = np.sum((network.z - regression.z) ** 2, axis=1)
+        cross = np.where((network.sure > 0) & ~apart(network, regression), 0.25 * off, 0.0)
+        each = zip(state.sensors, view.places, told, (cross, 0.0, cross), strict=True)
+        sensors = tuple(one.learned(z, estimated.state, estimated.cov, visible, *more) for one, z, *more in each)
+        if isinstance(features.learned, window_ncc.WindowState):
+            features = replace(features, learned=window_ncc.doubted(features.learned, own))
+        points = points._replace(beliefs=None)  # those are of the state
+        facing = state.facing if self.senses.detector is None else state.facing.predicted()
+        others, far, similarity, head = state.others, view.others, view.similarity, state.head
+        if others is not None:
+            others = (
+                others.after(None, NO_FACE)
+                if far is None
+                else others.after(far.at, sensors[2].near(far, view.places[2]))
+            )
+        elif far is not None:
+            others = MeshPoints.begin(far.at)
+        eyes = state.eyes
+        if eyes is not None and view.eyes is not None:
+            eyes = eyes.after(*view.eyes)
+        if box is None:
+            head, box = self.head.carried(rng, head, frame, similarity.matrix @ shift)
+        state = replace(
+            state, head=head, features=features, points=points, sensors=sensors, facing=facing, others=others,
+            eyes=eyes, sure=view.sure,
+        )  # fmt: skip
+        if view.found is not None and view.sure >= EASY and state.cut is None:
+            state = replace(state, seen=similarity)
+            if likeness(state.looks, look := look_of(view.seen)) < NEW:
+                picture = self._picture(frame, similarity)
+                state = replace(state, looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
+        state = self._moved(self._posed(state, view), similarity)
+        return state, self._result(state, box, frame)
+
+    def _visible(self, features: ParticleState) -> Array:
+        """(K,) how visible the parts are, where their likelihood says so."""
+        known = isinstance(features.learned, window_ncc.WindowState)
+        return np.asarray(features.learned.visible if known else np.ones(len(self.features.parts)))
+
+    def _judged(self, features: ParticleState, view: View, found: Estimate) -> tuple[Array, Array]:
+        """By how much it is said that sensors see parts (S, K), and that windows do (K,), in log odds.
+
+        nan of parts of which all are where the estimate is.
+        """
+        likelihood, own, measured = self.features.likelihood, found.state, view.measured
+        odds = np.full((len(measured) + 1, len(own)), np.nan)
+        visible = self._visible(features)
+        each = [one._replace(z=one.z - in_common(one.z - own, one.sure > 0)) for one in measured]
+        each.append(SensorReading(own, 0.5 * np.trace(found.cov, axis1=1, axis2=2), WINDOWS * visible, AREA))
+        said = [i for i, one in enumerate(each) if one.sure.any()]
+        differ = np.any([apart(one, other) for one, other in combinations([each[i] for i in said], 2)], axis=0)
+        if isinstance(likelihood, window_ncc.WindowNcc) and differ.any():
+            learned, readings = likelihood.look(features.learned, view.seen, own), [each[i] for i in said]
+            places = modes(readings, len(own))[0]
+            scores = likelihood.score(learned, view.seen, places, own), self.senses.odds_at(view.channels, places)
+            odds[said] = np.where(differ, who_is_right(readings, *scores), np.nan)
+        return odds[:-1], odds[-1]
+
+    def _map(self, head: Array, pose: Array) -> Similarity:
+        """Of the face that lies so in a head at `head` (1, D)."""
+        x, y, scale = head[0, :3].tolist()
+        middle = np.array([x, y]) + self.side * scale * pose[2:]
+        return Similarity(middle, self.side * scale * math.exp(pose[1]) / FACE, float(pose[0]))
+
+    def _sighted(self, state: FaceState, frame: Frame) -> FaceState:
+        """The state of a face that is lost, with the places where a detector sees faces, and the likeliest of them."""
+        here, pose = self._map(state.head.estimated.state, state.pose), state.pose
+        faces = self.senses.faces(frame, here)[:_FACES]
+        places = tuple(
+            np.array([*(np.array(centre(one.box)) - one.box[2] * pose[2:]), math.log(one.box[2] / self.side)])
+            for one in faces
+        )
+        state = replace(state, several=state.several + (len(faces) > 1))
+        seen = [Sighting.of(one, frame) for one in faces]
+        if seen:
+            lie = [one.similarity for one in seen]
+            cut, looks = state.cut is not None, by_looks(state.pictures, lie, frame).tolist()
+            seen = [
+                one._replace(by_looks=odds, latest=odds).after(state.sighting)
+                for one, odds in zip(seen, looks, strict=True)
+            ]
+            place = by_place(state.seen, lie, covered=self._is_covered(state.head)) * (not cut)
+            p = probabilities(
+                np.array([one.by_looks for one in seen]), place, cut=cut, company=state.several >= COMPANY
+            )
+            best = int(p.argmax())
+            found = seen[best]._replace(p=float(p[best]))
+        sighting = found if seen and found.p > MAYBE else None
+        facing = state.facing.looked(found=False) if sighting is None else state.facing
+        head = replace(state.head, learned=state.head.learned._replace(sighted=places))
+        return replace(state, head=head, sighting=sighting, facing=facing)
+
+    def _is_covered(self, head: ParticleState) -> bool:
+        """Whether a head that is not seen is held to be where it was."""
+        middle, half = head.estimated.state[0, :2], 0.5 * self.head.space.windows(head.estimated)[0]
+        near = (np.abs(head.particles.x[:, 0, :2] - middle) < half).all(axis=1)
+        return float(np.exp(head.particles.log_w) @ near) >= 0.5
+
+    def _returned(
+        self, rng: Generator, state: FaceState, seen: Sighting, frame: Frame
+    ) -> tuple[FaceState, TargetResult]:
+        """The face where it is seen again."""
+        side = seen.box[2] * math.exp(-state.pose[1])
+        middle = np.array(centre(seen.box)) - side * state.pose[2:]
+        head, boxed = self.head.restart(rng, frame, state.head, TargetStart(square(middle, side)))
+        pose, rest = np.array([seen.roll, *state.pose[1:]]), self.features.x0
+        if seen.p < SURE:
+            doubt = (
+                f"from frame {frame.index} on the face may be another one than before (probability {1 - seen.p:.2f})"
+            )
+            boxed = boxed._replace(notes=(*boxed.notes, doubt))
+        features = shifted(state.features, lambda x: x + (rest - state.features.estimated.state))
+        state = replace(state, head=head, features=features, pose=pose, facing=Facing(), sighting=None, cut=None)
+        return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=True), frame, boxed)
+
+    def _posed(self, state: FaceState, view: View) -> FaceState:
+        """With what the detector says of the face's box, and parts left and right, or else the eyes, of its roll."""
+        z = view.upright
+        pose, var, known = state.pose, state.pose_var + _POSE**2, np.asarray(np.isfinite(z).all(axis=1))
+        turns = [stabilized.slope(z[pair]) - self._slope(pair) for pair in self._pairs if known[pair].all()]
+        if view.sure <= 0:  # the points are not seen
+            eyes = None if view.found is None or not self.senses.searched else view.found.eyes
+            turns = [] if eyes is None else [stabilized.slope(np.array(eyes))]
+        if turns:
+            pose, var = updated(pose, var, np.array([np.mean(turns), 0, 0, 0]), _BY_PAIRS)
+        if view.due:
+            state = replace(state, facing=state.facing.looked(found=view.found is not None))
+        # a box drawn by hand may differ from the detector's box
+        if view.found is not None and self.senses.searched:
+            box = view.found.box
+            # how the detected face lies in the head's box, along the axes of the frame
+            lies = Similarity(np.zeros(2), math.exp(pose[1]) / FACE, float(pose[0])).to_frame(np.array(centre(box)))
+            std = _BY_BOX if view.found.eyes is None else np.array([np.inf, _BY_EYES, *_BY_BOX[2:]])
+            pose, var = updated(pose, var, np.array([0.0, math.log(box[2] / FACE), *lies]), std)
+        return replace(state, pose=pose, pose_var=var)
+
+    def _moved(self, state: FaceState, old: Similarity) -> FaceState:
+        """With the points, which are in the stabilized image of the `old` map, in that of the state's own."""
+        new, rows = self._map(state.head.estimated.state, state.pose), state.points.rows
+
+        def moved(x: Array) -> Array:
+            return new.to_stabilized(old.to_frame(x))
+
+        origin = moved(np.zeros(2))
+        sensors = tuple(one._replace(bias=moved(one.bias) - origin) for one in state.sensors)
+        others, eyes = (one and one.mapped(moved) for one in (state.others, state.eyes))
+        x, y = moved(np.stack([rows.x, rows.y], axis=1)).T
+        points = state.points._replace(rows=replace(rows, x=x, y=y), cloud=moved(state.points.cloud))
+        features = shifted(state.features, moved)
+        return replace(state, features=features, points=points, sensors=sensors, others=others, eyes=eyes)
+
+    def footprint(self, state: FaceState, *, ahead: bool) -> Footprint | None:
+        return self.head.footprint(state.head, ahead=ahead)
+
+    @property
+    def diagnostics(self) -> tuple[Any, ...]:
+        return (SCALE, ROLL, EVIDENCE) if self.senses.mesh is None else (SCALE, ROLL, EVIDENCE, NETWORK)
+
+    def _result(self, state: FaceState, box: TargetResult, frame: Frame) -> TargetResult:
+        """Rows of the points, as last seen in the stabilized image, of the box, and of points without windows."""
+        similarity, rows = self._map(state.head.estimated.state, state.pose), state.points.rows
+        scale = similarity.scale
+        cov = np.array([[rows.std_x**2, rows.cov_xy], [rows.cov_xy, rows.std_y**2]]).transpose(2, 0, 1)
+        visible = np.where(np.isnan(rows.confidence), 1.0, rows.confidence)
+        points = self._rows(state, np.stack([rows.x, rows.y], axis=1), cov, visible, rows.status == "lost")
+        since = np.where(rows.status == "init", "init" if not state.frames else "tracked", rows.status)
+        points["status"] = np.where(points["status"] == "lost", "lost", since)
+        points["confidence"] = points["confidence"] if state.frames else rows.confidence
+        points |= {"w": rows.w * scale, "h": rows.h * scale, "ess": rows.ess}
+        if (gone := rows.status == "absent").any():
+            nothing = {name: "absent" if name == "status" else np.nan for name in points}
+            points = {name: np.where(gone, nothing[name], values) for name, values in points.items()}
+        face = {name: getattr(box.rows, name) for name in points} | self._face(box.rows, similarity)
+        blank = {name: np.full((1, *one.shape[1:]), np.nan) for name, one in face.items() if name != "status"}
+        sections = [points, face]
+        for names, one in self._without_windows(state):
+            if one is None:
+                sections.append({"status": np.full(len(names), "lost")})
+            else:
+                covered = one.visible < self.settings.lost_below
+                sections.append(self._rows(state, one.at, one.cov, one.visible, covered, placed=True))
+        counts = len(rows), 1, *(len(names) for names, _ in self._without_windows(state))
+        columns = {
+            name: np.concatenate(
+                [
+                    section[name] if name in section else np.repeat(blank[name], n, axis=0)
+                    for section, n in zip(sections, counts, strict=True)
+                ]
+            )
+            for name in face
+        }
+        # of a target one number: both filters' together
+        columns["particles"] = np.full(len(self.parts), float(rows.particles.max() + box.rows.particles[0]))
+        values = {SCALE.name: scale * FACE / self.side, ROLL.name: math.degrees(state.pose[0])}
+        # both likelihoods are ratios, which are 1 where the head is lost and nothing is compared
+        seen = [one for one in (box.rows, rows) if one.frame[0] == frame.index]
+        values[EVIDENCE.name] = sum(float(one.diagnostics[self.name].get(EVIDENCE.name)[0]) for one in seen)
+        values[NETWORK.name] = float(state.sensors[2].right.mean())
+        found = {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
+        faces = of_frame(self._names, frame, found, **columns)
+        unseen = faces.unseen
+        if self.calibration is not None:
+            faces = self.calibration.applied(faces, self.features.size * self.side / FACE)
+        cloud = similarity.to_frame(state.points.cloud)
+        return TargetResult(faces, cloud, (), box.notes, lambda: self.beliefs(state, unseen))
+
+    def _rows(
+        self, state: FaceState, at: Array, cov: Array, visible: Array, unseen: Mask, *, placed: bool = False
+    ) -> dict[str, Any]:
+        """Columns of points of the stabilized image: places (K, 2), covariances (K, 2, 2), visibility, seen or not.
+
+        With `placed` the confidence is that of the place alone, and what is not seen is hidden.
+        """
+        similarity = self._map(state.head.estimated.state, state.pose)
+        shown = state.facing.shown * sure_of(state.head)
+        known = visible * shown
+        cov = similarity.matrix @ cov @ similarity.matrix.T
+        cov = cov + (1 - known)[:, None, None] * state.head.estimated.cov[0]  # of what is hidden, the head alone says
+        var = cov.reshape(-1, 4)[:, ::3]
+        near = 1 - np.exp(-((OFF * EYES * similarity.scale) ** 2) / np.maximum(var.sum(axis=1), 1e-9))
+        x, y = similarity.to_frame(at).T
+        std_x, std_y = np.sqrt(var).T
+        status = np.where(unseen, "hidden" if placed else "lost", "tracked")
+        status = np.where(shown * near < self.settings.lost_below, "lost", status)
+        return {
+            "x": x, "y": y, "std_x": std_x, "std_y": std_y, "cov_xy": cov[:, 0, 1],
+            "confidence": (shown if placed else known) * near, "status": status,
+        }  # fmt: skip
+
+    def beliefs(self, state: FaceState, unseen: Mask) -> tuple[Belief, ...]:
+        """What is known of the points in the stabilized image, of the head, and of points without windows.
+
+        Which of them are `unseen` (K,) is in doubt.
+        """
+        found = [*self.features.beliefs(state.features), *self.head.beliefs(state.head)]
+        if self.calibration is not None:
+            found = list(map(self.calibration.believed, (self.features.parts, self.head.parts), found))
+        for names, one in self._without_windows(state):
+            nobody = MeshPoints.begin(np.full((len(names), 2), stabilized.MIDDLE))
+            nobody = nobody._replace(visible=np.zeros(len(names)))
+            found.append((one or nobody).belief())
+        ends = np.cumsum([len(one.mean) for one in found])[:-1]
+        each = zip(found, np.split(unseen, ends), strict=True)
+        return tuple(one._replace(doubt=one.doubt | gone) for one, gone in each)
+
+    def _without_windows(self, state: FaceState) -> list[tuple[tuple[str, ...], MeshPoints | None]]:
+        """The names of points without windows, in the order of rows, and what is known of them."""
+        each = (self.senses.eyes, state.eyes), (self.senses.others, state.others)
+        return [(names, one) for names, one in each if names]
+
+    def _slope(self, pair: list[int]) -> float:
+        """Of the line between two parts when the face is upright."""
+        return 0.0 if self.senses.searched else stabilized.slope(self.features.x0[pair])
+
+    @cached_property
+    def _pairs(self) -> list[list[int]]:
+        """Parts left and right of each other, whose line turns with the face and not with an expression."""
+        parts = self.features.parts
+        pairs = [(part, part.replace("left", "right")) for part in parts if "left" in part]
+        return [[parts.index(left), parts.index(right)] for left, right in pairs if right in parts]
+
+    @cached_property
+    def _names(self) -> tuple[tuple[str, str], ...]:
+        return tuple((self.name, part) for part in self.parts)
+
+    def _face(self, row: Trajectory, face: Similarity) -> dict[str, Array]:
+        """Columns of the head's box: it is where the face is in it, as large as that, and turned by its roll."""
+        roll, grown = math.remainder(face.angle, math.tau), face.scale * FACE / np.sqrt(row.w * row.h)
+        found = {name: getattr(row, name) * grown for name in ("w", "h", "std_w", "std_h")}
+        found |= {"x": face.centre[:1], "y": face.centre[1:], "angle": np.array([math.degrees(roll)])}
+        way = np.array([[math.cos(roll), -math.sin(roll), math.sin(roll), math.cos(roll)]])
+        # the border runs through the middle of the outermost pixels
+        size = np.stack([found["w"] - 1, found["h"] - 1], axis=1)
+        return {**found, "corners": corners(way, face.centre[None], size)}

@@ -1,0 +1,256 @@
+"""Where a frame shows skin of the person that is neither background nor face (ours).
+
+p(skin | c) of a colour c = (Cb, Cr) is that of two densities: skin is normal about the median colour of the face, wider
+along the saturation than across it, since cameras and light make faces paler than hands; all else is the histogram of
+the first frame within the reach of an arm. From it is taken away:
+
+- what was skin in all frames so far: the least p of each pixel, which rises slowly. A still camera's shelves and lamps
+  never move, and a hand does. Where hands hang or lie in the first frame, skin counts at once;
+- the face and neck, where they look as before and no arm leads to: a hand in front of them changes what is seen, by
+  more than a head that turns, its expressions and the light do while no hand is near. What changed is learned slowly.
+
+A camera that sets its exposure or white balance anew colours all things anew. So each frame is brought back to the
+light of the first one.
+
+All of it is on a frame reduced so that the face's box is 10 to 20 pixels large.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Array, Box, Frame, Image, factor_for
+from facetrack_cli.engine.loop import Footprint
+from facetrack_cli.engine.shift import shift_between
+
+Map = NDArray[np.float32]
+MAX_FACE_PX: Final = 20  # of the face's box in the reduced frame
+LEAST_COLOUR: Final = 3.0  # of Cb and Cr from grey, of the face's median colour
+PALE: Final = 1.25  # saturation of skin over that of the face
+ALONG, ACROSS, NOISE = 0.4, 0.12, 1.5  # standard deviations of skin: in saturations of the face, and in levels
+SKIN_SHARE: Final = 0.03  # of what is not the face
+MOVES: Final = 0.6  # of the peak of the phase correlation, from which on it tells a motion of the camera
+RISES: Final = 0.002  # of the background's p in a frame
+# grey levels by which the face differs from before, where as much speaks for a hand as against it, and their width
+CHANGED, CHANGED_WIDTH = 4.0, 1.0
+UNREST, UNREST_AT_FIRST = 2.5, 1.5  # by so many times as much as without a hand, if that is more; grey levels
+LEARNS, HELD = 0.1, 0.02  # share of a frame in the face's template, and where it has changed or a hand is before it
+REACHES: Final = 0.45  # sizes of the face, by which skin beside it speaks for a hand before it
+DARK, BRIGHT, ENOUGH = 20, 240, 0.1  # levels, and the share of pixels between them, by which the light is told
+THIN: Final = 3  # every third row and column of them tell
+LEAST_GAIN, AGREES = 0.01, 0.15  # of a channel: less is left as it is; between the quartiles of all pixels at most
+HEAD: Final = (-0.8, -1.3, 0.8, 1.1)  # head and neck about the face's middle, in sizes of the box
+
+
+_NOBODY: Final = np.empty((0, 2))
+
+
+class Scene(NamedTuple):
+    """What is known of the clip: `odds` (256, 256), log p(skin | c) - log p(not | c) by [Cb, Cr]; `still` (H, W), the p
+    of the background; `grey` (H, W), the last frame; `face` (h, w, 3), the template of the head; `first`
+    (H, W, 3), the frame in whose light all are seen; `factor` of reduced frames, `side` of the face's box in their
+    pixels in the first frame; `unrest`, the grey levels by which the head differs from its template where no hand is
+    near.
+    """
+
+    odds: Map
+    still: Map
+    grey: Map
+    face: Map
+    first: Image
+    factor: int
+    side: float
+    unrest: float = UNREST_AT_FIRST
+
+
+def reduced(frame: Frame, factor: int) -> Image:
+    """The whole frame, reduced."""
+    width, height = frame.size
+    return frame.reduced(factor, (0.0, 0.0, width - 1.0, height - 1.0))[0]
+
+
+def side_of(head: Footprint) -> float:
+    """The mean side of the head's box in pixels: the unit of lengths, in the first frame."""
+    return 2 * math.sqrt(float(head.half[0] * head.half[1]))
+
+
+def to_map(at: Array, factor: int) -> Array:
+    """Places (..., 2) of the frame in pixels of the reduced one."""
+    return (at + 0.5) / factor - 0.5
+
+
+class Seen(NamedTuple):
+    """Of a frame, (H, W): `evidence`, p that there is skin of a hand or arm, and `face`, 1 at the face and near it."""
+
+    evidence: Map
+    face: Map
+
+
+def begin(frame: Frame, head: Footprint, hands: tuple[Box, ...] = ()) -> tuple[Scene, Seen]:
+    """The scene and the evidence of the first frame; `hands` are boxes of hands that are known.
+
+    Raises InputError for a grey clip.
+    """
+    side = side_of(head)
+    factor = factor_for(side, MAX_FACE_PX)
+    small, s = reduced(frame, factor), side / factor
+    colours = _colours(small)
+    u, v = _from(to_map(head.centre, factor), small, s)
+    face = (u / 0.33) ** 2 + (v / 0.42) ** 2 < 1
+    middle = np.median(colours[face].astype(float), axis=0) - 128 if face.any() else np.zeros(2)
+    if math.hypot(*middle) < LEAST_COLOUR:
+        remedy = "hands are found by the colour of skin; follow the face alone, with --config face"
+        raise InputError(f"frame {frame.index}: the face has no colour, as in a grey clip: {remedy}")
+    around = (np.hypot(u, v - 2) < 6) & ~((np.abs(u) < 0.75) & (np.abs(v) < 0.9))
+    odds = _odds(middle, colours[around])
+    skin = _skin(odds, colours)
+    # hanging at the sides, or before the chest and in the lap
+    hang = np.exp(-0.5 * ((np.abs(u) - 1.5) / 0.7) ** 2) / (1 + np.exp((3.0 - v) / 0.3))
+    still = skin * (1 - hang)
+    for left, top, w, h in hands:
+        (x0, y0), (x1, y1) = (np.rint(to_map(np.array(at), factor)) for at in ((left, top), (left + w, top + h)))
+        still[max(int(y0), 0) : max(int(y1) + 1, 0), max(int(x0), 0) : max(int(x1) + 1, 0)] = 0
+    scene = Scene(
+        odds, still.astype(np.float32), _grey(small), _head(small, to_map(head.centre, factor), s, s), small, factor, s
+    )
+    return look(scene, frame, head)
+
+
+def look(
+    scene: Scene, frame: Frame, head: Footprint, hands: Array = _NOBODY, radius: float = 0.0
+) -> tuple[Scene, Seen]:
+    """The scene after a frame with the head there, and what is seen; `hands` (n, 2) were there in the reduced frame."""
+    small = _as_lit(scene.first, reduced(frame, scene.factor))
+    skin = _skin(scene.odds, _colours(small))
+    grey = _grey(small)
+    followed = _followed(scene, grey, skin)
+    first = scene.first if followed is scene.still else small  # a camera that moves shows other things
+    still = np.minimum(skin, followed + RISES)
+    at, s = to_map(head.centre, scene.factor), side_of(head) / scene.factor
+    seen = _head(small, at, s, scene.side)
+    # a head that turns a little is no hand: each pixel may come from beside its own
+    least = np.min([np.abs(seen - np.roll(scene.face, shift, (0, 1))).max(axis=2) for shift in _SHIFTS], axis=0)
+    change = cv2.GaussianBlur(least, (0, 0), 1.0)
+    limit = max(CHANGED, UNREST * scene.unrest)
+    new = 1 / (1 + np.exp(np.clip((limit - change) / CHANGED_WIDTH, -30, 30)))
+    free = np.ones(new.shape, np.bool_)
+    for x, y in (hands - at) / s - np.array(HEAD[:2]):
+        row, column = np.ogrid[: new.shape[0], : new.shape[1]]
+        free &= np.hypot(column - x * scene.side, row - y * scene.side) > radius
+    learned = np.where(free, HELD + (LEARNS - HELD) * (1 - new), HELD)[..., None]
+    face = scene.face + learned * (seen - scene.face)
+    unrest = scene.unrest + LEARNS * (float(np.median(change[free])) - scene.unrest if free.any() else 0.0)
+    height, width = skin.shape
+    covered, changed = (
+        cv2.warpAffine(one.astype(np.float32), _map(at, s, scene.side), (width, height)) for one in (_soft(seen), new)
+    )
+    beside = np.maximum(skin - still, 0) * (1 - covered)
+    size = 2 * round(REACHES * s) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    arm = cv2.dilate(cv2.GaussianBlur(beside, (0, 0), 0.8), disc)
+    evidence = beside + covered * np.maximum(changed, np.minimum(arm, 1)) * skin
+    now = Seen(evidence.astype(np.float32), cv2.dilate(covered, disc).astype(np.float32))
+    scene = scene._replace(still=still, grey=grey, face=face.astype(np.float32), first=first, unrest=unrest)
+    return scene, now
+
+
+_SHIFTS: Final = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1))
+
+
+def _as_lit(first: Image, now: Image) -> Image:
+    """A frame in the light of the first one: new exposure or white balance changes each channel by a factor, which is
+    the median over pixels if they agree.
+    """
+    before, after = (one[::THIN, ::THIN].reshape(-1, 3) for one in (first, now))
+    usable = ((np.minimum(before, after) >= DARK) & (np.maximum(before, after) <= BRIGHT)).all(axis=1)
+    if np.mean(usable) < ENOUGH:
+        return now
+    ratio = np.sort(after[usable] / before[usable].astype(np.float32), axis=0)
+    low, gain, high = ratio[[len(ratio) // 4, len(ratio) // 2, 3 * len(ratio) // 4]]
+    if np.abs(gain - 1).max() < LEAST_GAIN or (high - low).max() > AGREES:
+        return now
+    return np.asarray(np.clip(np.rint(now / gain), 0, 255), np.uint8)
+
+
+def _grey(image: Image) -> Map:
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.float32)
+
+
+def _followed(scene: Scene, grey: Map, skin: Map) -> Map:
+    """The background where the camera has moved it, by phase correlation; what comes into the picture is background."""
+    (x, y), sure = shift_between(scene.grey, grey)
+    if sure < MOVES or max(abs(x), abs(y)) < 0.25 or max(abs(x), abs(y)) > scene.side:
+        return scene.still
+    shift = np.array([[1, 0, x], [0, 1, y]], np.float32)
+    size = grey.shape[::-1]
+    # what moves before a still camera draws the peak, too: the motion is the camera's if edges fit better by it
+    moved, slope = (
+        cv2.warpAffine(scene.grey, shift, size),
+        cv2.morphologyEx(scene.grey, cv2.MORPH_GRADIENT, np.ones((3, 3))),
+    )
+    edges = slope >= np.quantile(slope, 0.75)
+    if np.median(np.abs(grey - moved)[edges]) >= np.median(np.abs(grey - scene.grey)[edges]):
+        return scene.still
+    there = cv2.warpAffine(np.ones_like(grey), shift, size)
+    return np.asarray(cv2.warpAffine(scene.still, shift, size) + (1 - there) * skin, np.float32)
+
+
+def _from(at: Array, image: Image, side: float) -> tuple[Array, Array]:
+    """Of each pixel of an image, how far it is from a place, in sizes: along x and y."""
+    height, width = image.shape[:2]
+    u, v = np.meshgrid((np.arange(width) - at[0]) / side, (np.arange(height) - at[1]) / side)
+    return u, v
+
+
+def _colours(image: Image) -> Image:
+    """(H, W, 2) Cb and Cr."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb)[..., :0:-1], np.uint8)
+
+
+def _odds(middle: Array, others: Image) -> Map:
+    """Of each colour, where `middle` (2,) is that of the face, from grey, and `others` (n, 2) are the other colours."""
+    length = math.hypot(*middle)
+    way = middle / length
+    along = np.outer(way, way)
+    cov = along * (ALONG * length) ** 2 + (np.eye(2) - along) * (ACROSS * length) ** 2 + np.eye(2) * NOISE**2
+    levels = np.arange(256.0) - 128
+    off = np.stack(np.meshgrid(levels - PALE * middle[0], levels - PALE * middle[1], indexing="ij"), axis=-1)
+    squared = np.einsum("...i,ij,...j", off, np.linalg.inv(cov), off)
+    skin = np.exp(-squared / 2) / (2 * math.pi * math.sqrt(np.linalg.det(cov)))
+    counts = np.zeros((256, 256))
+    np.add.at(counts, tuple(others.T), 1.0)
+    rest = cv2.GaussianBlur(counts, (0, 0), 1.5) / max(len(others), 1)
+    rest = (1 - SKIN_SHARE) * rest + SKIN_SHARE * skin
+    return np.asarray(np.clip(np.log((skin + 1e-6) / (rest + 1e-6)), -3, 3), np.float32)
+
+
+def _skin(odds: Map, colours: Image) -> Map:
+    p = 1 / (1 + np.exp(-odds[colours[..., 0], colours[..., 1]]))
+    return np.asarray(cv2.GaussianBlur(p, (0, 0), 0.7), np.float32)
+
+
+def _map(at: Array, side: float, first: float) -> Map:
+    """The map from the head's template, of a box that was `first` pixels large, to the reduced frame."""
+    by = side / first
+    left, top = at + side * np.array(HEAD[:2])
+    return np.array([[by, 0, left], [0, by, top]], np.float32)
+
+
+def _head(small: Image, at: Array, side: float, first: float) -> Map:
+    """The template of the head: face and neck, as large as in the first frame."""
+    size = tuple(round(first * (HEAD[i + 2] - HEAD[i])) for i in (0, 1))
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    patch = cv2.warpAffine(small, _map(at, side, first), size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(patch, np.float32)
+
+
+def _soft(seen: Map) -> Map:
+    """1 within the template, less at its border."""
+    inner = cv2.copyMakeBorder(np.ones(np.array(seen.shape[:2]) - 2, np.float32), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
+    return np.asarray(cv2.GaussianBlur(inner, (0, 0), 1.0, borderType=cv2.BORDER_CONSTANT), np.float32)

@@ -1,0 +1,133 @@
+"""Colour template that ignores the strength of the light (Patras & Pantic 2004, section 3.2, eq. 8-10).
+
+    c(o, q) = o / E{o} - q / E{q}          each window divided by its own mean, over pixels and channels    (eq. 8)
+    d(o, q) = E_j{ rho(c_j) }              mean over the window of a robust function, L1 as published       (eq. 9)
+    p(y|a)  = exp(-d / sigma_i)            sigma_i = sigma / E{o_i}, sigma = 1.5 for intensities in 0..255  (eq. 10)
+
+rho is the L1 norm of the colour difference at pixel j, and E_j a mean over pixels: with `norm: pixel`, d is the sum of
+rho over its three channels, averaged over pixels. With `norm: channel`, the default, the mean runs over pixels and
+channels: a third of that, as if sigma were three times as large. It is our reading, and bears occlusion better.
+
+Templates are learned in the first frame and then stay, except where a correction places a part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.core.types import Array, Extent, Frame, Mask, Particles, Whole, factor_for
+from facetrack_cli.engine.protocols import Likelihood
+from facetrack_cli.engine.spaces import Context
+from facetrack_cli.trackers.points import settings as points
+from facetrack_cli.trackers.points import window_kernels as windows
+
+CHANNELS = 3
+MIN_MEAN = 1.0  # dividing by the mean of a darker window would only blow up its noise
+
+
+@dataclass(frozen=True)
+class Group:
+    """Templates read at 1 / `factor` of the frame's size, laid out for the kernel; `parts` (G,) are their indices.
+
+    `sides` (G, 2) are (w, h), odd, in reduced pixels; template g is `ratios[offsets[g] : offsets[g + 1]]`, o / E{o}.
+    """
+
+    factor: int
+    parts: Whole
+    sides: Whole
+    ratios: NDArray[np.float32]
+    offsets: Whole
+
+
+@dataclass(frozen=True)
+class Templates:
+    """What K parts looked like in the first frame; `sigma` (K,) of eq. 10; `reach`: of any window, in whole pixels."""
+
+    groups: tuple[Group, ...]
+    sigma: Array
+    reach: float
+
+
+@dataclass(frozen=True)
+class ColourRatio(Likelihood):
+    """`windows` (K, 2): width and height of each part's window, in pixels."""
+
+    settings: points.ColourRatio
+    windows: Array
+
+    @classmethod
+    def build(cls, settings: points.ColourRatio, context: Context) -> ColourRatio:
+        return cls(settings, context.placed.windows)
+
+    def init(self, frame: Frame, x0: Array) -> Templates:
+        """The templates of K parts at x0 (K, 2)."""
+        layouts, reach = self._layouts
+        extent, means = windows.extent(x0[None], reach), np.empty(len(x0))
+        groups = tuple(self._group(frame, extent, x0, one, means) for one in layouts)
+        return Templates(groups, self.settings.sigma / means, reach)
+
+    @cached_property
+    def _layouts(self) -> tuple[tuple[Group, ...], float]:
+        """Groups whose templates are still empty, and the reach: they follow from the windows."""
+        most = self.settings.max_samples
+        factors = np.array([factor_for(side, most) for side in self.windows.max(axis=1).tolist()])
+        found = []
+        for factor in np.unique(factors).tolist():
+            parts = np.flatnonzero(factors == factor)
+            # odd, and at least 3, so that a window has a pixel at its centre
+            odd = [[max(3, 2 * round((side / factor - 1) / 2) + 1) for side in self.windows[k]] for k in parts]
+            offsets = np.cumsum([0, *(CHANNELS * (w + 1) * h for w, h in odd)])
+            found.append(Group(factor, parts, np.array(odd, np.int64), np.empty(0, np.float32), offsets))
+        return tuple(found), float(self.windows.max()) / 2 + 3 * int(factors.max())
+
+    def score(self, learned: Templates, frame: Frame, x: Array, parents: Array | None = None) -> Array:
+        """log p(y | x) of each part, x (N, K, 2) -> (N, K), with the floor if there is one; parents do not matter."""
+        log_p = self.distances(learned, frame, x) / -learned.sigma
+        floor = self.settings.floor
+        return log_p if floor is None else np.asarray(np.logaddexp(log_p, floor))
+
+    def distances(self, learned: Templates, frame: Frame, x: Array) -> Array:
+        """d(o_i, q_i) of eq. 9 for windows at x (N, K, 2) -> (N, K)."""
+        out = np.empty(x.shape[:2])
+        robust, scale = windows.ROBUST[self.settings.robust], self.settings.scale or 1.0
+        extent = windows.extent(x, learned.reach)
+        for g in reversed(learned.groups):  # a picture much reduced is made from one reduced less, at least as large
+            image, left, top = frame.reduced(g.factor, extent)
+            template = g.ratios, g.offsets, g.sides, g.parts
+            at = x, left, top, g.factor
+            windows.colour_ratio_distances(windows.flat(image), *template, *at, MIN_MEAN, robust, scale, out)
+        return out if self.settings.norm == "channel" else CHANNELS * out
+
+    def learn(self, learned: Templates, frame: Frame, state: Array, particles: Particles) -> Templates:
+        return learned
+
+    def relearn(self, learned: Templates, frame: Frame, x0: Array, parts: Mask) -> Templates:
+        """With the templates of `parts` (K,) as they look in `frame` at x0 (K, 2)."""
+        return self.blended(learned, frame, x0, parts.astype(np.float64))
+
+    def blended(self, learned: Templates, frame: Frame, x0: Array, rate: Array) -> Templates:
+        """Each template moved by its `rate` (K,), 0..1, towards how the part looks in `frame` at x0 (K, 2)."""
+        anew = self.init(frame, x0)
+        groups = []
+        for old, new in zip(learned.groups, anew.groups, strict=True):  # which part is where follows from the windows
+            share = np.repeat(rate[new.parts].astype(np.float32), np.diff(new.offsets))
+            groups.append(replace(new, ratios=(1 - share) * old.ratios + share * new.ratios))
+        return Templates(tuple(groups), learned.sigma + rate * (anew.sigma - learned.sigma), learned.reach)
+
+    def _group(self, frame: Frame, extent: Extent, x0: Array, layout: Group, means: Array) -> Group:
+        """The templates of the parts of a group; E{o_i} of each goes into `means` (K,)."""
+        factor, (image, left, top) = layout.factor, frame.reduced(layout.factor, extent)
+        flat, ratios = windows.flat(image), np.empty(layout.offsets[-1], np.float32)
+        for k, (w, h), first in zip(
+            layout.parts.tolist(), layout.sides.tolist(), layout.offsets[:-1].tolist(), strict=True
+        ):
+            x, y = x0[k].tolist()
+            at = (x - left - (factor - 1) / 2) / factor, (y - top - (factor - 1) / 2) / factor
+            o = windows.read_window(flat, *at, w, h)
+            means[k] = max(float(o[:, :w].mean()), MIN_MEAN)
+            np.divide(o.ravel(), np.float32(means[k]), out=ratios[first : first + o.size])
+        return replace(layout, ratios=ratios)

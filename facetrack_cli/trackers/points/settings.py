@@ -1,0 +1,97 @@
+"""The sections of a recipe that follows named points of a face.
+
+Sections and equations are those of Patras & Pantic, "Particle Filtering with Factorized Likelihoods for Tracking Facial
+Features", FG 2004.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+
+from pydantic import Field
+
+from facetrack_cli.recipe.sections import (
+    Length,
+    Likelihood,
+    Prior,
+    Refusal,
+    Target,
+    WindowPerPart,
+)
+
+if TYPE_CHECKING:
+    from facetrack_cli.recipe.model import ParticleFilter
+
+PartName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
+
+
+class Points(Target):
+    """Named points of a face, each the centre of a window (section 3.1: alpha = <alpha_1 ... alpha_N>)."""
+
+    engine = "facetrack_cli.trackers.points.space:place_points"
+    type: Literal["points"]
+    parts: Annotated[tuple[PartName, ...], Field(strict=False, min_length=1, max_length=100)]
+    """The names of the points, in the order of the state; left and right as seen in the frame."""
+    windows: WindowPerPart
+    """The window around each part: the side of a square, or [width, height]."""
+
+    def mistakes(self) -> Iterable[Refusal]:
+        for part in sorted({part for part in self.parts if self.parts.count(part) > 1}):
+            yield Refusal(("parts",), f'the part "{part}" is named twice; remove one')
+        if "default" in self.parts:
+            yield Refusal(("parts",), 'a part cannot be called "default"; give it another name')
+
+    @property
+    def points(self) -> tuple[str, ...]:
+        return self.parts
+
+    def window(self, part: str) -> tuple[Length, Length]:
+        """(width, height) of a part's window."""
+        window = self.windows.of(part)
+        return window if isinstance(window, tuple) else (window, window)
+
+    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+        return self.windows.refusals(("target", "windows"), self.parts)
+
+
+class ColourRatio(Likelihood):
+    """Colours of a window, each divided by the window's mean, against the first frame's (section 3.2, eq. 8-10)."""
+
+    engine = "facetrack_cli.trackers.points.colour_ratio:ColourRatio.build"
+    goes_with = ("points",)
+    type: Literal["colour_ratio"]
+    robust: Literal["l1", "huber", "tukey", "geman_mcclure"] = "l1"
+    """rho of eq. 9, the robust function of a colour difference; the paper takes l1."""
+    norm: Literal["channel", "pixel"] = "channel"
+    """rho of a pixel in eq. 9: the mean of its three channels (our reading), or their sum, as printed."""
+    scale: Annotated[float, Field(gt=0)] | None = None
+    """Scale of rho, in colour differences (window mean = 1), beyond which it grows less; for all but l1."""
+    sigma: Annotated[float, Field(gt=0)] = 1.5
+    """sigma_i of eq. 10 is this number / E{o_i}, with intensities in 0..255; the paper takes 1.5."""
+    floor: Annotated[float, Field(lt=0)] | None = None
+    """Log-likelihood of a part that matches nothing: log(exp(-d / sigma_i) + exp(floor)); null as published, none."""
+    max_samples: Annotated[int, Field(ge=5)] | None = None
+    """Samples along a side of a window at most: a larger one is read from a reduced frame; null: every pixel."""
+
+    def mistakes(self) -> Iterable[Refusal]:
+        if self.robust == "l1" and self.scale is not None:
+            yield Refusal(("scale",), "likelihood.scale has no meaning for robust: l1; remove it")
+        if self.robust != "l1" and self.scale is None:
+            yield Refusal(("robust",), f"robust: {self.robust} needs likelihood.scale; add it, as in scale: 0.2")
+
+
+class Parzen(Prior):
+    """Shape prior: a sum of Gaussian kernels over registered training shapes (section 3.3, eq. 11)."""
+
+    engine = "facetrack_cli.trackers.points.shape_prior:build"
+    goes_with = ("points",)
+    type: Literal["parzen"]
+    file: Annotated[str, Field(min_length=1)]
+    """The training shapes, as `facetrack prior fit` writes them; sought beside the recipe, then among the shipped."""
+    sigma: Annotated[float, Field(ge=0.005)]  # of narrower kernels, float32 exponents are wrong by 0.001 and more
+    """sigma_p, the standard deviation of the kernel, in the prior's own unit."""
+
+    @property
+    def files(self) -> Mapping[str, str]:
+        return {"file": self.file}

@@ -1,0 +1,303 @@
+"""The shape prior of Patras & Pantic, section 3.3: a Parzen density over the relative positions of the parts (eq. 11).
+
+A hypothesis s is registered to the training shapes by
+
+    q(s)_i = ((s_i - s_n) - (s0_i - s0_n)) / L0
+
+with n the stable part (the nose), s0 the first frame, L0 the distance of two parts in it (the mouth's width): the
+displacement of every part since the first frame, seen from the nose, in mouth widths. A training shape h_j is the same
+of an annotated frame. With M shapes of K parts, d_j = |q(s) - h_j| and the kernel's standard deviation sigma,
+
+    log_density(s) = log (1/M) sum_j exp(-d_j^2 / (2 sigma^2)),
+
+without the constant -(K - 1) log(2 pi (sigma L0)^2) of a density in pixels of the other parts given the stable one. The
+printed eq. 11 writes d(q(s_k)), h_j; taken is d(q(s_k), h_j) of the text below it.
+
+A prior is fitted to annotated clips: ground truth, or trajectories that somebody has checked. In every file, each
+target's first frame in which all parts are seen is its neutral one; every such frame gives one training shape. Of many,
+those are kept that are far from each other, so that a clip which smiles for a second keeps the smile.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from facetrack_cli.core.errors import InputError, RecipeError, UsageError
+from facetrack_cli.core.npz import Kind, Stored
+from facetrack_cli.core.types import Array
+from facetrack_cli.engine.protocols import Prior
+from facetrack_cli.engine.spaces import Context
+from facetrack_cli.recipe.files import resolve_file, shipped_folder
+from facetrack_cli.trackers.points.settings import Parzen
+from facetrack_cli.trackers.points.shape_kernels import LANES, PADDING, log_parzen, pick_shape
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned
+
+KIND = Kind("facetrack-shape-prior", 1, "shape prior", "facetrack prior fit")
+DEFAULT = "mouth_prior.npz"
+MIN_DISTANCE = 0.01  # mouth widths; a shape nearer than this to one that is kept adds nothing
+MIN_SIGMA = 0.05  # mouth widths; a narrower kernel would punish a tracker's own noise
+
+
+@dataclass(frozen=True, eq=False)
+class ShapePrior:
+    """Training shapes h_j, (M, K, 2): displacements since the first frame, relative to the part `stable`.
+
+    Their unit is the distance of the two parts named by `scale` in the first frame. Raises ValueError for what is none.
+    """
+
+    parts: tuple[str, ...]
+    shapes: Array
+    stable: str
+    scale: tuple[str, str]
+
+    def __post_init__(self) -> None:
+        if len(self.parts) < 2 or len(set(self.parts)) != len(self.parts):
+            raise ValueError("a prior needs two parts or more, each named once")
+        unknown = [name for name in (self.stable, *self.scale) if name not in self.parts]
+        if unknown:
+            raise ValueError(f"{unknown[0]!r} is none of the parts {', '.join(self.parts)}")
+        if self.scale[0] == self.scale[1]:
+            raise ValueError("the scale is the distance of two different parts")
+        if self.shapes.ndim != 3 or self.shapes.shape[1:] != (len(self.parts), 2) or not len(self.shapes):
+            raise ValueError(f"shapes of {self.shapes.shape} where (M, {len(self.parts)}, 2) belongs")
+        if not np.isfinite(self.shapes).all():
+            raise ValueError("a shape is not finite")
+        if np.abs(self.shapes).max() > 100.0:
+            raise ValueError("a part moves more than 100 units: shapes are displacements in mouth widths, not pixels")
+        if np.abs(self.shapes[:, self.parts.index(self.stable)]).max() > 1e-9:
+            raise ValueError(f"the stable part {self.stable!r} moves")
+
+    def save(self, path: Path) -> None:
+        """Writes an .npz of plain arrays, whole or not at all; equal priors give equal bytes. Raises OutputError."""
+        names = {name: np.array(getattr(self, name)) for name in ("parts", "stable", "scale")}
+        KIND.write(path, {**names, "shapes": np.ascontiguousarray(self.shapes, "<f8")})
+
+
+def default_prior_path() -> Path:
+    """The prior that is shipped: beside the recipes in the wheel, or in the source tree's configs/."""
+    return shipped_folder() / DEFAULT
+
+
+def load_prior(path: Path) -> ShapePrior:
+    """The prior in a file that `save` wrote. Raises InputError for anything else; nothing in the file is executed."""
+    return KIND.read(path, _made)
+
+
+def _made(stored: Stored) -> ShapePrior:
+    first, *others = stored.texts("scale")
+    if len(others) != 1:
+        raise ValueError(f"scale names {1 + len(others)} parts where 2 belong")
+    shapes = np.asarray(stored.reals("shapes", 3), np.float64)
+    return ShapePrior(stored.texts("parts"), shapes, stored.text("stable"), (first, others[0]))
+
+
+def bind(prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) -> BoundPrior:
+    """The prior for `parts` in the tracker's order, at `first` (K, 2) pixels in the first frame; `sigma`: mouth widths.
+
+    Raises RecipeError if the parts are not the prior's, InputError if the first frame gives no scale.
+    """
+    strange = [name for name in parts if name not in prior.parts]
+    absent = [name for name in prior.parts if name not in parts]
+    if strange or absent:
+        said = f"the shape prior knows {', '.join(prior.parts)}"
+        said += f" not {', '.join(strange)}" if strange else ""
+        said += f" and the recipe does not track {', '.join(absent)}" if absent else ""
+        raise RecipeError(f"{said}; fit a prior with `facetrack prior fit --parts` or change the parts")
+    first, parts = np.array(first, np.float64), tuple(parts)
+    if first.shape != (len(parts), 2) or not np.isfinite(first).all():
+        named = ", ".join(parts)
+        raise InputError(f"the first frame gives no finite position for each of {named}; complete the init file")
+    left, right = (first[parts.index(name)] for name in prior.scale)
+    length = float(np.hypot(*(right - left)))
+    if not length > 0.0:
+        remedy = "so the shape prior has no scale; move them apart in the init file"
+        raise InputError(f"{' and '.join(prior.scale)} are at the same place in the first frame, {remedy}")
+    shapes = prior.shapes[:, [prior.parts.index(name) for name in parts]]
+    return BoundPrior(parts, shapes, first, parts.index(prior.stable), length, float(sigma))
+
+
+def build(settings: Parzen, context: Context) -> BoundPrior:
+    """The prior of a recipe, for its target's parts and where they begin."""
+    prior = load_prior(resolve_file(context.recipe, settings.file, f"{context.above}prior.file"))
+    try:
+        return bind(prior, context.settings.points, context.placed.x0, settings.sigma)
+    except RecipeError as e:
+        raise context.error("prior.file", str(e)) from None
+    except InputError as e:
+        raise InputError(f"{context.start.origin}: {e}") from None
+
+
+class BoundPrior(Prior):
+    """A prior registered to one track; made by `bind`. x is (N, K, 2) in pixels; lengths are pixels throughout.
+
+    Given the other parts, the Parzen density of one part is a mixture with one component for each shape j:
+
+    - a part i that is not the stable one: mean x_n + (s0_i - s0_n) + L0 h_ji, standard deviation sigma L0, weight
+      exp(-|q(x) - h_j|^2 / (2 sigma^2)) over the other parts alone;
+    - the stable part n: each other part k says where it would be, r_jk = x_k - (s0_k - s0_n) - L0 h_jk. The exponent
+      sum_k |r_jk - x_n|^2 splits into (K - 1) |x_n - mean_k r_jk|^2 + sum_k |r_jk - mean_k r_jk|^2: mean of the r_jk,
+      standard deviation sigma L0 / sqrt(K - 1), and a weight from the second sum, which is the squared distance between
+      x and h_j after the means over the other parts are taken off both.
+    """
+
+    def __init__(
+        self, parts: tuple[str, ...], shapes: Array, first: Array, stable: int, length: float, sigma: float
+    ) -> None:
+        self.parts, self.first, self.length, self.sigma = parts, first, length, sigma
+        self._shapes, self._stable, self._width = shapes, stable, sigma * length
+        self._moving = [k for k in range(len(parts)) if k != stable]
+        self._all = self._table(self._moving, stable)
+        others = ([k for k in self._moving if k != part] for part in range(len(parts)))
+        self._without = [self._table(rest, -1 if k == stable else stable) for k, rest in enumerate(others)]
+
+    def _table(self, parts: list[int], stable: int) -> tuple[Any, ...]:
+        """What the kernels need to compare hypotheses with all shapes over some of the parts."""
+        h = self._shapes[:, parts] / self.sigma
+        if stable < 0:
+            h = h - h.mean(1, keepdims=True)
+        flat = h.reshape(len(h), -1).T.astype(np.float32)
+        bias = np.full(-(-len(h) // LANES) * LANES, PADDING)
+        bias[: len(h)] = -0.5 * (flat**2).sum(0)
+        # in rows: along columns the kernels would not vectorise
+        padded = np.ascontiguousarray(np.pad(flat, ((0, 0), (0, len(bias) - len(h)))))
+        return np.array(parts, np.int64), self.first, stable, self._width, padded, bias
+
+    def _log_sum(self, table: tuple[Any, ...], x: Array) -> Array:
+        return np.asarray(log_parzen(np.ascontiguousarray(x, np.float64), *table), np.float64)
+
+    def _spread(self, part: int) -> float:
+        return self._width / math.sqrt(len(self._moving)) if part == self._stable else self._width
+
+    def log_density(self, x: Array) -> Array:
+        """(N,): eq. 11 in logs, divided by the number of shapes; at most 0, right to 1e-5, or 1e-6 of large ones."""
+        return self._log_sum(self._all, x) - math.log(len(self._shapes))
+
+    def propose(self, rng: np.random.Generator, x: Array, part: int) -> Array:
+        """(N, 2): part `part` drawn from the prior given the other parts of each particle; x[:, part] is not read."""
+        x = np.ascontiguousarray(x, np.float64)
+        u, noise = rng.random(len(x)), rng.standard_normal((len(x), 2))
+        chosen = pick_shape(x, *self._without[part], u)
+        if part == self._stable:
+            centre = (x - self.first - self.length * self._shapes[chosen])[:, self._moving].mean(1)
+        else:
+            centre = x[:, self._stable] - self.first[self._stable] + self.length * self._shapes[chosen, part]
+        return np.asarray(self.first[part] + centre + self._spread(part) * noise, np.float64)
+
+
+class FileReport(NamedTuple):
+    """What a file gave: its frames, and the number of frames in which every part is seen."""
+
+    path: Path
+    frames: int
+    used: int
+
+    @property
+    def skipped(self) -> int:
+        return self.frames - self.used
+
+
+class Fit(NamedTuple):
+    """The prior, what each file gave to it, and the kernel's standard deviation that suits it, in mouth widths."""
+
+    prior: ShapePrior
+    files: tuple[FileReport, ...]
+    sigma: float
+
+
+def fit_prior(
+    paths: Sequence[Path],
+    parts: Sequence[str] | None = None,
+    stable: str = "nose",
+    scale: tuple[str, str] = ("mouth_left", "mouth_right"),
+    max_shapes: int = 500,
+) -> Fit:
+    """A prior of `parts` (all that the first file has, if None) from ground truth or trajectory files.
+
+    Rows that are hidden, absent, lost or without a position do not count as seen. Raises UsageError or InputError.
+    """
+    if not paths:
+        raise UsageError("no ground truth file is named; give one or more, such as clip.truth.csv")
+    if max_shapes < 1:
+        raise UsageError(f"at most {max_shapes} shapes leave no prior; keep 1 or more")
+    tables = [read_trajectory(path) for path in paths]
+    names = tuple(parts) if parts is not None else _parts_of(tables[0])
+    if len(set(names)) != len(names):
+        raise UsageError(f"a part is named twice among {', '.join(names)}")
+    if scale[0] == scale[1]:
+        raise UsageError(f"the scale is the distance of two parts, and both are {scale[0]}")
+    for name in (stable, *scale):
+        if name not in names:
+            where = "among the parts that are asked for" if parts is not None else f"in {paths[0]}"
+            known = ", ".join(names)
+            raise UsageError(f"there is no part {name} {where} ({known}); name another with --stable or --scale")
+    found = [_shapes_of(path, table, names, stable, scale) for path, table in zip(paths, tables, strict=True)]
+    every = np.concatenate([shapes for _, shapes in found])
+    kept = every[_spread_out(every.reshape(len(every), -1), max_shapes)]
+    prior = ShapePrior(names, kept, stable, scale)
+    return Fit(prior, tuple(report for report, _ in found), suggested_sigma(prior))
+
+
+def suggested_sigma(prior: ShapePrior) -> float:
+    """A kernel's standard deviation, in mouth widths: the mean distance of a shape to its nearest neighbour."""
+    flat = prior.shapes.reshape(len(prior.shapes), -1)
+    nearest = [np.partition(((flat - one) ** 2).sum(1), 1)[1] for one in flat if len(flat) > 1]
+    return max(float(np.sqrt(nearest).mean()), MIN_SIGMA) if nearest else MIN_SIGMA
+
+
+def _parts_of(trajectory: Trajectory) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(part for _, part in trajectory.names))
+
+
+def _shapes_of(
+    path: Path, trajectory: Trajectory, names: tuple[str, ...], stable: str, scale: tuple[str, str]
+) -> tuple[FileReport, Array]:
+    if missing := ", ".join(name for name in names if name not in _parts_of(trajectory)):
+        raise InputError(f"{path}: there is no part {missing}; annotate it, or name the parts to learn with --parts")
+    shapes: list[Array] = []
+    total = 0
+    for target in trajectory.targets:
+        parts = trajectory.of_target(target)
+        frames, known = aligned(parts, "x", "y", "status")
+        total += len(frames)
+        order = [k for name in names for k, one in enumerate(parts) if one.part == name]
+        points = np.stack([known["x"], known["y"]], axis=2)[:, order]
+        seen = np.isfinite(points).all(axis=(1, 2)) & np.isin(known["status"][:, order], SEEN).all(axis=1)
+        if len(order) < len(names) or not seen.any():
+            continue
+        first = points[seen][0]
+        left, right = (first[names.index(name)] for name in scale)
+        length = math.hypot(*(right - left))
+        if length < 1.0:
+            apart = f"are {length:.2f} pixels apart, which gives no scale; correct them"
+            raise InputError(f"{path}: frame {frames[seen][0]}: {scale[0]} and {scale[1]} of {target} {apart}")
+        moved = points[seen] - first
+        shapes.append((moved - moved[:, [names.index(stable)]]) / length)
+    if not shapes:
+        remedy = "annotate one, or name the parts to learn with --parts"
+        raise InputError(f"{path}: none of its {total} frames shows all of {', '.join(names)}; {remedy}")
+    found = np.concatenate(shapes)
+    far = np.abs(found).max(axis=(1, 2))
+    if far.max() > 10.0:
+        moves = f"moves {far.max():.0f} times the distance of {scale[0]} and {scale[1]} away from {stable}"
+        raise InputError(f"{path}: a part {moves}; correct that row, or name another --scale")
+    return FileReport(path, total, len(found)), found
+
+
+def _spread_out(flat: Array, most: int) -> list[int]:
+    """Indices, in order, of at most `most` rows: the first, then again and again the row farthest from all chosen."""
+    chosen = [0]
+    nearest = ((flat - flat[0]) ** 2).sum(1)
+    while len(chosen) < most:
+        index = int(nearest.argmax())
+        if nearest[index] < MIN_DISTANCE**2:
+            break
+        chosen.append(index)
+        nearest = np.minimum(nearest, ((flat - flat[index]) ** 2).sum(1))
+    return sorted(chosen)

@@ -1,0 +1,181 @@
+"""The sections of a recipe that follows a region, which is a box that moves and changes its size.
+
+All equations are those of Odobez, Ba & Gatica-Perez, "An Implicit Motion Likelihood for Tracking with Particle
+Filters", IDIAP-RR 03-15, 2003. No numerics are imported here.
+"""
+
+from collections.abc import Iterable
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
+
+from pydantic import Field
+
+from facetrack_cli.recipe.sections import Component, Length, LengthOrNone, Likelihood, Motion, Refusal, Section
+from facetrack_cli.recipe.shared import Factor, Scaled
+
+MAX_SEARCH_SIZES, MAX_SEARCH_PX = 10.0, 10_000.0  # beyond most frames; every step of it takes time
+Count: TypeAlias = Annotated[int, Field(ge=1, le=64)]
+Entry: TypeAlias = Annotated[float, Field(ge=-1e6, le=1e6)]  # or powers of A overflow, stable or not
+Pair: TypeAlias = Annotated[tuple[Entry, Entry], Field(strict=False)]
+Noise: TypeAlias = Annotated[tuple[LengthOrNone, ...], Field(strict=False, min_length=1, max_length=2)]
+Deviation: TypeAlias = Annotated[float, Field(ge=0, le=1e6)]
+Share: TypeAlias = Annotated[tuple[Deviation, ...], Field(strict=False, min_length=1, max_length=2)]
+
+
+class Region(Scaled):
+    """A region of the frame: an upright box that moves and changes its size (section 3.2)."""
+
+    engine = "facetrack_cli.engine.spaces:BoxSpace.place"
+    type: Literal["region"]
+    scale: Annotated[tuple[Factor, Factor], Field(strict=False)] = (0.25, 4.0)
+    """The least and the largest size of the box, as factors of its size at the start."""
+
+
+class _Dynamics(Section):
+    name: ClassVar[str]
+    A: Annotated[tuple[Pair, Pair], Field(strict=False)]
+    B: Any
+
+    def mistakes(self) -> Iterable[Refusal]:
+        if len(self.B[0]) != len(self.B[1]):
+            yield Refusal(("B",), f"both rows of motion.{self.name}.B need the same number of sources of noise")
+        (p, q), (r, s) = self.A
+        # the larger eigenvalue of a 2x2 matrix, by trace and determinant; complex ones come in pairs of the same size
+        half, determinant = (p + s) / 2, p * s - q * r
+        root = half * half - determinant
+        largest = abs(half) + root**0.5 if root >= 0 else determinant**0.5
+        if largest > 1 + 1e-9:
+            grows = f"motion.{self.name}.A makes the state grow {largest:.3g}-fold each frame"
+            yield Refusal(("A",), f"{grows}; its eigenvalues must not exceed 1")
+
+
+class PositionDynamics(_Dynamics):
+    """c = A c + B w for x and its speed, and likewise for y."""
+
+    name = "position"
+    A: Annotated[tuple[Pair, Pair], Field(strict=False)]
+    """What place and speed become: [[place from place, from speed], [speed from place, from speed]]."""
+    B: Annotated[tuple[Noise, Noise], Field(strict=False)]
+    """How the noise enters place and speed: a row each, with a standard deviation for each of one or two sources."""
+
+
+class ScaleDynamics(_Dynamics):
+    """c = A c + B w for the scale, 1 at the start, and its speed."""
+
+    name = "scale"
+    A: Annotated[tuple[Pair, Pair], Field(strict=False)]
+    """What scale and speed become, as in position.A."""
+    B: Annotated[tuple[Share, Share], Field(strict=False)]
+    """How the noise enters scale and speed, as in position.B; numbers, since a scale has no unit."""
+
+
+class FirstOrder(Motion):
+    """First-order dynamics of place, scale and their speeds: c_k = A c_{k-1} + B w_k (section 3.2)."""
+
+    engine = "facetrack_cli.trackers.regions.motion:first_order"
+    goes_with = ("region", "cloud")
+    type: Literal["first_order"]
+    position: PositionDynamics
+    """Of x and of y."""
+    scale: ScaleDynamics
+    """Of the size of the box."""
+
+
+class Contour(Component):
+    """Edges along the normals of the ellipse in the box (eq. 11)."""
+
+    engine = "facetrack_cli.trackers.regions.contour:Contour.build"
+    normals: Annotated[int, Field(ge=4, le=360)] = 32
+    """L, the number of normals along which edges are looked for."""
+    sigma: Length
+    """Standard deviation of the distance of an edge from the ellipse."""
+    search: Length
+    """How far along a normal, inwards and outwards, edges are looked for."""
+    threshold: Annotated[float, Field(gt=0, le=255)]
+    """Contrast from which on there is an edge, in grey levels."""
+    outlier: Annotated[float, Field(gt=0, le=1)]
+    """K, the least likelihood of a normal: where no edge is found, or one too far off."""
+    max_size: Annotated[int, Field(ge=16)] | None = 64
+    """Boxes with a longer side, in pixels, are read from a reduced frame; null: every pixel."""
+    independent: Literal["all", "estimated"] = "all"
+    """Beyond the paper: how many normals count as independent is estimated from their autocorrelation, or all do."""
+
+    def mistakes(self) -> Iterable[Refusal]:
+        most = MAX_SEARCH_PX if self.search.px else MAX_SEARCH_SIZES
+        if self.search.value > most:
+            reach = f"{MAX_SEARCH_SIZES:g}, in units of the target's size, or {MAX_SEARCH_PX:g}px"
+            yield Refusal(("search",), f"likelihood.contour.search must be at most {reach}")
+
+
+class Histogram(Component):
+    """Histograms of hue and saturation in sub-regions of the box (section 3.3)."""
+
+    engine = "facetrack_cli.trackers.regions.histogram:Histogram.build"
+    hue_bins: Annotated[int, Field(ge=1, le=64)]
+    """N_h."""
+    saturation_bins: Annotated[int, Field(ge=1, le=64)]
+    """N_s."""
+    regions: Annotated[tuple[Count, Count], Field(strict=False)]
+    """[columns, rows] of the sub-regions of the box, N_r of them in all."""
+    lambda_h: Annotated[float, Field(gt=0, le=1e6)]
+    """lambda in p(y | c) = exp(-lambda D^2), D the Bhattacharyya distance from the first frame's histograms."""
+    value_bins: Annotated[int, Field(ge=0, le=64)] = 1
+    """Bins, by brightness, of pixels too pale or too dark to have a hue; 0 as printed: they are binned by hue."""
+    least_saturation: Annotated[float, Field(ge=0, lt=1)] = 0.1
+    """Below this saturation, 0..1, a pixel counts as pale."""
+    least_value: Annotated[float, Field(ge=0, lt=1)] = 0.2
+    """Below this value (of HSV), 0..1, a pixel counts as dark."""
+    max_size: Annotated[int, Field(ge=16)] | None = 128
+    """As in contour.max_size."""
+
+
+class Correlation(Component):
+    """Grey values of the box against those of its parent in the previous frame (eq. 12 and 13)."""
+
+    engine = "facetrack_cli.trackers.regions.correlation:Correlation.build"
+    grid: Annotated[tuple[Count, Count], Field(strict=False)] = (16, 16)
+    """[columns, rows] of the reference grid on which both are sampled."""
+    region: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """R of eq. 6 as a share of the box's sides: less leaves out what is not the target at the borders of its box."""
+    distance: Literal["l2", "saturated_l1", "hausdorff"] = "l2"
+    """d_c of eq. 12; the paper takes l2, and compares it with the others in figure 5."""
+    sigma: Annotated[float, Field(ge=1e-3, le=1e6)]
+    """sigma_c in grey levels: lambda_c is 1 / (2 sigma_c^2) for l2, 1 / sigma_c for the others."""
+    saturation: Annotated[float, Field(gt=0, le=255)] | None = None
+    """Where saturated_l1 stops to grow, in grey levels."""
+    independent: Literal["all", "estimated"] = "all"
+    """Beyond the paper: how many points count as independent is estimated from their autocorrelation, or all do."""
+
+    def mistakes(self) -> Iterable[Refusal]:
+        if self.distance == "hausdorff" and self.independent != "all":
+            yield Refusal(("independent",), "hausdorff is no sum over points alone; leave independent out")
+        if self.distance == "saturated_l1" and self.saturation is None:
+            yield Refusal(("distance",), "distance: saturated_l1 needs saturation; add one, as in saturation: 20")
+        if self.distance != "saturated_l1" and self.saturation is not None:
+            yield Refusal(("saturation",), f"saturation has no meaning for distance: {self.distance}; remove it")
+
+
+class Product(Likelihood):
+    """The product of the likelihoods that are given, each of them usable alone (eq. 10)."""
+
+    engine = "facetrack_cli.trackers.regions.product:Product.build"
+    goes_with = ("region",)
+    type: Literal["product"]
+    contour: Contour | None = None
+    """Edges along the normals of the ellipse in the box (eq. 11)."""
+    histogram: Histogram | None = None
+    """Histograms of hue and saturation in sub-regions of the box."""
+    correlation: Correlation | None = None
+    """Grey values against those of the parent in the previous frame (eq. 12 and 13)."""
+
+    @property
+    def factors(self) -> tuple[Component, ...]:
+        """Those that are given, in the order of the fields."""
+        return tuple(one for name in type(self).model_fields if isinstance(one := getattr(self, name), Component))
+
+    @property
+    def judges(self) -> bool:
+        return self.contour is not None or self.histogram is not None  # correlation cannot tell what it follows
+
+    def mistakes(self) -> Iterable[Refusal]:
+        if not self.factors:
+            yield Refusal((), "likelihood has no factor; add contour, histogram or correlation")

@@ -1,0 +1,80 @@
+"""Each particle is a pixel, weighed by the probability that its colour is skin (Gianni, Collet & Dalle, GW 2007).
+
+As Gonzalez & Collet describe that tracker (section 3), a head or a hand is a cloud of pixels:
+
+    p(y | x) = max(p(c(x) | skin), floor)
+
+with the skin colour of eq. 4, learned from one box in the first frame, such as the face's for head and hands alike.
+Beyond the paper: with the floor, a cloud without any skin spreads out and finds some; `max_size` reduces the frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.types import Array, Box, Frame, Particles, factor_for
+from facetrack_cli.engine.checks import box_of
+from facetrack_cli.engine.protocols import Likelihood
+from facetrack_cli.engine.spaces import Context
+from facetrack_cli.trackers.points.window_kernels import extent
+from facetrack_cli.trackers.skin import settings as skin
+from facetrack_cli.trackers.skin import skin_kernels as kernel
+from facetrack_cli.trackers.skin.colour import learn_skin, note
+
+MIDDLE = 0.7  # of the box's sides: what is looked at to tell whether a place is skin
+GRID = 9  # points along each side of it
+
+
+@dataclass(frozen=True)
+class SkinColours:
+    """The skin's colour as a table of 255 p by [Cb, Cr], (256, 256); what there is to say of it."""
+
+    table: NDArray[np.uint8]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SkinCloud(Likelihood):
+    """`size`: width and height in pixels at the start; `teacher`: the box that teaches the colour, in pixels."""
+
+    settings: skin.SkinCloud
+    size: tuple[float, float]
+    teacher: Box
+
+    @classmethod
+    def build(cls, settings: skin.SkinCloud, context: Context) -> SkinCloud:
+        start, teacher = context.start, settings.learn_from or context.name
+        if teacher not in start.targets:
+            raise InputError(f"{start.origin}: has no {teacher}, whose colours {context.name} learns from; add its box")
+        return cls(settings, context.placed.size, box_of(start, teacher))
+
+    def init(self, frame: Frame, x0: Array) -> SkinColours:
+        """The colour of skin in the teacher's box. Raises InputError if nothing of it is in the frame."""
+        model = learn_skin(frame, self.teacher, least_share=self.settings.least_share)
+        said = note(model)
+        return SkinColours(model.table, () if said is None else (said,))
+
+    def score(self, learned: SkinColours, frame: Frame, x: Array, parents: Array) -> Array:
+        """(N, 1): log p(y | x) of x (N, 1, D), x and y first."""
+        return np.log(np.maximum(self._skin(learned, frame, x[:, 0, :2]), self.settings.floor))[:, None]
+
+    def learn(self, learned: SkinColours, frame: Frame, state: Array, particles: Particles) -> SkinColours:
+        return learned
+
+    def distances(self, learned: SkinColours, frame: Frame, x: Array) -> Array:
+        """(N, 1): 1 less the mean probability of skin about each place."""
+        steps = np.linspace(-0.5, 0.5, GRID) * MIDDLE
+        grid = np.stack(np.meshgrid(steps * self.size[0], steps * self.size[1]), axis=-1).reshape(-1, 2)
+        skin = self._skin(learned, frame, (x[:, 0, None, :2] + grid).reshape(-1, 2))
+        return np.asarray(1.0 - skin.reshape(len(x), -1).mean(axis=1)[:, None])
+
+    def _skin(self, learned: SkinColours, frame: Frame, xy: Array) -> Array:
+        """(N,): p of the pixel at each place xy (N, 2); 0 beyond the frame."""
+        factor = factor_for(max(self.size), self.settings.max_size)
+        image, left, top = frame.reduced(factor, extent(np.ascontiguousarray(xy)[:, None], 0.0))
+        there = (xy - (left, top) - (factor - 1) / 2) / factor
+        return np.asarray(kernel.at_points(image, learned.table, there))

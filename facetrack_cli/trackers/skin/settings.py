@@ -1,0 +1,103 @@
+"""The sections of a recipe that follows skin: faces by colour and pattern, heads and hands as clouds of pixels.
+
+All equations are those of Gonzalez & Collet, "Face Tracking using a Combination of Colour and Pattern Matching Based on
+Particle Filter". No numerics are imported here.
+"""
+
+from collections.abc import Iterable
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import Field
+
+from facetrack_cli.recipe.sections import Likelihood, Refusal, Section, Target
+from facetrack_cli.recipe.times import SHARE
+
+Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
+MaxSize: TypeAlias = Annotated[int, Field(ge=16)]
+# the rules pass 0.50 to 0.96 of faces that they know, 0.02 to 0.08 of very dark ones, 0.39 of one of a greyish pale
+LEAST_SHARE = 0.4
+
+
+class Skin(Section):
+    """Skin in a rectangle of two regions of equal area, the inner one the face (eq. 3 to 9)."""
+
+    inner: Annotated[float, Field(ge=0.1, le=4)] = 1.0
+    """R_int as a share of the box's sides; R_ext, around it, has the same area."""
+    least_share: Share = LEAST_SHARE
+    """If less of the ellipse in the box passes Kovac's rules for skin, its colours are learned as they are."""
+    max_size: MaxSize | None = 64
+    """Boxes with a longer side, in pixels, are read from a reduced frame; null: every pixel."""
+
+
+class Pattern(Section):
+    """Normalised cross-correlation with the first frame's grey template (eq. 10)."""
+
+    mean: Literal["keep", "remove"] = "keep"
+    """As printed the means are kept; removed, NCC is 0 where nothing is alike."""
+    exponent: Annotated[float, Field(gt=0, le=100)] = 1.0
+    """NCC to this power; the paper takes 1."""
+    adapt: Annotated[float, Field(ge=0, lt=1), SHARE] = 0.0
+    """Share of each new frame in the template, while the match is good; the paper keeps the template, 0."""
+    adapt_above: Annotated[float, Field(ge=0, lt=1)] = 0.7
+    """... that is, while NCC (means removed) with the first template is at least this."""
+    max_size: MaxSize | None = 64
+    """As in skin.max_size."""
+
+
+class SkinNcc(Likelihood):
+    """A face by skin colour, by a template, or by both together (eq. 11)."""
+
+    engine = "facetrack_cli.trackers.skin.skin_ncc:SkinNcc.build"
+    goes_with = ("region",)
+    type: Literal["skin_ncc"]
+    skin: Skin | None = None
+    """Skin in a rectangle of two regions (rho, eq. 9)."""
+    ncc: Pattern | None = None
+    """Normalised cross-correlation with a template (eq. 10)."""
+    cost: Literal["shifted", "printed", "product"] = "shifted"
+    """Eq. 11 compares k with rho / NCC as printed, with (1 + rho) / NCC, or, beyond the paper, with rho * NCC."""
+    k: Annotated[float, Field(ge=-100, le=100)] | None = None
+    """k of eq. 11; null: the value in the first frame."""
+    sigma: Annotated[float, Field(ge=1e-4, le=100)]
+    """sigma of eq. 11, where rho goes from -1, a box of skin in a frame without, to 1."""
+
+    def mistakes(self) -> Iterable[Refusal]:
+        if self.skin is None and self.ncc is None:
+            yield Refusal((), "likelihood has neither skin nor ncc; add one, as in skin: {}")
+        elif self.ncc is None and self.cost == "product":
+            yield Refusal(("cost",), "cost: product is that of skin and ncc; add ncc, or leave cost out")
+
+
+class SkinCloud(Likelihood):
+    """The probability that the colour of one pixel is skin; each particle is a pixel (Gianni et al. 2007)."""
+
+    engine = "facetrack_cli.trackers.skin.cloud:SkinCloud.build"
+    goes_with = ("cloud",)
+    type: Literal["skin"]
+    learn_from: str | None = None
+    """The target whose box in the first frame teaches the colour of skin; null: the target itself."""
+    least_share: Share = LEAST_SHARE
+    """As in skin_ncc."""
+    floor: Annotated[float, Field(gt=0, le=1)] = 0.01
+    """Likelihood of a pixel that is no skin at all."""
+    max_size: MaxSize | None = 32
+    """Of a target larger than this in pixels, particles are pixels of a reduced frame; null: of the clip's own."""
+
+
+class Cloud(Target):
+    """A cloud of pixels, whose mean is the target's place and whose spread is its size (Gianni et al. 2007)."""
+
+    engine = "facetrack_cli.trackers.skin.space:CloudSpace.place"
+    relearns = False  # colours are learned in the first frame alone
+    type: Literal["cloud"]
+
+
+class Exclusion(Section):
+    """Mutual exclusion of targets: a likelihood counts for less where another target is (section 3)."""
+
+    strength: Annotated[float, Field(ge=0, le=1)]
+    """What is lost of a particle's likelihood in the middle of another target; 0: nothing."""
+    reach: Annotated[float, Field(gt=0, le=10)] = 1.0
+    """How far another target goes, in halves of its box."""
+    first: Annotated[tuple[str, ...], Field(strict=False)] = ()
+    """Targets that no other one excludes; the others are excluded where these are."""

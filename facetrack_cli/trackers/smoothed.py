@@ -1,0 +1,269 @@
+"""Rows of a trajectory from smoothed beliefs: of a whole run, or of each frame some frames later (fixed lag)."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Final, TypeAlias
+
+import numpy as np
+
+from facetrack_cli.core.geometry import shown_angle
+from facetrack_cli.core.types import BOX, Array, Mask, Whole
+from facetrack_cli.engine import smoothing
+from facetrack_cli.engine.protocols import Linear
+from facetrack_cli.engine.smoothing import Belief, Chain
+from facetrack_cli.trackers.face.stabilized import FACE, MIDDLE
+from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostics, outlines
+from facetrack_cli.trajectory.trajectory import SPREAD, UNSEEN, FrameResult, Trajectory, successive
+
+_Moments: TypeAlias = tuple[Array, Array]  # means (T, K, D), covariances (T, K, D, D)
+Beliefs: TypeAlias = Sequence[tuple[Belief, ...]]
+_SMOOTHED: Final = ("x", "y", "w", "h", "angle", *SPREAD)
+
+
+def smoothed_rows(rows: Trajectory, beliefs: Beliefs) -> Trajectory:
+    """The rows of one target in T frames given all of them; `beliefs` (T,) are those of the frames, () where absent.
+
+    Rows that a correction gave, absent ones, and those of a part that is never seen again stay as they are.
+    """
+    return _SmoothedTarget(rows, beliefs, aspect=rows.pixel_aspect).rows()
+
+
+def renamed_hands(rows: Trajectory, beliefs: Mapping[str, Beliefs]) -> tuple[Trajectory, dict[str, Beliefs]]:
+    """The rows and the beliefs of all targets, those of two hands exchanged in frames whose names later frames deny.
+
+    Where one hand was corrected, both have a filter of their own; names are not exchanged across that frame.
+    """
+    hands = [name for name, each in beliefs.items() if any(one and one[0].named is not None for one in each)]
+    if len(hands) != 2:
+        return rows, dict(beliefs)
+    p, exchanged, held = (np.full(len(rows.frames), value) for value in (1.0, 0.0, 0.0))
+    for t, pair in enumerate(zip(*(beliefs[name] for name in hands), strict=True)):
+        known = [one[0].named for one in pair if one and one[0].named is not None]
+        if not known:
+            p[t] = p[t - 1]
+        elif len(known) == 2 and (known[0] != known[1]).any():
+            held[t], exchanged[t] = 1.0, 0.5
+        else:
+            p[t], exchanged[t] = known[0]
+    changed = (smoothing.names(p, exchanged) < 0.5) & (held == 0)
+    first, second = (np.flatnonzero(rows.which == rows.names.index((name, BOX)))[changed] for name in hands)
+    order = np.arange(len(rows))
+    order[first], order[second] = second, first
+    ours, theirs = (beliefs[name] for name in hands)
+    both = {
+        name: [b if turned else a for a, b, turned in zip(one, other, changed, strict=True)]
+        for name, one, other in zip(hands, (ours, theirs), (theirs, ours), strict=True)
+    }
+    return replace(rows.take(order), which=rows.which), {**beliefs, **both}
+
+
+def lagged(results: Iterable[FrameResult], lag: int) -> Iterator[FrameResult]:
+    """Each result when `lag` more are there, at the end when there are no more, with rows that take them into account.
+
+    They are those of `smoothed_rows` of all frames up to then, where no part takes longer than `lag` frames to be lost.
+    """
+    kept = deque[FrameResult]()
+    before: list[tuple[Belief, ...]] = []
+    for result in results:
+        kept.append(result)
+        if len(kept) - bool(before) > lag:  # the frame before stays until the next one is done
+            done, before = _next(kept, before)
+            yield done
+    while len(kept) > bool(before):
+        done, before = _next(kept, before)
+        yield done
+
+
+def _next(
+    kept: deque[FrameResult], before: Sequence[tuple[Belief, ...]]
+) -> tuple[FrameResult, list[tuple[Belief, ...]]]:
+    """The next frame of `kept`, smoothed, and its beliefs.
+
+    It is the first of `kept`, or the second if the first has the beliefs `before`; then the first is dropped.
+    """
+    at = 1 if before else 0
+    now, targets, after = kept[at], [], []
+    for i, target in enumerate(now.targets):
+        rows = successive([one.targets[i].rows for one in kept])
+        beliefs = [() if (given := one.targets[i].beliefs) is None else given() for one in kept]
+        found = _SmoothedTarget(rows, beliefs, before[i] if before else (), lag=True, aspect=now.frame.aspect)
+        frame = now.frame.index
+        targets.append(target._replace(rows=found.rows().between(frame, frame + 1)))
+        after.append(found.carried(at))
+    if before:
+        kept.popleft()
+    return FrameResult(now.frame, tuple(targets)), after
+
+
+class _SmoothedTarget:
+    """One target over T frames; its K parts in columns (T, K)."""
+
+    def __init__(
+        self, rows: Trajectory, beliefs: Beliefs, carried: Sequence[Belief] = (), *, lag: bool = False, aspect: float
+    ) -> None:
+        """`carried` replaces the beliefs of the first frame, if parts were lost in the frames before it.
+
+        `aspect` is the width of a pixel over its height.
+        """
+        self.all, k, t, self.lag, self.aspect = rows, len(rows.names), len(beliefs), lag, aspect
+        table = {name: getattr(rows, name).reshape(k, t).T for name in (*_SMOOTHED, "status", "by_hand")}
+        self.of = table
+        self.gone: Mask = np.isnan(table["x"])
+        lost: Mask = np.isin(table["status"], UNSEEN)
+        given = (table["by_hand"] | (table["status"] == "init")).any(axis=1)
+        self.fixed: Mask = self.gone | given[:, None]
+        known = next((each for each in beliefs if each), ())
+        whole = [each or known for each in beliefs]
+        if carried:
+            whole[0], lost[0] = tuple(carried), np.concatenate([one.doubt for one in carried])
+            given[0] = False
+        self.sizes = [len(one.mean) for one in known]
+        ends = np.cumsum([0, *self.sizes])
+        # a calibration may call a part lost that the filter sees: then nothing is in doubt
+        self.chains = [
+            smoothing.chain(
+                of := [each[i] for each in whole],
+                lost[:, a:b] & np.stack([one.doubt for one in of]),
+                self.gone[:, a:b],
+                given,
+            )
+            for i, (a, b) in enumerate(pairwise(ends.tolist()))
+        ]
+
+    def rows(self) -> Trajectory:
+        if not self.chains:
+            return self.all
+        columns = {name: self.of[name].copy() for name in _SMOOTHED}
+        # of a face points, box, and a network's points
+        head = self.chains[min(len(self.chains) - 1, 1)]
+        before, box = [head], BOX in [part for _, part in self.all.names]
+        after = [smoothing.smoothed(head)]
+        if len(self.chains) > 1:
+            points = _side_by_side([one for one in self.chains if one is not head])
+            before, after = [points, head], [self._face(columns, points, head, *after[0]), *after]
+        elif box and before[0].mean.shape[-1] > 2:
+            self._box(columns, before[0], *after[0])
+        else:
+            columns |= _places(*after[0])
+        unseen, linked = (np.concatenate([getattr(one, key) for one in self.chains], 1) for key in ("unseen", "linked"))
+        keep = self.fixed | (unseen & ~linked)
+        found = {name: np.where(keep, self.of[name], columns[name]).T.ravel() for name in _SMOOTHED}
+        diagnostics = self._diagnostics(before, after, keep[:, self.sizes[0] if len(self.sizes) > 1 else -1])
+        rows = replace(self.all, **found, diagnostics=diagnostics, corners=None)
+        return replace(rows, corners=outlines(rows))
+
+    def _box(self, columns: dict[str, Array], before: Chain, mean: Array, cov: Array) -> None:
+        columns |= _places(mean, cov)
+        w, h = self.of["w"], self.of["h"]
+        found = self._reported
+        if found is None or AFFINE.name not in found.values:
+            ratio, relative = mean[..., 2] / before.mean[..., 2], np.sqrt(cov[..., 2, 2]) / before.mean[..., 2]
+            columns |= {"w": w * ratio, "h": h * ratio, "std_w": w * relative, "std_h": h * relative}
+            return
+        # of the rows' state, which may be that of the best particle
+        told, half = np.full((*before.unseen.shape, 6), np.nan), []
+        told[np.searchsorted(self.all.frames, found.frame), 0] = found.values[AFFINE.name]
+        for side, std, size, at in (("w", "std_w", w, [2, 4]), ("h", "std_h", h, [3, 5])):
+            old, new = (np.linalg.norm(one, axis=-1) for one in (told[..., np.array(at) - 2], mean[..., at]))
+            half.append(np.maximum(size / old - 1, 1) / 2)
+            way = mean[..., at] / new[..., None]
+            var = np.einsum("tki,tkij,tkj->tk", way, cov[..., at, :][..., at], way)
+            columns |= {side: size * new / old, std: size / old * np.sqrt(np.maximum(var, 0.0))}
+        a1, a2, a3, a4 = (mean[..., i] for i in range(2, 6))
+        angle = np.degrees(np.arctan2(a3 * half[0] - a2 * half[1], a1 * half[0] + a4 * half[1]))
+        columns["angle"] = shown_angle(angle, self.aspect)
+
+    def _face(self, columns: dict[str, Array], points: Chain, head: Chain, boxes: Array, box_cov: Array) -> _Moments:
+        """Points of a stabilized image, which the box leads to the frame, where head and box become `boxes`.
+
+        What a point's filter corrects of its head's noise must not come apart from it: the points are smoothed in the
+        stabilized image of the smoothed head, in which they first are where they were in the frame.
+        """
+        k, those = self.sizes[0], np.delete(np.arange(len(self.all.names)), self.sizes[0])
+        ratio = boxes[:, 0, 2] / head.mean[:, 0, 2]
+        place = np.nan_to_num(np.stack([self.of["x"][:, k], self.of["y"][:, k]], axis=1))  # nan where it is absent
+        moved = boxes[:, 0, :2] + (place - head.mean[:, 0, :2]) * ratio[:, None]
+        angle = np.radians(shown_angle(np.nan_to_num(self.of["angle"][:, k]), 1 / self.aspect))
+        scale = np.nan_to_num(np.sqrt(self.of["w"][:, k] * self.of["h"][:, k]), nan=FACE) / FACE
+        turn = np.stack([np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)], axis=1).reshape(-1, 2, 2)
+        old, new = (each[:, None, None] * turn for each in (scale, scale * ratio))
+        was = np.einsum("tde,tke->tkd", old, points.mean - MIDDLE) + place[:, None]
+        begun = np.einsum("tde,tke->tkd", np.linalg.inv(new), was - moved[:, None]) + MIDDLE
+        still, cov = smoothing.smoothed(points._replace(mean=begun, cov=points.cov / ratio[:, None, None, None] ** 2))
+        now = np.einsum("tde,tke->tkd", new, still - MIDDLE) + moved[:, None]
+        # what the rows have beside the filter's mean and covariance is kept
+        at = np.stack([self.of["x"][:, those], self.of["y"][:, those]], axis=-1) + now - was
+        if not self.lag:
+            # in the frame, where what the head's filter and the points' correct of each other is no jitter
+            at = smoothing.steadied(at, ~points.unseen & ~self.gone[:, those])
+        seen = self._cov(those) + _mapped(new, cov) - _mapped(old, points.cov)
+        hidden = _mapped(new, cov) + box_cov[..., :2, :2]
+        values, vectors = np.linalg.eigh(np.where(points.unseen[..., None, None], hidden, seen))
+        spread = vectors * np.maximum(values, 1e-6)[..., None, :] @ np.swapaxes(vectors, -1, -2)
+        place, cov_of = (
+            np.concatenate([each[:, :k], of_box, each[:, k:]], axis=1)
+            for each, of_box in ((at, moved[:, None]), (spread, box_cov[..., :2, :2]))
+        )
+        columns |= _places(place, cov_of)
+        for side in ("w", "h"):
+            columns[side] = self.of[side] * ratio[:, None]
+            columns[f"std_{side}"][:, k] = self.of[side][:, k] * np.sqrt(box_cov[:, 0, 2, 2]) / head.mean[:, 0, 2]
+        return still, cov
+
+    def _cov(self, those: Whole) -> Array:
+        x, y, xy = (np.nan_to_num(self.of[name][:, those]) for name in ("std_x", "std_y", "cov_xy"))
+        return np.stack([x**2, xy, xy, y**2], axis=-1).reshape(*x.shape, 2, 2)
+
+    @property
+    def _reported(self) -> Diagnostics | None:
+        return self.all.diagnostics.get(self.all.target)
+
+    def _diagnostics(self, before: Sequence[Chain], after: Sequence[_Moments], keep: Mask) -> Mapping[str, Diagnostics]:
+        """Those that tell of place and size as the rows do; all others are the filter's."""
+        found, (mean, _) = self._reported, after[-1]
+        if found is None or (len(after) == 1 and AFFINE.name not in found.values):
+            return self.all.diagnostics
+        at = np.searchsorted(self.all.frames, found.frame)  # there are none of frames in which it is absent
+        values, mean, keep = dict(found.values), mean[at, 0], keep[at]
+        if len(after) == 1:
+            affine = np.concatenate([mean[:, 2:], mean[:, :2]], axis=1)
+            values[AFFINE.name] = np.where(keep[:, None], values[AFFINE.name], affine)
+            scale = np.sqrt(0.5 * np.square(mean[:, 2:]).sum(axis=1))
+        else:
+            scale = values[SCALE.name] * mean[:, 2] / before[-1].mean[at, 0, 2]
+        values[SCALE.name] = np.where(keep, values[SCALE.name], scale)
+        return {**self.all.diagnostics, self.all.target: replace(found, values=values)}
+
+    def carried(self, at: int) -> tuple[Belief, ...]:
+        """The beliefs of a frame, with predictions of the parts that it did not show."""
+        found = []
+        for one in map(smoothing.bridged, self.chains):
+            motion = Linear(*(each[at] for each in one.motion))
+            found.append(Belief(one.mean[at], one.cov[at], motion, one.unseen[at]))
+        return tuple(found)
+
+
+def _side_by_side(chains: Sequence[Chain]) -> Chain:
+    """The chains of several sets of parts as one."""
+    if len(chains) == 1:
+        return chains[0]
+    motion = Linear(*(np.concatenate(each, axis=1) for each in zip(*(one.motion for one in chains), strict=True)))
+    others = [name for name in Chain._fields if name != "motion"]
+    return Chain(
+        motion=motion, **{name: np.concatenate([getattr(one, name) for one in chains], axis=1) for name in others}
+    )
+
+
+def _mapped(matrix: Array, cov: Array) -> Array:
+    return np.asarray(matrix[:, None] @ cov @ np.swapaxes(matrix, 1, 2)[:, None])
+
+
+def _places(mean: Array, cov: Array) -> dict[str, Array]:
+    """Columns of the places in `mean` (T, K, D) and `cov` (T, K, D, D)."""
+    std = np.sqrt(np.maximum(np.diagonal(cov, axis1=-2, axis2=-1), 0.0))
+    known = {"x": mean[..., 0], "y": mean[..., 1], "std_x": std[..., 0], "std_y": std[..., 1]}
+    return {**known, "cov_xy": cov[..., 0, 1]}
