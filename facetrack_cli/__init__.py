@@ -20,6 +20,7 @@ docs/python.md has the whole of it.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from facetrack_cli.core.version import __version__ as __version__
 from facetrack_cli.engine.kernels.cache import provide_cache
 
 if TYPE_CHECKING:
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
     from facetrack_cli.video.overlay.overlay import Overlay
 
-__version__ = "0.1.0"
 __all__ = [
     "FacetrackError",
     "Frame",

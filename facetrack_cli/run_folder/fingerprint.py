@@ -11,10 +11,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TypeAlias
 
-from facetrack_cli import __version__
 from facetrack_cli.core.files import digest, sampled
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Start
+from facetrack_cli.core.version import __version__
 from facetrack_cli.core.yaml_tree import YamlProblems
 from facetrack_cli.recipe.load import files_of
 from facetrack_cli.recipe.model import Recipe, to_dict

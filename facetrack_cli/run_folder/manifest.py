@@ -21,7 +21,6 @@ from typing import Any, ClassVar, Final, Literal
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from facetrack_cli import __version__
 from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, from_system, reading
 from facetrack_cli.core.files import (
     FULL,
@@ -36,6 +35,7 @@ from facetrack_cli.core.files import (
     temporary_path,
 )
 from facetrack_cli.core.log import LINES
+from facetrack_cli.core.version import __version__
 from facetrack_cli.run_folder.lock import LOCK, FolderLock, finish_replacing, left_in, mark_of, sweep, utc_now
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.reader import read_table, read_trajectory, table_in

@@ -17,10 +17,10 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError
 
-from facetrack_cli import __version__
 from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.files import digest, read_bounded, write_new
 from facetrack_cli.core.types import Start
+from facetrack_cli.core.version import __version__
 from facetrack_cli.evaluation.goldens import bands
 from facetrack_cli.evaluation.goldens.bands import RUNS, Band
 from facetrack_cli.trajectory.header import StartRecord, TargetRecord, to_record
