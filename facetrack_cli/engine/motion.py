@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -116,3 +117,10 @@ def random_walk(settings: shared.RandomWalk, context: Context) -> RandomWalk | F
     stay = np.array([[1.0, 0.0], [0.0, 0.0]])
     position, scale = ((stay, np.array([[step], [0.0]])) for step in (*sigma, settings.scale))
     return FirstOrder(position, scale, *placed.scale)
+
+
+def first_order(settings: Any, context: Context) -> FirstOrder:
+    """Of the dynamics of a box, as a recipe writes them."""
+    noise = [[length.pixels(context.placed.unit) for length in row] for row in settings.position.B]
+    scale = np.array(settings.scale.A), np.array(settings.scale.B)
+    return FirstOrder((np.array(settings.position.A), np.array(noise)), scale, *context.placed.scale)

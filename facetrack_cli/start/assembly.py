@@ -21,7 +21,7 @@ from facetrack_cli.trackers.appearance.settings import PatchLikelihood
 from facetrack_cli.trackers.face.assembly import box_with, face_target
 from facetrack_cli.trackers.face.detectors import PARTS
 from facetrack_cli.trackers.hands.target import HandTarget
-from facetrack_cli.trackers.skin.exclusion import log_weights
+from facetrack_cli.trackers.skin.cloud import log_weights
 
 
 def build_tracker(recipe: Recipe, start: Start, fps: float | Fraction = 25) -> Tracker:

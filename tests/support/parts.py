@@ -12,7 +12,7 @@ from facetrack_cli.trackers.appearance.recognition import Recognition
 from facetrack_cli.trackers.appearance.velocity import AffineWalk, PredictedWalk
 from facetrack_cli.trackers.box import filters as box
 from facetrack_cli.trackers.box import settings as correlation_filter
-from facetrack_cli.trackers.box.motion import VisibleWalk
+from facetrack_cli.trackers.box.hidden_box import VisibleWalk
 from facetrack_cli.trackers.points import settings as points
 from facetrack_cli.trackers.points.colour_ratio import ColourRatio
 from facetrack_cli.trackers.regions import settings as regions

@@ -15,7 +15,7 @@ from facetrack_cli.engine.filters import Prediction
 from facetrack_cli.engine.resampling import uniform
 from facetrack_cli.engine.spaces import estimate
 from facetrack_cli.engine.target import Bound, ParticleTarget
-from facetrack_cli.trackers.appearance import filters
+from facetrack_cli.trackers.appearance import velocity as filters
 from facetrack_cli.trackers.appearance.settings import Noise, Velocity
 from facetrack_cli.trackers.appearance.space import AffineSpace, Patches
 from facetrack_cli.trackers.appearance.velocity import eta

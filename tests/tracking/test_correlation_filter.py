@@ -8,7 +8,7 @@ from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
-from facetrack_cli.trackers.box.space import VISIBLE
+from facetrack_cli.trackers.box.hidden_box import VISIBLE
 from tests.support.results import parts_of
 
 WIDTH, HEIGHT = 160, 120

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.engine.loop import Footprint
-from facetrack_cli.trackers.skin.exclusion import log_weights
+from facetrack_cli.trackers.skin.cloud import log_weights
 from facetrack_cli.trackers.skin.settings import Exclusion
 
 HEAD = Footprint(np.array([50.0, 40.0]), np.array([10.0, 20.0]))

@@ -14,7 +14,7 @@ from facetrack_cli.engine.resampling import uniform
 from facetrack_cli.engine.target import ParticleTarget
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
-from facetrack_cli.trackers.skin.space import CloudSpace
+from facetrack_cli.trackers.skin.cloud import CloudSpace
 from tests.support.moving_head import START, H, W, path, scene
 from tests.support.samples import FOLDER
 

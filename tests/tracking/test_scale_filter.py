@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Frame
-from facetrack_cli.trackers.box.colour import ColourModel
-from facetrack_cli.trackers.box.scale import ScaleTrainer
+from facetrack_cli.trackers.box.features import ColourModel, ScaleTrainer
 
 CENTRE = np.array([80.3, 59.6])
 STEP = 1.02

@@ -12,8 +12,8 @@ from facetrack_cli.engine.spaces import BoxSpace, evenly
 from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.trackers.skin.cloud import CloudSpace
 from facetrack_cli.trackers.skin.settings import Exclusion, SkinCloud
-from facetrack_cli.trackers.skin.space import CloudSpace
 from tests.support.parts import sir
 from tests.support.results import target
 

@@ -14,7 +14,7 @@ from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.trackers.appearance import settings as affine
 from facetrack_cli.trackers.appearance.velocity import AffineWalk
 from facetrack_cli.trackers.box import settings as correlation_filter
-from facetrack_cli.trackers.box.motion import VisibleWalk
+from facetrack_cli.trackers.box.hidden_box import VisibleWalk
 from facetrack_cli.trackers.face.motion import JumpingWalk
 
 STAY = np.array([[1.0, 0.0], [0.0, 0.0]])

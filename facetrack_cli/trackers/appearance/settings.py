@@ -195,7 +195,7 @@ class Recognition(Component):
 class Adaptive(Filter):
     """All particles around the predicted place, as many as the prediction is worth (figure 1, eq. 17)."""
 
-    engine = "facetrack_cli.trackers.appearance.filters:adaptive"
+    engine = "facetrack_cli.trackers.appearance.velocity:adaptive"
     goes_with = ("affine",)
     type: Literal["adaptive"]
     particles: Annotated[int, Field(ge=1)]

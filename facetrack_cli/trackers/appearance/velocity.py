@@ -14,6 +14,8 @@ bad one. phi is that of the likelihood, the mean squared distance from the appea
 
 Beyond the paper, `search` first looks for the expected patch around and begins there if the error is less.
 V and S come from the eigenvectors of Y^T Y (J x J), and B is never written out: -B D = -X V_q S_q^-2 V_q^T Y^T D.
+
+The filter around that place, and its number of particles: figure 1 and eq. 17.
 """
 
 from collections.abc import Callable
@@ -23,15 +25,17 @@ from typing import ClassVar, TypeAlias
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Array, Frame
-from facetrack_cli.engine.filters import Prediction
+from facetrack_cli.core.types import Array, Frame, Particles
+from facetrack_cli.engine.filters import FrameModel, Prediction, Stepped, weighted
 from facetrack_cli.engine.kernels.affine import diffuse
 from facetrack_cli.engine.motion import log_normal
 from facetrack_cli.engine.protocols import Linear, Motion
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.appearance import settings as affine
+from facetrack_cli.trackers.appearance.settings import Adaptive
 from facetrack_cli.trackers.appearance.space import Patches, patches_of
 from facetrack_cli.trackers.appearance.velocity_kernels import differences, gain, mapped
 from facetrack_cli.trajectory.diagnostics import ERROR, NOISE
@@ -179,3 +183,27 @@ def affine_walk(settings: affine.AffineWalk, context: Context) -> AffineWalk:
     if settings.velocity is None and settings.noise is None:
         return AffineWalk(*walk)
     return PredictedWalk(*walk, patches_of(context), context.settings.filter.particles)
+
+
+def adaptive(settings: Adaptive, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
+    """Around the one place that is predicted (Zhou et al. 2003, figure 1): theta_t = theta_{t-1} + nu_t + u_t."""
+    ahead = model.ahead
+    parents = np.repeat(ahead.state[None], number(settings, ahead), axis=0)
+    x = model.propagate(rng, parents)
+    if settings.centre:
+        x[0] = ahead.state + ahead.shift
+    return weighted(model, x, parents, 0.0)
+
+
+def number(settings: Adaptive, ahead: Prediction) -> int:
+    """J_t, the number of particles (eq. 17). With J_0 = `particles` and d = `entropy` it is
+
+        J_t = J_0 (eta + d)  if the entropy of the identity rose,  J_0 (eta - d)  if it did not,
+
+    and J_0 eta where nobody is recognised; never below `least`. Eq. 17 prints (-1)^I[H_{t-1} < H_{t-2}], which adds d
+    if the entropy stayed the same; taken is the text, "otherwise we deduct".
+    """
+    if not settings.adapt:
+        return settings.particles
+    change = {None: 0.0, True: -settings.entropy, False: settings.entropy}[ahead.entropy_fell]
+    return max(round(settings.particles * (ahead.noise + change)), settings.least)

@@ -2,19 +2,36 @@
 
 Channels are histograms of oriented gradients (Felzenszwalb et al. 2010), grey, and a and b of CIELAB where the clip has
 colours, reduced to the principal components of the first frame (as Danelljan et al. 2014, fDSST, and 2017, ECO).
+
+Colours: Per-pixel colours of the target and of its surroundings (Bertinetto et al. 2016, Staple, section 3.4).
+
+A pixel's colour u is the target's with probability P(O | u) / (P(O | u) + P(B | u)), by histograms of the target's box
+and of the rest of the window (eq. 23 to 26 there); the score of a place is its mean over the box there.
+
+Scale: The one-dimensional filter of scale (Danelljan et al. 2014, DSST; 2017, fDSST).
+
+The target is read at S scales a^n, n from -(S - 1) / 2 to (S - 1) / 2, each window resampled to one size; its
+gradients are a signal over the scales with many channels. A correlation filter of that signal, in closed form, has its
+peak at the scale at which the target is as large as it was learned (DSST, eq. 3 to 6):
+
+    A = conj(Y) X,  B = sum_d |X^d|^2,  R = F^-1 [ sum_d conj(A^d) Z^d / (B + lambda) ]
+
+A and B are moved by the learning rate.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from functools import cached_property
+from typing import Any, NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame, Image, factor_for
-from facetrack_cli.trackers.box.cell_kernels import CHANNELS, gradients, project
+from facetrack_cli.trackers.box.cell_kernels import CHANNELS, gradients, gradients_of_scales, project
 
 Single: TypeAlias = NDArray[np.float32]
 CELL = 4  # pixels of a resampled window
@@ -121,3 +138,128 @@ def _features(image: Image, cells: int, *, colour: bool) -> Single:
         lab = cv2.cvtColor(cv2.resize(image, small, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2LAB)
         out[CHANNELS + 1 :] = np.moveaxis((lab[..., 1:].astype(np.float32) - 128) / np.float32(_CHROMA), 2, 0)
     return out.reshape(len(out), -1)
+
+
+_SIDE = 64  # pixels of a window that is read for colours
+_BITS = 5  # of each channel: 32 levels
+_RATE = 0.04
+_TELLS = 0.2  # how much more likely the target's pixels must be than those around, on average
+
+
+class Colours(NamedTuple):
+    """Histograms (32768,) of the target and of its surroundings, and how far they tell the two apart, 0..1."""
+
+    target: Single
+    around: Single
+    tells: float = 0.0
+
+
+@dataclass(frozen=True)
+class ColourModel:
+    """`box`: width and height of the target as shares of the window's side."""
+
+    box: tuple[float, float]
+
+    def learn(self, known: Colours | None, window: Image, rate: float) -> Colours:
+        """From a window (n, n, 3) in whose middle the target is; `rate` 1 as Staple learns, 0 not at all."""
+        bins = _bins(window)
+        half = np.abs(np.arange(_SIDE) - (_SIDE - 1) / 2) / _SIDE
+        w, h = (max(side, 2.5 / _SIDE) for side in self.box)
+        inside = np.outer(half <= 0.4 * h, half <= 0.4 * w)
+        outside = ~np.outer(half <= 0.55 * h, half <= 0.55 * w)
+        if not outside.any():
+            outside = np.ones_like(inside)
+        target, around = (_histogram(bins[of]) for of in (inside, outside))
+        if known is not None:
+            keep, new = np.float32(1 - _RATE * rate), np.float32(_RATE * rate)
+            target, around = keep * known.target + new * target, keep * known.around + new * around
+        found = Colours(target, around)
+        p = _probability(found, bins)
+        return found._replace(tells=max(float(p[inside].mean() - p[outside].mean()), 0.0))
+
+    def respond(self, known: Colours, window: Image, samples: int) -> Single | None:
+        """The score (samples, samples) of the box around each place of the window; None where colour tells nothing."""
+        if known.tells < _TELLS:
+            return None
+        w, h = (max(round(0.8 * side * _SIDE), 1) | 1 for side in self.box)
+        mean = cv2.blur(_probability(known, _bins(window)), (w, h), borderType=cv2.BORDER_REPLICATE)
+        return np.asarray(cv2.resize(mean, (samples, samples), interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def _bins(window: Image) -> Array:
+    small = cv2.resize(window, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA).astype(np.int64) >> (8 - _BITS)
+    return np.asarray((small[..., 0] << 2 * _BITS) | (small[..., 1] << _BITS) | small[..., 2])
+
+
+def _histogram(bins: Array) -> Single:
+    return (np.bincount(bins, minlength=1 << 3 * _BITS) / max(len(bins), 1)).astype(np.float32)
+
+
+def _probability(known: Colours, bins: Array) -> Single:
+    target, around = known.target[bins], known.around[bins]
+    return np.where(target + around > 0, target / np.maximum(target + around, np.float32(1e-12)), np.float32(0.5))
+
+
+_LAMBDA = 0.01
+
+
+class TrainedScale(NamedTuple):
+    """A (S / 2 + 1, D) and B (S / 2 + 1,) of the D numbers that a window has at each scale."""
+
+    numerator: NDArray[np.complex64]
+    denominator: Single
+
+
+@dataclass(frozen=True, eq=False)
+class ScaleTrainer:
+    """`size`: width and height of the target at scale 1, in pixels; `area`: pixels of a resampled window."""
+
+    size: tuple[float, float]
+    scales: int
+    step: float
+    area: float = 512.0
+
+    @cached_property
+    def log_scales(self) -> Array:
+        return np.asarray((np.arange(self.scales) - (self.scales - 1) / 2) * math.log(self.step), np.float64)
+
+    @cached_property
+    def _y(self) -> Single:
+        sigma = self.scales / 16
+        y = np.exp(-0.5 * (np.fft.fftfreq(self.scales, 1 / self.scales) / sigma) ** 2)
+        return np.fft.rfft(y).real.astype(np.float32)[:, None]
+
+    @cached_property
+    def _taper(self) -> Single:
+        return np.hanning(self.scales + 2)[1:-1].astype(np.float32)[:, None]
+
+    @cached_property
+    def _shape(self) -> tuple[int, int]:
+        k = math.sqrt(self.area / (self.size[0] * self.size[1]))
+        w, h = (min(max(round(side * k / CELL), 2), 64) * CELL for side in self.size)
+        return w, h
+
+    def read(self, frame: Frame, centre: Array, scale: float) -> NDArray[np.complex64]:
+        """The spectrum (S / 2 + 1, D) of the target around `centre` at `scale` times each of the scales."""
+        w, h = self._shape
+        sides = scale * np.exp(self.log_scales)[:, None] * np.array(self.size)
+        factor = factor_for(max(scale * self.size[0] / w, 1e-6), 2.0) if scale * self.size[0] >= 2 * w else 1
+        (x, y), (right, lower) = centre.tolist(), (sides[-1] / 2 + 2 * factor).tolist()
+        grey, left, top = frame.grey(factor, (x - right, y - lower, x + right, y + lower))
+        at = (np.array([x - left, y - top]) - 0.5 * (factor - 1)) / factor
+        signal = np.empty((self.scales, CHANNELS, h // CELL, w // CELL), np.float32)
+        gradients_of_scales(grey, at[0], at[1], sides / factor, CELL, signal)
+        flat = signal.reshape(self.scales, -1) * self._taper
+        return np.fft.rfft(np.fft.ifftshift(flat, axes=0), axis=0).astype(np.complex64, copy=False)
+
+    def learn(self, known: TrainedScale | None, x: NDArray[np.complex64], rate: float) -> TrainedScale:
+        a, b = self._y * x, np.sum(np.abs(x) ** 2, axis=1)
+        if known is None:
+            return TrainedScale(a, b)
+        keep, new = np.float32(1 - rate), np.float32(rate)
+        return TrainedScale(keep * known.numerator + new * a, keep * known.denominator + new * b)
+
+    def respond(self, known: TrainedScale, z: NDArray[np.complex64]) -> Array:
+        """The response (S,), from the least scale to the largest."""
+        found = np.sum(known.numerator.conj() * z, axis=1) / (known.denominator + np.float32(_LAMBDA))
+        return np.fft.fftshift(np.fft.irfft(found, n=self.scales)).astype(np.float64)

@@ -20,7 +20,7 @@ Probability: TypeAlias = Annotated[float, Field(gt=0, lt=1)]
 class Box(Scaled):
     """A box that moves, changes its size, and may be hidden: place, scale, velocity, and whether it is visible."""
 
-    engine = "facetrack_cli.trackers.box.space:VisibleBoxSpace.place"
+    engine = "facetrack_cli.trackers.box.hidden_box:VisibleBoxSpace.place"
     type: Literal["box"]
     scale: Annotated[tuple[Factor, Factor], Field(strict=False)] = (0.15, 6.0)
     """The least and the largest size of the box, as factors of its size at the start."""
@@ -29,7 +29,7 @@ class Box(Scaled):
 class VisibleWalk(Motion):
     """A walk of place and log scale with velocity, of a target that may be hidden (a chain of two states)."""
 
-    engine = "facetrack_cli.trackers.box.motion:visible_walk"
+    engine = "facetrack_cli.trackers.box.hidden_box:visible_walk"
     goes_with = ("box",)
     type: Literal["visible_walk"]
     sigma: Length

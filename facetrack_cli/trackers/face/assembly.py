@@ -14,7 +14,7 @@ from facetrack_cli.engine.assembly import calibration_of, particle_target
 from facetrack_cli.engine.target import ParticleTarget
 from facetrack_cli.recipe.files import resolve_file
 from facetrack_cli.recipe.model import Confidence, ParticleFilter, Recipe, above
-from facetrack_cli.trackers.box.target import BoxTarget
+from facetrack_cli.trackers.box.hidden_box import BoxTarget
 from facetrack_cli.trackers.face.descent import CORNER, load_descent
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.face.mesh import NAMES, Iris, Mesh

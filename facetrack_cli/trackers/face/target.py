@@ -36,7 +36,7 @@ from facetrack_cli.engine.protocols import Names
 from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.engine.spaces import Estimate
 from facetrack_cli.engine.target import ParticleState, ParticleTarget
-from facetrack_cli.trackers.box.target import BoxTarget
+from facetrack_cli.trackers.box.hidden_box import BoxTarget
 from facetrack_cli.trackers.face import stabilized, window_ncc
 from facetrack_cli.trackers.face.evidence import (
     MAYBE,

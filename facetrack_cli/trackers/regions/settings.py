@@ -71,7 +71,7 @@ class ScaleDynamics(_Dynamics):
 class FirstOrder(Motion):
     """First-order dynamics of place, scale and their speeds: c_k = A c_{k-1} + B w_k (section 3.2)."""
 
-    engine = "facetrack_cli.trackers.regions.motion:first_order"
+    engine = "facetrack_cli.engine.motion:first_order"
     goes_with = ("region", "cloud")
     type: Literal["first_order"]
     position: PositionDynamics

@@ -6,24 +6,74 @@ As Gonzalez & Collet describe that tracker (section 3), a head or a hand is a cl
 
 with the skin colour of eq. 4, learned from one box in the first frame, such as the face's for head and hands alike.
 Beyond the paper: with the floor, a cloud without any skin spreads out and finds some; `max_size` reduces the frame.
+
+Targets of one recipe may exclude each other (`log_weights`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array, Box, Frame, Particles, factor_for
-from facetrack_cli.engine.checks import box_of
+from facetrack_cli.core.geometry import centre
+from facetrack_cli.core.types import Array, Box, Frame, Particles, Start, factor_for
+from facetrack_cli.engine.checks import box_of, check_size, size_of_box
+from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Likelihood
-from facetrack_cli.engine.spaces import Context
+from facetrack_cli.engine.spaces import Context, Estimate, Placed, Space, estimate
 from facetrack_cli.trackers.points.window_kernels import extent
 from facetrack_cli.trackers.skin import settings as skin
 from facetrack_cli.trackers.skin import skin_kernels as kernel
 from facetrack_cli.trackers.skin.colour import learn_skin, note
+from facetrack_cli.trackers.skin.settings import Cloud, Exclusion
+
+
+@dataclass(frozen=True)
+class CloudSpace(Space):
+    """Each particle is a pixel (Gianni et al. 2007): state (1, 2) = (x, y); its box has four deviations a side."""
+
+    smooths = False
+
+    @classmethod
+    def place(cls, settings: Cloud, start: Start, name: str) -> Placed:
+        """All over the target's box, whose mean side is the unit of length."""
+        box = check_size(start.origin, name, box_of(start, name))
+        windows = np.array([box[2:]])
+        return Placed(cls(), cls().at(box), windows, size_of_box(start, name), (0.25, 4.0), windows)
+
+    def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
+        """The covariance of the pixels themselves: they are the target, not hypotheses of its place."""
+        return estimate(particles, np.full_like(ess, np.inf), best=best)
+
+    def windows(self, estimated: Estimate) -> Array:
+        return 4.0 * np.sqrt(np.maximum(np.diagonal(estimated.cov, axis1=1, axis2=2), 0.0))
+
+    def at(self, box: Box) -> Array:
+        return np.array([[*centre(box), 1.0, 0.0, 0.0, 0.0]])
+
+
+def log_weights(settings: Exclusion, x: Array, footprints: Sequence[Footprint]) -> Array:
+    """(N, K): what mutual exclusion adds to log p(y | x) of x (N, K, D) (Gianni, Collet & Dalle 2007).
+
+    Particles are penalised when the objects are close, so that two filters do not track the same skin (Gonzalez &
+    Collet, section 3). The papers print no formula. Chosen is, with the other targets j, each an ellipse:
+
+        p(y | x) <- p(y | x) * prod_j (1 - strength * exp(-(d_j(x) / reach)^4 / 2))
+
+    with d_j the distance from the centre of j in half axes of its ellipse, 1 on its outline. By the fourth power the
+    whole ellipse is penalised and little outside of it. Where all particles are penalised alike, none is.
+    """
+    total = np.zeros(x.shape[:2])
+    for footprint in footprints:
+        half = np.maximum(footprint.half, 1.0)  # of a cloud that has shrunk to a point, a pixel is left
+        squared = np.sum(((x[..., :2] - footprint.centre) / (half * settings.reach)) ** 2, axis=2)
+        total += np.log1p(-min(settings.strength, 1 - 1e-12) * np.exp(-0.5 * np.minimum(squared, 1e6) ** 2))
+    return total
+
 
 MIDDLE = 0.7  # of the box's sides: what is looked at to tell whether a place is skin
 GRID = 9  # points along each side of it

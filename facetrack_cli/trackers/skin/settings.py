@@ -87,7 +87,7 @@ class SkinCloud(Likelihood):
 class Cloud(Target):
     """A cloud of pixels, whose mean is the target's place and whose spread is its size (Gianni et al. 2007)."""
 
-    engine = "facetrack_cli.trackers.skin.space:CloudSpace.place"
+    engine = "facetrack_cli.trackers.skin.cloud:CloudSpace.place"
     relearns = False  # colours are learned in the first frame alone
     type: Literal["cloud"]
 

@@ -1,18 +1,57 @@
-"""A walk with velocity of a box that may be hidden (ours)."""
+"""A box that may be hidden: its state, its walk, and what others than its own filter may do to it (ours).
+
+A face's points carry their head, which is such a box.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.random import Generator
 
-from facetrack_cli.core.types import Array, Particles
+from facetrack_cli.core.types import Array, Box, Frame, Info, Particles
+from facetrack_cli.engine import confidence
 from facetrack_cli.engine.protocols import Linear, Motion
-from facetrack_cli.engine.spaces import Context
+from facetrack_cli.engine.resampling import effective_sample_size, normalise
+from facetrack_cli.engine.spaces import BoxSpace, Context, Estimate
+from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.trackers.box import settings as correlation_filter
-from facetrack_cli.trackers.box.proposals import Arrived
-from facetrack_cli.trackers.box.space import VISIBLE
+from facetrack_cli.trackers.box.filters import Arrived
 from facetrack_cli.trackers.box.walk_kernels import arrive
+from facetrack_cli.trajectory.trajectory import TargetResult
+
+VISIBLE = 5  # the coordinate of a box that may be hidden that is P(visible)
+
+
+@dataclass(frozen=True)
+class VisibleBoxSpace(BoxSpace):
+    """A box that may be hidden (ours): state (1, 6) = (x, y, s, speeds of x and y, P(visible))."""
+
+    def at(self, box: Box) -> Array:
+        state = super().at(box)
+        state[0, VISIBLE] = 1.0
+        return state
+
+    def counted(self, particles: Particles) -> Array:
+        """Given that the target is visible, or, if it rather is hidden, given that."""
+        shown = particles.x[:, 0, VISIBLE]
+        visible = float(np.sum(np.exp(particles.log_w) * shown))
+        with np.errstate(divide="ignore"):
+            return normalise(particles.log_w + np.log(shown if visible >= 0.5 else 1 - shown))
+
+    def estimate(self, particles: Particles, ess: Array, *, best: bool) -> Estimate:
+        """The mean of the particles that count, and P(visible)."""
+        log_w = self.counted(particles)
+        found = super().estimate(Particles(particles.x, log_w), effective_sample_size(log_w)[None], best=best)
+        found.state[0, VISIBLE] = float(np.sum(np.exp(particles.log_w) * particles.x[:, 0, VISIBLE]))
+        return found
+
+    def presence(self, particles: Particles, estimated: Estimate) -> Array:
+        """(1,): the probability that the target is visible and its centre within half a box of the estimate."""
+        off = np.abs(particles.x[:, 0, :2] - estimated.state[0, :2])
+        near = (off <= 0.5 * self.windows(estimated)[0]).all(axis=1)
+        return np.array([min(float(np.sum(np.exp(particles.log_w) * particles.x[:, 0, VISIBLE] * near)), 1.0)])
 
 
 @dataclass(frozen=True)
@@ -130,3 +169,37 @@ def visible_walk(settings: correlation_filter.VisibleWalk, context: Context) -> 
     return VisibleWalk(
         settings, unit, (settings.sigma.pixels(unit), settings.hidden.pixels(unit)), context.placed.scale
     )
+
+
+@dataclass(frozen=True)
+class BoxTarget(ParticleTarget):
+    """A target followed as a box that may be hidden, by a walk with velocity."""
+
+    motion: VisibleWalk
+
+    def carried(
+        self, rng: Generator, state: ParticleState, frame: Frame, shift: Array
+    ) -> tuple[ParticleState, TargetResult]:
+        """As `advance`, where others see the box `shift` (2,) from where it is expected."""
+        before = state.estimated.state
+        step = self.motion.expect(before[None])[0, 0, :2] + shift - before[0, :2]
+        particles = state.particles._replace(x=self.motion.carried(rng, state.particles.x, step))
+        ess = np.full(1, effective_sample_size(particles.log_w))
+        state = replace(state, particles=particles, estimated=self.space.estimate(particles, ess, best=self.best))
+        return state, self._result(state, frame, Info(ess), "tracked")
+
+    def unseen(
+        self, rng: Generator, state: ParticleState, frame: Frame, *, anywhere: bool
+    ) -> tuple[ParticleState, TargetResult]:
+        """As `advance`, of a box that nobody sees: it stays, or may be `anywhere` in the frame."""
+        assert self.confidence is not None and state.judgement is not None
+        x = state.particles.x.copy()
+        x[:, 0, VISIBLE] = 0.0
+        if anywhere:
+            x[:, 0, :2] = rng.random((len(x), 2)) * frame.size - 0.5
+        particles = state.particles._replace(x=x)
+        ess = np.full(1, effective_sample_size(particles.log_w))
+        estimated = self.space.estimate(particles, ess, best=self.best)
+        judgement = confidence.decide(self.confidence, state.judgement, np.zeros(1))
+        state = replace(state, particles=particles, estimated=estimated, judgement=judgement)
+        return state, self._result(state, frame, Info(ess), "lost")
