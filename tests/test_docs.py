@@ -11,7 +11,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli.app import cli
 from facetrack_cli.core.errors import ExitCode
-from facetrack_cli.recipe.files import shipped_recipes
+from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.seeds import variant
 from facetrack_cli.start.init_file import read_init

@@ -135,9 +135,7 @@ def test_filters_and_likelihoods_never_meet():
 def test_recipes_know_no_numerics():
     recipes = [one for one in every_import() if room_of(name_of(one[0])) == "recipe"]
     assert not wrong(lambda _, module: module.split(".")[0] not in NUMERICS, recipes)
-    light = {
-        f"facetrack_cli.core.{name}" for name in ("errors", "face_points", "hands", "models", "shipped", "yaml_tree")
-    }
+    light = {f"facetrack_cli.core.{name}" for name in ("errors", "face_points", "models", "yaml_tree")}
     assert not wrong(lambda _, module: room_of(module) != "core" or module in light, recipes)
 
 
@@ -154,7 +152,6 @@ def test_what_help_needs_is_light():
         "core/log.py",
         "core/models.py",
         "core/version.py",
-        "core/shipped.py",
         "runs/signals.py",
         "engine/kernels/cache.py",
         "trajectory/formats/__init__.py",

@@ -32,7 +32,7 @@ from reference import MESH, points_in
 
 from facetrack_cli.core.face_points import MESH as NUMBERS
 from facetrack_cli.core.face_points import POINTS
-from facetrack_cli.core.shipped import shipped_folder
+from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.types import Array, Frame, Image, Mask
 from facetrack_cli.trackers.face import descent
 from facetrack_cli.trackers.face.descent import SIDE, Descent, channels, read

@@ -11,7 +11,7 @@ from typing import TypeAlias
 import click
 from click.shell_completion import CompletionItem
 
-from facetrack_cli.core.shipped import shipped_recipes
+from facetrack_cli.core.models import shipped_recipes
 
 Complete: TypeAlias = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 

@@ -5,6 +5,10 @@ Left and right are as seen in the frame.
 
 from typing import Final, Literal, TypeAlias
 
+HANDS: Final = ("left_hand", "right_hand")
+"""The first one hangs at the left of the picture, where a person faces the camera."""
+
+
 DetectorName: TypeAlias = Literal["haar", "yunet"]
 DETECTORS: Final[tuple[DetectorName, ...]] = ("haar", "yunet")
 

@@ -10,6 +10,18 @@ from typing import Final, NamedTuple
 from facetrack_cli.core.errors import InputError, reason, visible
 
 
+def shipped_folder() -> Path:
+    """Where the shipped recipes are: in the installed package, or beside it in a working copy."""
+    package = Path(__file__).resolve().parents[1]
+    inside = package / "configs"
+    return inside if inside.is_dir() else package.parent / "configs"
+
+
+def shipped_recipes() -> list[Path]:
+    """The files of the shipped recipes, by name."""
+    return sorted(shipped_folder().glob("*.yaml"))
+
+
 class Model(NamedTuple):
     """A file of `bytes` bytes, which is the `member` of a wheel on PyPI."""
 

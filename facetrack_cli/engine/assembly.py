@@ -6,7 +6,7 @@ from facetrack_cli.core.types import BOX, Start
 from facetrack_cli.engine.calibration import Calibration, load_calibration
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.engine.target import Exclusion, ParticleTarget
-from facetrack_cli.recipe.files import resolve_file
+from facetrack_cli.recipe.load import resolve_file
 from facetrack_cli.recipe.model import ParticleFilter, Recipe, above
 
 T = TypeVar("T", bound=ParticleTarget)

@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import PurePath
 from typing import Any
 
-from facetrack_cli.core.shipped import shipped_recipes
+from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import completed, to_dict
 

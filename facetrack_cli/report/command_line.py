@@ -15,8 +15,8 @@ from ruamel.yaml.representer import RoundTripRepresenter
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.face_points import DETECTORS
+from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import Correction, Start
-from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import completed, to_dict
 from facetrack_cli.start.init_file import as_yaml, read_init

@@ -15,8 +15,7 @@ from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.face_points import DETECTORS, DetectorName
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.engine.loop import track
-from facetrack_cli.recipe.files import default_recipe
-from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.load import default_recipe, load_recipe
 from facetrack_cli.recipe.model import Recipe, seeded
 from facetrack_cli.runs.clip import track_clip
 from facetrack_cli.runs.job import Job, check, silent

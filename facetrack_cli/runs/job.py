@@ -14,7 +14,7 @@ from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, U
 from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.files import check_folder, check_plain
 from facetrack_cli.core.types import Box
-from facetrack_cli.recipe.files import default_recipe
+from facetrack_cli.recipe.load import default_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.run_folder.fingerprint import clip_stat, job_digest, previous_run
 from facetrack_cli.run_folder.lock import LOCK, FolderLock, here

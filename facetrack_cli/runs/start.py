@@ -11,9 +11,8 @@ from typing import Final
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.face_points import DETECTORS, DetectorName
+from facetrack_cli.core.face_points import DETECTORS, HANDS, DetectorName
 from facetrack_cli.core.geometry import iou
-from facetrack_cli.core.hands import HANDS
 from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
 from facetrack_cli.engine.checks import box_of, check_start
 from facetrack_cli.engine.loop import track

@@ -12,9 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from facetrack_cli.core.face_points import DETECTORS
+from facetrack_cli.core.face_points import DETECTORS, HANDS
 from facetrack_cli.core.geometry import centre, square
-from facetrack_cli.core.hands import HANDS
 from facetrack_cli.core.numbers import clock, places
 from facetrack_cli.core.snapshot import STORED
 from facetrack_cli.core.types import BOX, Box, Point, Start

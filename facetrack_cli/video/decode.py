@@ -23,7 +23,6 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.types import Array, Frame, Image, Whole, planes_of
-from facetrack_cli.video.encoder import weights
 from facetrack_cli.video.images import MOST_PIXELS, Levels, check_pixels, levels
 
 if TYPE_CHECKING:
@@ -471,3 +470,11 @@ def _fraction(rate: Fraction | None) -> Fraction:
     if rate is None or not 0 < rate <= 1000:
         return _DEFAULT_FPS
     return rate.limit_denominator(1001) if rate > Fraction(1, 1001) else 1 / (1 / rate).limit_denominator(1001)
+
+
+def weights(red: float, blue: float) -> Array:
+    """(3, 4): Y, Cb and Cr of limited range by blue, green, red, 1; given the luma weights of red and blue (H.273)."""
+    luma = np.array([blue, 1 - red - blue, red])
+    cb, cr = (np.array([1, 0, 0]) - luma) / (1 - blue) / 2, (np.array([0, 0, 1]) - luma) / (1 - red) / 2
+    scaled = np.stack([219 * luma, 224 * cb, 224 * cr]) / 255
+    return np.column_stack([scaled, [16, 128, 128]])

@@ -9,7 +9,7 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.log import VARIABLE, log_line
-from facetrack_cli.recipe.files import find_recipe, read_recipe
+from facetrack_cli.recipe.load import find_recipe, read_recipe
 from facetrack_cli.runs import progress as module
 from facetrack_cli.runs.progress import Bar, progress
 from facetrack_cli.video.writer import VideoWriter

@@ -11,12 +11,12 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor import history
 from facetrack_cli.editor import save as saving
 from facetrack_cli.editor.history import Fixer, corrections_of
 from facetrack_cli.editor.save import keep, save
-from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.finished import _recipe, check_size, open_run

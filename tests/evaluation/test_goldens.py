@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.evaluation.goldens.goldens import (
     Golden,
@@ -20,7 +21,6 @@ from facetrack_cli.evaluation.goldens.goldens import (
     record,
     write_golden,
 )
-from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, completed, to_dict
 from tests.evaluation.test_bands import RECORDED

@@ -12,7 +12,7 @@ import numpy as np
 from ruamel.yaml import YAML
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.recipe.files import shipped_recipes
+from facetrack_cli.core.models import shipped_recipes
 from tests.support.media import write_video
 from tests.support.samples import FOLDER, read_pictures
 

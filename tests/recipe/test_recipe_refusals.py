@@ -3,7 +3,7 @@
 import pytest
 
 from facetrack_cli.core.errors import RecipeError
-from facetrack_cli.recipe.files import shipped_folder
+from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.recipe.sections import LengthOrNone
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facetrack_cli.recipe.files import shipped_recipes
+from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.recipe.gallery_option import with_gallery
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.trackers.appearance.gallery_fit import fit_gallery

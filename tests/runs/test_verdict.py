@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.core.hands import HANDS
+from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.job import lost_words

@@ -245,7 +245,7 @@ def test_what_is_predicted_is_where_the_picture_went(best):
 def test_without_a_motion_that_predicts_nothing_is_predicted():
     still = target(motion=WALK, step=partial(filters.adaptive, adaptive(100, entropy=0.0)))
     (first, second), results = followed(still, 2)
-    ahead = Bound(still, first, frame(PICTURE)).ahead
+    ahead = Bound(still, first, frame(PICTURE), (), still.motion).ahead
     np.testing.assert_array_equal(ahead.state, first.estimated.state)
     assert not ahead.shift.any() and ahead.noise == 1.0 and second.flow is None
     assert parts_of(results[1])[0].particles == 100 and "error" not in reported(results[1])

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.engine.loop import track
-from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe
 from facetrack_cli.start.assembly import build_tracker

@@ -12,10 +12,10 @@ import pytest
 from pydantic import Field
 
 from facetrack_cli.core.errors import ExitCode, RecipeError
+from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe import Filter, Likelihood, Refusal, Section, sections
-from facetrack_cli.recipe.files import read_recipe, shipped_recipes
-from facetrack_cli.recipe.load import check_recipe, load_recipe
+from facetrack_cli.recipe.load import check_recipe, load_recipe, read_recipe
 from facetrack_cli.recipe.model import completed, rebuild, register, to_dict
 from facetrack_cli.recipe.schema import json_schema
 from facetrack_cli.start.assembly import build_tracker

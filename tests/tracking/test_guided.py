@@ -8,8 +8,8 @@ import pytest
 
 from facetrack_cli.core.types import Particles
 from facetrack_cli.engine.resampling import logsumexp, normalise, uniform
-from facetrack_cli.trackers.box.filters import Guides
 from facetrack_cli.trackers.box.hidden_box import VISIBLE
+from facetrack_cli.trackers.box.proposals import Guides
 from tests.support.parts import guided, peak, visible_walk
 
 SIGMA, HIDDEN = 3.0, 1.5

@@ -7,9 +7,9 @@ import pytest
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import iou
+from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.engine.loop import track
-from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe
 from facetrack_cli.runs.clip import run as job_run

@@ -54,7 +54,7 @@ def bound(face):
     place = TargetStart(points=face.points(10, [name for name in PARTS if name not in HIDDEN]))
     target, _, state, _ = restarted("factorized", face, place, HIDDEN)
     x = state.particles.x + np.random.default_rng(2).normal(0, 2, state.particles.x.shape)
-    return Bound(target, state, face.frames[11]), x
+    return Bound(target, state, face.frames[11], (), target.motion), x
 
 
 def test_absent_parts_follow_the_others_from_the_first_frame_on(face, bound):

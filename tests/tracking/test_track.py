@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import InputError, RecipeError
+from facetrack_cli.core.models import shipped_folder, shipped_recipes
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.engine.loop import track
-from facetrack_cli.recipe.files import shipped_folder, shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trackers.points.shape_prior import default_prior_path

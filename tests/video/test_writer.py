@@ -18,9 +18,8 @@ import pytest
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.video import ffmpeg as ours
 from facetrack_cli.video.decode import sound_of
-from facetrack_cli.video.encoder import Planes
 from facetrack_cli.video.source import open_source
-from facetrack_cli.video.writer import VideoWriter
+from facetrack_cli.video.writer import Planes, VideoWriter
 from tests.support import media
 
 FPS = Fraction(25)

@@ -234,8 +234,7 @@ class Run:
         return ExitCode.DONE if code is ExitCode.LOST and not self.fail_on_lost else code
 
     def _recipe(self) -> Recipe:
-        from facetrack_cli.recipe.files import default_recipe
-        from facetrack_cli.recipe.load import load_recipe
+        from facetrack_cli.recipe.load import default_recipe, load_recipe
         from facetrack_cli.recipe.model import seeded
         from facetrack_cli.runs.seeds import load_recipes
 

@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
+from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.evaluation.goldens.bands import Deviation, judge, last_names, measure, names
 from facetrack_cli.evaluation.goldens.goldens import (
     FIRST_SEED,
@@ -26,9 +27,8 @@ from facetrack_cli.evaluation.goldens.goldens import (
     versions,
     write_golden,
 )
-from facetrack_cli.recipe.files import resolve_file, shipped_folder
 from facetrack_cli.recipe.gallery_option import put
-from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.load import load_recipe, resolve_file
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, Recipe, completed, to_dict
 from facetrack_cli.runs.seeds import Plan, Report, SeedRun, run_plans
 from facetrack_cli.runs.signals import Stop

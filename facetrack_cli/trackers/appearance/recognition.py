@@ -24,7 +24,7 @@ from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.resampling import logsumexp, normalise
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.recipe.files import resolve_file
+from facetrack_cli.recipe.load import resolve_file
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.trackers.appearance import settings as affine
 from facetrack_cli.trackers.appearance.appearance import Appearance, Mixture

@@ -45,7 +45,6 @@ from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.box import settings as recipe
 from facetrack_cli.trackers.box.cell_kernels import read_cubic
 from facetrack_cli.trackers.box.features import ColourModel, Colours, Features, ScaleTrainer, Single, TrainedScale
-from facetrack_cli.trackers.box.filters import Guides
 from facetrack_cli.trackers.box.hidden_box import VISIBLE
 from facetrack_cli.trackers.box.peak_statistics import (
     Heights,
@@ -55,6 +54,7 @@ from facetrack_cli.trackers.box.peak_statistics import (
     evidence,
     log_student,
 )
+from facetrack_cli.trackers.box.proposals import Guides
 from facetrack_cli.trackers.box.trained import UPSAMPLED, Trained, Trainer, peaks
 
 FIRST = 10  # frames from which the filter for re-detection is learned

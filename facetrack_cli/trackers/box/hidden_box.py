@@ -17,7 +17,7 @@ from facetrack_cli.engine.resampling import effective_sample_size, normalise
 from facetrack_cli.engine.spaces import BoxSpace, Context, Estimate
 from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.trackers.box import settings as correlation_filter
-from facetrack_cli.trackers.box.filters import Arrived
+from facetrack_cli.trackers.box.proposals import Arrived
 from facetrack_cli.trackers.box.walk_kernels import arrive
 from facetrack_cli.trajectory.trajectory import TargetResult
 

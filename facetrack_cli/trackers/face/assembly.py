@@ -12,7 +12,7 @@ from facetrack_cli.core.models import MODELS, model_path
 from facetrack_cli.core.types import Array, Box, Start, TargetStart
 from facetrack_cli.engine.assembly import calibration_of, particle_target
 from facetrack_cli.engine.target import ParticleTarget
-from facetrack_cli.recipe.files import resolve_file
+from facetrack_cli.recipe.load import resolve_file
 from facetrack_cli.recipe.model import Confidence, ParticleFilter, Recipe, above
 from facetrack_cli.trackers.box.hidden_box import BoxTarget
 from facetrack_cli.trackers.face.descent import CORNER, load_descent

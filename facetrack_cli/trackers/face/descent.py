@@ -26,8 +26,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.npz import Kind, Stored
-from facetrack_cli.core.shipped import shipped_folder
 from facetrack_cli.core.types import Array, Image
 from facetrack_cli.trackers.face.channel_kernels import smoothed_channels
 

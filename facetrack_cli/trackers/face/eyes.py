@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.face_points import GROUPS
+from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.npz import Kind, Stored
-from facetrack_cli.core.shipped import shipped_folder
 from facetrack_cli.core.types import Array, Frame, Image
 from facetrack_cli.trackers.face.channel_kernels import smoothed_channels
 from facetrack_cli.trackers.face.descent import (

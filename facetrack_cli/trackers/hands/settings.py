@@ -8,7 +8,7 @@ from typing import Annotated, Final
 
 from pydantic import Field
 
-from facetrack_cli.core.hands import HANDS
+from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.recipe.sections import Refusal, Section
 
 NAMES: Final = HANDS

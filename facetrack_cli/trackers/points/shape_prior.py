@@ -29,11 +29,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, RecipeError, UsageError
+from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array
 from facetrack_cli.engine.protocols import Prior
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.recipe.files import resolve_file, shipped_folder
+from facetrack_cli.recipe.load import resolve_file
 from facetrack_cli.trackers.points.settings import Parzen
 from facetrack_cli.trackers.points.shape_kernels import LANES, PADDING, log_parzen, pick_shape
 from facetrack_cli.trajectory.reader import read_trajectory

@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from facetrack_cli.core.hands import HANDS
+from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Mask
 from facetrack_cli.trajectory.analysis.measures import Measure, Measured, above
