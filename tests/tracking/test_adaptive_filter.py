@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Particles
 from facetrack_cli.engine.filters import Prediction
+from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.resampling import uniform
 from facetrack_cli.engine.spaces import estimate
 from facetrack_cli.engine.target import Bound, ParticleTarget
@@ -135,7 +136,7 @@ POSTERIORS = ((0.5, 0.5), (0.5, 0.5), (0.2, 0.8), (0.9, 0.1), (0.5, 0.5), (1.0, 
 
 
 @dataclass(frozen=True)
-class Watching:
+class Watching(Likelihood):
     """The appearance, which says that somebody is recognised with these entropies."""
 
     appearance: object

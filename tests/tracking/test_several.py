@@ -8,6 +8,7 @@ import pytest
 from facetrack_cli.core.types import Frame, Info, Particles, Start, TargetStart
 from facetrack_cli.engine.loop import Footprint, track
 from facetrack_cli.engine.motion import FirstOrder
+from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import BoxSpace, evenly
 from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.recipe.load import load_recipe
@@ -69,7 +70,7 @@ def test_each_target_draws_numbers_of_its_own_and_the_first_one_the_seeds():
     assert len({*drawn["a"], *drawn["b"]}) == 4
 
 
-class Still:
+class Still(Likelihood):
     """A likelihood of which only `learn` and `distances` say anything: where they were asked."""
 
     def learn(self, learned, frame, state, particles):
