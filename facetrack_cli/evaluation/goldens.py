@@ -249,8 +249,7 @@ def differences(golden: Golden, recipe: Recipe) -> list[str]:
 
     was = dict(flat({**completed(golden.settings), **golden.files, **golden.versions}))
     now = dict(flat({**to_dict(recipe), **_files(recipe), **versions()}))
-    keys = [key for key in was | now if was.get(key) != now.get(key)]
-    return [f"{key} {was.get(key, 'nothing')} -> {now.get(key, 'nothing')}" for key in keys]
+    return [f"{k} {was.get(k, 'nothing')} -> {now.get(k, 'nothing')}" for k in was | now if was.get(k) != now.get(k)]
 
 
 def write_golden(path: Path, golden: Golden) -> None:

@@ -218,7 +218,7 @@ def test_a_golden_holds_who_it_is_and_finds_its_gallery(clips: Path, tmp_path: P
     golden = read_golden(path)
     assert golden.names == {"face": "hopper"} and golden.gallery == "people.npz"
     assert golden.settings["recognition"]["gallery"] == "people.npz" and str(tmp_path) not in path.read_text()
-    assert {"identity", "particles", "angle", "w"} <= golden.spread["face/face"].keys()
+    assert {"identity", "particles", "angle", "w"} <= golden.spread["face/box"].keys()
 
     monkeypatch.chdir(tmp_path)  # from another folder, and without an option
     assert main(["regress", "clips", "-q"]) == 0
@@ -234,7 +234,7 @@ def test_another_name_fails_and_is_told(clips: Path, tmp_path: Path, capfd) -> N
     other = without("hopper", tmp_path)
     assert main(["regress", str(clips), "--gallery", str(other), "-q"]) == ExitCode.REGRESSION
     said = capfd.readouterr().out
-    assert "face/face: mean identity 0, of recorded seeds " in said
+    assert "face/box: mean identity 0, of recorded seeds " in said
     assert f"not as recorded: {other.name} nothing -> " in said or "not as recorded: people.npz " in said
 
     (clips / "people.npz").unlink()
