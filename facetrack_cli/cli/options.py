@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
 _Row = TypeVar("_Row")
 Decorator: TypeAlias = Callable[[Callable[..., Any]], Callable[..., Any]]
-Figures: TypeAlias = Callable[[], Iterable[tuple[str, bytes]]]
-TABLES = ("json", "csv", "md")
 
 
 class Option(click.Option):

@@ -65,6 +65,19 @@ class Text(click.ParamType):  # type: ignore[type-arg]  # it has arguments since
         return self.complete(ctx, incomplete) if self.complete else []
 
 
+def words(metavar: str, pattern: str, remedy: str) -> Text:
+    """Values that a pattern takes apart into words; `remedy` says what to give."""
+
+    def parse(value: str) -> tuple[str, ...]:
+        found = re.fullmatch(pattern, value)
+        each = tuple(word.strip() for word in found.groups()) if found else ()
+        if not each or not all(each):
+            raise click.BadParameter(f"{value!r}: {remedy}")
+        return each
+
+    return Text(metavar, parse)
+
+
 # what a shell completes
 
 

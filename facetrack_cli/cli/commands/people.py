@@ -11,36 +11,20 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import Command, Page, flag, option, page_options, say
-from facetrack_cli.cli.types import FILE, RUN, Text
+from facetrack_cli.cli.types import FILE, RUN, Text, words
 from facetrack_cli.core.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from facetrack_cli.trajectory.clock import Clock
     from facetrack_cli.trajectory.people import People, Tracks
 
-Pairs: TypeAlias = tuple[tuple[str, str], ...]
+Words: TypeAlias = tuple[tuple[str, ...], ...]
 
 
-def _pair(value: str) -> tuple[str, str]:
-    name, equals, other = value.partition("=")
-    if not (equals and name.strip() and other.strip()):
-        raise click.BadParameter(f"{value!r}: give two names, as person_3=person_1")
-    return name.strip(), other.strip()
-
-
-def _moment(value: str) -> tuple[str, str]:
-    name, at, moment = value.rpartition("@")
-    if not (at and name.strip() and moment.strip()):
-        raise click.BadParameter(f"{value!r}: give a name and a time, as person_2@1:23 or person_2@2075f")
-    return name.strip(), moment.strip()
-
-
-def _gift(value: str) -> tuple[str, str]:
-    name, at, rest = value.rpartition("@")
-    moment, equals, to = rest.partition("=")
-    if not (at and equals and name.strip() and moment.strip() and to.strip()):
-        raise click.BadParameter(f"{value!r}: give a name, a time and a name, as person_2@1:23=person_1")
-    return name.strip(), f"{moment.strip()}={to.strip()}"
+_OTHER = words("A=B", "([^=]*)=(.*)", "give two names, as person_3=person_1")
+_NAME = words("A=NAME", "([^=]*)=(.*)", "give two names, as person_3=person_1")
+_MOMENT = words("A@TIME", "(.*)@([^@]*)", "give a name and a time, as person_2@1:23 or person_2@2075f")
+_GIFT = words("A@TIME=B", "(.*)@([^@=]*)=([^@]*)", "give a name, a time and a name, as person_2@1:23=person_1")
 
 
 def frame_at(moment: str, clock: Clock) -> int:
@@ -58,18 +42,15 @@ def frame_at(moment: str, clock: Clock) -> int:
 
 @click.command(cls=Command, basic="merge split rename give save edit clip no_video as_json as_csv quiet")
 @click.argument("folder", type=RUN)
-@option("--merge", type=Text("A=B", _pair), multiple=True, help="A is B: both are one person, under the name of B.")
-@option(
-    "--split", type=Text("A@TIME", _moment), multiple=True,
-    help="From that time on (1:23, or 2075f) A is somebody else.",
-)  # fmt: skip
-@option("--rename", type=Text("A=NAME", _pair), multiple=True, help="The name of A.")
+@option("--merge", type=_OTHER, multiple=True, help="A is B: both are one person, under the name of B.")
+@option("--split", type=_MOMENT, multiple=True, help="From that time on (1:23, or 2075f) A is somebody else.")
+@option("--rename", type=_NAME, multiple=True, help="The name of A.")
 @option(
     "--save", type=Text("FILE.npz", Path, FILE.complete),
     help="Save what these people look like, for run --faces all --gallery FILE.npz.",
 )  # fmt: skip
 @option(
-    "--give", type=Text("A@TIME=B", _gift), multiple=True,
+    "--give", type=_GIFT, multiple=True,
     help="The track of A at that time is of B; B may be A, which settles a doubt.",
 )  # fmt: skip
 @flag("--page", "edit", help="Correct the cast on a page in the browser.")
@@ -80,7 +61,7 @@ def frame_at(moment: str, clock: Clock) -> int:
 @flag("--csv", "as_csv", help="Print when each person is seen, a row an interval.")
 @options.quiet
 def command(
-    folder: Path, merge: Pairs, split: Pairs, rename: Pairs, save: Path | None, give: Pairs, edit: bool, page: Page,
+    folder: Path, merge: Words, split: Words, rename: Words, save: Path | None, give: Words, edit: bool, page: Page,
     clip: Path | None, no_video: bool, as_json: bool, as_csv: bool, quiet: bool,
 ) -> int:  # fmt: skip
     """Show who is in a film, and correct it.
@@ -156,17 +137,16 @@ def _serve(folder: Path, elsewhere: Path | None, page: Page, *, video: bool) -> 
 
 
 def _changes(
-    clock: Clock, split: Pairs, give: Pairs, merge: Pairs, rename: Pairs
+    clock: Clock, split: Words, give: Words, merge: Words, rename: Words
 ) -> list[tuple[str, Callable[[Tracks], Tracks]]]:
     from facetrack_cli.trajectory import people as edits
 
     found: list[tuple[str, Callable[[Tracks], Tracks]]] = []
     for name, moment in split:
         found.append((f"split {name}@{moment}", partial(edits.split, name=name, frame=frame_at(moment, clock))))
-    for name, gift in give:
-        moment, _, to = gift.partition("=")
+    for name, moment, to in give:
         frame = frame_at(moment, clock)
-        found.append((f"give {name}@{gift}", partial(edits.give, name=name, frame=frame, to=to)))
+        found.append((f"give {name}@{moment}={to}", partial(edits.give, name=name, frame=frame, to=to)))
     found += [(f"merge {a}={b}", partial(edits.merge, name=a, into=b)) for a, b in merge]
     return found + [(f"rename {a}={b}", partial(edits.rename, name=a, to=b)) for a, b in rename]
 

@@ -6,7 +6,7 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import option, say, write_figure
-from facetrack_cli.cli.types import FILE, Text, Whole
+from facetrack_cli.cli.types import FILE, Text, Whole, words
 
 
 @click.group()
@@ -28,11 +28,7 @@ def _parts(value: str) -> tuple[str, ...]:
     return names
 
 
-def _scale(value: str) -> tuple[str, str]:
-    names = [name.strip() for name in value.split(",")]
-    if len(names) != 2 or not all(names):
-        raise click.BadParameter(f"{value!r}: name two parts with a comma, such as mouth_left,mouth_right")
-    return names[0], names[1]
+_SCALE = words("A,B", "([^,]*),([^,]*)", "name two parts with a comma, such as mouth_left,mouth_right")
 
 
 @command.command()
@@ -41,7 +37,7 @@ def _scale(value: str) -> tuple[str, str]:
 @option("--parts", type=Text("LIST", _parts), help="Parts to learn, with commas [default: all].")
 @option("--stable", type=Text("PART"), default="nose", help="Part that registers the others.")
 @option(
-    "--scale", type=Text("A,B", _scale), default="mouth_left,mouth_right",
+    "--scale", type=_SCALE, default="mouth_left,mouth_right",
     help="Parts whose distance in the first frame is the unit.",
 )  # fmt: skip
 @option("--max-shapes", type=Whole(1, 10_000), default=500, help="Keep so many at most.")
