@@ -19,7 +19,6 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import BOX, Array, Mask, Whole
-from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.reliability import (
     ELLIPSE_50,
     ELLIPSE_90,
@@ -28,7 +27,7 @@ from facetrack_cli.evaluation.reliability import (
     mahalanobis_squared,
     reliability_bins,
 )
-from facetrack_cli.evaluation.rows import Pair, rows_of
+from facetrack_cli.evaluation.rows import Pair, match, rows_of
 from facetrack_cli.evaluation.sheet import clip_name
 from facetrack_cli.evaluation.summary import units_of
 from facetrack_cli.recipe.model import LIKELY, ParticleFilter, ParticlesRecipe, Recipe

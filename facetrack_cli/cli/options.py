@@ -248,7 +248,7 @@ class TruthOptions:
 
     def pairs(self, ours: Trajectory, theirs: Trajectory, note: Callable[[str], None]) -> list[Pair]:
         """The rows of a trajectory beside those of the ground truth; `note` gets what to know of it."""
-        from facetrack_cli.evaluation.match import match
+        from facetrack_cli.evaluation.rows import match
 
         return match(ours, theirs, partial=self.partial, select=self.target, note=note)
 

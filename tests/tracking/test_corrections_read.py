@@ -14,9 +14,9 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
 from facetrack_cli.evaluation.goldens import read_golden, write_golden
-from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.points import measure_points, measure_recovery, occlusions
 from facetrack_cli.evaluation.reliability import measure_confidence, measure_coverage, measure_lost
+from facetrack_cli.evaluation.rows import match
 from facetrack_cli.evaluation.summary import evaluate
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report import make
