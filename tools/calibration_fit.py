@@ -19,19 +19,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import BOX, Array, Mask, Whole
-from facetrack_cli.evaluation.reliability import (
-    ELLIPSE_50,
-    ELLIPSE_90,
-    ReliabilityBin,
-    calibration_error,
-    mahalanobis_squared,
-    reliability_bins,
-)
-from facetrack_cli.evaluation.rows import Pair, match, rows_of
-from facetrack_cli.evaluation.sheet import clip_name
-from facetrack_cli.evaluation.summary import units_of
-from facetrack_cli.recipe.model import LIKELY, ParticleFilter, ParticlesRecipe, Recipe
-from facetrack_cli.tracking.calibration import (
+from facetrack_cli.engine.calibration import (
     MAX_SPREAD_FACTOR,
     RISES,
     Calibration,
@@ -44,6 +32,18 @@ from facetrack_cli.tracking.calibration import (
     boxes_of,
     features,
 )
+from facetrack_cli.evaluation.reliability import (
+    ELLIPSE_50,
+    ELLIPSE_90,
+    ReliabilityBin,
+    calibration_error,
+    mahalanobis_squared,
+    reliability_bins,
+)
+from facetrack_cli.evaluation.rows import Pair, match, rows_of
+from facetrack_cli.evaluation.sheet import clip_name
+from facetrack_cli.evaluation.summary import units_of
+from facetrack_cli.recipe.model import LIKELY, ParticleFilter, ParticlesRecipe, Recipe
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 MAX_ROWS: Final = 500  # of a kind of part in a clip

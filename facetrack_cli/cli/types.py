@@ -17,7 +17,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from facetrack_cli.core.errors import OutputError, UsageError
-from facetrack_cli.core.shipped import shipped_recipes
+from facetrack_cli.core.models import shipped_recipes
 
 if TYPE_CHECKING:
     from facetrack_cli.core.types import Box

@@ -29,12 +29,12 @@ import numpy as np
 from llvmlite import binding
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError
 
-from facetrack_cli import __version__
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, reading
 from facetrack_cli.core.files import read_bounded, write_new
+from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.types import Array
+from facetrack_cli.core.version import __version__
 from facetrack_cli.core.yaml_tree import YamlProblems
-from facetrack_cli.recipe.files import shipped_folder
 from facetrack_cli.recipe.gallery_option import put
 from facetrack_cli.recipe.load import files_of, load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe, Recipe, completed, to_dict
@@ -42,9 +42,9 @@ from facetrack_cli.run_folder.fingerprint import clip_digest
 from facetrack_cli.runs.seeds import Plan, run_plans
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.start import Begin
-from facetrack_cli.tracking.build.build import tracker_for
-from facetrack_cli.tracking.opencv import find as find_opencv
-from facetrack_cli.tracking.start.init_file import find_init
+from facetrack_cli.start.assembly import tracker_for
+from facetrack_cli.start.init_file import find_init
+from facetrack_cli.trackers.opencv import find as find_opencv
 from facetrack_cli.trajectory.header import StartRecord, to_record
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import csv_frames

@@ -9,12 +9,13 @@ from pathlib import Path
 import click
 import pytest
 
-from facetrack_cli import __version__
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli import app as cli
 from facetrack_cli.core.errors import ExitCode, InputError, OutputError, RecipeError
-from facetrack_cli.recipe.files import TAKE, TASKS, default_recipe, shipped_recipes
-from facetrack_cli.tracking.start.init_file import read_init
+from facetrack_cli.core.models import shipped_recipes
+from facetrack_cli.core.version import __version__
+from facetrack_cli.recipe.load import TAKE, TASKS, default_recipe
+from facetrack_cli.start.init_file import read_init
 from tests.support.terminal import read_all
 
 HEAVY = {"numpy", "cv2", "numba", "pydantic", "rich", "imageio", "imageio_ffmpeg", "ruamel"}
@@ -261,14 +262,14 @@ def test_out_of_memory_is_no_fault_of_ours(monkeypatch, capsys):
     def refuse(*_):
         raise MemoryError("Unable to allocate 73 TiB")
 
-    monkeypatch.setattr("facetrack_cli.recipe.files.shipped_recipes", refuse)
+    monkeypatch.setattr("facetrack_cli.recipe.load.shipped_recipes", refuse)
     assert main(["recipes"]) == 1
     assert capsys.readouterr().err.startswith("facetrack: error: not enough memory (Unable to allocate 73 TiB); take")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_a_signal_outside_a_run(monkeypatch, capsys):
-    monkeypatch.setattr("facetrack_cli.recipe.files.shipped_recipes", lambda: os.kill(os.getpid(), signal.SIGTERM))
+    monkeypatch.setattr("facetrack_cli.recipe.load.shipped_recipes", lambda: os.kill(os.getpid(), signal.SIGTERM))
     assert main(["recipes"]) == 143
     assert capsys.readouterr().err == "facetrack: terminated\n"
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.core.shipped import shipped_recipes
+from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from tests.cli.test_cli import HEAVY, facetrack
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Frame, Start, TargetStart
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.report.events import history_of
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.loop import track
+from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.reader import read_trajectory
 from tests.support.media import write_pictures

@@ -18,7 +18,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.evaluation import goldens
 from facetrack_cli.evaluation.goldens import Checked, as_junit, find_goldens, read_golden
-from facetrack_cli.tracking.models.likelihoods.colour_ratio import ColourRatio
+from facetrack_cli.trackers.points.colour_ratio import ColourRatio
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
 Runner = Callable[..., tuple[int, str, str]]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.evaluation.goldens import (
     Golden,
@@ -21,7 +22,6 @@ from facetrack_cli.evaluation.goldens import (
     record,
     write_golden,
 )
-from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, completed, to_dict
 from facetrack_cli.runs.seeds import Plan

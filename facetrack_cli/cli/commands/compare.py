@@ -130,7 +130,7 @@ def command(
 
 def _write(found: Comparison, folder: Folder, shown: Progress, *, plots: bool) -> None:
     """Write all files, without matplotlib all but the plots."""
-    from facetrack_cli.report.figures.comparison import compare_figures
+    from facetrack_cli.report.figures.compare import compare_figures
     from facetrack_cli.report.figures.style import need_matplotlib
 
     for name, text in zip(TABLES, (found.json(), found.csv(), found.sheet().markdown()), strict=True):

@@ -19,7 +19,7 @@ from facetrack_cli.cli.types import FILE, FOLDER, FRAME, Text, Whole
 from facetrack_cli.core.errors import InputError, UsageError, flat
 
 if TYPE_CHECKING:
-    from facetrack_cli.tracking.identity.gallery import Gallery
+    from facetrack_cli.trackers.appearance.gallery import Gallery
 
 
 MIN_SIDE, MAX_SIDE = 6, 128  # of a template, as in recipes
@@ -79,8 +79,8 @@ def fit(
     """
     from facetrack_cli.core.files import check_new
     from facetrack_cli.runs.progress import progress
-    from facetrack_cli.tracking.identity.fit import fit_gallery
-    from facetrack_cli.tracking.identity.people import Reading, count, find_people, read_faces
+    from facetrack_cli.start.gallery_images import Reading, count, find_people, read_faces
+    from facetrack_cli.trackers.appearance.gallery_fit import fit_gallery
 
     if stop is not None and stop <= start:
         raise UsageError(f"nothing to use from frame {start} up to {stop}; --stop must be greater than --start")
@@ -134,7 +134,7 @@ def show(file: Path, out: Path | None, overwrite: bool) -> None:
       facetrack gallery show people.npz -o people.pdf
     """
     from facetrack_cli.report.figures.gallery import gallery_figure
-    from facetrack_cli.tracking.identity.gallery import load_gallery
+    from facetrack_cli.trackers.appearance.gallery import load_gallery
 
     gallery = load_gallery(file)
     out = out or file.with_suffix(".png")

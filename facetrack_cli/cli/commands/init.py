@@ -62,8 +62,8 @@ def command(
       facetrack init frames/ -o - > start.yaml
     """
     from facetrack_cli.recipe.load import load_recipe
-    from facetrack_cli.tracking.start.init_file import default_path, write_init
-    from facetrack_cli.tracking.start.preview import write_preview
+    from facetrack_cli.start.init_file import default_path, write_init
+    from facetrack_cli.start.preview import write_preview
 
     if out == "":
         raise OutputError("--out is empty; name a file, or - for standard output")
@@ -93,7 +93,7 @@ def command(
 def _check_files(clip: Path, path: Path | None, preview: Path | None, overwrite: bool, pick: bool) -> None:
     """Refuse before the search what would be refused after it."""
     from facetrack_cli.core.files import check_new
-    from facetrack_cli.tracking.start.init_file import SUFFIXES
+    from facetrack_cli.start.init_file import SUFFIXES
 
     if path is not None and path.suffix.lower() not in SUFFIXES:
         raise OutputError(f"{path}: an init file ends in {', '.join(SUFFIXES)}; name it so")
@@ -114,7 +114,7 @@ def _find(
     """The start that detectors find, and its frame."""
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.start import Begin
-    from facetrack_cli.tracking.start.detectors import detector
+    from facetrack_cli.trackers.face.detectors import detector
 
     by = None if box is not None else detector().name
     begin = Begin(clip, init=by, faces=faces, box=box, init_frame=init_frame)
@@ -127,7 +127,7 @@ def _find(
 def _run_with(path: Path | None, clip: Path, config: str | None, recipe: Recipe | None) -> str:
     """The command that begins with the file, once it is there."""
     from facetrack_cli.recipe.gallery_option import wants_gallery
-    from facetrack_cli.tracking.start.init_file import default_path, find_init
+    from facetrack_cli.start.init_file import default_path, find_init
 
     found = (find_init(clip) or default_path(clip)) == path
     named = "" if found else f" --init {'FILE' if path is None else path}"
@@ -143,7 +143,7 @@ def _pick(
     """Let somebody choose on the page; the exit code."""
     from facetrack_cli.editor.web.pick_session import PickSession
     from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.tracking.start.init_file import default_path, read_init, write_init
+    from facetrack_cli.start.init_file import default_path, read_init, write_init
     from facetrack_cli.video.seek import Frames
 
     beside = path or default_path(clip)
@@ -181,7 +181,7 @@ def _pick(
 
 def _keep_unsaved(start: Start | None, clip: Path, kept: Path) -> str:
     """Write what was chosen and not saved, if anything was; what became of it."""
-    from facetrack_cli.tracking.start.init_file import write_init
+    from facetrack_cli.start.init_file import write_init
 
     if start is None:
         return f"what was chosen the last time is still in {kept}" if kept.is_file() else "nothing was written"

@@ -58,7 +58,7 @@ def fit(
       facetrack prior fit clip.truth.csv --parts nose,mouth_left,mouth_right
     """
     from facetrack_cli.core.files import check_new
-    from facetrack_cli.tracking.models.shape_prior import fit_prior
+    from facetrack_cli.trackers.points.shape_prior import fit_prior
 
     check_new(out, overwrite=overwrite)
     fitted = fit_prior(truth, parts, stable, scale, max_shapes)
@@ -86,7 +86,7 @@ def show(file: Path | None, out: Path | None, overwrite: bool) -> None:
     """
     from facetrack_cli.evaluation.sheet import Sheet
     from facetrack_cli.report.figures.shape_prior import prior_figure
-    from facetrack_cli.tracking.models.shape_prior import default_prior_path, load_prior, suggested_sigma
+    from facetrack_cli.trackers.points.shape_prior import default_prior_path, load_prior, suggested_sigma
 
     path = file or default_prior_path()
     prior = load_prior(path)

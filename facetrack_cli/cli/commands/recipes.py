@@ -41,7 +41,7 @@ def show(recipe: str) -> None:
     Example:
         facetrack recipes show factorized > mine.yaml
     """
-    from facetrack_cli.recipe.files import find_recipe, read_recipe
+    from facetrack_cli.recipe.load import find_recipe, read_recipe
 
     text = read_recipe(find_recipe(recipe))
     if not colour():
@@ -101,8 +101,8 @@ def schema() -> None:
 
 
 def _list() -> None:
-    from facetrack_cli.recipe.files import TAKE, TASKS, shipped_recipes
-    from facetrack_cli.recipe.load import load_recipe
+    from facetrack_cli.core.models import shipped_recipes
+    from facetrack_cli.recipe.load import TAKE, TASKS, load_recipe
 
     loaded = {one.name: one for one in (load_recipe(str(path)) for path in shipped_recipes())}
 

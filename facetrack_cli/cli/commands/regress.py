@@ -58,7 +58,7 @@ def command(
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.tracking.identity.gallery import load_gallery
+    from facetrack_cli.trackers.appearance.gallery import load_gallery
 
     if update and (overrides or junit or json):
         raise UsageError("--update records recipes as they are; leave --set, --junit and --json to a check")

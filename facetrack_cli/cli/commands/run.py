@@ -154,6 +154,7 @@ def command(
     4 lost (--fail-on-lost), 5 some of several inputs failed,
     130 interrupted, 143 terminated.
     """
+    from facetrack_cli.engine.kernels import cache
     from facetrack_cli.run_folder.status import check_networks, write_batch
     from facetrack_cli.runs.batch import run_batch, variant_name
     from facetrack_cli.runs.cluster import run_cluster
@@ -163,7 +164,6 @@ def command(
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.runs.workers import cores
-    from facetrack_cli.tracking.kernels import cache
     from facetrack_cli.video.files import brings_rate
 
     local = None if cluster is None else _check_cluster(cluster, out, jobs, split)
@@ -235,8 +235,7 @@ def command(
 def _recipe(
     config: str | None, overrides: tuple[str, ...], seed: int | None, gallery: str | None, extent: Extent, faces: str
 ) -> Recipe:
-    from facetrack_cli.recipe.files import default_recipe
-    from facetrack_cli.recipe.load import load_recipe
+    from facetrack_cli.recipe.load import default_recipe, load_recipe
     from facetrack_cli.recipe.model import seeded
     from facetrack_cli.runs.seeds import load_recipes
 
