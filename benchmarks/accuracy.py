@@ -17,10 +17,9 @@ import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.evaluation.compare import Scoring, default_truth, within
-from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.measure import Value
 from facetrack_cli.evaluation.points import Occlusion, measure_recovery
-from facetrack_cli.evaluation.rows import Pair
+from facetrack_cli.evaluation.rows import Pair, match
 from facetrack_cli.evaluation.summary import Evaluation, evaluate
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe

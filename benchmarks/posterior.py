@@ -35,7 +35,7 @@ from boxes import clip_in
 
 from facetrack_cli.core.types import Array, Start, TargetStart
 from facetrack_cli.evaluation.compare import default_truth
-from facetrack_cli.evaluation.match import match
+from facetrack_cli.evaluation.rows import match
 from facetrack_cli.evaluation.summary import evaluate
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.clip import track_clip

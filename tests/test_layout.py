@@ -147,8 +147,7 @@ def test_what_help_needs_is_light():
     commands = {path.as_posix() for path in FILES if path.parts[:2] == ("cli", "commands")}
     needed = {"__init__.py", "__main__.py", "cli/app.py", "cli/options.py", "core/errors.py", *commands}
     needed |= {
-        "cli/words.py",
-        "cli/defaults.py",
+        "cli/types.py",
         "core/log.py",
         "core/models.py",
         "core/version.py",

@@ -33,7 +33,7 @@ MORE = {
     "measure.md": {"PLOT_PARTIAL": "1", "REPORT_PARTIAL": "1"},
 }
 # measurements, most of them of clips that are not here; a reference; code that has its own tests
-OTHERS = ("results.md", "corrections.md", "posterior.md", "commands.md", "python.md", "extending.md")
+OTHERS = ("results.md", "corrections.md", "posterior.md", "python.md", "extending.md")
 CLIPS = {"skin.md": "signing"}  # what clip.mp4 is there
 # words of blocks that are typed where there is such a program or module
 TOOLS = {"jq ": "jq", "| parallel": "parallel", "parquet": "pyarrow", "pandas": "pandas"}

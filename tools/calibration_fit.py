@@ -32,7 +32,6 @@ from facetrack_cli.engine.calibration import (
     boxes_of,
     features,
 )
-from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.reliability import (
     ELLIPSE_50,
     ELLIPSE_90,
@@ -41,7 +40,7 @@ from facetrack_cli.evaluation.reliability import (
     mahalanobis_squared,
     reliability_bins,
 )
-from facetrack_cli.evaluation.rows import Pair, rows_of
+from facetrack_cli.evaluation.rows import Pair, match, rows_of
 from facetrack_cli.evaluation.sheet import clip_name
 from facetrack_cli.evaluation.summary import units_of
 from facetrack_cli.recipe.model import LIKELY, ParticleFilter, ParticlesRecipe, Recipe

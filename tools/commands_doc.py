@@ -1,14 +1,15 @@
-"""Write the reference of commands and of recipe keys, from the help of the commands and the settings of recipes.
+"""The reference of commands, for the site, and the tables of recipe keys in docs/recipes.md.
 
-python tools/commands_doc.py            # writes docs/commands.md, and the tables in docs/recipes.md
-python tools/commands_doc.py --check    # writes nothing; exit code 1 if one of them is stale
+python tools/commands_doc.py            # writes the tables in docs/recipes.md
+python tools/commands_doc.py --check    # writes nothing; exit code 1 if they are stale
+
+The reference is what the commands print as their help. mkdocs builds it into the site by `commands_page`, so this
+module imports nothing but Click until the tables are made.
 """
 
 from __future__ import annotations
 
 import argparse
-import inspect
-import itertools
 import re
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -17,8 +18,8 @@ from typing import Any, TypeAlias
 
 import click
 
-from facetrack_cli.cli.app import COMMANDS, cli
-from facetrack_cli.recipe.schema import json_schema
+from facetrack_cli.cli.app import cli
+from facetrack_cli.cli.options import EVERY
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 BEGIN, END = "<!-- keys: written by tools/commands_doc.py -->", "<!-- end of keys -->"
@@ -29,79 +30,36 @@ Schema: TypeAlias = "dict[str, Any]"
 # --- commands ------------------------------------------------------------------------------------------------------
 
 
-def commands() -> Iterator[tuple[str, click.Command]]:
-    """Every command with its full name, in the order of the help: `facetrack`, `facetrack run`, ..."""
-    context = click.Context(cli, info_name="facetrack")
-    yield "facetrack", cli
-    for name in COMMANDS:
-        command = cli.get_command(context, name)
-        assert command is not None
-        yield f"facetrack {name}", command
-        if isinstance(command, click.Group):
-            yield from ((f"facetrack {name} {below}", sub) for below, sub in command.commands.items())
+def commands() -> Iterator[click.Context]:
+    """A context of every command, in the order of the help: `facetrack`, `facetrack run`, ..."""
+
+    def below(context: click.Context) -> Iterator[click.Context]:
+        yield context
+        if isinstance(group := context.command, click.Group):
+            for name in group.list_commands(context):
+                command = group.get_command(context, name)
+                assert command is not None
+                yield from below(click.Context(command, context, name, max_content_width=WIDTH, terminal_width=WIDTH))
+
+    whole = click.Context(cli, None, "facetrack", max_content_width=WIDTH, terminal_width=WIDTH, **cli.context_settings)
+    whole.meta[EVERY] = True
+    yield from below(whole)
 
 
 def commands_page() -> str:
-    """docs/commands.md."""
-    parts = [
-        "# Commands",
-        wrapped("`tools/commands_doc.py` writes this page. `facetrack COMMAND --help` prints the same text."),
-    ]
+    """The page in Markdown: of each command all of its help."""
     everything = list(commands())
-    rows = [f"| [`{name}`](#{name.replace(' ', '-')}) | {escape(short(command))} |" for name, command in everything[1:]]
+    rows = [
+        f"| [`{one.command_path}`](#{one.command_path.replace(' ', '-')}) | {one.command.get_short_help_str(200)} |"
+        for one in everything[1:]
+    ]
+    parts = ["# Commands", "What `facetrack COMMAND --help-all` prints."]
     parts.append("\n".join(["| command | |", "|---|---|", *rows]))
-    for name, command in everything:
-        parts += [f"## {name}", f"```\n{usage(name, command)}\n```", *help_of(command), *options(command)]
+    parts += [f"## {one.command_path}\n\n```text\n{one.get_help()}\n```" for one in everything]
     return "\n\n".join(parts) + "\n"
 
 
-def short(command: click.Command) -> str:
-    """The first sentence of a command's help."""
-    return " ".join(inspect.cleandoc(command.help or "").split("\n\n")[0].split())
-
-
-def usage(name: str, command: click.Command) -> str:
-    arguments = [argument_name(one) for one in command.params if isinstance(one, click.Argument)]
-    words = [name, "[OPTIONS]" if any(isinstance(one, click.Option) for one in command.params) else "", *arguments]
-    return " ".join(filter(None, [*words, "COMMAND ..." if isinstance(command, click.Group) else ""]))
-
-
-def argument_name(argument: click.Argument) -> str:
-    name = argument.metavar or (argument.name or "").upper()
-    return name if argument.required else f"[{name}]"
-
-
-def help_of(command: click.Command) -> Iterator[str]:
-    r"""The paragraphs of a help text; indented lines below a \b become a block of code."""
-    for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
-        kept = paragraph.startswith("\b\n")
-        lines = [line if kept else line.strip() for line in paragraph.splitlines() if line != "\b"]
-        for indented, group in itertools.groupby(lines, lambda line: line.startswith(" ")):
-            if indented:
-                yield "```sh\n" + textwrap.dedent("\n".join(group)) + "\n```"
-            else:
-                yield wrapped(escape(" ".join(" ".join(group).split())))
-
-
-def options(command: click.Command) -> list[str]:
-    """A table of the options, if there are any."""
-    rows = []
-    for option in command.params:
-        if not isinstance(option, click.Option):
-            continue
-        value = "" if option.is_flag else " " + (option.metavar or "N")
-        names = ", ".join(sorted(option.opts, key=len))
-        rows.append(f"| `{names}{value}` | {escape(' '.join((option.help or '').split()))}{extra(option)} |")
-    return ["\n".join(["| option | |", "|---|---|", *rows])] if rows else []
-
-
-def extra(option: click.Option) -> str:
-    """The default and the range, where click adds them to the help text."""
-    said = [f"default: {option.default}"] if option.show_default else []
-    if isinstance(option.type, click.IntRange) and not option.is_flag:
-        low, high = option.type.min, option.type.max
-        said += [f"{low} to {high}" if high is not None else f"from {low} up"]
-    return f" [{', '.join(said)}]" if said else ""
+# --- keys of recipes -----------------------------------------------------------------------------------------------
 
 
 def escape(text: str) -> str:
@@ -116,11 +74,10 @@ def wrapped(text: str) -> str:
     return textwrap.fill(kept, WIDTH, break_long_words=False, break_on_hyphens=False).replace("\0", " ")
 
 
-# --- keys of recipes -----------------------------------------------------------------------------------------------
-
-
 def keys_tables() -> str:
     """A table of keys for each kind of recipe."""
+    from facetrack_cli.recipe.schema import json_schema
+
     schema = json_schema()
     kinds = [resolve(schema, one) for one in schema["anyOf"]]
     return "\n\n".join(f"{wrapped(one['description'])}\n\n{keys_table({**schema, **one})}" for one in kinds)
@@ -249,25 +206,18 @@ def recipes_page(text: str) -> str:
     return f"{before}{BEGIN}\n\n{keys_tables()}\n\n{END}{after}"
 
 
-def pages() -> dict[Path, str]:
-    """The text of each page."""
-    recipes = DOCS / "recipes.md"
-    return {DOCS / "commands.md": commands_page(), recipes: recipes_page(recipes.read_text(encoding="utf-8"))}
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 if a page is stale")
+    parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 if the tables are stale")
     check = parser.parse_args(arguments).check
-    stale = 0
-    for path, text in pages().items():
-        if path.exists() and path.read_text(encoding="utf-8") == text:
-            continue
-        stale += 1
-        print(f"docs/{path.name} is stale; run: python tools/commands_doc.py" if check else f"docs/{path.name} written")
-        if not check:
-            path.write_text(text, encoding="utf-8")
-    return 1 if check and stale else 0
+    path = DOCS / "recipes.md"
+    before = path.read_text(encoding="utf-8")
+    if (text := recipes_page(before)) == before:
+        return 0
+    print("docs/recipes.md is stale; run: python tools/commands_doc.py" if check else "docs/recipes.md written")
+    if not check:
+        path.write_text(text, encoding="utf-8")
+    return int(check)
 
 
 if __name__ == "__main__":

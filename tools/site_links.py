@@ -1,4 +1,4 @@
-"""A hook of mkdocs.yml: pages of the project that stand outside of docs/ are pages of the site as well.
+"""A hook of mkdocs.yml: pages of the project that stand outside of docs/ are pages of the site, and so is the help.
 
 Their links, and those to them, are written for the files as they lie in the repository, and changed here.
 """
@@ -6,12 +6,16 @@ Their links, and those to them, are written for the files as they lie in the rep
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path[:0] = [str(ROOT), str(ROOT / "tools")]  # the package need not be installed: its help takes Click alone
+from commands_doc import commands_page  # noqa: E402
+
 PAGES = {
     "CONTRIBUTING.md": "CONTRIBUTING.md",
     "SECURITY.md": "SECURITY.md",
@@ -23,6 +27,7 @@ PAGES = {
 def on_files(files: Any, config: Any) -> Any:
     for source, name in PAGES.items():
         files.append(File.generated(config, name, content=(ROOT / source).read_text(encoding="utf-8")))
+    files.append(File.generated(config, "commands.md", content=commands_page()))
     return files
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from facetrack_cli.cli.options import Option, sections
+from facetrack_cli.cli.options import option, sections
 from facetrack_cli.core.log import VARIABLE
 from facetrack_cli.core.version import __version__
 
@@ -40,6 +40,7 @@ SECTIONS = {
 }  # fmt: skip
 """The commands with which a section of the help begins."""
 ALIASES = {"track": "run"}
+SETTINGS = {"help_option_names": ["-h", "--help"], "show_default": True}
 
 READER_GONE = 141
 """Exit code when the reader of standard output is gone, as in `facetrack ... | head`: the shell's, for SIGPIPE."""
@@ -94,10 +95,10 @@ class LazyGroup(click.Group):
         return names + click.Command.shell_complete(self, ctx, incomplete)
 
 
-@click.group(cls=LazyGroup, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=LazyGroup, invoke_without_command=True, context_settings=SETTINGS)
 @click.option("--debug", is_flag=True, help="Show the traceback of an error (also FACETRACK_DEBUG=1).")
-@click.option(
-    "--log-format", cls=Option, type=click.Choice(["text", "json"]), default="text", metavar="FORMAT",
+@option(
+    "--log-format", type=click.Choice(["text", "json"]), default="text", metavar="FORMAT",
     help="What stderr says: text, or an object of JSON a line.",
 )  # fmt: skip
 @click.version_option(__version__, prog_name="facetrack", message="%(prog)s %(version)s")

@@ -285,13 +285,28 @@ def test_help_has_sections_and_every_option_in_one_of_them(capsys):
     for name in cli.COMMANDS:
         command = cli.cli.get_command(click.Context(cli.cli), name)
         assert set(getattr(command, "sections", {})) <= {one.name for one in command.params}
-    assert main(["run", "--help"]) == 0
+    assert main(["run", "--help-all"]) == 0
     said = capsys.readouterr().out
     places = [
         said.index(one) for one in ("Where the track begins:", "\n  --box X,Y", "Many clips and long", "\n  --shard")
     ]
     assert places == sorted(places)
     assert said.count("\n  --split") == 1 and "Options:\n  -h, --help" in said
+
+
+@pytest.mark.parametrize(("name", "command"), list(every_command()))
+def test_help_shows_twelve_options_and_help_all_the_others(name, command, capsys):
+    def listed(*arguments):
+        assert main([*name.split(), *arguments]) == 0
+        return set(re.findall(r"^  (?:-\w, )?(--[\w-]+)", capsys.readouterr().out, re.MULTILINE)) - {
+            "--help",
+            "--help-all",
+        }
+
+    options = {max(one.opts, key=len) for one in command.params if isinstance(one, click.Option)} - {"--help-all"}
+    shown = listed("--help")
+    assert len(shown) <= 12 and shown <= options
+    assert shown == options if len(options) <= 12 else listed("--help-all") == options
 
 
 def test_track_is_run(capsys):

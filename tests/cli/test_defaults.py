@@ -45,7 +45,7 @@ def test_a_folder_sets_nothing(given, text, capfd):
 
 def test_variables(given):
     got = given("run", "a.mp4", RUN_SET="a=1 b=2", RUN_NO_VIDEO="1", RUN_QUIET="0", RUN_JOBS="")
-    assert (got["set"], got["no_video"], got["quiet"], got["jobs"]) == (("a=1", "b=2"), True, False, 1)
+    assert (got["overrides"], got["no_video"], got["quiet"], got["jobs"]) == (("a=1", "b=2"), True, False, 1)
 
 
 def test_the_other_name_of_a_command_has_the_same_variables(given):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.cli.options import FIGURES
+from facetrack_cli.cli.types import FIGURES
 from facetrack_cli.report import figures
 from facetrack_cli.trajectory.writers import COLUMNS
 

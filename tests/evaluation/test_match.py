@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.evaluation.match import match
-from facetrack_cli.evaluation.rows import Pair
+from facetrack_cli.evaluation.rows import Pair, match
 from facetrack_cli.trajectory.trajectory import Trajectory, joined, one_part
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from facetrack_cli.cli.options import FIGURES
+from facetrack_cli.cli.types import FIGURES
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report.figures import style as plot_style
 from tests.report.test_plots import track

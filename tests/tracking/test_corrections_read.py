@@ -13,13 +13,11 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
-from facetrack_cli.evaluation.goldens.goldens import read_golden, record, write_golden
-from facetrack_cli.evaluation.match import match
+from facetrack_cli.evaluation.goldens import read_golden, write_golden
 from facetrack_cli.evaluation.points import measure_points, measure_recovery, occlusions
 from facetrack_cli.evaluation.reliability import measure_confidence, measure_coverage, measure_lost
+from facetrack_cli.evaluation.rows import match
 from facetrack_cli.evaluation.summary import evaluate
-from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report import make
 from facetrack_cli.report.command_line import command, init_yaml
@@ -35,7 +33,7 @@ from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.select import enclose
 from facetrack_cli.trajectory.trajectory import Collector, joined, one_part
 from facetrack_cli.trajectory.writers import WRITERS, Ending
-from tests.evaluation.test_bands import RECORDED
+from tests.evaluation.test_goldens import golden_in
 from tests.evaluation.test_points import rows
 from tests.evaluation.test_reliability import statuses
 from tests.support import results
@@ -219,14 +217,12 @@ def test_a_trajectory_with_absent_rows_may_be_measured_and_be_truth(table):
 
 
 def test_a_golden_remembers_the_corrections(tmp_path):
-    clip = tmp_path / "clip.mp4"
-    clip.write_bytes(b"a clip")
     start = Start(0, {"face": TargetStart(None, {"nose": (1.0, 2.0), "lip": (3.0, 4.0)})}, "x", (
         Correction(5, "face", absent=("lip",)),
         Correction(8, "face", TargetStart(None, {"lip": (30.5, 20.0)}), {"nose": (10.0, 20.0)}, learn=True),
         Correction(10, "face", absent=True),
     ))  # fmt: skip
-    golden = record(RECORDED, clip=clip, recipe="sir", settings=to_dict(load_recipe("sir")), start=start)
+    golden = golden_in(tmp_path, start)
     path = tmp_path / "a.json"
     write_golden(path, golden)
     assert read_golden(path).start.start_from("x").corrections == start.corrections

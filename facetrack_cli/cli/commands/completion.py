@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import click
 from click.shell_completion import get_completion_class
 
 from facetrack_cli.cli.app import cli
-from facetrack_cli.cli.options import argument, verb
 
 
-class Completion:
+@click.command()
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]), metavar="SHELL")
+def command(shell: str) -> None:
     """Print what makes a shell complete command lines.
 
     It completes commands, options, recipes, keys of --set, folders of runs and files. Put the line of your shell
@@ -23,14 +22,7 @@ class Completion:
         eval "$(facetrack completion zsh)"
         facetrack completion fish | source
     """
-
-    shell: Literal["bash", "zsh", "fish"] = argument("SHELL", type=click.Choice(["bash", "zsh", "fish"]))
-
-    def run(self) -> None:
-        kind = get_completion_class(self.shell)
-        assert kind is not None
-        made = kind(cli, {}, "facetrack", "_FACETRACK_COMPLETE")
-        click.echo(made.source_template % made.source_vars())  # not source(): that calls Bash to ask for its version
-
-
-command = verb(Completion)
+    kind = get_completion_class(shell)
+    assert kind is not None
+    made = kind(cli, {}, "facetrack", "_FACETRACK_COMPLETE")
+    click.echo(made.source_template % made.source_vars())  # not source(): that calls Bash to ask for its version

@@ -6,8 +6,11 @@ import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import click
+
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Page, argument, flag, group, option, say, verb
+from facetrack_cli.cli.options import Page, flag, option, page_options, say
+from facetrack_cli.cli.types import FILE, RUN
 from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError
 
 if TYPE_CHECKING:
@@ -17,7 +20,17 @@ if TYPE_CHECKING:
     from facetrack_cli.video.seek import Frames
 
 
-class Fix:
+@click.command()
+@click.argument("folder", type=RUN)
+@options.clip
+@option("--init", type=FILE, help="No page: take the corrections of this init file, and no others.")
+@option("--import", "imported", type=FILE, help="No page: add what was corrected in CVAT (XML) or Label Studio (JSON).")
+@flag("--no-video", help="Leave annotated.mp4 as it is.")
+@page_options
+@flag("--quiet", "-q", help="With --init: say nothing but errors.")
+def command(
+    folder: Path, clip: Path | None, init: Path | None, imported: Path | None, no_video: bool, page: Page, quiet: bool
+) -> int:
     """Correct a finished run, on a page.
 
     RUN_DIR is the folder that facetrack run wrote, with JSON. The page shows the clip with its trajectory, and leads
@@ -47,105 +60,89 @@ class Fix:
     Exit codes: 0 done, 2 usage or output, 3 input, 130 interrupted,
     143 terminated.
     """
+    from facetrack_cli.editor.history import Fixer
+    from facetrack_cli.run_folder.finished import check_size, open_run
+    from facetrack_cli.runs.signals import Stop
+    from facetrack_cli.video.seek import Frames
 
-    folder: Path = argument("RUN_DIR")
-    clip: Path | None = options.CLIP
-    init: Path | None = option(
-        "--init FILE", "No page: take the corrections of this init file, and no others.", type=FILE
-    )
-    imported: Path | None = option(
-        "--import FILE", "No page: add what was corrected in CVAT (XML) or Label Studio (JSON).", type=FILE
-    )
-    no_video: bool = flag("--no-video", "Leave annotated.mp4 as it is.")
-    page: Page = group(Page)
-    quiet: bool = flag("--quiet -q", "With --init: say nothing but errors.")
+    if init is not None and imported is not None:
+        raise UsageError("--import adds to the run's corrections, --init replaces them; leave one of them out")
+    if (file := init or imported) is not None:
+        page.refuse(f"leave it or {'--init' if init else '--import'} out")
+    elif quiet:
+        raise UsageError("--quiet goes with --init and --import; the page's address must be said")
+    opened = open_run(folder, clip)
+    with Frames(opened.clip, fps=opened.fps, stream=opened.header.source.stream) as frames:
+        check_size(opened, frames.size)
+        with contextlib.closing(Fixer(opened, frames.read)) as fixer, Stop().listening() as stop:
+            if file is None:
+                return _serve(fixer, frames, page, stop, video=not no_video)
+            return _apply(fixer, file, stop, quiet, adds=init is None, video=not no_video)
 
-    def run(self) -> int:
-        from facetrack_cli.editor.history import Fixer
-        from facetrack_cli.run_folder.finished import check_size, open_run
-        from facetrack_cli.runs.signals import Stop
-        from facetrack_cli.video.seek import Frames
 
-        if self.init is not None and self.imported is not None:
-            raise UsageError("--import adds to the run's corrections, --init replaces them; leave one of them out")
-        if (file := self.init or self.imported) is not None:
-            self.page.refuse(f"leave it or {'--init' if self.init else '--import'} out")
-        elif self.quiet:
-            raise UsageError("--quiet goes with --init and --import; the page's address must be said")
-        opened = open_run(self.folder, self.clip)
-        with Frames(opened.clip, fps=opened.fps, stream=opened.header.source.stream) as frames:
-            check_size(opened, frames.size)
-            with contextlib.closing(Fixer(opened, frames.read)) as fixer, Stop().listening() as stop:
-                code = self._serve(fixer, frames, stop) if file is None else self._apply(fixer, file, stop)
-        return code
+def _apply(fixer: Fixer, file: Path, stop: Stop, quiet: bool, *, adds: bool, video: bool) -> int:
+    """Take the corrections of --init or --import, and save; the exit code."""
+    from facetrack_cli.editor.history import corrections_of, merged
+    from facetrack_cli.editor.import_annotations import imported_corrections
+    from facetrack_cli.editor.save import save
+    from facetrack_cli.runs.progress import progress
+    from facetrack_cli.runs.signals import StoppedError
+    from facetrack_cli.trajectory.header import UNSAVED
 
-    def _apply(self, fixer: Fixer, file: Path, stop: Stop) -> int:
-        """Take the corrections of --init or --import, and save; the exit code."""
-        from facetrack_cli.editor.history import corrections_of, merged
-        from facetrack_cli.editor.import_annotations import imported_corrections
-        from facetrack_cli.editor.save import save
-        from facetrack_cli.runs.progress import progress
-        from facetrack_cli.runs.signals import StoppedError
-        from facetrack_cli.trajectory.header import UNSAVED
-
-        folder = fixer.run.folder
-        unsaved = folder / UNSAVED
-        if unsaved.is_file() and not (file.is_file() and file.samefile(unsaved)):
-            raise UsageError(
-                f"{unsaved}: corrections that were not saved are there; facetrack fix {folder} goes on with them, "
-                f"--init {unsaved} takes them; or remove it"
-            )
-        if self.imported is None:
-            corrections = corrections_of(file, fixer.run)
-        elif not (corrections := imported_corrections(file, fixer.run, fixer.rows)):
-            say(f"facetrack: {file} is as the run has it; nothing was written")
-            return ExitCode.DONE
-        else:
-            parts = fixer.run.parts
-            corrections = tuple(
-                merged(one, fixer.find(one.frame, one.target), parts[one.target]) for one in corrections
-            )
-        with progress(self.quiet) as shown:
-            try:
-                shown.begin(folder.name or str(folder))
-                (fixer.apply if self.imported is None else fixer.put)(corrections, report=shown.update, stop=stop)
-                if self.imported is not None:
-                    frames = ", ".join(str(frame) for frame in sorted({one.frame for one in corrections})[:10])
-                    count = f"{len(corrections)} correction{'s' if len(corrections) > 1 else ''}, in frames {frames}"
-                    shown.say(f"{file}: {count}; export the run again before more is corrected there")
-                shown.begin("saving")
-                for line in save(fixer, video=not self.no_video, report=shown.update, stop=stop):
-                    shown.say(line)
-            except StoppedError:
-                shown.say(f"facetrack: {stop.reason}; {folder} is as it was")
-                return stop.code or ExitCode.FAULT
+    folder = fixer.run.folder
+    unsaved = folder / UNSAVED
+    if unsaved.is_file() and not (file.is_file() and file.samefile(unsaved)):
+        raise UsageError(
+            f"{unsaved}: corrections that were not saved are there; facetrack fix {folder} goes on with them, "
+            f"--init {unsaved} takes them; or remove it"
+        )
+    if not adds:
+        corrections = corrections_of(file, fixer.run)
+    elif not (corrections := imported_corrections(file, fixer.run, fixer.rows)):
+        say(f"facetrack: {file} is as the run has it; nothing was written")
         return ExitCode.DONE
-
-    def _serve(self, fixer: Fixer, frames: Frames, stop: Stop) -> int:
-        """Serve the page until it is saved or stopped; the exit code."""
-        from facetrack_cli.editor.history import corrections_of
-        from facetrack_cli.editor.web.fix_session import FixSession
-        from facetrack_cli.trajectory.header import UNSAVED
-
-        folder = fixer.run.folder
-        kept = folder / UNSAVED
-        unsaved: tuple[Correction, ...] = ()
+    else:
+        parts = fixer.run.parts
+        corrections = tuple(merged(one, fixer.find(one.frame, one.target), parts[one.target]) for one in corrections)
+    with progress(quiet) as shown:
         try:
-            if kept.is_file():
-                unsaved = corrections_of(kept, fixer.run)
-        except FacetrackError as e:  # they are not of this run any more
-            say(f"facetrack: warning: {e}; the page begins without it")
-        if unsaved:
-            many = len(unsaved) > 1
-            said = f"{len(unsaved)} corrections were" if many else "one correction was"
-            say(f"{kept}: {said} not saved the last time; the page begins with {'them' if many else 'it'}")
-        session = FixSession(fixer, frames, video=not self.no_video, unsaved=unsaved)
-        if not self.page.serve(session, stop):
-            goes_on = f"all else is as it was; facetrack fix {folder} goes on with them"
-            what = f"the corrections are kept in {kept}, {goes_on}" if kept.is_file() else "nothing was written"
-            say(f"facetrack: {stop.reason}; {what}")
+            shown.begin(folder.name or str(folder))
+            (fixer.put if adds else fixer.apply)(corrections, report=shown.update, stop=stop)
+            if adds:
+                frames = ", ".join(str(frame) for frame in sorted({one.frame for one in corrections})[:10])
+                count = f"{len(corrections)} correction{'s' if len(corrections) > 1 else ''}, in frames {frames}"
+                shown.say(f"{file}: {count}; export the run again before more is corrected there")
+            shown.begin("saving")
+            for line in save(fixer, video=video, report=shown.update, stop=stop):
+                shown.say(line)
+        except StoppedError:
+            shown.say(f"facetrack: {stop.reason}; {folder} is as it was")
             return stop.code or ExitCode.FAULT
-        return ExitCode.DONE
+    return ExitCode.DONE
 
 
-command = verb(Fix)
+def _serve(fixer: Fixer, frames: Frames, page: Page, stop: Stop, *, video: bool) -> int:
+    """Serve the page until it is saved or stopped; the exit code."""
+    from facetrack_cli.editor.history import corrections_of
+    from facetrack_cli.editor.web.fix_session import FixSession
+    from facetrack_cli.trajectory.header import UNSAVED
+
+    folder = fixer.run.folder
+    kept = folder / UNSAVED
+    unsaved: tuple[Correction, ...] = ()
+    try:
+        if kept.is_file():
+            unsaved = corrections_of(kept, fixer.run)
+    except FacetrackError as e:  # they are not of this run any more
+        say(f"facetrack: warning: {e}; the page begins without it")
+    if unsaved:
+        many = len(unsaved) > 1
+        said = f"{len(unsaved)} corrections were" if many else "one correction was"
+        say(f"{kept}: {said} not saved the last time; the page begins with {'them' if many else 'it'}")
+    session = FixSession(fixer, frames, video=video, unsaved=unsaved)
+    if not page.serve(session, stop):
+        goes_on = f"all else is as it was; facetrack fix {folder} goes on with them"
+        what = f"the corrections are kept in {kept}, {goes_on}" if kept.is_file() else "nothing was written"
+        say(f"facetrack: {stop.reason}; {what}")
+        return stop.code or ExitCode.FAULT
+    return ExitCode.DONE

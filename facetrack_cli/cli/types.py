@@ -1,0 +1,198 @@
+"""Values of options and arguments: what the help calls them, how they are read, and what a shell completes.
+
+A shell asks at each key, so completion loads no recipe.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from collections.abc import Callable, Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import click
+from click.shell_completion import CompletionItem
+
+from facetrack_cli.core.errors import OutputError, UsageError
+from facetrack_cli.core.models import shipped_recipes
+
+if TYPE_CHECKING:
+    from facetrack_cli.core.types import Box
+
+Complete: TypeAlias = Callable[[click.Context, str], list[CompletionItem]]
+FIGURES = ("png", "svg", "pdf")  # those that report/figures/style.py renders
+
+
+class Whole(click.IntRange):
+    """A whole number in a range; click itself would call it an integer range."""
+
+    name = "whole number"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        return "N"
+
+
+class Number(click.FloatRange):
+    """A number in a range: nan and infinity are none."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        found = super().convert(value, param, ctx)
+        if not math.isfinite(found):
+            self.fail(f"{value!r} is no finite number.", param, ctx)
+        return found
+
+
+class Text(click.ParamType):  # type: ignore[type-arg]  # it has arguments since Click 8.4
+    """A value that the help calls `metavar`; `parse` reads it and raises BadParameter, `complete` completes it."""
+
+    name = "text"
+
+    def __init__(self, metavar: str, parse: Callable[[str], Any] = str, complete: Complete | None = None) -> None:
+        self.metavar, self.parse, self.complete = metavar, parse, complete
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        return self.metavar
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return self.parse(value) if isinstance(value, str) else value
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        return self.complete(ctx, incomplete) if self.complete else []
+
+
+def words(metavar: str, pattern: str, remedy: str) -> Text:
+    """Values that a pattern takes apart into words; `remedy` says what to give."""
+
+    def parse(value: str) -> tuple[str, ...]:
+        found = re.fullmatch(pattern, value)
+        each = tuple(word.strip() for word in found.groups()) if found else ()
+        if not each or not all(each):
+            raise click.BadParameter(f"{value!r}: {remedy}")
+        return each
+
+    return Text(metavar, parse)
+
+
+# what a shell completes
+
+
+def _files(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+    return [CompletionItem(incomplete, type="file")]
+
+
+def _folders(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+    return [CompletionItem(incomplete, type="dir")]
+
+
+def _runs(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+    """Folders of runs; without one, any folder."""
+    typed, _, begun = incomplete.rpartition("/")
+    found = []
+    with contextlib.suppress(OSError):
+        for one in sorted(Path(f"{typed}/" if "/" in incomplete else ".").iterdir()):
+            if one.name.startswith(begun) and any((one / name).is_file() for name in ("run.json", "trajectory.json")):
+                found.append(CompletionItem(f"{typed}/{one.name}" if "/" in incomplete else one.name))
+    return _folders(ctx, incomplete) + found
+
+
+def _recipes(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+    """Names of shipped recipes, and files."""
+    names = [path.stem for path in shipped_recipes()]
+    # files first: Bash then takes them only where no name fits
+    return _files(ctx, incomplete) + [CompletionItem(name) for name in names if name.startswith(incomplete)]
+
+
+def _keys(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+    """Keys that the recipe of the command line has, or any shipped one."""
+    shipped = {path.stem: path for path in shipped_recipes()}
+    given = [ctx.params.get(name) for name in ("config", "recipe")]
+    names = [name for one in given for name in ([one] if isinstance(one, str) else one or ())]
+    files = [shipped.get(name.removesuffix(".yaml"), Path(name)) for name in names] or list(shipped.values())
+    found: dict[str, None] = {}
+    for file in files:
+        with contextlib.suppress(OSError, ValueError):
+            found.update(dict.fromkeys(_keys_of(file.read_text(encoding="utf-8"))))
+    return [CompletionItem(f"{key}=") for key in found if key.startswith(incomplete)]
+
+
+def _keys_of(text: str) -> Iterator[str]:
+    """The keys of a recipe that have values, with dots between the levels, as its lines show them."""
+    above: list[tuple[int, str]] = []  # indentation and name of the sections around a line
+    for indent, name, value in re.findall(r"^( *)(\w+):(.*)$", text, re.MULTILINE):
+        while above and above[-1][0] >= len(indent):
+            above.pop()
+        key = ".".join([*(one for _, one in above), name])
+        value = value.partition(" #")[0].strip()
+        if value.startswith("{"):
+            yield from (f"{key}.{below}" for below in re.findall(r"(\w+):", value))
+        elif value:
+            yield key
+        else:
+            above.append((len(indent), name))
+
+
+# how values are read
+
+
+def _box(value: str) -> Box:
+    """`left,top,width,height` in pixels."""
+    try:
+        x, y, w, h = (float(part) for part in value.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{value!r}: give four numbers with commas: left,top,width,height") from None
+    if not (abs(x) < 1e6 and abs(y) < 1e6 and 0 < w < 1e6 and 0 < h < 1e6):
+        raise click.BadParameter(f"{value!r}: give pixels of the frame, width and height above 0")
+    return (x, y, w, h)
+
+
+def _init(value: str) -> Path | str:
+    if not value:
+        raise UsageError("--init is empty; name an init file, or haar to look for a face")
+    return value if value in ("haar", "yunet") else Path(value)
+
+
+def _rate(value: str) -> Fraction:
+    """Frames per second."""
+    try:
+        found = Fraction(value)
+    except (ValueError, ZeroDivisionError):
+        found = Fraction(0)
+    if not 0 < found <= 100_000:
+        raise click.BadParameter(f"{value!r}: give frames per second as 25, 29.97 or 30000/1001")
+    return found
+
+
+def _figure(value: str) -> Path:
+    if not value:
+        raise OutputError("--out is empty; name a file that ends in .png, .svg or .pdf")
+    if Path(value).suffix[1:].lower() not in FIGURES:
+        raise UsageError(f"{value}: cannot tell the kind of file; let its name end in .png, .svg or .pdf")
+    return Path(value)
+
+
+def array(what: str) -> Text:
+    """An .npz file that holds a `what`, as a gallery."""
+
+    def parse(value: str) -> Path:
+        if Path(value).suffix != ".npz":
+            raise UsageError(f"{value}: a {what} is an .npz file; let its name end so")
+        return Path(value)
+
+    return Text("FILE", parse, _files)
+
+
+_PATH = click.Path(path_type=Path)
+FILE, PNG, INPUT = Text("FILE", _PATH, _files), Text("FILE.png", _PATH, _files), Text("INPUT", _PATH, _files)
+FOLDER = Text("DIR", _PATH, _folders)
+RUN = Text("RUN_DIR", _PATH, _runs)
+TRAJECTORY = Text("TRAJECTORY", _PATH, lambda ctx, incomplete: _files(ctx, incomplete) + _runs(ctx, incomplete)[1:])
+FILE_OR_DASH, FOLDER_OR_DASH = Text("FILE", complete=_files), Text("DIR", complete=_folders)
+FIGURE, INIT = Text("FILE", _figure, _files), Text("FILE", _init, _files)
+RECIPE, KEY = Text("RECIPE", complete=_recipes), Text("KEY=VALUE", complete=_keys)
+BOX, RATE = Text("X,Y,W,H", _box), Text("RATE", _rate)
+FRAME = Whole(min=0)

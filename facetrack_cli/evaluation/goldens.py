@@ -1,0 +1,447 @@
+"""Goldens: rows of a recipe's run on a clip, with which later runs are compared; what `facetrack regress` does.
+
+A golden is of a run with seed 0: a checksum of the rows of each frame, and the places in ROWS frames, each with the
+distance of the farthest of the other recorded seeds. `spread` is the range over all recorded seeds of the mean of each
+quantity after the first frame, of each part and of all parts ("").
+
+With the settings and versions that it was recorded with, a run must give the same rows. With others it gives those of
+another seed, at best, since a rounding changes what is drawn: RUNS seeds are run that were not recorded, and the golden
+fails if all of them are on the same side outside of a spread, or farther from a row than any recorded seed; both are
+widened by MARGIN.
+"""
+
+import contextlib
+import json
+import math
+import os
+import platform
+import re
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from importlib import metadata
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+from llvmlite import binding
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError
+
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, reading
+from facetrack_cli.core.files import read_bounded, write_new
+from facetrack_cli.core.models import shipped_folder
+from facetrack_cli.core.types import Array
+from facetrack_cli.core.version import __version__
+from facetrack_cli.core.yaml_tree import YamlProblems
+from facetrack_cli.recipe.gallery_option import put
+from facetrack_cli.recipe.load import files_of, load_recipe
+from facetrack_cli.recipe.model import OpenCvRecipe, Recipe, completed, to_dict
+from facetrack_cli.run_folder.fingerprint import clip_digest
+from facetrack_cli.runs.seeds import Plan, run_plans
+from facetrack_cli.runs.signals import Stop
+from facetrack_cli.runs.start import Begin
+from facetrack_cli.start.assembly import tracker_for
+from facetrack_cli.start.init_file import find_init
+from facetrack_cli.trackers.opencv import find as find_opencv
+from facetrack_cli.trajectory.header import StartRecord, to_record
+from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.writers import csv_frames
+
+SEEDS, RUNS, ROWS = 10, 4, 16
+UNSEEN: Final = 1000  # the first seed of those that are not recorded
+MARGIN: Final = 0.5  # of a spread, to both sides
+LEAST_PX: Final = 0.5  # that a row may always be off
+# what the mean of a quantity may always differ by; with an offset that is relative, and the mean of log(value + offset)
+QUANTITIES: Final[Mapping[str, tuple[float, float | None]]] = {
+    "x": (0.1, None), "y": (0.1, None), "w": (0.01, 0.0), "h": (0.01, 0.0), "angle": (0.1, None),
+    "std_x": (0.03, 0.05), "std_y": (0.03, 0.05), "ess": (0.03, 0.0), "particles": (0.01, 0.0),
+    "confidence": (0.02, None), "unseen": (0.03, None), "identity": (0.02, None),
+}  # fmt: skip
+UPDATE: Final = "record again with --update if that is meant"
+NO_CLIPS: Final = (".csv", ".json", ".md", ".py", ".txt", ".yaml", ".yml")
+_NOT_XML: Final = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+class Golden(BaseModel):
+    """What was recorded, as the file holds it.
+
+    `recipe` is a shipped name or a path from the folder of clips, `gallery` such a path; `files` are checksums of what
+    the recipe names; `names` who each target is, if anybody; `frames` first and last; `checksums` four hexadecimal
+    digits a frame; `rows` frame, part, x, y, and how far other seeds are.
+    """
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    schema_: Literal["facetrack-golden"] = Field(alias="schema")
+    version: Literal[3]
+    clip: str = Field(pattern=r"^[^/\\]+$")
+    sha256: str
+    recipe: str
+    settings: dict[str, Any]
+    gallery: str = ""
+    files: dict[str, str] = {}
+    names: dict[str, str] = {}
+    start: Annotated[StartRecord, PlainSerializer(lambda start: to_record(start.start_from("")))]
+    stop: int | None
+    versions: dict[str, str]
+    seeds: int = Field(ge=1)
+    frames: tuple[int, int]
+    checksums: str
+    spread: dict[str, dict[str, tuple[float, float]]] = Field(min_length=1)
+    rows: list[tuple[int, str, float, float, float]] = Field(min_length=1)
+
+
+@dataclass(frozen=True)
+class Checked:
+    """The result of checking or recording a golden: `message` is a line, `details` are further lines.
+
+    "skipped": the clip lacks what the recipe follows. `seconds` are those of the trackers alone. `farthest`: above 1
+    outside of the spread.
+    """
+
+    golden: Path
+    clip: str
+    recipe: str
+    status: Literal["ok", "fails", "skipped"] = "ok"
+    message: str = ""
+    details: tuple[str, ...] = ()
+    seconds: float = 0.0
+    seeds: int = 0
+    farthest: float | None = None
+
+
+class Asked(NamedTuple):
+    """A golden to check, or to record in place of `known`; the recipe is a name or a file."""
+
+    path: Path
+    clip: Path
+    recipe: str
+    known: Golden | None
+
+
+class _SkippedError(FacetrackError):
+    """The clip lacks what the recipe follows, or this installation has no such tracker."""
+
+
+def means(run: Trajectory, names: Mapping[str, str]) -> dict[str, dict[str, float]]:
+    """The mean of each quantity over the frames after the first, of each part, and of all as "".
+
+    Identity is the probability of the target's name in `names`, 0 in frames where another is more likely.
+    """
+    after = run.take(run.frame > run.frames[0])
+    series = {part.name: part for part in after.parts} | ({"": after} if len(after.parts) > 1 else {})
+    found: dict[str, dict[str, float]] = {part: {} for part in series}
+    for (part, rows), (quantity, (_, offset)) in product(series.items(), QUANTITIES.items()):
+        values: Any = getattr(rows, quantity)
+        if quantity == "identity":
+            named = np.array([names.get(target, "") for target, _ in rows.names])[rows.which]
+            values = np.where(values == "", np.nan, np.where(values == named, rows.identity_prob, 0.0))
+        if (known := values[np.isfinite(values)]).size:
+            logs = None if offset is None else np.log(np.maximum(known + offset, 1e-9))
+            found[part][quantity] = float(known.mean() if logs is None else np.exp(logs.mean()) - offset)
+    return found
+
+
+def distances(run: Trajectory, rows: Sequence[tuple[int, str, float, float, float]]) -> Array:
+    """(R,): how far the run is from these rows, in px; infinite where it has no place."""
+    parts = {part.name: part for part in run.parts}
+    own = [(parts[part].at(frame), x, y) for frame, part, x, y, _ in rows]
+    return np.nan_to_num([math.hypot(one.x[0] - x, one.y[0] - y) for one, x, y in own], nan=math.inf)
+
+
+def record(
+    folder: Path, plan: Plan, runs: Sequence[Trajectory], people: Path | None, names: Mapping[str, str] | None
+) -> Golden:
+    """The golden of runs with different seeds, the first with 0, that know `people`.
+
+    The probability of `names` is measured, of None that of the names with which the first run ends.
+    """
+    recipe, (first, *others), settings, gallery = plan.recipe, runs, to_dict(plan.recipe), ""
+    if people is not None and settings.get("recognition"):  # a path from the folder, wherever it was recorded from
+        settings["recognition"]["gallery"] = gallery = _beside(folder, people)
+    if names is None:
+        ends = {target: [*filter(None, first.of_target(target)[0].identity.tolist())] for target in first.targets}
+        names = {target: found[-1] for target, found in ends.items() if found}
+    measured = [means(run, names) for run in runs]
+    spread: dict[str, dict[str, tuple[float, float]]] = {part: {} for part in measured[0]}
+    for part, quantity in product(spread, QUANTITIES):
+        if values := [one[part][quantity] for one in measured if quantity in one[part]]:
+            spread[part][quantity] = (round(min(values), 4), round(max(values), 4))
+    frames = first.frames.tolist()
+    kept = sorted({frames[round(i * (len(frames) - 1) / ROWS)] for i in range(1, ROWS + 1)})
+    places = [(frame, part.name, *part.at(frame).x, *part.at(frame).y, 0.0) for frame in kept for part in first.parts]
+    places = [one for one in places if math.isfinite(one[2])]
+    reach = np.max([np.zeros(len(places)), *(distances(run, places) for run in others)], axis=0)
+    rows = [(*one[:2], *np.round(one[2:4], 3), min(round(far, 2), 1e4)) for one, far in zip(places, reach, strict=True)]
+    shipped = recipe.path.resolve().parent == shipped_folder().resolve()
+    return Golden(
+        schema="facetrack-golden", version=3, clip=plan.clip.name, sha256=clip_digest(plan.clip), settings=settings,
+        recipe=recipe.name if shipped else _beside(folder, recipe.path), gallery=gallery, files=_files(recipe),
+        names=dict(names), start=StartRecord.model_validate(to_record(plan.start)), stop=plan.stop,
+        versions=versions(), seeds=len(runs), frames=(frames[0], frames[-1]), spread=spread, rows=rows,
+        checksums="".join(map(_digits, csv_frames(first))),
+    )  # fmt: skip
+
+
+def judge(golden: Golden, now: Golden, runs: Sequence[Trajectory]) -> list[tuple[float, str]]:
+    """How far the nearest run is from each row, then from each spread, above 1 outside; with a line of each.
+
+    `now` is recorded of the runs.
+    """
+    found, away = [], np.stack([distances(run, golden.rows) for run in runs])
+    loose = 1 if any(reach for *_, reach in golden.rows) else 10  # of a tracker without chance no spread is known
+    for (frame, part, *_, reach), each in zip(golden.rows, away.T, strict=True):
+        text = f"{part}: {_ends(each)} px from its golden row of frame {frame}, recorded seeds up to {reach:.4g} px"
+        found.append((float(each.min()) / (reach * (1 + MARGIN) + LEAST_PX * loose), text))
+    for part, quantity in product(golden.spread, QUANTITIES):
+        if (band := golden.spread[part].get(quantity)) is not None:
+            least, offset = QUANTITIES[quantity]
+            half = (band[1] - band[0]) * (0.5 + MARGIN) + loose * least * (1 if offset is None else abs(band[1]))
+            ends = now.spread[part].get(quantity, (math.inf, math.inf))
+            far = max(ends[0] - sum(band) / 2, sum(band) / 2 - ends[1], 0.0) / half
+            name = f"{part or 'all parts'}: mean {quantity}"
+            found.append((far, f"{name} {_ends(ends)}, of recorded seeds {_ends(band)}"))
+    return found
+
+
+def _ends(values: Sequence[float] | Array) -> str:
+    if not np.isfinite(values).all():
+        return "nowhere"
+    return "..".join(dict.fromkeys(f"{end:.4g}" for end in (min(values), max(values))))
+
+
+def _digits(text: str) -> str:
+    return f"{zlib.crc32(text.encode()) & 0xFFFF:04x}"
+
+
+def _beside(folder: Path, file: Path) -> str:
+    return Path(os.path.relpath(file.resolve(), folder.resolve())).as_posix()
+
+
+def _files(recipe: Recipe) -> dict[str, str]:
+    try:
+        return {path.name: clip_digest(path) for path in files_of(recipe)}
+    except YamlProblems:  # one is not there: the run says so
+        return {}
+
+
+def versions() -> dict[str, str]:
+    """What the bytes of rows depend on: versions of software, and the processor that it is compiled for."""
+    cpu = os.environ.get("NUMBA_CPU_NAME") or binding.get_host_cpu_name()
+    cpu += "-" + _digits(binding.get_host_cpu_features().flatten())
+    found = {"facetrack": __version__, "machine": f"{platform.system()} {platform.machine()} {cpu}"}
+    for name in ("numpy", "numba", "opencv-python-headless", "opencv-contrib-python-headless", "av"):
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
+
+
+def differences(golden: Golden, recipe: Recipe) -> list[str]:
+    """Settings, files and versions that are not as recorded, as `filter.particles 100 -> 200`."""
+
+    def flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+        for key, value in settings.items():
+            if isinstance(value, Mapping):
+                yield from flat(value, f"{prefix}{key}.")
+            elif value is not None and prefix + key not in ("description", "seed", "recognition.gallery"):
+                yield f"{prefix}{key}", value[:40] if isinstance(value, str) else json.dumps(value)
+
+    was = dict(flat({**completed(golden.settings), **golden.files, **golden.versions}))
+    now = dict(flat({**to_dict(recipe), **_files(recipe), **versions()}))
+    return [f"{k} {was.get(k, 'nothing')} -> {now.get(k, 'nothing')}" for k in was | now if was.get(k) != now.get(k)]
+
+
+def write_golden(path: Path, golden: Golden) -> None:
+    """Write the golden whole or not at all, a line for each part's spread and each row; it replaces the one before."""
+    texts = {key: json.dumps(one) for key, one in golden.model_dump(by_alias=True, exclude_defaults=True).items()}
+    spread = [f"{json.dumps(part)}: {json.dumps(one)}" for part, one in golden.spread.items()]
+    for key, lines, ends in (("spread", spread, "{}"), ("rows", map(json.dumps, golden.rows), "[]")):
+        texts[key] = ends[0] + "\n    " + ",\n    ".join(lines) + "\n  " + ends[1]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = ",\n".join(f'  "{key}": {one}' for key, one in texts.items())
+    write_new(path, f"{{\n{text}\n}}\n".encode(), overwrite=True)
+
+
+def read_golden(path: Path) -> Golden:
+    """Raises InputError, in one line, for a file that is no golden of this version."""
+    again = "record it again with facetrack regress --update"
+    try:
+        with reading(path, f"make it readable, or {again}"):
+            golden = Golden.model_validate_json(read_bounded(path, what="golden"))
+    except ValidationError as e:
+        first = e.errors(include_url=False)[0]
+        place = ".".join(str(step) for step in first["loc"])
+        raise InputError(f"{path}: is no golden: {place + ': ' if place else ''}{first['msg']}; {again}") from None
+    for frame, part, *_ in golden.rows:
+        if not part or part not in golden.spread or not golden.frames[0] <= frame <= golden.frames[1]:
+            raise InputError(f"{path}: is no golden: it has no spread of {part}, or no frame {frame}; {again}")
+    return golden
+
+
+def find_goldens(folder: Path) -> list[Path]:
+    """The golden files of a folder of clips, by name. InputError if there is no such folder."""
+    if not folder.is_dir():
+        what = "is no folder" if folder.exists() else "there is no such folder"
+        raise InputError(f"{folder}: {what}; name the folder that holds the clips")
+    return sorted((folder / "goldens").glob("*.json"))
+
+
+def recorded(folder: Path, given: Mapping[str, str]) -> list[Asked]:
+    """The goldens of a folder, only those of the `given` recipes if there are any: names or files, by their names."""
+    goldens = [(path, read_golden(path)) for path in find_goldens(folder)]
+    known = {Path(one.recipe).stem: one.recipe for _, one in goldens}
+    if not goldens:
+        remedy = f"record some with facetrack regress {folder} --config RECIPE --update"
+        raise InputError(f"{folder}: has no goldens; {remedy}")
+    if absent := [name for name in given if name not in known]:
+        there = f"has no golden of {absent[0]}, only of {', '.join(sorted(known))}"
+        raise InputError(f"{folder}: {there}; record it with --update")
+    own = {name: str(folder / file) if file.endswith(".yaml") else file for name, file in known.items()}
+    names = [(path, one, Path(one.recipe).stem) for path, one in goldens]
+    return [Asked(path, folder / one.clip, (given or own)[n], one) for path, one, n in names if n in (given or own)]
+
+
+def recordable(folder: Path, given: Mapping[str, str]) -> list[Asked]:
+    """A golden to record of every clip with an init file and each recipe; InputError where there is no such clip."""
+    find_goldens(folder)
+    clips = [path for path in sorted(folder.iterdir()) if path.suffix.lower() not in NO_CLIPS and find_init(path)]
+    if not clips:
+        raise InputError(f"{folder}: has no clip with an init file beside it; make one with facetrack init CLIP")
+    found = {}
+    for clip, (name, recipe) in product(clips, given.items()):
+        path, known = folder / "goldens" / f"{clip.stem}.{name}.json", None
+        if path in found:
+            raise UsageError(f"{folder}: two clips are called {clip.stem}; rename one, goldens are kept by that name")
+        with contextlib.suppress(InputError):  # it may be that there is none yet, or none that can be read
+            known = read_golden(path)
+        found[path] = Asked(path, clip, recipe, known)
+    return [*found.values()]
+
+
+def regress(
+    folder: Path, asked: Sequence[Asked], *, update: bool = False, overrides: Sequence[str] = (), seeds: int = SEEDS,
+    stop: int | None = None, gallery: Path | None = None, stopped: Stop | None = None, **how: Any,
+) -> Iterator[Checked]:  # fmt: skip
+    """Check goldens, or `update` them, in their order; fewer once `stopped` says so. `how` is told to `run_plans`.
+
+    `overrides` are set in all recipes. Those that recognise know the people of `gallery`, else of the golden's, else
+    their own. A golden is recorded from `seeds` runs up to the frame `stop`, else that of the golden before it.
+    """
+    stopped = stopped or Stop()
+    prepared: list[Plan | FacetrackError] = []
+    people = [gallery or (folder / one.known.gallery if one.known and one.known.gallery else None) for one in asked]
+    for one, who in zip(asked, people, strict=True):
+        try:
+            recipe = _recipe(one, overrides, who)
+            last = stop or (one.known.stop if one.known else None)
+            prepared.append(_to_record(one, recipe, seeds, last, stopped) if update else _to_check(one, recipe))
+        except FacetrackError as e:
+            prepared.append(e)
+        if stopped():
+            return
+    plans = [one for one in prepared if isinstance(one, Plan)]
+    with contextlib.closing(run_plans(plans, stopped=stopped, **how)) as ends:
+        for one, who, plan in zip(asked, people, prepared, strict=True):
+            ended = next(ends, None) if isinstance(plan, Plan) else None
+            if stopped():
+                return
+            error = plan if ended is None else ended.error
+            result = Checked(one.path, one.clip.name, one.path.stem[len(one.clip.stem) + 1 :])
+            if isinstance(error, FacetrackError):
+                status: Any = "skipped" if isinstance(error, _SkippedError) else "fails"
+                yield replace(result, status=status, message=str(error))
+            elif ended is not None:
+                runs, known = [run.trajectory for run in ended.runs], None if update else one.known
+                now = record(folder, ended.plan, runs, who, known.names if known else None)
+                if known is None:
+                    write_golden(one.path, now)
+                    yield replace(result, message=f"wrote {one.path} ({len(runs)} seeds)")
+                else:
+                    spent = sum(len(run.trajectory.frames) / run.frames_per_s for run in ended.runs)
+                    yield _compared(replace(result, seconds=spent, seeds=len(runs)), known, now, ended.plan, runs)
+
+
+def _recipe(one: Asked, overrides: Sequence[str], people: Path | None) -> Recipe:
+    recipe = load_recipe(one.recipe, overrides, installed=False)
+    if isinstance(recipe, OpenCvRecipe) and find_opencv(recipe.tracker) is None:
+        there = f"the installed OpenCV has no {recipe.tracker.upper()} tracker"
+        raise _SkippedError(f"{there}; opencv-contrib-python-headless has")
+    if people is None or not any(each.recognition for each in recipe.filters.values()):
+        return recipe
+    if not people.is_file():
+        raise InputError(f"the gallery {people} is not there; put it back, or name another with --gallery")
+    return put(recipe, str(people))
+
+
+def _to_record(one: Asked, recipe: Recipe, seeds: int, stop: int | None, stopped: Stop) -> Plan:
+    begin = Begin(one.clip, stop=stop)
+    start = replace(begin.find(recipe, stopped=stopped), detector="", placed=False)  # cascades are there on any machine
+    with begin.open() as source:
+        size, fps = source.size, source.fps
+    try:
+        tracker_for(recipe, start, size, fps)
+    except InputError as e:
+        raise _SkippedError(str(e)) from None
+    return Plan(one.path.stem, one.clip, recipe, start, tuple(range(seeds if recipe.random else 1)), stop)
+
+
+def _to_check(one: Asked, recipe: Recipe) -> Plan:
+    golden = one.known
+    assert golden is not None
+    if not one.clip.exists():
+        raise InputError(f"the clip {one.clip} is not there; put it back, or remove {one.path}")
+    if clip_digest(one.clip) != golden.sha256:
+        raise InputError(f"the clip {one.clip} is not the one recorded; restore it, or {UPDATE}")
+    other = recipe.random and differences(golden, recipe)
+    seeds = tuple(range(UNSEEN, UNSEEN + RUNS)) if other else (0,)
+    return Plan(one.path.stem, one.clip, recipe, golden.start.start_from(str(one.path)), seeds, golden.stop)
+
+
+def _compared(result: Checked, golden: Golden, now: Golden, plan: Plan, runs: Sequence[Trajectory]) -> Checked:
+    parts, own = ([part for part in one.spread if part] for one in (golden, now))
+    if parts != own or golden.frames != now.frames:
+        texts = (f"{', '.join(p)} in frames {f[0]}-{f[1]}" for p, f in ((own, now.frames), (parts, golden.frames)))
+        return replace(result, status="fails", message=f"tracks {'; recorded were '.join(texts)}; {UPDATE}")
+    found, changed = judge(golden, now, runs), differences(golden, plan.recipe)
+    rows, spreads = found[: len(golden.rows)], sorted(found[len(golden.rows) :], reverse=True)
+    off = [text for one, most in ((rows, 1), (spreads, 3)) for text in [text for far, text in one if far > 1][:most]]
+    notes = [f"not as recorded: {', '.join(changed)}; {UPDATE}"] if changed else []
+    result = replace(result, farthest=min(max(far for far, _ in found), 1e6), details=tuple(notes))
+    if not changed:
+        sums = zip(*(re.findall("....", one.checksums) for one in (golden, now)), strict=False)
+        others = [golden.frames[0] + i for i, (was, own) in enumerate(sums) if was != own]
+        others += [was[0] for was, own in zip(golden.rows, now.rows, strict=False) if was[:4] != own[:4]]
+        if not others:
+            return replace(result, message="the same rows")
+        first = f"other rows than recorded from frame {min(others)} on, by the same recipe and versions"
+        off = [first, *(off or ["they are within the spread of seeds"])]
+    if not off:
+        return replace(result, message=f"at {100 * (result.farthest or 0):.0f} % of the spread of {golden.seeds} seeds")
+    return replace(result, status="fails", message=off[0], details=(*off[1:], *notes))
+
+
+def counts(found: Sequence[Checked]) -> dict[str, int]:
+    return {status: sum(one.status == status for one in found) for status in ("ok", "fails", "skipped")}
+
+
+def as_json(found: Sequence[Checked]) -> str:
+    results = [{**asdict(one), "golden": str(one.golden)} for one in found]
+    whole = {"schema": "facetrack-regress", "version": 3, **counts(found), "results": results}
+    return json.dumps(whole, indent=2) + "\n"
+
+
+def as_junit(found: Sequence[Checked]) -> str:
+    """JUnit XML: a test case for each golden, the clip is its class, the recipe its name."""
+    many, root = counts(found), ElementTree.Element("testsuites")
+    about = {"tests": str(len(found)), "failures": str(many["fails"]), "skipped": str(many["skipped"]), "errors": "0"}
+    suite = ElementTree.SubElement(root, "testsuite", {"name": "facetrack regress", **about})
+    for one in found:
+        texts = (one.clip, one.recipe, one.message, *one.details)
+        clip, recipe, message, *details = (_NOT_XML.sub("\ufffd", text) for text in texts)
+        about = {"classname": clip, "name": recipe, "time": f"{one.seconds:.3f}"}
+        case = ElementTree.SubElement(suite, "testcase", about)
+        if kind := {"fails": "failure", "skipped": "skipped"}.get(one.status):
+            ElementTree.SubElement(case, kind, {"message": message}).text = "\n".join([message, *details])
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
