@@ -1,4 +1,4 @@
-"""How many corrections a clip wants, by an annotator who is simulated: tables of docs/corrections.md.
+"""How many corrections a clip wants, by an annotator who is simulated: tables of docs/results.md.
 
     python benchmarks/corrections.py sample_videos/expressions.mp4 sample_videos/occlusion.mp4 \
         --config factorized --config sir

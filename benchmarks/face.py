@@ -1,4 +1,4 @@
-"""Points of faces on clips that nobody tuned on: docs/face.md.
+"""Points of faces on clips that nobody tuned on: docs/results.md.
 
     python benchmarks/face.py clips/*/ --config face --config factorized --init haar --seeds 10
     python benchmarks/face.py clips/*/ --config face --init haar --start box

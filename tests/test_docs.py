@@ -19,6 +19,7 @@ from tests.support.samples import from_tools
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+MADE = {"recipe_keys.md"}  # by tools/site_links.py, when the site is built
 FENCE = re.compile(r"^( *)```(\w*)\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
 
 
@@ -84,13 +85,11 @@ def test_generated_pages_are_fresh(capsys):
 def test_a_stale_page_is_told(tmp_path, monkeypatch, capsys):
     tool = from_tools("commands_doc")
     monkeypatch.setattr(tool, "DOCS", tmp_path)
-    (tmp_path / "recipes.md").write_text(f"# Recipes\n\n{tool.BEGIN}\nold\n{tool.END}\n\nkept\n")
     assert tool.main(["--check"]) == 1
-    assert capsys.readouterr().out.count("is stale") == 2 and not (tmp_path / "commands.md").exists()
+    assert capsys.readouterr().out.count("is stale") == 1 and not (tmp_path / "commands.md").exists()
     assert tool.main([]) == 0
     assert tool.main(["--check"]) == 0
-    text = (tmp_path / "recipes.md").read_text()
-    assert "\nold\n" not in text and text.endswith("kept\n") and "| `filter.particles` |" in text
+    assert "| `filter.particles` |" in tool.keys_page()
 
 
 def links():
@@ -103,6 +102,8 @@ def test_links_and_images_are_there():
     for page, link in links():
         name, _, anchor = link.partition("#")
         path = (page.parent / name).resolve() if name else page
+        if path.name in MADE:
+            continue
         assert path.exists(), f"{page.name}: {link}"
         if anchor:
             headings = re.findall(r"^#+ (.*)$", FENCE.sub("", path.read_text(encoding="utf-8")), re.MULTILINE)

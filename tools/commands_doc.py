@@ -1,7 +1,9 @@
 """Write the reference of commands and of recipe keys, from the help of the commands and the settings of recipes.
 
-python tools/commands_doc.py            # writes docs/commands.md, and the tables in docs/recipes.md
-python tools/commands_doc.py --check    # writes nothing; exit code 1 if one of them is stale
+python tools/commands_doc.py            # writes docs/commands.md
+python tools/commands_doc.py --check    # writes nothing; exit code 1 if it is stale
+
+The page of keys is no file: tools/site_links.py makes it when the site is built.
 """
 
 from __future__ import annotations
@@ -21,7 +23,6 @@ from facetrack_cli.cli.app import COMMANDS, cli
 from facetrack_cli.recipe.schema import json_schema
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
-BEGIN, END = "<!-- keys: written by tools/commands_doc.py -->", "<!-- end of keys -->"
 WIDTH = 100
 Schema: TypeAlias = "dict[str, Any]"
 
@@ -117,6 +118,14 @@ def wrapped(text: str) -> str:
 
 
 # --- keys of recipes -----------------------------------------------------------------------------------------------
+
+
+def keys_page() -> str:
+    """The page recipe_keys.md of the site."""
+    intro = wrapped(
+        "From the settings in the code; `facetrack recipes schema` prints them as JSON schema."
+    )
+    return f"# Keys of recipes\n\n{intro}\n\n{keys_tables()}\n"
 
 
 def keys_tables() -> str:
@@ -240,19 +249,9 @@ def value(schema: Schema, field: Schema) -> str:
     return " ".join([words[field["type"]], ", ".join(shown)]).strip()
 
 
-def recipes_page(text: str) -> str:
-    """docs/recipes.md with new tables of keys."""
-    before, found_begin, rest = text.partition(BEGIN)
-    _, found_end, after = rest.partition(END)
-    if not found_begin or not found_end:
-        raise SystemExit(f"docs/recipes.md: restore the lines {BEGIN} and {END}, between which the tables of keys are")
-    return f"{before}{BEGIN}\n\n{keys_tables()}\n\n{END}{after}"
-
-
 def pages() -> dict[Path, str]:
     """The text of each page."""
-    recipes = DOCS / "recipes.md"
-    return {DOCS / "commands.md": commands_page(), recipes: recipes_page(recipes.read_text(encoding="utf-8"))}
+    return {DOCS / "commands.md": commands_page()}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,7 +1,7 @@
 # mypy: allow-untyped-calls
 """The pictures of docs/ anew: `PYTHONPATH=. python tools/pictures.py [NAME ...]`, with the extras test and browser.
 
-Frames of annotated videos, the page and the report in a Chromium, and the exports of docs/first_track.md; the sheet
+Frames of annotated videos, the page and the report in a Chromium, and the exports of docs/index.md; the sheet
 takes LibreOffice Calc and pdftoppm, and is left out without them. Plots are those of the commands beside them.
 """
 
@@ -279,10 +279,10 @@ def cvat() -> None:
 
 def notebook() -> None:
     """What the cell of the guide draws."""
-    text = (DOCS / "first_track.md").read_text(encoding="utf-8")
+    text = (DOCS / "index.md").read_text(encoding="utf-8")
     cell = text.split("```python\n")[1].split("```")[0]
     plt.figure(figsize=(7, 3.5), layout="constrained")
-    exec(compile(cell, "first_track.md", "exec"), {})
+    exec(compile(cell, "index.md", "exec"), {})
     plt.savefig(DOCS / "first_track-notebook.png", dpi=100)
 
 

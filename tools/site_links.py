@@ -1,17 +1,24 @@
 """A hook of mkdocs.yml: pages of the project that stand outside of docs/ are pages of the site as well.
 
-Their links, and those to them, are written for the files as they lie in the repository, and changed here.
+Their links, and those to them, are written for the files as they lie in the repository, and changed here. The keys of
+recipes are written for the site alone, from the settings.
 """
 
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
+
+from commands_doc import keys_page  # noqa: E402
+
+KEYS = "recipe_keys.md"
 PAGES = {
     "CONTRIBUTING.md": "CONTRIBUTING.md",
     "SECURITY.md": "SECURITY.md",
@@ -23,6 +30,7 @@ PAGES = {
 def on_files(files: Any, config: Any) -> Any:
     for source, name in PAGES.items():
         files.append(File.generated(config, name, content=(ROOT / source).read_text(encoding="utf-8")))
+    files.append(File.generated(config, KEYS, content=keys_page()))
     return files
 
 
