@@ -9,7 +9,7 @@ Each recipe is fitted to the sample clips that it has goldens of, to the videos 
 init file beside them, and to the real clips of $FACETRACK_CLIPS: folders with a groundtruth.csv of a box and a video or
 images, whose points are those of reference_points.csv (benchmarks/face.py); and people/*/ with mesh.csv
 (benchmarks/expressions.py), whose tracks begin as a search finds them. The shipped files were fitted with twelve
-rendered clips in --clips. `--regressions` is a folder of regressions that have not seen a clip (tools/mouth_descent.py).
+rendered clips in --clips. `--regressions` is a folder of regressions without a clip each (tools/mouth_descent.py).
 For each recipe it prints the calibration error and Brier score on clips left out, raw and calibrated. Recipes that have
 a file are left as they are, so that it may be interrupted. Clips KIND-SEED.mp4 of one of the KINDS count as one clip. A
 clip that a recipe cannot run on is named and left out, and so is a recipe with fewer than two clips.

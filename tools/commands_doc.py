@@ -122,9 +122,7 @@ def wrapped(text: str) -> str:
 
 def keys_page() -> str:
     """The page recipe_keys.md of the site."""
-    intro = wrapped(
-        "From the settings in the code; `facetrack recipes schema` prints them as JSON schema."
-    )
+    intro = wrapped("From the settings in the code; `facetrack recipes schema` prints them as JSON schema.")
     return f"# Keys of recipes\n\n{intro}\n\n{keys_tables()}\n"
 
 
