@@ -144,6 +144,19 @@ def test_scripts_named_are_there():
             assert (ROOT / script).exists(), f"{page.name}: {script}"
 
 
+def test_every_benchmark_and_picture_is_shown():
+    """A benchmark that no page, check or other script names has no figure; a picture that no page shows is weight."""
+    beside = [ROOT / "CONTRIBUTING.md", ROOT / ".ci" / "run", *(ROOT / "tools").glob("*.py")]
+    scripts = sorted((ROOT / "benchmarks").glob("*.py"))
+    said = "\n".join(path.read_text(encoding="utf-8") for path in [*PAGES, *beside])
+    imported = "\n".join(path.read_text(encoding="utf-8") for path in [*scripts, *beside])
+    for script in scripts:
+        named = f"benchmarks/{script.name}" in said
+        assert named or re.search(rf"^(from|import) {script.stem}\b", imported, re.MULTILINE), script.name
+    for picture in (ROOT / "docs").iterdir():
+        assert picture.suffix not in (".png", ".jpg", ".webp") or f"{picture.name})" in said, picture.name
+
+
 def test_every_recipe_is_documented():
     text = (ROOT / "docs" / "recipes.md").read_text(encoding="utf-8")
     for path in shipped_recipes():
