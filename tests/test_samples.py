@@ -8,6 +8,11 @@ from tests.support.samples import FOLDER, read_pictures, read_rows
 CLIPS = sorted(path.stem for path in FOLDER.glob("*.mp4") if path.stem != "film")  # which is joined from the others
 
 
+def test_the_film_is_small() -> None:
+    assert (FOLDER / "film.mp4").stat().st_size < 1_000_000
+    assert {row["target"] for row in read_rows("film")} == {"collins", "hopper"}
+
+
 @pytest.mark.one_in(3)
 @pytest.mark.parametrize("name", CLIPS)
 def test_a_clip_is_small_and_its_truth_has_a_row_for_each_frame_and_part(name: str) -> None:
