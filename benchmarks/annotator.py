@@ -11,9 +11,9 @@ import numpy as np
 
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import BOX, Array, Correction, Frame, Mask, Start, TargetStart
+from facetrack_cli.engine.corrected import CorrectedTarget, completed
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.corrected import CorrectedTarget, completed
+from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trajectory.trajectory import TargetResult
 
 WATCHED = 5

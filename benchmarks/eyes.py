@@ -32,7 +32,7 @@ from eye_descent import TABLE, eyes_in
 from facetrack_cli.core.types import Array
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.api import track_video
-from facetrack_cli.tracking.face import eyes
+from facetrack_cli.trackers.face import eyes
 from facetrack_cli.trajectory.trajectory import SEEN
 
 HALF, LONGEST, NEAR = 30, 15, 2  # frames

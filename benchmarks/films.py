@@ -27,9 +27,9 @@ import facetrack_cli as facetrack
 from facetrack_cli.core.geometry import overlap
 from facetrack_cli.core.types import Array
 from facetrack_cli.evaluation.identities import SAME, Seen, measure_people
-from facetrack_cli.tracking.face.stabilized import Similarity, slope
-from facetrack_cli.tracking.people import identity, looks
-from facetrack_cli.tracking.start.detectors import Found, detector
+from facetrack_cli.trackers.face.detectors import Found, detector
+from facetrack_cli.trackers.face.stabilized import Similarity, slope
+from facetrack_cli.trackers.people import identity, looks
 from facetrack_cli.video.source import open_source
 
 POINTS = ("nose", "mouth_left", "mouth_right")

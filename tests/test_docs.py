@@ -11,10 +11,10 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli.app import cli
 from facetrack_cli.core.errors import ExitCode
-from facetrack_cli.recipe.files import shipped_recipes
+from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.seeds import variant
-from facetrack_cli.tracking.start.init_file import read_init
+from facetrack_cli.start.init_file import read_init
 from tests.support.samples import from_tools
 
 ROOT = Path(__file__).parent.parent

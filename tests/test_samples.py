@@ -2,7 +2,7 @@
 
 import pytest
 
-from facetrack_cli.tracking.start.init_file import read_init
+from facetrack_cli.start.init_file import read_init
 from tests.support.samples import FOLDER, read_pictures, read_rows
 
 CLIPS = sorted(path.stem for path in FOLDER.glob("*.mp4") if path.stem != "film")  # which is joined from the others
