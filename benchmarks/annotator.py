@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import NamedTuple
@@ -20,7 +20,6 @@ WATCHED = 5
 """Frames on end that are wrong before he goes back, and the least distance of two corrections."""
 BOUND = 1 / 4
 OVERLAP = 0.3
-HAND = 7  # the stream of his hand
 FAR = 2**30  # a frame that no clip has
 
 
@@ -54,18 +53,16 @@ class Truth:
 
 
 class Way(NamedTuple):
-    """How a clip is corrected: whether at all, what is learned then, and whether what is covered is marked absent."""
+    """How a clip is corrected: whether at all, and what is learned then."""
 
     corrects: bool
     learn: bool | None = None
-    absent: bool = False
 
 
 class Outcome(NamedTuple):
     """`value` is the error or overlap, `beside` that of what is to be seen while something else is covered."""
 
     corrections: int
-    marks: int
     value: float
     beside: float
     right: float
@@ -73,21 +70,19 @@ class Outcome(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """A target of a clip, to be watched; `miss` is how far his hand is off."""
+    """A target of a clip, to be watched."""
 
     recipe: Recipe
     start: Start
     frames: Sequence[Frame]
     truth: Truth
-    miss: float
 
     def run(self, seed: int, way: Way) -> Outcome:
         """Track with `seed`, and correct."""
         truth = self.truth
-        hand = np.random.default_rng((HAND, seed))
         number = list(self.start.targets).index(truth.target)
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,) if number else ()))
-        target = self._target(number, {one.frame: one for one in self._marks()} if way.absent else {})
+        target = self._target(number)
         state, result = target.begin(rng, self._frame(0))
         found, wrong = [result], [truth.wrong(0, _places(result))]
         made, since = 0, 1
@@ -97,7 +92,7 @@ class Work:
             wrong.append(truth.wrong(t, _places(result)))
             at = _first_wrong(wrong, truth.seen, since) if way.corrects else None
             if at is not None:
-                correction = self._correction(at, found[at], wrong[at], way.learn, hand)
+                correction = self._correction(at, found[at], wrong[at], way.learn)
                 del found[at:], wrong[at:]
                 state, result = target.correct(state, self._frame(at), correction)
                 found.append(result)
@@ -109,7 +104,6 @@ class Work:
         nowhere = float("nan")
         return Outcome(
             made,
-            len(target.corrections),
             float(values[truth.seen].mean()),
             float(values[beside].mean()) if beside.any() else nowhere,
             float(right.mean()),
@@ -120,36 +114,22 @@ class Work:
         frame = self.frames[t]
         return Frame(frame.index, frame.time_s, frame.bgr)
 
-    def _target(self, number: int, marks: Mapping[int, Correction]) -> CorrectedTarget:
+    def _target(self, number: int) -> CorrectedTarget:
         never = Correction(FAR, self.truth.target, absent=True)
         target = build_tracker(self.recipe, replace(self.start, corrections=(never,)))[number]
         assert isinstance(target, CorrectedTarget)
-        return replace(target, corrections=marks)
+        return replace(target, corrections={})
 
-    def _correction(
-        self, t: int, found: TargetResult, wrong: Mask, learn: bool | None, hand: np.random.Generator
-    ) -> Correction:
+    def _correction(self, t: int, found: TargetResult, wrong: Mask, learn: bool | None) -> Correction:
         truth, frame = self.truth, self.frames[t].index
         if truth.parts == (BOX,):
             x, y, w, h = truth.places[t, 0].tolist()
-            dx, dy = self.miss * hand.standard_normal(2)
-            box = (x + dx * w - (w - 1) / 2, y + dy * h - (h - 1) / 2, w, h)
+            box = (x - (w - 1) / 2, y - (h - 1) / 2, w, h)
             return Correction(frame, truth.target, TargetStart(box=box), learn=learn)
         given = {}
         for k in np.flatnonzero(wrong & (found.rows.status != "absent")).tolist():
-            dx, dy = self.miss * truth.bound / BOUND * hand.standard_normal(2)
-            given[truth.parts[k]] = (float(truth.places[t, k, 0] + dx), float(truth.places[t, k, 1] + dy))
+            given[truth.parts[k]] = (float(truth.places[t, k, 0]), float(truth.places[t, k, 1]))
         return completed(Correction(frame, truth.target, TargetStart(points=given), learn=learn), found.rows)
-
-    def _marks(self) -> Iterator[Correction]:
-        """What somebody says who marks as absent what is covered, in the frames in which that changes."""
-        truth = self.truth
-        for t in range(1, len(self.frames)):
-            gone, back = truth.covered[t], truth.covered[t - 1] & ~truth.covered[t]
-            if (gone != truth.covered[t - 1]).any():
-                given = {truth.parts[k]: (truth.places[t, k, 0], truth.places[t, k, 1]) for k in np.flatnonzero(back)}
-                absent = tuple(truth.parts[k] for k in np.flatnonzero(gone))
-                yield Correction(self.frames[t].index, truth.target, TargetStart(points=given), absent=absent)
 
 
 def _places(result: TargetResult) -> Array:

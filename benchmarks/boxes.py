@@ -1,7 +1,6 @@
-"""How well recipes follow a box, whether they know when it is hidden, what a step costs: docs/correlation_filter.md.
+"""How well recipes follow a box, and whether they know when it is hidden: docs/results.md.
 
     python benchmarks/boxes.py clips/*/ sample_videos/map.mp4 --config correlation_filter --config mil --seeds 10
-    python benchmarks/boxes.py sample_videos/lamp.mp4 --config correlation_filter --config mil --speed
 
 A clip is a video with its ground truth beside it, or a folder that holds groundtruth.csv and a video or img/. Each
 recipe begins with the first true box, once a seed. Settings are given as for `facetrack compare`, as in
@@ -13,14 +12,11 @@ recipe begins with the first true box, once a seed. Settings are given as for `f
     ECE        expected calibration error, ten bins, of `confidence` as the probability that the target is visible and
                the centre within half a box
     90 %       share of visible frames whose true centre is in the 90 % ellipse of std_x, std_y and cov_xy
-    step       --speed: processor time of a step over that of the last recipe, on one thread, at the clip's size and
-               enlarged to four times its sides; the least of three passes
 """
 
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -31,7 +27,7 @@ import numpy as np
 from reference import HANDS, MESH
 
 from facetrack_cli.core.errors import FacetrackError
-from facetrack_cli.core.types import Array, Frame, Image, Mask, Start, TargetStart
+from facetrack_cli.core.types import Array, Mask, Start, TargetStart
 from facetrack_cli.engine.loop import track
 from facetrack_cli.evaluation.boxes import measure_boxes
 from facetrack_cli.evaluation.compare import default_truth
@@ -157,39 +153,6 @@ def trust(runs: Sequence[Rows]) -> Iterator[str]:
     yield f"{inside[visible].mean():.3f}"
 
 
-def speed(clip: Path, configs: Sequence[str], frames: int) -> None:
-    """Time of a step over that of the last recipe, all in turn, so that a busy machine slows all alike."""
-    cv2.setNumThreads(1)
-    truth = truth_of(clip)
-    start = truth_start(truth, ())
-    box = next(iter(start.targets.values())).box
-    assert box is not None
-    with open_source(clip, start=start.frame, stop=start.frame + frames) as source:
-        images: list[Image] = [frame.bgr for frame in source]
-    for factor in (1, 4):
-        large = [np.asarray(cv2.resize(one, None, fx=factor, fy=factor), np.uint8) for one in images]
-        begin = Start(
-            0, {"face": TargetStart((box[0] * factor, box[1] * factor, box[2] * factor, box[3] * factor))}, "the truth"
-        )
-        least = dict.fromkeys(configs, np.inf)
-        for _ in range(3):
-            for config in configs:
-                least[config] = min(least[config], seconds(config, begin, large))
-        cells = [f"`{config}` {least[config] / least[configs[-1]]:.3f}" for config in configs]
-        print(f"{large[0].shape[1]}x{large[0].shape[0]}: {', '.join(cells)}", flush=True)
-
-
-def seconds(config: str, start: Start, images: Sequence[Image]) -> float:
-    """Processor time of a step."""
-    frames = (Frame(i, i / 25, one) for i, one in enumerate(images))
-    steps = track(build_tracker(load_recipe(*variant(config)), start), frames, 0)
-    next(steps)
-    next(steps)  # kernels are compiled now
-    before = time.process_time()
-    count = sum(1 for _ in steps)
-    return (time.process_time() - before) / max(count, 1)
-
-
 def name(clip: Path) -> str:
     return clip.parent.name if clip.name == "img" or (clip.parent / "groundtruth.csv").exists() else clip.stem
 
@@ -199,15 +162,9 @@ def main() -> None:
     parser.add_argument("clips", nargs="+", type=Path)
     parser.add_argument("--config", action="append", required=True)
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--speed", action="store_true")
-    parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("-j", dest="jobs", type=int, default=2)
     given = parser.parse_args()
-    clips = [clip_in(path) for path in given.clips]
-    if given.speed:
-        speed(clips[0], given.config, given.frames)
-    else:
-        table(clips, given.config, given.seeds, given.jobs)
+    table([clip_in(path) for path in given.clips], given.config, given.seeds, given.jobs)
 
 
 if __name__ == "__main__":

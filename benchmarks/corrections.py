@@ -1,9 +1,8 @@
-"""How many corrections a clip wants, by an annotator who is simulated: tables of docs/corrections.md.
+"""How many corrections a clip wants, by an annotator who is simulated: tables of docs/results.md.
 
     python benchmarks/corrections.py sample_videos/expressions.mp4 sample_videos/occlusion.mp4 \
         --config factorized --config sir
     python benchmarks/corrections.py clips/david/david.webm clips/girl/img --config histogram --config adaptive
-    python benchmarks/corrections.py clips/talking/talking.webm --haar 5 --stop 1000 --config factorized
     python benchmarks/corrections.py sample_videos/occlusion.mp4 --config factorized --absent
 
 He watches the run, and when a part was wrong in 5 visible frames on end he goes back to the first of them and puts
@@ -20,12 +19,6 @@ overlap with the true one is below 0.3, and he gives the true box. Targets are t
 A cell: corrections of each 1,000 frames, their mean and standard deviation over seeds / mean error of points over
 visible rows in pixels, or mean overlap of boxes / frames in which nothing that is visible is wrong, % / where the clip
 has covered points, the mean error of what is visible beside them.
-
---haar takes for the ground truth of a clip without one what the Haar start finds in every so many frames on its own; 5
-frames on end are then 5 of these. --absent compares, for points, the annotator with one who also marks what is covered
-absent where its cover begins, and gives it again where it comes back; `marks` are these corrections, of each 1,000
-frames too. --miss is how far his hand is off: its standard deviation in each axis, in the distance of the corners of
-the mouth, or in widths and heights of the true box.
 """
 
 from __future__ import annotations
@@ -55,7 +48,6 @@ from facetrack_cli.recipe.model import OpenCvRecipe, Recipe
 from facetrack_cli.runs.seeds import variant
 from facetrack_cli.runs.start import Begin
 from facetrack_cli.start.assembly import build_tracker
-from facetrack_cli.start.search import search_start
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.source import open_source
@@ -78,17 +70,6 @@ def truth_of(table: Trajectory, target: str, parts: Sequence[str], frames: Seque
     return _truth(target, parts, places, covered)
 
 
-def haar_truth(target: str, parts: Sequence[str], frames: Sequence[Frame], every: int) -> Truth:
-    places = np.full((len(frames), len(parts), 4), np.nan)
-    for t in range(0, len(frames), every):
-        try:
-            (here,) = search_start([frames[t]], parts).targets.values()
-        except InputError:
-            continue
-        places[t, :, :2] = [here.points[part] for part in parts]
-    return _truth(target, parts, places, np.zeros(places.shape[:2], dtype=np.bool_))
-
-
 def _truth(target: str, parts: Sequence[str], places: Array, covered: Mask) -> Truth:
     bound = np.nan
     if tuple(parts) != (BOX,):
@@ -100,30 +81,19 @@ def _truth(target: str, parts: Sequence[str], places: Array, covered: Mask) -> T
 
 def clips_of(clip: Path, recipe: Recipe, given: argparse.Namespace) -> Iterator[tuple[Start, list[Frame], Truth]]:
     """Each target of a clip, from the frame where the recipe begins."""
-    table = None if given.haar else read_truth(default_truth(clip))
+    table = read_truth(default_truth(clip))
     start = Begin(clip).find(recipe, table)
     with open_source(clip, start=start.frame) as source:
         frames = list(islice(source, None if given.stop is None else given.stop - start.frame))
     for target in build_tracker(recipe, start):
-        if table is None:
-            yield start, frames, haar_truth(target.name, target.parts, frames, given.haar)
-        else:
-            yield start, frames, truth_of(table, target.name, target.parts, frames)
+        yield start, frames, truth_of(table, target.name, target.parts, frames)
 
 
 # --- tables ------------------------------------------------------------------------------------------------------
 
 
-def ways_of(recipe: Recipe, *, absent: bool) -> dict[str, Way]:
-    alone = {"alone": Way(corrects=False)}
-    if absent:
-        return {
-            **alone,
-            "marked": Way(corrects=False, absent=True),
-            "corrected": Way(corrects=True),
-            "both": Way(corrects=True, absent=True),
-        }
-    found = {**alone, "default": Way(corrects=True)}
+def ways_of(recipe: Recipe) -> dict[str, Way]:
+    found = {"alone": Way(corrects=False), "default": Way(corrects=True)}
     if not isinstance(recipe, OpenCvRecipe):
         found["kept"] = Way(corrects=True, learn=False)
     if recipe.points:  # boxes are learned again by default
@@ -137,8 +107,6 @@ def cell(runs: Sequence[Outcome], work: Work, way: Way) -> str:
     shown = [f"{np.mean([run.value for run in runs]):.{digits}f}", f"{100 * np.mean([run.right for run in runs]):.1f}"]
     if not np.isnan(runs[0].beside):
         shown.append(f"{np.mean([run.beside for run in runs]):.{digits}f}")
-    if way.absent:
-        shown.insert(0, f"{1000 * runs[0].marks / frames:.0f} marks")
     if way.corrects:
         rate = 1000 * np.array([run.corrections for run in runs]) / frames
         spread = f" ± {rate.std(ddof=1):.1f}" if len(rate) > 1 else ""
@@ -150,11 +118,11 @@ def rows(config: str, clip: Path, columns: Sequence[str], given: argparse.Namesp
     name, overrides = variant(config)
     recipe = load_recipe(name, overrides)
     for start, frames, truth in clips_of(clip, recipe, given):
-        work = Work(recipe, start, frames, truth, given.miss)
+        work = Work(recipe, start, frames, truth)
         cells = dict.fromkeys(columns, "")
         # the images go to the processes once
         with ProcessPoolExecutor(given.jobs, initializer=_held.append, initargs=(work,)) as pool:
-            for name, way in ways_of(recipe, absent=given.absent).items():
+            for name, way in ways_of(recipe).items():
                 runs = list(pool.map(partial(_run, way=way), range(given.seeds if recipe.random else 1)))
                 cells[name] = cell(runs, work, way)
         label = clip.parent.name if clip.name == "img" else clip.stem
@@ -175,13 +143,10 @@ def main() -> None:
     parser.add_argument("--config", action="append", required=True, help="as for facetrack compare")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--stop", type=int, help="the frame to stop before")
-    parser.add_argument("--haar", type=int, metavar="EVERY")
-    parser.add_argument("--absent", action="store_true")
-    parser.add_argument("--miss", type=float, default=0.0)
     parser.add_argument("-j", dest="jobs", type=int, default=2)
     given = parser.parse_args()
     cv2.setNumThreads(1)  # its threads would not live on in the processes that are forked
-    columns = list(ways_of(load_recipe("factorized"), absent=given.absent))
+    columns = list(ways_of(load_recipe("factorized")))
     heading = ["recipe", "clip (frames)", *columns]
     print(f"\n{given.seeds} seeds\n\n| {' | '.join(heading)} |\n{'|---' * len(heading)}|", flush=True)
     for config in given.config:

@@ -1,4 +1,4 @@
-"""What a face does, on real clips: how far its points move as those of MediaPipe's mesh do: docs/face.md.
+"""What a face does, on real clips: how far its points move as those of MediaPipe's mesh do: docs/results.md.
 
     python benchmarks/expressions.py clips/people/*/ --regressions left_out --seeds 5
     python benchmarks/expressions.py clips/people/*/ --regressions left_out --config face:head.landmarks.network=mesh

@@ -1,4 +1,4 @@
-"""How far eyes are open, on real clips, and the blinks that follow from it: docs/face.md.
+"""How far eyes are open, on real clips, and the blinks that follow from it: docs/results.md.
 
     python benchmarks/eyes.py clips/people/*/ --regressions left_out --seeds 5
     FACETRACK_MODELS=models python benchmarks/eyes.py clips/people/*/ --regressions left_out

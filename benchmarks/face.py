@@ -1,26 +1,18 @@
-"""Points of faces on clips that nobody tuned on: docs/face.md.
+"""Points of faces on clips that nobody tuned on: docs/results.md.
 
     python benchmarks/face.py clips/*/ --config face --config factorized --init haar --seeds 10
     python benchmarks/face.py clips/*/ --config face --init haar --start box
-    python benchmarks/face.py rendered/*.mp4 --config face --config factorized_robust --seeds 3
 
 A clip is a folder with reference_points.csv (frame, part, x, y, score, unit: another detector's points, unit the
-distance between the eyes) and a video or img/; or a video with ground truth of points and an init file beside it. The
-former begin where the run itself finds a face; or, by --start, with the first box of their groundtruth.csv, or with
-what the search finds given as in an init file. Of them, over all frames with a reference, a frame without a row
-counting as off and lost:
+distance between the eyes) and a video or img/. A track begins where the run itself finds a face; or, by --start, with
+the first box of groundtruth.csv, or with what the search finds given as in an init file. Over all frames with a
+reference, a frame without a row counting as off and lost:
 
     .35, .2      share of frames with all points within .35, and within .2, of the distance between the eyes
     off, lost    of points that are off by more than .35, those called lost
     lost, off    of points called lost, those off by more than .35
     false        of points within .2, those called lost
     back         frames from the end of a time in which all points are called lost until all are within .35; the median
-
-Of the latter, in terms of the mouth's width in the first frame:
-
-    visible, hidden    mean error of the visible points, and of the hidden ones
-    partly             mean error of hidden points of a face that is not hidden as a whole: its box is visible
-    recall, false      of hidden points, those called lost; of visible ones within .2, those called lost
 
 A recipe's settings are given as for `facetrack compare`. `--regressions` is a folder of regressions that have
 not seen a clip NAME, without_NAME.npz (tools/mouth_descent.py). The first figure is the mean over clips, with the
@@ -49,27 +41,19 @@ from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.runs.seeds import variant
 from facetrack_cli.runs.start import Begin
-from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trajectory.formats.read import read_truth
-from facetrack_cli.trajectory.reader import read_trajectory
-from facetrack_cli.trajectory.trajectory import UNSEEN, Trajectory, aligned
+from facetrack_cli.trajectory.trajectory import UNSEEN, Trajectory
 
 NAMES = (".35", ".2", "off, lost", "lost, off", "false", "back")
-TRUE_NAMES = ("visible", "hidden", "partly", "recall", "false")
 REFERENCE = "reference_points.csv"
 
 
 class Points(NamedTuple):
-    """Errors (T, K) of points in units of the face, inf where there is no row; whether they are lost, or hidden.
-
-    `gone`: whether the face is hidden as a whole.
-    """
+    """Errors (T, K) of points in units of the face, inf where there is no row; whether they are lost."""
 
     error: Array
     lost: Mask
-    hidden: Mask
-    gone: Mask
 
 
 def start_of(clip: Path, recipe: Recipe, by: DetectorName | None, how: str) -> Start:
@@ -89,12 +73,8 @@ def run(clip: Path, config: str, init: DetectorName | None, how: str, seed: int,
     take_regression(regressions, clip.name)
     name, overrides = variant(config)
     recipe = load_recipe(name, overrides)
-    if (clip / REFERENCE).exists():
-        start = start_of(clip, recipe, init, how)
-        return against_reference(track_video(clip_in(clip), recipe, init=start, seed=seed), clip / REFERENCE)
-    truth = read_trajectory(clip.with_suffix(".truth.csv"))
-    start = replace(read_init(clip.with_suffix(".init.yaml")), detector=detector(init).name)
-    return against_truth(track_video(clip, recipe, init=start, seed=seed), truth)
+    start = start_of(clip, recipe, init, how)
+    return against_reference(track_video(clip_in(clip), recipe, init=start, seed=seed), clip / REFERENCE)
 
 
 def against_reference(ours: Trajectory, path: Path) -> Points:
@@ -108,23 +88,7 @@ def against_reference(ours: Trajectory, path: Path) -> Points:
             if one is not None and at is not None and part in known:
                 x, y, unit = known[part]
                 error[t, k], lost[t, k] = np.hypot(one.x[at] - x, one.y[at] - y) / unit, one.status[at] in UNSEEN
-    return Points(error, lost, np.zeros_like(lost), np.zeros_like(lost))
-
-
-def against_truth(ours: Trajectory, truth: Trajectory) -> Points:
-    true = [one for one in truth.parts if one.target == "face" and one.part != "box"]
-    mine = [one for part in true for one in ours.parts if one.names == part.names]
-    frames, known = aligned([*true, *mine], "x", "y", "status")
-    k, kept = len(true), np.isin(frames, ours.frames[1:])
-    x, y, status = (known[name][kept] for name in ("x", "y", "status"))
-    names = [part.part for part in true]
-    left, right = (names.index(name) for name in ("mouth_left", "mouth_right"))
-    width = float(np.hypot(x[0, left] - x[0, right], y[0, left] - y[0, right]))
-    error = np.hypot(x[:, :k] - x[:, k:], y[:, :k] - y[:, k:]) / width
-    lost, hidden = np.isin(status[:, k:], UNSEEN), np.asarray(status[:, :k] == "hidden")
-    box = truth.find("face", "box")
-    gone = np.zeros(len(frames), np.bool_) if box is None else np.isin(frames, box.frame[box.status == "hidden"])
-    return Points(error, lost, hidden, np.repeat(gone[kept, None], k, axis=1))
+    return Points(error, lost)
 
 
 def joined(runs: Sequence[Points]) -> Points:
@@ -148,17 +112,6 @@ def reference_figures(runs: Sequence[Points]) -> list[float]:
     return [*found, float(np.median(times)) if times else float("nan")]
 
 
-def true_figures(runs: Sequence[Points]) -> list[float]:
-    all_ = joined(runs)
-    hidden, near = all_.hidden, ~all_.hidden & (all_.error < 0.2)
-    partly = hidden & ~all_.gone
-    return [mean(all_.error[hidden]), mean(all_.error[partly]), mean(all_.lost[hidden]), mean(all_.lost[near])]
-
-
-def first_figure(one: Points, *, referred: bool) -> float:
-    return mean(np.all(one.error <= 0.35, axis=1)) if referred else mean(one.error[~one.hidden])
-
-
 def mean(values: Array | Mask) -> float:
     return float(np.mean(values)) if values.size else float("nan")
 
@@ -172,9 +125,7 @@ def table(
     regressions: Path | None,
     jobs: int,
 ) -> None:
-    referred = (clips[0] / REFERENCE).exists()
-    figures, names = (reference_figures, NAMES) if referred else (true_figures, TRUE_NAMES)
-    columns = [*([clip.name for clip in clips] if len(clips) <= 8 else []), *names]
+    columns = [*([clip.name for clip in clips] if len(clips) <= 8 else []), *NAMES]
     print(f"| | {' | '.join(columns)} |\n{'|---' * (len(columns) + 1)}|")
     with ProcessPoolExecutor(jobs) as pool:
         waiting = [
@@ -189,11 +140,13 @@ def table(
         ]
         for config, of_clips in waiting:
             runs = [[one.result() for one in of_clip] for of_clip in of_clips]
-            each = np.array([[first_figure(one, referred=referred) for one in of_clip] for of_clip in runs])  # (C, S)
+            each = np.array(
+                [[mean(np.all(one.error <= 0.35, axis=1)) for one in of_clip] for of_clip in runs]
+            )  # (C, S)
             cells = [f"{one.mean():.3f} ± {one.std():.3f}" for one in each] if len(clips) <= 8 else []
             whole = each.mean(axis=0)
             cells.append(f"{whole.mean():.3f} ± {whole.std():.3f}")
-            cells += [f"{value:.3f}" for value in figures([one for of_clip in runs for one in of_clip])]
+            cells += [f"{value:.3f}" for value in reference_figures([one for of_clip in runs for one in of_clip])]
             print(f"| `{config}` | {' | '.join(cells)} |", flush=True)
 
 

@@ -1,4 +1,4 @@
-"""YuNet and MediaPipe's face mesh in every frame, on clips made harder by `benchmarks/stress.py`: docs/face.md.
+"""YuNet and MediaPipe's face mesh in every frame, on clips made harder by `benchmarks/stress.py`: docs/results.md.
 
     python benchmarks/face_peers.py yunet model.onnx stress/*.mp4
     python benchmarks/face_peers.py mesh stress/*.mp4         # in an environment that has mediapipe

@@ -1,4 +1,4 @@
-"""Everybody in edited clips, against what people would put together themselves: docs/film.md.
+"""Everybody in edited clips, against what people would put together themselves: docs/results.md.
 
     python benchmarks/films.py clips/*.mp4 [-j 2]
 

@@ -1,4 +1,4 @@
-"""How well measures and events of faces agree with MediaPipe's points, by person: the tables of docs/measures.md.
+"""How well measures and events of faces agree with MediaPipe's points, by person: the tables of docs/results.md.
 
     python benchmarks/measures.py --regressions left_out --networks models --picture docs/measures.png
     python benchmarks/measures.py --false-events

@@ -7,8 +7,8 @@ detector. A hand is followed where a row that is neither lost nor absent has its
 `on no hand` counts such rows in no box of their frame: of all, and, `where both`, of frames in which the reference
 sees both hands, since it misses hands that are blurred or leave the picture.
 
-Or FOLDER has rendered clips with their ground truth beside them (benchmarks/signing_clips.py). Then rows that are
-called lost count, too, since the ground truth knows every hand.
+Or FOLDER has clips with their ground truth beside them, such as signing.mp4 of the samples. Then rows that are called
+lost count, too, since the ground truth knows every hand.
 """
 
 from __future__ import annotations

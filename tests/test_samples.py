@@ -1,15 +1,16 @@
-"""The committed sample clips: complete, small, and as the scripts in tools/samples/ render them."""
+"""The committed sample clips: complete, small, and with a start that agrees with the ground truth."""
 
-import csv
-from pathlib import Path
-
-import numpy as np
 import pytest
 
 from facetrack_cli.start.init_file import read_init
 from tests.support.samples import FOLDER, read_pictures, read_rows
 
 CLIPS = sorted(path.stem for path in FOLDER.glob("*.mp4") if path.stem != "film")  # which is joined from the others
+
+
+def test_the_film_is_small() -> None:
+    assert (FOLDER / "film.mp4").stat().st_size < 1_000_000
+    assert {row["target"] for row in read_rows("film")} == {"collins", "hopper"}
 
 
 @pytest.mark.one_in(3)
@@ -39,32 +40,3 @@ def test_the_init_file_is_the_truth_of_the_first_frame(name: str) -> None:
         # pixel centres are at whole numbers, so a box has its middle half a pixel before left + width / 2
         box = left + (width - 1) / 2, top + (height - 1) / 2, width, height
         assert box == pytest.approx([float(row[key]) for key in "xywh"], abs=0.011)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("name", CLIPS)
-def test_a_clip_rendered_again_is_the_same(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("skimage", reason="needs the extra: pip install -e '.[samples]'")
-    monkeypatch.syspath_prepend(str(FOLDER.parent / "tools" / "samples"))
-    from clip_files import write_truth
-    from make import CLIPS as RENDERED
-
-    clip = RENDERED[name]()
-    write_truth(tmp_path / "truth.csv", clip.truth)
-    with (tmp_path / "truth.csv").open(newline="", encoding="utf-8") as file:
-        assert list(csv.DictReader(file)) == read_rows(name)
-    for ours, committed in zip(clip.pictures, read_pictures(name), strict=True):
-        assert np.abs(ours - committed.astype(float)).mean() < 4
-
-
-@pytest.mark.nightly
-def test_the_film_joined_again_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(FOLDER.parent / "tools" / "samples"))
-    from film import film
-
-    frames, rows = film(), read_rows("film")
-    assert (FOLDER / "film.mp4").stat().st_size < 1_000_000
-    for (ours, _), committed in zip(frames, read_pictures("film"), strict=True):
-        assert np.abs(ours - committed.astype(float)).mean() < 4
-    told = {(int(row["frame"]), row["target"]) for row in rows}
-    assert told == {(t, name) for t, (_, seen) in enumerate(frames) for name in seen}

@@ -5,28 +5,25 @@
     FACETRACK_CLIPS=../clips python tools/calibrations.py -j 2       # with the real clips in that folder
     FACETRACK_CLIPS=../clips python tools/calibrations.py --again --config face --regressions left_out
 
-Each recipe is fitted to rendered clips (benchmarks/rendered.py, seeds 0 to 3 of each kind, in --clips), to the
-sample clips that it has goldens of, and to the real clips of $FACETRACK_CLIPS: folders with a groundtruth.csv of a box
-and a video or images, whose points are those of reference_points.csv (benchmarks/face.py); and people/*/ with mesh.csv
-(benchmarks/expressions.py), whose tracks begin as a search finds them. `--regressions` is a folder of regressions that
-have not seen a clip (tools/mouth_descent.py). For each recipe it prints the calibration error and Brier score on clips
-left out, raw and calibrated. Clips that are rendered, and recipes that have a file, are left as they are, so that it
-may be interrupted. Rendered clips of one kind count as one clip. A clip that a recipe cannot run on is named and left
-out, and so is a recipe with fewer than two clips.
-Rendering needs the `samples` extra.
+Each recipe is fitted to the sample clips that it has goldens of, to the videos of --clips that have a .truth.csv and an
+init file beside them, and to the real clips of $FACETRACK_CLIPS: folders with a groundtruth.csv of a box and a video or
+images, whose points are those of reference_points.csv (benchmarks/face.py); and people/*/ with mesh.csv
+(benchmarks/expressions.py), whose tracks begin as a search finds them. The shipped files were fitted with twelve
+rendered clips in --clips. `--regressions` is a folder of regressions without a clip each (tools/mouth_descent.py).
+For each recipe it prints the calibration error and Brier score on clips left out, raw and calibrated. Recipes that have
+a file are left as they are, so that it may be interrupted. Clips KIND-SEED.mp4 of one of the KINDS count as one clip. A
+clip that a recipe cannot run on is named and left out, and so is a recipe with fewer than two clips.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from itertools import product
 from pathlib import Path
 
 import cv2
@@ -51,20 +48,7 @@ from facetrack_cli.trajectory.trajectory import Trajectory
 
 ROOT = Path(__file__).parent.parent
 SAMPLES = ROOT / "sample_videos"
-SEEDS = range(4)
 KINDS = ("object", "passer", "gestures")
-
-
-def render(folder: Path) -> list[Path]:
-    """The rendered clips, those that are missing made first."""
-    clips = []
-    for seed, kind in product(SEEDS, KINDS):
-        clip = folder / f"{kind}-{seed}.mp4"
-        if not clip.with_suffix(".init.yaml").exists():  # which is written last
-            script = str(ROOT / "benchmarks" / "rendered.py")
-            subprocess.run([sys.executable, script, str(folder), "--seeds", str(seed), "--kind", kind], check=True)
-        clips.append(clip)
-    return clips
 
 
 def real(recipe: Recipe) -> list[Path]:
@@ -74,11 +58,11 @@ def real(recipe: Recipe) -> list[Path]:
     return [clip_in(file.parent) for kind in kinds for file in sorted(folder.glob(kind))]
 
 
-def clips_of(recipe: Recipe, rendered: Sequence[Path]) -> list[Path]:
-    """The clips that the recipe is made for."""
+def clips_of(recipe: Recipe, more: Sequence[Path]) -> list[Path]:
+    """The clips that the recipe is made for, and `more` clips of a face."""
     goldens = sorted((SAMPLES / "goldens").glob(f"*.{recipe.name}.json"))
     samples = [SAMPLES / f"{golden.name.partition('.')[0]}.mp4" for golden in goldens]
-    return samples if len(recipe.followed) > 1 else [*rendered, *samples, *real(recipe)]
+    return samples if len(recipe.followed) > 1 else [*more, *samples, *real(recipe)]
 
 
 def truth_of(clip: Path, recipe: Recipe) -> Trajectory:
@@ -134,8 +118,7 @@ def fit(
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    default = Path(tempfile.gettempdir()) / "facetrack-calibrations"
-    parser.add_argument("--clips", type=Path, default=default, help=f"rendered clips [default: {default}]")
+    parser.add_argument("--clips", type=Path, help="folder of more clips, each with its ground truth and init file")
     parser.add_argument("--config", action="append", default=[], metavar="NAME", help="this recipe; repeatable")
     parser.add_argument("--seeds", type=int, default=1, help="runs of each clip [default: 1]")
     parser.add_argument("-j", "--jobs", type=int, default=1, help="processes")
@@ -143,9 +126,10 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, default=ROOT / "configs" / "calibration", help="folder of the files")
     parser.add_argument("--again", action="store_true", help="also those that have a file")
     args = parser.parse_args()
-    args.clips.mkdir(parents=True, exist_ok=True)
     args.out.mkdir(parents=True, exist_ok=True)
-    rendered = render(args.clips)
+    more = (
+        [] if args.clips is None else [one for one in sorted(args.clips.glob("*.mp4")) if default_truth(one).exists()]
+    )
     print(f"{'recipe':<40} {'part':<6} clips right    raw: ECE Brier   calibrated: ECE Brier  map", flush=True)
     for path in shipped_recipes():
         file = args.out / f"{path.stem}.json"
@@ -155,7 +139,7 @@ def main() -> None:
         began = time.monotonic()
         try:
             [recipe] = load_recipes([(str(path), ())], gallery)
-            found = fit(recipe, clips_of(recipe, rendered), args.seeds, args.jobs, args.regressions)
+            found = fit(recipe, clips_of(recipe, more), args.seeds, args.jobs, args.regressions)
         except FacetrackError as e:
             print(f"{path.stem}: no calibration: {e}", file=sys.stderr, flush=True)
             continue

@@ -1,19 +1,13 @@
-"""The reference of commands, for the site, and the tables of recipe keys in docs/recipes.md.
+"""Two pages of the site that are made when it is built: the help of all commands, and the keys of recipes.
 
-python tools/commands_doc.py            # writes the tables in docs/recipes.md
-python tools/commands_doc.py --check    # writes nothing; exit code 1 if they are stale
-
-The reference is what the commands print as their help. mkdocs builds it into the site by `commands_page`, so this
-module imports nothing but Click until the tables are made.
+`site_links.py` takes `commands_page` and `keys_page`. Nothing but Click is imported for the help.
 """
 
 from __future__ import annotations
 
-import argparse
 import re
 import textwrap
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import click
@@ -21,8 +15,6 @@ import click
 from facetrack_cli.cli.app import cli
 from facetrack_cli.cli.options import EVERY
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
-BEGIN, END = "<!-- keys: written by tools/commands_doc.py -->", "<!-- end of keys -->"
 WIDTH = 100
 Schema: TypeAlias = "dict[str, Any]"
 
@@ -72,6 +64,15 @@ def wrapped(text: str) -> str:
     """A paragraph in lines of at most WIDTH characters; `code` with spaces stays on one line."""
     kept = re.sub(r"`[^`]*`", lambda code: code[0].replace(" ", "\0"), text)
     return textwrap.fill(kept, WIDTH, break_long_words=False, break_on_hyphens=False).replace("\0", " ")
+
+
+# --- keys of recipes -----------------------------------------------------------------------------------------------
+
+
+def keys_page() -> str:
+    """The page recipe_keys.md of the site."""
+    intro = wrapped("From the settings in the code; `facetrack recipes schema` prints them as JSON schema.")
+    return f"# Keys of recipes\n\n{intro}\n\n{keys_tables()}\n"
 
 
 def keys_tables() -> str:
@@ -195,30 +196,3 @@ def value(schema: Schema, field: Schema) -> str:
         if len(text) < 15 and not (isinstance(limit, float) and abs(limit) >= 1e6)
     ]
     return " ".join([words[field["type"]], ", ".join(shown)]).strip()
-
-
-def recipes_page(text: str) -> str:
-    """docs/recipes.md with new tables of keys."""
-    before, found_begin, rest = text.partition(BEGIN)
-    _, found_end, after = rest.partition(END)
-    if not found_begin or not found_end:
-        raise SystemExit(f"docs/recipes.md: restore the lines {BEGIN} and {END}, between which the tables of keys are")
-    return f"{before}{BEGIN}\n\n{keys_tables()}\n\n{END}{after}"
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 if the tables are stale")
-    check = parser.parse_args(arguments).check
-    path = DOCS / "recipes.md"
-    before = path.read_text(encoding="utf-8")
-    if (text := recipes_page(before)) == before:
-        return 0
-    print("docs/recipes.md is stale; run: python tools/commands_doc.py" if check else "docs/recipes.md written")
-    if not check:
-        path.write_text(text, encoding="utf-8")
-    return int(check)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

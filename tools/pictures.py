@@ -1,7 +1,7 @@
 # mypy: allow-untyped-calls
 """The pictures of docs/ anew: `PYTHONPATH=. python tools/pictures.py [NAME ...]`, with the extras test and browser.
 
-Frames of annotated videos, the page and the report in a Chromium, and the exports of docs/first_track.md; the sheet
+Frames of annotated videos, the page and the report in a Chromium, and the exports of docs/index.md; the sheet
 takes LibreOffice Calc and pdftoppm, and is left out without them. Plots are those of the commands beside them.
 """
 
@@ -54,7 +54,7 @@ def main(names: list[str]) -> None:
     for name, (width, rows) in GRIDS.items():
         if not names or name in names:
             grid(name, width, rows)
-    for make in (moving, report, film, pick, guide):
+    for make in (moving, film, pick, guide):
         if not names or make.__name__ in names:
             with tempfile.TemporaryDirectory() as folder:
                 os.chdir(folder)
@@ -141,14 +141,6 @@ def shot(page: Any, name: str, quality: int = 82) -> None:
     page.wait_for_timeout(1000)  # until what moves has come to rest
     page.screenshot(path=str(DOCS / name), type="jpeg", quality=quality)
     print(name, (DOCS / name).stat().st_size // 1000, "kB")
-
-
-def report() -> None:
-    command("run", "sample_videos/occlusion.mp4", "--config", "factorized_robust", "-q")
-    command("report", "occlusion-factorized_robust", "--truth", "sample_videos/occlusion.truth.csv", "-q")
-    with browser(1000, 1640) as page:
-        page.goto(f"file://{Path.cwd()}/occlusion-factorized_robust/report.html")
-        shot(page, "report.jpg", 70)
 
 
 def film() -> None:
@@ -279,10 +271,10 @@ def cvat() -> None:
 
 def notebook() -> None:
     """What the cell of the guide draws."""
-    text = (DOCS / "first_track.md").read_text(encoding="utf-8")
+    text = (DOCS / "index.md").read_text(encoding="utf-8")
     cell = text.split("```python\n")[1].split("```")[0]
     plt.figure(figsize=(7, 3.5), layout="constrained")
-    exec(compile(cell, "first_track.md", "exec"), {})
+    exec(compile(cell, "index.md", "exec"), {})
     plt.savefig(DOCS / "first_track-notebook.png", dpi=100)
 
 

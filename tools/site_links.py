@@ -1,6 +1,7 @@
 """A hook of mkdocs.yml: pages of the project that stand outside of docs/ are pages of the site, and so is the help.
 
-Their links, and those to them, are written for the files as they lie in the repository, and changed here.
+Their links, and those to them, are written for the files as they lie in the repository, and changed here. The keys of
+recipes are written for the site alone, from the settings.
 """
 
 from __future__ import annotations
@@ -14,8 +15,10 @@ from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "tools")]  # the package need not be installed: its help takes Click alone
-from commands_doc import commands_page  # noqa: E402
 
+from commands_doc import commands_page, keys_page  # noqa: E402
+
+KEYS = "recipe_keys.md"
 PAGES = {
     "CONTRIBUTING.md": "CONTRIBUTING.md",
     "SECURITY.md": "SECURITY.md",
@@ -28,6 +31,7 @@ def on_files(files: Any, config: Any) -> Any:
     for source, name in PAGES.items():
         files.append(File.generated(config, name, content=(ROOT / source).read_text(encoding="utf-8")))
     files.append(File.generated(config, "commands.md", content=commands_page()))
+    files.append(File.generated(config, KEYS, content=keys_page()))
     return files
 
 
