@@ -21,7 +21,7 @@ from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import check_plain
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.snapshot import Arrays, flat_value, read_value
-from facetrack_cli.run_folder.lock import sweep
+from facetrack_cli.run_folder.lease import sweep
 
 FOLDER: Final = ".checkpoint"
 KIND: Final = Kind("facetrack-checkpoint", 1, "checkpoint of a run", "facetrack run")

@@ -12,7 +12,7 @@ import os
 import re
 import shlex
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import groupby
@@ -36,7 +36,7 @@ from facetrack_cli.core.files import (
     temporary_path,
 )
 from facetrack_cli.core.log import LINES
-from facetrack_cli.run_folder.lock import LOCK, FolderLock, finish_replacing, left_in, mark_of, sweep, utc_now
+from facetrack_cli.run_folder.lease import FolderLease, finish_replacing, is_held, left_in, mark_of, sweep, utc_now
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.reader import read_table, read_trajectory, table_in
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -189,7 +189,7 @@ def made_by(name: str) -> str:
 
 
 def commit(
-    lock: FolderLock, folder: Path, files: Sequence[Path], known: Manifest | None, gone: Sequence[Path] = ()
+    lock: FolderLease, folder: Path, files: Sequence[Path], known: Manifest | None, gone: Sequence[Path] = ()
 ) -> None:
     """Let the temporary files of these paths replace them, and then run.json: `known`, and their checksums.
 
@@ -289,20 +289,20 @@ def trajectory_of(run: Path) -> Path:
     raise InputError(f"{run}: has no trajectory.json; {remedy}")
 
 
-def recover_interrupted(folder: Path) -> int:
+def recover_interrupted(folder: Path, stopped: Callable[[], bool] = lambda: False) -> int:
     """End what a killed process left in a folder, if nobody writes there; the number of frames that it had tracked.
 
     Files half replaced are replaced; tables that were being written become the tables of a run that was stopped.
     """
-    if not (folder / LOCK).exists():
+    if not is_held(folder):
         return 0
     finish_replacing(folder, left_in(folder))
-    with contextlib.suppress(OutputError, OSError), FolderLock(folder) as lock:
+    with contextlib.suppress(OutputError, OSError), FolderLease(folder, stopped) as lock:
         return recover(folder, lock)
     return 0
 
 
-def recover(folder: Path, lock: FolderLock) -> int:
+def recover(folder: Path, lock: FolderLease) -> int:
     """As `recover_interrupted`, of a folder that is locked."""
     note, frames = lock.stale_note, 0
     finish_replacing(folder, note)
@@ -315,7 +315,7 @@ def recover(folder: Path, lock: FolderLock) -> int:
     return frames
 
 
-def _end_tables(folder: Path, lock: FolderLock, mark: str, known: Manifest) -> int:
+def _end_tables(folder: Path, lock: FolderLease, mark: str, known: Manifest) -> int:
     """Write the tables of a process anew with their whole frames, and run.json; the number of these frames."""
     check_plain(*(folder / name for name in TABLES))
     parts = {form: temporary_path(folder / f"trajectory.{form}", mark) for form in FORMATS}

@@ -16,7 +16,7 @@ from facetrack_cli.core.errors import BusyError, FacetrackError
 from facetrack_cli.core.files import absolute
 from facetrack_cli.core.log import about
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.run_folder.lock import LOCK, FolderLock, holder
+from facetrack_cli.run_folder.lease import FolderLease, holder, is_held
 from facetrack_cli.run_folder.manifest import as_line, recover_interrupted
 from facetrack_cli.runs.clip import run
 from facetrack_cli.runs.job import Job, Outcome, Report, check, ended, note_failure, silent
@@ -25,7 +25,6 @@ from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, cores, side_by_side
 from facetrack_cli.tracking.kernels.precompile import Precompiler
-from facetrack_cli.trajectory.header import is_there
 
 TRIES: Final = 2  # of a clip whose process a signal ends
 LOOK_S: Final = 0.5  # between two looks whether a clip of somebody else is free
@@ -80,7 +79,7 @@ def check_all(jobs: Sequence[Job]) -> tuple[list[Outcome], list[Job]]:
     left: list[Job] = []
     for job in jobs:
         try:
-            known = None if job.out is not None and is_there(job.out / LOCK) else ended(job)
+            known = None if job.out is not None and is_held(job.out) else ended(job)
             if known is None:
                 check(job)
         except FacetrackError as e:
@@ -163,7 +162,7 @@ def _wait(busy: Sequence[Job], stop: Stop) -> tuple[list[Job], list[Job]]:
     """The clips of others, once one of them at least is not being tracked any more: those, and the rest."""
     settled = time.monotonic()
     while busy and not stop():
-        those = [(job, job.out is not None and (job.out / LOCK).exists()) for job in busy]
+        those = [(job, job.out is not None and is_held(job.out)) for job in busy]
         if not all(held for _, held in those):
             return [job for job, held in those if not held], [job for job, held in those if held]
         time.sleep(LOOK_S)
@@ -171,7 +170,7 @@ def _wait(busy: Sequence[Job], stop: Stop) -> tuple[list[Job], list[Job]]:
             settled = time.monotonic()
             for job in busy:
                 if job.out is not None:
-                    recover_interrupted(job.out)
+                    recover_interrupted(job.out, stop)
     return [], []
 
 
@@ -184,7 +183,7 @@ def died(job: Job, error: Exception) -> Outcome:
     said = FacetrackError(f"{job.clip}: {error}; {kept}")
     log = error.log if isinstance(error, DiedError) else ()
     if job.out is not None and job.batch:
-        with contextlib.suppress(FacetrackError), FolderLock(job.out) as lock:
+        with contextlib.suppress(FacetrackError), FolderLease(job.out) as lock:
             note_failure(job, lock, said, log)
     return Outcome(clip=job.clip, error=said)
 

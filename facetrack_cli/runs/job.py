@@ -17,7 +17,7 @@ from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.files import default_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.run_folder.fingerprint import clip_stat, job_digest, previous_run
-from facetrack_cli.run_folder.lock import LOCK, FolderLock, here
+from facetrack_cli.run_folder.lease import FolderLease, here, is_held
 from facetrack_cli.run_folder.manifest import (
     OWNED,
     VIDEO,
@@ -208,7 +208,7 @@ def ended(job: Job) -> Outcome | None:
 
 
 def note_failure(
-    job: Job, lock: FolderLock, error: Exception, log: Sequence[str] = (), begun: Manifest | None = None
+    job: Job, lock: FolderLease, error: Exception, log: Sequence[str] = (), begun: Manifest | None = None
 ) -> None:
     """Write into run.json of a folder that its clip failed; what was tracked of it stays.
 
@@ -271,7 +271,7 @@ def check(job: Job, *, kept: bool = False, locked: bool = False) -> None:
         try:
             check_folder(job.out, OWNED, overwrite=overwrite, inputs=inputs)
         except OutputError:  # another facetrack may have written the same results since, or be writing them
-            if locked or not (is_there(job.out / LOCK) or job.previous() is not None):
+            if locked or not (is_held(job.out) or job.previous() is not None):
                 raise
             check_folder(job.out, OWNED, overwrite=True, inputs=inputs)
 

@@ -18,7 +18,7 @@ from facetrack_cli.core.files import check_plain, make_folder, remove_folders
 from facetrack_cli.core.types import BOX, Frame, Image, Start
 from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.run_folder.finished import Painted, run_files, write_rows
-from facetrack_cli.run_folder.lock import FolderLock
+from facetrack_cli.run_folder.lease import FolderLease
 from facetrack_cli.run_folder.manifest import VIDEO, check_run, read_manifest, read_run
 from facetrack_cli.runs.job import Job, Outcome, Report, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
@@ -277,7 +277,7 @@ def write_people(
     paint: Painted | None,
     report: Report,
     stop: Stopped,
-    lock: FolderLock | None = None,
+    lock: FolderLease | None = None,
 ) -> list[str]:
     """Write the rows of a run under the names of people, people.json, pictures and video, all or none; warnings."""
     counted = ending_of(rows)
@@ -318,7 +318,7 @@ def recast(
     cannot be, InputError for a run that is of no film or whose clip is gone; nothing is written then.
     """
     check_run(folder)  # which ends what a kill left, before the folder is ours
-    with FolderLock(folder) as lock:
+    with FolderLease(folder) as lock:
         people, rows = people_in(folder), rows_in(folder)
         tracks = tracks_of(people)
         for _, change in changes:

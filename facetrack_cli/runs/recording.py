@@ -37,7 +37,7 @@ from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder import checkpoint
 from facetrack_cli.run_folder.checkpoint import Checkpoints, forget
 from facetrack_cli.run_folder.fingerprint import ClipDigest, quick_digest
-from facetrack_cli.run_folder.lock import FolderLock, here, utc_now
+from facetrack_cli.run_folder.lease import FolderLease, here, utc_now
 from facetrack_cli.run_folder.manifest import (
     POSTERIOR,
     VIDEO,
@@ -116,7 +116,7 @@ class Recorder:
     def __init__(self, job: Job) -> None:
         self.job = job
         self.state = RunState(0, Outcome(clip=job.clip, streamed=job.out is None))
-        self.lock: FolderLock | None = None
+        self.lock: FolderLease | None = None
         self._sinks: list[FileSink | StreamSink] = []
         self._made: list[Path] = []
         self._writers: list[Writer] = []
@@ -140,7 +140,7 @@ class Recorder:
             return self
         self._made = make_folder(out)
         try:
-            self.lock = FolderLock(out).__enter__()
+            self.lock = FolderLease(out).__enter__()
             recover(out, self.lock)
             self._entered_s = time.monotonic()
             self._run = Manifest(
@@ -221,7 +221,7 @@ class Recorder:
             writer.write(rows)
         self.outcome.count(rows)
         if self.lock is not None:
-            self.lock.frame = self.outcome.frames
+            self.lock.progress(self.outcome.frames, self.total)
 
     def paint(self, result: FrameResult) -> None:
         """Paint a result and encode it, while the next one is tracked."""
@@ -236,7 +236,7 @@ class Recorder:
         self._digest = ClipDigest(job.clip, whole=not job.chunk)
         if self.lock is not None:
             self._run.clip = self._digest.clip
-            self.lock.frame, self.lock.frames = self._before, self.total
+            self.lock.progress(self._before, self.total)
             self.lock.note({"clip": str(job.clip), "run": self._run.record()})
         for form, sink in zip(job.formats, self._sinks, strict=False):  # none in memory
             self._writers.append(WRITERS[form](sink, header, begun=goes_on))

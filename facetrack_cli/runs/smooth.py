@@ -12,7 +12,7 @@ from typing import TypeAlias
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import FULL, check_plain, discard, temporary_path
 from facetrack_cli.run_folder.finished import Painted, open_run, read_files, run_files, write_rows
-from facetrack_cli.run_folder.lock import FolderLock, sweep
+from facetrack_cli.run_folder.lease import FolderLease, sweep
 from facetrack_cli.run_folder.manifest import (
     FILTERED,
     POSTERIOR,
@@ -71,7 +71,7 @@ def replace_files(
     gone: Sequence[Path] = (),
     paint: Callable[[Path], Sequence[str]] | None = None,
     check: Callable[[], None] = lambda: None,
-    lock: FolderLock | None = None,
+    lock: FolderLease | None = None,
 ) -> tuple[list[Path], list[str]]:
     """Write all files of a run's `folder`, then let them replace the old ones together; the files, and warnings.
 
@@ -84,7 +84,7 @@ def replace_files(
     notes: list[str] = []
     check_plain(folder / VIDEO, *files)
     try:
-        with nullcontext(lock) if lock else FolderLock(folder) as lock:
+        with nullcontext(lock) if lock else FolderLease(folder) as lock:
             check()
             sweep(folder)
             if paint is not None:
