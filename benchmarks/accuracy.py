@@ -24,8 +24,8 @@ from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.summary import Evaluation, evaluate
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.seeds import Plan, SeedRun, run_plans
-from facetrack_cli.runs.start import Begin
+from facetrack_cli.runs.plan import ClipRequest
+from facetrack_cli.runs.seeds import SeedPlan, SeedRun, run_plans
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -38,14 +38,14 @@ def runs_of(
     """Of each recipe in turn its label and its runs, one a seed, each with its pairs with the clip's ground truth."""
     truth = read_truth(default_truth(clip))
     plans = [
-        Plan(label, clip, recipe, Begin(clip).find(recipe, truth), tuple(range(seeds)))
+        SeedPlan(label, clip, recipe, ClipRequest(clip).find(recipe, truth), tuple(range(seeds)))
         for label, recipe in recipes.items()
     ]
     yield from paired(plans, truth, jobs)
 
 
 def paired(
-    plans: Sequence[Plan], truth: Trajectory, jobs: int, *, partial: bool = False
+    plans: Sequence[SeedPlan], truth: Trajectory, jobs: int, *, partial: bool = False
 ) -> Iterator[tuple[str, Sequence[SeedRun], list[list[Pair]]]]:
     """Of each plan in turn its label and its runs, one a seed, each with its pairs with the ground truth."""
     for ended in run_plans(plans, jobs):

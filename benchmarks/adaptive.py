@@ -39,7 +39,7 @@ from facetrack_cli.core.types import Array
 from facetrack_cli.evaluation.compare import default_truth
 from facetrack_cli.evaluation.reliability import auroc
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.start import Begin
+from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.models.likelihoods.appearance import Appearance
 from facetrack_cli.tracking.models.velocity import PredictedWalk
@@ -155,7 +155,7 @@ def shift_row(clip: Path, config: str) -> list[float]:
     cv2.setNumThreads(1)
     truth = read_truth(default_truth(clip))
     recipe = load_recipe(config)
-    start = Begin(clip).find(recipe, truth)
+    start = ClipRequest(clip).find(recipe, truth)
     (target,) = build_tracker(recipe, start)
     assert isinstance(target, ParticleTarget)
     motion, model = target.motion, target.likelihood

@@ -15,8 +15,8 @@ from facetrack_cli.core.types import Array, Frame, Mask, Start
 from facetrack_cli.evaluation.boxes import SUCCESS_THRESHOLDS, BoxMeasures, measure_boxes, share_above
 from facetrack_cli.evaluation.compare import TAIL_IOU, default_truth, tail_overlap
 from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.runs.seeds import variant
-from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track
 from facetrack_cli.trajectory.formats.read import read_truth
@@ -108,7 +108,7 @@ def follow(clip: Path, config: str, seeds: int, start: Start | None = None, more
     except InputError:
         if start is None:
             raise
-    begin = start or Begin(clip).find(recipe, truth)
+    begin = start or ClipRequest(clip).find(recipe, truth)
     true = {
         int(frame): (*box, angle)
         for one in (truth.parts if truth is not None else ())

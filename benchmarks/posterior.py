@@ -38,12 +38,10 @@ from facetrack_cli.evaluation.compare import default_truth
 from facetrack_cli.evaluation.match import match
 from facetrack_cli.evaluation.summary import evaluate
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.clip import track_clip
-from facetrack_cli.runs.job import Job
-from facetrack_cli.runs.recording import Memory
+from facetrack_cli.runs.clip import rows_of
+from facetrack_cli.runs.plan import Job, resolve, truth_start
 from facetrack_cli.runs.seeds import variant
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.start import truth_start
 from facetrack_cli.trajectory.formats.read import read_truth
 
 COLUMNS = ("error %", "hidden %", "50 %", "90 %", "ESS", "ECE", "jitter px", "evidence")
@@ -61,9 +59,8 @@ def run(clip: Path, config: str, seed: int) -> Array:
         start = truth_start(truth, recipe.points)
         begin = Start(start.frame, {"face": TargetStart(next(iter(start.targets.values())).box)}, start.origin)
     job = Job(clip, recipe, None, video=False, init=begin)
-    with Memory(job) as memory:
-        track_clip(job, memory, Stop())
-        track = memory.trajectory
+    _, track = rows_of(resolve(job, kept=True), Stop())
+    assert track is not None
     pairs = match(track, truth, partial=True, select=None)
     found = evaluate(pairs).all
     boxed, points, cover, trusted = found.boxes, found.points, found.coverage, found.confidence

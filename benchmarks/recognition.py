@@ -35,7 +35,7 @@ from adaptive_runs import Run, clip_of, follow, overlap_of
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Array, Frame, Start
 from facetrack_cli.evaluation.compare import default_truth
-from facetrack_cli.runs.start import truth_start
+from facetrack_cli.runs.plan import truth_start
 from facetrack_cli.tracking.identity.gallery import NONE, load_gallery
 from facetrack_cli.tracking.models.spaces import Patches
 from facetrack_cli.tracking.start.search import search_start

@@ -21,7 +21,7 @@ import numpy as np
 from facetrack_cli.core.types import Frame, Particles
 from facetrack_cli.evaluation.compare import default_truth
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.start import Begin
+from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.models.likelihoods.product import Product
 from facetrack_cli.tracking.resampling import uniform
@@ -35,7 +35,7 @@ REACH = 20
 def target_of(recipe: str, clip: Path, name: str) -> ParticleTarget:
     """The target of that name, as the recipe follows it in the clip."""
     loaded = load_recipe(recipe)
-    start = Begin(clip).find(loaded, read_truth(default_truth(clip)))
+    start = ClipRequest(clip).find(loaded, read_truth(default_truth(clip)))
     found = next(one for one in build_tracker(loaded, start) if one.name == name)
     assert isinstance(found, ParticleTarget)
     return found

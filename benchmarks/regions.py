@@ -38,8 +38,8 @@ from facetrack_cli.evaluation.reliability import auroc
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.seeds import Plan, variant
-from facetrack_cli.runs.start import Begin
+from facetrack_cli.runs.plan import ClipRequest
+from facetrack_cli.runs.seeds import SeedPlan, variant
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -65,10 +65,10 @@ def cases(clip: Path, given: argparse.Namespace) -> Iterator[Case]:
         label = f"{config} {count}"
         recipe: Recipe = load_recipe(name, [*overrides, *given.overrides, f"filter.particles={count}"])
         if given.start is None:
-            start = Begin(clip, init=given.init).find(recipe, truth)
+            start = ClipRequest(clip, init=given.init).find(recipe, truth)
         else:
             start = true_start(truth, given.start)
-        plans.append(Plan(label, clip, recipe, start, tuple(range(given.seeds))))
+        plans.append(SeedPlan(label, clip, recipe, start, tuple(range(given.seeds))))
         particles[label] = config, count
     for label, _, seeds in paired(plans, truth, given.jobs, partial=given.partial):
         yield Case(*particles[label], seeds)

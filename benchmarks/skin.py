@@ -35,8 +35,8 @@ from facetrack_cli.evaluation.boxes import measure_boxes, normalised_errors, wit
 from facetrack_cli.evaluation.compare import TAIL, default_truth
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.seeds import Plan, labels, variant
-from facetrack_cli.runs.start import Begin
+from facetrack_cli.runs.plan import ClipRequest
+from facetrack_cli.runs.seeds import SeedPlan, labels, variant
 from facetrack_cli.trajectory.formats.read import read_truth
 
 SAMPLES = Path(__file__).parent.parent / "sample_videos"
@@ -121,7 +121,7 @@ def runs_of(clip: Path, config: str, label: str, given: argparse.Namespace) -> l
     name, overrides = variant(config)
     recipe = load_recipe(name, [*overrides, *given.overrides])
     seeds = tuple(range(given.seeds if recipe.random else 1))
-    plan = Plan(label, clip, recipe, Begin(clip).find(recipe, truth), seeds)
+    plan = SeedPlan(label, clip, recipe, ClipRequest(clip).find(recipe, truth), seeds)
     ((_, _, pairs),) = paired([plan], truth, given.jobs)
     return pairs
 

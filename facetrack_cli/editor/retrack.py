@@ -19,7 +19,7 @@ from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import Correction, Frame
 from facetrack_cli.recipe.model import ParticlesRecipe
 from facetrack_cli.run_folder.finished import Run
-from facetrack_cli.runs.job import Report, silent
+from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stopped, StoppedError, never
 from facetrack_cli.tracking.build.build import build_tracker, tracker_for
 from facetrack_cli.tracking.corrected import CorrectedTarget

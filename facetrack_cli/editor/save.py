@@ -10,7 +10,7 @@ from facetrack_cli.editor.history import Fixer
 from facetrack_cli.run_folder.finished import Run, stamp, write_rows
 from facetrack_cli.run_folder.manifest import FILTERED, outdated, read_manifest
 from facetrack_cli.runs.clip import past_end
-from facetrack_cli.runs.job import Report, silent
+from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stopped, StoppedError, never
 from facetrack_cli.runs.smooth import Write, given_all, repaint, replace_files
 from facetrack_cli.tracking.build.build import tracker_for

@@ -100,6 +100,6 @@ class Checkpoints:
         self._worker.shutdown()
 
 
-def forget(out: Path) -> None:
+def remove_checkpoints(out: Path) -> None:
     """Remove the checkpoints of a run that is done, or is begun anew."""
     shutil.rmtree(out / FOLDER, ignore_errors=True)

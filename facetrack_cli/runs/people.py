@@ -20,10 +20,9 @@ from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.run_folder.finished import Painted, run_files, write_rows
 from facetrack_cli.run_folder.lease import FolderLease
 from facetrack_cli.run_folder.manifest import VIDEO, check_run, read_manifest, read_run
-from facetrack_cli.runs.job import Job, Outcome, Report, silent
+from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.runs.smooth import repaint, replace_files
-from facetrack_cli.runs.start import frames_of
 from facetrack_cli.tracking.loop import TrackState
 from facetrack_cli.tracking.people.identity import AT_ONCE_S, SURE, UNKNOWN, Cast, Seen, cast_of, places
 from facetrack_cli.tracking.people.looks import Looks, Reader, load_people, save_people, still, views_of
@@ -82,13 +81,13 @@ def film_start(first: int) -> Start:
     return Start(first, {}, ORIGIN)
 
 
-def film_results(
+def film(
     job: Job, shots: Sequence[Shot], source: Source, frames: Iterator[Any], at: TrackState
 ) -> Iterator[FrameResult]:
     """The results of everyone in a film."""
     by = next((name for name in DETECTORS if name == job.init), None)
-    film = Film(job.recipe, shots, detector(by), source.size, float(source.fps), job.recipe.seed)
-    yield from film.follow(frames, at)
+    faces = Film(job.recipe, shots, detector(by), source.size, float(source.fps), job.recipe.seed)
+    yield from faces.follow(frames, at)
 
 
 def looks_in(
@@ -245,11 +244,12 @@ def cast_in(job: Job, rows: Trajectory, stop: Stopped, looked: Report) -> Named:
     return found
 
 
-def name_run(job: Job, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
+def name_run(plan: Plan, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
     """Name everyone in a run that was tracked, and write its files again under their names; what became of it.
 
     Raises InputError where the film shows nobody. Once `stop` says so, the files stay as they are.
     """
+    job = plan.job
     assert job.out is not None
     rows = rows_in(job.out)
     try:

@@ -20,8 +20,8 @@ from facetrack_cli.run_folder import lease as locks
 from facetrack_cli.run_folder.lease import FolderLease
 from facetrack_cli.run_folder.manifest import read_manifest
 from facetrack_cli.run_folder.status import MAX_ROWS, ClipStatus, duration, worst
-from facetrack_cli.runs import job as jobs
-from facetrack_cli.runs.job import Outcome
+from facetrack_cli.runs import plan as jobs
+from facetrack_cli.runs.plan import Outcome
 from tests.runs.test_run import FACETRACK, SMALL, make_clip
 from tests.support.leases import ELSEWHERE, leave
 from tests.support.samples import FOLDER

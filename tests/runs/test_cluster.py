@@ -25,7 +25,7 @@ from facetrack_cli.recipe.load import load_recipe  # noqa: E402
 from facetrack_cli.run_folder.lease import LOCK, NOTE  # noqa: E402
 from facetrack_cli.run_folder.manifest import NAME, read_manifest  # noqa: E402
 from facetrack_cli.runs import cluster  # noqa: E402
-from facetrack_cli.runs.job import Job, Outcome  # noqa: E402
+from facetrack_cli.runs.plan import Job, Outcome  # noqa: E402
 from facetrack_cli.runs.progress import Progress  # noqa: E402
 from facetrack_cli.runs.signals import Stop  # noqa: E402
 from tests.runs.test_run import make_clip  # noqa: E402

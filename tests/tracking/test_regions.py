@@ -12,7 +12,7 @@ from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe
 from facetrack_cli.runs.clip import run as job_run
-from facetrack_cli.runs.job import Job
+from facetrack_cli.runs.plan import Job
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.loop import track

@@ -11,7 +11,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame, Start, TargetStart
 from facetrack_cli.recipe.hands import NAMES, Hands
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.start import Begin
+from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.tracking.build.build import build_tracker
 from facetrack_cli.tracking.hands import evidence, joint, names
 from facetrack_cli.tracking.hands import target as hand_target
@@ -422,7 +422,7 @@ def test_the_face_whose_hands_move_is_the_signer(tmp_path):
         cv2.imwrite(str(tmp_path / f"{index:03}.png"), frame)
     large, small = (130.0, 60.0, 60.0, 60.0), (505.0, 210.0, 30.0, 30.0)
     recipe = load_recipe("signer")
-    begin = Begin(tmp_path)
+    begin = ClipRequest(tmp_path)
     both = Start(0, {"head": TargetStart(large), "face_2": TargetStart(small)}, "yunet", note="begins, and 1 more")
     chosen = begin._signer(recipe, both)
     assert chosen.targets == {"head": TargetStart(small)}

@@ -68,8 +68,8 @@ class Compare:
         from facetrack_cli.evaluation.compare import Comparison
         from facetrack_cli.report.figures.comparison import compare_figures
         from facetrack_cli.runs.batch import title
+        from facetrack_cli.runs.plan import ClipRequest
         from facetrack_cli.runs.seeds import labels, load_recipes, refuse_seed, variant
-        from facetrack_cli.runs.start import Begin
 
         clip, results, extent, known = self.clip, self.results, self.extent, self.truth_options
         extent.check(clip)
@@ -81,7 +81,7 @@ class Compare:
         file = self.truth or compare.default_truth(clip)
         truth = known.read(file)
         with results.open(clip, self.out, f"{title(clip)}-compare", "compare", PLOTS) as (stopped, shown, publish):
-            begin = Begin(clip, **vars(extent))
+            begin = ClipRequest(clip, **vars(extent))
             with begin.open() as source:
                 options = compare.Scoring(known.target, known.partial, extent.stop, source.size)
             entries = compare.run_recipes(

@@ -116,12 +116,12 @@ class Init:
     def _start(self) -> tuple[Start, Frame]:
         """The start, and its frame."""
         from facetrack_cli.recipe.load import load_recipe
+        from facetrack_cli.runs.plan import ClipRequest
         from facetrack_cli.runs.progress import progress
-        from facetrack_cli.runs.start import Begin
         from facetrack_cli.tracking.start.detectors import detector
 
         by = None if self.box is not None else detector().name
-        begin = Begin(self.clip, init=by, faces=self.faces, box=self.box, init_frame=self.init_frame)
+        begin = ClipRequest(self.clip, init=by, faces=self.faces, box=self.box, init_frame=self.init_frame)
         with progress(self.out == "-") as shown:
             shown.begin(f"{self.clip.name}: looking for a face")
             start = begin.find(self.recipe or load_recipe("factorized"), looked=shown.update)

@@ -16,7 +16,7 @@ from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, Outp
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
-    from facetrack_cli.runs.job import Job, Outcome, Report, Split
+    from facetrack_cli.runs.plan import Job, Outcome, Report, Split
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trajectory.writers import Format
@@ -159,11 +159,10 @@ class Run:
 
     def run(self) -> int:
         from facetrack_cli.run_folder.status import check_networks, write_batch
-        from facetrack_cli.runs.batch import run_batch, variant_name
+        from facetrack_cli.runs.batch import expand, run_batch, variant_name
         from facetrack_cli.runs.cluster import run_cluster
-        from facetrack_cli.runs.inputs import expand
-        from facetrack_cli.runs.job import Job, default_reason
         from facetrack_cli.runs.live import is_live
+        from facetrack_cli.runs.plan import Job, default_reason
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.signals import Stop
         from facetrack_cli.runs.workers import cores
@@ -284,7 +283,7 @@ class Run:
 
     def _check_split(self, clips: int) -> Split | None:
         """How a clip is to be split; UsageError where it cannot be."""
-        from facetrack_cli.runs.job import Split
+        from facetrack_cli.runs.plan import Split
 
         if self.split is None:
             return None
@@ -300,7 +299,7 @@ class Run:
         return Split(*self.split)
 
     def _check_smoothing(self, recipe: Recipe, formats: tuple[Format, ...]) -> None:
-        from facetrack_cli.runs.posterior import check_smoothing
+        from facetrack_cli.runs.plan import check_smoothing
 
         if not self.smooth:
             return
@@ -346,7 +345,7 @@ class Run:
 
 def _smoothed(outcome: Outcome, stop: Stop, report: Report | None = None) -> tuple[list[Path], list[str]]:
     """Smooth a clip that was tracked, also on a worker; its files, and warnings that were not given yet."""
-    from facetrack_cli.runs.job import silent
+    from facetrack_cli.runs.plan import silent
     from facetrack_cli.runs.smooth import save_smoothed
 
     files, notes = save_smoothed(outcome.files[0].parent, outcome.clip, report or silent, stop)

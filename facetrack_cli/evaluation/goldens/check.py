@@ -30,9 +30,9 @@ from facetrack_cli.recipe.files import resolve_file, shipped_folder
 from facetrack_cli.recipe.gallery_option import put
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, Recipe, completed, to_dict
-from facetrack_cli.runs.seeds import Plan, Report, SeedRun, run_plans
+from facetrack_cli.runs.plan import ClipRequest
+from facetrack_cli.runs.seeds import Report, SeedPlan, SeedRun, run_plans
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.start import Begin
 from facetrack_cli.tracking.opencv import find as find_opencv
 from facetrack_cli.tracking.start.init_file import find_init
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -70,14 +70,14 @@ class _Job(NamedTuple):
     golden: Path
     clip: str
     recipe: str
-    prepare: Callable[[], Plan]
-    finish: Callable[[Plan, Sequence[SeedRun]], Checked]
+    prepare: Callable[[], SeedPlan]
+    finish: Callable[[SeedPlan, Sequence[SeedRun]], Checked]
 
 
 def _run(jobs: Sequence[_Job], workers: int, stopped: Stop | None, report: Report) -> Iterator[Checked]:
     """The results of jobs, in their order; fewer once `stopped` says so."""
     stopped = stopped or Stop()
-    prepared: list[Plan | FacetrackError] = []
+    prepared: list[SeedPlan | FacetrackError] = []
     for job in jobs:
         try:
             prepared.append(job.prepare())
@@ -85,9 +85,9 @@ def _run(jobs: Sequence[_Job], workers: int, stopped: Stop | None, report: Repor
             prepared.append(e)
         if stopped():
             return
-    with closing(run_plans([one for one in prepared if isinstance(one, Plan)], workers, stopped, report)) as runs:
+    with closing(run_plans([one for one in prepared if isinstance(one, SeedPlan)], workers, stopped, report)) as runs:
         for job, one in zip(jobs, prepared, strict=True):
-            ended = next(runs, None) if isinstance(one, Plan) else None
+            ended = next(runs, None) if isinstance(one, SeedPlan) else None
             if stopped():
                 return
             error = ended.error if ended is not None else one
@@ -173,7 +173,7 @@ def check(
     """
     given = {recipe.name: recipe for recipe in recipes}
 
-    def prepare(path: Path, golden: Golden) -> Plan:
+    def prepare(path: Path, golden: Golden) -> SeedPlan:
         clip = folder / golden.clip.file
         if not clip.exists():
             raise InputError(f"the clip {clip} is not there; put it back, or remove {path}")
@@ -183,7 +183,7 @@ def check(
         recipe = _recognising(recipe, folder, golden, gallery)
         _check_runs_here(recipe)
         seeds = (*range(first_seed, first_seed + golden.tested), first_seed)  # the first seed must repeat its run
-        return Plan(path.stem, clip, recipe, golden.start.start_from(str(path)), seeds, golden.stop)
+        return SeedPlan(path.stem, clip, recipe, golden.start.start_from(str(path)), seeds, golden.stop)
 
     jobs = []
     for path, golden in goldens:
@@ -192,7 +192,7 @@ def check(
     return _run(jobs, workers, stopped, report)
 
 
-def _compare(path: Path, golden: Golden, plan: Plan, runs: Sequence[SeedRun]) -> Checked:
+def _compare(path: Path, golden: Golden, plan: SeedPlan, runs: Sequence[SeedRun]) -> Checked:
     *runs, again = runs
     tables = [run.trajectory for run in runs]
     seconds = sum(len(run.trajectory.frames) / run.frames_per_s for run in runs)
@@ -260,11 +260,11 @@ def update(
     for config in configs:
         load_recipe(config, installed=False)  # a wrong one is refused before anything runs
 
-    def prepare(clip: Path, config: str, known: Golden | None) -> Plan:
+    def prepare(clip: Path, config: str, known: Golden | None) -> SeedPlan:
         recipe = _recognising(load_recipe(config, installed=False), folder, known, gallery)
         _check_runs_here(recipe)
         last = known.stop if known is not None and not configs and stop is None else stop
-        start = Begin(clip, stop=last).find(recipe, stopped=stopped or Stop())
+        start = ClipRequest(clip, stop=last).find(recipe, stopped=stopped or Stop())
         start = replace(start, detector="", placed=False)  # the cascades are there wherever goldens are checked
         boxed = all(target.box for target in start.targets.values())
         missing = [part for part in recipe.points if any(part not in one.points for one in start.targets.values())]
@@ -277,7 +277,7 @@ def update(
         if why:
             raise _SkippedError(f"{start.origin}: {why}")
         numbers = tuple(range(FIRST_SEED, FIRST_SEED + seeds))
-        return Plan(f"{clip.stem}.{recipe.name}", clip, recipe, start, numbers, last)
+        return SeedPlan(f"{clip.stem}.{recipe.name}", clip, recipe, start, numbers, last)
 
     jobs = []
     for clip, config, known in _asked(folder, configs):
@@ -287,7 +287,7 @@ def update(
     return _run(jobs, workers, stopped, report)
 
 
-def _record(folder: Path, plan: Plan, runs: Sequence[SeedRun]) -> Checked:
+def _record(folder: Path, plan: SeedPlan, runs: Sequence[SeedRun]) -> Checked:
     recipe, tables = plan.recipe, [run.trajectory for run in runs]
     shipped = recipe.path.resolve().parent == shipped_folder().resolve()
     golden = record(
