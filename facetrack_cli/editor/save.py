@@ -20,7 +20,7 @@ from facetrack_cli.tracking.smoothing import Belief
 from facetrack_cli.tracking.start.init_file import as_yaml, write_init
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory
-from facetrack_cli.trajectory.writers import ending_of
+from facetrack_cli.trajectory.writers import summary_of
 from facetrack_cli.video.source import open_source
 
 
@@ -44,7 +44,7 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     }
     files[folder / CORRECTED] = lambda write: write(as_yaml(fixer.start, run.clip.name).encode())
     known = read_manifest(folder)
-    ended = known and replace(known, lost_frames=ending_of(rows).lost_frames)
+    ended = known and replace(known, lost_frames=summary_of(rows).lost_frames)
     paint = (
         partial(repaint, run.painted, rows=rows, report=report, stop=stop) if video and run.video is not None else None
     )

@@ -22,7 +22,7 @@ from facetrack_cli.tracking.start.checks import check_start
 from facetrack_cli.trajectory.header import Header, corrections_record, is_there, read_header
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.trajectory import Status, Trajectory
-from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Ending, Format, ending_of
+from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Format, RunSummary, summary_of
 from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.images import listing
 
@@ -146,11 +146,11 @@ def write_rows(
     ends = {*FOOTER, "frames_tracked", "type"}
     head = {key: value for key, value in rows.header.items() if key not in ends}
     foot = {key: value for key, value in rows.header.items() if key in FOOTER}
-    ending = Ending(**{**foot, "warnings": tuple(foot.get("warnings", ()))})
+    ending = RunSummary(**{**foot, "warnings": tuple(foot.get("warnings", ()))})
     if corrections is not None:
         init = {key: value for key, value in head["init"].items() if key != "corrections"}
         head["init"] = {**init, **corrections_record(corrections)}
-        ending.lost_frames = ending_of(rows).lost_frames
+        ending.lost_frames = summary_of(rows).lost_frames
     writer = WRITERS[form](BytesSink(write), head)
     writer.write(rows)
     writer.close(ending)

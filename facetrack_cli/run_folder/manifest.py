@@ -52,7 +52,7 @@ from facetrack_cli.trajectory.header import is_there, to_record
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.reader import read_table, read_trajectory, table_in
 from facetrack_cli.trajectory.trajectory import Trajectory
-from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Ending, Format, ending_of, tail
+from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Format, RunSummary, summary_of, tail
 from facetrack_cli.video.images import listing
 
 BORNE_OUT: Final = 0.95  # share of points; it is said if it is less
@@ -92,7 +92,7 @@ class Clip(File):
 
 
 @dataclass
-class Manifest(Ending):
+class Manifest(RunSummary):
     """The contents of run.json. `asked`: a digest of all that was asked for.
 
     `networks` are those that placed points: `mesh`, or the file that the recipe names; `borne_out` is the share of
@@ -344,7 +344,7 @@ def _end_tables(folder: Path, lock: FolderLease, mark: str, known: Manifest) -> 
     try:
         torn.write_bytes(text)
         rows = read_table(torn)
-        ending = ending_of(rows, complete=False, stopped=KILLED)
+        ending = summary_of(rows, complete=False, stopped=KILLED)
         head = {key: value for key, value in rows.header.items() if key not in (*FOOTER, "frames_tracked", "type")}
         files = [folder / f"trajectory.{form}" for form in forms]
         for form, path in zip(forms, files, strict=True):
@@ -374,7 +374,7 @@ def _whole_frames(form: Format, text: bytes) -> tuple[bytes, int]:
             body.append(lines[-1])
     between = b",\n" if form == "json" else b"\n"
     whole = between.join([*(line.rstrip(b",") for line in body)])
-    end = tail(form, Ending(), len(body)).encode()
+    end = tail(form, RunSummary(), len(body)).encode()
     return b"\n".join([*lines[:head], whole]) + (b"\n" if form == "jsonl" else b"") + end, len(body)
 
 
@@ -475,7 +475,8 @@ def clip_stat(clip: Path) -> Clip | None:
 def clip_digest(path: Path, stopped: Callable[[], bool] = lambda: False) -> str:
     """The checksum of a file, or of the images of a folder; "" if it cannot be read."""
     try:
-        return digest(_files(path), names=listing(path) is not None, stopped=stopped)
+        images = listing(path)
+        return digest([path] if images is None else images, names=images is not None, stopped=stopped)
     except OSError:
         return ""
 

@@ -47,7 +47,7 @@ from facetrack_cli.trajectory.people import (
     under_names,
 )
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
-from facetrack_cli.trajectory.writers import ending_of
+from facetrack_cli.trajectory.writers import summary_of
 from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.shots import Shot, find_cuts, shots_of
 from facetrack_cli.video.source import Source, open_source
@@ -280,7 +280,7 @@ def write_people(
     lock: FolderLease | None = None,
 ) -> list[str]:
     """Write the rows of a run under the names of people, people.json, pictures and video, all or none; warnings."""
-    counted = ending_of(rows)
+    counted = summary_of(rows)
     header = {**rows.header, "lost_frames": counted.lost_frames, "evidence": counted.evidence}
     rows = replace(rows, header=header)
     files: dict[Path, Any] = {path: partial(write_rows, form, rows=rows) for form, path in run_files(folder).items()}

@@ -51,7 +51,7 @@ from facetrack_cli.tracking.start.search import Faces, box_start, search_start
 from facetrack_cli.tracking.start.targets import name_targets
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
-from facetrack_cli.trajectory.writers import Ending, Format, by_frame
+from facetrack_cli.trajectory.writers import Format, RunSummary, by_frame
 from facetrack_cli.video.source import Source, open_source
 
 SIGNS_FRAMES: Final = 50  # in which hands are looked at, where a recipe follows those of one of several faces
@@ -462,7 +462,7 @@ def _check_options(job: Job, everyone: bool, kept: bool) -> None:
 
 
 @dataclass
-class Outcome(Ending):
+class Outcome(RunSummary):
     """What became of one clip.
 
     `error` ended the run early; what was tracked until then is kept. `note` says where the search for a face began it.

@@ -21,7 +21,7 @@ from facetrack_cli.editor.web.fix_session import doubtful, overview
 from facetrack_cli.run_folder.finished import STATUS, read_files, write_rows
 from facetrack_cli.run_folder.manifest import NAME, File, Manifest
 from facetrack_cli.trajectory.trajectory import COLUMNS, Collector
-from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Ending, as_written, ending_of
+from facetrack_cli.trajectory.writers import FORMATS, WRITERS, RunSummary, as_written, summary_of
 from tests.support.results import part, result, target
 from tests.support.sinks import Alone
 
@@ -77,7 +77,7 @@ def write(folder, seeds, corrections=(), forms=FORMATS):
             if one.status[0] == "lost":
                 lost[one.name] = lost.get(one.name, 0) + 1
     for writer in writers:
-        writer.close(Ending(warnings=('wärning: "lost_frames"',), lost_frames=lost, variable_fps=False))
+        writer.close(RunSummary(warnings=('wärning: "lost_frames"',), lost_frames=lost, variable_fps=False))
     return {form: folder / f"trajectory.{form}" for form in forms}
 
 
@@ -133,7 +133,7 @@ def test_what_is_spliced_is_what_a_run_would_have_written(seed, pieces, forms):
         assert rows.names == again.names
         for name in (*COLUMNS[:2], *COLUMNS[4:], "by_hand"):
             np.testing.assert_array_equal(getattr(rows, name), getattr(again, name))
-        assert list(ending_of(rows).lost_frames.items()) == list(again.header["lost_frames"].items())
+        assert list(summary_of(rows).lost_frames.items()) == list(again.header["lost_frames"].items())
         for name, found in again.diagnostics.items():
             ours = rows.diagnostics[name]
             assert [_known(each) for each in ours.records()] == [_known(each) for each in found.records()]
