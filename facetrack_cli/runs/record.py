@@ -1,6 +1,6 @@
 """The one loop that writes a run: results go into sinks, frame by frame, and all files appear together at its end.
 
-    Results --(a FrameResult a frame)--> Table, Posterior, RunMonitor, Video
+    Results --(a FrameResult a frame)--> Table, PosteriorWriter, RunMonitor, Video
 
 Errors, the wish to stop and checkpoints are known here alone: whatever ends the results, what came before is kept.
 """
@@ -133,8 +133,8 @@ class Sink:
     path: Path | None = None
 
     def fits(self, at: Any) -> bool:
-        """Whether what was written up to a mark is still there."""
-        return True
+        """Whether a checkpoint's mark is one of its own, and what was written up to there is still there."""
+        return at is None
 
     def begin(self, results: Results, at: Any) -> None:
         """Called before the first result; `at` is what `mark` gave in the run that is gone on with, else None."""
@@ -160,12 +160,6 @@ class Sink:
 
     def discard(self) -> None:
         """Remove what was written, if it is not in its place."""
-
-
-class VideoSink(Sink):
-    """A video; `missing` says why there is none. The tables are whole all the same."""
-
-    missing: OutputError | None = None
 
 
 @dataclass
@@ -200,6 +194,7 @@ class RunFolder:
             recover(self.path, self._lease)
             self._run.began = utc_now()
             self.plan = self.plan.again()  # somebody may have written since
+            self._run.asked = self.plan.asked
         except BaseException:
             self.__exit__()
             raise
@@ -214,7 +209,8 @@ class RunFolder:
             self.checkpoints = Checkpoints(self.path, key, video=self.plan.draws)
             found = self.checkpoints.find() if job.resume and not job.overwrite else None
         state = found[0] if found is not None else None
-        if isinstance(state, RunState) and all(sink.fits(at) for sink, at in zip(sinks, state.sinks, strict=True)):
+        marks = state.sinks if isinstance(state, RunState) else ()
+        if state and len(marks) == len(sinks) and all(map(_fits, sinks, marks)):
             state.outcome.resumed = state.frame
             return found
         remove_checkpoints(self.path)
@@ -269,7 +265,7 @@ class Recorder:
     plan : Plan
     sinks : Sequence[Sink]
         In the order in which they take a result.
-    video : VideoSink or None
+    video : Video or None
         Takes a result last, while the next one is tracked; a checkpoint waits for it.
     folder : RunFolder or None
         None of a stream, and of what stays in memory.
@@ -281,7 +277,7 @@ class Recorder:
         self,
         plan: Plan,
         sinks: Sequence[Sink],
-        video: VideoSink | None = None,
+        video: Video | None = None,
         folder: RunFolder | None = None,
         resumed: tuple[RunState, Any] | None = None,
     ) -> None:
@@ -430,6 +426,10 @@ def header_of(job: Job, clip: ClipFacts, start: Start, rows: Trajectory, more: H
     }
 
 
+def _fits(sink: Sink, at: Any) -> bool:
+    return sink.fits(at)
+
+
 def _kept_corrections(job: Job, folder: Path) -> list[str]:
     """A line on each file of corrections there, of the track before, that this run did not begin with."""
     files = [folder / name for name in (CORRECTED, UNSAVED)]
@@ -459,13 +459,12 @@ class Table(Sink):
         self.path = None if out is None else out / f"trajectory.{form}"
         self._sink: FileSink | StreamSink | None = None
 
-    def fits(self, at: Place) -> bool:
-        assert self.path is not None
-        try:
+    def fits(self, at: Any) -> bool:
+        with contextlib.suppress(InputError, OSError):
+            assert self.path is not None
             check_belongs(self.path)
-        except (InputError, OSError):
-            return False
-        return True
+            return isinstance(at, Place)
+        return False
 
     def begin(self, results: Results, at: Place | None) -> None:
         if self.path is None:
@@ -517,8 +516,13 @@ class Rows(Sink):
         return self._collected.trajectory(header=header, path=done.clip)
 
 
-class Video(VideoSink):
-    """The annotated video, painted and encoded in a thread of its own, in pieces between which a checkpoint falls."""
+class Video(Sink):
+    """The annotated video, painted and encoded in a thread of its own, in pieces between which a checkpoint falls.
+
+    `missing` says why there is none; the tables are whole all the same.
+    """
+
+    missing: OutputError | None = None
 
     def __init__(self, plan: Plan, folder: RunFolder) -> None:
         self.path: Path = folder.path / VIDEO

@@ -170,8 +170,10 @@ class PosteriorWriter(Sink):
         self.path, self._folder = out / POSTERIOR, out / FOLDER
         self._head: dict[str, Any] = {}
 
-    def fits(self, at: WriterState) -> bool:
-        return all(_block_file(self._folder, number).is_file() for number in range(at.blocks))
+    def fits(self, at: Any) -> bool:
+        return isinstance(at, WriterState) and all(
+            _block_file(self._folder, number).is_file() for number in range(at.blocks)
+        )
 
     def begin(self, results: Results, at: WriterState | None) -> None:
         corrections, self.state = results.header["init"].get("corrections", []), at

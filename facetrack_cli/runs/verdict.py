@@ -73,6 +73,9 @@ class RunMonitor(Sink):
         if at is not None:
             self.__dict__ |= {**vars(at), "start": self.start, "detector": self.detector}
 
+    def fits(self, at: Any) -> bool:
+        return isinstance(at, RunMonitor)
+
     def mark(self) -> RunMonitor:
         return self
 
