@@ -36,14 +36,14 @@ from adaptive_runs import MADE, Run, clip_of, follow
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Array
+from facetrack_cli.engine.target import ParticleTarget
 from facetrack_cli.evaluation.compare import default_truth
 from facetrack_cli.evaluation.reliability import auroc
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import ClipRequest
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.models.likelihoods.appearance import Appearance
-from facetrack_cli.tracking.models.velocity import PredictedWalk
-from facetrack_cli.tracking.target import ParticleTarget
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.trackers.appearance.appearance import Appearance
+from facetrack_cli.trackers.appearance.velocity import PredictedWalk
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.video.source import open_source
 

@@ -12,13 +12,13 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Mask, Start
+from facetrack_cli.engine.loop import track
 from facetrack_cli.evaluation.boxes import SUCCESS_THRESHOLDS, BoxMeasures, measure_boxes, share_above
 from facetrack_cli.evaluation.compare import TAIL_IOU, default_truth, tail_overlap
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.runs.seeds import variant
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.loop import track
+from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
 from facetrack_cli.video.source import open_source

@@ -32,13 +32,13 @@ from reference import HANDS, MESH
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Array, Frame, Image, Mask, Start, TargetStart
+from facetrack_cli.engine.loop import track
 from facetrack_cli.evaluation.boxes import measure_boxes
 from facetrack_cli.evaluation.compare import default_truth
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import truth_start
 from facetrack_cli.runs.seeds import variant
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.loop import track
+from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory
 from facetrack_cli.video.source import open_source

@@ -54,8 +54,8 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe, Recipe
 from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.runs.seeds import variant
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.start.search import search_start
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.start.search import search_start
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.source import open_source

@@ -42,15 +42,15 @@ from boxes import clip_in
 from reference import points_in, take_regression
 
 from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.core.face_points import DetectorName
 from facetrack_cli.core.types import Array, Mask, Start, TargetStart
-from facetrack_cli.recipe.face import DetectorName
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.runs.seeds import variant
-from facetrack_cli.tracking.start.detectors import detector
-from facetrack_cli.tracking.start.init_file import read_init
+from facetrack_cli.start.init_file import read_init
+from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import UNSEEN, Trajectory, aligned

@@ -36,9 +36,9 @@ from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Array, Frame, Start
 from facetrack_cli.evaluation.compare import default_truth
 from facetrack_cli.runs.plan import truth_start
-from facetrack_cli.tracking.identity.gallery import NONE, load_gallery
-from facetrack_cli.tracking.models.spaces import Patches
-from facetrack_cli.tracking.start.search import search_start
+from facetrack_cli.start.search import search_start
+from facetrack_cli.trackers.appearance.gallery import NONE, load_gallery
+from facetrack_cli.trackers.appearance.space import Patches
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.video.source import open_source
 

@@ -19,13 +19,13 @@ from pathlib import Path
 import numpy as np
 
 from facetrack_cli.core.types import Frame, Particles
+from facetrack_cli.engine.resampling import uniform
+from facetrack_cli.engine.target import ParticleTarget
 from facetrack_cli.evaluation.compare import default_truth
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import ClipRequest
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.models.likelihoods.product import Product
-from facetrack_cli.tracking.resampling import uniform
-from facetrack_cli.tracking.target import ParticleTarget
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.trackers.regions.product import Product
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.video.source import open_source
 

@@ -20,13 +20,13 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError, InputError
+from facetrack_cli.core.face_points import DETECTORS, DetectorName
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.snapshot import flat_value, read_value
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
-from facetrack_cli.recipe.face import DETECTORS, DetectorName
-from facetrack_cli.recipe.files import default_recipe
-from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.engine.loop import TrackState, track
+from facetrack_cli.recipe.load import default_recipe, load_recipe
 from facetrack_cli.recipe.model import Recipe, seeded, to_dict
 from facetrack_cli.runs.clip import rows_of
 from facetrack_cli.runs.people import cast_in
@@ -34,10 +34,9 @@ from facetrack_cli.runs.plan import Job, check_smoothing, completed, resolve, se
 from facetrack_cli.runs.progress import Bar, Progress, watched
 from facetrack_cli.runs.record import ClipFacts, Recorder, Results, RunFolder, Video, header_of, tables
 from facetrack_cli.runs.signals import Stop, never
-from facetrack_cli.tracking.build.build import tracker_for
-from facetrack_cli.tracking.loop import TrackState, track
-from facetrack_cli.tracking.smoothed import lagged
-from facetrack_cli.tracking.start.init_file import read_init
+from facetrack_cli.start.assembly import tracker_for
+from facetrack_cli.start.init_file import read_init
+from facetrack_cli.trackers.smoothed import lagged
 from facetrack_cli.trajectory.people import under_names
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import Format

@@ -33,7 +33,7 @@ from facetrack_cli.runs.plan import Job, Outcome, Report, note_failure, resolve,
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, cores, side_by_side
-from facetrack_cli.tracking.kernels.precompile import Precompiler
+from facetrack_cli.start.precompile import Precompiler
 from facetrack_cli.trajectory.header import is_there
 from facetrack_cli.video import images
 from facetrack_cli.video.files import chapters, check_local, is_clip, is_image

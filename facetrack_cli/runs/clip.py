@@ -7,8 +7,10 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from typing import TypeAlias
 
 from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.types import Correction, Start
-from facetrack_cli.recipe.face import DETECTORS
+from facetrack_cli.engine.corrected import restored
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.checkpoint import remove_checkpoints
 from facetrack_cli.runs.people import crowded, film, film_shots, film_start, name_run
@@ -31,11 +33,9 @@ from facetrack_cli.runs.record import (
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.smooth import PosteriorWriter
 from facetrack_cli.runs.verdict import RunMonitor
-from facetrack_cli.tracking.build.build import tracker_for
-from facetrack_cli.tracking.corrected import restored
-from facetrack_cli.tracking.kernels.precompile import Precompiler
-from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.smoothed import lagged
+from facetrack_cli.start.assembly import tracker_for
+from facetrack_cli.start.precompile import Precompiler
+from facetrack_cli.trackers.smoothed import lagged
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.shots import Shot

@@ -18,14 +18,14 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, UsageError
+from facetrack_cli.core.face_points import DETECTORS, HANDS, DetectorName
 from facetrack_cli.core.files import check_folder, check_plain
 from facetrack_cli.core.geometry import iou
-from facetrack_cli.core.hands import HANDS
 from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
-from facetrack_cli.recipe.face import DETECTORS, DetectorName
-from facetrack_cli.recipe.files import default_recipe
+from facetrack_cli.engine.checks import box_of, check_start
+from facetrack_cli.engine.loop import track
+from facetrack_cli.recipe.load import default_recipe
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.recipe.skin import Cloud
 from facetrack_cli.run_folder.finished import stamp
 from facetrack_cli.run_folder.lease import FolderLease, here, is_held
 from facetrack_cli.run_folder.manifest import (
@@ -41,14 +41,13 @@ from facetrack_cli.run_folder.manifest import (
     recover_interrupted,
 )
 from facetrack_cli.runs.signals import never
-from facetrack_cli.tracking.build.build import tracker_for
-from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.people.looks import load_people
-from facetrack_cli.tracking.start.checks import box_of, check_start
-from facetrack_cli.tracking.start.detectors import detector
-from facetrack_cli.tracking.start.init_file import find_init, read_init
-from facetrack_cli.tracking.start.search import Faces, box_start, search_start
-from facetrack_cli.tracking.start.targets import name_targets
+from facetrack_cli.start.assembly import tracker_for
+from facetrack_cli.start.init_file import find_init, read_init
+from facetrack_cli.start.search import Faces, box_start, search_start
+from facetrack_cli.start.targets import name_targets
+from facetrack_cli.trackers.face.detectors import detector
+from facetrack_cli.trackers.people.looks import load_people
+from facetrack_cli.trackers.skin.settings import Cloud
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
 from facetrack_cli.trajectory.writers import Format, RunSummary, by_frame

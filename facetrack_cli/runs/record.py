@@ -37,6 +37,7 @@ from facetrack_cli.core.files import (
 )
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Start
+from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder import checkpoint
 from facetrack_cli.run_folder.checkpoint import Checkpoints, remove_checkpoints
@@ -55,7 +56,6 @@ from facetrack_cli.run_folder.manifest import (
 from facetrack_cli.runs.pipeline import Painter
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, note_failure, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
-from facetrack_cli.tracking.loop import TrackState
 from facetrack_cli.trajectory.diagnostics import KNOWN
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED, to_record
 from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory

@@ -18,6 +18,8 @@ from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import FULL, check_plain, discard, publish, temporary_path, writing
 from facetrack_cli.core.npz import Kind, Stored, write_arrays
 from facetrack_cli.core.numbers import dumps
+from facetrack_cli.engine.protocols import Linear
+from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.run_folder.checkpoint import FOLDER
 from facetrack_cli.run_folder.finished import Painted, open_run, read_files, run_files, write_rows
 from facetrack_cli.run_folder.lease import FolderLease, sweep
@@ -35,9 +37,7 @@ from facetrack_cli.run_folder.manifest import (
 from facetrack_cli.runs.plan import Report
 from facetrack_cli.runs.record import Results, Sink
 from facetrack_cli.runs.signals import Stopped, StoppedError
-from facetrack_cli.tracking.models.motion import Linear
-from facetrack_cli.tracking.smoothed import Beliefs, renamed_hands, smoothed_rows
-from facetrack_cli.tracking.smoothing import Belief
+from facetrack_cli.trackers.smoothed import Beliefs, renamed_hands, smoothed_rows
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded, successive
 from facetrack_cli.video.overlay.overlay import Overlay

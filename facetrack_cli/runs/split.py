@@ -25,11 +25,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, OutputError, UsageError
+from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.files import check_plain, make_folder, read_bounded, write_new
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start, Whole
-from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.run_folder.manifest import clip_stat, read_manifest, read_run
 from facetrack_cli.runs.batch import attempt, check_all, run_batch, run_shared
 from facetrack_cli.runs.people import film_start
@@ -39,7 +39,7 @@ from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.record import ClipFacts, Ended, Recorder, Results, RunFolder, Video, header_of, record, tables
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.runs.verdict import RunMonitor
-from facetrack_cli.tracking.start.detectors import check_parts, detector
+from facetrack_cli.trackers.face.detectors import check_parts, detector
 from facetrack_cli.trajectory.header import StartRecord, to_record
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded

@@ -14,10 +14,10 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core import files, yaml_tree
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import check_readable
+from facetrack_cli.engine.calibration import load_calibration
 from facetrack_cli.runs.smooth import KIND
-from facetrack_cli.tracking.calibration import load_calibration
-from facetrack_cli.tracking.identity.gallery import load_gallery, name_problem
-from facetrack_cli.tracking.start.init_file import read_init
+from facetrack_cli.start.init_file import read_init
+from facetrack_cli.trackers.appearance.gallery import load_gallery, name_problem
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.video.source import open_source

@@ -24,7 +24,7 @@ from facetrack_cli.editor.save import keep, save
 from facetrack_cli.editor.web.fix_session import overview
 from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.run_folder.lease import NOTE, FolderLease
-from facetrack_cli.tracking.start.init_file import read_init
+from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from facetrack_cli.trajectory.writers import csv_frames
 from facetrack_cli.video.seek import Frames

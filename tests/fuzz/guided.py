@@ -25,16 +25,16 @@ def parsers() -> dict[str, Callable[[Path, bytes], object]]:
     """By name; each gets an empty folder, and bytes. The package is loaded here, under atheris if that guides."""
     from facetrack_cli.core.errors import InputError
     from facetrack_cli.core.snapshot import read_value
+    from facetrack_cli.engine.calibration import load_calibration
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.run_folder import lease
     from facetrack_cli.run_folder.checkpoint import KIND
     from facetrack_cli.run_folder.manifest import read_manifest, recover_interrupted
     from facetrack_cli.runs.live import piped
-    from facetrack_cli.tracking.calibration import load_calibration
-    from facetrack_cli.tracking.identity.gallery import load_gallery
-    from facetrack_cli.tracking.models.shape_prior import load_prior
-    from facetrack_cli.tracking.people.looks import load_people
-    from facetrack_cli.tracking.start.init_file import read_init
+    from facetrack_cli.start.init_file import read_init
+    from facetrack_cli.trackers.appearance.gallery import load_gallery
+    from facetrack_cli.trackers.people.looks import load_people
+    from facetrack_cli.trackers.points.shape_prior import load_prior
     from facetrack_cli.trajectory.header import read_header
     from facetrack_cli.trajectory.people import read_people, read_still
     from facetrack_cli.trajectory.reader import read_trajectory

@@ -23,7 +23,7 @@ from facetrack_cli.runs import clip, record, smooth
 from facetrack_cli.runs.plan import VIDEO, Job
 from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.tracking.start.init_file import read_init
+from facetrack_cli.start.init_file import read_init
 from tests.support.samples import FOLDER as SAMPLES
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

@@ -18,9 +18,9 @@ import pytest
 distributed = pytest.importorskip("distributed", reason="needs the extra: pip install -e '.[cluster]'")
 psutil = pytest.importorskip("psutil")
 
-from facetrack_cli import __version__  # noqa: E402
 from facetrack_cli.__main__ import main  # noqa: E402
 from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, UsageError  # noqa: E402
+from facetrack_cli.core.version import __version__  # noqa: E402
 from facetrack_cli.recipe.load import load_recipe  # noqa: E402
 from facetrack_cli.run_folder.lease import LOCK, NOTE  # noqa: E402
 from facetrack_cli.run_folder.manifest import NAME, read_manifest  # noqa: E402

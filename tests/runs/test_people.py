@@ -26,9 +26,9 @@ from facetrack_cli.runs.people import people_in, recast
 from facetrack_cli.runs.plan import Job
 from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop, StoppedError
-from facetrack_cli.tracking.people import presence
-from facetrack_cli.tracking.people.identity import UNKNOWN, Cast, Doubt, Seen, cast_of
-from facetrack_cli.tracking.people.looks import Looks, load_people, save_people
+from facetrack_cli.start import presence
+from facetrack_cli.trackers.people.identity import UNKNOWN, Cast, Doubt, Seen, cast_of
+from facetrack_cli.trackers.people.looks import Looks, load_people, save_people
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.people import read_people, read_still, rename, under_names
 from facetrack_cli.trajectory.reader import read_trajectory

@@ -24,8 +24,8 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.core.files import FileSink, cannot_write
+from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.types import Image
-from facetrack_cli.recipe.files import shipped_folder
 from facetrack_cli.run_folder import manifest
 from facetrack_cli.runs.batch import folders, variant_name
 from facetrack_cli.runs.signals import Stop, TerminatedError, raising

@@ -17,7 +17,7 @@ from facetrack_cli.runs.clip import run
 from facetrack_cli.runs.plan import ClipRequest, Job, truth_start
 from facetrack_cli.runs.seeds import SeedPlan, run_plans
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import joined, one_part
 

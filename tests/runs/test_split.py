@@ -17,7 +17,7 @@ from facetrack_cli.report.make import make_report
 from facetrack_cli.runs import batch
 from facetrack_cli.runs.plan import Split
 from facetrack_cli.runs.split import OVERLAP_S, ChunkPlan, Seam, agreeing, cut_by_length, read_plan, renamed, stitch
-from facetrack_cli.tracking.start.init_file import write_init
+from facetrack_cli.start.init_file import write_init
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import read_header
 from facetrack_cli.trajectory.reader import read_trajectory

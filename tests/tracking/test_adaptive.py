@@ -27,7 +27,7 @@ from facetrack_cli.evaluation.goldens.goldens import find_goldens, read_golden
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.runs.seeds import SeedPlan, run_plans
-from facetrack_cli.tracking.identity.gallery import Gallery, load_gallery
+from facetrack_cli.trackers.appearance.gallery import Gallery, load_gallery
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory

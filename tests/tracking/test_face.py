@@ -10,15 +10,15 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.core.face_points import GROUPS
 from facetrack_cli.core.types import BOX, Correction, Frame, TargetStart
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import ClipRequest
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.face.stabilized import BOX as STILL_BOX
-from facetrack_cli.tracking.face.stabilized import EYES, FACE, MIDDLE, SIDE, Similarity, change_between
-from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.start import detectors
-from facetrack_cli.tracking.start.init_file import write_init
-from facetrack_cli.tracking.start.points import place
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.start.init_file import write_init
+from facetrack_cli.trackers.face import detectors
+from facetrack_cli.trackers.face.points import place
+from facetrack_cli.trackers.face.stabilized import BOX as STILL_BOX
+from facetrack_cli.trackers.face.stabilized import EYES, FACE, MIDDLE, SIDE, Similarity, change_between
 from facetrack_cli.trajectory.header import StartRecord, to_record
 from facetrack_cli.trajectory.trajectory import UNSEEN
 from tests.support import moving_face as moving

@@ -7,15 +7,15 @@ import pytest
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import iou
+from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import Frame, Start, TargetStart
-from facetrack_cli.recipe.files import shipped_recipes
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe
 from facetrack_cli.runs.clip import run as job_run
 from facetrack_cli.runs.plan import Job
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.loop import track
+from facetrack_cli.start.assembly import build_tracker
 from tests.support.moving_head import W, clip, path, scene, start, truth
 from tests.support.results import parts_of
 

@@ -9,17 +9,17 @@ import pytest
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame, Start, TargetStart
-from facetrack_cli.recipe.hands import NAMES, Hands
+from facetrack_cli.engine.loop import Footprint, track
+from facetrack_cli.engine.protocols import Linear
+from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import ClipRequest
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.hands import evidence, joint, names
-from facetrack_cli.tracking.hands import target as hand_target
-from facetrack_cli.tracking.loop import Footprint, track
-from facetrack_cli.tracking.models.motion import Linear
-from facetrack_cli.tracking.smoothed import renamed_hands
-from facetrack_cli.tracking.smoothing import Belief
-from facetrack_cli.tracking.start.init_file import read_init
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.start.init_file import read_init
+from facetrack_cli.trackers.hands import evidence, joint, names
+from facetrack_cli.trackers.hands import target as hand_target
+from facetrack_cli.trackers.hands.settings import NAMES, Hands
+from facetrack_cli.trackers.smoothed import renamed_hands
 from facetrack_cli.trajectory.formats.eaf import seen_in
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
 from facetrack_cli.trajectory.writers import csv_frames

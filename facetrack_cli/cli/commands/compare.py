@@ -66,7 +66,7 @@ class Compare:
     def run(self) -> int:
         from facetrack_cli.evaluation import compare
         from facetrack_cli.evaluation.compare import Comparison
-        from facetrack_cli.report.figures.comparison import compare_figures
+        from facetrack_cli.report.figures.compare import compare_figures
         from facetrack_cli.runs.batch import title
         from facetrack_cli.runs.plan import ClipRequest
         from facetrack_cli.runs.seeds import labels, load_recipes, refuse_seed, variant

@@ -65,7 +65,7 @@ class Init:
 
     def run(self) -> int:
         from facetrack_cli.recipe.load import load_recipe
-        from facetrack_cli.tracking.start.init_file import default_path
+        from facetrack_cli.start.init_file import default_path
 
         if self.out == "":
             raise OutputError("--out is empty; name a file, or - for standard output")
@@ -81,7 +81,7 @@ class Init:
     def _check_files(self) -> None:
         """Refuse before the search what would be refused after it."""
         from facetrack_cli.core.files import check_new
-        from facetrack_cli.tracking.start.init_file import SUFFIXES
+        from facetrack_cli.start.init_file import SUFFIXES
 
         path, preview = self.path, self.preview
         if path is not None and path.suffix.lower() not in SUFFIXES:
@@ -98,8 +98,8 @@ class Init:
 
     def _find(self) -> int:
         """Write what the cascades find; the exit code."""
-        from facetrack_cli.tracking.start.init_file import write_init
-        from facetrack_cli.tracking.start.preview import write_preview
+        from facetrack_cli.start.init_file import write_init
+        from facetrack_cli.start.preview import write_preview
 
         start, frame = self._start()
         if self.preview is not None:
@@ -118,7 +118,7 @@ class Init:
         from facetrack_cli.recipe.load import load_recipe
         from facetrack_cli.runs.plan import ClipRequest
         from facetrack_cli.runs.progress import progress
-        from facetrack_cli.tracking.start.detectors import detector
+        from facetrack_cli.trackers.face.detectors import detector
 
         by = None if self.box is not None else detector().name
         begin = ClipRequest(self.clip, init=by, faces=self.faces, box=self.box, init_frame=self.init_frame)
@@ -130,7 +130,7 @@ class Init:
     def _next(self) -> str:
         """The command that begins with the file, once it is there."""
         from facetrack_cli.recipe.gallery_option import wants_gallery
-        from facetrack_cli.tracking.start.init_file import default_path, find_init
+        from facetrack_cli.start.init_file import default_path, find_init
 
         found = (find_init(self.clip) or default_path(self.clip)) == self.path
         named = "" if found else f" --init {'FILE' if self.path is None else self.path}"
@@ -142,7 +142,7 @@ class Init:
         """Let somebody choose on the page; the exit code."""
         from facetrack_cli.editor.web.pick_session import PickSession
         from facetrack_cli.runs.signals import Stop
-        from facetrack_cli.tracking.start.init_file import default_path, read_init, write_init
+        from facetrack_cli.start.init_file import default_path, read_init, write_init
         from facetrack_cli.video.seek import Frames
 
         beside = self.path or default_path(self.clip)
@@ -180,7 +180,7 @@ class Init:
 
 def _keep_unsaved(start: Start | None, clip: Path, kept: Path) -> str:
     """Write what was chosen and not saved, if anything was; what became of it."""
-    from facetrack_cli.tracking.start.init_file import write_init
+    from facetrack_cli.start.init_file import write_init
 
     if start is None:
         return f"what was chosen the last time is still in {kept}" if kept.is_file() else "nothing was written"

@@ -158,6 +158,7 @@ class Run:
     )
 
     def run(self) -> int:
+        from facetrack_cli.engine.kernels import cache
         from facetrack_cli.run_folder.status import check_networks, write_batch
         from facetrack_cli.runs.batch import expand, run_batch, variant_name
         from facetrack_cli.runs.cluster import run_cluster
@@ -166,7 +167,6 @@ class Run:
         from facetrack_cli.runs.progress import progress
         from facetrack_cli.runs.signals import Stop
         from facetrack_cli.runs.workers import cores
-        from facetrack_cli.tracking.kernels import cache
         from facetrack_cli.video.files import brings_rate
 
         local = None if self.cluster is None else self._check_cluster(self.cluster)
@@ -233,8 +233,7 @@ class Run:
         return ExitCode.DONE if code is ExitCode.LOST and not self.fail_on_lost else code
 
     def _recipe(self) -> Recipe:
-        from facetrack_cli.recipe.files import default_recipe
-        from facetrack_cli.recipe.load import load_recipe
+        from facetrack_cli.recipe.load import default_recipe, load_recipe
         from facetrack_cli.recipe.model import seeded
         from facetrack_cli.runs.seeds import load_recipes
 

@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
+from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.evaluation.goldens.bands import Deviation, judge, last_names, measure, names
 from facetrack_cli.evaluation.goldens.goldens import (
     FIRST_SEED,
@@ -26,15 +27,14 @@ from facetrack_cli.evaluation.goldens.goldens import (
     versions,
     write_golden,
 )
-from facetrack_cli.recipe.files import resolve_file, shipped_folder
 from facetrack_cli.recipe.gallery_option import put
-from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.load import load_recipe, resolve_file
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, Recipe, completed, to_dict
 from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.runs.seeds import Report, SeedPlan, SeedRun, run_plans
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.tracking.opencv import find as find_opencv
-from facetrack_cli.tracking.start.init_file import find_init
+from facetrack_cli.start.init_file import find_init
+from facetrack_cli.trackers.opencv import find as find_opencv
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 Status: TypeAlias = Literal["ok", "fails", "skipped"]
