@@ -32,8 +32,8 @@ from facetrack_cli.engine.loop import track
 from facetrack_cli.evaluation.boxes import measure_boxes
 from facetrack_cli.evaluation.compare import default_truth
 from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.runs.plan import truth_start
 from facetrack_cli.runs.seeds import variant
-from facetrack_cli.runs.start import truth_start
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory

@@ -45,8 +45,8 @@ from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start
 from facetrack_cli.evaluation.compare import default_truth
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe, Recipe
+from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.runs.seeds import variant
-from facetrack_cli.runs.start import Begin
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -82,7 +82,7 @@ def _truth(target: str, parts: Sequence[str], places: Array, covered: Mask) -> T
 def clips_of(clip: Path, recipe: Recipe, given: argparse.Namespace) -> Iterator[tuple[Start, list[Frame], Truth]]:
     """Each target of a clip, from the frame where the recipe begins."""
     table = read_truth(default_truth(clip))
-    start = Begin(clip).find(recipe, table)
+    start = ClipRequest(clip).find(recipe, table)
     with open_source(clip, start=start.frame) as source:
         frames = list(islice(source, None if given.stop is None else given.stop - start.frame))
     for target in build_tracker(recipe, start):

@@ -39,8 +39,8 @@ from facetrack_cli.core.types import Array, Mask, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_video
+from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.runs.seeds import variant
-from facetrack_cli.runs.start import Begin
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import UNSEEN, Trajectory
@@ -63,8 +63,8 @@ def start_of(clip: Path, recipe: Recipe, by: DetectorName | None, how: str) -> S
         left, top, width, height = truth.boxes[0].tolist()
         target = TargetStart((left, top, width, height))
         given = Start(int(truth.frame[0]), {"face": target}, "--box", detector=detector(by).name)
-        return Begin(clip_in(clip), init=given).find(recipe)
-    found = Begin(clip_in(clip), init=by).find(recipe)
+        return ClipRequest(clip_in(clip), init=given).find(recipe)
+    found = ClipRequest(clip_in(clip), init=by).find(recipe)
     return found if how == "found" else replace(found, origin="a file", detector=found.origin)
 
 

@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.report.figures.page import page_figure as plot
     from facetrack_cli.run_folder.manifest import read_run as read_trajectory
-    from facetrack_cli.runs.api import Recording, draw, track_frames, track_video
-    from facetrack_cli.runs.online import Tracker
+    from facetrack_cli.runs.api import Recording, Tracker, draw, track_frames, track_video
     from facetrack_cli.trajectory.formats.read import read_truth
     from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
     from facetrack_cli.video.overlay.overlay import Overlay
@@ -62,8 +61,7 @@ _PLACES = {
     "recipe.load": ("load_recipe",),
     "report.figures.page": ("page_figure",),
     "run_folder.manifest": ("read_run",),
-    "runs.api": ("Recording", "draw", "track_frames", "track_video"),
-    "runs.online": ("Tracker",),
+    "runs.api": ("Recording", "Tracker", "draw", "track_frames", "track_video"),
     "trajectory.formats.read": ("read_truth",),
     "trajectory.trajectory": ("FrameResult", "Trajectory"),
     "video.overlay.overlay": ("Overlay",),

@@ -41,8 +41,8 @@ from facetrack_cli.evaluation.compare import default_truth
 from facetrack_cli.evaluation.sheet import clip_name
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.api import track_video
+from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.runs.seeds import load_recipes
-from facetrack_cli.runs.start import Begin
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -89,7 +89,7 @@ def runs_of(clip: Path, recipe: Recipe, seeds: int, regressions: Path | None) ->
     real = regressions is not None and (regressions / f"without_{clip.parent.name}.npz").is_file()
     take_regression(regressions if real else None, clip.parent.name)
     truth = truth_of(clip, recipe)
-    start = Begin(clip).find(recipe, None if clip.with_name(MESH).is_file() else truth)
+    start = ClipRequest(clip).find(recipe, None if clip.with_name(MESH).is_file() else truth)
     numbers = range(seeds if recipe.random else 1)
     return [track_video(clip, recipe, init=start, seed=seed) for seed in numbers], truth
 

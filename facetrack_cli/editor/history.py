@@ -11,7 +11,7 @@ from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
 from facetrack_cli.editor.retrack import Read, Store, Task, Track, Tracking, frames_of
 from facetrack_cli.engine.corrected import all_or, completed, is_complete
 from facetrack_cli.run_folder.finished import Run
-from facetrack_cli.runs.job import Report, silent
+from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stopped, never
 from facetrack_cli.start.init_file import TARGET, read_init
 from facetrack_cli.start.targets import name_targets

@@ -21,7 +21,7 @@ from facetrack_cli.engine.corrected import CorrectedTarget
 from facetrack_cli.engine.loop import Footprint, Target, stream
 from facetrack_cli.recipe.model import ParticlesRecipe
 from facetrack_cli.run_folder.finished import Run
-from facetrack_cli.runs.job import Report, silent
+from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stopped, StoppedError, never
 from facetrack_cli.start.assembly import build_tracker, tracker_for
 from facetrack_cli.trajectory.select import choose

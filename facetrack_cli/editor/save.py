@@ -12,7 +12,7 @@ from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.run_folder.finished import Run, stamp, write_rows
 from facetrack_cli.run_folder.manifest import FILTERED, outdated, read_manifest
 from facetrack_cli.runs.clip import past_end
-from facetrack_cli.runs.job import Report, silent
+from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stopped, StoppedError, never
 from facetrack_cli.runs.smooth import Write, given_all, repaint, replace_files
 from facetrack_cli.start.assembly import tracker_for
@@ -20,7 +20,7 @@ from facetrack_cli.start.init_file import as_yaml, write_init
 from facetrack_cli.trackers.smoothed import lagged
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory
-from facetrack_cli.trajectory.writers import ending_of
+from facetrack_cli.trajectory.writers import summary_of
 from facetrack_cli.video.source import open_source
 
 
@@ -44,7 +44,7 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     }
     files[folder / CORRECTED] = lambda write: write(as_yaml(fixer.start, run.clip.name).encode())
     known = read_manifest(folder)
-    ended = known and replace(known, lost_frames=ending_of(rows).lost_frames)
+    ended = known and replace(known, lost_frames=summary_of(rows).lost_frames)
     paint = (
         partial(repaint, run.painted, rows=rows, report=report, stop=stop) if video and run.video is not None else None
     )

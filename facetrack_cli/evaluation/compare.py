@@ -29,10 +29,10 @@ from facetrack_cli.evaluation.rows import Pair, Rows, column, match
 from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet, clip_name, rounded
 from facetrack_cli.evaluation.summary import MEASURES, Evaluation, evaluate, scalars
 from facetrack_cli.recipe.model import Recipe, to_dict
+from facetrack_cli.runs.plan import ClipRequest, far_from_truth
 from facetrack_cli.runs.progress import Progress
-from facetrack_cli.runs.seeds import Plan, SeedRun, outline, run_plans
+from facetrack_cli.runs.seeds import SeedPlan, SeedRun, outline, run_plans
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.start import Begin, far_from_truth
 from facetrack_cli.trajectory.reader import MAX_FRAME
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
@@ -193,7 +193,7 @@ def _pairs(ours: Trajectory, truth: Trajectory, options: Scoring, **more: Any) -
     return match(ours, known, **{"partial": options.partial, "select": options.select, **more})
 
 
-def kinds_of(plan: Plan, truth: Trajectory, options: Scoring) -> set[str]:
+def kinds_of(plan: SeedPlan, truth: Trajectory, options: Scoring) -> set[str]:
     """What the runs of a plan on frames of `options.size` will be measured as, `boxes` or `points`.
 
     Raises, before anything runs, what recipe, start and the names in the ground truth are refused for.
@@ -258,7 +258,7 @@ def aligned(entries: Sequence[Entry]) -> tuple[Whole, dict[str, Array]]:
 
 def run_recipes(
     recipes: Mapping[str, Recipe],
-    begin: Begin,
+    begin: ClipRequest,
     truth: Trajectory,
     seeds: int,
     options: Scoring,
@@ -279,7 +279,7 @@ def run_recipes(
         try:
             start = begin.find(recipe, truth, stop)
             own = range(seeds if recipe.random else 1)  # what draws no random numbers has one run to show
-            plan = Plan(label, begin.clip, recipe, start, tuple(own), begin.stop, begin.fps)
+            plan = SeedPlan(label, begin.clip, recipe, start, tuple(own), begin.stop, begin.fps)
             kinds = kinds_of(plan, truth, options)
             if family in ("boxes", "points") and family not in kinds:
                 measured = " and ".join(sorted(kinds))

@@ -38,10 +38,10 @@ from facetrack_cli.core.yaml_tree import YamlProblems
 from facetrack_cli.recipe.gallery_option import put
 from facetrack_cli.recipe.load import files_of, load_recipe
 from facetrack_cli.recipe.model import OpenCvRecipe, Recipe, completed, to_dict
-from facetrack_cli.run_folder.fingerprint import clip_digest
-from facetrack_cli.runs.seeds import Plan, run_plans
+from facetrack_cli.run_folder.manifest import clip_digest
+from facetrack_cli.runs.plan import ClipRequest
+from facetrack_cli.runs.seeds import SeedPlan, run_plans
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.start import Begin
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.init_file import find_init
 from facetrack_cli.trackers.opencv import find as find_opencv
@@ -151,7 +151,7 @@ def distances(run: Trajectory, rows: Sequence[tuple[int, str, float, float, floa
 
 
 def record(
-    folder: Path, plan: Plan, runs: Sequence[Trajectory], people: Path | None, names: Mapping[str, str] | None
+    folder: Path, plan: SeedPlan, runs: Sequence[Trajectory], people: Path | None, names: Mapping[str, str] | None
 ) -> Golden:
     """The golden of runs with different seeds, the first with 0, that know `people`.
 
@@ -329,7 +329,7 @@ def regress(
     their own. A golden is recorded from `seeds` runs up to the frame `stop`, else that of the golden before it.
     """
     stopped = stopped or Stop()
-    prepared: list[Plan | FacetrackError] = []
+    prepared: list[SeedPlan | FacetrackError] = []
     people = [gallery or (folder / one.known.gallery if one.known and one.known.gallery else None) for one in asked]
     for one, who in zip(asked, people, strict=True):
         try:
@@ -340,10 +340,10 @@ def regress(
             prepared.append(e)
         if stopped():
             return
-    plans = [one for one in prepared if isinstance(one, Plan)]
+    plans = [one for one in prepared if isinstance(one, SeedPlan)]
     with contextlib.closing(run_plans(plans, stopped=stopped, **how)) as ends:
         for one, who, plan in zip(asked, people, prepared, strict=True):
-            ended = next(ends, None) if isinstance(plan, Plan) else None
+            ended = next(ends, None) if isinstance(plan, SeedPlan) else None
             if stopped():
                 return
             error = plan if ended is None else ended.error
@@ -374,8 +374,8 @@ def _recipe(one: Asked, overrides: Sequence[str], people: Path | None) -> Recipe
     return put(recipe, str(people))
 
 
-def _to_record(one: Asked, recipe: Recipe, seeds: int, stop: int | None, stopped: Stop) -> Plan:
-    begin = Begin(one.clip, stop=stop)
+def _to_record(one: Asked, recipe: Recipe, seeds: int, stop: int | None, stopped: Stop) -> SeedPlan:
+    begin = ClipRequest(one.clip, stop=stop)
     start = replace(begin.find(recipe, stopped=stopped), detector="", placed=False)  # cascades are there on any machine
     with begin.open() as source:
         size, fps = source.size, source.fps
@@ -383,10 +383,10 @@ def _to_record(one: Asked, recipe: Recipe, seeds: int, stop: int | None, stopped
         tracker_for(recipe, start, size, fps)
     except InputError as e:
         raise _SkippedError(str(e)) from None
-    return Plan(one.path.stem, one.clip, recipe, start, tuple(range(seeds if recipe.random else 1)), stop)
+    return SeedPlan(one.path.stem, one.clip, recipe, start, tuple(range(seeds if recipe.random else 1)), stop)
 
 
-def _to_check(one: Asked, recipe: Recipe) -> Plan:
+def _to_check(one: Asked, recipe: Recipe) -> SeedPlan:
     golden = one.known
     assert golden is not None
     if not one.clip.exists():
@@ -395,10 +395,10 @@ def _to_check(one: Asked, recipe: Recipe) -> Plan:
         raise InputError(f"the clip {one.clip} is not the one recorded; restore it, or {UPDATE}")
     other = recipe.random and differences(golden, recipe)
     seeds = tuple(range(UNSEEN, UNSEEN + RUNS)) if other else (0,)
-    return Plan(one.path.stem, one.clip, recipe, golden.start.start_from(str(one.path)), seeds, golden.stop)
+    return SeedPlan(one.path.stem, one.clip, recipe, golden.start.start_from(str(one.path)), seeds, golden.stop)
 
 
-def _compared(result: Checked, golden: Golden, now: Golden, plan: Plan, runs: Sequence[Trajectory]) -> Checked:
+def _compared(result: Checked, golden: Golden, now: Golden, plan: SeedPlan, runs: Sequence[Trajectory]) -> Checked:
     parts, own = ([part for part in one.spread if part] for one in (golden, now))
     if parts != own or golden.frames != now.frames:
         texts = (f"{', '.join(p)} in frames {f[0]}-{f[1]}" for p, f in ((own, now.frames), (parts, golden.frames)))

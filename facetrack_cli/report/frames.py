@@ -14,8 +14,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.core.types import Image as Pixels
-from facetrack_cli.run_folder.fingerprint import other_clip
-from facetrack_cli.run_folder.manifest import check_belongs
+from facetrack_cli.run_folder.manifest import check_belongs, other_clip
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import Header
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded

@@ -21,7 +21,7 @@ from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import check_plain
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.snapshot import Arrays, flat_value, read_value
-from facetrack_cli.run_folder.lock import sweep
+from facetrack_cli.run_folder.lease import sweep
 
 FOLDER: Final = ".checkpoint"
 KIND: Final = Kind("facetrack-checkpoint", 1, "checkpoint of a run", "facetrack run")
@@ -100,6 +100,6 @@ class Checkpoints:
         self._worker.shutdown()
 
 
-def forget(out: Path) -> None:
+def remove_checkpoints(out: Path) -> None:
     """Remove the checkpoints of a run that is done, or is begun anew."""
     shutil.rmtree(out / FOLDER, ignore_errors=True)

@@ -17,13 +17,12 @@ from facetrack_cli.core.models import shipped_folder, shipped_recipes
 from facetrack_cli.core.types import Correction, Start
 from facetrack_cli.engine.checks import check_start
 from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe
-from facetrack_cli.run_folder.fingerprint import other_clip
-from facetrack_cli.run_folder.manifest import VIDEO, read_run, trajectory_of
+from facetrack_cli.run_folder.manifest import VIDEO, check_belongs, other_clip, read_run, trajectory_of
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trajectory.header import Header, corrections_record, is_there, read_header
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.trajectory import Status, Trajectory
-from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Ending, Format, ending_of, json_frames
+from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Format, RunSummary, summary_of
 from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.images import listing
 
@@ -114,24 +113,19 @@ def run_files(folder: Path) -> dict[Format, Path]:
 
 
 def read_files(files: Mapping[Format, Path]) -> Trajectory:
-    """The rows of a run's JSON, or else its JSON lines; its other trajectories must hold the same. Raises InputError,
-    with the line, for a file that is not byte for byte as a run writes it, and for a file that differs.
+    """The rows of a run's JSON, or else its JSON lines.
+
+    Raises InputError for a file that is not as its run wrote it, by the checksums in run.json, and for rows that no run
+    writes.
     """
     main = files["json"] if "json" in files else files["jsonl"]
     rows = read_run(main)
-    if "lost_frames" not in rows.header or "init" not in rows.header:
-        raise _not_ours(main)
-    _check_main(rows)
-    for form, path in files.items():
+    for path in files.values():
         with reading(path):
-            if path != main:
-                _check_same(form, path, rows)
-    return rows
-
-
-def _check_main(rows: Trajectory) -> None:
-    """InputError if a row is missing, or if the line of a frame is not, byte for byte, what a run writes for it."""
-    main, frames = rows.path, rows.frames
+            check_belongs(path)
+    if not {"lost_frames", "init"} <= {*rows.header} or not np.isin(rows.status, STATUS).all():
+        raise InputError(f"{main}: is not as facetrack run writes it, was it edited? {_AGAIN}")
+    frames = rows.frames
     if (gaps := np.flatnonzero(np.diff(frames) != 1)).size:
         after, before = frames[gaps[0] + 1], frames[gaps[0]]
         raise InputError(f"{main}: frame {after} follows frame {before}; {_AGAIN}")
@@ -139,41 +133,7 @@ def _check_main(rows: Trajectory) -> None:
         if len(part) < len(frames):
             missing = np.setdiff1d(frames, part.frame)[0]
             raise InputError(f"{main}: frame {missing} has no row of {part.name}; {_AGAIN}")
-    begins = "{" if main.suffix == ".json" else '{"type":"frame",'
-    with main.open("rb") as file:
-        lines = enumerate(file, 1)
-        for _, text in lines:  # the header: of JSON lines it is one line
-            if main.suffix == ".jsonl" or text == b'"frames": [\n':
-                break
-        for frame in json_frames(rows):
-            number, text = next(lines, (0, b""))
-            if text.rstrip(b",\n") != f"{begins}{frame}}}".encode(errors="backslashreplace"):
-                raise _not_ours(f"{main}:{number}" if number else main)
-    if not np.isin(rows.status, STATUS).all():
-        raise _not_ours(main)
-
-
-def _check_same(form: Format, path: Path, rows: Trajectory) -> None:
-    """InputError, with the line, if a file is not what a run writes in this format for these rows."""
-    line = 1
-
-    def compare(data: bytes) -> None:
-        nonlocal line
-        found = file.read(len(data)) if data else file.read(1)  # nothing is written at the end of a file
-        if found != data:
-            same = next((i for i, (a, b) in enumerate(zip(found, data, strict=False)) if a != b), len(found))
-            remedy = f"remove it, {rows.path.name} says the same, or {_AGAIN}"
-            at = line + data.count(b"\n", 0, same)
-            raise InputError(f"{path}:{at}: differs from {rows.path.name}; {remedy}")
-        line += data.count(b"\n")
-
-    with path.open("rb") as file:
-        write_rows(form, compare, rows)
-        compare(b"")
-
-
-def _not_ours(place: Path | str) -> InputError:
-    return InputError(f"{place}: is not as facetrack run writes it, was it edited? {_AGAIN}")
+    return rows
 
 
 def write_rows(
@@ -186,11 +146,11 @@ def write_rows(
     ends = {*FOOTER, "frames_tracked", "type"}
     head = {key: value for key, value in rows.header.items() if key not in ends}
     foot = {key: value for key, value in rows.header.items() if key in FOOTER}
-    ending = Ending(**{**foot, "warnings": tuple(foot.get("warnings", ()))})
+    ending = RunSummary(**{**foot, "warnings": tuple(foot.get("warnings", ()))})
     if corrections is not None:
         init = {key: value for key, value in head["init"].items() if key != "corrections"}
         head["init"] = {**init, **corrections_record(corrections)}
-        ending.lost_frames = ending_of(rows).lost_frames
+        ending.lost_frames = summary_of(rows).lost_frames
     writer = WRITERS[form](BytesSink(write), head)
     writer.write(rows)
     writer.close(ending)

@@ -2,22 +2,28 @@
 
 It is replaced last, together with those files: it alone says what is complete, and files of different runs are noticed
 whenever they are read. What a killed run leaves, files half replaced and tables without an end, is ended when read.
+
+Whether a job and a clip are the same again is told by checksums: of the clip, of the recipe with its files, and of all
+that the job asks for.
 """
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import re
 import shlex
+import stat
+import threading
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import groupby
 from pathlib import Path
-from typing import Any, ClassVar, Final, Literal
+from typing import Any, ClassVar, Final, Literal, TypeAlias
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
@@ -35,12 +41,19 @@ from facetrack_cli.core.files import (
     temporary_path,
 )
 from facetrack_cli.core.log import LINES
+from facetrack_cli.core.numbers import dumps
+from facetrack_cli.core.types import Start
 from facetrack_cli.core.version import __version__
-from facetrack_cli.run_folder.lock import LOCK, FolderLock, finish_replacing, left_in, mark_of, sweep, utc_now
+from facetrack_cli.core.yaml_tree import YamlProblems
+from facetrack_cli.recipe.load import files_of
+from facetrack_cli.recipe.model import Recipe, to_dict
+from facetrack_cli.run_folder.lease import FolderLease, finish_replacing, is_held, left_in, mark_of, sweep, utc_now
+from facetrack_cli.trajectory.header import is_there, to_record
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.reader import read_table, read_trajectory, table_in
 from facetrack_cli.trajectory.trajectory import Trajectory
-from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Ending, Format, ending_of, tail
+from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Format, RunSummary, summary_of, tail
+from facetrack_cli.video.images import listing
 
 BORNE_OUT: Final = 0.95  # share of points; it is said if it is less
 NAME: Final = "run.json"
@@ -79,7 +92,7 @@ class Clip(File):
 
 
 @dataclass
-class Manifest(Ending):
+class Manifest(RunSummary):
     """The contents of run.json. `asked`: a digest of all that was asked for.
 
     `networks` are those that placed points: `mesh`, or the file that the recipe names; `borne_out` is the share of
@@ -189,7 +202,7 @@ def made_by(name: str) -> str:
 
 
 def commit(
-    lock: FolderLock, folder: Path, files: Sequence[Path], known: Manifest | None, gone: Sequence[Path] = ()
+    lock: FolderLease, folder: Path, files: Sequence[Path], known: Manifest | None, gone: Sequence[Path] = ()
 ) -> None:
     """Let the temporary files of these paths replace them, and then run.json: `known`, and their checksums.
 
@@ -289,20 +302,20 @@ def trajectory_of(run: Path) -> Path:
     raise InputError(f"{run}: has no trajectory.json; {remedy}")
 
 
-def recover_interrupted(folder: Path) -> int:
+def recover_interrupted(folder: Path, stopped: Callable[[], bool] = lambda: False) -> int:
     """End what a killed process left in a folder, if nobody writes there; the number of frames that it had tracked.
 
     Files half replaced are replaced; tables that were being written become the tables of a run that was stopped.
     """
-    if not (folder / LOCK).exists():
+    if not is_held(folder):
         return 0
     finish_replacing(folder, left_in(folder))
-    with contextlib.suppress(OutputError, OSError), FolderLock(folder) as lock:
+    with contextlib.suppress(OutputError, OSError), FolderLease(folder, stopped) as lock:
         return recover(folder, lock)
     return 0
 
 
-def recover(folder: Path, lock: FolderLock) -> int:
+def recover(folder: Path, lock: FolderLease) -> int:
     """As `recover_interrupted`, of a folder that is locked."""
     note, frames = lock.stale_note, 0
     finish_replacing(folder, note)
@@ -315,7 +328,7 @@ def recover(folder: Path, lock: FolderLock) -> int:
     return frames
 
 
-def _end_tables(folder: Path, lock: FolderLock, mark: str, known: Manifest) -> int:
+def _end_tables(folder: Path, lock: FolderLease, mark: str, known: Manifest) -> int:
     """Write the tables of a process anew with their whole frames, and run.json; the number of these frames."""
     check_plain(*(folder / name for name in TABLES))
     parts = {form: temporary_path(folder / f"trajectory.{form}", mark) for form in FORMATS}
@@ -331,7 +344,7 @@ def _end_tables(folder: Path, lock: FolderLock, mark: str, known: Manifest) -> i
     try:
         torn.write_bytes(text)
         rows = read_table(torn)
-        ending = ending_of(rows, complete=False, stopped=KILLED)
+        ending = summary_of(rows, complete=False, stopped=KILLED)
         head = {key: value for key, value in rows.header.items() if key not in (*FOOTER, "frames_tracked", "type")}
         files = [folder / f"trajectory.{form}" for form in forms]
         for form, path in zip(forms, files, strict=True):
@@ -361,5 +374,130 @@ def _whole_frames(form: Format, text: bytes) -> tuple[bytes, int]:
             body.append(lines[-1])
     between = b",\n" if form == "json" else b"\n"
     whole = between.join([*(line.rstrip(b",") for line in body)])
-    end = tail(form, Ending(), len(body)).encode()
+    end = tail(form, RunSummary(), len(body)).encode()
     return b"\n".join([*lines[:head], whole]) + (b"\n" if form == "jsonl" else b"") + end, len(body)
+
+
+def previous_run(folder: Path, asked: str, clip: Path) -> tuple[Manifest | None, Manifest | None]:
+    """The run.json of a folder if it is of the same job (`asked`) and clip, and its files are whole; and the one there.
+
+    Raises InputError for a run.json that is not as we write it.
+    """
+    there = read_manifest(folder) if is_there(folder) else None
+    if there is None or there.clip is None or there.asked != asked:
+        return None, there
+    whole = all(_is_as_written(folder, name, there) for name in there.files)
+    return there if whole and _is_same(there.clip, clip) else None, there
+
+
+def other_clip(rows: Trajectory, clip: Path) -> str | None:
+    """A line if a clip that is there is not, byte for byte, the clip that the rows of a run are of."""
+    said, known = rows.header.get("source_sha256"), read_manifest(rows.path.parent)
+    if not isinstance(said, str) or not said or not is_there(clip):
+        return None
+    of_run = known.clip if known is not None and known.clip is not None and known.clip.sha256 == said else None
+    if clip_digest(clip) == said if of_run is None else _is_same(of_run, clip):
+        return None
+    return f"{clip}: is not the clip that {rows.path.name} was made from (its SHA-256 differs)"
+
+
+def job_digest(recipe: Recipe, init: object, settings: Sequence[object], *more: object) -> str:
+    """A digest of a recipe and its files, of a start or an init file, and of settings, as JSON takes them."""
+    given = clip_digest(init) if isinstance(init, Path) else to_record(init) if isinstance(init, Start) else init
+    return hashlib.sha256(dumps([__version__, _recipe_digest(recipe), [given, *settings], *more]).encode()).hexdigest()
+
+
+def _recipe_digest(recipe: Recipe) -> str:
+    """A digest of a recipe and the files it names, computed once for all clips of a batch."""
+    global _last
+    if _last is None or _last[0] is not recipe or _last[1] != [_stamp(file) for file, _ in _last[1]]:
+        files: list[Path] = []
+        with contextlib.suppress(YamlProblems):  # the run says so
+            files = files_of(recipe)
+        text = dumps([to_dict(recipe), *map(clip_digest, files)])
+        _last = recipe, [_stamp(file) for file in files], hashlib.sha256(text.encode()).hexdigest()
+    return _last[2]
+
+
+_Stamp: TypeAlias = tuple[Path, "tuple[int, int] | None"]
+_last: tuple[Recipe, list[_Stamp], str] | None = None
+
+
+def _stamp(path: Path) -> _Stamp:
+    with contextlib.suppress(OSError):
+        found = path.stat()
+        return path, (found.st_size, found.st_mtime_ns)
+    return path, None
+
+
+class ClipDigest:
+    """The SHA-256 of a clip, computed in a thread of its own while the clip is tracked; `clip` is the clip without."""
+
+    def __init__(self, clip: Path, *, whole: bool = True) -> None:
+        """Without `whole` it is not computed: the clip of a chunk is the same for all."""
+        self.clip, self._found, self._stopped = clip_stat(clip), "", not whole
+
+        def compute() -> None:
+            self._found = clip_digest(clip, lambda: self._stopped)
+
+        self._thread = threading.Thread(target=compute, name="sha256", daemon=True)
+        self._thread.start()
+
+    def end(self, *, whole: bool) -> Clip | None:
+        """The clip with its checksum, for which it waits if the run is `whole`; None if the clip is gone."""
+        self._stopped = not whole
+        self._thread.join()
+        return self.clip and Clip(self.clip.bytes, self._found, self.clip.path, self.clip.changed_ns)
+
+
+def quick_digest(clip: Path) -> str:
+    """A checksum of a clip that is soon computed, of samples of its files; "" if it cannot be read."""
+    with contextlib.suppress(OSError):
+        files = _files(clip)
+        told = repr([(path.name, path.stat().st_size) for path in files])
+        found = hashlib.sha256(told.encode(errors="surrogateescape"))
+        for path in [files[0], files[-1]] if files else []:
+            found.update(sampled(path).encode())
+        return found.hexdigest()
+    return ""
+
+
+def clip_stat(clip: Path) -> Clip | None:
+    """A clip without its checksum; None if it is gone."""
+    try:
+        stats = [file.stat() for file in _files(clip)]
+    except OSError:
+        return None
+    changed = max((one.st_mtime_ns for one in stats), default=0)
+    return Clip(sum(one.st_size for one in stats), "", as_text(str(clip)), changed)
+
+
+def clip_digest(path: Path, stopped: Callable[[], bool] = lambda: False) -> str:
+    """The checksum of a file, or of the images of a folder; "" if it cannot be read."""
+    try:
+        images = listing(path)
+        return digest([path] if images is None else images, names=images is not None, stopped=stopped)
+    except OSError:
+        return ""
+
+
+def _is_same(known: Clip, clip: Path) -> bool:
+    now = clip_stat(clip)
+    if now is None or now.bytes != known.bytes:
+        return False
+    return now.changed_ns == known.changed_ns or (known.sha256 != "" and clip_digest(clip) == known.sha256)
+
+
+def _is_as_written(folder: Path, name: str, known: Manifest) -> bool:
+    """Whether a file is what its run wrote; of a run that did not end, whose tables are replaced, if its size is."""
+    path, of, sample = folder / name, known.files[name], known.samples.get(name)
+    with contextlib.suppress(OSError, ValueError):
+        found = path.lstat()
+        if stat.S_ISREG(found.st_mode) and found.st_size == of.bytes:
+            return known.stopped is not None or (sampled(path) == sample if sample else digest([path]) == of.sha256)
+    return False
+
+
+def _files(clip: Path) -> list[Path]:
+    images = listing(clip)
+    return [clip] if images is None else images

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from facetrack_cli.core.errors import InputError, UsageError, reading
 from facetrack_cli.core.files import check_plain, make_folder, read_bounded, write_new
 from facetrack_cli.core.numbers import document, places
-from facetrack_cli.run_folder.lock import LOCK, holder
+from facetrack_cli.run_folder.lease import holder, is_held
 from facetrack_cli.run_folder.manifest import NAME, Manifest, as_text, read_manifest
 
 State: TypeAlias = Literal["done", "running", "interrupted", "failed", "not begun"]
@@ -238,7 +238,7 @@ def _left(one: ClipStatus) -> float:
 
 
 def _is_run(folder: Path) -> bool:
-    return (folder / NAME).is_file() or (folder / LOCK).is_file()
+    return (folder / NAME).is_file() or is_held(folder)
 
 
 def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
@@ -263,7 +263,7 @@ def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
             frames_per_s=round(frames / seconds, 2) if frames and seconds else None,
         )
     if known is None:
-        begun = (folder / LOCK).is_file()  # a process that is gone has left it
+        begun = is_held(folder)  # a process that is gone has left it
         return ClipStatus(clip or name, name, "interrupted" if begun else "not begun")
     state: State = "failed" if known.error is not None else "done" if known.stopped is None else "interrupted"
     tracked, took = known.frames - known.resumed, known.seconds

@@ -1,30 +1,39 @@
-"""The Python interface: track a video or any images, by the same functions as the command line."""
+"""The Python interface: track a video or any images, by the same functions as the command line.
+
+`Tracker` takes one image at a time, for services and cameras.
+"""
+
+from __future__ import annotations
 
 import contextlib
+import threading
+import weakref
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from itertools import chain, dropwhile, tee
 from pathlib import Path
-from typing import Literal, TypeAlias
+from queue import SimpleQueue
+from typing import Any, Final, Literal, TypeAlias
 
 import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.face_points import DETECTORS, DetectorName
+from facetrack_cli.core.npz import Kind, Stored
+from facetrack_cli.core.numbers import dumps
+from facetrack_cli.core.snapshot import flat_value, read_value
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
-from facetrack_cli.engine.loop import track
+from facetrack_cli.engine.loop import TrackState, track
 from facetrack_cli.recipe.load import default_recipe, load_recipe
-from facetrack_cli.recipe.model import Recipe, seeded
-from facetrack_cli.runs.clip import track_clip
-from facetrack_cli.runs.job import Job, check, silent
+from facetrack_cli.recipe.model import Recipe, seeded, to_dict
+from facetrack_cli.runs.clip import rows_of
 from facetrack_cli.runs.people import cast_in
-from facetrack_cli.runs.posterior import check_smoothing
+from facetrack_cli.runs.plan import Job, check_smoothing, completed, resolve, search, silent
 from facetrack_cli.runs.progress import Bar, Progress, watched
-from facetrack_cli.runs.recording import ClipFacts, Memory, Recorder
+from facetrack_cli.runs.record import ClipFacts, Recorder, Results, RunFolder, Video, header_of, tables
 from facetrack_cli.runs.signals import Stop, never
-from facetrack_cli.runs.start import completed, search
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.smoothed import lagged
@@ -76,14 +85,14 @@ def track_video(
         lag=lag,
         faces=faces,
     )
-    check(job, kept=True)
-    with Memory(job) as memory, contextlib.closing(Bar() if report is None and watched() else Progress(True)) as shown:
+    plan = resolve(job, kept=True)
+    with contextlib.closing(Bar() if report is None and watched() else Progress(True)) as shown:
         shown.begin(job.clip.name)
-        error = track_clip(job, memory, Stop(), report or shown.update, shown.looked).error
-    if error is not None and not isinstance(error, FacetrackError):
-        raise error  # a fault of ours is not the end of a clip
-    found = memory.trajectory
-    if job.everyone:
+        done, found = rows_of(plan, Stop(), report or shown.update, shown.looked)
+    if done.error is not None and not isinstance(done.error, FacetrackError):
+        raise done.error  # a fault of ours is not the end of a clip
+    assert found is not None
+    if plan.everyone:
         known = cast_in(job, found, never, silent)
         header = {**found.header, "people": known.people.model_dump(mode="json")}
         found = replace(under_names(found, known.tracks), header=header)
@@ -130,16 +139,37 @@ def track_frames(
         yield replace(result, start=start) if result.frame.index == start.frame else result
 
 
-class Recording(Recorder):
+class Recording:
     """Writes the results of `track_frames` into the folder `out`, in a `with`, as `facetrack run` does.
 
         with Recording("out", recipe=recipe) as out:
             for result in track_frames(images, recipe):
                 out.write(result)
 
-    `recipe` is that of `track_frames`; `clip` names the images in the files, `fps` is their rate. The files appear
-    when the block ends; after an exception they hold the frames up to there. Raises InputError for a first result
-    without a start, and OutputError for a folder that holds something else, unless `overwrite`.
+    The files appear when the block ends; after an exception they hold the frames up to there.
+
+    Parameters
+    ----------
+    out : str or Path
+        The folder, which is made.
+    recipe : str, Path, Recipe or None
+        That of `track_frames`.
+    clip : str or Path
+        What the images are called in the files.
+    fps : float
+        Their rate, in images a second.
+    formats : Sequence of "csv", "json" and "jsonl"
+    video : bool
+        Whether an annotated video is written.
+    overwrite : bool
+        Whether results of something else are replaced.
+
+    Raises
+    ------
+    InputError
+        For a first result without a start.
+    OutputError
+        For a folder that holds something else, unless `overwrite`, and for what cannot be written.
     """
 
     def __init__(
@@ -153,24 +183,32 @@ class Recording(Recorder):
         video: bool = True,
         overwrite: bool = False,
     ) -> None:
-        chosen, rate = chosen_recipe(recipe, None, None), Fraction(fps).limit_denominator(1001)
-        super().__init__(Job(Path(clip), chosen, Path(out), formats=tuple(formats), video=video, overwrite=overwrite))
-        self._rate = rate
+        chosen, self._rate = chosen_recipe(recipe, None, None), Fraction(fps).limit_denominator(1001)
+        self.job = Job(Path(clip), chosen, Path(out), formats=tuple(formats), video=video, overwrite=overwrite)
+
+    def __enter__(self) -> Recording:
+        with contextlib.ExitStack() as opened:
+            folder = opened.enter_context(RunFolder(resolve(self.job)))
+            video = Video(folder.plan, folder) if folder.plan.draws else None
+            self._into = opened.enter_context(Recorder(folder.plan, tables(folder.plan), video, folder))
+            self._opened = opened.pop_all()
+        return self
 
     def write(self, result: FrameResult) -> None:
         """Write one more frame."""
-        if not self.outcome.frames:
+        if not self._into.outcome.frames:
             if result.start is None:
                 raise InputError(f"{self.job.out}: the first result has no start; write results of track_frames")
-            self.begin(ClipFacts(str(self.job.clip), result.frame.size, self._rate), result.start)
-        super().write(result)
+            clip = ClipFacts(str(self.job.clip), result.frame.size, self._rate)
+            self._into.begin(Results(clip, header_of(self.job, clip, result.start, result.rows)))
+        self._into.write(result)
 
-    def __exit__(self, kind: object = None, error: object = None, trace: object = None) -> None:
+    def __exit__(self, kind: Any = None, error: BaseException | None = None, trace: Any = None) -> None:
         done = None
-        if self.outcome.frames:
-            stopped = "interrupted" if isinstance(error, KeyboardInterrupt) else None
-            done = self.close(stopped=stopped, error=error if isinstance(error, Exception) else None)
-        super().__exit__(kind, error, trace)
+        with self._opened:
+            if self._into.outcome.frames:
+                stopped = "interrupted" if isinstance(error, KeyboardInterrupt) else None
+                done = self._into.close(stopped, error if isinstance(error, Exception) else None)
         if done is not None and done.error is not None and error is None:
             raise done.error
 
@@ -227,3 +265,160 @@ def frame_of(given: Image, index: int, time_s: float, size: tuple[int, int] | No
     if size is not None and frame.size != size:
         raise InputError(f"image {index}: is {frame.size[0]}x{frame.size[1]}, not {size[0]}x{size[1]} as the first")
     return frame
+
+
+KIND: Final = Kind("facetrack-tracker", 1, "state of a tracker", "facetrack.Tracker(...).save(path)")
+
+
+class Tracker:
+    """A tracker that is given one image at a time.
+
+        tracker = facetrack.Tracker("face")
+        result = tracker.update(image, time_s)      # None until a face is found
+        tracker.save("state.npz")                   # facetrack.Tracker("face", state="state.npz") goes on from there
+
+    The results are those of `track_frames`. Trackers are independent: each may be used in a thread of its own, and one
+    tracker by one thread at a time.
+
+    Parameters
+    ----------
+    recipe, init, seed : as of `track_frames`. Where `init` is None or a detector, images are kept until a face is
+        found, at most 250; then the search begins again with the next ones.
+    fps : images a second, for recipes with times, and where `update` is told no times.
+    state : a file that `save` wrote, of the same recipe and seed.
+
+    Raises
+    ------
+    RecipeError, InputError : for a recipe, an init file or a state that is none.
+    """
+
+    def __init__(
+        self,
+        recipe: str | Path | Recipe | None = None,
+        *,
+        init: Init | None = None,
+        seed: int | None = None,
+        fps: float = 25.0,
+        state: str | Path | None = None,
+    ) -> None:
+        self.recipe, self.fps = chosen_recipe(recipe, seed, init), fps
+        begin = chosen_start(init)
+        self.start: Start | None = begin if isinstance(begin, Start) else None
+        self._by: DetectorName | None = None if isinstance(begin, Start) else begin
+        self._size: tuple[int, int] | None = None
+        self._next, self._last_s = 0, -1.0
+        self._search: _Search | None = None
+        self._tracker: Any = None
+        self._at = TrackState()
+        if state is not None:
+            self._load(Path(state))
+
+    def update(self, image: Image, time_s: float | None = None) -> FrameResult | None:
+        """Track one image more.
+
+        Parameters
+        ----------
+        image : (H, W, 3) uint8, blue first, or (H, W) grey; all of one size.
+        time_s : when it was taken, in seconds, later than the image before; None: by `fps`.
+
+        Returns
+        -------
+        FrameResult or None : the rows of this image; None while the target is not found.
+
+        Raises
+        ------
+        InputError : for what is no image, one of another size, or a time that is not later.
+        """
+        at = self._next / self.fps if time_s is None else float(time_s)
+        if not at > self._last_s:
+            raise InputError(
+                f"image {self._next}: its time, {at:g} s, is not after {self._last_s:g} s, that of the last"
+            )
+        frame = frame_of(image, self._next, at, self._size)
+        self._size, self._last_s, self._next = frame.size, at, self._next + 1
+        waiting = [frame]
+        if self.start is None:
+            self._search = self._search or _Search(self.recipe, self._by)
+            found = self._search.give(frame)
+            if found is None:
+                return None
+            waiting, self._search = self._search.kept, None
+            if isinstance(found, InputError):  # nobody in all of them
+                return None
+            self.start = found
+        if self._tracker is None:
+            waiting = [one for one in waiting if one.index >= self.start.frame]
+            if not waiting:
+                return None
+            first = waiting[0]
+            self.start = completed(self.recipe, self.start, lambda: first, IMAGES)
+            self._tracker = tracker_for(self.recipe, self.start, first.size, self.fps)
+        *_, result = track(self._tracker, iter(waiting), self.recipe.seed, clip=IMAGES, at=self._at)
+        return result
+
+    def save(self, path: str | Path) -> None:
+        """Write all that it knows, also while no target is found. Raises OutputError.
+
+        A tracker of OpenCV does not give its state away: TypeError.
+        """
+        kept = [] if self._search is None else [(one.index, one.time_s, one.bgr) for one in self._search.kept]
+        known = self.start, self._at, self._size, self._next, self._last_s, kept
+        KIND.write(Path(path), {"of": np.array(self._key), **flat_value("known", known)})
+
+    def _load(self, path: Path) -> None:
+        def make(stored: Stored) -> Any:
+            if stored.text("of") != self._key:
+                raise InputError(f"{path}: is of another recipe or seed; give the tracker those that it was saved with")
+            return read_value(stored, "known")
+
+        self.start, self._at, self._size, self._next, self._last_s, kept = KIND.read(path, make)
+        if kept:
+            self._search = _Search(self.recipe, self._by)
+            for index, time_s, image in kept:
+                self._search.give(Frame(index, time_s, image))
+        if self._at.states and self.start is not None and self._size is not None:
+            self._tracker = tracker_for(self.recipe, self.start, self._size, self.fps)
+
+    @property
+    def _key(self) -> str:
+        return dumps([to_dict(self.recipe), self.fps])
+
+
+class _Search:
+    """A search for a face that is given its frames one by one; a thread of its own waits for the next.
+
+    `kept` are the frames so far.
+    """
+
+    def __init__(self, recipe: Recipe, by: DetectorName | None) -> None:
+        self.kept: list[Frame] = []
+        given, answers = SimpleQueue[Frame | None](), SimpleQueue[Start | Exception | None]()
+        self._given, self._answers = given, answers
+
+        def frames() -> Iterator[Frame]:
+            while True:
+                answers.put(None)  # it wants one more
+                if (frame := given.get()) is None:
+                    return
+                yield frame
+
+        def run() -> None:
+            try:
+                answers.put(search(recipe, frames(), IMAGES, by=by, whole=False))
+            except Exception as e:
+                answers.put(e)
+
+        threading.Thread(target=run, name="search", daemon=True).start()
+        weakref.finalize(self, given.put, None)
+        self._first = answers.get()
+
+    def give(self, frame: Frame) -> Start | InputError | None:
+        """The start, None while it is not known, or why there is none in all frames."""
+        if isinstance(self._first, Exception):  # as of a detector that is not installed
+            raise self._first
+        self.kept.append(frame)
+        self._given.put(frame)
+        found = self._answers.get()
+        if isinstance(found, Exception) and (not isinstance(found, InputError) or len(self.kept) == 1):
+            raise found
+        return found if isinstance(found, InputError | Start) else None

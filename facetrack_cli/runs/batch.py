@@ -1,31 +1,42 @@
-"""Several clips: where the results of each go, and N of them at a time.
+"""Several clips: which, where the results of each go, and N of them at a time.
 
 What is done, and what failed, is what the folders say, before a clip is begun and again once its folder is claimed. So
 several batches on the same folders, also of several machines, share the clips.
+
+Of the inputs of a command line a folder of images is one clip. In a folder that holds videos, animations or archives of
+images each of them is a clip; in one that holds none of these, those of its sub-folders are.
 """
 
+from __future__ import annotations
+
 import contextlib
+import glob
 import hashlib
+import os
+import re
+import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
-from facetrack_cli.core.errors import BusyError, FacetrackError
-from facetrack_cli.core.files import absolute
+from facetrack_cli.core.errors import BusyError, FacetrackError, InputError, UsageError, from_system, reason
+from facetrack_cli.core.files import MAX_FILE_BYTES, absolute, read_bounded
 from facetrack_cli.core.log import about
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.run_folder.lock import LOCK, FolderLock, holder
-from facetrack_cli.run_folder.manifest import as_line, recover_interrupted
-from facetrack_cli.runs.clip import run
-from facetrack_cli.runs.job import Job, Outcome, Report, check, ended, note_failure, silent
+from facetrack_cli.run_folder.lease import FolderLease, holder, is_held
+from facetrack_cli.run_folder.manifest import NAME, as_line, recover_interrupted
+from facetrack_cli.runs.clip import Work, run
 from facetrack_cli.runs.pipeline import share_threads
+from facetrack_cli.runs.plan import Job, Outcome, Report, note_failure, resolve, silent
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, cores, side_by_side
 from facetrack_cli.start.precompile import Precompiler
 from facetrack_cli.trajectory.header import is_there
+from facetrack_cli.video import images
+from facetrack_cli.video.files import chapters, check_local, is_clip, is_image
 
 TRIES: Final = 2  # of a clip whose process a signal ends
 LOOK_S: Final = 0.5  # between two looks whether a clip of somebody else is free
@@ -80,9 +91,7 @@ def check_all(jobs: Sequence[Job]) -> tuple[list[Outcome], list[Job]]:
     left: list[Job] = []
     for job in jobs:
         try:
-            known = None if job.out is not None and is_there(job.out / LOCK) else ended(job)
-            if known is None:
-                check(job)
+            known = resolve(job).ended()
         except FacetrackError as e:
             known = Outcome(clip=job.clip, error=as_line(e))
         if known is None:
@@ -93,15 +102,15 @@ def check_all(jobs: Sequence[Job]) -> tuple[list[Outcome], list[Job]]:
 
 
 def run_batch(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> Iterator[Outcome]:
-    """Run `jobs`, `workers` at a time in processes of this machine; as `share`."""
+    """Run `jobs`, `workers` at a time in processes of this machine; as `run_shared`."""
 
     def turn(jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
         return _turn(jobs, min(workers, len(jobs)), stop, progress)
 
-    return share(jobs, turn, stop, progress)
+    return run_shared(jobs, turn, stop, progress)
 
 
-def share(
+def run_shared(
     jobs: Sequence[Job],
     turn: Callable[[Sequence[Job]], Iterator[tuple[Job, Outcome]]],
     stop: Stop,
@@ -147,7 +156,7 @@ def _turn(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> 
     results = side_by_side(jobs, attempt, workers, stop, report, threads=jobs[0].threads, tries=TRIES)
     for i, result in results:
         finished += 1
-        yield jobs[i], died(jobs[i], result) if isinstance(result, Exception) else result
+        yield jobs[i], outcome_of_crash(jobs[i], result) if isinstance(result, Exception) else result
 
 
 def _waiting(busy: Sequence[Job]) -> str:
@@ -163,7 +172,7 @@ def _wait(busy: Sequence[Job], stop: Stop) -> tuple[list[Job], list[Job]]:
     """The clips of others, once one of them at least is not being tracked any more: those, and the rest."""
     settled = time.monotonic()
     while busy and not stop():
-        those = [(job, job.out is not None and (job.out / LOCK).exists()) for job in busy]
+        those = [(job, job.out is not None and is_held(job.out)) for job in busy]
         if not all(held for _, held in those):
             return [job for job, held in those if not held], [job for job, held in those if held]
         time.sleep(LOOK_S)
@@ -171,30 +180,137 @@ def _wait(busy: Sequence[Job], stop: Stop) -> tuple[list[Job], list[Job]]:
             settled = time.monotonic()
             for job in busy:
                 if job.out is not None:
-                    recover_interrupted(job.out)
+                    recover_interrupted(job.out, stop)
     return [], []
 
 
-def died(job: Job, error: Exception) -> Outcome:
+def outcome_of_crash(job: Job, error: Exception) -> Outcome:
     """What becomes of a clip whose process ended by itself."""
-    frames = 0 if job.out is None else recover_interrupted(job.out)
-    with contextlib.suppress(FacetrackError):  # an earlier turn may have come farther
-        frames = max(frames, known.frames if (known := job.previous()) is not None else 0)
+    frames, plan = 0 if job.out is None else recover_interrupted(job.out), None
+    with contextlib.suppress(FacetrackError):
+        plan = resolve(job)
+    if plan is not None and plan.known is not None:  # an earlier turn may have come farther
+        frames = max(frames, plan.known.frames)
     kept = f"the {frames} frames that it had tracked are kept" if frames else "nothing was kept"
     said = FacetrackError(f"{job.clip}: {error}; {kept}")
     log = error.log if isinstance(error, DiedError) else ()
-    if job.out is not None and job.batch:
-        with contextlib.suppress(FacetrackError), FolderLock(job.out) as lock:
-            note_failure(job, lock, said, log)
+    if plan is not None and job.out is not None and job.batch:
+        with contextlib.suppress(FacetrackError), FolderLease(job.out) as lease:
+            note_failure(plan, lease, said, log)
     return Outcome(clip=job.clip, error=said)
 
 
-def attempt(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
+def attempt(
+    job: Job, stop: Stop, report: Report = silent, looked: Report = silent, work: Work | None = None
+) -> Outcome:
     """Run a job; its error is in the outcome, as one line."""
     with about(job.clip.name):
         try:
-            outcome = run(job, stop, report, looked)
+            outcome = run(job, stop, report, looked, work)
         except Exception as e:
             outcome = Outcome(clip=job.clip, error=e)
         outcome.error = outcome.error and as_line(outcome.error)
     return outcome
+
+
+class ClipList(NamedTuple):
+    """The clips, each once, and whether they are `several`: more than one, or whatever a folder, glob or list holds."""
+
+    clips: list[Path]
+    several: bool
+
+
+def expand(inputs: Sequence[Path], note: Callable[[str], None] = lambda line: None) -> ClipList:
+    """The clips of the inputs of a command line, in their order; `note` hears what is left out.
+
+    InputError for a list that cannot be read, and a folder, glob or list without clips; UsageError for several images.
+    """
+    listed = [clip for given in inputs for clip in _listed(given)]
+    groups = [_clips(given, note) for given in listed]
+    found = {absolute(clip): clip for group in groups for clip in group}
+    clips = list(found.values())
+    alone = [one for one in clips if is_image(one) and images.listing(one) is None and images.pages(one) == 1]
+    if len(alone) > 1:
+        folder = alone[0].parent
+        raise UsageError(f"{alone[0]} and {len(alone) - 1} more are single images; give their folder, {folder}{os.sep}")
+    if parts := chapters(clips):
+        names = f"{parts[0].name} to {parts[-1].name}"
+        how = "list them as lines file 'NAME' and join them first: ffmpeg -f concat -safe 0 -i LIST -c copy joined.mp4"
+        note(f"facetrack: {names}: each is a clip of its own; if they are chapters of one recording, {how}")
+    plain = len(inputs) == len(listed) and groups == [[given] for given in inputs]
+    return ClipList(clips, len(clips) > 1 or not plain)
+
+
+def _listed(given: Path) -> list[Path]:
+    """What a list names, `@list.txt` or `@-`; anything else is itself, also a file whose name begins so."""
+    if not str(given).startswith("@") or is_there(given):
+        return [given]
+    name = str(given)[1:]
+    path = Path(name)
+    try:
+        data = sys.stdin.buffer.read(MAX_FILE_BYTES) if name == "-" else read_bounded(path, what="list")
+    except OSError as e:
+        raise InputError(f"{path}: cannot be read as a list of clips: {reason(e)}; check the name") from e
+    lines = [line.rstrip("\r") for line in os.fsdecode(data.removeprefix(b"\xef\xbb\xbf")).split("\n")]
+    if b"\0" in data:
+        raise InputError(f"{'standard input' if name == '-' else path}: is not a list of clips; it has a path a line")
+    found = [Path(line) for line in lines if line.strip() and not line.startswith("#")]
+    if not found:
+        raise InputError(f"{'standard input' if name == '-' else path}: names no clip; it has a path a line")
+    return found
+
+
+def _clips(given: Path, note: Callable[[str], None]) -> list[Path]:
+    """The clips that one input is."""
+    check_local(given)
+    try:
+        if given.is_dir():
+            return _of_folder(given, note) or _below(given, note) or [given]
+        if re.search(r"[*?\[]", str(given)) and not is_there(given):
+            return _of_glob(given, note)
+    except OSError as e:
+        raise from_system(e) or InputError(f"{e.filename or given}: {reason(e)}; check the permissions") from e
+    return [given]
+
+
+def _of_glob(given: Path, note: Callable[[str], None]) -> list[Path]:
+    matches = _sorted(Path(name) for name in glob.glob(str(given), recursive=True))  # noqa: PTH207 -- any of its parts
+    if not matches:
+        raise InputError(f"{given}: matches no file; check the name")
+    folders = [one for one in matches if one.is_dir()]
+    files = [one for one in matches if not one.is_dir()]
+    pictures = {one for one in files if is_image(one)}
+    videos = [one for one in files if one not in pictures]
+    if pictures and not videos and not folders:
+        return [given]
+    _left_out(given, len(pictures), note)
+    return videos + [clip for folder in folders for clip in _of_folder(folder, note)]
+
+
+def _of_folder(folder: Path, note: Callable[[str], None]) -> list[Path]:
+    """The clips right in a folder: it itself, its videos, or none. A run's folder has none."""
+    if (folder / NAME).exists():
+        return []
+    names = [name for name in os.listdir(folder) if not name.startswith(".")]  # noqa: PTH208 -- of many, fast
+    paths = [folder / name for name in names]
+    videos = sorted(filter(is_clip, paths), key=lambda path: images.natural_key(path.name))
+    pictures = [path for path in {*paths}.difference(videos) if path.suffix.lower() in images.SUFFIXES]
+    if not videos:
+        return [folder] if any(path.is_file() for path in pictures) else []
+    _left_out(folder, len(pictures), note)
+    return videos
+
+
+def _below(folder: Path, note: Callable[[str], None]) -> list[Path]:
+    inside = _sorted(one for one in folder.iterdir() if not one.name.startswith(".") and one.is_dir())
+    return [clip for one in inside for clip in _of_folder(one, note)]
+
+
+def _left_out(given: Path, pictures: int, note: Callable[[str], None]) -> None:
+    if pictures:
+        what = "1 image beside the videos is" if pictures == 1 else f"{pictures} images beside the videos are"
+        note(f"facetrack: warning: {given}: {what} left out; give images a folder of their own")
+
+
+def _sorted(paths: Iterable[Path]) -> list[Path]:
+    return sorted(paths, key=lambda path: images.natural_key(str(path)))

@@ -2,118 +2,192 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import contextlib
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from typing import TypeAlias
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.face_points import DETECTORS
-from facetrack_cli.core.types import Correction, Frame, Start
+from facetrack_cli.core.types import Correction, Start
 from facetrack_cli.engine.corrected import restored
-from facetrack_cli.engine.loop import Tracker, TrackState, track
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.run_folder.checkpoint import forget
-from facetrack_cli.runs.job import Job, Outcome, Report, check, check_lag, ended, is_tracked, silent
-from facetrack_cli.runs.people import crowded, film_results, film_shots, film_start, name_run
+from facetrack_cli.run_folder.checkpoint import remove_checkpoints
+from facetrack_cli.runs.people import crowded, film, film_shots, film_start, name_run
 from facetrack_cli.runs.pipeline import decoded_ahead
-from facetrack_cli.runs.recording import ClipFacts, Recorder
+from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, resolve, silent
+from facetrack_cli.runs.record import (
+    ClipFacts,
+    Ended,
+    Recorder,
+    Results,
+    Rows,
+    RunFolder,
+    RunState,
+    Sink,
+    Video,
+    header_of,
+    record,
+    tables,
+)
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.start import frames_of
-from facetrack_cli.runs.stitch import join
+from facetrack_cli.runs.smooth import PosteriorWriter
+from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.precompile import Precompiler
 from facetrack_cli.trackers.smoothed import lagged
-from facetrack_cli.trajectory.trajectory import FrameResult
+from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.shots import Shot
 from facetrack_cli.video.source import Source
 
+MAX_LAG_BYTES = 1 << 30  # of the frames that wait for later ones
+Work: TypeAlias = Callable[[Plan, RunFolder, Stop, Report, Report], Outcome]
 
-def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
-    """Track one clip into its files; raises, and leaves no file, if nothing was tracked. `stop` is asked each frame.
-    Of a clip that is split the chunks, which are there, are joined. `looked` hears of the search for a face.
 
-    An error after the first frame is in the outcome, beside what was kept. What the folder holds of the same job is
-    left as it is if it was not cut short by an error, a signal or a kill; else the clip is tracked again.
+def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent, work: Work | None = None) -> Outcome:
+    """Track one clip into its files.
+
+    What the folder holds of the same job is left as it is if it was not cut short by an error, a signal or a kill; else
+    the clip is tracked again.
+
+    Parameters
+    ----------
+    job : Job
+    stop : Stop
+        Is asked each frame.
+    report : Callable
+        Hears how many frames are done, and how many there are, None if that is not known.
+    looked : Callable
+        Hears the same of the search for a face.
+    work : Callable or None
+        What gives the rows; None: they are tracked.
+
+    Returns
+    -------
+    Outcome
+        An error after the first frame is in it, beside what was kept.
+
+    Raises
+    ------
+    FacetrackError
+        If nothing was tracked; no file is left then.
     """
-    check(job)
-    if (known := ended(job)) is not None:
+    plan = resolve(job)
+    if (known := plan.ended()) is not None:
         if job.out is not None:
-            forget(job.out)  # a kill may leave checkpoints of a run that is done
+            remove_checkpoints(job.out)  # a kill may leave checkpoints of a run that is done
         return known
-    tracked = None if job.overwrite or not _names(job) else job.previous()
-    if tracked is not None and is_tracked(tracked):  # and was not named
-        return name_run(job, Outcome.of(job, tracked), stop, looked)
-    with Recorder(job) as out:
-        if (known := ended(job)) is not None:  # meanwhile, by another process
+    if job.out is None:
+        return track_clip(plan, None, stop, report, looked)
+    if plan.unnamed is not None:
+        return name_run(plan, Outcome.of(job, plan.unnamed), stop, looked)
+    with RunFolder(plan, stop) as folder:
+        plan = folder.plan
+        if (known := plan.ended()) is not None:  # meanwhile, by another process
             return known
-        done = track_clip(job, out, stop, report, looked) if job.split is None else join(job, out, stop, report)
-        if job.split is not None:
-            done.frames_per_s = 0.0  # rows were joined, not tracked
-    return name_run(job, done, stop, looked) if _names(job) and done.error is None and done.stopped is None else done
+        done = (work or track_clip)(plan, folder, stop, report, looked)
+    return name_run(plan, done, stop, looked) if plan.names and done.error is None and done.stopped is None else done
 
 
-def _names(job: Job) -> bool:
-    """Whether people are named at the end of a job."""
-    return job.everyone and not job.chunk and job.out is not None
+def rows_of(
+    plan: Plan, stop: Stop, report: Report = silent, looked: Report = silent
+) -> tuple[Outcome, Trajectory | None]:
+    """Track one clip into memory; what became of it, and its rows, None without any. Raises as `run`."""
+    rows = Rows()
+    done = track_clip(plan, None, stop, report, looked, [rows])
+    return done, rows.trajectory(done) if done.frames else None
 
 
-def track_clip(job: Job, out: Recorder, stop: Stop, report: Report = silent, looked: Report = silent) -> Outcome:
-    """Track one clip; each result is written to `out`. Raises and stops as `run`."""
-    found = _find_start(job, stop, looked)
+def track_clip(
+    plan: Plan, folder: RunFolder | None, stop: Stop, report: Report, looked: Report, sinks: Sequence[Sink] = ()
+) -> Outcome:
+    """Track one clip into `sinks`, without any into its tables, and what else its folder holds. Raises as `run`."""
+    job, found = plan.job, _find_start(plan, stop, looked)
     if found is None:
-        out.outcome.stopped = stop.reason
-        return out.outcome
+        return Outcome(clip=job.clip, streamed=job.out is None, stopped=stop.reason)
     start, shots = found
-    state = out.resume(start)
-    before, error = state.outcome.frames, None
+    resumed, video, sinks = None, None, sinks or tables(plan)
+    if folder is not None:
+        sinks = [*sinks, RunMonitor.of(job.recipe, start), *([PosteriorWriter(folder.path)] if job.posterior else [])]
+        resumed = folder.resume(start, sinks)
+        video = Video(plan, folder) if plan.draws else None
+    with Recorder(plan, sinks, video, folder, resumed) as into:
+        state = into.state
+        state.frame, into.outcome.note = state.frame if resumed else start.frame, start.note
+        with follow(plan, start, shots, state, stop) as results:
+            done = record(results, into, stop, report)
+    if done.verdict and job.fps is None and done.frames > 1 and not brings_rate(job.clip):
+        done.verdict += f"; images have no rate: {results.clip.fps} frames/s is taken, or that of --fps"
+    return done
+
+
+@contextlib.contextmanager
+def follow(plan: Plan, start: Start, shots: list[Shot], state: RunState, stop: Stop) -> Iterator[Results]:
+    """The results of a clip, or of the `shots` of a film, from its start, or where `state` says that it goes on.
+
+    The first one is there when the block begins, or its error is raised.
+    """
+    job = plan.job
     with job.open(state.frame) as source:
-        check_lag(job, source)
-        more = {"shots": [list(one) for one in shots]} if shots else {}
-        tracker = () if shots else _tracker(job, start, source, state.at)
-        out.begin(ClipFacts.of(job.clip, source), start, more)
+        _check_lag(job, source)
+        clip, more = ClipFacts.of(job.clip, source), {"shots": [list(one) for one in shots]} if shots else {}
         asked = frames_of(source, state.frame, job.origin(start))
-        try:
+
+        def tracked() -> Generator[FrameResult, None, None]:
             with decoded_ahead(asked, threaded=job.threads > 1, stopped=stop) as frames:
-                followed = film_results(job, shots, source, frames, state.at) if shots else None
-                for result in followed or _results(job, tracker, frames, state.at):
-                    out.write(result)
-                    report(state.outcome.frames, out.total)
-                    del result  # or two frames are in memory while the next one is tracked
-        except Exception as e:  # whatever it is, what was tracked is kept
-            error = e
-        if state.outcome.frames == before:
-            if error is not None:
-                raise error
-            out.outcome.stopped = stop.reason
-            return out.outcome
-        stopped = stop.reason if stop() else None
-        if shots and error is None and stopped is None and not job.chunk and not out.outcome.evidence:
-            raise InputError(f"{job.clip}: no face found in frames {start.frame} to {state.frame - 1}")
-        warnings = (*source.warnings, *state.notes, *(crowded(state.at) if shots else ()))
-        if stopped is None and error is None and job.stop is None:
-            warnings += past_end(start.corrections, state.frame - 1, start.origin)
-        if job.faces == "all" and not shots and start.origin not in DETECTORS:
-            named = " and ".join(start.targets)
-            warnings += (
-                f"{start.origin} says where {named} begins, so --faces all follows no other; --init haar does",
-            )
-        if state.watch is not None and (unseen := state.watch.unseen()):
-            warnings += (unseen,)
-        done = out.close(
-            stopped=stopped, error=error, complete=source.complete, warnings=warnings, variable_fps=source.variable
-        )
-        if done.verdict and job.fps is None and done.frames > 1 and not brings_rate(job.clip):
-            done.verdict += f"; images have no rate: {source.fps} frames/s is taken, or that of --fps"
-        return done
+                if shots:
+                    yield from film(job, shots, source, frames, state.at)
+                    return
+                tracker = tracker_for(job.recipe, start, source.size, source.fps)
+                state.at.states = restored(tracker, state.at.states, job.frame)
+                found = track(tracker, frames, job.recipe.seed, clip=str(job.clip), at=state.at)
+                yield from lagged(found, job.lag) if job.lag else found
+
+        def every(first: list[FrameResult]) -> Generator[FrameResult, None, None]:
+            while first:
+                yield first.pop()
+            yield from rest
+
+        def ended(whole: bool) -> Ended:
+            if shots and whole and not job.chunk and not state.outcome.evidence:
+                raise InputError(f"{job.clip}: no face found in frames {start.frame} to {state.frame - 1}")
+            said = (*source.warnings, *state.notes, *(crowded(state.at) if shots else ()))
+            if whole and job.stop is None:
+                said += past_end(start.corrections, state.frame - 1, start.origin)
+            if job.faces == "all" and not shots and start.origin not in DETECTORS:
+                named = " and ".join(start.targets)
+                said += (
+                    f"{start.origin} says where {named} begins, so --faces all follows no other; --init haar does",
+                )
+            return Ended(source.complete, said, source.variable)
+
+        rest = tracked()
+        with contextlib.closing(rest):
+            first = next(rest, None)
+            header = {} if first is None else header_of(job, clip, start, first.rows, more)
+            frames = every([] if first is None else [first])
+            del first
+            yield Results(clip, header, frames, state.at, ended)
 
 
-def _find_start(job: Job, stop: Stop, looked: Report) -> tuple[Start, list[Shot]] | None:
+def _check_lag(job: Job, source: Source) -> None:
+    """Refuse a lag whose frames, which are all kept, take too much memory."""
+    of_frame = 3 * source.size[0] * source.size[1]
+    if job.lag * of_frame > MAX_LAG_BYTES:
+        most = f"at most --lag {MAX_LAG_BYTES // of_frame} at {source.size[0]}x{source.size[1]}"
+        raise UsageError(f"{job.clip}: {job.lag} frames of this size take too much memory; {most}, or take --smooth")
+
+
+def _find_start(plan: Plan, stop: Stop, looked: Report) -> tuple[Start, list[Shot]] | None:
     """Where the clip's track begins, looked for while kernels are compiled; None if the search was stopped.
 
     Where everybody is followed these are the shots of the film; else there are none.
     """
+    job = plan.job
     try:
         with Precompiler(to_dict(job.recipe), job.threads) as compiler:
-            if job.everyone:
+            if plan.everyone:
                 start, shots = film_start(job.first), film_shots(job, job.first, stop, looked)
             else:
                 start, shots = job.find(job.recipe, stopped=stop, looked=looked), []
@@ -123,18 +197,6 @@ def _find_start(job: Job, stop: Stop, looked: Report) -> tuple[Start, list[Shot]
         if not stop():
             raise
         return None
-
-
-def _tracker(job: Job, start: Start, source: Source, at: TrackState) -> Tracker:
-    """The tracker of a clip, in the state that a run before it reached."""
-    tracker = tracker_for(job.recipe, start, source.size, source.fps)
-    at.states = restored(tracker, at.states, job.frame)
-    return tracker
-
-
-def _results(job: Job, tracker: Tracker, frames: Iterator[Frame], at: TrackState) -> Iterator[FrameResult]:
-    results = track(tracker, frames, job.recipe.seed, clip=str(job.clip), at=at)
-    return lagged(results, job.lag) if job.lag else results
 
 
 def past_end(corrections: Iterable[Correction], last: int, origin: str) -> tuple[str, ...]:

@@ -29,9 +29,9 @@ from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, Input
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.version import __version__
 from facetrack_cli.run_folder.manifest import NAME, as_line
-from facetrack_cli.runs.batch import attempt, died, share
-from facetrack_cli.runs.job import Job, Outcome
+from facetrack_cli.runs.batch import attempt, outcome_of_crash, run_shared
 from facetrack_cli.runs.pipeline import share_threads
+from facetrack_cli.runs.plan import Job, Outcome, resolve
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop, StoppedError
 
@@ -54,7 +54,7 @@ def run_cluster(
     """
     client = _connect(where, stop, progress)
     try:
-        yield from share(jobs, partial(_turn, client, stop, progress, after), stop, progress)
+        yield from run_shared(jobs, partial(_turn, client, stop, progress, after), stop, progress)
     finally:
         with contextlib.suppress(Exception):
             client.close(timeout=ANSWER_S)
@@ -146,7 +146,7 @@ def _outcome(job: Job, future: Any, killed: set[Path]) -> Outcome | None:
             return None
         what = str(e) if isinstance(e, FacetrackError) else f"{type(e).__name__}: {e}"
         error = FacetrackError(f"{what}; tried {RETRIES + 1} times")
-    return died(job, error)
+    return outcome_of_crash(job, error)
 
 
 def _shown(job: Job, outcome: Outcome, stop: Stop, patience_s: float) -> Outcome:
@@ -211,7 +211,7 @@ def _on_worker(version: str, folder: str, batch: str, sent: bytes) -> Outcome | 
         if after is not None and outcome.error is None and not smoothed and not stop():
             try:
                 outcome.warnings = (*outcome.warnings, *after(outcome, stop)[1])
-                outcome.again = outcome.again and job.previous()
+                outcome.again = outcome.again and resolve(job).known
             except StoppedError:  # before it was smoothed
                 return None
             except Exception as e:

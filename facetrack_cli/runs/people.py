@@ -19,12 +19,11 @@ from facetrack_cli.core.files import check_plain, make_folder, remove_folders
 from facetrack_cli.core.types import BOX, Frame, Image, Start
 from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.run_folder.finished import Painted, run_files, write_rows
-from facetrack_cli.run_folder.lock import FolderLock
+from facetrack_cli.run_folder.lease import FolderLease
 from facetrack_cli.run_folder.manifest import VIDEO, check_run, read_manifest, read_run
-from facetrack_cli.runs.job import Job, Outcome, Report, silent
+from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.runs.smooth import repaint, replace_files
-from facetrack_cli.runs.start import frames_of
 from facetrack_cli.start.presence import MAX_FACES, Film
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.people.identity import AT_ONCE_S, SURE, UNKNOWN, Cast, Seen, cast_of, places
@@ -48,7 +47,7 @@ from facetrack_cli.trajectory.people import (
     under_names,
 )
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
-from facetrack_cli.trajectory.writers import ending_of
+from facetrack_cli.trajectory.writers import summary_of
 from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.shots import Shot, find_cuts, shots_of
 from facetrack_cli.video.source import Source, open_source
@@ -82,13 +81,13 @@ def film_start(first: int) -> Start:
     return Start(first, {}, ORIGIN)
 
 
-def film_results(
+def film(
     job: Job, shots: Sequence[Shot], source: Source, frames: Iterator[Any], at: TrackState
 ) -> Iterator[FrameResult]:
     """The results of everyone in a film."""
     by = next((name for name in DETECTORS if name == job.init), None)
-    film = Film(job.recipe, shots, detector(by), source.size, float(source.fps), job.recipe.seed)
-    yield from film.follow(frames, at)
+    faces = Film(job.recipe, shots, detector(by), source.size, float(source.fps), job.recipe.seed)
+    yield from faces.follow(frames, at)
 
 
 def looks_in(
@@ -245,11 +244,12 @@ def cast_in(job: Job, rows: Trajectory, stop: Stopped, looked: Report) -> Named:
     return found
 
 
-def name_run(job: Job, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
+def name_run(plan: Plan, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
     """Name everyone in a run that was tracked, and write its files again under their names; what became of it.
 
     Raises InputError where the film shows nobody. Once `stop` says so, the files stay as they are.
     """
+    job = plan.job
     assert job.out is not None
     rows = rows_in(job.out)
     try:
@@ -277,10 +277,10 @@ def write_people(
     paint: Painted | None,
     report: Report,
     stop: Stopped,
-    lock: FolderLock | None = None,
+    lock: FolderLease | None = None,
 ) -> list[str]:
     """Write the rows of a run under the names of people, people.json, pictures and video, all or none; warnings."""
-    counted = ending_of(rows)
+    counted = summary_of(rows)
     header = {**rows.header, "lost_frames": counted.lost_frames, "evidence": counted.evidence}
     rows = replace(rows, header=header)
     files: dict[Path, Any] = {path: partial(write_rows, form, rows=rows) for form, path in run_files(folder).items()}
@@ -318,7 +318,7 @@ def recast(
     cannot be, InputError for a run that is of no film or whose clip is gone; nothing is written then.
     """
     check_run(folder)  # which ends what a kill left, before the folder is ours
-    with FolderLock(folder) as lock:
+    with FolderLease(folder) as lock:
         people, rows = people_in(folder), rows_in(folder)
         tracks = tracks_of(people)
         for _, change in changes:

@@ -75,7 +75,7 @@ def refuse_seed(overrides: Sequence[str]) -> None:
 
 
 @dataclass(frozen=True)
-class Plan:
+class SeedPlan:
     """A recipe on a clip, with some seeds. `label` names it in results; `stop` is the frame to end before."""
 
     label: str
@@ -102,13 +102,13 @@ class SeedRun:
 class Ended:
     """The runs of a plan in the order of its seeds, or the error that kept it from running."""
 
-    plan: Plan
+    plan: SeedPlan
     runs: tuple[SeedRun, ...] = ()
     error: FacetrackError | None = None
 
 
 def run_plans(
-    plans: Sequence[Plan],
+    plans: Sequence[SeedPlan],
     workers: int = 1,
     stopped: Stop | None = None,
     report: Report = lambda done, total: None,
@@ -135,7 +135,7 @@ def run_plans(
             yield _ended(plan, [found.pop(i) for i in mine if i in found])
 
 
-def _ended(plan: Plan, results: Sequence[object]) -> Ended:
+def _ended(plan: SeedPlan, results: Sequence[object]) -> Ended:
     error = next((one for one in results if isinstance(one, Exception)), None)
     if isinstance(error, DiedError):
         error = FacetrackError(_ENDED)
@@ -144,7 +144,7 @@ def _ended(plan: Plan, results: Sequence[object]) -> Ended:
     return Ended(plan, tuple(run for runs in results if isinstance(runs, list) for run in runs), error)
 
 
-def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Trajectory:
+def outline(plan: SeedPlan, frames: Whole, size: tuple[int, int]) -> Trajectory:
     """What is known of a run before it: the names of its rows, in these frames, on frames of that (width, height).
 
     Raises the errors of recipe and start that show before a frame is read.
@@ -155,7 +155,7 @@ def outline(plan: Plan, frames: Whole, size: tuple[int, int]) -> Trajectory:
     return joined(rows, path=plan.clip, header={"source": {"size": list(size)}})
 
 
-def _work(task: tuple[Plan, tuple[int, ...]], stop: Stop, report: Callable[[int], None]) -> list[SeedRun]:
+def _work(task: tuple[SeedPlan, tuple[int, ...]], stop: Stop, report: Callable[[int], None]) -> list[SeedRun]:
     """The runs of some seeds of a plan; none if it is stopped."""
     plan, seeds = task
     frame: Frame
@@ -190,7 +190,7 @@ def _work(task: tuple[Plan, tuple[int, ...]], stop: Stop, report: Callable[[int]
     ]
 
 
-def _total(plans: Sequence[Plan]) -> int:
+def _total(plans: Sequence[SeedPlan]) -> int:
     """Frames to track over all seeds, by the lengths that the clips state; 0 if one states none."""
 
     @cache

@@ -1,4 +1,7 @@
-"""The files of a finished run, written again: all of them, or none, with the video drawn again from rows."""
+"""A run given the whole clip: what its filters knew in every frame, kept in `posterior.npz`, and the rows from it.
+
+The files of a finished run are written again, all of them or none, with the video drawn again from rows.
+"""
 
 from __future__ import annotations
 
@@ -7,24 +10,32 @@ from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
+
+import numpy as np
 
 from facetrack_cli.core.errors import InputError, OutputError
-from facetrack_cli.core.files import FULL, check_plain, discard, temporary_path
+from facetrack_cli.core.files import FULL, check_plain, discard, publish, temporary_path, writing
+from facetrack_cli.core.npz import Kind, Stored, write_arrays
+from facetrack_cli.core.numbers import dumps
+from facetrack_cli.engine.protocols import Linear
+from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.run_folder.checkpoint import FOLDER
 from facetrack_cli.run_folder.finished import Painted, open_run, read_files, run_files, write_rows
-from facetrack_cli.run_folder.lock import FolderLock, sweep
+from facetrack_cli.run_folder.lease import FolderLease, sweep
 from facetrack_cli.run_folder.manifest import (
     FILTERED,
     POSTERIOR,
     VIDEO,
     Manifest,
+    check_belongs,
     commit,
     outdated,
     read_manifest,
     trajectory_of,
 )
-from facetrack_cli.runs.job import Report
-from facetrack_cli.runs.posterior import read_posterior
+from facetrack_cli.runs.plan import Report
+from facetrack_cli.runs.record import Results, Sink
 from facetrack_cli.runs.signals import Stopped, StoppedError
 from facetrack_cli.trackers.smoothed import Beliefs, renamed_hands, smoothed_rows
 from facetrack_cli.trajectory.select import choose
@@ -71,7 +82,7 @@ def replace_files(
     gone: Sequence[Path] = (),
     paint: Callable[[Path], Sequence[str]] | None = None,
     check: Callable[[], None] = lambda: None,
-    lock: FolderLock | None = None,
+    lock: FolderLease | None = None,
 ) -> tuple[list[Path], list[str]]:
     """Write all files of a run's `folder`, then let them replace the old ones together; the files, and warnings.
 
@@ -84,7 +95,7 @@ def replace_files(
     notes: list[str] = []
     check_plain(folder / VIDEO, *files)
     try:
-        with nullcontext(lock) if lock else FolderLock(folder) as lock:
+        with nullcontext(lock) if lock else FolderLease(folder) as lock:
             check()
             sweep(folder)
             if paint is not None:
@@ -134,3 +145,138 @@ def repaint(
             raise
         video.close()
         return tuple(video.warnings)
+
+
+KIND: Final = Kind("facetrack-posterior", 1, "posterior of a run", "facetrack run --smooth")
+_BLOCK_FRAMES: Final = 500  # that are written together
+_NAMES: Final = ("mean", "cov", "matrix", "offset", "noise", "doubt")
+
+
+class WriterState(NamedTuple):
+    """Where a posterior that is written stands: frames still to be written, their number, the blocks on the disk."""
+
+    kept: list[list[tuple[int, tuple[Belief, ...]]]]
+    frames: int
+    blocks: int
+
+
+class PosteriorWriter(Sink):
+    """Writes the beliefs of every frame, in blocks beside the checkpoint of a run, and at the end into one file.
+
+    They take less than 1 kB a frame and part. Raises OutputError.
+    """
+
+    def __init__(self, out: Path) -> None:
+        self.path, self._folder = out / POSTERIOR, out / FOLDER
+        self._head: dict[str, Any] = {}
+
+    def fits(self, at: Any) -> bool:
+        return isinstance(at, WriterState) and all(
+            _block_file(self._folder, number).is_file() for number in range(at.blocks)
+        )
+
+    def begin(self, results: Results, at: WriterState | None) -> None:
+        corrections, self.state = results.header["init"].get("corrections", []), at
+        self._head = {"targets": np.empty(0), "corrections": np.array(dumps(corrections))}
+
+    def write(self, result: FrameResult) -> None:
+        if not self._head["targets"].size:
+            self._head["targets"] = np.array(result.rows.targets)
+        self.state = self.state or WriterState([[] for _ in result.targets], 0, 0)
+        for kept, target in zip(self.state.kept, result.targets, strict=True):
+            if target.beliefs is not None and (found := target.beliefs()):
+                kept.append((result.frame.index, found))
+        self.state = self.state._replace(frames=self.state.frames + 1)
+        if self.state.frames == _BLOCK_FRAMES:
+            self._flush()
+
+    def mark(self) -> WriterState | None:
+        return self.state
+
+    def _flush(self) -> None:
+        assert self.state is not None and self.path is not None
+        arrays: dict[str, Any] = {}
+        number = self.state.blocks
+        for i, kept in enumerate(self.state.kept):
+            arrays[f"{number}/{i}/frame"] = np.array([frame for frame, _ in kept], "<i8")
+            for j, those in enumerate(zip(*(found for _, found in kept), strict=True)):
+                flat = [(one.mean, one.cov, *one.motion, one.doubt) for one in those]
+                for name, values in zip(_NAMES, zip(*flat, strict=True), strict=True):
+                    arrays[f"{number}/{i}/{j}/{name}"] = np.stack(values).astype("<f8")
+                if named := [one.named for one in those if one.named is not None]:
+                    arrays[f"{number}/{i}/{j}/named"] = np.stack(named).astype("<f8")
+            kept.clear()
+        block = _block_file(self._folder, number)
+        with writing(self.path):
+            block.parent.mkdir(exist_ok=True)
+            write_arrays(block, arrays)
+            publish(block)
+        self.state = WriterState(self.state.kept, 0, number + 1)
+
+    def close(self, done: object) -> None:
+        assert self.state is not None and self.path is not None
+        if self.state.frames:
+            self._flush()
+        blocks = [_block_file(self._folder, number) for number in range(self.state.blocks)]
+        write_arrays(self.path, {**KIND.head, **self._head}, blocks)
+
+    def discard(self) -> None:
+        assert self.path is not None
+        discard(self.path)
+
+
+def _block_file(folder: Path, number: int) -> Path:
+    return folder / f"posterior-{number:05}.npz"
+
+
+def read_posterior(path: Path, rows: Trajectory) -> dict[str, Beliefs]:
+    """The beliefs of each target in every frame of its run's `rows`. InputError for a file that is not theirs."""
+
+    def make(stored: Stored) -> dict[str, Beliefs]:
+        targets = stored.texts("targets")
+        if targets != rows.targets:
+            raise ValueError(f"is of {', '.join(targets)}, and the run follows {', '.join(rows.targets)}")
+        found: dict[str, dict[int, tuple[Belief, ...]]] = {name: {} for name in targets}
+        block = 0
+        while f"{block}/0/frame" in stored:
+            for i, name in enumerate(targets):
+                found[name] |= _block(stored, f"{block}/{i}")
+            block += 1
+        corrections = stored.text("corrections")
+        if corrections != dumps(rows.header["init"].get("corrections", [])):
+            again = "run again with --init and --smooth"
+            raise InputError(f"{path}: was kept before the run was corrected; {again}")
+        frames = rows.frames.tolist()
+        if any(set(known) - set(frames) for known in found.values()) or not any(found.values()):
+            raise ValueError("has other frames than the run")
+        for name, known in found.items():
+            parts = len(rows.of_target(name))
+            if any(sum(len(one.mean) for one in those) != parts for those in known.values()):
+                raise ValueError(f"has not the {parts} parts of {name}")
+            placed = [one.frame[np.isfinite(one.x)] for one in rows.of_target(name)]
+            if known and not set(np.concatenate(placed).tolist()) <= set(known):
+                raise ValueError(f"lacks frames of {name}")
+        return {name: [known.get(frame, ()) for frame in frames] for name, known in found.items()}
+
+    check_belongs(path)
+    return KIND.read(path, make)
+
+
+def _block(stored: Stored, above: str) -> Mapping[int, tuple[Belief, ...]]:
+    frames = stored.whole(f"{above}/frame")
+    groups: list[list[Belief]] = []
+    while f"{above}/{len(groups)}/mean" in stored:
+        mean, cov, matrix, offset, noise, doubt = (
+            stored.reals(f"{above}/{len(groups)}/{name}", 2 + n)
+            for name, n in zip(_NAMES, (1, 2, 2, 1, 2, 0), strict=True)
+        )
+        (frame_count, k, d), every = mean.shape, (cov, matrix, noise)
+        if any(one.shape != (frame_count, k, d, d) for one in every) or offset.shape != mean.shape:
+            raise ValueError(f"{above}: the arrays do not go together")
+        if not all(np.isfinite(one).all() for one in (mean, offset, *every)) or doubt.shape != (frame_count, k):
+            raise ValueError(f"{above}: has numbers that are none")
+        key = f"{above}/{len(groups)}/named"
+        named = stored.reals(key, 2) if key in stored else [None] * frame_count
+        each = zip(mean, cov, map(Linear, matrix, offset, noise), doubt > 0, named, strict=True)
+        groups.append([Belief(*one) for one in each])
+    return dict(zip(frames, zip(*groups, strict=True), strict=True)) if groups else {}

@@ -2,33 +2,47 @@
 
 A chunk is a run of some frames of the clip, in a folder of its own. Chunks overlap, and begin at keyframes where there
 are some about the wished place. In each but the first a detector looks for the face.
+
+Two tracks of a target agree in a frame if its boxes overlap by half (intersection over union), and its points are, in
+the mean, apart by at most half the distance between the eyes; of faces whose eyes are not followed half the largest
+distance between two points, of a single point half the width of its window. Chunks agree if every target does, in
+`SHARE` of the frames that both have. None of this is in the papers.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
-from itertools import chain
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from itertools import chain, count
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
 
-from facetrack_cli.core.errors import InputError, OutputError, UsageError
+from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, OutputError, UsageError
 from facetrack_cli.core.face_points import DETECTORS
-from facetrack_cli.core.files import check_plain
+from facetrack_cli.core.files import check_plain, make_folder, read_bounded, write_new
+from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.numbers import dumps
-from facetrack_cli.core.types import Array, Start, Whole
-from facetrack_cli.run_folder.fingerprint import clip_stat
-from facetrack_cli.runs.batch import check_all, run_batch
-from facetrack_cli.runs.job import Job, Outcome, Split, check, ended
+from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start, Whole
+from facetrack_cli.run_folder.manifest import clip_stat, read_manifest, read_run
+from facetrack_cli.runs.batch import attempt, check_all, run_batch, run_shared
 from facetrack_cli.runs.people import film_start
+from facetrack_cli.runs.pipeline import decoded_ahead
+from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, Split, digest_of, resolve
 from facetrack_cli.runs.progress import Progress
-from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.stitch import CHUNKS, Plan, folder_of, read_plan
+from facetrack_cli.runs.record import ClipFacts, Ended, Recorder, Results, RunFolder, Video, header_of, record, tables
+from facetrack_cli.runs.signals import Stop, StoppedError
+from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.trackers.face.detectors import check_parts, detector
+from facetrack_cli.trajectory.header import StartRecord, to_record
+from facetrack_cli.trajectory.select import choose
+from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
 from facetrack_cli.video.decode import read_index
 from facetrack_cli.video.source import FolderSource
 
@@ -43,32 +57,45 @@ def run_chunks(
     Of `shard` (I, N) every N-th chunk, from the I-th on; the clip is joined by the process that finds all chunks ended.
     Raises UsageError where it cannot be split, OutputError where the chunks of another split are in its folder.
     """
-    if (known := ended(job)) is not None:
+    whole = resolve(job)
+    if (known := whole.ended()) is not None:
         yield "", known
         return
-    chunks = chunks_of(job, _planned(job, stop, progress))
+    chunks = chunks_of(whole, _planned(whole, stop, progress))
     decided, left = check_all(chunks[shard[0] - 1 :: shard[1]])
     for outcome in chain(decided, run_batch(left, min(workers, len(left)), stop, progress)):
         yield CHUNKS, outcome
     if stop():
         return
-    over = [ended(replace(one, overwrite=False, retry_failed=False)) is not None for one in chunks]
-    waiting = over.count(False) if shard[1] > 1 else 0
+    waiting = sum(not _is_over(one) for one in chunks) if shard[1] > 1 else 0
     if waiting:
         progress.say(f"{job.clip}: {waiting} of {len(chunks)} chunks are not done; who ends the last one joins them")
         return
-    for outcome in run_batch([job], 1, stop, progress):
+
+    def join(jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
+        for one in jobs:
+            progress.begin(f"[1/1] {one.clip.name}")
+            yield one, attempt(one, stop, progress.update, progress.looked, join_chunks)
+
+    for outcome in run_shared([job], join, stop, progress):
         yield "", outcome
 
 
-def chunks_of(job: Job, plan: Plan) -> list[Job]:
+def _is_over(chunk: Job) -> bool:
+    with suppress(FacetrackError):
+        return resolve(replace(chunk, overwrite=False, retry_failed=False)).ended() is not None
+    return False
+
+
+def chunks_of(whole: Plan, plan: ChunkPlan) -> list[Job]:
     """What is asked of each chunk."""
+    job = whole.job
     assert job.out is not None and job.split is not None
     by = next((name for name in DETECTORS if name in (job.init, plan.start.origin)), None)
     by = by or next(name for name in DETECTORS if name == detector().name)
     found = []
     for i, (first, stop) in enumerate(plan.cuts):
-        search = job.everyone or i > 0
+        search = whole.everyone or i > 0
         where: dict[str, Any] = {"init": by if search else plan.start, "box": None, "init_frame": None}
         where |= {"start": first if search else plan.start.frame, "stop": stop, "chunk": True}
         alone: dict[str, Any] = {"split": None, "formats": ("json",), "video": False, "strict": False, "batch": True}
@@ -76,14 +103,14 @@ def chunks_of(job: Job, plan: Plan) -> list[Job]:
     return found
 
 
-def _planned(job: Job, stop: Stop, progress: Progress) -> Plan:
+def _planned(whole: Plan, stop: Stop, progress: Progress) -> ChunkPlan:
     """How the clip is cut: as the file beside its chunks says, which is written if there is none."""
+    job = whole.job
     assert job.out is not None and job.split is not None
-    check(job)
     clip, folder = clip_stat(job.clip), job.out / CHUNKS
     check_plain(folder)
     # the chunks are the same whatever is made of them
-    of_chunks = replace(job, formats=(), video=False, strict=False).digest()
+    of_chunks = digest_of(replace(job, formats=(), video=False, strict=False))
     key = hashlib.sha256(dumps([of_chunks, clip and (clip.bytes, clip.changed_ns)]).encode()).hexdigest()
     if clip is not None and folder.is_dir():
         with suppress(InputError):
@@ -94,14 +121,14 @@ def _planned(job: Job, stop: Stop, progress: Progress) -> Plan:
             raise OutputError(f"{folder}: {other}; replace them with --overwrite, or name another --out")
         shutil.rmtree(folder, ignore_errors=True)
     progress.begin(f"{job.clip.name}: looking where it can be cut")
-    if job.everyone:
+    if whole.everyone:
         start = film_start(job.first)
     else:
         start = job.find(job.recipe, stopped=stop, looked=progress.looked)
         _check_detector(job, start)
     times, keys = _frames(job, start, stop, progress)
     cuts = cut_by_length(start.frame, times, job.split, keys, str(job.clip))
-    Plan.of(key, start, [*cuts[:-1], (cuts[-1][0], job.stop)]).write(job.out)
+    ChunkPlan.of(key, start, [*cuts[:-1], (cuts[-1][0], job.stop)]).write(job.out)
     return read_plan(job.out)  # as others read it
 
 
@@ -164,3 +191,327 @@ def cut_by_length(
         begins.append(int(near[-1]) if len(near) else at)
     stops = [min(int(np.searchsorted(times, times[begin] + OVERLAP_S)), end) for begin in begins[1:]]
     return list(zip(begins, [*stops, end], strict=True))
+
+
+OVERLAP: Final = 0.5  # of boxes, intersection over union
+APART: Final = 0.5  # mean distance of points, in sizes of their shape
+SHARE: Final = 0.8  # of the frames that both have, in which they must agree
+CHUNKS: Final = "chunks"  # the folder of them, in that of the run
+PLAN: Final = "plan.json"
+TABLE: Final = "trajectory.json"
+_SAME: Final = 0.5  # of those frames, in which tracks of several faces agree if they are of one face
+_EYES: Final = ("eye_left", "eye_right")
+_NOTHING: Final = np.zeros((0, 0, 3), np.uint8)  # the pixels of a frame that nobody draws
+
+
+class ChunkPlan(BaseModel):
+    """The start of a clip, and its `cuts`, the frames [first, stop) of each chunk; the last stop may be None: the end.
+
+    `key` tells what was asked.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    key: str
+    origin: str
+    note: str
+    record: dict[str, Any]
+    cuts: tuple[tuple[int, int | None], ...]
+
+    @classmethod
+    def of(cls, key: str, start: Start, cuts: Sequence[tuple[int, int | None]]) -> ChunkPlan:
+        return cls(key=key, origin=start.origin, note=start.note, record=to_record(start), cuts=tuple(cuts))
+
+    @property
+    def start(self) -> Start:
+        return replace(StartRecord.model_validate(self.record).start_from(self.origin), note=self.note)
+
+    def write(self, out: Path) -> None:
+        """Write it beside the chunks of a run. Raises OutputError."""
+        path = out / CHUNKS / PLAN
+        make_folder(path.parent)
+        write_new(path, self.model_dump_json().encode(), overwrite=True)
+
+
+def read_plan(out: Path) -> ChunkPlan:
+    """The plan of a run's folder. Raises InputError."""
+    path = out / CHUNKS / PLAN
+    try:
+        return ChunkPlan.model_validate_json(read_bounded(path))
+    except (OSError, ValidationError) as e:
+        raise InputError(f"{path}: is not as facetrack run --split writes it; give --overwrite") from e
+
+
+def folder_of(out: Path, chunk: int) -> Path:
+    return out / CHUNKS / f"{chunk:05d}"
+
+
+def has_rows(table: Path) -> bool:
+    """Whether a trajectory in JSON has a frame."""
+    with table.open("rb") as file:
+        return any(line.startswith(b'{"frame":') for line in file)
+
+
+class Seam(NamedTuple):
+    """Where the rows of a later chunk begin; `agreement`: the share of frames in which both agree, None without any."""
+
+    frame: int
+    agreement: float | None
+    agrees: bool
+
+    def record(self) -> dict[str, Any]:
+        return self._asdict() | {"agreement": None if self.agreement is None else round(self.agreement, 4)}
+
+
+class Stitch(NamedTuple):
+    """A seam; `names` are those that targets of the later chunk take, `begun` the targets that begin there."""
+
+    seam: Seam
+    names: dict[str, str]
+    begun: frozenset[str]
+
+
+def stitch(earlier: Trajectory, later: Trajectory, taken: Collection[str], *, matched: bool) -> Stitch:
+    """How the rows of two chunks are stitched, in the middle of the frames that both have.
+
+    `matched`: targets have the names of those that they agree with, others a name that is not `taken`; else names stay.
+    """
+    both = np.intersect1d(earlier.frames, later.frames)
+    if not len(both):
+        names = _named(later, {}, taken) if matched else {name: name for name in later.targets}
+        return Stitch(Seam(int(later.frames[0]), None, False), names, frozenset(names.values()))
+    first, stop = int(both[0]), int(both[-1]) + 1
+    a, b = earlier.between(first, stop), later.between(first, stop)
+    shares: dict[tuple[str, str], float] = {}
+    for ours in a.targets:
+        for theirs in b.targets:
+            if matched or ours == theirs:
+                fine = agreeing(choose(a, ours), choose(b, theirs))
+                shares[ours, theirs] = float(fine.mean()) if len(fine) else 0.0
+    pairs: dict[str, str] = {}
+    for (ours, theirs), share in sorted(shares.items(), key=lambda one: -one[1]):
+        if ours not in pairs.values() and theirs not in pairs and (share >= _SAME or not matched):
+            pairs[theirs] = ours
+    found = {ours: shares[ours, theirs] for theirs, ours in pairs.items()}
+    # of several faces one that is lost all the while may have left
+    there = [name for name in a.targets if not matched or (choose(a, name).status != "lost").any()]
+    agreement = min((found.get(name, 0.0) for name in there), default=0.0)
+    names = _named(later, pairs, taken)
+    seam = Seam(int(both[len(both) // 2]), agreement, agreement >= SHARE)
+    return Stitch(seam, names, frozenset(names[name] for name in later.targets if name not in pairs))
+
+
+def renamed(rows: Trajectory, names: Mapping[str, str]) -> Trajectory:
+    """The rows, each target under its name in `names`."""
+    diagnostics = {names[target]: one for target, one in rows.diagnostics.items()}
+    return replace(rows, names=tuple((names[target], part) for target, part in rows.names), diagnostics=diagnostics)
+
+
+def agreeing(ours: Trajectory, theirs: Trajectory) -> Mask:
+    """(T,) whether two tracks of one target agree, of the T frames of both in which either shows a part that both have.
+
+    A part that one of them alone shows is in another place.
+    """
+    frames = np.intersect1d(ours.frames, theirs.frames)
+    fine, known = np.ones(len(frames), bool), np.zeros(len(frames), bool)
+    points: list[tuple[str, Trajectory]] = []
+    apart: list[Array] = []
+    for one in ours.parts:
+        if (other := next((part for part in theirs.parts if part.part == one.part), None)) is None:
+            continue
+        a, b = one.take(np.isin(one.frame, frames)), other.take(np.isin(other.frame, frames))
+        shown = np.isfinite(a.x), np.isfinite(b.x)
+        known |= shown[0] | shown[1]
+        fine &= shown[0] == shown[1]
+        if one.part == BOX:
+            fine &= ~(iou(a.boxes, b.boxes) < OVERLAP)
+        else:
+            points.append((one.part, a))
+            apart.append(np.hypot(a.x - b.x, a.y - b.y))
+    if points:
+        distance = np.stack(apart)
+        many = np.isfinite(distance).sum(axis=0)
+        mean = np.nansum(distance, axis=0) / np.maximum(many, 1)
+        fine &= ~(mean > APART * _size(points))
+    found: Mask = fine[known]
+    return found
+
+
+def _size(points: list[tuple[str, Trajectory]]) -> Array:
+    """(T,) the size of a shape in pixels; nan where it is not known."""
+    places = {part: np.stack([rows.x, rows.y], axis=1) for part, rows in points}
+    if all(eye in places for eye in _EYES):
+        return np.asarray(np.hypot(*(places[_EYES[0]] - places[_EYES[1]]).T))
+    if len(points) == 1:
+        return points[0][1].w
+    each = np.stack([*places.values()])
+    between = np.hypot(*np.moveaxis(each[:, None] - each[None], -1, 0))
+    return np.asarray(np.fmax.reduce(between, axis=(0, 1)))
+
+
+def _named(later: Trajectory, pairs: Mapping[str, str], taken: Collection[str]) -> dict[str, str]:
+    """What the targets of a later chunk are called: as the target that they are, else by a name that no target has."""
+    names, given = dict(pairs), {*taken, *pairs.values()}
+    for target in later.targets:
+        if target not in names:
+            stem = target.rstrip("0123456789").rstrip("_")
+            free = (name for i in count(1) if (name := f"{stem}_{i}" if i > 1 else stem) not in given)
+            names[target] = next(free)
+            given.add(names[target])
+    return names
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What is taken of one chunk: frames [first, stop), its targets under other `names`; those `marked` begin there."""
+
+    table: Path
+    first: int
+    stop: int
+    names: Mapping[str, str]
+    marked: frozenset[str]
+
+    def rows(self) -> Trajectory:
+        rows = renamed(read_run(self.table), self.names).between(self.first, self.stop)
+        marked = [i for i, (target, _) in enumerate(rows.names) if target in self.marked]
+        begins = (rows.frame == self.first) & np.isin(rows.which, marked) & (rows.status == "tracked")
+        return replace(rows, status=np.where(begins, "init", rows.status))
+
+
+class _Survey:
+    """What the chunks hold, and how each meets the one before. They are read one after another: memory is that of two.
+
+    `end`: the frame after the last one. Raises InputError if no chunk has rows.
+    """
+
+    def __init__(self, whole: Plan, plan: ChunkPlan) -> None:
+        job, everyone = whole.job, whole.everyone
+        assert job.out is not None and job.split is not None
+        self.parts: list[_Part] = []
+        self.chunks: list[dict[str, object]] = []
+        self.seams: list[Seam] = []
+        self.failed: list[str] = []
+        self.complete, self.variable = True, None if plan.cuts[-1][1] else False
+        self._clip, self._why, self._everyone, self.end = str(job.clip), "", everyone, plan.start.frame
+        self._warnings: dict[str, None] = {}  # of the chunks, then of their seams
+        said: list[str] = []
+        matched, taken = job.faces == "all" and not job.recipe.followed, set[str]()
+        end, before = plan.start.frame, None
+        for i, (first, _) in enumerate(plan.cuts):
+            folder = folder_of(job.out, i)
+            rows = self._read(folder, first)
+            if rows is None:
+                continue
+            begins = first if everyone else int(rows.frames[0])
+            names, marked = {name: name for name in rows.targets}, frozenset[str]()
+            if before is not None:
+                seam, names, marked = stitch(before, rows, taken, matched=matched)
+                begins = seam.frame
+                if not seam.agrees:
+                    marked = frozenset(names.values())
+                    if seam.agreement is not None:
+                        share = f"they agree in {100 * seam.agreement:.0f} % of the frames that both have"
+                        said.append(f"{self._clip}: two chunks differ where they meet at frame {seam.frame}: {share}")
+                self.seams.append(seam)
+                self.parts[-1] = replace(self.parts[-1], stop=min(self.parts[-1].stop, begins))
+            said += [] if everyone else self._gap(end if not self.parts else self.parts[-1].stop, begins)
+            end = int(rows.frames[-1]) + 1
+            self.parts.append(_Part(folder / TABLE, begins, end, names, marked))
+            taken |= {*names.values()}
+            # what a chunk after one that failed may still have in common
+            before = renamed(rows.between(plan.cuts[min(i + 1, len(plan.cuts) - 1)][0], end), names)
+        if not self.parts:
+            raise InputError(f"{self._clip}: no chunk has rows: {self._why}")
+        if self.chunks[-1]["frames"] == 0 and not everyone:
+            said += self._gap(end, plan.cuts[-1][1])
+        self.warnings = (*self._warnings, *said)
+
+    def _read(self, folder: Path, first: int) -> Trajectory | None:
+        """The rows of a chunk; None if it has none."""
+        known = read_manifest(folder)
+        why = "was not tracked" if known is None else known.error or known.stopped
+        if known is None or (why is not None and (known.files or known.exit_code != ExitCode.INPUT)):
+            self.failed.append(f"{CHUNKS}/{folder.name}: {why}")
+        if known is None or not known.files:
+            self.complete, self._why = False, str(why)
+            self.chunks.append({"first": first, "frames": 0, "error": why})
+            return None
+        self.end = first + known.frames
+        if self._everyone and not known.lost_frames and not has_rows(folder / TABLE):
+            self.chunks.append({"first": first, "frames": known.frames})
+            return None
+        rows = read_run(folder / TABLE)
+        self.chunks.append({"first": int(rows.frames[0]), "frames": len(rows.frames)})
+        self._warnings |= dict.fromkeys(rows.header.get("warnings", ()))
+        self.complete &= bool(rows.header.get("complete")) and why is None
+        self.variable = self.variable or rows.header.get("variable_fps")
+        return rows
+
+    def _gap(self, end: int, begins: int | None) -> list[str]:
+        """A line if frames from `end` on are in no chunk; None: up to the end of the clip."""
+        if begins is not None and end >= begins:
+            return []
+        self.complete = False
+        until = "on" if begins is None else f"to {begins - 1}"
+        why, self._why = f" ({self._why})" if self._why else "", ""
+        return [f"{self._clip}: no rows of frames {end} {until}{why}"]
+
+
+def join_chunks(plan: Plan, folder: RunFolder, stop: Stop, report: Report, looked: Report) -> Outcome:
+    """Join the chunks of a clip, which are there; nothing is written once `stop`. InputError if none has rows."""
+    with stitched(plan, stop) as (results, start):
+        monitor = RunMonitor.of(plan.job.recipe, start)
+        monitor.detector = None  # it has looked at the chunks as they were tracked
+        video = Video(plan, folder) if plan.draws else None
+        with Recorder(plan, [*tables(plan), monitor], video, folder) as into:
+            into.outcome.note = start.note
+            done = record(results, into, stop, report)
+    done.frames_per_s = 0.0  # rows were joined, not tracked
+    return done
+
+
+@contextlib.contextmanager
+def stitched(plan: Plan, stop: Stop) -> Iterator[tuple[Results, Start]]:
+    """The rows of the chunks of a clip, which are there, and its start. A chunk that failed leaves a gap.
+
+    Raises InputError if no chunk has rows. The frames raise StoppedError once `stop` says so.
+    """
+    job = plan.job
+    assert job.out is not None and job.split is not None
+    chunks = read_plan(job.out)
+    found, start = _Survey(plan, chunks), chunks.start
+    more: dict[str, object] = {"split": job.split.record(), "chunks": found.chunks}
+    if found.seams:
+        more["seams"] = [seam.record() for seam in found.seams]
+    error = None if not found.failed else FacetrackError(f"{job.clip}: {found.failed[0]}{_more(found.failed)}")
+    with replace(job, stop=found.parts[-1].stop).open(start.frame) as source:
+        first, clip = found.parts[0].rows(), ClipFacts.of(job.clip, source)._replace(frames_hint=None)
+        declared = {name: first.header[name] for name in ("diagnostics",) if name in first.header}
+        header = header_of(job, clip, start, first, {**declared, **more})
+
+        def frames() -> Generator[FrameResult, None, None]:
+            index, parts = start.frame, found.parts
+            rows, left = first, iter(parts[1:])
+            if plan.draws:
+                with decoded_ahead(iter(source), threaded=job.threads > 1, stopped=stop) as shown:
+                    for frame in shown:
+                        while frame.index > rows.frames[-1] and (part := next(left, None)) is not None:
+                            rows = part.rows()
+                        yield FrameResult(frame, recorded(frame.index, rows.at(frame.index)))
+                        index = frame.index + 1
+            while index < found.end:  # without pixels
+                if stop():
+                    raise StoppedError
+                while index > rows.frames[-1] and (part := next(left, None)) is not None:
+                    rows = part.rows()
+                yield FrameResult(Frame(index, 0.0, _NOTHING), recorded(index, rows.at(index)))
+                index += 1
+            if stop():
+                raise StoppedError
+
+        ended = Ended(found.complete, found.warnings, found.variable, error)
+        yield Results(clip, header, frames(), ended=lambda whole: ended), start
+
+
+def _more(failed: Sequence[str]) -> str:
+    again = "the same command with --retry-failed tries again"
+    return f"; {again}" if len(failed) == 1 else f" (and {len(failed) - 1} more chunks failed); {again}"

@@ -7,8 +7,8 @@ no part in the tracking, so that a track of something else is told from one of a
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Final
+from dataclasses import dataclass, field
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from facetrack_cli.core.snapshot import STORED
 from facetrack_cli.core.types import BOX, Box, Point, Start
 from facetrack_cli.recipe.calibrated import calibrated, fitted
 from facetrack_cli.recipe.model import Recipe, to_dict
+from facetrack_cli.runs.plan import Outcome
+from facetrack_cli.runs.record import Results, Sink
 from facetrack_cli.trackers.face.detectors import Detector, detector
 from facetrack_cli.trackers.face.stabilized import BOX as STILL
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity, slope
@@ -33,7 +35,7 @@ _MAX_SPANS: Final = 3  # the longest ones, which are named
 
 
 @dataclass
-class Watch:
+class RunMonitor(Sink):
     """Counts in bounded memory what the verdict on one run rests on; `detector` None: nobody looks."""
 
     start: Start = field(metadata={STORED: False})
@@ -60,16 +62,31 @@ class Watch:
     unnamed: list[tuple[int, int]] = field(default_factory=list)  # where names of hands are in doubt, the longest ones
 
     @classmethod
-    def of(cls, recipe: Recipe, start: Start) -> Watch:
+    def of(cls, recipe: Recipe, start: Start) -> RunMonitor:
         name = next((name for name in DETECTORS if name == start.origin), None)
         settings = to_dict(recipe)
         return cls(start, calibrated(settings), fitted(settings), None if name is None else detector(name))
 
-    def after(self, stored: Watch | None) -> Watch:
-        """This one, with what another has counted of the frames before."""
-        return self if stored is None else replace(stored, start=self.start, detector=self.detector)
+    def begin(self, results: Results, at: RunMonitor | None) -> None:
+        """Go on from what was counted of the frames before."""
+        if at is not None:
+            self.__dict__ |= {**vars(at), "start": self.start, "detector": self.detector}
 
-    def count(self, result: FrameResult) -> None:
+    def fits(self, at: Any) -> bool:
+        return isinstance(at, RunMonitor)
+
+    def mark(self) -> RunMonitor:
+        return self
+
+    def end(self, done: Outcome) -> None:
+        done.verdict, done.doubtful = self.line(), bool(self.doubts())
+        if unseen := self.unseen():
+            done.warnings += (unseen,)
+
+    def facts(self) -> Mapping[str, Any]:
+        return {"doubts": self.doubts(), "look": self.look, "borne_out": self.bears_out}
+
+    def write(self, result: FrameResult) -> None:
         """Take in one more frame, and look at every few."""
         self.take(result.rows)
         if self.detector is None or self.frames % EVERY_FRAMES:

@@ -35,7 +35,7 @@ class _Style(NamedTuple):
 
 
 @dataclass
-class Ending:
+class RunSummary:
     """How a run ended, or how far it is: the one record of it, in tables, in run.json, in checkpoints, and in memory.
 
     `complete`: all frames that were asked for are there. `lost_frames` counts the lost frames of each "target/part";
@@ -75,9 +75,9 @@ class Ending:
 FOOTER = ("complete", "stopped", "variable_fps", "lost_frames", "warnings", "evidence", "source_sha256")
 
 
-def ending_of(rows: Trajectory, **ended: Any) -> Ending:
+def summary_of(rows: Trajectory, **ended: Any) -> RunSummary:
     """The ending of a run with these rows."""
-    found = Ending(**ended)
+    found = RunSummary(**ended)
     found.count(rows)
     return found
 
@@ -120,11 +120,11 @@ class Writer:
             else:
                 self._sink.write('{"type":"frame",' + frame + "}\n")
 
-    def close(self, ending: Ending) -> None:
+    def close(self, ending: RunSummary) -> None:
         self._sink.finish(lambda records: tail(self._form, ending, records - 1))
 
 
-def tail(form: Format, ending: Ending, frames: int) -> str:
+def tail(form: Format, ending: RunSummary, frames: int) -> str:
     """How a file of so many frames ends."""
     foot: dict[str, Any] = {"complete": ending.complete}
     foot |= {"stopped": ending.stopped} if ending.stopped else {}

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from facetrack_cli.cli.app import cli
 from facetrack_cli.core.errors import FacetrackError, InputError
-from facetrack_cli.runs.job import silent
+from facetrack_cli.runs.plan import silent
 from facetrack_cli.runs.signals import StoppedError, never
 from facetrack_cli.runs.smooth import save_smoothed
 from facetrack_cli.trajectory.reader import read_trajectory

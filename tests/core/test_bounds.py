@@ -15,7 +15,7 @@ from facetrack_cli.core import files, yaml_tree
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import check_readable
 from facetrack_cli.engine.calibration import load_calibration
-from facetrack_cli.runs.posterior import KIND
+from facetrack_cli.runs.smooth import KIND
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.appearance.gallery import load_gallery, name_problem
 from facetrack_cli.trajectory.formats.read import read_truth

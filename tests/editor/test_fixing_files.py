@@ -14,12 +14,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.files import digest
 from facetrack_cli.core.types import Correction
 from facetrack_cli.editor.retrack import Store, Track
 from facetrack_cli.editor.web.fix_session import doubtful, overview
 from facetrack_cli.run_folder.finished import STATUS, read_files, write_rows
+from facetrack_cli.run_folder.manifest import NAME, File, Manifest
 from facetrack_cli.trajectory.trajectory import COLUMNS, Collector
-from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Ending, as_written, ending_of
+from facetrack_cli.trajectory.writers import FORMATS, WRITERS, RunSummary, as_written, summary_of
 from tests.support.results import part, result, target
 from tests.support.sinks import Alone
 
@@ -75,7 +77,7 @@ def write(folder, seeds, corrections=(), forms=FORMATS):
             if one.status[0] == "lost":
                 lost[one.name] = lost.get(one.name, 0) + 1
     for writer in writers:
-        writer.close(Ending(warnings=('wärning: "lost_frames"',), lost_frames=lost, variable_fps=False))
+        writer.close(RunSummary(warnings=('wärning: "lost_frames"',), lost_frames=lost, variable_fps=False))
     return {form: folder / f"trajectory.{form}" for form in forms}
 
 
@@ -131,7 +133,7 @@ def test_what_is_spliced_is_what_a_run_would_have_written(seed, pieces, forms):
         assert rows.names == again.names
         for name in (*COLUMNS[:2], *COLUMNS[4:], "by_hand"):
             np.testing.assert_array_equal(getattr(rows, name), getattr(again, name))
-        assert list(ending_of(rows).lost_frames.items()) == list(again.header["lost_frames"].items())
+        assert list(summary_of(rows).lost_frames.items()) == list(again.header["lost_frames"].items())
         for name, found in again.diagnostics.items():
             ours = rows.diagnostics[name]
             assert [_known(each) for each in ours.records()] == [_known(each) for each in found.records()]
@@ -163,47 +165,48 @@ def test_the_rows_tell_of_the_run(run):
     assert {**alone.header, "type": None} == {**rows.header, "type": None} and alone.path == run["jsonl"]
 
 
-DIFFERS = r":\d+: differs from trajectory.json; remove it, trajectory.json says the same"
-NOT_OURS = "is not as facetrack run writes it, was it edited?"
+NOT_OURS = ": is not as facetrack run writes it, was it edited?"
+EDITED = ": is not as its run wrote it, as run.json beside it says: it was edited"
 CHANGES = [
-    ("csv", lambda s: s.replace("\n7,", "\n7,0", 1), DIFFERS),
-    ("csv", lambda s: s[: s.index("\n26,")] + "\n", DIFFERS),
-    ("csv", lambda s: s + "27,1,anna,nose,1,1\n", DIFFERS),
-    ("csv", lambda s: s.replace("frame,time_s", "frame,time", 1), DIFFERS),
-    ("jsonl", lambda s: s.replace('"frame":9,', '"frame":8,'), DIFFERS),
-    ("jsonl", lambda s: s + "\n", DIFFERS),
+    ("csv", lambda s: s.replace("\n7,", "\n7,0", 1), None),
+    ("csv", lambda s: s[: s.index("\n26,")] + "\n", None),
+    ("csv", lambda s: s.replace("frame,time_s", "frame,time", 1), None),
+    ("csv", lambda s: s + "27,1,anna,nose,1,1\n", None),
+    ("jsonl", lambda s: s.replace('"frame":9,', '"frame":8,'), None),
+    ("jsonl", lambda s: s + "\n", None),
     ("json", lambda s: re.sub(r'{"frame":9,.*\n', "", s), ": frame 10 follows frame 8"),
     ("json", lambda s: s[: len(s) // 2], r":\d+: .*was the run cut short"),
     ("json", lambda s: s.replace('"target":"ben"', '"target":"bea"', 2), ": frame 5 has no row of bea/box"),
     ("json", lambda s: s.replace('"part":"lip"', '"part":"lap"', 1), ": frame 4 has no row of anna/lap"),
-    ("json", lambda s: s.replace('"x":', '"x": ', 1), rf":\d+: {NOT_OURS}"),
+    ("json", lambda s: s.replace('"x":', '"x": ', 1), None),
     ("json", lambda s: s.replace('"x":', '"x":0', 1), r":\d+: is not JSON: "),
-    ("json", lambda s: re.sub(r'("x":\d+\.\d\d)(\d)', r"\g<1>\g<2>0", s, count=1), rf":\d+: {NOT_OURS}"),
-    ("json", lambda s: s.replace('"status":"lost"', '"status":"gone"', 1), f": {NOT_OURS}"),
-    ("json", lambda s: s.replace("\n", "\r\n"), f": {NOT_OURS}"),
-    ("json", lambda s: json.dumps(json.loads(s), indent=1), f": {NOT_OURS}"),
-    ("json", lambda s: s.replace('"lost_frames"', '"lost"'), f": {NOT_OURS}"),
-    ("json", lambda s: s.replace('\n"init":', '\n"begins":'), f": {NOT_OURS}"),
+    ("json", lambda s: re.sub(r'("x":\d+\.\d\d)(\d)', r"\g<1>\g<2>0", s, count=1), None),
+    ("json", lambda s: s.replace('"status":"lost"', '"status":"gone"', 1), NOT_OURS),
+    ("json", lambda s: s.replace("\n", "\r\n"), None),
+    ("json", lambda s: json.dumps(json.loads(s), indent=1), None),
+    ("json", lambda s: s.replace('"lost_frames"', '"lost"'), NOT_OURS),
+    ("json", lambda s: s.replace('\n"init":', '\n"begins":'), NOT_OURS),
 ]
 
 
 @pytest.mark.parametrize(("form", "change", "said"), CHANGES)
-def test_a_file_that_is_not_as_a_run_writes_it_is_refused_with_its_line(run, tmp_path, form, change, said):
+def test_a_file_that_was_edited_is_refused(run, tmp_path, form, change, said):
+    """By its checksum; without run.json by what no run writes: nothing else tells an edit then."""
     files = {name: tmp_path / f"trajectory.{name}" for name in dict.fromkeys(("json", form))}
     for name, path in files.items():
         shutil.copy(run[name], path)
+    known = Manifest(files={path.name: File(path.stat().st_size, digest([path])) for path in files.values()})
+    (tmp_path / NAME).write_text(json.dumps(known.record()))
     before = files[form].read_text(encoding="utf-8")
     changed = change(before)
     assert changed != before
     files[form].write_text(changed, encoding="utf-8", newline="")
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError, match=f"^{re.escape(str(files[form]) + EDITED)}"):
         read_files(files)
-    line = str(refused.value)
-    assert re.match(re.escape(str(files[form])) + said, line) and "\n" not in line
-    if found := re.match(r":(\d+)", line.removeprefix(str(files[form]))):
-        lines = zip(before.split("\n"), changed.split("\n"), strict=False)
-        first = next((i for i, (a, b) in enumerate(lines) if a != b), before.count("\n"))
-        assert int(found[1]) == first + 1
+    (tmp_path / NAME).unlink()
+    with pytest.raises(InputError) if said else contextlib.nullcontext() as refused:
+        read_files(files)
+    assert said is None or re.match(re.escape(str(files[form])) + said, str(refused.value))
 
 
 def test_the_overview_tells_where_a_run_is_least_certain():

@@ -23,13 +23,14 @@ from facetrack_cli.editor.retrack import Task, frames_of, recorded_footprint
 from facetrack_cli.editor.save import keep, save
 from facetrack_cli.editor.web.fix_session import overview
 from facetrack_cli.run_folder.finished import open_run
-from facetrack_cli.run_folder.lock import FolderLock
+from facetrack_cli.run_folder.lease import NOTE, FolderLease
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from facetrack_cli.trajectory.writers import csv_frames
 from facetrack_cli.video.seek import Frames
 from facetrack_cli.video.source import open_source
 from tests.support.hands_run import FEW as OF_HANDS
+from tests.support.leases import abandon
 from tests.support.samples import FOLDER
 
 CLIP = FOLDER / "expressions.mp4"
@@ -372,6 +373,8 @@ def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, 
         raise Killed
 
     def torn(self, to):
+        if to.name == NOTE:
+            return replace(self, to)
         if len(done) == moment - 1:
             raise Killed
         done.append(self)
@@ -382,8 +385,9 @@ def test_a_save_that_is_killed_is_finished_by_who_opens_the_run_next(made, out, 
         keep(fixer)
         patch.setattr(Path, "unlink", lambda self, missing_ok=False: None)
         patch.setattr(Path, "replace", torn)
+        patch.setattr(FolderLease, "__exit__", lambda lease, *_: abandon(lease))
         if moment == 0:
-            patch.setattr(FolderLock, "prepare", kill)
+            patch.setattr(FolderLease, "prepare", kill)
         with pytest.raises(Killed):
             save(fixer)
     whole = moment > 0

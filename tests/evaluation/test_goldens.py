@@ -24,7 +24,7 @@ from facetrack_cli.evaluation.goldens import (
 )
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, completed, to_dict
-from facetrack_cli.runs.seeds import Plan
+from facetrack_cli.runs.seeds import SeedPlan
 from facetrack_cli.trajectory.trajectory import Trajectory, joined, one_part
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
@@ -57,7 +57,7 @@ def golden_in(folder: Path, start: Start = START, runs: list[Trajectory] = RECOR
     """A golden of made-up runs of a clip in a folder."""
     clip = folder / "clip.mp4"
     clip.write_bytes(b"a clip")
-    return record(folder, Plan("clip.sir", clip, load_recipe("sir"), start, (0,)), runs, None, None)
+    return record(folder, SeedPlan("clip.sir", clip, load_recipe("sir"), start, (0,)), runs, None, None)
 
 
 @pytest.fixture

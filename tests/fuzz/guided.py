@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
 from random import Random
-from unittest import mock
 
 ROOT = Path(__file__).parents[2]
 SECONDS = 600
@@ -28,7 +27,7 @@ def parsers() -> dict[str, Callable[[Path, bytes], object]]:
     from facetrack_cli.core.snapshot import read_value
     from facetrack_cli.engine.calibration import load_calibration
     from facetrack_cli.recipe.load import load_recipe
-    from facetrack_cli.run_folder import lock
+    from facetrack_cli.run_folder import lease
     from facetrack_cli.run_folder.checkpoint import KIND
     from facetrack_cli.run_folder.manifest import read_manifest, recover_interrupted
     from facetrack_cli.runs.live import piped
@@ -72,10 +71,9 @@ def parsers() -> dict[str, Callable[[Path, bytes], object]]:
 
     def run(folder: Path, data: bytes) -> None:
         note, _, manifest = data.partition(b"\n\n")
-        put(folder, lock.LOCK, note)
+        put(folder, lease.NOTE, note)
         put(folder, "run.json", manifest)
-        with mock.patch.object(lock, "SETTLE_S", 0.0):
-            recover_interrupted(folder)
+        recover_interrupted(folder)
         read_manifest(folder)
 
     return {

@@ -10,7 +10,7 @@ from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.models import MODELS
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.run_folder.fingerprint import _recipe_digest
+from facetrack_cli.run_folder.manifest import _recipe_digest
 from facetrack_cli.start.assembly import build_tracker
 from tests.support.samples import FOLDER, TrackClip
 

@@ -23,7 +23,7 @@ from facetrack_cli.report.frames import MAX_BYTES, _jpeg, key_images
 from facetrack_cli.report.make import Image, make_report
 from facetrack_cli.trajectory.header import read_header
 from facetrack_cli.trajectory.reader import read_trajectory
-from facetrack_cli.trajectory.writers import Ending
+from facetrack_cli.trajectory.writers import RunSummary
 from tests.support.media import number, numbered, write_pictures, write_video
 from tests.support.report_run import KEYS, LOST, write_run
 
@@ -171,7 +171,7 @@ def test_pictures_stay_small_whatever_they_show():
 def hostile_run(tmp_path: Path) -> Path:
     name = "a<b>&\"'$style\n\ud800ü.mp4"
     recipe = {"name": "</style><script>alert(1)</script>", "description": "<!-- & ${body}", "x": [1, {"y": None}]}
-    footer = Ending(complete=False, stopped="<disk> & full", warnings=("<b>one</b>", "two\x00\x1b"))
+    footer = RunSummary(complete=False, stopped="<disk> & full", warnings=("<b>one</b>", "two\x00\x1b"))
     targets = ("<anna>", 'b"en')
     return write_run(tmp_path / "run", Path(name), recipe=recipe, targets=targets, footer=footer)
 

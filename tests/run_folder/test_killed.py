@@ -17,13 +17,14 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.files import temporary_path
-from facetrack_cli.run_folder import lock as locks
+from facetrack_cli.run_folder import lease as locks
 from facetrack_cli.run_folder import manifest
-from facetrack_cli.run_folder.lock import LOCK, FolderLock
+from facetrack_cli.run_folder.lease import LOCK, NOTE, FolderLease
 from facetrack_cli.run_folder.manifest import NAME, read_manifest, read_run, recover_interrupted
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, side_by_side
 from tests.runs.test_run import FACETRACK, ROWS, SMALL, make_clip
+from tests.support.leases import abandon, leave_here
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and locks of POSIX")
 TABLES = ["--no-video", "--format", "csv,json,jsonl"]
@@ -117,13 +118,9 @@ def test_a_recovery_that_is_killed_is_made_again(torn, tmp_path, monkeypatch, mo
     def kill(*_):
         raise SystemExit
 
-    def left(lock, *_):
-        lock._ended.set()  # or its signs of life go to whatever file has this number next
-        os.close(lock._file)
-
     shutil.copytree(torn[0], tmp_path, dirs_exist_ok=True)
     monkeypatch.setattr(manifest, moment, kill)
-    monkeypatch.setattr(FolderLock, "__exit__", left)
+    monkeypatch.setattr(FolderLease, "__exit__", lambda lease, *_: abandon(lease))
     with pytest.raises((SystemExit, TypeError)):
         recover_interrupted(tmp_path)
     monkeypatch.undo()
@@ -133,9 +130,9 @@ def test_a_recovery_that_is_killed_is_made_again(torn, tmp_path, monkeypatch, mo
 
 @pytest.mark.one_in(3)
 @posix
-@pytest.mark.parametrize("left", [b"", b'{"process": 1}', b'{"process": 1, "run": {"format": "no"}}'])
-def test_a_lock_that_says_nothing_is_no_harm(clip, tmp_path, left):
-    (tmp_path / LOCK).write_bytes(left)
+@pytest.mark.parametrize("left", ["", '{"process": 1}', '{"process": 1, "run": {"format": "no"}}'])
+def test_a_note_that_says_nothing_is_no_harm(clip, tmp_path, left):
+    leave_here(tmp_path, left)
     (tmp_path / ".trajectory-999999999.part.csv").write_text("frame,\n0,")
     assert run(clip, "-o", tmp_path, "--stop", 3, *SMALL, *TABLES, "-q") == 0
     assert names(tmp_path) == [NAME, "trajectory.csv", "trajectory.json", "trajectory.jsonl"]
@@ -156,7 +153,7 @@ def test_a_table_torn_anywhere_ends_with_a_whole_frame(clip, tmp_path, form):
     for at in {*range(0, len(text), 331), *inside}:
         out = tmp_path / f"{at}"
         out.mkdir()
-        (out / LOCK).write_text(json.dumps(note))
+        leave_here(out, note, 999_999_999)
         (out / f".trajectory-{note['mark']}.part.{form}").write_bytes(text[:at])
         frames = recover_interrupted(out)
         seen.add(frames)
@@ -220,11 +217,11 @@ def test_a_worker_that_is_killed_while_it_asks_whether_to_stop_holds_up_no_other
 
 @posix
 def test_a_folder_has_one_writer(clip, tmp_path, capsys):
-    with FolderLock(tmp_path):
+    with FolderLease(tmp_path):
         assert run(clip, "-o", tmp_path, *SMALL) == 2
         assert "another facetrack is writing its results here; wait until it ends" in capsys.readouterr().err
     assert run(clip, "-o", tmp_path, "--stop", 3, *SMALL, "-q") == 0
-    assert LOCK not in names(tmp_path)
+    assert not {LOCK, NOTE} & {*names(tmp_path)}
 
 
 @posix
@@ -270,13 +267,10 @@ def test_a_kill_between_two_renames_is_finished_by_whoever_reads(clip, tmp_path,
             temporary_path(folder / name).replace(folder / name)
         raise SystemExit
 
-    def left(recorder, *_):
-        recorder.lock._ended.set()
-        os.close(recorder.lock._file)
-
     assert run(clip, "-o", tmp_path, "--stop", 5, *SMALL, "--seed", 1, "-q") == 0
     monkeypatch.setattr(locks, "finish_replacing", torn)
-    monkeypatch.setattr("facetrack_cli.runs.clip.Recorder.__exit__", left)
+    monkeypatch.setattr("facetrack_cli.runs.clip.Recorder.__exit__", lambda *_: None)
+    monkeypatch.setattr("facetrack_cli.runs.clip.RunFolder.__exit__", lambda folder, *_: abandon(folder._lease))
     with pytest.raises(SystemExit):
         run(clip, "-o", tmp_path, "--stop", 4, *SMALL, "--seed", 2, "--overwrite", "-q")
     monkeypatch.undo()
@@ -318,10 +312,10 @@ def test_each_file_is_on_the_disk_before_its_name(clip, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", synced)
     monkeypatch.setattr(Path, "replace", renamed_)
     assert run(clip, "-o", tmp_path / "out", "--stop", 3, *SMALL, "-q") == 0
-    renamed = [one for one in said if one[0] != "sync"]
+    renamed = [one for one in said if one[0] != "sync" and one[1] != NOTE]
     assert [to for _, to in renamed] == ["annotated.mp4", "trajectory.csv", "trajectory.json", NAME]
     for one in renamed:
-        assert said.index(("sync", one[0])) < said.index(("sync", LOCK)) < said.index(one)
+        assert said.index(("sync", one[0])) < said.index(("sync", NOTE)) < said.index(one)
     last = said.index(renamed[-1])
     assert ("sync", "out") in said[last:], "and the names are on the disk"
 
@@ -364,7 +358,7 @@ def test_what_exits_with_0_survives_a_power_loss(clip, disk):
     done = subprocess.run(command, check=False)
     left = lose_power()
     assert done.returncode == 0
-    found = [name for name in names(left / "out") if name != LOCK]  # whose removal need not be on the disk
+    found = [name for name in names(left / "out") if name not in (LOCK, NOTE)]  # whose removal need not be on the disk
     assert found == ["annotated.mp4", NAME, "trajectory.csv", "trajectory.json"]
     for name in found:
         assert (left / "out" / name).read_bytes() == (folder / "out" / name).read_bytes() != b""

@@ -19,8 +19,8 @@ from facetrack_cli.core.npz import Kind
 from facetrack_cli.run_folder import checkpoint
 from facetrack_cli.run_folder.checkpoint import FOLDER
 from facetrack_cli.run_folder.manifest import NAME, read_manifest
-from facetrack_cli.runs import clip, posterior, recording
-from facetrack_cli.runs.job import VIDEO, Job
+from facetrack_cli.runs import clip, record, smooth
+from facetrack_cli.runs.plan import VIDEO, Job
 from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.start.init_file import read_init
@@ -97,7 +97,7 @@ def test_rows_are_those_of_a_run_that_was_not_ended(tmp_path, recipe):
 
 @pytest.mark.parametrize("threads", [pytest.param(1, marks=pytest.mark.nightly), 2])
 def test_so_are_the_frames_of_the_video_and_the_posterior(tmp_path, threads, monkeypatch):
-    monkeypatch.setattr(posterior, "_BLOCK_FRAMES", 5)
+    monkeypatch.setattr(smooth, "_BLOCK_FRAMES", 5)
     more = {"video": True, "threads": threads, "posterior": True, "formats": ("csv", "json", "jsonl")}
     out, whole = ended_twice(tmp_path, "face", **more)
     assert same(out, whole)
@@ -151,7 +151,7 @@ def test_opencvs_trackers_and_a_lag_begin_anew(tmp_path):
 
 
 def another_numpy(out, monkeypatch):
-    monkeypatch.setattr(recording, "_versions", lambda: {"numpy": "0"})
+    monkeypatch.setattr(record, "_versions", lambda: {"numpy": "0"})
 
 
 def cut_short(out, monkeypatch):
@@ -178,7 +178,7 @@ def rows_gone(out, monkeypatch):
 
 @pytest.mark.parametrize("change", [another_numpy, cut_short, blocks_gone, of_something_else, rows_edited, rows_gone])
 def test_a_checkpoint_that_does_not_fit_is_left_out(tmp_path, monkeypatch, change):
-    monkeypatch.setattr(posterior, "_BLOCK_FRAMES", 5)
+    monkeypatch.setattr(smooth, "_BLOCK_FRAMES", 5)
     asked = job("factorized", tmp_path / "out", posterior=True)
     run(asked, 11)
     change(asked.out, monkeypatch)

@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -15,13 +16,14 @@ import pytest
 from imageio_ffmpeg import get_ffmpeg_exe
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.run_folder import lock as locks
-from facetrack_cli.run_folder.lock import LOCK, FolderLock
+from facetrack_cli.run_folder import lease as locks
+from facetrack_cli.run_folder.lease import FolderLease
 from facetrack_cli.run_folder.manifest import read_manifest
 from facetrack_cli.run_folder.status import MAX_ROWS, ClipStatus, duration, worst
-from facetrack_cli.runs import job as jobs
-from facetrack_cli.runs.job import Outcome
+from facetrack_cli.runs import plan as jobs
+from facetrack_cli.runs.plan import Outcome
 from tests.runs.test_run import FACETRACK, SMALL, make_clip
+from tests.support.leases import ELSEWHERE, leave
 from tests.support.samples import FOLDER
 
 posix = pytest.mark.skipif(os.name != "posix", reason="the lock needs POSIX")
@@ -88,13 +90,14 @@ def test_clips_of_another_machine_are_waited_for(clips, capfd, monkeypatch):
     monkeypatch.setattr("facetrack_cli.runs.batch.SETTLE_S", 0.2)
     folder = Path("out/c0-face")
     folder.mkdir(parents=True)
-    (folder / LOCK).write_text(json.dumps({"host": "node7", "boot": "b", "process": 1, "token": "ab"}))
-    os.utime(folder / LOCK, (time.time() - 57,) * 2)
+    monkeypatch.setattr(locks, "LEASE_S", 3.0)
+    leave(folder, ELSEWHERE)
     assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 0
     lines = capfd.readouterr().err.splitlines()
     assert [line.partition(" -> ")[0] for line in lines] == [
         "clips/c1.mp4",
         "1 clip is being tracked by another facetrack on node7; waiting for it",
+        "facetrack: out/c0-face: whoever writes here is silent; waiting 3 s for it",
         "clips/c0.mp4",
     ]
 
@@ -102,7 +105,7 @@ def test_clips_of_another_machine_are_waited_for(clips, capfd, monkeypatch):
 @pytest.mark.nightly
 @posix
 def test_ctrl_c_ends_the_waiting(clips):
-    with FolderLock(Path("out/c0-face")):
+    with FolderLease(Path("out/c0-face")):
         command = [*FACETRACK, "run", "clips/c0.mp4", "clips/c1.mp4", "-o", "out", *OPTIONS]
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         assert process.stderr is not None
@@ -117,17 +120,17 @@ def test_ctrl_c_ends_the_waiting(clips):
 @posix
 def test_one_that_was_suspended_and_taken_over_replaces_nothing(tmp_path, monkeypatch):
     clip, out = make_clip(tmp_path / "sway.mp4", 300), tmp_path / "out"
-    command = [*FACETRACK, "run", clip, "-o", out, *OPTIONS]
+    code = "from facetrack_cli.run_folder import lease; lease.LEASE_S = 0.6; "
+    code += "import sys; from facetrack_cli.__main__ import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, "run", clip, "-o", out, *OPTIONS]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
     while not (parts := list(out.glob(".trajectory-*.part.csv"))) or parts[0].stat().st_size < 10_000:
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.002)
     process.send_signal(signal.SIGSTOP)
-    time.sleep(0.1)
-    os.utime(out / LOCK, (0, 0))
-    monkeypatch.setattr(locks, "_flock", lambda file: None)  # of another machine
-    monkeypatch.setattr(locks, "here", lambda: ("node7", "b"))
+    time.sleep(0.8)
+    monkeypatch.setattr(locks, "LEASE_S", 0.6)
     assert run(clip, "-o", out, "-q") == 0
     before = {path.name: path.read_bytes() for path in out.iterdir() if not path.name.startswith(".")}
     process.send_signal(signal.SIGCONT)
@@ -243,12 +246,10 @@ def test_status_in_each_state(clips, capsys):
         shutil.rmtree(f"out/c{i}-face")
     capsys.readouterr()
     Path("out/c2-face").mkdir()
-    (Path("out/c2-face") / LOCK).write_text(json.dumps({"host": "node7", "boot": "b", "process": 1, "token": "ab"}))
-    os.utime(Path("out/c2-face") / LOCK, (0, 0))
+    leave(Path("out/c2-face"), ELSEWHERE, silent_s=1e6)
     before = {path: path.stat().st_mtime_ns for path in Path("out").rglob("*")}
-    with FolderLock(Path("out/c3-face")) as claim:
-        claim.frame, claim.frames = 3, 6
-        claim.note({"clip": "clips/c3.mp4"})
+    with FolderLease(Path("out/c3-face")) as claim:
+        claim.note({"clip": "clips/c3.mp4", "frame": 3, "frames": 6})
         found = status("out", capsys)
         assert main(["status", "out"]) == 0
     text = capsys.readouterr().out

@@ -22,10 +22,10 @@ from facetrack_cli.__main__ import main  # noqa: E402
 from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, UsageError  # noqa: E402
 from facetrack_cli.core.version import __version__  # noqa: E402
 from facetrack_cli.recipe.load import load_recipe  # noqa: E402
-from facetrack_cli.run_folder.lock import LOCK  # noqa: E402
+from facetrack_cli.run_folder.lease import LOCK, NOTE  # noqa: E402
 from facetrack_cli.run_folder.manifest import NAME, read_manifest  # noqa: E402
 from facetrack_cli.runs import cluster  # noqa: E402
-from facetrack_cli.runs.job import Job, Outcome  # noqa: E402
+from facetrack_cli.runs.plan import Job, Outcome  # noqa: E402
 from facetrack_cli.runs.progress import Progress  # noqa: E402
 from facetrack_cli.runs.signals import Stop  # noqa: E402
 from tests.runs.test_run import make_clip  # noqa: E402
@@ -74,7 +74,7 @@ def check_equal(place, out):
 def holder(folder):
     """The process that tracks a clip, which is its worker; None if there is none."""
     try:
-        process = psutil.Process(json.loads((folder / LOCK).read_text())["process"])
+        process = psutil.Process(json.loads((folder / NOTE).read_text())["process"])
         return process if "spawn_main" in " ".join(process.cmdline()) else None
     except (OSError, ValueError, KeyError, psutil.Error):
         return None

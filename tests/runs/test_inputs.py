@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.runs.inputs import expand
+from facetrack_cli.runs.batch import expand
 from facetrack_cli.video.files import brings_rate
 
 

@@ -22,8 +22,8 @@ from facetrack_cli.core.errors import BusyError, ExitCode, InputError, UsageErro
 from facetrack_cli.run_folder import checkpoint
 from facetrack_cli.runs import clip
 from facetrack_cli.runs import people as runs_people
-from facetrack_cli.runs.job import Job
 from facetrack_cli.runs.people import people_in, recast
+from facetrack_cli.runs.plan import Job
 from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.start import presence

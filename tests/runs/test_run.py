@@ -909,7 +909,7 @@ def test_strict_makes_damage_an_error(run: Runner, clip: Path) -> None:
 
 
 def test_a_lag_of_more_frames_than_memory_holds(run: Runner, clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("facetrack_cli.runs.job.MAX_LAG_BYTES", 128 * 96 * 3 * 5)
+    monkeypatch.setattr("facetrack_cli.runs.clip.MAX_LAG_BYTES", 128 * 96 * 3 * 5)
     code, _, err = run(clip, *SMALL, "--lag", 6)
     assert code == ExitCode.USAGE and "at most --lag 5 at 128x96" in one_line(err)
     assert not Path("sway-face").exists()

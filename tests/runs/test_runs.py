@@ -14,10 +14,9 @@ from facetrack_cli.core.types import Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs import seeds, workers
 from facetrack_cli.runs.clip import run
-from facetrack_cli.runs.job import Job
-from facetrack_cli.runs.seeds import Plan, run_plans
+from facetrack_cli.runs.plan import ClipRequest, Job, truth_start
+from facetrack_cli.runs.seeds import SeedPlan, run_plans
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.start import Begin, truth_start
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import joined, one_part
@@ -28,7 +27,7 @@ CLIP = SAMPLES / "expressions.mp4"
 
 def plan(config="factorized", seeds=(0, 1), stop=10, overrides=(), clip=CLIP):
     recipe = load_recipe(config, overrides)
-    return Plan(config, clip, recipe, Begin(CLIP).find(recipe), tuple(seeds), stop=stop)
+    return SeedPlan(config, clip, recipe, ClipRequest(CLIP).find(recipe), tuple(seeds), stop=stop)
 
 
 def assert_same(a, b):
@@ -84,8 +83,8 @@ def test_progress_counts_frames_of_all_seeds():
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_plan_that_cannot_run_says_why_and_the_others_go_on(tmp_path, workers):
     start = Start(0, {"face": TargetStart(points={"nose": (3.0, 4.0)})}, "clip.init.yaml")
-    bad = Plan("bad", CLIP, load_recipe("factorized"), start, (0, 1))
-    gone = Plan("gone", tmp_path / "none.mp4", load_recipe("factorized"), plan().start, (0,))
+    bad = SeedPlan("bad", CLIP, load_recipe("factorized"), start, (0, 1))
+    gone = SeedPlan("gone", tmp_path / "none.mp4", load_recipe("factorized"), plan().start, (0,))
     ended = list(run_plans([bad, plan(seeds=(0,)), gone], workers))
     assert [(len(one.runs), one.error is None) for one in ended] == [(0, False), (1, True), (0, False)]
     assert ended[0].plan.label == "bad" and "clip.init.yaml: no point for mouth_left" in str(ended[0].error)
@@ -111,7 +110,7 @@ def test_a_wish_to_stop_ends_it(workers):
 
 def test_a_start_beyond_the_clip_is_told():
     late = Start(9999, plan().start.targets, "late.yaml")
-    [ended] = run_plans([Plan("late", CLIP, load_recipe("factorized"), late, (0,))])
+    [ended] = run_plans([SeedPlan("late", CLIP, load_recipe("factorized"), late, (0,))])
     assert not ended.runs and isinstance(ended.error, InputError)
 
 
@@ -182,25 +181,25 @@ def test_a_box_of_the_truth_is_given_by_its_corner():
 def test_the_init_file_beside_the_clip_goes_before_the_truth(tmp_path):
     known = read_trajectory(SAMPLES / "expressions.truth.csv")
     recipe = load_recipe("factorized")
-    assert Begin(CLIP).find(recipe, known).origin.endswith("expressions.init.yaml")
+    assert ClipRequest(CLIP).find(recipe, known).origin.endswith("expressions.init.yaml")
     alone = tmp_path / "clip.mp4"
     alone.write_bytes(CLIP.read_bytes())
-    assert Begin(alone).find(recipe, known).origin.endswith("expressions.truth.csv")
-    assert Begin(alone).find(recipe).origin == detector().name
-    assert Begin(alone, init="haar").find(recipe).origin == "haar"
-    boxed = Begin(alone, box=(106.0, 74.0, 106.0, 106.0)).find(recipe, known)
+    assert ClipRequest(alone).find(recipe, known).origin.endswith("expressions.truth.csv")
+    assert ClipRequest(alone).find(recipe).origin == detector().name
+    assert ClipRequest(alone, init="haar").find(recipe).origin == "haar"
+    boxed = ClipRequest(alone, box=(106.0, 74.0, 106.0, 106.0)).find(recipe, known)
     assert boxed.origin == "--box" and set(boxed.targets["face"].points) == set(recipe.points)
 
 
 def test_a_start_outside_of_the_frames_asked_for_is_refused():
     recipe = load_recipe("factorized")
     with pytest.raises(InputError, match=r"begins at frame 0, but frames from 3 on were asked for; change --start"):
-        Begin(CLIP, start=3).find(recipe)
+        ClipRequest(CLIP, start=3).find(recipe)
     for stop in (1, 200):
-        assert Begin(CLIP, stop=stop).find(recipe).frame == 0
+        assert ClipRequest(CLIP, stop=stop).find(recipe).frame == 0
     boxed = (106.0, 74.0, 106.0, 106.0)
     with pytest.raises(
         InputError, match=r"--box begins at frame 3, but frames 3 to 2 were asked for; change --start or --stop"
     ):
-        Begin(CLIP, box=boxed, start=3, stop=3).find(recipe)
-    assert Begin(CLIP, box=boxed, start=3, stop=9).find(recipe).frame == 3
+        ClipRequest(CLIP, box=boxed, start=3, stop=3).find(recipe)
+    assert ClipRequest(CLIP, box=boxed, start=3, stop=9).find(recipe).frame == 3

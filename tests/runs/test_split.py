@@ -15,9 +15,8 @@ from facetrack_cli.core.types import Correction, Start, TargetStart
 from facetrack_cli.report.events import history_of, key_frames
 from facetrack_cli.report.make import make_report
 from facetrack_cli.runs import batch
-from facetrack_cli.runs.job import Split
-from facetrack_cli.runs.split import OVERLAP_S, cut_by_length
-from facetrack_cli.runs.stitch import Plan, Seam, agreeing, read_plan, renamed, stitch
+from facetrack_cli.runs.plan import Split
+from facetrack_cli.runs.split import OVERLAP_S, ChunkPlan, Seam, agreeing, cut_by_length, read_plan, renamed, stitch
 from facetrack_cli.start.init_file import write_init
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import read_header
@@ -210,7 +209,7 @@ def test_chunks_cover_all_frames_and_overlap(first, count, gaps, length, spacing
 
 def test_a_plan_is_read_as_it_was_written(tmp_path):
     start = Start(3, {"face": TargetStart((1.5, 2, 30, 40), {"nose": (3.25, 4.1)})}, "haar", (), "a note")
-    Plan.of("key", start, [(3, 9), (7, None)]).write(tmp_path)
+    ChunkPlan.of("key", start, [(3, 9), (7, None)]).write(tmp_path)
     read = read_plan(tmp_path)
     assert (read.key, read.start, read.cuts) == ("key", start, ((3, 9), (7, None)))
 

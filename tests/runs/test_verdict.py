@@ -10,8 +10,8 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.job import lost_words
-from facetrack_cli.runs.verdict import EVERY_FRAMES, Watch
+from facetrack_cli.runs.plan import lost_words
+from facetrack_cli.runs.verdict import EVERY_FRAMES, RunMonitor
 from facetrack_cli.trackers.face.detectors import Found
 from tests.support.results import part, result, target
 
@@ -36,11 +36,11 @@ class Sees:
 
 def watched(statuses, confidences, *, sees=None, first=0, origin="--box", calibrated=True):
     start = Start(first, {"face": TargetStart((30.0, 20.0, 20.0, 20.0))}, origin)
-    watch = Watch(start, calibrated=calibrated, fitted=calibrated, detector=sees)
+    watch = RunMonitor(start, calibrated=calibrated, fitted=calibrated, detector=sees)
     for i, (status, confidence) in enumerate(zip(statuses, confidences, strict=True)):
         frame = Frame(first + i, (first + i) / 25, np.zeros((60, 80, 3), np.uint8))
         box = part("box", 40, 30, 20, 20, confidence=confidence, status=status)
-        watch.count(result(frame, [target("face", [box])]))
+        watch.write(result(frame, [target("face", [box])]))
     return watch
 
 
@@ -91,10 +91,10 @@ def test_of_points_alone_the_box_of_the_start_moves_with_them():
     picture = np.zeros((120, 160, 3), np.uint8)
     picture[50:90, 70:110] = 255  # where the box has moved to
     start = Start(0, {"face": TargetStart((20.0, 30.0, 40.0, 40.0), {"nose": (40.0, 50.0)})}, "haar")
-    watch = Watch(start, calibrated=False, fitted=False, detector=Looks(0))
+    watch = RunMonitor(start, calibrated=False, fitted=False, detector=Looks(0))
     for i in range(EVERY_FRAMES):
         nose = part("nose", 90, 70, 5, 5, confidence=1.0)
-        watch.count(result(Frame(i, i / 25, picture), [target("face", [nose])]))
+        watch.write(result(Frame(i, i / 25, picture), [target("face", [nose])]))
     assert seen == [255.0]
 
 
@@ -127,19 +127,19 @@ def test_what_was_lost_is_told_once_a_target_worst_first():
 @pytest.mark.parametrize("recipe", ["face", "head_hands", "adaptive"])
 def test_the_face_of_a_recipe_is_looked_at(recipe):
     start = Start(0, {"face": TargetStart((30.0, 20.0, 20.0, 20.0))}, "haar")
-    watch = Watch.of(load_recipe(recipe), start)
-    assert watch.detector is not None and Watch.of(load_recipe(recipe), Start(0, {}, "--box")).detector is None
+    watch = RunMonitor.of(load_recipe(recipe), start)
+    assert watch.detector is not None and RunMonitor.of(load_recipe(recipe), Start(0, {}, "--box")).detector is None
 
 
 def signing(named, statuses, *, present=0.9):
     start = Start(0, {"head": TargetStart((30.0, 20.0, 20.0, 20.0))}, "--box")
-    watch = Watch(start, calibrated=False, fitted=False, detector=None)
+    watch = RunMonitor(start, calibrated=False, fitted=False, detector=None)
     for i, (p, status) in enumerate(zip(named, statuses, strict=True)):
         head = target("head", [part("box", 40, 30, 20, 20, confidence=1.0, status="tracked")])
         place = (None, None) if status == "absent" else (20, 50)
         hand = part("box", *place, 9, 9, confidence=0.95, status=status)
         hands = [target(name, [hand], reported={"named": p, "present": present}) for name in HANDS]
-        watch.count(result(Frame(i, i / 25, np.zeros((60, 80, 3), np.uint8)), [head, *hands]))
+        watch.write(result(Frame(i, i / 25, np.zeros((60, 80, 3), np.uint8)), [head, *hands]))
     return watch
 
 

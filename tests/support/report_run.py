@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from facetrack_cli.core.types import Frame
-from facetrack_cli.trajectory.writers import WRITERS, Ending
+from facetrack_cli.trajectory.writers import WRITERS, RunSummary
 from tests.support.media import SIZE
 from tests.support.results import part, result, target
 from tests.support.sinks import Alone
@@ -40,5 +40,5 @@ def write_run(
         time_s = index / 25 if times is None else times[index]
         shown = [target(t, found, 10) for t in targets]
         writer.write(result(Frame(index, time_s, still), shown).rows)
-    writer.close(footer or Ending())
+    writer.close(footer or RunSummary())
     return out

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.trajectory.diagnostics import KNOWN, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import Trajectory, build
-from facetrack_cli.trajectory.writers import WRITERS, Ending, Format
+from facetrack_cli.trajectory.writers import WRITERS, Format, RunSummary
 from tests.support.sinks import Alone
 
 UNKNOWN = st.just(math.nan)
@@ -71,12 +71,14 @@ def trajectories(draw: st.DrawFn, declared: tuple[Diagnostic, ...] = tuple(KNOWN
     return build(tuple(names), rows.pop("which"), rows.pop("frame"), **rows, **shared, diagnostics=diagnostics)
 
 
-def write(path: Path, rows: Trajectory, header: Mapping[str, Any] | None = None, footer: Ending | None = None) -> Path:
+def write(
+    path: Path, rows: Trajectory, header: Mapping[str, Any] | None = None, footer: RunSummary | None = None
+) -> Path:
     """A file of these rows, in the format that its name ends with."""
     form: Format = path.suffix[1:]  # type: ignore[assignment]
     writer = WRITERS[form](Alone(path), header or {})
     writer.write(rows)
-    writer.close(footer or Ending())
+    writer.close(footer or RunSummary())
     return path
 
 

@@ -25,8 +25,8 @@ from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.evaluation.goldens import find_goldens, read_golden
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.seeds import Plan, run_plans
-from facetrack_cli.runs.start import Begin
+from facetrack_cli.runs.plan import ClipRequest
+from facetrack_cli.runs.seeds import SeedPlan, run_plans
 from facetrack_cli.trackers.appearance.gallery import Gallery, load_gallery
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -59,7 +59,7 @@ class Against(NamedTuple):
 
 def run(clip: str, recipe: str, *overrides: str, seeds: tuple[int, ...] = SEEDS, stop: int | None = None) -> Against:
     path, settings = FOLDER / f"{clip}.mp4", load_recipe(recipe, overrides)
-    [done] = run_plans([Plan(recipe, path, settings, Begin(path).find(settings), seeds, stop)])
+    [done] = run_plans([SeedPlan(recipe, path, settings, ClipRequest(path).find(settings), seeds, stop)])
     tables = tuple(one.trajectory for one in done.runs)
     assert len(tables) == len(seeds), done.error
     boxes = [table.parts[0] for table in tables]

@@ -32,7 +32,7 @@ from facetrack_cli.trajectory.header import read_header
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.select import enclose
 from facetrack_cli.trajectory.trajectory import Collector, joined, one_part
-from facetrack_cli.trajectory.writers import WRITERS, Ending
+from facetrack_cli.trajectory.writers import WRITERS, RunSummary
 from tests.evaluation.test_goldens import golden_in
 from tests.evaluation.test_points import rows
 from tests.evaluation.test_reliability import statuses
@@ -82,7 +82,7 @@ def run(tmp_path):
         writer = WRITERS[form](Alone(tmp_path / f"trajectory.{form}"), HEADER)
         for index in range(13):
             writer.write(result(index))
-        writer.close(Ending())
+        writer.close(RunSummary())
     return tmp_path
 
 

@@ -12,7 +12,7 @@ from facetrack_cli.core.face_points import GROUPS
 from facetrack_cli.core.types import BOX, Correction, Frame, TargetStart
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.start import Begin
+from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import write_init
 from facetrack_cli.trackers.face import detectors
@@ -223,10 +223,10 @@ def test_the_detector_is_that_of_the_start_and_else_the_better_one(tmp_path):
     pose = Pose(160, 120, 90)
     clip = write_pictures(tmp_path / "clip", [frame.bgr for frame in moving.clip([pose] * 3)])
     write_init(tmp_path / "clip.init.yaml", moving.start(pose))
-    by_file = Begin(clip).find(recipe)
-    by_box = Begin(clip, box=(115, 75, 90, 90)).find(recipe)
+    by_file = ClipRequest(clip).find(recipe)
+    by_box = ClipRequest(clip, box=(115, 75, 90, 90)).find(recipe)
     assert (by_file.detector, by_file.placed, by_box.detector, by_box.placed) == (best, False, best, True)
-    assert Begin(clip).find(load_recipe("factorized")).detector == ""
+    assert ClipRequest(clip).find(load_recipe("factorized")).detector == ""
     for start in (by_file, by_box):
         again = StartRecord.model_validate(to_record(start)).start_from(start.origin)
         assert again == start
@@ -241,15 +241,15 @@ def test_an_init_file_begins_as_what_it_was_written_from(tmp_path, box):
     recipe = load_recipe("face", ["filter.particles=60"])
     frames = list(moving.clip([Pose(160 + 3 * i, 120, 90) for i in range(4)]))
     clip = write_pictures(tmp_path / "clip", [frame.bgr for frame in frames])
-    found = Begin(clip, box=box).find(recipe)
+    found = ClipRequest(clip, box=box).find(recipe)
     write_init(tmp_path / "clip.init.yaml", found)
-    read = Begin(clip).find(recipe)
+    read = ClipRequest(clip).find(recipe)
     one, other = (list(track(build_tracker(recipe, start), iter(frames), 0)) for start in (found, read))
     assert read.origin.endswith("clip.init.yaml")
     for mine, yours in zip(one, other, strict=True):
         assert np.array_equal(mine.rows.x, yours.rows.x) and np.array_equal(mine.rows.confidence, yours.rows.confidence)
     assert (read.detector, read.placed) == (detectors.detector().name, True)
-    later = Begin(clip, init=tmp_path / "clip.init.yaml", init_frame=1).find(recipe)
+    later = ClipRequest(clip, init=tmp_path / "clip.init.yaml", init_frame=1).find(recipe)
     assert not later.placed, "the face may have moved"
 
 

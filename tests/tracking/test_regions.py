@@ -13,7 +13,7 @@ from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe
 from facetrack_cli.runs.clip import run as job_run
-from facetrack_cli.runs.job import Job
+from facetrack_cli.runs.plan import Job
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.start.assembly import build_tracker
 from tests.support.moving_head import W, clip, path, scene, start, truth

@@ -13,7 +13,7 @@ from facetrack_cli.engine.loop import Footprint, track
 from facetrack_cli.engine.protocols import Linear
 from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.runs.start import Begin
+from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.hands import evidence, joint, names
@@ -422,7 +422,7 @@ def test_the_face_whose_hands_move_is_the_signer(tmp_path):
         cv2.imwrite(str(tmp_path / f"{index:03}.png"), frame)
     large, small = (130.0, 60.0, 60.0, 60.0), (505.0, 210.0, 30.0, 30.0)
     recipe = load_recipe("signer")
-    begin = Begin(tmp_path)
+    begin = ClipRequest(tmp_path)
     both = Start(0, {"head": TargetStart(large), "face_2": TargetStart(small)}, "yunet", note="begins, and 1 more")
     chosen = begin._signer(recipe, both)
     assert chosen.targets == {"head": TargetStart(small)}

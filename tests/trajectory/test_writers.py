@@ -18,7 +18,7 @@ from facetrack_cli.core.errors import OutputError
 from facetrack_cli.core.files import FileSink, ReaderGoneError, StreamSink, temporary_path
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, FrameResult, Trajectory, one_part
-from facetrack_cli.trajectory.writers import FORMATS, WRITERS, Ending, as_written, csv_frames
+from facetrack_cli.trajectory.writers import FORMATS, WRITERS, RunSummary, as_written, csv_frames
 from tests.support import results, trajectories
 from tests.support.results import file_rows, part, rows_of, target
 from tests.support.sinks import Alone
@@ -61,11 +61,11 @@ class Disk(io.BytesIO):
         super().close()
 
 
-def write(path: Path, form: str, frames: list[FrameResult], footer: Ending | None = None) -> None:
+def write(path: Path, form: str, frames: list[FrameResult], footer: RunSummary | None = None) -> None:
     writer = WRITERS[form](Alone(path), {"seed": 3})  # type: ignore[index]
     for each in frames:
         writer.write(each.rows)
-    writer.close(footer or Ending())
+    writer.close(footer or RunSummary())
 
 
 def corrected() -> FrameResult:
@@ -204,7 +204,7 @@ def test_what_is_written_is_read_back(
 
 def test_json_is_one_object_with_a_line_a_frame(tmp_path: Path) -> None:
     path = tmp_path / "t.json"
-    footer = Ending(warnings=("cut",), complete=False, stopped="interrupted", lost_frames={"face/lip": 2})
+    footer = RunSummary(warnings=("cut",), complete=False, stopped="interrupted", lost_frames={"face/lip": 2})
     write(path, "json", [result(7), result(8)], footer)
     text = path.read_text()
     data = json.loads(text)
@@ -251,7 +251,7 @@ def test_a_file_appears_when_it_is_whole(tmp_path: Path) -> None:
     writer = WRITERS["csv"](sink, {})
     writer.write(result().rows)
     assert path.read_text() == "old"
-    writer.close(Ending())
+    writer.close(RunSummary())
     assert path.read_text().startswith(HEADER)
     assert [p.name for p in tmp_path.iterdir()] == ["t.csv"]
 
@@ -282,7 +282,7 @@ def test_a_full_disk_keeps_whole_frames(tmp_path: Path, monkeypatch: pytest.Monk
         for i in range(3000):
             writer.write(result(i).rows)
     with pytest.raises(OutputError, match="disk is full"):
-        writer.close(Ending(complete=False, stopped="disk full"))
+        writer.close(RunSummary(complete=False, stopped="disk full"))
 
     text = path.read_text()
     assert len(text) <= room

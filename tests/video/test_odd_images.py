@@ -9,7 +9,7 @@ import pytest
 from PIL import Image as Pictures
 
 from facetrack_cli.core.errors import FacetrackError, InputError
-from facetrack_cli.runs.inputs import expand
+from facetrack_cli.runs.batch import expand
 from facetrack_cli.video.images import ordered
 from facetrack_cli.video.seek import Frames
 from facetrack_cli.video.source import Source, open_source

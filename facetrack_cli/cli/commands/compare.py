@@ -83,10 +83,10 @@ def command(
     from facetrack_cli.evaluation import compare
     from facetrack_cli.evaluation.compare import Comparison
     from facetrack_cli.runs.batch import title
+    from facetrack_cli.runs.plan import ClipRequest
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.seeds import labels, load_recipes, refuse_seed, variant
     from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.runs.start import Begin
 
     extent.check(clip)
     if rank_by is not None:
@@ -102,7 +102,7 @@ def command(
         progress(quiet) as shown,
         Folder(out, f"{title(clip)}-compare", names, overwrite=overwrite, clip=clip) as folder,
     ):
-        begin = Begin(clip, **vars(extent))
+        begin = ClipRequest(clip, **vars(extent))
         with begin.open() as source:
             scoring = compare.Scoring(known.target, known.partial, extent.stop, source.size)
         entries = compare.run_recipes(

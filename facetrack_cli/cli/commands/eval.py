@@ -89,8 +89,7 @@ def command(
     from facetrack_cli.evaluation.rows import check_normalise
     from facetrack_cli.evaluation.summary import Options, evaluate
     from facetrack_cli.report.figures.style import need_matplotlib
-    from facetrack_cli.run_folder.fingerprint import other_clip
-    from facetrack_cli.run_folder.manifest import check_run
+    from facetrack_cli.run_folder.manifest import check_run, other_clip
     from facetrack_cli.trajectory.formats.read import read_results
     from facetrack_cli.trajectory.header import clip_of, frame_size_of
 

@@ -112,12 +112,12 @@ def _find(
     clip: Path, recipe: Recipe, faces: Literal["one", "all"], box: Box | None, init_frame: int | None, *, quiet: bool
 ) -> tuple[Start, Frame]:
     """The start that detectors find, and its frame."""
+    from facetrack_cli.runs.plan import ClipRequest
     from facetrack_cli.runs.progress import progress
-    from facetrack_cli.runs.start import Begin
     from facetrack_cli.trackers.face.detectors import detector
 
     by = None if box is not None else detector().name
-    begin = Begin(clip, init=by, faces=faces, box=box, init_frame=init_frame)
+    begin = ClipRequest(clip, init=by, faces=faces, box=box, init_frame=init_frame)
     with progress(quiet) as shown:
         shown.begin(f"{clip.name}: looking for a face")
         start = begin.find(recipe, looked=shown.update)

@@ -17,7 +17,7 @@ from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, Outp
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
-    from facetrack_cli.runs.job import Job, Outcome, Report
+    from facetrack_cli.runs.plan import Job, Outcome, Report
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trajectory.writers import Format
@@ -156,11 +156,10 @@ def command(
     """
     from facetrack_cli.engine.kernels import cache
     from facetrack_cli.run_folder.status import check_networks, write_batch
-    from facetrack_cli.runs.batch import run_batch, variant_name
+    from facetrack_cli.runs.batch import expand, run_batch, variant_name
     from facetrack_cli.runs.cluster import run_cluster
-    from facetrack_cli.runs.inputs import expand
-    from facetrack_cli.runs.job import Job, Split, default_reason
     from facetrack_cli.runs.live import is_live
+    from facetrack_cli.runs.plan import Job, Split, default_reason
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.runs.workers import cores
@@ -294,7 +293,7 @@ def _check_split(clips: int, out: str | None, replaced: bool, whole: dict[str, o
 
 
 def _check_smoothing(recipe: Recipe, lag: int | None, out: str | None, formats: tuple[Format, ...]) -> None:
-    from facetrack_cli.runs.posterior import check_smoothing
+    from facetrack_cli.runs.plan import check_smoothing
 
     check_smoothing(recipe)
     if lag:
@@ -348,7 +347,7 @@ def _smooth_left(outcome: Outcome, stop: Stop, shown: Progress) -> None:
 
 def _smoothed(outcome: Outcome, stop: Stop, report: Report | None = None) -> tuple[list[Path], list[str]]:
     """Smooth a clip that was tracked, also on a worker; its files, and warnings that were not given yet."""
-    from facetrack_cli.runs.job import silent
+    from facetrack_cli.runs.plan import silent
     from facetrack_cli.runs.smooth import save_smoothed
 
     files, notes = save_smoothed(outcome.files[0].parent, outcome.clip, report or silent, stop)

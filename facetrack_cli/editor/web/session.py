@@ -10,7 +10,7 @@ from pydantic import Field, StrictInt
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.editor.web.frame import Draft, Json, Proposer, crop, jpeg
-from facetrack_cli.runs.job import Report
+from facetrack_cli.runs.plan import Report
 from facetrack_cli.runs.signals import StoppedError
 from facetrack_cli.video.seek import Frames
 

@@ -1,4 +1,4 @@
-"""A folder has one writer: on one machine, on several, with clocks that differ, and without flock."""
+"""A folder has one writer: on one machine, on several, and with clocks that differ."""
 
 from __future__ import annotations
 
@@ -6,158 +6,191 @@ import errno
 import json
 import multiprocessing
 import os
+import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from facetrack_cli.core.errors import BusyError, OutputError
 from facetrack_cli.core.files import own_mark, temporary_path
-from facetrack_cli.run_folder import lock as locks
-from facetrack_cli.run_folder.lock import LOCK, FolderLock, finish_replacing, holder, left_in, sweep
+from facetrack_cli.run_folder import lease as leases
+from facetrack_cli.run_folder.lease import LOCK, NOTE, FolderLease, finish_replacing, holder, left_in, sweep
+from tests.support.leases import ELSEWHERE, abandon, ended_process, leave, leave_here, note_here
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="the lock needs POSIX")
-ELSEWHERE = {"host": "node7", "boot": "b", "process": 1, "token": "ab12", "frame": 3}
-
-
-@pytest.fixture(autouse=True)
-def _soon(monkeypatch):
-    monkeypatch.setattr(locks, "SETTLE_S", 0.02)
+LEASE_S = 0.6
 
 
 @pytest.fixture
-def no_flock(monkeypatch):
-    monkeypatch.setattr(locks, "_flock", lambda file: None)
-
-
-def leave(folder, note, *, silent_s=0.0):
-    """The lock file of a process that is gone, or on another machine, of so many seconds ago."""
-    (folder / LOCK).write_text(note if isinstance(note, str) else json.dumps(note))
-    then = time.time() - silent_s
-    os.utime(folder / LOCK, (then, then))
-
-
-def note_here(process):
-    host, boot = locks.here()
-    return {**ELSEWHERE, "host": host, "boot": boot, "process": process}
-
-
-def ended_process():
-    process = subprocess.Popen([sys.executable, "-c", ""])
-    process.wait(60)
-    return process.pid
+def soon(monkeypatch):
+    """A lease of less than a second."""
+    monkeypatch.setattr(leases, "LEASE_S", LEASE_S)
+    monkeypatch.setattr(leases, "BEAT_S", 0.1)
 
 
 def names(folder):
-    return [path.name for path in folder.iterdir()]
+    return sorted(path.name for path in folder.iterdir())
 
 
 def is_refused(folder):
-    """Whether a second writer is refused, with its line; the lock stays as it was."""
+    """Whether a second writer is refused, with its line; the lease stays as it was."""
     before = (folder / LOCK).read_bytes()
     try:
-        with FolderLock(folder):
+        with FolderLease(folder):
             return False
     except BusyError as e:
         remedy = "wait until it ends, or name another folder with --out"
         assert str(e) == f"{folder}: another facetrack is writing its results here; {remedy}"
-        assert (folder / LOCK).read_bytes() == before and names(folder) == [LOCK]
+        assert (folder / LOCK).read_bytes() == before and names(folder) == [LOCK, NOTE]
         return True
 
 
-@pytest.mark.parametrize("without", [(), ("no_flock",)])
-def test_a_folder_has_one_writer(tmp_path, without, request):
-    for one in without:
-        request.getfixturevalue(one)
+def test_a_folder_has_one_writer(tmp_path):
     for _ in range(2):
-        with FolderLock(tmp_path / "new" / "folder") as lock:
+        with FolderLease(tmp_path / "new" / "folder") as lease:
             folder = tmp_path / "new" / "folder"
-            assert lock.stale_note == {}
-            note = json.loads((folder / LOCK).read_text())
-            assert (note["host"], note["boot"]) == locks.here() and note["process"] == os.getpid()
+            assert lease.stale_note == {}
+            note = json.loads((folder / NOTE).read_text())
+            assert (note["host"], note["boot"]) == leases.here() and note["process"] == os.getpid()
             assert holder(folder) == note
             assert is_refused(folder)
-            lock.check()
+            lease.check()
         assert names(folder) == [] and holder(folder) is None
 
 
-def test_signs_of_life(tmp_path, monkeypatch):
-    monkeypatch.setattr(locks, "BEAT_S", 0.01)
-    with FolderLock(tmp_path) as lock:
-        size = (tmp_path / LOCK).stat().st_size
+def test_signs_of_life(tmp_path, soon):
+    with FolderLease(tmp_path) as lease:
+        size = (tmp_path / NOTE).stat().st_size
+        os.utime(tmp_path / LOCK, (0, 0))
+        deadline = time.monotonic() + 10
+        while (tmp_path / LOCK).stat().st_mtime < 1:
+            assert time.monotonic() < deadline
         for frame in (5, 123456):
-            lock.frame, lock.frames = frame, 2 * frame
-            os.utime(tmp_path / LOCK, (0, 0))
-            deadline = time.monotonic() + 10
-            while (tmp_path / LOCK).stat().st_mtime < 1 or holder(tmp_path)["frame"] != frame:
-                assert time.monotonic() < deadline
+            time.sleep(0.1)
+            lease.progress(frame, 2 * frame)
             found = holder(tmp_path)
-            assert found["frames"] == 2 * frame and found["seconds"] >= 0
-        lock.note({"run": "x" * size})
-        lock.note({"run": ""})
-        assert (tmp_path / LOCK).stat().st_size > size, "a note never shrinks"
+            assert (found["frame"], found["frames"]) == (frame, 2 * frame) and found["seconds"] >= 0
+        lease.note({"run": "x" * size})
+        lease.note({"run": ""})
+        assert (tmp_path / NOTE).stat().st_size > size, "a note never shrinks"
         assert holder(tmp_path)["run"] == ""
 
 
-@pytest.mark.one_in(3)
-@pytest.mark.parametrize("without", [(), ("no_flock",)])
+def test_progress_is_noted_now_and_then(tmp_path):
+    with FolderLease(tmp_path) as lease:
+        lease.progress(1, None)
+        assert "frame" not in holder(tmp_path)
+
+
 @pytest.mark.parametrize("hours", [0, -5, 5])
-def test_another_machine_is_believed_for_a_minute(tmp_path, without, hours, request, monkeypatch):
-    for one in without:
-        request.getfixturevalue(one)
+def test_another_machine_is_believed_for_a_minute(tmp_path, hours, monkeypatch):
     clock = time.time
     leave(tmp_path, ELSEWHERE, silent_s=50)
     monkeypatch.setattr(time, "time", lambda: clock() + 3600 * hours)  # the clock is that of the file system
     assert is_refused(tmp_path)
-    monkeypatch.undo()
+
+
+def test_who_is_silent_is_taken_over(tmp_path, soon, capsys):
     leave(tmp_path, ELSEWHERE, silent_s=70)
     assert holder(tmp_path) is None
-    with FolderLock(tmp_path) as lock:
-        assert lock.stale_note == ELSEWHERE
-        lock.check()
+    began = time.monotonic()
+    with FolderLease(tmp_path) as lease:
+        assert lease.stale_note == ELSEWHERE and time.monotonic() - began > LEASE_S
+        lease.check()
+    assert names(tmp_path) == []
+    assert f"{tmp_path}: whoever writes here is silent; waiting" in capsys.readouterr().err
+    leave(tmp_path, ELSEWHERE, silent_s=70)
+    with pytest.raises(BusyError), FolderLease(tmp_path, stopped=lambda: True):
+        pass
+
+
+def test_who_is_heard_again_is_not_taken_over(tmp_path, soon):
+    with FolderLease(tmp_path):
+        os.utime(tmp_path / LOCK, (0, 0))
+        assert is_refused(tmp_path)
+
+
+def test_of_this_machine_a_process_that_ended_leaves_nothing(tmp_path):
+    leave_here(tmp_path, note_here(os.getppid()), os.getppid())
+    assert is_refused(tmp_path)
+    number = ended_process()
+    leave_here(tmp_path, note_here(number), number)
+    assert holder(tmp_path) is None
+    began = time.monotonic()
+    with FolderLease(tmp_path) as lease:
+        assert lease.stale_note["process"] == number and time.monotonic() - began < 1
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_process_that_is_killed_or_suspended(tmp_path, soon, how):
+    code = f"""
+import sys, time
+from pathlib import Path
+from facetrack_cli.run_folder import lease
+lease.LEASE_S = {LEASE_S}
+with lease.FolderLease(Path(sys.argv[1])) as held:
+    print("held", flush=True)
+    input()
+    held.check()
+"""
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, tmp_path], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert process.stdout.readline() == b"held\n" and is_refused(tmp_path)
+    process.send_signal(how)
+    if how is signal.SIGKILL:
+        process.wait(60)
+    else:
+        time.sleep(LEASE_S + 0.1)
+    with FolderLease(tmp_path):
+        process.send_signal(signal.SIGCONT)
+        said = process.communicate(b"\n")[1]
+        assert (b"another facetrack has taken this folder over" in said) == (how is signal.SIGSTOP)
+        assert is_refused(tmp_path)
     assert names(tmp_path) == []
 
 
-def test_of_this_machine_a_process_that_ended_leaves_nothing(tmp_path, request):
-    leave(tmp_path, note_here(os.getppid()))
-    with FolderLock(tmp_path) as lock:  # the process is there, but does not hold the lock: its number was given again
-        assert lock.stale_note["process"] == os.getppid()
-    request.getfixturevalue("no_flock")
-    leave(tmp_path, note_here(os.getppid()))
-    assert is_refused(tmp_path)
-    for process, silent_s in ((ended_process(), 0), (os.getppid(), 70)):
-        leave(tmp_path, note_here(process), silent_s=silent_s)
-        assert holder(tmp_path) is None
-        with FolderLock(tmp_path):
-            pass
-
-
 @pytest.mark.parametrize("text", ["", "x" * 50, "[1]", '{"process": 1}', '{"host": 1, "boot": [], "process": "x"}'])
-def test_notes_that_say_nothing(tmp_path, text, request):
-    leave(tmp_path, text)
-    with FolderLock(tmp_path):
+def test_notes_that_say_nothing(tmp_path, text):
+    leave_here(tmp_path, text)
+    with FolderLease(tmp_path):
         pass
-    request.getfixturevalue("no_flock")
-    leave(tmp_path, text)
-    assert is_refused(tmp_path), "its process may be about to write who it is"
-    leave(tmp_path, text, silent_s=70)
-    with FolderLock(tmp_path):
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize("text", ["", "x" * 50, "filelock/2\npid=1\nho"])
+def test_a_lease_that_says_nothing(tmp_path, soon, text):
+    (tmp_path / LOCK).write_text(text)
+    with pytest.raises(BusyError), FolderLease(tmp_path):  # its process may be about to write who it is
+        pass
+    os.utime(tmp_path / LOCK, (0, 0))
+    with FolderLease(tmp_path):
+        pass
+    assert names(tmp_path) == []
+
+
+def test_a_lease_of_another_length(tmp_path, monkeypatch):
+    leave(tmp_path, ELSEWHERE, silent_s=70)
+    monkeypatch.setattr(leases, "LEASE_S", 30.0)
+    with pytest.raises(OutputError, match="if nobody writes here, remove it"), FolderLease(tmp_path):
         pass
 
 
 def test_a_note_that_is_being_written_is_read_again(tmp_path, monkeypatch):
     text = json.dumps(ELSEWHERE).ljust(5000)
     leave(tmp_path, text[:40] + "\0" * 4960)
-    monkeypatch.setattr(locks.time, "sleep", lambda _: leave(tmp_path, text))
+    monkeypatch.setattr(leases.time, "sleep", lambda _: leave(tmp_path, text))
     assert holder(tmp_path) == ELSEWHERE
 
 
-def test_a_process_that_is_taken_over_notices(tmp_path, no_flock):
-    with FolderLock(tmp_path) as suspended:
+def test_a_process_that_is_taken_over_notices(tmp_path):
+    with FolderLease(tmp_path) as suspended:
         suspended.check()
-        leave(tmp_path, {**ELSEWHERE, "run": 1}, silent_s=70)
-        with FolderLock(tmp_path) as other:
+        leave_here(tmp_path, {**ELSEWHERE, "run": 1})
+        with FolderLease(tmp_path) as other:
             other.check()
             assert other.stale_note["run"] == 1
             with pytest.raises(OutputError, match="another facetrack has taken this folder over"):
@@ -169,26 +202,23 @@ def test_a_process_that_is_taken_over_notices(tmp_path, no_flock):
 
 
 def test_what_was_not_recovered_stays_in_the_next_note(tmp_path):
-    leave(tmp_path, {**note_here(ended_process()), "run": 1})
+    leave_here(tmp_path, {**note_here(ended_process()), "run": 1})
     for _ in range(2):
-        lock = FolderLock(tmp_path).__enter__()
-        assert lock.stale_note["run"] == 1
-        lock._ended.set()
-        os.close(lock._file)  # as a kill leaves it
-    with FolderLock(tmp_path) as lock:
-        lock.note({"before": None})
+        lease = FolderLease(tmp_path).__enter__()
+        assert lease.stale_note["run"] == 1
+        abandon(lease)
+    with FolderLease(tmp_path) as lease:
+        lease.note({"before": None})
         assert "run" not in holder(tmp_path)
 
 
 def _take(folders, barrier, mine):
-    """Take over the stale lock of each folder, at the same moment as another process; write who got it."""
-    locks._flock = lambda file: None
-    locks.SETTLE_S = 0.1
-    locks.here = lambda: (f"node{mine}", "b")
+    """Take over the stale lease of each folder, at the same moment as another process; write who got it."""
+    leases.LEASE_S = LEASE_S
     for folder in folders:
         barrier.wait(60)
         try:
-            with FolderLock(folder):
+            with FolderLease(folder):
                 with (folder / "log").open("a") as log:
                     log.write(f"{mine}\n")
                 barrier.wait(60)
@@ -196,14 +226,15 @@ def _take(folders, barrier, mine):
             barrier.wait(60)
 
 
-@pytest.mark.one_in(2)
-@pytest.mark.parametrize("silent_s", [70, None])
-def test_of_two_at_once_one_wins(tmp_path, silent_s):
-    folders = [tmp_path / f"{i}" for i in range(15)]
+@pytest.mark.parametrize("left", ["here", "elsewhere", "nothing"])
+def test_of_two_at_once_one_wins(tmp_path, soon, left):
+    folders = [tmp_path / f"{i}" for i in range(4 if left == "elsewhere" else 15)]
     for folder in folders:
         folder.mkdir()
-        if silent_s is not None:
-            leave(folder, ELSEWHERE, silent_s=silent_s)
+        if left == "here":
+            leave_here(folder, note_here(ended_process()))
+        elif left == "elsewhere":
+            leave(folder, ELSEWHERE, silent_s=70)
     context = multiprocessing.get_context("spawn")
     barrier = context.Barrier(2)
     both = [context.Process(target=_take, args=(folders, barrier, i)) for i in range(2)]
@@ -216,12 +247,14 @@ def test_of_two_at_once_one_wins(tmp_path, silent_s):
     assert all(len(one) == 1 for one in won), won
 
 
-def test_a_folder_that_cannot_be_written(tmp_path, monkeypatch):
+@pytest.mark.parametrize("which", [LOCK, NOTE])
+def test_a_folder_that_cannot_be_written(tmp_path, monkeypatch, which):
     def full(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(os, "pwrite", full)
-    with pytest.raises(OutputError, match=r"\.facetrack\.lock: the disk is full"), FolderLock(tmp_path):
+    patched = {LOCK: (leases.SoftFileLease, "_acquire"), NOTE: (Path, "write_bytes")}
+    monkeypatch.setattr(*patched[which], full)
+    with pytest.raises(OutputError, match=r"\.facetrack\.lock: the disk is full"), FolderLease(tmp_path):
         pass
     assert names(tmp_path) == []
 
@@ -274,14 +307,15 @@ def test_a_note_replaces_nothing_outside_of_the_folder(tmp_path):
     assert {*names(other)} == {"1.jpg", "a.csv"} and (other / "a.csv").read_text() == "mine"
 
 
-def test_a_lock_that_is_a_link_or_a_pipe(tmp_path):
-    (tmp_path / LOCK).symlink_to(tmp_path / "mine")
+@pytest.mark.parametrize("name", [LOCK, NOTE])
+def test_a_lease_that_is_a_link_or_a_pipe(tmp_path, name):
+    (tmp_path / name).symlink_to(tmp_path / "mine")
     (tmp_path / "mine").write_text("kept")
-    with pytest.raises(OutputError, match="is a link"), FolderLock(tmp_path):
+    with pytest.raises(OutputError, match="is a link"), FolderLease(tmp_path):
         pass
     assert (tmp_path / "mine").read_text() == "kept"
-    (tmp_path / LOCK).unlink()
-    os.mkfifo(tmp_path / LOCK)
+    (tmp_path / name).unlink()
+    os.mkfifo(tmp_path / name)
     assert left_in(tmp_path) == {}
 
 
@@ -294,9 +328,9 @@ def test_temporary_names_cannot_be_guessed(tmp_path):
 
 @pytest.mark.parametrize("replace", [1, [], {"files": ["/etc/x"]}, {"files": 3}, {"gone": [4]}])
 def test_a_note_of_files_that_is_not_ours_does_no_harm(tmp_path, replace):
-    leave(tmp_path, {**note_here(ended_process()), "replace": replace})
+    leave_here(tmp_path, {**note_here(ended_process()), "replace": replace})
     finish_replacing(tmp_path, left_in(tmp_path))
-    assert names(tmp_path) == [LOCK]
+    assert names(tmp_path) == [LOCK, NOTE]
 
 
 def test_what_ended_processes_left_is_swept_away(tmp_path):

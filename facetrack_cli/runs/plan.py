@@ -1,0 +1,582 @@
+"""What is asked of one clip, resolved once against the files that are there: where its tracks begin, and whether it is
+done; and what became of it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
+from fractions import Fraction
+from itertools import chain, islice
+from pathlib import Path
+from typing import Final, NamedTuple, TypeAlias
+
+import numpy as np
+
+from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, UsageError
+from facetrack_cli.core.face_points import DETECTORS, HANDS, DetectorName
+from facetrack_cli.core.files import check_folder, check_plain
+from facetrack_cli.core.geometry import iou
+from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
+from facetrack_cli.engine.checks import box_of, check_start
+from facetrack_cli.engine.loop import track
+from facetrack_cli.recipe.load import default_recipe
+from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.run_folder.finished import stamp
+from facetrack_cli.run_folder.lease import FolderLease, here, is_held
+from facetrack_cli.run_folder.manifest import (
+    OWNED,
+    VIDEO,
+    Manifest,
+    clip_stat,
+    commit,
+    error_of,
+    failed,
+    job_digest,
+    previous_run,
+    recover_interrupted,
+)
+from facetrack_cli.runs.signals import never
+from facetrack_cli.start.assembly import tracker_for
+from facetrack_cli.start.init_file import find_init, read_init
+from facetrack_cli.start.search import Faces, box_start, search_start
+from facetrack_cli.start.targets import name_targets
+from facetrack_cli.trackers.face.detectors import detector
+from facetrack_cli.trackers.people.looks import load_people
+from facetrack_cli.trackers.skin.settings import Cloud
+from facetrack_cli.trajectory.people import PEOPLE
+from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
+from facetrack_cli.trajectory.writers import Format, RunSummary, by_frame
+from facetrack_cli.video.source import Source, open_source
+
+SIGNS_FRAMES: Final = 50  # in which hands are looked at, where a recipe follows those of one of several faces
+MIN_MOVED, MOVES_MORE = 2.0, 2.0  # sizes of its face; and times as far as the hands of the largest face
+MIN_OVERLAP: Final = 0.5  # of the boxes: a region with less does not count as found
+Report: TypeAlias = Callable[..., None]  # frames done, frames in all if that is known, and what is done
+
+
+def silent(*_: object) -> None:
+    """Where nobody listens."""
+
+
+@dataclass(frozen=True)
+class ClipRequest:
+    """A clip, what says where its tracks begin, and which of its frames are read.
+
+    `init` is an init file, a start, or the detector that looks for a face whatever lies beside the clip; None: see
+    `find`. `faces` says whether it takes the best face, or all that are there.
+    `init_frame` is the frame of the init file or box, or the first to look for a face in.
+    `stream`: the number of the video stream in the file.
+    `chunk`: that it is a chunk of a clip, in which a face is looked for up to its end.
+    """
+
+    clip: Path
+    _: KW_ONLY
+    init: Path | DetectorName | Start | None = None
+    faces: Faces = "one"
+    box: Box | None = None
+    init_frame: int | None = None
+    start: int = 0
+    stop: int | None = None
+    fps: Fraction | None = None
+    stream: int | None = None
+    chunk: bool = False
+
+    @property
+    def first(self) -> int:
+        """The first frame that is looked at, where no start says another."""
+        return self.start if self.init_frame is None else self.init_frame
+
+    def open(self, first: int = 0) -> Source:
+        return open_source(self.clip, fps=self.fps, start=first, stop=self.stop, stream=self.stream)
+
+    def find(
+        self,
+        recipe: Recipe,
+        truth: Trajectory | None = None,
+        stopped: Callable[[], bool] = never,
+        looked: Callable[[int, int | None], None] = lambda done, total: None,
+    ) -> Start:
+        """Where a recipe begins: the box or init file given, the init file beside the clip, else the ground truth.
+
+        The start of ground truth is its first frame in which all that the recipe follows is visible. Without any a face
+        is looked for. Raises InputError where there is no such place in these frames, or once `stopped`.
+        `looked` hears in how many frames, and of how many, a face was looked for.
+        """
+        first = self.first
+        path = find_init(self.clip) if self.init is None else self.init
+        start: Start | None = None
+        if isinstance(self.init, Start):
+            start = self.init
+        elif self.box is not None:
+            start = Start(first, {"face": TargetStart(box=self.box)}, "--box")
+        elif isinstance(path, Path):
+            start = read_init(path)
+        elif path is None and truth is not None:
+            start = truth_start(truth, recipe.points)
+        at = first if start is None or self.init_frame is not None else start.frame
+        origin = self.origin(start)
+        if at < self.start or (self.stop is not None and at >= self.stop):
+            asked = f"from {self.start} on" if self.stop is None else f"{self.start} to {self.stop - 1}"
+            raise InputError(
+                f"{self.clip}: {origin} begins at frame {at}, but frames {asked} were asked for; "
+                "change --start or --stop, or begin elsewhere with --init or --box"
+            )
+        if start is not None:
+            if start.origin not in DETECTORS and recipe.has_head:
+                start = replace(start, detector=start.detector or detector().name)
+            start = replace(start, frame=at, placed=start.placed and start.frame == at)
+            return completed(recipe, start, lambda: self.frame(at, origin), str(self.clip))
+        with self.open(at) as source:
+            by = next((name for name in DETECTORS if name == self.init), None)
+            faces: Faces = "all" if recipe.later else self.faces
+            frames = _counted(frames_of(source, at, origin, stopped), source, looked)
+            while True:
+                try:
+                    found = search(recipe, frames, str(self.clip), by=by, faces=faces)
+                    return self._signer(recipe, found) if recipe.later else found
+                except InputError:
+                    if stopped():
+                        raise InputError(f"{self.clip}: stopped before a start was found") from None
+                    further = next(frames, None) if self.chunk else None
+                    if further is None:
+                        raise
+                    frames = chain([further], frames)
+
+    def _signer(self, recipe: Recipe, start: Start) -> Start:
+        """Of a start with several faces that with the largest, or with one whose hands move far more than its hands."""
+        (first, _), *others = start.targets.items()
+        one_each = [replace(start, targets={first: face}) for face in start.targets.values()]
+        if not others:
+            return start
+        moved = []
+        for one in one_each:
+            with self.open(one.frame) as source:
+                frames = islice(iter(source), SIGNS_FRAMES)
+                tracker = tracker_for(recipe, one, source.size, source.fps)
+                moved.append(hands_moved([result.rows for result in track(tracker, frames, recipe.seed)]))
+        best = int(np.argmax(moved))
+        if moved[best] < MIN_MOVED or moved[best] < MOVES_MORE * moved[0]:
+            return replace(one_each[0], note=start.note.replace(", and ", "; passed over: ", 1))
+        wide = f"begins in frame {start.frame} with a face {box_of(one_each[best], first)[2]:.0f} pixels wide"
+        note = f"{wide}, whose hands move most, by {start.origin}; passed over: {len(others)} more"
+        return replace(one_each[best], note=note)
+
+    def origin(self, start: Start | None) -> str:
+        """What says in which frame to begin."""
+        given = "the search" if start is None else start.origin
+        return given if self.init_frame is None else "--init-frame"
+
+    def frame(self, index: int, origin: str = "a correction") -> Frame:
+        """One frame of the clip, which `origin` asks for."""
+        with self.open(index) as source:
+            return next(frames_of(source, index, origin))
+
+
+def frames_of(source: Source, first: int, origin: str, stopped: Callable[[], bool] = never) -> Iterator[Frame]:
+    """The frames from the `first`, which `origin` asked for; InputError, which says so, if that one cannot be had."""
+    frames = iter(source)
+    try:
+        frame = next(frames, None)
+    except InputError as e:
+        raise InputError(f"{e} (frame {first} is where {origin} begins)") from None
+    if frame is None:
+        raise InputError(source.warnings.pop() if source.warnings else f"{source.path}: frame {first} cannot be read")
+    while frame is not None and not stopped():
+        yield frame
+        frame = None  # while the next one is decoded
+        frame = next(frames, None)
+
+
+def _counted(frames: Iterator[Frame], source: Source, looked: Callable[[int, int | None], None]) -> Iterator[Frame]:
+    for done, frame in enumerate(frames, 1):
+        yield frame
+        looked(done, source.frames_hint)
+
+
+def completed(recipe: Recipe, start: Start, first: Callable[[], Frame], clip: str) -> Start:
+    """The start with what it does not say: points of a target that is a box alone, targets that the recipe names.
+
+    `first` gives its frame.
+    """
+    if recipe.followed:
+        frame = None
+        if not set(recipe.followed) <= {*start.targets, *recipe.later}:
+            frame = first()
+            check_start(start, frame.size, ())
+        return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, later=recipe.later, clip=clip)
+    name, given = next(iter(start.targets.items()))
+    if len(start.targets) > 1 or given.points or given.box is None or not recipe.points:
+        return start
+    said_in = clip if start.origin == "--box" else start.origin
+    [found] = box_start(first(), given.box, recipe.points, by=start.detector, clip=said_in).targets.values()
+    return replace(start, targets={name: replace(found, windows=given.windows)}, placed=start.detector != "")
+
+
+def search(
+    recipe: Recipe,
+    frames: Iterator[Frame],
+    clip: str,
+    *,
+    by: DetectorName | None = None,
+    faces: Faces = "one",
+    whole: bool = True,
+) -> Start:
+    """The start at the first face in `frames`, if not `whole` in the first ones alone. InputError if there is none."""
+
+    def complete(frame: Frame, start: Start) -> Start:
+        return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, later=recipe.later, clip=clip)
+
+    look = detector(by)
+    return search_start(frames, recipe.points, detector=look, faces=faces, whole=whole, clip=clip, complete=complete)
+
+
+def truth_start(truth: Trajectory, points: Sequence[str]) -> Start:
+    """The first frame of the ground truth in which its targets' boxes, or all these points of them, are visible."""
+    boxes = truth.boxes
+    for frame, rows in by_frame(truth):
+        found: dict[str, Box] = {}
+        known: dict[str, dict[str, Point]] = {}
+        for i in rows:
+            target, part = truth.names[truth.which[i]]
+            place = boxes[i] if np.isfinite(boxes[i]).all() else np.array([truth.x[i], truth.y[i]])
+            if truth.status[i] not in SEEN or not np.isfinite(place).all():
+                continue
+            if len(place) == 4:
+                found[target] = tuple(place.tolist())
+            elif part in points:
+                known.setdefault(target, {})[part] = (place[0].item(), place[1].item())
+        whole = {target: {p: those[p] for p in points} for target, those in known.items() if len(those) == len(points)}
+        if {*found, *whole} >= {*truth.targets}:
+            targets = {one or "face": TargetStart(found.get(one), whole.get(one, {})) for one in truth.targets}
+            return Start(frame, targets, str(truth.path))
+    what = ", ".join(points) if points else "a box"
+    other = "" if points else ", or take a recipe of points, as factorized"
+    raise InputError(
+        f"{truth.path}: no frame shows {what} of every target to begin with; give --init FILE or --box{other}"
+    )
+
+
+def hands_moved(frames: Sequence[Trajectory]) -> float:
+    """How far the hands of a head go while they have a place, in all, in sizes of the head's box."""
+    total, before = 0.0, dict[str, complex]()
+    for rows in frames:
+        named = [rows.names[i][0] for i in rows.which]
+        at = {name: complex(x, y) for name, x, y in zip(named, rows.x, rows.y, strict=True) if math.isfinite(x)}
+        head = next(i for i, name in enumerate(named) if name not in HANDS)
+        side = math.sqrt(rows.w[head] * rows.h[head])
+        total += float(np.nansum([abs(at[one] - before[one]) / side for one in HANDS if one in at and one in before]))
+        before = at
+    return total
+
+
+def far_from_truth(start: Start, truth: Trajectory) -> str | None:
+    """A line if a start's box lies elsewhere than the ground truth's in its frame: then every figure measures that."""
+    boxes = {name: target.box for name, target in start.targets.items() if target.box is not None}
+    for name, box in boxes.items() if start.origin != str(truth.path) else ():
+        for one in truth.at(start.frame).parts:
+            if one.target not in (name, "") or not len(one) or not np.isfinite(one.boxes).all():
+                continue
+            overlap = float(iou(np.array([box]), one.boxes)[0])
+            if overlap < MIN_OVERLAP:
+                return (
+                    f"{start.origin} puts the box of {name} in frame {start.frame} where it overlaps the truth's "
+                    f"by {overlap:.2f} alone; all figures measure that too: begin with --box, or with another --init"
+                )
+    return None
+
+
+class Split(NamedTuple):
+    """How long chunks are to be, in frames or in seconds."""
+
+    length: float
+    frames: bool
+
+    def record(self) -> dict[str, str]:
+        return {"length": f"{self.length:.15g}{'f' if self.frames else 's'}"}
+
+
+@dataclass(frozen=True)
+class Job(ClipRequest):
+    """What is asked of one clip. `out` None streams the one format to standard output.
+
+    `lag`: by how many frames rows come later, given the frames up to then. `posterior`: whether it is kept. `strict`:
+    whether a clip that is damaged is an error, of which what was tracked is kept. `resume`: whether a run that was
+    ended goes on from its last checkpoint. `batch`: whether a clip that fails has a run.json that says so; it is not
+    tried again then, but with `retry_failed`. `split`: that it is tracked in chunks, whose rows are joined.
+    """
+
+    recipe: Recipe
+    out: Path | None
+    _: KW_ONLY
+    formats: tuple[Format, ...] = ("csv", "json")
+    video: bool = True
+    overwrite: bool = False
+    threads: int = 2
+    lag: int = 0
+    posterior: bool = False
+    default_reason: str = ""  # why this recipe, said after the next step
+    strict: bool = False
+    resume: bool = True
+    batch: bool = False
+    retry_failed: bool = False
+    split: Split | None = None
+    gallery: Path | None = None  # people that a film may show
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A job with the answers that the files gave: nobody looks for the init file, or into the folder, again.
+
+    Attributes
+    ----------
+    job : Job
+        Its `init` is the init file beside the clip, where that is taken.
+    asked : str
+        A digest of all that is asked for but the clip: of recipe, start, frames, options, and their files.
+    everyone : bool
+        Whether everybody in a film is followed, from entry to exit, and over cuts.
+    known : Manifest or None
+        The run.json of an earlier run of the same job and the same clip, whose files are whole.
+    there : Mapping
+        What was in the folder: what changes when a file of a run is written again, by its name.
+    """
+
+    job: Job
+    asked: str
+    everyone: bool
+    known: Manifest | None
+    there: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def draws(self) -> bool:
+        """Whether the video is drawn while the clip is tracked: of a film the names are known at the end."""
+        return self.job.video and self.job.out is not None and not self.everyone
+
+    @property
+    def names(self) -> bool:
+        """Whether people are named at the end."""
+        return self.everyone and not self.job.chunk and self.job.out is not None
+
+    @property
+    def unnamed(self) -> Manifest | None:
+        """The run.json of a film that was tracked and not named."""
+        tracked = self.known is not None and not self.job.overwrite and _is_tracked(self.known)
+        return self.known if self.names and tracked else None
+
+    def ended(self) -> Outcome | None:
+        """What became of a job that is done, or, in a batch, has failed; None if the clip is to be tracked."""
+        known, job = self.known, self.job
+        if known is None or job.overwrite:
+            return None
+        named = not self.names or PEOPLE in known.files
+        whole = _is_tracked(known) and named and (VIDEO in known.files or not job.video)
+        failed_before = known.error is not None and job.batch and not job.retry_failed
+        return Outcome.of(job, known) if whole or failed_before else None
+
+    def again(self) -> Plan:
+        """The plan now that the folder is ours: as it was, unless somebody has written there. OutputError."""
+        assert self.job.out is not None
+        return self if _owned(self.job.out) == self.there else resolve(self.job, locked=True)
+
+
+def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
+    """Look at what is there, once, and refuse what cannot work before anything is opened.
+
+    Parameters
+    ----------
+    job : Job
+    kept : bool
+        Whether rows without a folder stay in memory, and do not go to standard output.
+    locked : bool
+        Whether the folder's lease is ours, so that nobody else writes there.
+
+    Raises
+    ------
+    UsageError, InputError, OutputError
+        For options that exclude each other, results in the way, an output that is the input.
+    """
+    if job.init is None and job.box is None:
+        job = replace(job, init=find_init(job.clip))
+    searched = job.box is None and (job.init is None or job.init in DETECTORS)
+    everyone = job.faces == "all" and searched and job.recipe.has_head and not job.recipe.followed
+    _check_options(job, everyone, kept)
+    asked = digest_of(job)
+    if job.out is None:
+        return Plan(job, asked, everyone, None)
+    if job.chunk:
+        check_plain(job.out)
+    if not locked:
+        recover_interrupted(job.out, lambda: True)
+    known, there = previous_run(job.out, asked, job.clip)
+    # what is cut short is replaced, and what failed
+    overwrite = job.overwrite or known is not None or (there is not None and there.is_failure)
+    init = job.init if isinstance(job.init, Path) else None
+    inputs = job.clip, init, job.recipe.path
+    try:
+        check_folder(job.out, OWNED, overwrite=overwrite, inputs=inputs)
+    except OutputError:  # another facetrack may have written the same results since, or be writing them
+        known, _ = previous_run(job.out, asked, job.clip)
+        if locked or (known is None and not is_held(job.out)):
+            raise
+        check_folder(job.out, OWNED, overwrite=True, inputs=inputs)
+    return Plan(job, asked, everyone, known, _owned(job.out))
+
+
+def _owned(out: Path) -> dict[str, object]:
+    return {name: stamp(out / name) for name in OWNED}
+
+
+def digest_of(job: Job) -> str:
+    """A digest of all that is asked for but the clip, of a job whose init file is found."""
+    settings = [job.box, job.init_frame, job.faces, job.start, job.stop]
+    options = [str(job.fps), job.lag, job.posterior, job.formats, job.video, job.strict]
+    options += [] if job.gallery is None else [str(job.gallery)]
+    options += [] if job.stream is None else [f"stream {job.stream}"]
+    chunks = [job.split, job.chunk] if job.split or job.chunk else []
+    return job_digest(job.recipe, job.init, settings, options, *chunks)
+
+
+def _check_options(job: Job, everyone: bool, kept: bool) -> None:
+    """UsageError for options that exclude each other."""
+    if job.faces == "all" and job.recipe.later:
+        who = f"recipe {job.recipe.name} follows the hands of one person"
+        raise UsageError(f"--faces all: {who}; leave it out, and choose the signer with --box X,Y,W,H")
+    if everyone and (job.lag or job.posterior):
+        raise UsageError(
+            "--faces all follows people over cuts, and no row is smoothed over a cut; leave one of them out"
+        )
+    if everyone and job.out is None and not kept:
+        raise UsageError("--faces all knows who is who at the end, and -o - writes as it goes; name a folder")
+    if job.gallery is not None and not everyone:
+        raise UsageError(f"--gallery: {job.clip} has a start, and people are named where faces are searched for")
+    if job.gallery is not None:
+        load_people(job.gallery)
+    if job.lag or job.posterior:
+        check_smoothing(job.recipe)
+
+
+@dataclass
+class Outcome(RunSummary):
+    """What became of one clip.
+
+    `error` ended the run early; what was tracked until then is kept. `note` says where the search for a face began it.
+    `again`: the run was done before, and nothing was tracked now. `resumed`: the frame from which it went on.
+    `network` says which one placed points.
+    `doubtful`: whether something that was measured speaks against the track, as the `verdict` says.
+    """
+
+    clip: Path = Path()
+    files: Sequence[Path] = ()
+    frames_per_s: float = 0.0
+    error: Exception | None = None
+    streamed: bool = False
+    note: str = ""
+    verdict: str = ""
+    doubtful: bool = False
+    again: Manifest | None = None
+    resumed: int | None = None
+    network: str = ""
+
+    @classmethod
+    def of(cls, job: Job, known: Manifest) -> Outcome:
+        """That of a run that its folder holds already."""
+        assert job.out is not None
+        return cls(
+            frames=known.frames,
+            lost_frames=known.lost_frames,
+            lost_at_end=known.lost_at_end,
+            complete=known.complete,
+            clip=job.clip,
+            files=[job.out / name for name in known.files],
+            error=error_of(known) or (InputError(known.warnings[-1]) if job.strict and not known.complete else None),
+            again=known,
+            network=known.network,
+        )
+
+    def next_step(self) -> str:
+        """The commands that show and correct what was written; "" where they could not."""
+        if not self.files or not any(file.suffix in (".json", ".jsonl") for file in self.files):
+            return ""
+        folder = shlex.quote(str(self.files[0].parent))
+        by = "people" if any(file.name == PEOPLE for file in self.files) else "fix"
+        return f"look: facetrack report {folder}; correct: facetrack {by} {folder}"
+
+    def summary(self) -> str:
+        """One line: what was written, how fast, what was lost."""
+        if self.frames == 0:
+            return f"{self.clip}: {self.stopped or 'ended'} before the first frame; nothing was written"
+        parts = [f"{self.frames} frames" if self.frames > 1 else "1 frame"]
+        if self.again is not None:
+            parts.insert(0, "done before")
+        elif self.frames > 1 and self.frames_per_s:
+            parts.append(f"{self.frames_per_s:.1f} frames/s")
+        if self.network:
+            parts.append(self.network)
+        if self.resumed is not None:
+            parts.append(f"went on from frame {self.resumed}")
+        if self.lost_frames:
+            parts.append(f"lost: {lost_words(self.lost_frames)}")
+        if self.stopped or not self.complete:
+            parts.append(self.stopped or "incomplete")
+        where = "standard output" if self.streamed else "nothing"
+        if self.files:
+            where = f"{self.files[0].parent}{os.sep} ({', '.join(file.name for file in self.files)})"
+        return f"{self.clip} -> {where}: {'; '.join(parts)}"
+
+
+def lost_words(frames: Mapping[str, int]) -> str:
+    """In how many frames each target/part is lost, worst first, with the name of a target once."""
+    by: dict[str, dict[int, list[str]]] = {}
+    for name, count in sorted(frames.items(), key=lambda one: -one[1]):
+        target, _, part = name.rpartition("/")
+        by.setdefault(target, {}).setdefault(count, []).append(part)
+    told = (", ".join(f"{' and '.join(parts)} in {n}" for n, parts in counts.items()) for counts in by.values())
+    return "; ".join(f"{target} {words}".strip() for target, words in zip(by, told, strict=True)) + " frames"
+
+
+def _is_tracked(known: Manifest) -> bool:
+    """Whether a run came to its end, named or not."""
+    return known.error is None and known.stopped is None
+
+
+def note_failure(
+    plan: Plan, lease: FolderLease, error: Exception, log: Sequence[str] = (), begun: Manifest | None = None
+) -> None:
+    """Write into run.json of a folder that its clip failed; what was tracked of it stays.
+
+    Nothing is written where the error is one of writing, and over results that are whole or of something else.
+    `log`: the last lines of a process that died. `begun` is what is known of the run.
+    """
+    out = plan.job.out
+    if out is None or isinstance(error, OutputError):
+        return
+    with contextlib.suppress(FacetrackError, OSError):  # the error itself is worth more
+        known, there = previous_run(out, plan.asked, plan.job.clip)
+        if known is not None and known.files and known.stopped is None:
+            return
+        is_failure = there is not None and there.is_failure
+        if known is None and not is_failure and any((out / name).exists() for name in OWNED):
+            return
+        begun = begun or Manifest(asked=plan.asked, host=here()[0])
+        known = known if known is not None and known.files else replace(begun, clip=clip_stat(plan.job.clip))
+        commit(lease, out, [], failed(known, error, log))
+
+
+def check_smoothing(recipe: Recipe) -> None:
+    """UsageError for a recipe whose trackers have no posterior to smooth."""
+    if not recipe.filters:
+        raise UsageError(f"{recipe.name} is one of OpenCV's trackers, which have no posterior to smooth; take another")
+    if all(isinstance(one.target, Cloud) for one in recipe.filters.values()):
+        raise UsageError(f"{recipe.name}: the particles of a cloud are the target itself, no posterior to smooth")
+
+
+def default_reason(box: Box | None) -> str:
+    """Why a run that names no recipe took its own, and how to find others."""
+    why = "for whatever is in a --box" if box is not None else "for a face and its features, where no --box is given"
+    name = default_recipe(box=box is not None)
+    return f"; recipe {name} is the default {why}, others: facetrack recipes"

@@ -1,0 +1,588 @@
+"""The one loop that writes a run: results go into sinks, frame by frame, and all files appear together at its end.
+
+    Results --(a FrameResult a frame)--> Table, PosteriorWriter, RunMonitor, Video
+
+Errors, the wish to stop and checkpoints are known here alone: whatever ends the results, what came before is kept.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple
+
+import cv2
+import numba
+import numpy as np
+
+from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.files import (
+    FileSink,
+    Place,
+    StreamSink,
+    cannot_write,
+    make_folder,
+    remove_folders,
+    temporary_path,
+    writing,
+)
+from facetrack_cli.core.numbers import dumps
+from facetrack_cli.core.types import Start
+from facetrack_cli.engine.loop import TrackState
+from facetrack_cli.recipe.model import to_dict
+from facetrack_cli.run_folder import checkpoint
+from facetrack_cli.run_folder.checkpoint import Checkpoints, remove_checkpoints
+from facetrack_cli.run_folder.lease import FolderLease, here, utc_now
+from facetrack_cli.run_folder.manifest import (
+    VIDEO,
+    ClipDigest,
+    Manifest,
+    check_belongs,
+    commit,
+    failed,
+    outdated,
+    quick_digest,
+    recover,
+)
+from facetrack_cli.runs.pipeline import Painter
+from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, note_failure, silent
+from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
+from facetrack_cli.trajectory.diagnostics import KNOWN
+from facetrack_cli.trajectory.header import CORRECTED, UNSAVED, to_record
+from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
+from facetrack_cli.trajectory.writers import FOOTER, SCHEMA, VERSION, WRITERS, Format, Header
+from facetrack_cli.video.overlay.overlay import Overlay
+from facetrack_cli.video.source import Source
+from facetrack_cli.video.writer import VideoWriter
+
+_MAX_NOTES: Final = 5  # lines that the tracker has for the user, which are kept
+
+
+class ClipFacts(NamedTuple):
+    """What the files of a run say of its clip, and where its sound is."""
+
+    path: str
+    size: tuple[int, int]
+    fps: Fraction
+    sound: Path | None = None
+    frames_hint: int | None = None
+    aspect: Fraction = Fraction(1)
+    begins_s: float = 0.0
+    stream: int | None = None
+
+    @classmethod
+    def of(cls, clip: Path, source: Source) -> ClipFacts:
+        sound = source.path if source.is_video else None
+        odd = source.aspect, round(source.begins_s, 4), source.stream
+        return cls(str(clip), source.size, source.fps, sound, source.frames_hint, *odd)
+
+    def record(self) -> dict[str, Any]:
+        """What `ClipHeader` reads; members that are as in nearly all clips are left out."""
+        odd = {"pixel_aspect": round(float(self.aspect), 6)} if self.aspect != 1 else {}
+        odd |= {"begins_s": self.begins_s} if self.begins_s else {}
+        odd |= {} if self.stream is None else {"stream": self.stream}
+        return {"path": self.path, "size": list(self.size), "fps": round(float(self.fps), 6), **odd}
+
+
+class Ended(NamedTuple):
+    """What is known of results once there are no more. `error`: why they are not all that was asked for."""
+
+    complete: bool = True
+    warnings: tuple[str, ...] = ()
+    variable_fps: bool | None = None
+    error: Exception | None = None
+
+
+@dataclass(frozen=True)
+class Results:
+    """The results of a clip, of a film, of joined chunks: whatever is written as a run.
+
+    Attributes
+    ----------
+    clip : ClipFacts
+    header : Header
+        What JSON says at its beginning; empty where no frame was tracked.
+    frames : Generator of FrameResult, or None
+        Raises StoppedError where nothing is to be kept.
+    state : TrackState
+        The state of the tracker after the last result, for a checkpoint.
+    ended : Callable[[bool], Ended]
+        Asked when no more frames come; its argument: whether nothing ended them early. Raises InputError where nothing
+        is to be kept.
+    """
+
+    clip: ClipFacts
+    header: Header
+    frames: Generator[FrameResult, None, None] | None = None  # of who writes them one by one
+    state: TrackState = field(default_factory=TrackState)
+    ended: Callable[[bool], Ended] = lambda whole: Ended()
+
+
+class Sink:
+    """Where results go: a file, or what is counted. `path` is the file, of which it writes the temporary one."""
+
+    path: Path | None = None
+
+    def fits(self, at: Any) -> bool:
+        """Whether a checkpoint's mark is one of its own, and what was written up to there is still there."""
+        return at is None
+
+    def begin(self, results: Results, at: Any) -> None:
+        """Called before the first result; `at` is what `mark` gave in the run that is gone on with, else None."""
+
+    def write(self, result: FrameResult) -> None:
+        """Take one more frame."""
+
+    def mark(self) -> Any:
+        """What it needs to go on from here."""
+
+    def sync(self) -> None:
+        """Bring to the disk what was marked. Raises OSError."""
+
+    def end(self, done: Outcome) -> None:
+        """Called once there are no more results, before any sink is closed: it may add to what the tables say."""
+
+    def close(self, done: Outcome) -> None:
+        """End the file."""
+
+    def facts(self) -> Mapping[str, Any]:
+        """What it has to say in run.json."""
+        return {}
+
+    def discard(self) -> None:
+        """Remove what was written, if it is not in its place."""
+
+
+@dataclass
+class RunState:
+    """Where a run stands: the `frame` that is tracked next, its outcome so far, its tracker, and each of its sinks."""
+
+    frame: int
+    outcome: Outcome
+    at: TrackState = field(default_factory=TrackState)
+    notes: tuple[str, ...] = ()
+    sinks: tuple[Any, ...] = ()
+
+
+class RunFolder:
+    """The folder of a run, in a `with`, while it is written: its lease, its checkpoints, and its run.json.
+
+    Raises OutputError, and BusyError where another process writes there. In a batch it notes that its clip failed.
+    """
+
+    def __init__(self, plan: Plan, stopped: Stopped = never) -> None:
+        assert plan.job.out is not None
+        self.plan, self.path = plan, plan.job.out
+        self.checkpoints: Checkpoints | None = None
+        self._lease, self._held = FolderLease(self.path, stopped), False
+        self._run = Manifest(asked=plan.asked, networks=plan.job.recipe.networks, host=here()[0])
+
+    def __enter__(self) -> RunFolder:
+        self._made = make_folder(self.path)
+        try:
+            self._lease.__enter__()
+            self._held, self._entered_s = True, time.monotonic()
+            recover(self.path, self._lease)
+            self._run.began = utc_now()
+            self.plan = self.plan.again()  # somebody may have written since
+            self._run.asked = self.plan.asked
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def resume(self, start: Start, sinks: Sequence[Sink]) -> tuple[RunState, Any] | None:
+        """Where the last run of the same job stood, and its video, if that is known and wished; else None."""
+        job, found = self.plan.job, None
+        if job.recipe.filters and not job.lag:
+            told = dumps([self._run.asked, _versions(), to_record(start), quick_digest(job.clip)])
+            key = hashlib.sha256(told.encode(errors="surrogateescape")).hexdigest()
+            self.checkpoints = Checkpoints(self.path, key, video=self.plan.draws)
+            found = self.checkpoints.find() if job.resume and not job.overwrite else None
+        state = found[0] if found is not None else None
+        marks = state.sinks if isinstance(state, RunState) else ()
+        if state and len(marks) == len(sinks) and all(map(_fits, sinks, marks)):
+            state.outcome.resumed = state.frame
+            return found
+        remove_checkpoints(self.path)
+        return None
+
+    def begin(self, digest: ClipDigest, frames: int, total: int | None) -> None:
+        """Note what is being written."""
+        self._run.clip = digest.clip
+        self._lease.note({"clip": str(self.plan.job.clip), "run": self._run.record(), "frame": frames, "frames": total})
+
+    def progress(self, frames: int, total: int | None) -> None:
+        """Note how many frames are written, now and then."""
+        self._lease.progress(frames, total)
+
+    def commit(
+        self, done: Outcome, facts: Mapping[str, Any], error: Exception | None, errors: list[Exception]
+    ) -> list[str]:
+        """Let the finished files replace the old ones; lines on what is there of the track before.
+
+        `error` ended the run; those of writing are added to `errors`.
+        """
+        told = {name: getattr(done, name) for name in ("frames", "lost_frames", "lost_at_end", "warnings")}
+        halted = done.stopped or next((str(e) for e in errors), None)
+        told |= {"stopped": halted, "complete": done.complete and halted is None, "ended": utc_now()}
+        run = replace(self._run, **told, **facts, seconds=round(time.monotonic() - self._entered_s, 3))
+        done.network = run.network
+        if self.plan.job.batch and error is not None and not isinstance(error, OutputError):
+            run = failed(run, error)
+        try:
+            commit(self._lease, self.path, done.files, run)
+            return [*outdated(self.path), *_kept_corrections(self.plan.job, self.path)]
+        except OutputError as e:  # the lease is lost
+            errors.append(e)
+        except OSError as e:
+            errors.append(cannot_write(Path(e.filename or self.path), e))
+        done.files = ()
+        return []
+
+    def __exit__(self, kind: object = None, error: object = None, trace: object = None) -> None:
+        if self._held:
+            if self.plan.job.batch and isinstance(error, Exception):
+                note_failure(self.plan, self._lease, error, begun=self._run)
+            self._lease.__exit__()
+        remove_folders(self._made)
+
+
+class Recorder:
+    """Writes results into sinks, in a `with`: `begin`, `write` each, `close`. Without `close` they leave nothing.
+
+    Parameters
+    ----------
+    plan : Plan
+    sinks : Sequence[Sink]
+        In the order in which they take a result.
+    video : Video or None
+        Takes a result last, while the next one is tracked; a checkpoint waits for it.
+    folder : RunFolder or None
+        None of a stream, and of what stays in memory.
+    resumed : tuple of RunState and Any, or None
+        Where a run that is gone on with stood, and its video.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        sinks: Sequence[Sink],
+        video: Video | None = None,
+        folder: RunFolder | None = None,
+        resumed: tuple[RunState, Any] | None = None,
+    ) -> None:
+        self.plan, self.sinks, self.video, self._folder = plan, sinks, video, folder
+        job = plan.job
+        anew: tuple[RunState, Any] = RunState(0, Outcome(clip=job.clip, streamed=job.out is None)), None
+        self.state, self._painted = resumed or anew
+        self.outcome, self._before = self.state.outcome, self.state.outcome.frames
+        self.total: int | None = None  # the number of frames that the clip says it has, if it does
+        self._checkpoints = None if folder is None else folder.checkpoints
+        self._all: list[Sink] = [*([] if video is None else [video]), *sinks]
+        self._results: Results | None = None
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def begin(self, results: Results) -> None:
+        """Begin the files."""
+        self._results, self._began_s = results, time.perf_counter()  # the rate leaves the start-up out
+        self.state.at, hint = results.state, results.clip.frames_hint
+        self.total = hint and hint + self._before
+        self._digest = ClipDigest(self.plan.job.clip, whole=not self.plan.job.chunk)
+        if self._folder is not None:
+            self._folder.begin(self._digest, self._before, self.total)
+        for sink, at in zip(self.sinks, self.state.sinks or [None] * len(self.sinks), strict=True):
+            sink.begin(results, at)
+        if self.video is not None:
+            self.video.begin(results, self._painted)
+
+    def write(self, result: FrameResult) -> None:
+        """Write one more frame. One without targets is a frame of a film; else it is a gap, which is drawn alone."""
+        self.state.notes = (*self.state.notes, *result.notes)[:_MAX_NOTES]
+        if result.targets or self.plan.everyone:
+            for sink in self.sinks:
+                sink.write(result)
+            self.outcome.count(result.rows)
+        self.state.frame = result.frame.index + 1
+        if self._folder is not None:
+            self._folder.progress(self.outcome.frames, self.total)
+        if self._checkpoints is not None:
+            self._checkpoints.release()
+            if self.state.at.states and self._checkpoints.is_due(self.outcome.frames):
+                self.state.sinks = tuple(sink.mark() for sink in self.sinks)
+                self._checkpoints.mark(self.outcome.frames, self.state, self._sync)
+        if self.video is not None:
+            self.video.write(result)
+
+    def _sync(self) -> None:
+        for sink in self.sinks:
+            sink.sync()
+
+    def close(self, stopped: str | None = None, error: Exception | None = None) -> Outcome:
+        """Finish every file, let all of them replace the old ones, and return what became of the clip.
+
+        `stopped` says why the run ended early, `error` goes into the outcome.
+        """
+        assert self._results is not None
+        done, job = self.outcome, self.plan.job
+        ended = self._results.ended(stopped is None and error is None)
+        done.variable_fps, done.warnings, error = ended.variable_fps, ended.warnings, error or ended.error
+        done.stopped = stopped or (None if error is None else str(error))
+        done.complete = ended.complete and done.stopped is None
+        clip = self._digest.end(whole=done.stopped is None)
+        done.source_sha256 = clip.sha256 if clip else ""
+        errors: list[Exception] = []
+        steps: list[Callable[[Outcome], None]] = [sink.end for sink in reversed(self._all)]
+        for step in (*steps, self._end_checkpoints, *(sink.close for sink in self._all)):
+            try:
+                step(done)
+            except Exception as e:
+                errors.append(e)
+        missing = None if self.video is None else self.video.missing
+        if self._folder is not None:
+            # a text file that a full disk cut short is kept, a video is not
+            paths = [sink.path for sink in self._all if sink.path is not None]
+            done.files = [path for path in paths if temporary_path(path).is_file()]
+            facts = {key: value for sink in self._all for key, value in sink.facts().items()}
+            lines = self._folder.commit(done, {"clip": clip, "resumed": self._before, **facts}, error, errors)
+            if done.stopped is None and not errors and missing is None:
+                remove_checkpoints(self._folder.path)
+            done.warnings = (*done.warnings, *lines)
+        error = error or next(iter(errors), None)
+        if job.strict and not done.complete and done.stopped is None:
+            error = error or InputError(done.warnings[-1])
+        done.stopped = done.stopped if error is None else None
+        done.complete = done.complete and error is None
+        done.error = error or missing  # said last, as the command's error
+        done.warnings = tuple(one for one in done.warnings if one != str(done.error) and one not in done.verdict)
+        done.frames_per_s = (done.frames - self._before - 1) / max(time.perf_counter() - self._began_s, 1e-9)
+        return done
+
+    def __exit__(self, *_: object) -> None:
+        """Drop what was not closed."""
+        for sink in self._all:
+            with contextlib.suppress(Exception):
+                sink.discard()
+        self._end_checkpoints()
+
+    def _end_checkpoints(self, *_: object) -> None:
+        if self._checkpoints is not None:
+            self._checkpoints.end()
+
+
+def record(results: Results, into: Recorder, stop: Stop, report: Report = silent) -> Outcome:
+    """Write the results until they end, an error or `stop`; what became of the clip.
+
+    An error after the first frame is in the outcome, beside what was kept. Raises the error, and leaves no file, if
+    nothing was tracked.
+    """
+    assert results.frames is not None
+    before, begun, error = into.outcome.frames, False, None
+    with contextlib.closing(results.frames):
+        try:
+            for result in results.frames:
+                if not begun:
+                    into.begin(results)
+                    begun = True
+                into.write(result)
+                report(into.outcome.frames, into.total)
+                del result  # or two frames are in memory while the next one is tracked
+        except StoppedError:
+            return Outcome(clip=into.plan.job.clip, stopped=stop.reason)
+        except Exception as e:  # whatever it is, what was tracked is kept
+            error = e
+    if into.outcome.frames == before:
+        if error is not None:
+            raise error
+        into.outcome.stopped = stop.reason
+        return into.outcome
+    return into.close(stop.reason if stop() else None, error)
+
+
+def header_of(job: Job, clip: ClipFacts, start: Start, rows: Trajectory, more: Header = MappingProxyType({})) -> Header:
+    """What JSON says at its beginning, with `more`; `rows` are those of the first frame."""
+    # those that every facetrack knows are not declared
+    declared = {one.name: one for found in rows.diagnostics.values() for one in found.declared if one.name not in KNOWN}
+    return {
+        "versions": _versions(),
+        "source": clip.record(),
+        "recipe": {"name": job.recipe.name, **to_dict(job.recipe)},
+        "seed": job.recipe.seed,
+        "init": {"from": start.origin, **to_record(start)},
+        **({"smoothed": {"lag": job.lag}} if job.lag else {}),
+        **({"diagnostics": [one.record() for one in declared.values()]} if declared else {}),
+        **more,
+    }
+
+
+def _fits(sink: Sink, at: Any) -> bool:
+    return sink.fits(at)
+
+
+def _kept_corrections(job: Job, folder: Path) -> list[str]:
+    """A line on each file of corrections there, of the track before, that this run did not begin with."""
+    files = [folder / name for name in (CORRECTED, UNSAVED)]
+    begun = os.path.realpath(job.init) if isinstance(job.init, Path) else ""
+    there = [path for path in files if path.is_file() and os.path.realpath(path) != begun]
+    return [
+        f"{path}: corrections of the track before, kept and not in this one; --init {path} takes them" for path in there
+    ]
+
+
+def _versions() -> Mapping[str, str]:
+    """Of what the numbers may depend on beside facetrack itself."""
+    known = {"python": platform.python_version(), "numpy": np.__version__, "opencv": cv2.__version__}
+    return {**known, "numba": numba.__version__}
+
+
+def tables(plan: Plan) -> list[Sink]:
+    """A table of each format that was asked for."""
+    return [Table(plan.job.out, form) for form in plan.job.formats]
+
+
+class Table(Sink):
+    """A trajectory in a folder, or on standard output, written a frame at a time."""
+
+    def __init__(self, out: Path | None, form: Format) -> None:
+        self._form: Format = form
+        self.path = None if out is None else out / f"trajectory.{form}"
+        self._sink: FileSink | StreamSink | None = None
+
+    def fits(self, at: Any) -> bool:
+        with contextlib.suppress(InputError, OSError):
+            assert self.path is not None
+            check_belongs(self.path)
+            return isinstance(at, Place)
+        return False
+
+    def begin(self, results: Results, at: Place | None) -> None:
+        if self.path is None:
+            self._sink = StreamSink(sys.stdout.buffer)  # a stream that is closed says so when it is written
+        else:
+            self._sink = FileSink(self.path)
+            if at is not None:
+                with writing(self.path):
+                    self._sink.go_on(self.path, at)
+        self._writer = WRITERS[self._form](self._sink, results.header, begun=at is not None)
+
+    def write(self, result: FrameResult) -> None:
+        self._writer.write(result.rows)
+
+    def mark(self) -> Place:
+        assert isinstance(self._sink, FileSink)
+        return self._sink.place()
+
+    def sync(self) -> None:
+        assert isinstance(self._sink, FileSink)
+        self._sink.sync()
+
+    def close(self, done: Outcome) -> None:
+        self._writer.close(done)
+
+    def discard(self) -> None:
+        if self._sink is not None:
+            self._sink.discard()
+
+
+class Rows(Sink):
+    """Rows in memory."""
+
+    def __init__(self) -> None:
+        self._collected = Collector()
+
+    def begin(self, results: Results, at: Any) -> None:
+        self._header = {"schema": SCHEMA, "version": VERSION, **results.header}
+
+    def write(self, result: FrameResult) -> None:
+        self._collected.add(result.rows)
+
+    def close(self, done: Outcome) -> None:
+        self._halted = done.stopped
+
+    def trajectory(self, done: Outcome) -> Trajectory:
+        """The rows, whose header says what a JSON file says of its run."""
+        header = {**self._header, **{name: getattr(done, name) for name in FOOTER}, "stopped": self._halted}
+        return self._collected.trajectory(header=header, path=done.clip)
+
+
+class Video(Sink):
+    """The annotated video, painted and encoded in a thread of its own, in pieces between which a checkpoint falls.
+
+    `missing` says why there is none; the tables are whole all the same.
+    """
+
+    missing: OutputError | None = None
+
+    def __init__(self, plan: Plan, folder: RunFolder) -> None:
+        self.path: Path = folder.path / VIDEO
+        self._title, self._threaded, self._folder = plan.job.recipe.name, plan.job.threads > 1, folder
+        self._video: VideoWriter | None = None
+        self._painter: Painter | None = None
+
+    def begin(self, results: Results, at: Any) -> None:
+        clip, checkpoints = results.clip, self._folder.checkpoints
+        self._overlay = Overlay(clip.size, fps=float(clip.fps), title=self._title)
+        about: dict[str, Any] = {"audio_from": clip.sound, "replace": False}
+        if checkpoints is not None:
+            about["pieces"] = checkpoints.folder
+        if at is not None:
+            about["after"], self._overlay.memory = at
+        self._painted = 0 if at is None else at[0].frames
+        self._video = VideoWriter(self.path, clip.size, clip.fps, clip.aspect, **about)
+        self._painter = Painter(self._paint, threaded=self._threaded)
+
+    def write(self, result: FrameResult) -> None:
+        assert self._painter is not None
+        if result.frame.pixels.size:  # of joined chunks a frame may be gone
+            self._painter.put(result)
+
+    def _paint(self, result: FrameResult) -> None:
+        assert self._video is not None
+        if self.missing is not None:
+            return
+        image, checkpoints = self._overlay.draw(result), self._folder.checkpoints
+        try:
+            self._video.write(image, result.frame.time_s)
+        except OutputError as e:
+            self.missing = e
+            return
+        self._painted += 1
+        if checkpoints is not None:
+            checkpoints.release(video=True)
+            if self._painted % checkpoint.PIECE_FRAMES == 0:
+                cut, finish = self._video.cut()
+                checkpoints.mark_video(self._painted, (cut, self._overlay.memory), finish)
+
+    def end(self, done: Outcome) -> None:
+        """The video ends before the tables, so that they can say what was wrong with it."""
+        assert self._video is not None and self._painter is not None
+        try:
+            self._painter.end()
+        finally:
+            if self._folder.checkpoints is not None:
+                self._folder.checkpoints.end()
+            try:
+                self._video.close()
+            except OutputError as e:
+                self.missing = self.missing or e
+            done.warnings += (*self._video.warnings, *(() if self.missing is None else (str(self.missing),)))
+
+    def discard(self) -> None:
+        if self._painter is not None:
+            with contextlib.suppress(BaseException):
+                self._painter.end()
+        if self._folder.checkpoints is not None:
+            self._folder.checkpoints.end()
+        if self._video is not None:
+            self._video.discard()
