@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from facetrack_cli.__main__ import main
+from facetrack_cli.tracking.start import detectors, points
 from tests.support.models import hide_models, model_file
 
 # a shell starts what it puts into the background with Ctrl-C ignored, and every process that the tests start inherits
@@ -48,6 +49,15 @@ def pytest_collection_modifyitems(items):
             if seen[of] % marked.args[0]:
                 item.add_marker(pytest.mark.nightly)
             seen[of] += 1
+
+
+@pytest.fixture(autouse=True)
+def _with_cascades(monkeypatch):
+    """A test that needs Haar cascades skips beside an OpenCV without them, which is 5."""
+    if not points.has_cascades():
+        reason = "needs the Haar cascades of OpenCV 4"
+        for module in (points, detectors):
+            monkeypatch.setattr(module, "check_cascades", lambda: pytest.skip(reason))
 
 
 @pytest.fixture
