@@ -28,6 +28,7 @@ ENDINGS = {
     "boris": "boris",
     "srt": "srt",
     "vtt": "vtt",
+    "textgrid": "TextGrid",
     "openface": "openface.csv",
     "mot": "mot.txt",
     "otb": "otb.txt",
@@ -62,6 +63,7 @@ class Export:
       events    CSV of when mouths open, eyes blink, heads nod, hands move
       boris     the same as a project of BORIS 8, a clip an observation
       srt, vtt  the same as subtitles, of one run
+      textgrid  the same as a TextGrid of Praat, of one run
       openface  OpenFace's CSV: confidence, success, pose, landmarks
       mot       MOTChallenge: frame, id, box, confidence; all from 1
       otb       OTB boxes, one a line, pixels from 1; one target
@@ -70,7 +72,7 @@ class Export:
       coco      COCO keypoints JSON: boxes and points of every frame
       dlc       DeepLabCut CSV: x, y, likelihood of every point
       dlc-h5    the same as DeepLabCut's HDF5; needs pandas and PyTables
-      eaf       ELAN annotations: what was lost, what head and face did
+      eaf, elan ELAN annotations: what was lost, what head, face, hands did
       cvat      CVAT for video 1.1: a track for each part, to correct there
       labelstudio  Label Studio's video rectangles, to correct there
 
@@ -88,22 +90,28 @@ class Export:
     image plane; for open mouths, blinks and nods of the pose. It needs the video; coco and openface's pose_T the size
     of the frames: both stand in a trajectory.json, else give --media.
 
+    With --into an .eaf that is there gets these tiers: what is in it stays as it is, and a tier whose name is taken
+    gets another. The result goes to -o, or with --overwrite into that file itself. What people change in the tiers
+    seen and absent comes back by facetrack fix --import.
+
     \b
     Examples:
       facetrack export out/ --to mot
       facetrack export out/trajectory.csv --to dlc -o clip.csv
       facetrack export out/ --to otb --target face/nose -o -
       facetrack export out/trajectory.csv --to eaf --media clip.mp4
+      facetrack export out/ --to elan --into session.eaf --overwrite
 
     \b
     Exit codes: 0 done, 2 usage or output, 3 input.
     """
 
     trajectory: Path = argument("TRAJECTORY")
-    to: str = option("--to FORMAT", "Format, as above.", required=True, type=click.Choice(list(ENDINGS)))
+    to: str = option("--to FORMAT", "Format, as above.", required=True, type=click.Choice([*ENDINGS, "elan"]))
     out: str | None = option("-o --out FILE", "File to write [default: beside TRAJECTORY]; - standard output.")
     target: str | None = options.TARGET
     media: Path | None = option("--media FILE", f"Clip it was tracked in ({', '.join(OF_MEDIA)}).", type=FILE)
+    into: Path | None = option("--into FILE", "An .eaf to add the tiers to.", type=FILE)
     box: Around | None = option(
         "--box KIND",
         "What a box around points encloses: windows [default], or points, their centres alone.",
@@ -116,6 +124,9 @@ class Export:
         from facetrack_cli.core.files import StreamSink, check_new, write_new
         from facetrack_cli.trajectory.header import clip_of
 
+        self.to = "eaf" if self.to == "elan" else self.to
+        if self.into is not None and self.to != "eaf":
+            raise UsageError(f"--into adds the tiers of eaf to a file of ELAN; {self.to} has none")
         if self.media is not None and self.to not in OF_MEDIA:
             raise UsageError(f"--media is for {', '.join(OF_MEDIA)}; {self.to} does not name the clip")
         if self.box is not None and self.to not in OF_BOXES:
@@ -130,14 +141,14 @@ class Export:
         table = clips[0].table
         beside = table.path.with_name(f"{table.path.stem}.{ENDINGS[self.to]}")
         beside = beside if not many else self.trajectory / f"{self.trajectory.resolve().name}.{ENDINGS[self.to]}"
-        path = None if self.out == "-" else Path(self.out) if self.out else beside
+        path = None if self.out == "-" else Path(self.out) if self.out else self.into or beside
         if path is not None:
             check_new(path, overwrite=self.overwrite, inputs=(table.path, self.media, clip_of(table)))
         try:
             content = self._content(clips, path, many)
         except InputError as e:
             # what is wrong within the table has no file's name yet
-            known = str(e).startswith((str(table.path), str(self.media)))
+            known = str(e).startswith((str(table.path), str(self.media), str(self.into)))
             raise e if known else InputError(f"{table.path}: {e}") from None
         if path is None:
             StreamSink(sys.stdout.buffer).finish(lambda _: str(content))
@@ -193,7 +204,9 @@ class Export:
         scorer = f"facetrack-{recipe}" if recipe else "facetrack"
         if self.to == "eaf":
             folder = path.parent if path else Path.cwd()
-            return eaf.write_eaf(table, self._playable(table), folder, written=datetime.now())
+            video = self._playable(table)
+            text = eaf.write_eaf(table, video, folder, written=datetime.now())
+            return text if self.into is None else self._added(self.into, text, video.name)
         clip, size, fps = self._media(table) if self.to in OF_MEDIA else (None, None, 0.0)
         name = "" if clip is None else clip.name
         if self.to in (*OF_MEDIA, "mot") and (sides := size or frame_size_of(table)):
@@ -208,6 +221,7 @@ class Export:
             "boris": lambda: events.write_boris(clips, written=datetime.now()),
             "srt": lambda: events.write_subtitles(table, "srt"),
             "vtt": lambda: events.write_subtitles(table, "vtt"),
+            "textgrid": lambda: events.write_textgrid(table),
             "openface": lambda: openface.write_openface(table, size),
             "cvat": lambda: cvat.write_cvat(table, size, name),
             "dlc": lambda: keypoints.write_dlc(table, scorer),
@@ -228,6 +242,15 @@ class Export:
             return boxes.write_mot(chosen)
         write = {"vot": boxes.write_vot, "otb": boxes.write_otb, "got10k": boxes.write_got10k}[self.to]
         return write(chosen[0])
+
+    def _added(self, into: Path, text: str, clip: str) -> str:
+        from facetrack_cli.trajectory.formats.eaf_session import add_tiers
+
+        data, tiers, linked = add_tiers(into, text, clip)
+        if not linked:
+            say(f"facetrack: warning: {into} does not link to {clip}; its times are taken for those of that clip")
+        say(f"{into}: {', '.join(tiers) or 'no tier'} added")
+        return data.decode()
 
     def _playable(self, table: Trajectory) -> Path:
         """The video that an .eaf links to. It need not be there: ELAN asks for a file that it does not find."""

@@ -32,7 +32,9 @@ class Fix:
     stay; a whole run from the file moves them, too.
 
     With --import, the corrections are what differs from the run in a file of an annotation tool, to which facetrack
-    export --to cvat or labelstudio has brought it: parts that were moved, and parts that were marked as not visible.
+    export --to cvat, labelstudio or eaf has brought it: parts that were moved, and parts that were marked as not
+    visible. Of ELAN's .eaf the segments of the tiers seen and absent count, and of a film the participants, who are the
+    names of its people.
 
     The video is drawn from the rows, which do not hold the particles: they are no longer in it.
 
@@ -54,7 +56,7 @@ class Fix:
         "--init FILE", "No page: take the corrections of this init file, and no others.", type=FILE
     )
     imported: Path | None = option(
-        "--import FILE", "No page: add what was corrected in CVAT (XML) or Label Studio (JSON).", type=FILE
+        "--import FILE", "No page: add what was corrected in CVAT (XML), Label Studio (JSON) or ELAN (eaf).", type=FILE
     )
     no_video: bool = flag("--no-video", "Leave annotated.mp4 as it is.")
     page: Page = group(Page)
@@ -64,6 +66,7 @@ class Fix:
         from facetrack_cli.editor.history import Fixer
         from facetrack_cli.run_folder.finished import check_size, open_run
         from facetrack_cli.runs.signals import Stop
+        from facetrack_cli.trajectory.people import PEOPLE
         from facetrack_cli.video.seek import Frames
 
         if self.init is not None and self.imported is not None:
@@ -72,6 +75,8 @@ class Fix:
             self.page.refuse(f"leave it or {'--init' if self.init else '--import'} out")
         elif self.quiet:
             raise UsageError("--quiet goes with --init and --import; the page's address must be said")
+        if self.imported is not None and self.imported.suffix.lower() == ".eaf" and (self.folder / PEOPLE).is_file():
+            return self._rename(self.imported)
         opened = open_run(self.folder, self.clip)
         with Frames(opened.clip, fps=opened.fps, stream=opened.header.source.stream) as frames:
             check_size(opened, frames.size)
@@ -119,6 +124,32 @@ class Fix:
             except StoppedError:
                 shown.say(f"facetrack: {stop.reason}; {folder} is as it was")
                 return stop.code or ExitCode.FAULT
+        return ExitCode.DONE
+
+    def _rename(self, file: Path) -> int:
+        """Take the names that a film's people have in a file of ELAN; the exit code."""
+        from functools import partial
+
+        from facetrack_cli.editor.import_annotations import renames
+        from facetrack_cli.runs.people import people_in, recast, rows_in
+        from facetrack_cli.runs.progress import progress
+        from facetrack_cli.runs.signals import Stop, StoppedError
+        from facetrack_cli.trajectory.header import clip_of
+        from facetrack_cli.trajectory.people import rename
+
+        clip = self.clip or clip_of(rows_in(self.folder))
+        names = renames(file, people_in(self.folder).names, clip.name if clip else "")
+        if not names:
+            say(f"facetrack: {file} is as the run has it; nothing was written")
+            return ExitCode.DONE
+        changes = [(f"rename {one}={name}", partial(rename, name=one, to=name)) for one, name in names.items()]
+        with Stop().listening() as stop, progress(self.quiet) as shown:
+            try:
+                recast(self.folder, changes, clip=self.clip, video=not self.no_video, report=shown.looked, stop=stop)
+            except StoppedError:
+                shown.say(f"facetrack: {stop.reason}; {self.folder} is as it was")
+                return stop.code or ExitCode.FAULT
+            shown.say(f"{self.folder}: {', '.join(f'{one} is {name}' for one, name in names.items())}")
         return ExitCode.DONE
 
     def _serve(self, fixer: Fixer, frames: Frames, stop: Stop) -> int:
