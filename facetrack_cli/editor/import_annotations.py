@@ -37,9 +37,8 @@ def imported_corrections(path: Path, run: Run, rows: Trajectory) -> tuple[Correc
     if path.suffix.lower() == ".eaf":
         tiers = [pair for tier in read_tiers(path, run.clip.name) if (pair := _whose(tier, rows.targets))]
         if not tiers:
-            raise InputError(
-                f"{path}: has no tier seen or absent of {', '.join(rows.targets)}; export --to eaf adds them"
-            )
+            there = f"has no tier seen or absent of {', '.join(rows.targets)}"
+            raise InputError(f"{path}: {there}; add a tier absent@{rows.targets[0]} there")
         told = _presence(path, tiers, run, rows)
         return tuple(_correction(*key, parts, run) for key, parts in sorted(told.items()))
     found, rows = read_annotations(path, run, rows), hide_outside(rows, run.header.source.size)
@@ -85,7 +84,7 @@ def _presence(path: Path, tiers: Sequence[tuple[str, str, Tier]], run: Run, rows
         parts = {one.part: one for one in rows.of_target(target)}
         now = {part: np.isin(frames, one.frame[one.status == "absent"]) for part, one in parts.items()}
         then = {part: mask.copy() for part, mask in now.items()}
-        own = {"seen": [(a, b, "") for a, b in seen_in([*parts.values()])]}
+        own = {"seen": [(a, b, "") for a, b in seen_in([*parts.values()]) or [(run.first, run.last)]]}
         own["absent"] = spans_of([one.take(~one.vanished) for one in parts.values()], "absent")
         for kind in ("seen", "absent"):
             theirs = [tier for what, of, tier in tiers if (what, of) == (kind, target)]

@@ -4,7 +4,9 @@ exploface, Kinetics Toolkit, pympi, corflow, speach, elan-data.
 
 import json
 import os
+import shutil
 import subprocess
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -79,6 +81,10 @@ def read(tmp_path_factory):
     export("two.csv", "mot", "-o", str(folder / "track.mot.txt"))
     export("two.csv", "coco", "-o", str(folder / "track.coco.json"), "--media", str(folder / "frames"))
     export("track.csv", "eaf", "--media", str(folder / CLIP))
+    shutil.copy(folder / "track.eaf", folder / "session.eaf")
+    export("track.csv", "eaf", "--media", str(folder / CLIP), "--into", str(folder / "session.eaf"), "--overwrite")
+    (folder / "hand.csv").write_text(HEADER + "".join(rows("left_hand", ("box",), 50)))
+    export("hand.csv", "textgrid")
     script = Path(__file__).parents[1] / "peers/read_exports.py"
     run = subprocess.run([PEERS, script, folder], capture_output=True, text=True, check=False, timeout=120)
     assert run.returncode == 0, run.stderr
@@ -236,3 +242,23 @@ def test_readers_of_elan_find_a_name_with_an_apostrophe_and_all_tiers_have_the_b
     times = [time for spans in found["speach"].values() for span in spans for time in span[:2]]
     assert {tuple(tier[:2]) for tier in found["corflow"].values()} == {(min(times), max(times))}
     assert found["links"]["quoted"] == found["links"]["corflow"] == found["links"]["speach"] > 0
+
+
+def test_pympi_reads_a_file_to_which_tiers_were_added(read):
+    once, twice = read[1]["eaf"], read[1]["session"]
+    assert set(twice["tiers"]) == {f"{name}{more}" for name in once["tiers"] for more in ("", "-2")}
+    for name, rows in once["tiers"].items():
+        assert twice["tiers"][name] == twice["tiers"][f"{name}-2"] == rows
+        assert twice["parameters"][name] == once["parameters"][name]
+    assert twice["types"] == once["types"] and twice["vocabularies"] == once["vocabularies"]
+    assert len(twice["kept_when_written_again"]) == 2 * len(once["kept_when_written_again"])
+
+
+def test_pympi_reads_a_textgrid(read):
+    (rows,) = read[1]["textgrid"].values()
+    assert (
+        rows[0][0] == 0
+        and rows[-1][1] == pytest.approx(2.0)
+        and {text for *_, text in rows} <= {"hold", "movement", ""}
+    )
+    assert all(one[1] == other[0] for one, other in pairwise(rows)) and len(rows) > 1

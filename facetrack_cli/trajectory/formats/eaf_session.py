@@ -88,12 +88,12 @@ def add_tiers(path: Path, ours: str, clip: str) -> tuple[bytes, list[str], bool]
         while at < len(there) and there[at][1] <= time:
             at += 1
         rows.setdefault(there[at][0] if at < len(there) else end.at, []).append(slot)
-    empty = data[end.at : end.at + 2] != b"</"  # <TIME_ORDER/>
+    begin = next(mark for mark in marks if mark.tag == "TIME_ORDER")
     for where, those in rows.items():
         text = _text(those, 2)
-        if empty:
-            stop = data.index(b">", where) + 1
-            added.append((where, stop - where, b"<TIME_ORDER>\n        " + text.rstrip() + b"\n    </TIME_ORDER>"))
+        if data[begin.at : end.at].count(b"<") == 1 and data[: end.at].endswith(b"/>"):  # <TIME_ORDER/>
+            text = b"<TIME_ORDER>\n        " + text.rstrip() + b"\n    </TIME_ORDER>"
+            added.append((begin.at, end.at - begin.at, text))
         elif where == end.at:
             added.append((where, 0, b"    " + text[:-4]))
         else:
