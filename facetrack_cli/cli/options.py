@@ -215,7 +215,7 @@ def jobs_option(text: str) -> Any:
     return option("-j --jobs N", text, type=Whole(1, 1000), default=1, show_default=False)
 
 
-CONFIG = option("--config RECIPE", "Recipe: a file, or a name [default: face; with --box correlation_filter].")
+CONFIG = option("--config --recipe RECIPE", "Recipe: a file, or a name [default: face; with --box correlation_filter].")
 OVERRIDES = option("--set KEY=VALUE", "Override a key of the recipe; repeatable.", multiple=True)
 GALLERY = option(
     "--gallery FILE",

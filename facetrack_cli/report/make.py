@@ -30,7 +30,7 @@ from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.header import CORRECTED, Header, read_header
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
 MAX_PARTS, MAX_SPANS = 100, 100  # rows of a table by part, and of the table of lost spans
 _VIDEO: Final = "annotated.mp4"
@@ -76,7 +76,9 @@ def make_report(
     table = read_run(trajectory_of(run))
     header = read_header(table)
     clock = Clock(table, header.source.fps)
-    history = history_of(table, clock, header.seams)
+    people, known = cast_section(run), read_manifest(run)
+    # of a film's people the points come and go with the box
+    history = history_of(table if people is None else _boxes_of(table), clock, header.seams)
     pairs, measured = ([], None) if truth is None else _measured(table, header, truth)
     title = f"{header.clip_name}, {header.recipe_name}" if title is None else title
     first, last = int(clock.frames[0]), int(clock.frames[-1])
@@ -87,7 +89,6 @@ def make_report(
     mean = text.confidence_of(table)
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MAX_SPANS]
     again = command(header, last, run)
-    people, known = cast_section(run), read_manifest(run)
     network = f" Its points were placed {known.network}." if known is not None and known.network else ""
     document: str = template.render(
         title=title,
@@ -96,7 +97,7 @@ def make_report(
         history=history,
         summary=text.sentences(table, header, clock, history) + network,
         cast=people,
-        parts=[one for one in history.parts if people is None or one.name.rpartition("/")[2] == BOX],
+        parts=history.parts,
         identities=list(text.identities(table, clock)),
         mean=mean,
         calibrated=calibrated(header.recipe),
@@ -121,6 +122,11 @@ def make_report(
         relative=not Path(header.source.path).is_absolute(),
     )
     return ReportPage(encoded(document), tuple(found.notes))
+
+
+def _boxes_of(table: Trajectory) -> Trajectory:
+    """The boxes alone."""
+    return joined([one for one in table.parts if one.part == BOX], header=table.header, path=table.path)
 
 
 def encoded(document: str) -> bytes:

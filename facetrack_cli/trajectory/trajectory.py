@@ -417,6 +417,11 @@ def aligned(parts: Sequence[Trajectory], *columns: str, frame: Whole | None = No
     return frame, found
 
 
+def mean_confidence(known: Array) -> float:
+    """The mean of a frame's confidences, of the digits that a file has: it is the same from rows and from a file."""
+    return round(float(np.round(known, DECIMALS["confidence"]).mean()), 12)
+
+
 def every_frame(table: Trajectory) -> tuple[Whole, Array]:
     """The frames from 0 to the table's last one, (T,), and when each is shown, in seconds; nan if no row says when.
 

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.numbers import csv_text, dumps
 from facetrack_cli.trajectory.analysis.face_events import events_of
+from facetrack_cli.trajectory.formats.eaf import times_of
 from facetrack_cli.trajectory.header import clip_of, said
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -73,7 +74,7 @@ def write_textgrid(table: Trajectory) -> str:
     ]
     if not kinds:
         raise InputError("has no points or hands that tell an event; a TextGrid needs a tier")
-    end = max([float(table.times[-1]), *(e.end_s for _, found in kinds for e in found)])
+    end = max([times_of(table)[1][int(table.frames[-1])] / 1000, *(e.end_s for _, found in kinds for e in found)])
     lines = ['File type = "ooTextFile"', 'Object class = "TextGrid"', "", "xmin = 0", f"xmax = {end:.6f}"]
     lines += ["tiers? <exists>", f"size = {len(kinds)}", "item []:"]
     for n, (name, found) in enumerate(kinds, 1):
