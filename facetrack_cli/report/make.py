@@ -32,6 +32,7 @@ from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.header import CORRECTED, Header, read_header
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
+MAX_ROWS: Final = 12  # of a table that is open
 MAX_PARTS, MAX_SPANS = 100, 100  # rows of a table by part, and of the table of lost spans
 _VIDEO: Final = "annotated.mp4"
 _MAX_SVG_BYTES: Final = 1_000_000  # a larger drawing becomes a PNG
@@ -77,8 +78,8 @@ def make_report(
     header = read_header(table)
     clock = Clock(table, header.source.fps)
     people, known = cast_section(run), read_manifest(run)
-    # of a film's people the points come and go with the box
-    history = history_of(table if people is None else _boxes_of(table), clock, header.seams)
+    followed = table if people is None else _boxes_of(table)  # of a film's people the points come and go with the box
+    history = history_of(followed, clock, header.seams)
     pairs, measured = ([], None) if truth is None else _measured(table, header, truth)
     title = f"{header.clip_name}, {header.recipe_name}" if title is None else title
     first, last = int(clock.frames[0]), int(clock.frames[-1])
@@ -86,7 +87,7 @@ def make_report(
     shown = [key.frame for key in keys]
     annotated = run / _VIDEO if (run / _VIDEO).is_file() else None
     found = key_images(table, header, shown, clip, annotated, report)
-    mean = text.confidence_of(table)
+    mean, looks = text.confidence_of(table), text.to_look_at(followed, history, clock)
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MAX_SPANS]
     again = command(header, last, run)
     network = f" Its points were placed {known.network}." if known is not None and known.network else ""
@@ -97,7 +98,9 @@ def make_report(
         history=history,
         summary=text.sentences(table, header, clock, history) + network,
         cast=people,
-        parts=history.parts,
+        parts=[one for one in history.parts if one.spans or one.hidings or one.absences],
+        looks=looks,
+        leading=next((frame for frame in (*(at for at, _ in looks), *shown) if frame in found.found), None),
         identities=list(text.identities(table, clock)),
         mean=mean,
         calibrated=calibrated(header.recipe),
@@ -110,7 +113,7 @@ def make_report(
         images=found.found,
         from_clip=found.origin == "clip",
         some_left_out=not {frame for frame, _ in history.events} <= {*shown},
-        reasons={key.frame: text.reasons(key, table, history, header.init.origin) for key in keys},
+        reasons={key.frame: text.reasons(key, followed, history, header.init.origin) for key in keys},
         plot=_plot(table, pairs, title),
         reported=any(one.values.keys() - {EVIDENCE.name} for one in table.diagnostics.values())
         or bool((table.identity != "").any()),
@@ -149,7 +152,13 @@ def page_template(name: str) -> Any:
     style = (folder / "report.css").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
     environment.globals |= {"style": Markup(style), "style_hash": f"sha256-{digest}", "version": __version__}
-    environment.globals |= {"bins": _BINS, "max_parts": MAX_PARTS, "max_spans": MAX_SPANS, "corrected": CORRECTED}
+    environment.globals |= {
+        "bins": _BINS,
+        "max_parts": MAX_PARTS,
+        "max_spans": MAX_SPANS,
+        "max_rows": MAX_ROWS,
+        "corrected": CORRECTED,
+    }
     return environment.get_template(name)
 
 

@@ -3,7 +3,7 @@
 Run by the Python that has them (requirements.txt); imports nothing of ours. The folder holds track, truth and same
 .mot.txt, track.otb.txt, track and dropped .got10k.txt, track.vot.txt, track.coco.json, track and two .dlc.csv and
 .dlc.h5, track.wide.csv, track.openface.csv, track.eaf, quoted.eaf, session.eaf, to which tiers were added, and
-hand.TextGrid.
+face.TextGrid.
 """
 
 import contextlib
@@ -219,7 +219,7 @@ def main():
         "eaf": eaf(folder / "track.eaf"),
         "other_eaf": other_eaf(folder / "quoted.eaf"),
         "session": eaf(folder / "session.eaf"),
-        "textgrid": textgrid(folder / "hand.TextGrid"),
+        "textgrid": textgrid(folder / "face.TextGrid"),
     }
     sys.stdout.write(json.dumps(plain(found)))
 
