@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
-from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,7 +15,6 @@ from facetrack_cli.core.errors import InputError, OutputError, UsageError
 if TYPE_CHECKING:
     from facetrack_cli.trajectory.formats.events import Clip
     from facetrack_cli.trajectory.select import Around
-    from facetrack_cli.trajectory.trajectory import Trajectory
 
 
 ENDINGS = {
@@ -122,6 +119,7 @@ class Export:
 
     def run(self) -> None:
         from facetrack_cli.core.files import StreamSink, check_new, write_new
+        from facetrack_cli.runs.export import content, encoded
         from facetrack_cli.trajectory.header import clip_of
 
         self.to = "eaf" if self.to == "elan" else self.to
@@ -145,16 +143,16 @@ class Export:
         if path is not None:
             check_new(path, overwrite=self.overwrite, inputs=(table.path, self.media, clip_of(table)))
         try:
-            content = self._content(clips, path, many)
+            about: Any = {"media": self.media, "into": self.into, "box": self.box}
+            made = content(clips, self.to, path, many=many, say=say, **about)
         except InputError as e:
             # what is wrong within the table has no file's name yet
             known = str(e).startswith((str(table.path), str(self.media), str(self.into)))
             raise e if known else InputError(f"{table.path}: {e}") from None
         if path is None:
-            StreamSink(sys.stdout.buffer).finish(lambda _: str(content))
+            StreamSink(sys.stdout.buffer).finish(lambda _: str(made))
             return
-        data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
-        write_new(path, data, overwrite=self.overwrite)
+        write_new(path, encoded(made), overwrite=self.overwrite)
         frames = table.frames
         begins = f"; line 1 is frame {frames[0]}" if self.to in ("otb", "got10k") and frames[0] else ""
         what = f"{len(frames)} frames of {', '.join(table.targets) or 'one target'}"
@@ -187,112 +185,6 @@ class Export:
         if not found:
             raise InputError(f"{self.trajectory}: none of its runs can be read; look at facetrack status")
         return found, many
-
-    def _content(self, clips: list[Clip], path: Path | None, many: bool) -> str | bytes:
-        import numpy as np
-
-        from facetrack_cli.trajectory.formats import boxes, cvat, eaf, events, keypoints, labelstudio, openface, tables
-        from facetrack_cli.trajectory.header import frame_size_of, said
-        from facetrack_cli.trajectory.select import enclose, hide_outside
-
-        table = clips[0].table
-        if not any(np.isfinite(one.x).any() for _, one in clips):
-            raise InputError("no row has a place, x and y; there is nothing to export")
-        if self.to in ONE_TARGET and len(table.targets) > 1:
-            raise UsageError(f"{self.to} holds one target; choose with --target among {', '.join(table.targets)}")
-        around, recipe = self.box or "windows", said(table, "recipe", "name")
-        scorer = f"facetrack-{recipe}" if recipe else "facetrack"
-        if self.to == "eaf":
-            folder = path.parent if path else Path.cwd()
-            video = self._playable(table)
-            text = eaf.write_eaf(table, video, folder, written=datetime.now())
-            return text if self.into is None else self._added(self.into, text, video.name)
-        clip, size, fps = self._media(table) if self.to in OF_MEDIA else (None, None, 0.0)
-        name = "" if clip is None else clip.name
-        if self.to in (*OF_MEDIA, "mot") and (sides := size or frame_size_of(table)):
-            table = hide_outside(table, sides)
-        writers: dict[str, Callable[[], str | bytes]] = {
-            "csv-wide": lambda: tables.write_wide(table),
-            "pose": lambda: tables.write_pose(table),
-            "measures": lambda: tables.write_measures(
-                *(one for _, one in clips), clips=[name for name, _ in clips if many]
-            ),
-            "events": lambda: events.write_events(clips),
-            "boris": lambda: events.write_boris(clips, written=datetime.now()),
-            "srt": lambda: events.write_subtitles(table, "srt"),
-            "vtt": lambda: events.write_subtitles(table, "vtt"),
-            "textgrid": lambda: events.write_textgrid(table),
-            "openface": lambda: openface.write_openface(table, size),
-            "cvat": lambda: cvat.write_cvat(table, size, name),
-            "dlc": lambda: keypoints.write_dlc(table, scorer),
-            "dlc-h5": lambda: keypoints.write_dlc_h5(table, scorer),
-        }
-        if self.to in writers:
-            return writers[self.to]()
-        if self.to in ("coco", "labelstudio"):
-            if clip is None or not size or (self.to == "labelstudio" and not fps > 0):
-                why = "does not say how large and how fast its frames are, only a trajectory.json does"
-                raise InputError(f"{why}; name the clip: --media")
-            if self.to == "labelstudio":
-                say(f'{name}: give the Video of the labelling configuration framerate="{fps:.10g}"')
-                return labelstudio.write_labelstudio(table, size, fps, name)
-            return keypoints.write_coco(table, size, self._image_names(clip, table), around=around)
-        chosen = [enclose(table.of_target(target), around) for target in table.targets]
-        if self.to == "mot":
-            return boxes.write_mot(chosen)
-        write = {"vot": boxes.write_vot, "otb": boxes.write_otb, "got10k": boxes.write_got10k}[self.to]
-        return write(chosen[0])
-
-    def _added(self, into: Path, text: str, clip: str) -> str:
-        from facetrack_cli.trajectory.formats.eaf_session import add_tiers
-
-        data, tiers, linked = add_tiers(into, text, clip)
-        if not linked:
-            say(f"facetrack: warning: {into} does not link to {clip}; its times are taken for those of that clip")
-        say(f"{into}: {', '.join(tiers) or 'no tier'} added")
-        return data.decode()
-
-    def _playable(self, table: Trajectory) -> Path:
-        """The video that an .eaf links to. It need not be there: ELAN asks for a file that it does not find."""
-        from facetrack_cli.trajectory.header import clip_of, is_there
-
-        clip = self.media or clip_of(table)
-        if clip is None:
-            raise InputError("does not name its video, only a trajectory.json does; give it with --media")
-        if is_there(clip) and clip.is_dir():
-            raise InputError(f"{clip} is a folder of images, which ELAN cannot play; name a video of it with --media")
-        if not is_there(clip):
-            if self.media is not None:
-                raise InputError(f"{clip}: no such file; correct --media")
-            say(f"facetrack: warning: {clip} is not there; ELAN will ask for it, or give it with --media")
-        return clip
-
-    def _media(self, table: Trajectory) -> tuple[Path | None, tuple[int, int] | None, float]:
-        """The clip, the size of its frames and its frames per second (0), as far as --media or the header says them."""
-        from facetrack_cli.trajectory.header import clip_of, frame_size_of, said
-        from facetrack_cli.video.source import open_source
-
-        size, fps = frame_size_of(table), said(table, "source", "fps")
-        if self.media is None:
-            return clip_of(table), size, float(fps) if isinstance(fps, int | float) else 0.0
-        with open_source(self.media) as opened:
-            if size and size != opened.size:
-                its, ours = (f"{width}x{height}" for width, height in (opened.size, size))
-                raise InputError(f"{self.media}: is {its}, but the track is of a clip of {ours}; correct --media")
-            return self.media, opened.size, float(opened.fps)
-
-    def _image_names(self, clip: Path, table: Trajectory) -> Callable[[int], str]:
-        """The name of each frame's image: of a folder its file's name, of a video a name by the frame's number."""
-        from facetrack_cli.trajectory.header import is_there
-        from facetrack_cli.video import images
-
-        files = images.listing(clip) if is_there(clip) else None
-        if files is None:
-            return lambda frame: f"{clip.stem}/{frame:06d}.png"
-        if (last := int(table.frames[-1])) >= len(files):
-            there = f"has {len(files)} images, and the track a frame {last}"
-            raise InputError(f"{clip}: {there}; name its folder with --media")
-        return lambda frame: files[frame].name
 
 
 command = verb(Export)
