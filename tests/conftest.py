@@ -35,6 +35,42 @@ for profile, examples in {"default": 20, "nightly": 200}.items():
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 
+_ASKED = []  # whether the test that runs has asked for Haar cascades in vain, beside an OpenCV without them, as 5 is
+_IN_VAIN = set()  # files of tests in which a fixture did
+_check = points.check_cascades
+
+
+def _checked():
+    if not points.has_cascades():
+        _ASKED.append(True)
+    _check()
+
+
+points.check_cascades = detectors.check_cascades = _checked
+
+
+def _skips_without_cascades(item):
+    _ASKED.clear()
+    try:
+        return (yield)
+    except Exception:
+        # a fixture of the module fails with its first test, and is not asked again
+        if _ASKED:
+            _IN_VAIN.add(item.path)
+        if _ASKED or item.path in _IN_VAIN:
+            pytest.skip("needs the Haar cascades of OpenCV 4")
+        raise
+
+
+pytest_runtest_setup = pytest.hookimpl(wrapper=True)(_skips_without_cascades)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    _IN_VAIN.discard(item.path)  # its fixtures were made
+    return (yield from _skips_without_cascades(item))
+
+
 def pytest_xdist_auto_num_workers():
     """A process more than there are cores: many tests wait for others that they started."""
     return (os.cpu_count() or 1) + 1
@@ -49,15 +85,6 @@ def pytest_collection_modifyitems(items):
             if seen[of] % marked.args[0]:
                 item.add_marker(pytest.mark.nightly)
             seen[of] += 1
-
-
-@pytest.fixture(autouse=True)
-def _with_cascades(monkeypatch):
-    """A test that needs Haar cascades skips beside an OpenCV without them, which is 5."""
-    if not points.has_cascades():
-        reason = "needs the Haar cascades of OpenCV 4"
-        for module in (points, detectors):
-            monkeypatch.setattr(module, "check_cascades", lambda: pytest.skip(reason))
 
 
 @pytest.fixture

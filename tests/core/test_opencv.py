@@ -13,7 +13,6 @@ from facetrack_cli.core import warp
 from facetrack_cli.core.errors import UsageError, check_opencv
 from facetrack_cli.tracking.start import points
 
-CHECK = points.check_cascades  # before a fixture takes its place
 needs_4 = pytest.mark.skipif(not cv2.__version__.startswith("4."), reason="compares with OpenCV 4")
 
 
@@ -54,7 +53,7 @@ def test_haar_beside_an_opencv_without_it_ends_in_one_line_with_the_remedy(
     points.has_cascades.cache_clear()
     try:
         with pytest.raises(UsageError, match=r"^the installed OpenCV .* has no Haar cascades; pip install .*detect"):
-            CHECK()
+            points.check_cascades()
     finally:
         points.has_cascades.cache_clear()
 
