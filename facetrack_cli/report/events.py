@@ -9,7 +9,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias, get_args
 import numpy as np
 
 from facetrack_cli.core.numbers import spans
-from facetrack_cli.core.types import Array
+from facetrack_cli.core.types import BOX, Array
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import SeamHeader
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -125,8 +125,10 @@ class RunHistory:
 
 def history_of(table: Trajectory, clock: Clock, seams: tuple[SeamHeader, ...] = ()) -> RunHistory:
     """What happened, from the rows of a trajectory; `seams` are where chunks of its clip meet."""
-    several = len(table.targets) > 1
-    parts = tuple(_part(one, one.name if several else one.part, clock) for one in table.parts)
+    several, boxes = len(table.targets) > 1, all(part == BOX for _, part in table.names)
+    parts = tuple(
+        _part(one, (one.target if boxes else one.name) if several else one.part, clock) for one in table.parts
+    )
     place = np.searchsorted(clock.frames, table.frame)
     any_lost = np.zeros(len(clock.frames), dtype=np.bool_)
     any_lost[place[table.status == "lost"]] = True

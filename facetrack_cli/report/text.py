@@ -58,7 +58,8 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
     """The run in words: what was tracked, for how long, how often it was lost."""
     frames, one = len(clock.frames), len(history.parts) == 1
     whose = table.target if len(table.targets) == 1 else count(len(table.targets), "target")
-    what = whose if one else f"{count(len(history.parts), 'part')} of {whose}"
+    each = len(history.parts) == len(table.targets)  # a box of each, or the only part
+    what = whose if each else f"{count(len(history.parts), 'part')} of {whose}"
     long = f"{count(frames, 'frame')}, {lasting(clock.duration)}"
     found = [f"The recipe {header.recipe_name} looked for {what} in {header.clip_name} over {long}."]
     lost = [part.name for part in history.parts if part.spans]
@@ -79,7 +80,7 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
             found.append(
                 f"In the last frame {('it is called lost' if gone else 'it is not called lost') if one else end}."
             )
-    if hidden := len(np.unique(table.frame[table.status == "hidden"])):
+    if hidden := len({at for part in history.parts for one in part.hidings for at in range(one.first, one.last + 1)}):
         found.append(
             f"{'It' if one else 'At least one part'} was hidden, at a likely place, in {count(hidden, 'frame')}."
         )
