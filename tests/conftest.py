@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.tracking.start import detectors, points
+from facetrack_cli.trackers.face import detectors, points
 from tests.support.models import hide_models, model_file
 
 # a shell starts what it puts into the background with Ctrl-C ignored, and every process that the tests start inherits
@@ -95,7 +95,7 @@ def facetrack(clips, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(work)
     monkeypatch.delenv("FACETRACK_DEBUG", raising=False)
     # what is said must not depend on what earlier tests have compiled
-    monkeypatch.setattr("facetrack_cli.tracking.kernels.cache.tell", lambda say: None)
+    monkeypatch.setattr("facetrack_cli.engine.kernels.cache.tell", lambda say: None)
     threads = cv2.getNumThreads()
 
     def call(*args):

@@ -14,8 +14,8 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Correction, Mask, TargetStart
+from facetrack_cli.engine.corrected import all_or, correctable_parts
 from facetrack_cli.run_folder.finished import Run
-from facetrack_cli.tracking.corrected import all_or, correctable_parts
 from facetrack_cli.trajectory.formats.cvat import read_cvat
 from facetrack_cli.trajectory.formats.eaf import seen_in, spans_of, times_of
 from facetrack_cli.trajectory.formats.eaf_session import Tier, read_tiers

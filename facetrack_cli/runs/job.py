@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
 from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, UsageError
+from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.files import check_folder, check_plain
 from facetrack_cli.core.types import Box
-from facetrack_cli.recipe.face import DETECTORS
-from facetrack_cli.recipe.files import default_recipe
+from facetrack_cli.recipe.load import default_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.run_folder.fingerprint import clip_stat, job_digest, previous_run
 from facetrack_cli.run_folder.lock import LOCK, FolderLock, here
@@ -30,8 +30,8 @@ from facetrack_cli.run_folder.manifest import (
 )
 from facetrack_cli.runs.posterior import check_smoothing
 from facetrack_cli.runs.start import Begin
-from facetrack_cli.tracking.people.looks import load_people
-from facetrack_cli.tracking.start.init_file import find_init
+from facetrack_cli.start.init_file import find_init
+from facetrack_cli.trackers.people.looks import load_people
 from facetrack_cli.trajectory.header import is_there
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.writers import Ending, Format

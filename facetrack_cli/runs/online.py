@@ -12,16 +12,16 @@ from typing import Any, Final
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.face_points import DetectorName
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.snapshot import flat_value, read_value
 from facetrack_cli.core.types import Frame, Image, Start
-from facetrack_cli.recipe.face import DetectorName
+from facetrack_cli.engine.loop import TrackState, track
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.runs.api import IMAGES, Init, chosen_recipe, chosen_start, frame_of
 from facetrack_cli.runs.start import completed, search
-from facetrack_cli.tracking.build.build import tracker_for
-from facetrack_cli.tracking.loop import TrackState, track
+from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.trajectory.trajectory import FrameResult
 
 KIND: Final = Kind("facetrack-tracker", 1, "state of a tracker", "facetrack.Tracker(...).save(path)")

@@ -12,17 +12,16 @@ from typing import Final
 
 import numpy as np
 
+from facetrack_cli.core.face_points import DETECTORS, HANDS
 from facetrack_cli.core.geometry import centre, square
-from facetrack_cli.core.hands import HANDS
 from facetrack_cli.core.numbers import clock, places
 from facetrack_cli.core.snapshot import STORED
 from facetrack_cli.core.types import BOX, Box, Point, Start
 from facetrack_cli.recipe.calibrated import calibrated, fitted
-from facetrack_cli.recipe.face import DETECTORS
 from facetrack_cli.recipe.model import Recipe, to_dict
-from facetrack_cli.tracking.face.stabilized import BOX as STILL
-from facetrack_cli.tracking.face.stabilized import FACE, Similarity, slope
-from facetrack_cli.tracking.start.detectors import Detector, detector
+from facetrack_cli.trackers.face.detectors import Detector, detector
+from facetrack_cli.trackers.face.stabilized import BOX as STILL
+from facetrack_cli.trackers.face.stabilized import FACE, Similarity, slope
 from facetrack_cli.trajectory.diagnostics import DOUBTFUL, NAMED, NETWORK
 from facetrack_cli.trajectory.trajectory import SEEN, FrameResult, Trajectory, mean_confidence
 

@@ -11,7 +11,7 @@ import pytest
 
 from facetrack_cli.core import warp
 from facetrack_cli.core.errors import UsageError, check_opencv
-from facetrack_cli.tracking.start import points
+from facetrack_cli.trackers.face import points
 
 needs_4 = pytest.mark.skipif(not cv2.__version__.startswith("4."), reason="compares with OpenCV 4")
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.core.hands import HANDS
+from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.job import lost_words
 from facetrack_cli.runs.verdict import EVERY_FRAMES, Watch
-from facetrack_cli.tracking.start.detectors import Found
+from facetrack_cli.trackers.face.detectors import Found
 from tests.support.results import part, result, target
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"

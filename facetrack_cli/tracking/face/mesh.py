@@ -20,8 +20,8 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import MESH, POINTS
 from facetrack_cli.core.types import Array, Frame
-from facetrack_cli.tracking.face.eyes import SIDES
-from facetrack_cli.tracking.face.stabilized import EYE_LINE, EYES, MIDDLE, Similarity, slope
+from facetrack_cli.trackers.face.eyes import SIDES
+from facetrack_cli.trackers.face.stabilized import EYE_LINE, EYES, MIDDLE, Similarity, slope
 
 COUNT: Final = 468
 NAMES: Final = {

@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Box, Frame, Image, factor_for
 from facetrack_cli.core.warp import warp_affine
-from facetrack_cli.tracking.loop import Footprint
-from facetrack_cli.tracking.models.shift import shift_between
+from facetrack_cli.engine.loop import Footprint
+from facetrack_cli.engine.shift import shift_between
 
 Map = NDArray[np.float32]
 MAX_FACE_PX: Final = 20  # of the face's box in the reduced frame

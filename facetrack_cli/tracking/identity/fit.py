@@ -17,9 +17,16 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.core.warp import warp_affine
-from facetrack_cli.tracking.identity import subspaces
-from facetrack_cli.tracking.identity.gallery import Gallery, logistic, name_problem
-from facetrack_cli.tracking.identity.subspaces import Fitted, Moments, Reals, fit_moments, fit_subspace, folds_by
+from facetrack_cli.trackers.appearance import subspaces
+from facetrack_cli.trackers.appearance.gallery import Gallery, logistic, name_problem
+from facetrack_cli.trackers.appearance.subspaces import (
+    Fitted,
+    Moments,
+    Reals,
+    fit_moments,
+    fit_subspace,
+    folds_by,
+)
 
 Indices: TypeAlias = NDArray[np.intp]
 # of a patch: right, down (shares of its sides), degrees, size

@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.face_points import DetectorName
 from facetrack_cli.core.geometry import overlap
 from facetrack_cli.core.types import Box, Frame, Image, Point, factor_for
-from facetrack_cli.recipe.face import DetectorName
-from facetrack_cli.tracking.face.descent import PlacedPoints
-from facetrack_cli.tracking.face.stabilized import slope
-from facetrack_cli.tracking.start.points import (
+from facetrack_cli.trackers.face.descent import PlacedPoints
+from facetrack_cli.trackers.face.points import (
     EYES_IN_BOX,
     MOUTH_Y,
     cascade,
@@ -29,6 +28,7 @@ from facetrack_cli.tracking.start.points import (
     place,
     placed,
 )
+from facetrack_cli.trackers.face.stabilized import slope
 
 PARTS: Final = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 """What can be placed; left and right as seen in the image."""

@@ -16,8 +16,8 @@ import numpy as np
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.core.types import Array, Box, Frame, Image, Point
 from facetrack_cli.core.warp import warp_affine
-from facetrack_cli.tracking.face.descent import CORNER, PlacedPoints, load_descent
-from facetrack_cli.tracking.face.stabilized import EYE_LINE, FACE, MIDDLE, Similarity, change_between
+from facetrack_cli.trackers.face.descent import CORNER, PlacedPoints, load_descent
+from facetrack_cli.trackers.face.stabilized import EYE_LINE, FACE, MIDDLE, Similarity, change_between
 
 # Fractions of a Haar box (x, y): the mean over 26 images, of 15 clips and two portraits; standard deviation 0.02.
 EYES_IN_BOX: Final = ((0.309, 0.388), (0.672, 0.388))

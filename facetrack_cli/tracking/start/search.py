@@ -25,9 +25,8 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import centre, inside, overlap
 from facetrack_cli.core.types import Box, Frame, Image, Point, Start, TargetStart
 from facetrack_cli.core.warp import warp_affine
-from facetrack_cli.tracking.face.stabilized import Similarity
-from facetrack_cli.tracking.start.closer import everywhere, near, righted
-from facetrack_cli.tracking.start.detectors import (
+from facetrack_cli.trackers.face.closer import everywhere, near, righted
+from facetrack_cli.trackers.face.detectors import (
     MIN_CONTRAST,
     PARTS,
     Detector,
@@ -37,7 +36,8 @@ from facetrack_cli.tracking.start.detectors import (
     check_parts,
     detector,
 )
-from facetrack_cli.tracking.start.points import named, shows_eye
+from facetrack_cli.trackers.face.points import named, shows_eye
+from facetrack_cli.trackers.face.stabilized import Similarity
 
 SEARCHED_FRAMES: Final = 250  # frames that are searched, of images that are all kept
 SEARCHED_S: Final = 10.0  # seconds in which all frames are searched; of later ones some, in steps of

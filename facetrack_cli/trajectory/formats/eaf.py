@@ -19,7 +19,7 @@ import numpy as np
 
 from facetrack_cli.core import numbers
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.hands import HANDS
+from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.types import BOX
 from facetrack_cli.trajectory.analysis.face_events import events_of
 from facetrack_cli.trajectory.analysis.head_motion import head_motion, kinds_of

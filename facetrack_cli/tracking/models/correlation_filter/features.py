@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame, Image, factor_for
 from facetrack_cli.core.warp import warp_affine
-from facetrack_cli.tracking.kernels.cells import CHANNELS, gradients, project
+from facetrack_cli.trackers.box.cell_kernels import CHANNELS, gradients, project
 
 Single: TypeAlias = NDArray[np.float32]
 CELL = 4  # pixels of a resampled window

@@ -34,11 +34,11 @@ import numpy as np
 
 from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.core.warp import remap
-from facetrack_cli.recipe import regions
-from facetrack_cli.tracking.kernels import patches
-from facetrack_cli.tracking.kernels.affine import boxes_extent
-from facetrack_cli.tracking.models.likelihoods.independent import averaged, effective_share
-from facetrack_cli.tracking.models.spaces import Context
+from facetrack_cli.engine.independent import averaged, effective_share
+from facetrack_cli.engine.kernels.affine import boxes_extent
+from facetrack_cli.engine.spaces import Context
+from facetrack_cli.trackers.regions import patch_kernels as patches
+from facetrack_cli.trackers.regions import settings as regions
 
 # grey levels: a region that is followed well has 6 to 20 (RMS); much more would push regions back into the frame
 OUTSIDE = 32.0
