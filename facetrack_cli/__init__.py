@@ -13,6 +13,7 @@
     result = tracker.update(image, time_s)                  # None until a face is found
     facetrack.read_trajectory("clip-sir").to_pandas()       # what `facetrack run` wrote
     facetrack.plot(facetrack.read_trajectory("clip-sir"))   # a figure of matplotlib
+    facetrack.read_trajectory("clip-sir").export("eaf", "clip.eaf")     # as other programs read it
 
 docs/python.md has the whole of it.
 """
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from facetrack_cli.report.figures.page import page_figure as plot
     from facetrack_cli.run_folder.manifest import read_run as read_trajectory
     from facetrack_cli.runs.api import Recording, Tracker, draw, track_frames, track_video
+    from facetrack_cli.runs.export import annotated_video, export
     from facetrack_cli.trajectory.formats.read import read_truth
     from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
     from facetrack_cli.video.overlay.overlay import Overlay
@@ -46,7 +48,9 @@ __all__ = [
     "TargetStart",
     "Tracker",
     "Trajectory",
+    "annotated_video",
     "draw",
+    "export",
     "load_recipe",
     "plot",
     "read_trajectory",
@@ -62,6 +66,7 @@ _PLACES = {
     "report.figures.page": ("page_figure",),
     "run_folder.manifest": ("read_run",),
     "runs.api": ("Recording", "Tracker", "draw", "track_frames", "track_video"),
+    "runs.export": ("annotated_video", "export"),
     "trajectory.formats.read": ("read_truth",),
     "trajectory.trajectory": ("FrameResult", "Trajectory"),
     "video.overlay.overlay": ("Overlay",),

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from facetrack_cli.__main__ import main
+from facetrack_cli.trackers.face import detectors, points
 from tests.support.models import hide_models, model_file
 
 # a shell starts what it puts into the background with Ctrl-C ignored, and every process that the tests start inherits
@@ -32,6 +33,42 @@ for profile, examples in {"default": 20, "nightly": 200}.items():
         profile, max_examples=examples, deadline=None, suppress_health_check=unhealthy, derandomize=profile == "default"
     )
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+
+
+_ASKED = []  # whether the test that runs has asked for Haar cascades in vain, beside an OpenCV without them, as 5 is
+_IN_VAIN = set()  # files of tests in which a fixture did
+_check = points.check_cascades
+
+
+def _checked():
+    if not points.has_cascades():
+        _ASKED.append(True)
+    _check()
+
+
+points.check_cascades = detectors.check_cascades = _checked
+
+
+def _skips_without_cascades(item):
+    _ASKED.clear()
+    try:
+        return (yield)
+    except Exception:
+        # a fixture of the module fails with its first test, and is not asked again
+        if _ASKED:
+            _IN_VAIN.add(item.path)
+        if _ASKED or item.path in _IN_VAIN:
+            pytest.skip("needs the Haar cascades of OpenCV 4")
+        raise
+
+
+pytest_runtest_setup = pytest.hookimpl(wrapper=True)(_skips_without_cascades)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    _IN_VAIN.discard(item.path)  # its fixtures were made
+    return (yield from _skips_without_cascades(item))
 
 
 def pytest_xdist_auto_num_workers():

@@ -85,7 +85,7 @@ class LazyGroup(click.Group):
         args = [ALIASES.get(args[0], args[0]), *args[1:]]
         name = args[0]
         if name not in COMMANDS and not name.startswith("-"):
-            near = get_close_matches(name, COMMANDS, n=1)
+            near = get_close_matches(name, [*COMMANDS, *ALIASES], n=1)
             hint = f'did you mean "{near[0]}"?' if near else f"there are: {', '.join(COMMANDS)}"
             ctx.fail(f'no command "{name}"; {hint}')
         return super().resolve_command(ctx, args)

@@ -173,7 +173,10 @@ def format_of(name: str, text: str) -> Decorator:
 
 
 config = option(
-    "--config", type=types.RECIPE, help="Recipe: a file, or a name [default: face; with --box correlation_filter]."
+    "--config",
+    "--recipe",
+    type=types.RECIPE,
+    help="Recipe: a file, or a name [default: face; with --box correlation_filter].",
 )
 gallery = option(
     "--gallery", type=types.FILE_OR_DASH,

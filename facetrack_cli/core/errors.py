@@ -88,8 +88,8 @@ def reason(error: Exception) -> str:
 
 
 def check_opencv(version: str) -> None:
-    """UsageError where `cv2` is not OpenCV 4, as where another package brought OpenCV 5, which took its place."""
-    if version.startswith("4."):
+    """UsageError where `cv2` is neither OpenCV 4 nor 5, as where another package brought one, which took its place."""
+    if version.startswith(("4.", "5.")):
         return
     from importlib import metadata
 
@@ -98,9 +98,9 @@ def check_opencv(version: str) -> None:
     told = ", ".join(f"{name} {v}" for name, v in there.items()) or "no package of it"
     wheel = "opencv-contrib-python-headless" if any("contrib" in name for name in there) else "opencv-python-headless"
     remedy = f"pip uninstall -y {' '.join(there)}; " if there else ""
-    remedy += f"pip install --force-reinstall '{wheel}>=4.13,<5'"
+    remedy += f"pip install --force-reinstall '{wheel}>=4.13,<6'"
     raise UsageError(
-        f"OpenCV 4 is needed, and cv2 is {version} ({told} installed, of which the last one wins): {remedy}"
+        f"OpenCV 4 or 5 is needed, and cv2 is {version} ({told} installed, of which the last one wins): {remedy}"
     )
 
 

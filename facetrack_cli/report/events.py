@@ -9,7 +9,7 @@ from typing import Final, Literal, NamedTuple, TypeAlias, get_args
 import numpy as np
 
 from facetrack_cli.core.numbers import spans
-from facetrack_cli.core.types import Array
+from facetrack_cli.core.types import BOX, Array
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import SeamHeader
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -85,8 +85,8 @@ class KeyFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class RunHistory:
-    """A whole run: its parts, the `episodes` in which any is lost, the frame of the lowest mean confidence, and the
-    `seams` of a clip that was tracked in chunks.
+    """A whole run: its parts, the `episodes` in which any is lost, the frame of the lowest mean confidence of those in
+    which none is, and the `seams` of a clip that was tracked in chunks.
     """
 
     parts: tuple[PartHistory, ...]
@@ -125,17 +125,21 @@ class RunHistory:
 
 def history_of(table: Trajectory, clock: Clock, seams: tuple[SeamHeader, ...] = ()) -> RunHistory:
     """What happened, from the rows of a trajectory; `seams` are where chunks of its clip meet."""
-    several = len(table.targets) > 1
-    parts = tuple(_part(one, one.name if several else one.part, clock) for one in table.parts)
+    several, boxes = len(table.targets) > 1, all(part == BOX for _, part in table.names)
+    parts = tuple(
+        _part(one, (one.target if boxes else one.name) if several else one.part, clock) for one in table.parts
+    )
     place = np.searchsorted(clock.frames, table.frame)
     any_lost = np.zeros(len(clock.frames), dtype=np.bool_)
     any_lost[place[table.status == "lost"]] = True
     sure = np.isfinite(table.confidence) & (table.status != "init")
     known = np.bincount(place[sure], minlength=len(clock.frames))
     total = np.bincount(place[sure], table.confidence[sure], len(clock.frames))
-    mean = np.divide(total, known, out=np.full(len(total), np.inf), where=known > 0)
+    # as the run says it: frames in which a part is lost are shown as such
+    there = (known > 0) & ~any_lost
+    mean = np.round(np.divide(total, known, out=np.full(len(total), np.inf), where=there), 12)
     episodes = tuple(Stretch(int(clock.frames[a]), int(clock.frames[b - 1])) for a, b in spans(any_lost))
-    worst = int(clock.frames[np.argmin(mean)]) if known.any() else None
+    worst = int(clock.frames[np.argmin(mean)]) if there.any() else None
     corrected: dict[int, tuple[list[str], list[str]]] = {}
     for one, part in zip(table.parts, parts, strict=True):
         for at in np.flatnonzero(one.corrected).tolist():

@@ -29,8 +29,9 @@ from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.header import CORRECTED, Header, read_header
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
+MAX_ROWS: Final = 12  # of a table that is open
 MAX_PARTS, MAX_SPANS = 100, 100  # rows of a table by part, and of the table of lost spans
 _VIDEO: Final = "annotated.mp4"
 _MAX_SVG_BYTES: Final = 1_000_000  # a larger drawing becomes a PNG
@@ -75,7 +76,9 @@ def make_report(
     table = read_run(trajectory_of(run))
     header = read_header(table)
     clock = Clock(table, header.source.fps)
-    history = history_of(table, clock, header.seams)
+    people, known = cast_section(run), read_manifest(run)
+    followed = table if people is None else _boxes_of(table)  # of a film's people the points come and go with the box
+    history = history_of(followed, clock, header.seams)
     pairs, measured = ([], None) if truth is None else _measured(table, header, truth)
     title = f"{header.clip_name}, {header.recipe_name}" if title is None else title
     first, last = int(clock.frames[0]), int(clock.frames[-1])
@@ -83,10 +86,9 @@ def make_report(
     shown = [key.frame for key in keys]
     annotated = run / _VIDEO if (run / _VIDEO).is_file() else None
     found = key_images(table, header, shown, clip, annotated, report)
-    mean = text.confidence_of(table)
+    mean, looks = text.confidence_of(table), text.to_look_at(followed, history, clock)
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MAX_SPANS]
     again = command(header, last, run)
-    people, known = cast_section(run), read_manifest(run)
     network = f" Its points were placed {known.network}." if known is not None and known.network else ""
     document: str = template.render(
         title=title,
@@ -95,7 +97,9 @@ def make_report(
         history=history,
         summary=text.sentences(table, header, clock, history) + network,
         cast=people,
-        parts=[one for one in history.parts if people is None or one.name.rpartition("/")[2] == BOX],
+        parts=[one for one in history.parts if one.spans or one.hidings or one.absences],
+        looks=looks,
+        leading=next((frame for frame in (*(at for at, _ in looks), *shown) if frame in found.found), None),
         identities=list(text.identities(table, clock)),
         mean=mean,
         calibrated=calibrated(header.recipe),
@@ -108,7 +112,7 @@ def make_report(
         images=found.found,
         from_clip=found.origin == "clip",
         some_left_out=not {frame for frame, _ in history.events} <= {*shown},
-        reasons={key.frame: text.reasons(key, table, history, header.init.origin) for key in keys},
+        reasons={key.frame: text.reasons(key, followed, history, header.init.origin) for key in keys},
         plot=_plot(table, pairs, title),
         reported=any(one.values.keys() - {EVIDENCE.name} for one in table.diagnostics.values())
         or bool((table.identity != "").any()),
@@ -120,6 +124,11 @@ def make_report(
         relative=not Path(header.source.path).is_absolute(),
     )
     return ReportPage(encoded(document), tuple(found.notes))
+
+
+def _boxes_of(table: Trajectory) -> Trajectory:
+    """The boxes alone."""
+    return joined([one for one in table.parts if one.part == BOX], header=table.header, path=table.path)
 
 
 def encoded(document: str) -> bytes:
@@ -142,7 +151,13 @@ def page_template(name: str) -> Any:
     style = (folder / "report.css").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
     environment.globals |= {"style": Markup(style), "style_hash": f"sha256-{digest}", "version": __version__}
-    environment.globals |= {"bins": _BINS, "max_parts": MAX_PARTS, "max_spans": MAX_SPANS, "corrected": CORRECTED}
+    environment.globals |= {
+        "bins": _BINS,
+        "max_parts": MAX_PARTS,
+        "max_spans": MAX_SPANS,
+        "max_rows": MAX_ROWS,
+        "corrected": CORRECTED,
+    }
     return environment.get_template(name)
 
 

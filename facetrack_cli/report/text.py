@@ -10,10 +10,11 @@ import numpy as np
 from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.recipe.calibrated import calibrated, fitted
 from facetrack_cli.report.events import Event, KeyFrame, RunHistory
+from facetrack_cli.runs.verdict import SURE as LOW
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.diagnostics import DOUBTFUL, SURE
 from facetrack_cli.trajectory.header import Header
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory, mean_confidence
 
 _DETECTORS: Final[Mapping[str, str]] = {"haar": "the Haar cascades", "yunet": "YuNet"}
 
@@ -57,7 +58,8 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
     """The run in words: what was tracked, for how long, how often it was lost."""
     frames, one = len(clock.frames), len(history.parts) == 1
     whose = table.target if len(table.targets) == 1 else count(len(table.targets), "target")
-    what = whose if one else f"{count(len(history.parts), 'part')} of {whose}"
+    each = len(history.parts) == len(table.targets)  # a box of each, or the only part
+    what = whose if each else f"{count(len(history.parts), 'part')} of {whose}"
     long = f"{count(frames, 'frame')}, {lasting(clock.duration)}"
     found = [f"The recipe {header.recipe_name} looked for {what} in {header.clip_name} over {long}."]
     lost = [part.name for part in history.parts if part.spans]
@@ -78,7 +80,7 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
             found.append(
                 f"In the last frame {('it is called lost' if gone else 'it is not called lost') if one else end}."
             )
-    if hidden := len(np.unique(table.frame[table.status == "hidden"])):
+    if hidden := len({at for part in history.parts for one in part.hidings for at in range(one.first, one.last + 1)}):
         found.append(
             f"{'It' if one else 'At least one part'} was hidden, at a likely place, in {count(hidden, 'frame')}."
         )
@@ -96,6 +98,26 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
         said = "Absent" if any(part.vanishes for part in missing) else "Marked as absent"
         found.append(f"{said}: {names([part.name for part in missing])}, in {over}.")
     return " ".join(found)
+
+
+def to_look_at(table: Trajectory, history: RunHistory, clock: Clock) -> list[tuple[int, str]]:
+    """Frames to look at first, as the run names them, each with the words: the longest stretches in which a part is
+    called lost, and the frame of the lowest confidence where that is low.
+    """
+    found = []
+    for first, last in sorted(sorted(history.episodes, key=lambda one: one.first - one.last)[:3]):
+        lost = dict.fromkeys(span.name for span in history.spans if span.first <= last and span.last >= first)
+        frames = f"{first} to {last}" if last > first else str(first)
+        found.append(
+            (first, f"{at_clock(clock.at(first))}, frame{'s' * (last > first)} {frames}: {names([*lost], 3)} lost")
+        )
+    if history.worst is not None:
+        rows = table.at(history.worst)
+        mean = mean_confidence(rows.confidence[np.isfinite(rows.confidence) & (rows.status != "init")])
+        if mean < LOW:
+            at = f"{at_clock(clock.at(history.worst))}, frame {history.worst}"
+            found.append((history.worst, f"{at}: the lowest confidence, {number(mean)}"))
+    return found
 
 
 def confidence_of(table: Trajectory) -> float | None:

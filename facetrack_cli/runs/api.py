@@ -19,7 +19,7 @@ from typing import Any, Final, Literal, TypeAlias
 import cv2
 import numpy as np
 
-from facetrack_cli.core.errors import FacetrackError, InputError
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.face_points import DETECTORS, DetectorName
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.numbers import dumps
@@ -357,13 +357,21 @@ class Tracker:
         return result
 
     def save(self, path: str | Path) -> None:
-        """Write all that it knows, also while no target is found. Raises OutputError.
+        """Write all that it knows, also while no target is found.
 
-        A tracker of OpenCV does not give its state away: TypeError.
+        Raises
+        ------
+        OutputError : for a file that cannot be written.
+        UsageError : for a tracker of OpenCV, which does not give its state away.
         """
         kept = [] if self._search is None else [(one.index, one.time_s, one.bgr) for one in self._search.kept]
         known = self.start, self._at, self._size, self._next, self._last_s, kept
-        KIND.write(Path(path), {"of": np.array(self._key), **flat_value("known", known)})
+        try:
+            arrays = flat_value("known", known)
+        except TypeError:  # what is behind Python has no state to write
+            why = f"a tracker of OpenCV, as in {self.recipe.name}, does not give its state away"
+            raise UsageError(f"{path}: {why}; take another recipe, or begin it again") from None
+        KIND.write(Path(path), {"of": np.array(self._key), **arrays})
 
     def _load(self, path: Path) -> None:
         def make(stored: Stored) -> Any:

@@ -536,7 +536,9 @@ def lost_words(frames: Mapping[str, int]) -> str:
         target, _, part = name.rpartition("/")
         by.setdefault(target, {}).setdefault(count, []).append(part)
     told = (", ".join(f"{' and '.join(parts)} in {n}" for n, parts in counts.items()) for counts in by.values())
-    return "; ".join(f"{target} {words}".strip() for target, words in zip(by, told, strict=True)) + " frames"
+    last = 0 if not by else [*[*by.values()][-1]][-1]
+    words = "; ".join(f"{target} {words}".strip() for target, words in zip(by, told, strict=True))
+    return f"{words} frame{'s' * (last != 1)}"
 
 
 def _is_tracked(known: Manifest) -> bool:

@@ -25,7 +25,7 @@ from facetrack_cli.trackers.face.detectors import Detector, detector
 from facetrack_cli.trackers.face.stabilized import BOX as STILL
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity, slope
 from facetrack_cli.trajectory.diagnostics import DOUBTFUL, NAMED, NETWORK
-from facetrack_cli.trajectory.trajectory import SEEN, FrameResult, Trajectory
+from facetrack_cli.trajectory.trajectory import SEEN, FrameResult, Trajectory, mean_confidence
 
 EVERY_FRAMES: Final = 15  # between two looks
 SURE: Final = 0.9  # the frame of the lowest mean confidence is named if that is less
@@ -120,7 +120,7 @@ class RunMonitor(Sink):
         self._count_hands(rows, index)
         known = rows.confidence[np.isfinite(rows.confidence) & (rows.status != "init")]
         if known.size:
-            mean = float(known.mean())
+            mean = mean_confidence(known)
             self.judged, self.sure = self.judged + 1, self.sure + mean
             if not gone.any():
                 self.least = min(self.least, (mean, index))

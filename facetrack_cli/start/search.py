@@ -24,6 +24,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import centre, inside, overlap
 from facetrack_cli.core.types import Box, Frame, Image, Point, Start, TargetStart
+from facetrack_cli.core.warp import warp_affine
 from facetrack_cli.trackers.face.closer import everywhere, near, righted
 from facetrack_cli.trackers.face.detectors import (
     MIN_CONTRAST,
@@ -139,8 +140,7 @@ def _deformation(first: Image, view: Image) -> float:
     ends = cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-3
     with suppress(cv2.error):  # where it does not converge, what is left by the shift counts
         warp = np.asarray(cv2.findTransformECC(core, view, warp, cv2.MOTION_AFFINE, ends, whole, 1)[1], np.float32)
-    how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return _change(np.asarray(cv2.warpAffine(view, warp, core.shape[::-1], flags=how), np.uint8), core)
+    return _change(np.asarray(warp_affine(view, warp, core.shape[::-1], inverse=True), np.uint8), core)
 
 
 def search_start(

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from html import escape
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from facetrack_cli.core.types import Array
-
-if TYPE_CHECKING:
-    from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
 
 WIDE, HIGH, BINS = 160, 24, 80  # of a line of confidence: pixels, and means that it shows
 SHOWN: Final = 20  # rows of the table
@@ -23,7 +21,7 @@ def html(table: Trajectory) -> str:
     lines = []
     for target in table.targets[:SHOWN]:
         parts = table.of_target(target)
-        seen = 1 - float(np.mean(np.concatenate([one.unseen for one in parts])))
+        seen = float(np.mean(np.concatenate([np.isin(one.status, SEEN) for one in parts])))
         said = ", ".join(f"{n} {value}" for (of, value), n in sorted(events.items()) if of == target)
         cells = target or "-", len(parts), len(parts[0]), f"{seen:.0%}", said, _line(parts[0].confidence)
         lines.append("<tr>" + "".join(f"<td>{one if i == 5 else escape(str(one))}</td>" for i, one in enumerate(cells)))

@@ -7,14 +7,16 @@ number that is not known is nan, a text "".
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError, needed
+from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.geometry import shown_angle
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Frame, Image, Mask, Start, Texts, Whole
@@ -22,6 +24,7 @@ from facetrack_cli.trajectory.diagnostics import POSTERIOR, SURE, Diagnostics, o
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+    from xarray import Dataset
 
     from facetrack_cli.trajectory.analysis.face_events import FaceEvent
     from facetrack_cli.trajectory.analysis.measures import Measured
@@ -282,32 +285,51 @@ class Trajectory:
 
         return html(self)
 
-    def to_pandas(self, what: Literal["rows", "measures", "events"] = "rows") -> DataFrame:
+    def _repr_png_(self) -> bytes | None:
+        """The plot of all of it; None where it cannot be drawn."""
+        import facetrack_cli
+
+        if not len(self):
+            return None
+        with suppress(FacetrackError):
+            facetrack_cli.plot(self).savefig(file := BytesIO(), format="png")
+            return file.getvalue()
+        return None
+
+    def export(self, form: str, out: str | Path | None = None, **more: Any) -> str | bytes | Path:
+        """As another program reads it, as `eaf`; see `facetrack.export`."""
+        import facetrack_cli
+
+        return facetrack_cli.export(self, form, out, **more)
+
+    def video(self, *, media: str | Path | None = None) -> Any:
+        """The annotated video, which notebooks show; see `facetrack.annotated_video`."""
+        import facetrack_cli
+
+        return facetrack_cli.annotated_video(self, media=media)
+
+    def to_xarray(self) -> Dataset:
+        """The places as an xarray.Dataset in the layout of `movement`'s poses.
+
+        `position` (time, space, keypoints, individuals) in pixels, and `confidence` (time, keypoints, individuals);
+        parts are keypoints, targets individuals. There is a time, in seconds, for each frame from the first to the last
+        one, whose number is the coordinate `frame`; what is not known is nan. Lost rows have the tracker's estimate.
+        UsageError without xarray, which the extra `xarray` brings.
+        """
+        from facetrack_cli.trajectory.frames import dataset
+
+        return dataset(self)
+
+    def to_pandas(self, what: Literal["rows", "measures", "events"] = "rows", *, measures: bool = False) -> DataFrame:
         """The columns, the measures or the events as a pandas DataFrame.
 
-        Of measures there is a row for each target, measure and frame: value, std and noise. UsageError without pandas,
-        which the extra `pandas` brings.
+        Of measures there is a row for each target, measure and frame: value, std and noise. With `measures`, each row
+        of the columns has those of its target and frame, too, a column each. UsageError without pandas, which the
+        extra `pandas` brings.
         """
-        with needed("data frames", "pandas", "pandas"):
-            import pandas
+        from facetrack_cli.trajectory.frames import data_frame
 
-        if what == "rows":
-            return pandas.DataFrame(self.columns())
-        if what == "events":
-            from facetrack_cli.trajectory.analysis.face_events import FaceEvent
-
-            return pandas.DataFrame(self.events, columns=FaceEvent._fields)
-        names = ("frame", "time_s", "value", "std", "noise")
-        each = [
-            pandas.DataFrame(
-                {"target": target, "measure": name, "unit": one.unit, **{k: getattr(one, k) for k in names}}
-            )
-            for target, found in self.measures.items()
-            for name, one in found.items()
-        ]
-        return (
-            pandas.concat(each, ignore_index=True) if each else pandas.DataFrame(columns=["target", "measure", *names])
-        )
+        return data_frame(self, what, measures=measures)
 
 
 _ARRAYS = tuple(f.name for f in fields(Trajectory) if str(f.type).startswith(("Whole", "Array", "Texts", "Mask")))
@@ -415,6 +437,11 @@ def aligned(parts: Sequence[Trajectory], *columns: str, frame: Whole | None = No
         for k, part in enumerate(parts):
             found[name][np.searchsorted(frame, part.frame), k] = getattr(part, name)
     return frame, found
+
+
+def mean_confidence(known: Array) -> float:
+    """The mean of a frame's confidences, of the digits that a file has: it is the same from rows and from a file."""
+    return round(float(np.round(known, DECIMALS["confidence"]).mean()), 12)
 
 
 def every_frame(table: Trajectory) -> tuple[Whole, Array]:

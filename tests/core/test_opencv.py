@@ -1,28 +1,34 @@
-"""Another OpenCV than 4 is told in one line, before anything asks what it has not."""
+"""Another OpenCV than 4 or 5 is told in one line, before anything asks what it has not."""
 
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
+from facetrack_cli.core import warp
 from facetrack_cli.core.errors import UsageError, check_opencv
+from facetrack_cli.trackers.face import points
+
+needs_4 = pytest.mark.skipif(not cv2.__version__.startswith("4."), reason="compares with OpenCV 4")
 
 
-@pytest.mark.parametrize("version", ["5.0.0", "3.4.20", "of nothing"])
+@pytest.mark.parametrize("version", ["6.0.0", "3.4.20", "of nothing"])
 def test_another_version_is_refused_with_its_packages(version: str) -> None:
     with pytest.raises(UsageError) as caught:
         check_opencv(version)
     said = str(caught.value)
     assert f"cv2 is {version}" in said and "opencv-python-headless" in said and "\n" not in said
-    assert "pip uninstall -y opencv" in said and "pip install --force-reinstall" in said and "<5" in said
+    assert "pip uninstall -y opencv" in said and "pip install --force-reinstall" in said and "<6" in said
 
 
 @pytest.mark.parametrize("command", ["run clip.mp4", "report out", "people out", "fix out"])
-def test_every_command_beside_opencv_5_ends_in_one_line(tmp_path: Path, command: str) -> None:
+def test_every_command_beside_opencv_6_ends_in_one_line(tmp_path: Path, command: str) -> None:
     (tmp_path / "cv2").mkdir()
-    (tmp_path / "cv2" / "__init__.py").write_text('__version__ = "5.0.0"\n')
+    (tmp_path / "cv2" / "__init__.py").write_text('__version__ = "6.0.0"\n')
     (tmp_path / "clip.mp4").write_bytes(b"x")
     done = subprocess.run(
         [sys.executable, "-m", "facetrack_cli", *command.split()],
@@ -31,6 +37,52 @@ def test_every_command_beside_opencv_5_ends_in_one_line(tmp_path: Path, command:
     )  # fmt: skip
     assert done.returncode == 2, done.stderr
     assert (
-        done.stderr.startswith("facetrack: error: OpenCV 4 is needed, and cv2 is 5.0.0")
+        done.stderr.startswith("facetrack: error: OpenCV 4 or 5 is needed, and cv2 is 6.0.0")
         and done.stderr.count("\n") == 1
     )
+
+
+@pytest.mark.parametrize("missing", ["class", "files"])
+def test_haar_beside_an_opencv_without_it_ends_in_one_line_with_the_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, missing: str
+) -> None:
+    if missing == "class":
+        monkeypatch.delattr(cv2, "CascadeClassifier", raising=False)
+    else:  # as in contrib 5
+        monkeypatch.setattr(points, "_file", lambda name: tmp_path / name)
+    points.has_cascades.cache_clear()
+    try:
+        with pytest.raises(UsageError, match=r"^the installed OpenCV .* has no Haar cascades; pip install .*detect"):
+            points.check_cascades()
+    finally:
+        points.has_cascades.cache_clear()
+
+
+@needs_4
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("inverse", [False, True])
+def test_a_warp_reads_where_opencv_4_reads(monkeypatch: pytest.MonkeyPatch, channels: int, inverse: bool) -> None:
+    rng = np.random.default_rng(channels)
+    image = rng.integers(0, 256, (61, 83, channels)).astype(np.uint8)
+    for border in (cv2.BORDER_CONSTANT, cv2.BORDER_REPLICATE):
+        for _ in range(20):
+            matrix = np.column_stack(
+                [np.eye(2) * rng.uniform(0.3, 3) + rng.normal(0, 0.4, (2, 2)), rng.normal(0, 30, 2)]
+            )
+            seen = []
+            for rounds in (True, False):
+                monkeypatch.setattr(warp, "_ROUNDS", rounds)
+                seen.append(warp.warp_affine(image, matrix, (70, 50), border, inverse=inverse))
+            assert np.array_equal(*seen)
+
+
+@needs_4
+def test_a_map_reads_where_opencv_4_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    image = rng.normal(0, 50, (61, 83)).astype(np.float32)
+    x, y = (rng.uniform(-5, side + 5, (40, 30)).astype(np.float32) for side in (83, 61))
+    seen = []
+    for rounds in (True, False):
+        monkeypatch.setattr(warp, "_ROUNDS", rounds)
+        seen.append(warp.remap(image, x, y, cv2.BORDER_REPLICATE))
+    assert np.array_equal(*seen)

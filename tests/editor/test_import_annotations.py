@@ -1,4 +1,4 @@
-"""A run that is corrected in CVAT or Label Studio, and comes back by facetrack fix --import."""
+"""A run that is corrected in CVAT, Label Studio or ELAN, and comes back by facetrack fix --import."""
 
 import json
 import re
@@ -8,8 +8,9 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, TargetStart
-from facetrack_cli.editor.import_annotations import imported_corrections
+from facetrack_cli.editor.import_annotations import imported_corrections, renames
 from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.trajectory.header import CORRECTED
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -186,3 +187,84 @@ def test_what_the_run_does_not_have_is_refused(runs, capsys):
     assert "frame 0 cannot be corrected, in which it begins" in capsys.readouterr().err
     assert facetrack("fix", run, "--import", file, "--init", file) == 2
     assert "--import adds to the run's corrections, --init replaces them" in capsys.readouterr().err
+
+
+def in_elan(run, *tiers):
+    """The run's .eaf with tiers of its own added: name, participant, annotations (begin, end in ms, text)."""
+    path = run / "trajectory.eaf"
+    assert facetrack("export", run, "--to", "elan", "--overwrite") == 0
+    tree = ET.parse(path)
+    root = tree.getroot()
+    for n, (name, participant, notes) in enumerate(tiers):
+        for old in [one for one in root.iter("TIER") if one.get("TIER_ID") == name]:
+            root.remove(old)
+        tier = ET.Element("TIER", TIER_ID=name, PARTICIPANT=participant, LINGUISTIC_TYPE_REF="any")
+        root.insert(2, tier)
+        for k, (begin, end, text) in enumerate(notes):
+            for side, time in ("b", begin), ("e", end):
+                slot = {"TIME_SLOT_ID": f"own{n}{side}{k}", "TIME_VALUE": str(time)}
+                ET.SubElement(root.find("TIME_ORDER"), "TIME_SLOT", slot)
+            ends = {"TIME_SLOT_REF1": f"own{n}b{k}", "TIME_SLOT_REF2": f"own{n}e{k}"}
+            one = ET.SubElement(ET.SubElement(tier, "ANNOTATION"), "ALIGNABLE_ANNOTATION", ends)
+            ET.SubElement(one, "ANNOTATION_VALUE").text = text
+    tree.write(path)
+    return path
+
+
+def test_segments_in_elan_say_when_a_target_or_its_parts_are_absent(runs):
+    run = runs / "points"
+    # 25 frames a second: a frame is absent if its middle is in the segment
+    notes = [(115, 245, "mouth_left, nose"), (310, 400, "absent")]
+    file = in_elan(run, ("absent@face", "", notes), ("gloss@face", "face", [(0, 400, "HOUSE")]))
+    rows = open_run(run).rows
+    back = {part: (rows.find("face", part).x[6], rows.find("face", part).y[6]) for part in ("mouth_left", "nose")}
+    assert found(run, file) == (
+        Correction(3, "face", TargetStart(), absent=("nose", "mouth_left")),
+        Correction(6, "face", TargetStart(points={"nose": back["nose"], "mouth_left": back["mouth_left"]}), absent=()),
+        Correction(8, "face", absent=True),
+    )
+
+
+def test_segments_that_were_moved_in_elan_move_what_is_absent(runs, capsys):
+    run = runs / "box"
+    own = in_elan(run, ("seen@face", "face", [(0, 160, "seen"), (280, 400, "")]))
+    assert facetrack("fix", run, "--import", own, "--no-video", "-q") == 0
+    assert [*open_run(run).rows.find("face", "box").status[3:8]] == ["tracked", "absent", "absent", "absent", "init"]
+    whole = in_elan(run)
+    capsys.readouterr()
+    assert found(run, whole) == ()
+    # its end moves to frame 8, where it was seen; in frame 6 it has no place, which must be given on the page
+    moved = in_elan(run, ("absent@face", "face", [(160, 320, "absent")]))
+    box = open_run(run).rows.find("face", "box").boxes[8]
+    assert found(run, moved) == (
+        Correction(7, "face", absent=True),
+        Correction(8, "face", TargetStart(box=tuple(box.round(3).tolist())), absent=()),
+    )
+    shorter = in_elan(run, ("absent@face", "face", [(160, 240, "absent")]))
+    assert facetrack("fix", run, "--import", shorter) == 3
+    assert "face/box is there in frame 6, and the run has no place of it; place it there" in capsys.readouterr().err
+
+
+def test_what_elan_s_file_does_not_have_is_refused(runs, capsys):
+    run = runs / "points"
+    file = in_elan(run, ("absent@face", "face", [(120, 240, "chin")]))
+    assert facetrack("fix", run, "--import", file) == 3
+    assert "'chin' is no part; there are nose, mouth_left" in capsys.readouterr().err
+    assert facetrack("fix", run, "--import", in_elan(run)) == 3
+    assert "has no tier seen or absent of face; add a tier absent@face there" in capsys.readouterr().err
+
+
+def test_participants_in_elan_are_the_names_of_a_film_s_people(tmp_path):
+    names, path = ("person_1", "person_2"), tmp_path / "notes.eaf"
+    tier = '<TIER TIER_ID="{}@{}" PARTICIPANT="{}" LINGUISTIC_TYPE_REF="seen"/>'
+    tiers = [("seen", "person_1", "Anna"), ("mouth", "person_1", "Anna"), ("seen", "person_2", "person_2")]
+
+    def write(*tiers):
+        body = "".join(tier.format(*one) for one in tiers)
+        path.write_text(f'<ANNOTATION_DOCUMENT FORMAT="3.0"><TIME_ORDER/>{body}</ANNOTATION_DOCUMENT>')
+
+    write(*tiers, ("gloss", "Zoe", "Zoe"))
+    assert renames(path, names, "clip.mp4") == {"person_1": "Anna"}
+    write(*tiers, ("blinks", "person_1", "Ben"))
+    with pytest.raises(InputError, match="the tiers of person_1 have the participants Anna and Ben; give them one"):
+        renames(path, names, "clip.mp4")

@@ -2,7 +2,8 @@
 
 Run by the Python that has them (requirements.txt); imports nothing of ours. The folder holds track, truth and same
 .mot.txt, track.otb.txt, track and dropped .got10k.txt, track.vot.txt, track.coco.json, track and two .dlc.csv and
-.dlc.h5, track.wide.csv, track.openface.csv, track.eaf and quoted.eaf.
+.dlc.h5, track.wide.csv, track.openface.csv, track.eaf, quoted.eaf, session.eaf, to which tiers were added, and
+face.TextGrid.
 """
 
 import contextlib
@@ -184,6 +185,11 @@ def eaf(path):
     }
 
 
+def textgrid(path):
+    """Of each tier its intervals, those without text too."""
+    return {tier.name: tier.get_all_intervals() for tier in pympi.Praat.TextGrid(str(path)).get_tiers()}
+
+
 def plain(value):
     """Without NaN, which JSON has no word for: null."""
     if isinstance(value, dict):
@@ -212,6 +218,8 @@ def main():
         "openface": openface(folder / "track.openface.csv"),
         "eaf": eaf(folder / "track.eaf"),
         "other_eaf": other_eaf(folder / "quoted.eaf"),
+        "session": eaf(folder / "session.eaf"),
+        "textgrid": textgrid(folder / "face.TextGrid"),
     }
     sys.stdout.write(json.dumps(plain(found)))
 

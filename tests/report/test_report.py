@@ -127,7 +127,7 @@ def test_odd_sizes_lose_the_line_that_the_video_was_padded_by(tmp_path):
     run = write_run(tmp_path / "run", tmp_path / "gone", size=(63, 47))
     write_video(run / "annotated.mp4", frames=[numbered(i) for i in range(5, 25)])
     found = shown(make_report(run).html)
-    assert list(found) == KEYS
+    assert sorted(found) == KEYS and next(iter(found)) == 8, "what is to be looked at first comes first"
     assert found[5].shape == (477, 640, 3)  # 63x47 enlarged, not 64x48
 
 

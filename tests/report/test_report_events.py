@@ -7,10 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from facetrack_cli.core.types import Start
+from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.report.events import history_of, key_frames
-from facetrack_cli.report.text import reasons
+from facetrack_cli.report.text import number, reasons, to_look_at
+from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.trajectory import mean_confidence
 from tests.support.face_shape import moving_face
 from tests.support.report_run import LOST, write_run
 
@@ -27,9 +31,9 @@ def test_the_history_of_each_part(tmp_path):
     assert clock.duration == pytest.approx(0.8)
     assert a.mean == pytest.approx((15 * 0.75 + 4 * 0.05) / 19)  # without the first frame
     assert (history.frames_lost, history.episodes, history.ending("lost")) == (15, ((8, 11), (14, 24)), ["b"])
-    assert history.worst == 8
+    assert history.worst == 6, "of the frames in which nothing is lost, as the run says"
     kinds = {key.frame: [event.kind for event in key.events] for key in key_frames(history, 5, 24)}
-    assert kinds == {5: ["start"], 8: ["lost", "worst"], 12: ["back"], 14: ["lost"], 24: ["end"]}
+    assert kinds == {5: ["start"], 6: ["worst"], 8: ["lost"], 12: ["back"], 14: ["lost"], 24: ["end"]}
 
 
 def test_an_open_mouth_a_smile_and_a_blink_are_shown():
@@ -73,3 +77,23 @@ def test_key_frames_are_few_and_far_apart(tmp_path, monkeypatch, seed):
         for event in key.events:
             for span in event.spans:
                 assert key.frame == (span.first if event.kind == "lost" else span.back)
+
+
+def test_the_frames_to_look_at_are_those_that_the_run_names(tmp_path):
+    table = read_trajectory(write_run(tmp_path, Path("clip.mp4")))
+    clock = Clock(table, 25.0)
+    history = history_of(table, clock)
+    assert to_look_at(table, history, clock) == [
+        (8, "0:00.32, frames 8 to 11: a lost"),
+        (14, "0:00.56, frames 14 to 24: b lost"),
+        (6, f"0:00.24, frame 6: the lowest confidence, {number(mean_confidence(table.at(6).confidence))}"),
+    ]
+    watch = RunMonitor.of(load_recipe("factorized"), Start(5, {}, "x"))
+    for frame in table.frames.tolist():
+        watch.take(table.at(frame))
+    assert watch.least[1] == history.worst and watch.look == ((14, 24), (8, 11))
+
+
+def test_means_of_a_file_tie_where_those_of_the_run_do():
+    exact = np.array([0.70004, 0.7, 0.69996])
+    assert mean_confidence(exact) == mean_confidence(np.round(exact, 4)) == mean_confidence(np.full(5, 0.7))

@@ -90,3 +90,13 @@ def test_what_is_no_image_and_no_time_is_refused(images):
         with pytest.raises(facetrack.InputError, match=said):
             tracker.update(image, time_s)
     assert tracker.update(images[1], 1.5).frame.index == 1, "what was refused does not count"
+
+
+def test_a_tracker_of_opencv_has_no_state_to_save(images, tmp_path):
+    tracker = facetrack.Tracker("mil", init=(40, 30, 40, 40))
+    tracker.update(images[0])
+    with pytest.raises(
+        facetrack.FacetrackError, match=r"state.npz: a tracker of OpenCV, as in mil, does not give its state away"
+    ):
+        tracker.save(tmp_path / "state.npz")
+    assert not any(tmp_path.iterdir())

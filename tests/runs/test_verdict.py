@@ -122,6 +122,7 @@ def test_a_hand_that_is_taken_for_a_face_is_said_to_be_doubtful(tmp_path, monkey
 def test_what_was_lost_is_told_once_a_target_worst_first():
     lost = {"face/nose": 3, "hand/box": 40, "face/lip_upper": 12, "face/lip_lower": 12, "nose": 2}
     assert lost_words(lost) == "hand box in 40; face lip_upper and lip_lower in 12, nose in 3; nose in 2 frames"
+    assert lost_words({"face/nose": 3, "face/lip": 1}) == "face nose in 3, lip in 1 frame"
 
 
 @pytest.mark.parametrize("recipe", ["face", "head_hands", "adaptive"])

@@ -14,7 +14,7 @@ from tests.support.sinks import Alone
 
 # part a is lost in frames 8 to 11, part b from 14 to the end
 LOST = {"a": range(8, 12), "b": range(14, 99)}
-KEYS = [5, 8, 12, 14, 24]
+KEYS = [5, 6, 8, 12, 14, 24]
 
 
 def write_run(

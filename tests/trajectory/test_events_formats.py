@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import re
 from datetime import UTC, datetime
 from itertools import groupby, pairwise
 
@@ -12,10 +13,17 @@ from click.testing import CliRunner
 from matplotlib.patches import Rectangle
 
 from facetrack_cli.cli.app import cli
-from facetrack_cli.core.errors import UsageError
+from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.report import figures as plots
 from facetrack_cli.trajectory.analysis.face_events import FaceEvent
-from facetrack_cli.trajectory.formats.events import COLUMNS, Clip, write_boris, write_events, write_subtitles
+from facetrack_cli.trajectory.formats.events import (
+    COLUMNS,
+    Clip,
+    write_boris,
+    write_events,
+    write_subtitles,
+    write_textgrid,
+)
 from facetrack_cli.trajectory.trajectory import joined
 from tests.support.face_shape import moving_face
 
@@ -55,6 +63,32 @@ def test_subtitles_are_to_the_millisecond_and_leave_out_what_has_no_extent(monke
     table = face()
     assert write_subtitles(table, "srt") == "1\n01:01:01,000 --> 01:01:01,300\na<b: mouth: open\n"
     assert write_subtitles(table, "vtt") == "WEBVTT\n\n1\n01:01:01.000 --> 01:01:01.300\na&lt;b: mouth: open\n"
+
+
+def read_textgrid(text):
+    """Of each tier its intervals, as Praat's long format has them."""
+    found = {}
+    for tier in text.split("    item [")[1:]:
+        name = re.search(r'name = "(.*)"\n', tier)[1].replace('""', '"')
+        rows = re.findall(r'xmin = (\S+)\n +xmax = (\S+)\n +text = "(.*)"', tier)
+        assert int(re.search(r"intervals: size = (\d+)", tier)[1]) == len(rows)
+        found[name] = [(float(a), float(b), value.replace('""', '"')) for a, b, value in rows]
+    return found
+
+
+def test_a_textgrid_covers_the_whole_time_with_intervals():
+    text = write_textgrid(face('O"Brien'))
+    found = read_textgrid(text)
+    assert {f'{tier}@O"Brien' for tier in ("mouth", "smile", "blinks", "dips")} <= {*found}
+    assert found['mouth@O"Brien'] == [(0, 4, ""), (4, 5.6, "open"), (5.6, 10, "")]
+    assert found['smile@O"Brien'] == [(0, 10, "")]
+    assert [value for *_, value in found['blinks@O"Brien']] == ["", "blink"] * 3 + [""]
+    for rows in found.values():
+        assert all(one[1] == other[0] for one, other in pairwise(rows)) and (rows[0][0], rows[-1][1]) == (0, 10)
+    assert re.search(r"^xmax = 10\.000000\n", text, re.MULTILINE)
+    bare = joined([face().find("face", "nose")])
+    with pytest.raises(InputError, match="has no points or hands that tell an event"):
+        write_textgrid(bare)
 
 
 def test_a_boris_project_pairs_begins_and_ends_of_declared_subjects():

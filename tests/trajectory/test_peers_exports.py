@@ -4,6 +4,7 @@ exploface, Kinetics Toolkit, pympi, corflow, speach, elan-data.
 
 import json
 import os
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -13,6 +14,8 @@ import pytest
 from click.testing import CliRunner
 
 from facetrack_cli.cli.app import cli
+from facetrack_cli.trajectory.formats.events import write_textgrid
+from tests.trajectory.test_events_formats import face, read_textgrid
 
 PEERS = os.environ.get("FACETRACK_PEERS")
 pytestmark = pytest.mark.skipif(
@@ -79,6 +82,9 @@ def read(tmp_path_factory):
     export("two.csv", "mot", "-o", str(folder / "track.mot.txt"))
     export("two.csv", "coco", "-o", str(folder / "track.coco.json"), "--media", str(folder / "frames"))
     export("track.csv", "eaf", "--media", str(folder / CLIP))
+    shutil.copy(folder / "track.eaf", folder / "session.eaf")
+    export("track.csv", "eaf", "--media", str(folder / CLIP), "--into", str(folder / "session.eaf"), "--overwrite")
+    (folder / "face.TextGrid").write_text(write_textgrid(face('O"Brien')), encoding="utf-8")
     script = Path(__file__).parents[1] / "peers/read_exports.py"
     run = subprocess.run([PEERS, script, folder], capture_output=True, text=True, check=False, timeout=120)
     assert run.returncode == 0, run.stderr
@@ -236,3 +242,22 @@ def test_readers_of_elan_find_a_name_with_an_apostrophe_and_all_tiers_have_the_b
     times = [time for spans in found["speach"].values() for span in spans for time in span[:2]]
     assert {tuple(tier[:2]) for tier in found["corflow"].values()} == {(min(times), max(times))}
     assert found["links"]["quoted"] == found["links"]["corflow"] == found["links"]["speach"] > 0
+
+
+def test_pympi_reads_a_file_to_which_tiers_were_added(read):
+    once, twice = read[1]["eaf"], read[1]["session"]
+    assert set(twice["tiers"]) == {f"{name}{more}" for name in once["tiers"] for more in ("", "-2")}
+    for name, rows in once["tiers"].items():
+        assert twice["tiers"][name] == twice["tiers"][f"{name}-2"] == rows
+        assert twice["parameters"][name] == once["parameters"][name]
+    assert twice["types"] == once["types"] and twice["vocabularies"] == once["vocabularies"]
+    assert len(twice["kept_when_written_again"]) == 2 * len(once["kept_when_written_again"])
+
+
+def test_pympi_reads_a_textgrid(read):
+    found = read[1]["textgrid"]
+    ours = read_textgrid(write_textgrid(face('O"Brien')))
+    assert {name.replace('""', '"') for name in found} == {*ours}
+    mouth = next(rows for name, rows in found.items() if name.startswith("mouth"))
+    assert mouth == [[0, 4, ""], [4, 5.6, "open"], [5.6, 10, ""]]
+    assert sum(map(len, found.values())) == sum(map(len, ours.values()))

@@ -2,9 +2,11 @@
 
 import json
 import os
+import site
 import subprocess
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 
@@ -47,3 +49,21 @@ def test_people_who_come_and_go_are_read_when_they_are_there(tmp_path, ending):
         moseq = np.array(found["moseq"][target], dtype=float)
         np.testing.assert_allclose(np.array(seen["values"], dtype=float)[:, k], wanted[:, k], atol=6e-5)
         np.testing.assert_allclose(moseq, wanted[:, k], atol=6e-5)
+
+
+def test_movement_reads_filters_and_saves_the_dataset(tmp_path):
+    lines = ["frame,time_s,target,part,x,y,w,h,angle,confidence,status"]
+    lines += [f"{t},{t / 25},face,nose,{10 + 2 * t},50,,,,{0.2 if t == 3 else 0.9},tracked" for t in range(8)]
+    lines += [f"{t},{t / 25},face,lip,{20 + 2 * t},60,,,,0.9,tracked" for t in range(2, 8)]
+    (tmp_path / "trajectory.csv").write_text("\n".join(lines) + "\n")
+    script, root = Path(__file__).parents[1] / "peers/read_dataset.py", Path(__file__).parents[2]
+    ours = [str(root), *site.getsitepackages(), str(Path(av.__file__).parents[1])]
+    done = subprocess.run(
+        [PEERS, script, tmp_path / "trajectory.csv", *ours], capture_output=True, text=True, check=False, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    read = json.loads(done.stdout.splitlines()[-1])
+    assert read["dims"] == {"time": 8, "space": 2, "keypoints": 2, "individuals": 1}
+    assert read["missing"] == 2 + 4, "x and y of the doubtful nose, and of the lip before it is there"
+    assert read["filled"] == [10 + 2 * t for t in range(8)]
+    assert read["speed"] == pytest.approx([50.0] * 8) and read["same"] and read["times"]

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
-from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,7 +16,6 @@ from facetrack_cli.core.errors import InputError, OutputError, UsageError
 if TYPE_CHECKING:
     from facetrack_cli.trajectory.formats.events import Clip
     from facetrack_cli.trajectory.select import Around
-    from facetrack_cli.trajectory.trajectory import Trajectory
 
 
 ENDINGS = {
@@ -29,6 +26,7 @@ ENDINGS = {
     "boris": "boris",
     "srt": "srt",
     "vtt": "vtt",
+    "textgrid": "TextGrid",
     "openface": "openface.csv",
     "mot": "mot.txt",
     "otb": "otb.txt",
@@ -51,10 +49,11 @@ OF_MEDIA = ("openface", "coco", "eaf", "cvat", "labelstudio")
 
 @click.command()
 @click.argument("trajectory", type=TRAJECTORY)
-@option("--to", type=click.Choice(list(ENDINGS)), metavar="FORMAT", required=True, help="Format, as above.")
+@option("--to", type=click.Choice([*ENDINGS, "elan"]), metavar="FORMAT", required=True, help="Format, as above.")
 @option("-o", "--out", type=FILE_OR_DASH, help="File to write [default: beside TRAJECTORY]; - standard output.")
 @options.target
 @option("--media", type=FILE, help=f"Clip it was tracked in ({', '.join(OF_MEDIA)}).")
+@option("--into", type=FILE, help="An .eaf to add the tiers to.")
 @option(
     "--box", type=click.Choice(["windows", "points"]), metavar="KIND",
     help="What a box around points encloses: windows [default], or points, their centres alone.",
@@ -62,8 +61,8 @@ OF_MEDIA = ("openface", "coco", "eaf", "cvat", "labelstudio")
 @flag("--drop-lost", help="Write lost rows as not known, not with the estimate.")
 @options.overwrite
 def command(
-    trajectory: Path, to: str, out: str | None, target: str | None, media: Path | None, box: Around | None,
-    drop_lost: bool, overwrite: bool,
+    trajectory: Path, to: str, out: str | None, target: str | None, media: Path | None, into: Path | None,
+    box: Around | None, drop_lost: bool, overwrite: bool,
 ) -> None:  # fmt: skip
     """Write a trajectory as other tools read it.
 
@@ -78,6 +77,7 @@ def command(
       events    CSV of when mouths open, eyes blink, heads nod, hands move
       boris     the same as a project of BORIS 8, a clip an observation
       srt, vtt  the same as subtitles, of one run
+      textgrid  the same as a TextGrid of Praat, of one run
       openface  OpenFace's CSV: confidence, success, pose, landmarks
       mot       MOTChallenge: frame, id, box, confidence; all from 1
       otb       OTB boxes, one a line, pixels from 1; one target
@@ -86,7 +86,7 @@ def command(
       coco      COCO keypoints JSON: boxes and points of every frame
       dlc       DeepLabCut CSV: x, y, likelihood of every point
       dlc-h5    the same as DeepLabCut's HDF5; needs pandas and PyTables
-      eaf       ELAN annotations: what was lost, what head and face did
+      eaf, elan ELAN annotations: what was lost, what head, face, hands did
       cvat      CVAT for video 1.1: a track for each part, to correct there
       labelstudio  Label Studio's video rectangles, to correct there
 
@@ -104,19 +104,28 @@ def command(
     image plane; for open mouths, blinks and nods of the pose. It needs the video; coco and openface's pose_T the size
     of the frames: both stand in a trajectory.json, else give --media.
 
+    With --into an .eaf that is there gets these tiers: what is in it stays as it is, and a tier whose name is taken
+    gets another. The result goes to -o, or with --overwrite into that file itself. What people change in the tiers
+    seen and absent comes back by facetrack fix --import.
+
     \b
     Examples:
       facetrack export out/ --to mot
       facetrack export out/trajectory.csv --to dlc -o clip.csv
       facetrack export out/ --to otb --target face/nose -o -
       facetrack export out/trajectory.csv --to eaf --media clip.mp4
+      facetrack export out/ --to elan --into session.eaf --overwrite
 
     \b
     Exit codes: 0 done, 2 usage or output, 3 input.
     """
     from facetrack_cli.core.files import StreamSink, check_new, write_new
+    from facetrack_cli.runs.export import content, encoded
     from facetrack_cli.trajectory.header import clip_of
 
+    to = "eaf" if to == "elan" else to
+    if into is not None and to != "eaf":
+        raise UsageError(f"--into adds the tiers of eaf to a file of ELAN; {to} has none")
     if media is not None and to not in OF_MEDIA:
         raise UsageError(f"--media is for {', '.join(OF_MEDIA)}; {to} does not name the clip")
     if box is not None and to not in OF_BOXES:
@@ -131,20 +140,20 @@ def command(
     table = clips[0].table
     beside = table.path.with_name(f"{table.path.stem}.{ENDINGS[to]}")
     beside = beside if not many else trajectory / f"{trajectory.resolve().name}.{ENDINGS[to]}"
-    path = None if out == "-" else Path(out) if out else beside
+    path = None if out == "-" else Path(out) if out else into or beside
     if path is not None:
         check_new(path, overwrite=overwrite, inputs=(table.path, media, clip_of(table)))
     try:
-        content = _content(clips, path, to, media, box or "windows", many=many)
+        about: Any = {"media": media, "into": into, "box": box}
+        made = content(clips, to, path, many=many, say=say, **about)
     except InputError as e:
         # what is wrong within the table has no file's name yet
-        known = str(e).startswith((str(table.path), str(media)))
+        known = str(e).startswith((str(table.path), str(media), str(into)))
         raise e if known else InputError(f"{table.path}: {e}") from None
     if path is None:
-        StreamSink(sys.stdout.buffer).finish(lambda _: str(content))
+        StreamSink(sys.stdout.buffer).finish(lambda _: str(made))
         return
-    data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
-    write_new(path, data, overwrite=overwrite)
+    write_new(path, encoded(made), overwrite=overwrite)
     frames = table.frames
     begins = f"; line 1 is frame {frames[0]}" if to in ("otb", "got10k") and frames[0] else ""
     what = f"{len(frames)} frames of {', '.join(table.targets) or 'one target'}"
@@ -176,103 +185,3 @@ def _clips(trajectory: Path, to: str, target: str | None, drop_lost: bool) -> tu
     if not found:
         raise InputError(f"{trajectory}: none of its runs can be read; look at facetrack status")
     return found, many
-
-
-def _content(
-    clips: list[Clip], path: Path | None, to: str, media: Path | None, around: Around, *, many: bool
-) -> str | bytes:
-    import numpy as np
-
-    from facetrack_cli.trajectory.formats import boxes, cvat, eaf, events, keypoints, labelstudio, openface, tables
-    from facetrack_cli.trajectory.header import frame_size_of, said
-    from facetrack_cli.trajectory.select import enclose, hide_outside
-
-    table = clips[0].table
-    if not any(np.isfinite(one.x).any() for _, one in clips):
-        raise InputError("no row has a place, x and y; there is nothing to export")
-    if to in ONE_TARGET and len(table.targets) > 1:
-        raise UsageError(f"{to} holds one target; choose with --target among {', '.join(table.targets)}")
-    recipe = said(table, "recipe", "name")
-    scorer = f"facetrack-{recipe}" if recipe else "facetrack"
-    if to == "eaf":
-        folder = path.parent if path else Path.cwd()
-        return eaf.write_eaf(table, _playable(media, table), folder, written=datetime.now())
-    clip, size, fps = _media(media, table) if to in OF_MEDIA else (None, None, 0.0)
-    name = "" if clip is None else clip.name
-    if to in (*OF_MEDIA, "mot") and (sides := size or frame_size_of(table)):
-        table = hide_outside(table, sides)
-    writers: dict[str, Callable[[], str | bytes]] = {
-        "csv-wide": lambda: tables.write_wide(table),
-        "pose": lambda: tables.write_pose(table),
-        "measures": lambda: tables.write_measures(
-            *(one for _, one in clips), clips=[name for name, _ in clips if many]
-        ),
-        "events": lambda: events.write_events(clips),
-        "boris": lambda: events.write_boris(clips, written=datetime.now()),
-        "srt": lambda: events.write_subtitles(table, "srt"),
-        "vtt": lambda: events.write_subtitles(table, "vtt"),
-        "openface": lambda: openface.write_openface(table, size),
-        "cvat": lambda: cvat.write_cvat(table, size, name),
-        "dlc": lambda: keypoints.write_dlc(table, scorer),
-        "dlc-h5": lambda: keypoints.write_dlc_h5(table, scorer),
-    }
-    if to in writers:
-        return writers[to]()
-    if to in ("coco", "labelstudio"):
-        if clip is None or not size or (to == "labelstudio" and not fps > 0):
-            why = "does not say how large and how fast its frames are, only a trajectory.json does"
-            raise InputError(f"{why}; name the clip: --media")
-        if to == "labelstudio":
-            say(f'{name}: give the Video of the labelling configuration framerate="{fps:.10g}"')
-            return labelstudio.write_labelstudio(table, size, fps, name)
-        return keypoints.write_coco(table, size, _image_names(clip, table), around=around)
-    chosen = [enclose(table.of_target(target), around) for target in table.targets]
-    if to == "mot":
-        return boxes.write_mot(chosen)
-    write = {"vot": boxes.write_vot, "otb": boxes.write_otb, "got10k": boxes.write_got10k}[to]
-    return write(chosen[0])
-
-
-def _playable(media: Path | None, table: Trajectory) -> Path:
-    """The video that an .eaf links to. It need not be there: ELAN asks for a file that it does not find."""
-    from facetrack_cli.trajectory.header import clip_of, is_there
-
-    clip = media or clip_of(table)
-    if clip is None:
-        raise InputError("does not name its video, only a trajectory.json does; give it with --media")
-    if is_there(clip) and clip.is_dir():
-        raise InputError(f"{clip} is a folder of images, which ELAN cannot play; name a video of it with --media")
-    if not is_there(clip):
-        if media is not None:
-            raise InputError(f"{clip}: no such file; correct --media")
-        say(f"facetrack: warning: {clip} is not there; ELAN will ask for it, or give it with --media")
-    return clip
-
-
-def _media(media: Path | None, table: Trajectory) -> tuple[Path | None, tuple[int, int] | None, float]:
-    """The clip, the size of its frames and its frames per second (0), as far as --media or the header says them."""
-    from facetrack_cli.trajectory.header import clip_of, frame_size_of, said
-    from facetrack_cli.video.source import open_source
-
-    size, fps = frame_size_of(table), said(table, "source", "fps")
-    if media is None:
-        return clip_of(table), size, float(fps) if isinstance(fps, int | float) else 0.0
-    with open_source(media) as opened:
-        if size and size != opened.size:
-            its, ours = (f"{width}x{height}" for width, height in (opened.size, size))
-            raise InputError(f"{media}: is {its}, but the track is of a clip of {ours}; correct --media")
-        return media, opened.size, float(opened.fps)
-
-
-def _image_names(clip: Path, table: Trajectory) -> Callable[[int], str]:
-    """The name of each frame's image: of a folder its file's name, of a video a name by the frame's number."""
-    from facetrack_cli.trajectory.header import is_there
-    from facetrack_cli.video import images
-
-    files = images.listing(clip) if is_there(clip) else None
-    if files is None:
-        return lambda frame: f"{clip.stem}/{frame:06d}.png"
-    if (last := int(table.frames[-1])) >= len(files):
-        there = f"has {len(files)} images, and the track a frame {last}"
-        raise InputError(f"{clip}: {there}; name its folder with --media")
-    return lambda frame: files[frame].name

@@ -24,7 +24,12 @@ if TYPE_CHECKING:
 @click.argument("folder", type=RUN)
 @options.clip
 @option("--init", type=FILE, help="No page: take the corrections of this init file, and no others.")
-@option("--import", "imported", type=FILE, help="No page: add what was corrected in CVAT (XML) or Label Studio (JSON).")
+@option(
+    "--import",
+    "imported",
+    type=FILE,
+    help="No page: add what was corrected in CVAT (XML), Label Studio (JSON) or ELAN.",
+)
 @flag("--no-video", help="Leave annotated.mp4 as it is.")
 @page_options
 @flag("--quiet", "-q", help="With --init: say nothing but errors.")
@@ -45,7 +50,9 @@ def command(
     stay; a whole run from the file moves them, too.
 
     With --import, the corrections are what differs from the run in a file of an annotation tool, to which facetrack
-    export --to cvat or labelstudio has brought it: parts that were moved, and parts that were marked as not visible.
+    export --to cvat, labelstudio or eaf has brought it: parts that were moved, and parts that were marked as not
+    visible. Of ELAN's .eaf the segments of the tiers seen and absent count, and of a film the participants, who are the
+    names of its people.
 
     The video is drawn from the rows, which do not hold the particles: they are no longer in it.
 
@@ -63,6 +70,7 @@ def command(
     from facetrack_cli.editor.history import Fixer
     from facetrack_cli.run_folder.finished import check_size, open_run
     from facetrack_cli.runs.signals import Stop
+    from facetrack_cli.trajectory.people import PEOPLE
     from facetrack_cli.video.seek import Frames
 
     if init is not None and imported is not None:
@@ -71,6 +79,8 @@ def command(
         page.refuse(f"leave it or {'--init' if init else '--import'} out")
     elif quiet:
         raise UsageError("--quiet goes with --init and --import; the page's address must be said")
+    if imported is not None and imported.suffix.lower() == ".eaf" and (folder / PEOPLE).is_file():
+        return _rename(folder, clip, imported, quiet, video=not no_video)
     opened = open_run(folder, clip)
     with Frames(opened.clip, fps=opened.fps, stream=opened.header.source.stream) as frames:
         check_size(opened, frames.size)
@@ -118,6 +128,33 @@ def _apply(fixer: Fixer, file: Path, stop: Stop, quiet: bool, *, adds: bool, vid
         except StoppedError:
             shown.say(f"facetrack: {stop.reason}; {folder} is as it was")
             return stop.code or ExitCode.FAULT
+    return ExitCode.DONE
+
+
+def _rename(folder: Path, given: Path | None, file: Path, quiet: bool, *, video: bool) -> int:
+    """Take the names that a film's people have in a file of ELAN; the exit code."""
+    from functools import partial
+
+    from facetrack_cli.editor.import_annotations import renames
+    from facetrack_cli.runs.people import people_in, recast, rows_in
+    from facetrack_cli.runs.progress import progress
+    from facetrack_cli.runs.signals import Stop, StoppedError
+    from facetrack_cli.trajectory.header import clip_of
+    from facetrack_cli.trajectory.people import rename
+
+    clip = given or clip_of(rows_in(folder))
+    names = renames(file, people_in(folder).names, clip.name if clip else "")
+    if not names:
+        say(f"facetrack: {file} is as the run has it; nothing was written")
+        return ExitCode.DONE
+    changes = [(f"rename {one}={name}", partial(rename, name=one, to=name)) for one, name in names.items()]
+    with Stop().listening() as stop, progress(quiet) as shown:
+        try:
+            recast(folder, changes, clip=given, video=video, report=shown.looked, stop=stop)
+        except StoppedError:
+            shown.say(f"facetrack: {stop.reason}; {folder} is as it was")
+            return stop.code or ExitCode.FAULT
+        shown.say(f"{folder}: {', '.join(f'{one} is {name}' for one, name in names.items())}")
     return ExitCode.DONE
 
 

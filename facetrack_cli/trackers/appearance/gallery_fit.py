@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Mask
+from facetrack_cli.core.warp import warp_affine
 from facetrack_cli.trackers.appearance import subspaces
 from facetrack_cli.trackers.appearance.gallery import Gallery, logistic, name_problem
 from facetrack_cli.trackers.appearance.subspaces import (
@@ -258,7 +259,7 @@ def off_the_mark(x: Array, shape: tuple[int, int]) -> Array:
         for dx, dy, angle, size in _OFF:
             m = cv2.getRotationMatrix2D(((cols - 1) / 2, (rows - 1) / 2), angle, size)
             m[:, 2] += np.array([dx * cols, dy * rows])
-            moved = cv2.warpAffine(patch, m, (cols, rows), borderMode=cv2.BORDER_REPLICATE).astype(np.float64)
+            moved = warp_affine(patch, m, (cols, rows), cv2.BORDER_REPLICATE).astype(np.float64)
             spread = float(moved.std())
             out.append(((moved - moved.mean()) / spread if spread > 1e-6 else 0.0 * moved).ravel())
     return np.array(out)

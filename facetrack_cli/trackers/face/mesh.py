@@ -8,10 +8,11 @@ the mean of both is more exact than either.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from threading import get_ident
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -36,6 +37,8 @@ EYE_CROP: Final = 2.3  # that side, in distances between the corners of the eye
 LIDS: Final = (0, 8, 12, 4)  # its outer and inner corner, upper and lower lid
 IRIS: Final = 71  # the middle of the iris
 PRESENT: Final = 0.5  # probability of a face below which nothing is said
+# the new engine of OpenCV 5 knows one of a network's outputs alone
+_ENGINE: Final[Mapping[str, Any]] = {"engine": getattr(cv2.dnn, "ENGINE_CLASSIC", 0)} if cv2.__version__ >= "5" else {}
 
 
 class Mesh:
@@ -100,7 +103,7 @@ def _net(path: Path, thread: int, side: int, sizes: tuple[int, ...], what: str, 
     """The network, loaded once for each thread, since it holds what it computes."""
     remedy = f"get it by facetrack models get mesh, or name {name}"
     try:
-        net = cv2.dnn.readNetFromTFLite(str(path))
+        net = cv2.dnn.readNetFromTFLite(str(path), **_ENGINE)
         net.setInput(np.zeros((1, 3, side, side), np.float32))
         found = tuple(sorted(one.size for one in net.forward(net.getUnconnectedOutLayersNames())))
     except cv2.error:

@@ -1,5 +1,7 @@
 """The five points of a face, placed by a regression (`face/descent.py`) in the face as it is seen upright."""
 
+from __future__ import annotations
+
 import cmath
 import math
 from collections.abc import Mapping
@@ -11,7 +13,9 @@ from typing import Final
 import cv2
 import numpy as np
 
+from facetrack_cli.core.errors import UsageError
 from facetrack_cli.core.types import Array, Box, Frame, Image, Point
+from facetrack_cli.core.warp import warp_affine
 from facetrack_cli.trackers.face.descent import CORNER, PlacedPoints, load_descent
 from facetrack_cli.trackers.face.stabilized import EYE_LINE, FACE, MIDDLE, Similarity, change_between
 
@@ -29,6 +33,19 @@ _EYE_CASCADES: Final = (
 )
 
 
+@lru_cache(maxsize=1)
+def has_cascades() -> bool:
+    """Whether this OpenCV has Haar cascades: 5 has the files no longer, and the class in contrib alone."""
+    return hasattr(cv2, "CascadeClassifier") and _file("frontalface_alt2").is_file()
+
+
+def check_cascades() -> None:
+    """UsageError where this OpenCV has none."""
+    if not has_cascades():
+        remedy = "pip install 'opencv-python-headless<5', or take YuNet: pip install 'facetrack[detect]'"
+        raise UsageError(f"the installed OpenCV {cv2.__version__} has no Haar cascades; {remedy}")
+
+
 def cascade(name: str) -> cv2.CascadeClassifier:
     """OpenCV's own cascade of that name, loaded once for each thread, since it holds the image that it searches."""
     return _load(name, get_ident())
@@ -36,7 +53,12 @@ def cascade(name: str) -> cv2.CascadeClassifier:
 
 @lru_cache(maxsize=64)
 def _load(name: str, thread: int) -> cv2.CascadeClassifier:
-    return cv2.CascadeClassifier(str(Path(cv2.__file__).parent / "data" / f"haarcascade_{name}.xml"))
+    check_cascades()
+    return cv2.CascadeClassifier(str(_file(name)))
+
+
+def _file(name: str) -> Path:
+    return Path(cv2.__file__).parent / "data" / f"haarcascade_{name}.xml"
 
 
 def place(
@@ -106,7 +128,7 @@ def shows_eye(image: Image, box: Box) -> bool:
     zoom, top = EYE_WIDTH / w, y + 0.1 * h
     matrix = np.array([[zoom, 0, -(x - 0.5) * zoom - 0.5], [0, zoom, -(top - 0.5) * zoom - 0.5]])
     size = (EYE_WIDTH, round(0.55 * h * zoom))
-    patch = cv2.warpAffine(_smooth(image, 1 / zoom), matrix, size, borderMode=cv2.BORDER_REPLICATE)
+    patch = warp_affine(_smooth(image, 1 / zoom), matrix, size, cv2.BORDER_REPLICATE)
     grey = cv2.equalizeHist(cv2.cvtColor(patch, cv2.COLOR_BGR2GRAY))
     smallest, largest = (round(0.15 * EYE_WIDTH),) * 2, (round(0.45 * EYE_WIDTH),) * 2
     for name, dx, dy in _EYE_CASCADES:

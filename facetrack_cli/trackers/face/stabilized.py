@@ -10,6 +10,7 @@ import numpy as np
 
 from facetrack_cli.core.face_points import EYE_DISTANCE
 from facetrack_cli.core.types import Array, Frame
+from facetrack_cli.core.warp import warp_affine
 
 SIDE: Final = 160  # sides of the stabilized image, in pixels
 FACE: Final = 112.0  # sides of the face's box in it
@@ -48,9 +49,8 @@ class Similarity(NamedTuple):
         image, left, top = frame.reduced(factor, (x - far, y - far, x + far, y + far))
         matrix = self.matrix / factor
         corner = (self.centre - (left, top) - (factor - 1) / 2) / factor - matrix @ ((side - 1) / 2, (side - 1) / 2)
-        how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         whole = np.column_stack([matrix, corner])
-        still = cv2.warpAffine(image, whole, (side, side), flags=how, borderMode=cv2.BORDER_REPLICATE)
+        still = warp_affine(image, whole, (side, side), cv2.BORDER_REPLICATE, inverse=True)
         return Frame(frame.index, frame.time_s, np.asarray(still, np.uint8))
 
 

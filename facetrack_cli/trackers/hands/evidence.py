@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Box, Frame, Image, factor_for
+from facetrack_cli.core.warp import warp_affine
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.shift import shift_between
 
@@ -148,7 +149,7 @@ def look(
     unrest = scene.unrest + LEARNS * (float(np.median(change[free])) - scene.unrest if free.any() else 0.0)
     height, width = skin.shape
     covered, changed = (
-        cv2.warpAffine(one.astype(np.float32), _map(at, s, scene.side), (width, height)) for one in (_soft(seen), new)
+        warp_affine(one.astype(np.float32), _map(at, s, scene.side), (width, height)) for one in (_soft(seen), new)
     )
     beside = np.maximum(skin - still, 0) * (1 - covered)
     size = 2 * round(REACHES * s) + 1
@@ -191,14 +192,14 @@ def _followed(scene: Scene, grey: Map, skin: Map) -> Map:
     size = grey.shape[::-1]
     # what moves before a still camera draws the peak, too: the motion is the camera's if edges fit better by it
     moved, slope = (
-        cv2.warpAffine(scene.grey, shift, size),
+        warp_affine(scene.grey, shift, size),
         cv2.morphologyEx(scene.grey, cv2.MORPH_GRADIENT, np.ones((3, 3))),
     )
     edges = slope >= np.quantile(slope, 0.75)
     if np.median(np.abs(grey - moved)[edges]) >= np.median(np.abs(grey - scene.grey)[edges]):
         return scene.still
-    there = cv2.warpAffine(np.ones_like(grey), shift, size)
-    return np.asarray(cv2.warpAffine(scene.still, shift, size) + (1 - there) * skin, np.float32)
+    there = warp_affine(np.ones_like(grey), shift, size)
+    return np.asarray(warp_affine(scene.still, shift, size) + (1 - there) * skin, np.float32)
 
 
 def _from(at: Array, image: Image, side: float) -> tuple[Array, Array]:
@@ -244,9 +245,8 @@ def _map(at: Array, side: float, first: float) -> Map:
 
 def _head(small: Image, at: Array, side: float, first: float) -> Map:
     """The template of the head: face and neck, as large as in the first frame."""
-    size = tuple(round(first * (HEAD[i + 2] - HEAD[i])) for i in (0, 1))
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    patch = cv2.warpAffine(small, _map(at, side, first), size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    size = round(first * (HEAD[2] - HEAD[0])), round(first * (HEAD[3] - HEAD[1]))
+    patch = warp_affine(small, _map(at, side, first), size, cv2.BORDER_REPLICATE, inverse=True)
     return np.asarray(patch, np.float32)
 
 

@@ -33,6 +33,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.types import Array, Frame, Image, Particles
+from facetrack_cli.core.warp import remap
 from facetrack_cli.engine.independent import averaged, effective_share
 from facetrack_cli.engine.kernels.affine import boxes_extent
 from facetrack_cli.engine.spaces import Context
@@ -115,7 +116,7 @@ class Correlation:
             cells = place + state[0, 2] * side * ((np.arange(count) + 0.5) / count - 0.5)
             at.append(((cells - first - 0.5 * (factor - 1)) / factor).astype(np.float32))
         x, y = np.meshgrid(*at)
-        return np.asarray(cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float64)
+        return np.asarray(remap(image, x, y, cv2.BORDER_REPLICATE), np.float64)
 
     def _image(self, frame: Frame, factor: int, boxes: Array) -> tuple[Image, tuple[int, int, int, int]]:
         """The grey image around the boxes (N, 3), reduced, and its view: (left, top, whole width, whole height)."""

@@ -64,7 +64,7 @@ FRAME_S = 0.04  # how long a single frame lasts where nothing tells
 
 def write_eaf(table: Trajectory, media: Path, folder: Path, *, written: datetime) -> str:
     """The XML text, which will stand in `folder`; `media` is the video. InputError for times that do not increase."""
-    begin, end = _times(table)
+    begin, end = times_of(table)
     tiers = [
         (kind, target, spans)
         for name in table.targets
@@ -116,11 +116,13 @@ def spans_of(parts: Sequence[Trajectory], status: str = "lost") -> list[tuple[in
 
 
 def seen_in(parts: Sequence[Trajectory]) -> list[tuple[int, int]]:
-    """The spans of frames in which a target of a film has rows, and a hand is not absent; none if that is always."""
+    """The spans of frames in which a target of a film has rows, and a hand is not absent; none if another than a hand
+    has them always.
+    """
     frames = np.unique(np.concatenate([part.frame for part in parts]))
     there = ~np.isin(frames, np.concatenate([part.frame[part.vanished] for part in parts]))
     found = numbers.spans(there, np.diff(frames) > 1)
-    always = len(found) == 1 and there.all()
+    always = len(found) == 1 and there.all() and parts[0].target not in HANDS
     return [] if always else [(int(frames[a]), int(frames[b - 1])) for a, b in found]
 
 
@@ -141,7 +143,7 @@ def _tiers(
         yield kind, name, [(event.first_frame, event.last_frame, event.value) for event in events]
 
 
-def _times(table: Trajectory) -> list[dict[int, int]]:
+def times_of(table: Trajectory) -> list[dict[int, int]]:
     """When each frame begins and when the next one does, in milliseconds, by frame."""
     frames, time_s = table.frames, table.times
     if (unknown := frames[~np.isfinite(time_s)]).size:

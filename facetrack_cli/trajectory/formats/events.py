@@ -1,4 +1,4 @@
-"""Events of faces and hands, of one clip or of many: a table, subtitles (SRT, WebVTT), a project of BORIS 8.
+"""Events of faces and hands, of one clip or of many: a table, subtitles (SRT, WebVTT), a TextGrid, a BORIS 8 project.
 
 A row of the table is an event. Times are seconds in the clip; an event ends when the frame after its last one begins.
 In BORIS a clip is an observation, a tier a behaviour, an event two rows, its begin and its end, with the value as
@@ -10,7 +10,10 @@ from collections.abc import Sequence
 from datetime import datetime
 from typing import Any, NamedTuple
 
+from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.numbers import csv_text, dumps
+from facetrack_cli.trajectory.analysis.face_events import events_of
+from facetrack_cli.trajectory.formats.eaf import times_of
 from facetrack_cli.trajectory.header import clip_of, said
 from facetrack_cli.trajectory.trajectory import Trajectory
 
@@ -57,6 +60,37 @@ def write_subtitles(table: Trajectory, form: str) -> str:
 def _clock(ms: int, form: str) -> str:
     point = "," if form == "srt" else "."
     return f"{ms // 3600000:02d}:{ms // 60000 % 60:02d}:{ms // 1000 % 60:02d}{point}{ms % 1000:03d}"
+
+
+def write_textgrid(table: Trajectory) -> str:
+    """The events in Praat's long text format: a tier of intervals for each kind that could be told, "" between them.
+
+    It begins at 0, as sound does. InputError where the points tell no kind of event.
+    """
+    kinds = [
+        (f"{kind}@{name or 'target'}", found)
+        for name in table.targets
+        for kind, found in events_of(name, table.measures[name]).items()
+    ]
+    if not kinds:
+        raise InputError("has no points or hands that tell an event; a TextGrid needs a tier")
+    end = max([times_of(table)[1][int(table.frames[-1])] / 1000, *(e.end_s for _, found in kinds for e in found)])
+    lines = ['File type = "ooTextFile"', 'Object class = "TextGrid"', "", "xmin = 0", f"xmax = {end:.6f}"]
+    lines += ["tiers? <exists>", f"size = {len(kinds)}", "item []:"]
+    for n, (name, found) in enumerate(kinds, 1):
+        spans, at = list[tuple[float, float, str]](), 0.0
+        for e in found:
+            begin = max(e.begin_s, at)
+            spans += [(at, begin, "")] * (begin > at) + [(begin, e.end_s, e.value)] * (e.end_s > begin)
+            at = max(e.end_s, at)
+        spans += [(at, end, "")] * (end > at or not spans)
+        quoted = [name.replace('"', '""'), *(text.replace('"', '""') for _, _, text in spans)]
+        lines += [f"    item [{n}]:", '        class = "IntervalTier"', f'        name = "{quoted[0]}"']
+        lines += ["        xmin = 0", f"        xmax = {end:.6f}", f"        intervals: size = {len(spans)}"]
+        for k, ((begin, stop, _), text) in enumerate(zip(spans, quoted[1:], strict=True), 1):
+            lines += [f"        intervals [{k}]:", f"            xmin = {begin:.6f}", f"            xmax = {stop:.6f}"]
+            lines += [f'            text = "{text}"']
+    return "\n".join(lines) + "\n"
 
 
 def write_boris(clips: Sequence[Clip], *, written: datetime) -> str:

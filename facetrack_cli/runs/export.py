@@ -1,0 +1,231 @@
+"""A trajectory in the formats of other programs, and as an annotated video."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from fractions import Fraction
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+import numpy as np
+
+from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.files import check_new, temporary_path, write_new
+from facetrack_cli.run_folder.finished import Painted
+from facetrack_cli.run_folder.manifest import VIDEO
+from facetrack_cli.runs.plan import silent
+from facetrack_cli.runs.signals import never
+from facetrack_cli.runs.smooth import repaint
+from facetrack_cli.trajectory.formats import boxes, cvat, eaf, events, keypoints, labelstudio, openface, tables
+from facetrack_cli.trajectory.formats.eaf_session import add_tiers
+from facetrack_cli.trajectory.formats.events import Clip
+from facetrack_cli.trajectory.header import clip_of, frame_size_of, is_there, said
+from facetrack_cli.trajectory.select import Around, blank_lost, enclose, hide_outside
+from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.video import images
+from facetrack_cli.video.files import brings_rate
+from facetrack_cli.video.source import open_source
+
+ALIASES: Final = {"elan": "eaf"}
+ONE_TARGET: Final = ("otb", "got10k", "vot")
+OF_MEDIA: Final = ("openface", "coco", "eaf", "cvat", "labelstudio")
+
+
+def export(
+    trajectory: Trajectory,
+    form: str,
+    out: str | Path | None = None,
+    *,
+    media: str | Path | None = None,
+    into: str | Path | None = None,
+    drop_lost: bool = False,
+    overwrite: bool = False,
+) -> str | bytes | Path:
+    """A trajectory as another program reads it: what `facetrack export --to FORM` writes.
+
+    Parameters
+    ----------
+    form : the format, as `eaf`, `textgrid`, `mot`, `coco`, `dlc`, `cvat`, `csv-wide` or `events`.
+    out : the file to write; None: nothing is written.
+    media : the clip, where the trajectory does not say it.
+    into : an .eaf that gets the tiers beside its own; it is written itself if it is `out`, with `overwrite`.
+    drop_lost : write lost rows as not known, not with the estimate.
+    overwrite : replace a file that is there.
+
+    Returns
+    -------
+    str or bytes or Path : `out`, else the content of the file.
+
+    Raises
+    ------
+    UsageError : for a format that there is not.
+    InputError : for a trajectory that lacks what the format needs.
+    OutputError : for a file that is there, or cannot be written.
+    """
+    path, clip = None if out is None else Path(out), None if media is None else Path(media)
+    if path is not None:
+        inputs = (trajectory.path, clip, clip_of(trajectory))
+        check_new(path, overwrite=overwrite, inputs=[one for one in inputs if one != Path()])
+    known = clip_of(trajectory)
+    name = known.name if known else trajectory.path.parent.name
+    rows = Clip(name, blank_lost(trajectory) if drop_lost else trajectory)
+    made = content([rows], form, path, media=clip, into=None if into is None else Path(into))
+    if path is None:
+        return made
+    write_new(path, encoded(made), overwrite=overwrite)
+    return path
+
+
+def encoded(made: str | bytes) -> bytes:
+    """The bytes of a file."""
+    return made.encode(errors="backslashreplace") if isinstance(made, str) else made
+
+
+def content(
+    clips: Sequence[Clip],
+    form: str,
+    path: Path | None,
+    *,
+    media: Path | None = None,
+    into: Path | None = None,
+    box: Around | None = None,
+    many: bool = False,
+    say: Callable[[str], None] = lambda line: None,
+) -> str | bytes:
+    """What the file `path` has in a format, of a clip or of `many`; `say` takes warnings."""
+    form, table = ALIASES.get(form, form), clips[0].table
+    if not any(np.isfinite(one.x).any() for _, one in clips):
+        raise InputError("no row has a place, x and y; there is nothing to export")
+    if form in ONE_TARGET and len(table.targets) > 1:
+        raise UsageError(f"{form} holds one target; choose with --target among {', '.join(table.targets)}")
+    around, recipe = box or "windows", said(table, "recipe", "name")
+    scorer = f"facetrack-{recipe}" if recipe else "facetrack"
+    if form == "eaf":
+        video = _playable(table, media, say)
+        text = eaf.write_eaf(table, video, path.parent if path else Path.cwd(), written=datetime.now())
+        return text if into is None else _added(into, text, video.name, say)
+    clip, size, fps = _media(table, media) if form in OF_MEDIA else (None, None, 0.0)
+    name = "" if clip is None else clip.name
+    if form in (*OF_MEDIA, "mot") and (sides := size or frame_size_of(table)):
+        table = hide_outside(table, sides)
+    writers: dict[str, Callable[[], str | bytes]] = {
+        "csv-wide": lambda: tables.write_wide(table),
+        "pose": lambda: tables.write_pose(table),
+        "measures": lambda: tables.write_measures(
+            *(one for _, one in clips), clips=[name for name, _ in clips if many]
+        ),
+        "events": lambda: events.write_events(clips),
+        "boris": lambda: events.write_boris(clips, written=datetime.now()),
+        "srt": lambda: events.write_subtitles(table, "srt"),
+        "vtt": lambda: events.write_subtitles(table, "vtt"),
+        "textgrid": lambda: events.write_textgrid(table),
+        "openface": lambda: openface.write_openface(table, size),
+        "cvat": lambda: cvat.write_cvat(table, size, name),
+        "dlc": lambda: keypoints.write_dlc(table, scorer),
+        "dlc-h5": lambda: keypoints.write_dlc_h5(table, scorer),
+    }
+    if form in writers:
+        return writers[form]()
+    if form in ("coco", "labelstudio"):
+        if clip is None or not size or (form == "labelstudio" and not fps > 0):
+            why = "does not say how large and how fast its frames are, only a trajectory.json does"
+            raise InputError(f"{why}; name the clip: --media")
+        if form == "labelstudio":
+            say(f'{name}: give the Video of the labelling configuration framerate="{fps:.10g}"')
+            return labelstudio.write_labelstudio(table, size, fps, name)
+        return keypoints.write_coco(table, size, _image_names(clip, table), around=around)
+    write = {"vot": boxes.write_vot, "otb": boxes.write_otb, "got10k": boxes.write_got10k}
+    if form not in ("mot", *write):
+        raise UsageError(f"{form} is no format; there are {', '.join(sorted([*writers, *OF_MEDIA, *write, 'mot']))}")
+    chosen = [enclose(table.of_target(target), around) for target in table.targets]
+    return boxes.write_mot(chosen) if form == "mot" else write[form](chosen[0])
+
+
+def _added(into: Path, text: str, clip: str, say: Callable[[str], None]) -> str:
+    data, tiers, linked = add_tiers(into, text, clip)
+    if not linked:
+        say(f"facetrack: warning: {into} does not link to {clip}; its times are taken for those of that clip")
+    say(f"{into}: {', '.join(tiers) or 'no tier'} added")
+    return data.decode()
+
+
+def _playable(table: Trajectory, media: Path | None, say: Callable[[str], None]) -> Path:
+    """The video that an .eaf links to. It need not be there: ELAN asks for a file that it does not find."""
+    clip = media or clip_of(table)
+    if clip is None:
+        raise InputError("does not name its video, only a trajectory.json does; give it with --media")
+    if is_there(clip) and clip.is_dir():
+        raise InputError(f"{clip} is a folder of images, which ELAN cannot play; name a video of it with --media")
+    if not is_there(clip):
+        if media is not None:
+            raise InputError(f"{clip}: no such file; correct --media")
+        say(f"facetrack: warning: {clip} is not there; ELAN will ask for it, or give it with --media")
+    return clip
+
+
+def _media(table: Trajectory, media: Path | None) -> tuple[Path | None, tuple[int, int] | None, float]:
+    """The clip, the size of its frames and its frames per second (0), as far as `media` or the header says them."""
+    size, fps = frame_size_of(table), said(table, "source", "fps")
+    if media is None:
+        return clip_of(table), size, float(fps) if isinstance(fps, int | float) else 0.0
+    with open_source(media) as opened:
+        if size and size != opened.size:
+            its, ours = (f"{width}x{height}" for width, height in (opened.size, size))
+            raise InputError(f"{media}: is {its}, but the track is of a clip of {ours}; correct --media")
+        return media, opened.size, float(opened.fps)
+
+
+def _image_names(clip: Path, table: Trajectory) -> Callable[[int], str]:
+    """The name of each frame's image: of a folder its file's name, of a video a name by the frame's number."""
+    files = images.listing(clip) if is_there(clip) else None
+    if files is None:
+        return lambda frame: f"{clip.stem}/{frame:06d}.png"
+    if (last := int(table.frames[-1])) >= len(files):
+        there = f"has {len(files)} images, and the track a frame {last}"
+        raise InputError(f"{clip}: {there}; name its folder with --media")
+    return lambda frame: files[frame].name
+
+
+@dataclass(frozen=True)
+class Video:
+    """An MP4, which notebooks show; `data` are its bytes."""
+
+    data: bytes
+
+    def _repr_html_(self) -> str:
+        src = base64.b64encode(self.data).decode("ascii")
+        return f'<video controls style="max-width: 100%" src="data:video/mp4;base64,{src}"></video>'
+
+
+def annotated_video(trajectory: Trajectory, *, media: str | Path | None = None) -> Video:
+    """The clip with its trajectory: the run's own annotated video, or one that is drawn from the rows.
+
+    Parameters
+    ----------
+    media : the clip, where the trajectory does not say it.
+
+    Raises
+    ------
+    InputError : for a trajectory that does not name its clip, and a clip that lacks its frames.
+    """
+    own = trajectory.path.parent / VIDEO
+    if media is None and trajectory.path.stem == "trajectory" and own.is_file():
+        return Video(own.read_bytes())
+    clip = clip_of(trajectory) if media is None else Path(media)
+    if clip is None:
+        raise InputError("the trajectory does not name its clip; give it with media")
+    fps, stream = said(trajectory, "source", "fps"), said(trajectory, "source", "stream")
+    rate = None if brings_rate(clip) or not isinstance(fps, int | float) else Fraction(fps).limit_denominator(1001)
+    ends = int(trajectory.frames[0]), int(trajectory.frames[-1])
+    title = str(said(trajectory, "recipe", "name") or "")
+    with TemporaryDirectory() as folder:
+        path = Path(folder, VIDEO)
+        repaint(
+            Painted(clip, rate, *ends, title, stream if isinstance(stream, int) else None),
+            path, trajectory, silent, never,
+        )  # fmt: skip
+        return Video(temporary_path(path).read_bytes())
