@@ -52,6 +52,7 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     notes += past_end(fixer.corrections, run.last, str(folder / CORRECTED))
     if run.video is not None and not video:
         notes.append(f"{run.video}: left as it was, it shows the track of before")
+    fixer.saved()
     return [*(f"{path}: written" for path in written), *notes, *outdated(folder)]
 
 

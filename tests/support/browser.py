@@ -286,10 +286,12 @@ class Window:
         self.touch("end")
 
     def save(self):
-        """Save by the button, agree if the page asks, and wait for the end; the messages that are shown then."""
+        """Save by the button, agree if the page asks, and end; the messages that are shown then."""
         self.click_on("save")
         if self.get("mode") == "fix":
             self.click_on("confirm-yes")
+            self.until("window.facetrack.saves || !document.getElementById('problem').hidden")
+            self.click_on("done")
         self.until("window.facetrack.ended || !document.getElementById('problem').hidden")
         assert not self.visible("problem"), self.text("problem")
         return self.text("saved-messages")

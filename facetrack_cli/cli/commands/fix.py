@@ -24,7 +24,7 @@ class Fix:
     from one doubtful frame to the next. Where a part is wrong, drag it to its place, or mark it as absent: the target
     is tracked again from there to its next correction, and every other row stays the same, to the byte. Save writes the
     trajectories and the annotated video again, and RUN_DIR/corrected.init.yaml, with which facetrack run makes the same
-    trajectory.
+    trajectory. The page goes on after it, until Done.
 
     The rows of a smoothed run are given the whole clip, so at Save all of it is tracked and smoothed again.
 
@@ -142,7 +142,8 @@ class Fix:
         session = FixSession(fixer, frames, video=not self.no_video, unsaved=unsaved)
         if not self.page.serve(session, stop):
             goes_on = f"all else is as it was; facetrack fix {folder} goes on with them"
-            what = f"the corrections are kept in {kept}, {goes_on}" if kept.is_file() else "nothing was written"
+            none = "what was saved stays" if session.saves else "nothing was written"
+            what = f"the corrections are kept in {kept}, {goes_on}" if kept.is_file() else none
             say(f"facetrack: {stop.reason}; {what}")
             return stop.code or ExitCode.FAULT
         return ExitCode.DONE

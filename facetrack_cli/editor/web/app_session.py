@@ -129,7 +129,7 @@ class AppSession(Page):
 
     def _told(self, clip: Clip) -> Json:
         """A clip as the page shows it."""
-        project, error, more = self.project, clip.error, Json()
+        project, error, more = self.project, clip.error, dict[str, Any]()
         try:
             found = project.status(clip)
             state, done, more["look"] = str(found.state), found.frames, found.look
@@ -149,7 +149,8 @@ class AppSession(Page):
             state = "stopped"
         elif state == "not begun":
             state = "needs box" if clip.what == "box" and not start else "ready"
-        more["movie"] = str(stamp(project.run_of(clip) / VIDEO)) if state in ("done", "stopped") else None
+        movie = stamp(project.run_of(clip) / VIDEO)
+        more["movie"] = None if movie is None else str(movie)  # changes when it is drawn again
         return {
             "id": clip.id, "name": project.place(clip).name, "path": str(project.place(clip)), "what": clip.what,
             "likely": clip.likely, "size": clip.size, "seconds": clip.seconds, "frames": clip.frames, "state": state,
@@ -260,7 +261,7 @@ class AppSession(Page):
 
     # looking
 
-    def _video(self, clip: int) -> Answer:
+    def _video(self, clip: int, v: str = "") -> Answer:
         return Answer(self.project.run_of(self.project.find(clip)) / VIDEO, kind="video/mp4")
 
     def _looked(self, clip: int) -> Json:

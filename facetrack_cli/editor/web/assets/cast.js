@@ -1,7 +1,7 @@
 // The page of a film's cast: people are merged, renamed and split, and doubts are settled.
 
 import * as api from "./api.js";
-import { $, make } from "./dom.js";
+import { $, HOME, make, showHome } from "./dom.js";
 
 const POLL = 1000; // ms
 const SVG = "http://www.w3.org/2000/svg";
@@ -146,7 +146,8 @@ function render() {
   showDoubt();
   const busy = Boolean(now.job || now.ended);
   $("undo").disabled = busy || !now.changes.length;
-  $("save").disabled = busy;
+  $("save").disabled = busy || !now.changes.length;
+  $("done").disabled = busy;
   if (now.job) say(`${now.job.what}${now.job.total ? `, ${now.job.done} of ${now.job.total}` : ""}`);
   if (now.ended) say(now.ended.messages.join("; "));
   else if (now.message) say(now.message);
@@ -178,6 +179,12 @@ const step = (by) => {
 };
 $("undo").addEventListener("click", () => ask("undo"));
 $("save").addEventListener("click", () => ask("save"));
+$("done").addEventListener("click", async () => {
+  if (now.changes.length && !confirm(`${now.changes.length} changes are not saved, and would be gone. End?`)) return;
+  await ask("done");
+  if (HOME && now.ended) location.href = HOME;
+});
+showHome();
 $("back").addEventListener("click", () => step(-1));
 $("on").addEventListener("click", () => step(1));
 $("split").addEventListener("click", () => change("split", chosen.name, { frame: chosen.frame }));

@@ -158,7 +158,7 @@ function showLine(row, clip) {
 function describe(clip) {
   const { state, done, frames, rate } = clip;
   if (state === "failed") return `Failed: ${clip.error}`;
-  if (state === "done") return clip.look ? `Done. ${clip.look}` : "Done";
+  if (state === "done") return clip.look ? `Done. Look at: ${readable(clip.look)}` : "Done";
   if (state === "stopped") return `Stopped after ${plural(done, "frame")}, which are kept`;
   if (state !== "running") return STATES[state];
   if (!done) return `${readable(clip.doing || "starting").replace(/^./, (c) => c.toUpperCase())} …`;

@@ -34,8 +34,9 @@ export class Look {
     window.scrollTo(0, 0);
     setText($("look-name"), clip.name);
     document.title = `${clip.name} – facetrack`;
-    setText($("look-note"), clip.look ?? "");
-    $("movie").src = `api/video/${id}.mp4?v=${encodeURIComponent(clip.movie)}`;
+    setText($("look-note"), readable(clip.look ?? ""));
+    $("movie").hidden = !clip.movie;
+    if (clip.movie) $("movie").src = `api/video/${id}.mp4?v=${encodeURIComponent(clip.movie)}`;
     const menu = make("select", { "data-testid": "look-export", "aria-label": `Export ${clip.name}` });
     this.exportMenu(menu, "Export …", Object.entries(state.programs), `api/export/${id}`);
     const correct = button("look-correct", { class: "primary", click: () => this.open(clip, "correct") }, "Correct");
