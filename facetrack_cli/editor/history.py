@@ -208,7 +208,7 @@ def merged(new: Correction, before: Correction | None, parts: tuple[str, ...]) -
         return replace(new, given=TargetStart(box=new.given.box))
     if new.confirmed:
         lists = [parts if one.confirmed is True else one.confirmed for one in (new, before) if one is not None]
-        return replace(new, confirmed=all_or(tuple(dict.fromkeys(chain(*lists))), parts))
+        return replace(new, confirmed=all_or([part for part in parts if part in chain(*lists)], parts))
     old = Correction(frame, target) if before is None or before.confirmed else before
     by_hand = {part: at for part, at in {**old.given.points, **points}.items() if part not in gone or part in points}
     kept = {part: at for part, at in old.kept.items() if part not in by_hand and part not in gone}

@@ -6,6 +6,7 @@ a kill. project.json holds what folders do not say: the list, what is chosen, an
 
 import json
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -264,4 +265,4 @@ def call(arguments: Sequence[str], out: IO[bytes] | None, cwd: Path) -> None:
     )  # fmt: skip
     if done.returncode:
         lines = done.stderr.decode(errors="replace").strip().splitlines() or [f"exit code {done.returncode}"]
-        raise OutputError(lines[-1].removeprefix("facetrack: ").removeprefix("error: "))
+        raise OutputError(re.sub(r"^(facetrack: )?(error: )?(.*trajectory\.\w+: )?", "", lines[-1]))

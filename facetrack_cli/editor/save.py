@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from facetrack_cli.core.errors import OutputError
+from facetrack_cli.editor.film_track import save_track
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.run_folder.finished import Run, stamp, write_rows
 from facetrack_cli.run_folder.manifest import FILTERED, outdated, read_manifest
@@ -33,6 +34,11 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     if not fixer.changed:
         forget(run)
         return [f"{folder}: nothing was corrected, all is as it was"]
+    if run.film:
+        lines = save_track(run, rows, video=video, report=report, stop=stop)
+        forget(run)
+        fixer.saved()
+        return lines
     files: dict[Path, Write] = {}
     if "smoothed" in rows.header:
         filtered, rows = _given_all(fixer, report, stop)

@@ -302,6 +302,7 @@ def test_save_writes_the_run_and_goes_on_until_done(page, out, monkeypatch):
 def called_lost(folder, first, stop, part):
     """Have a part called lost in these frames of a run: in its files."""
     run = open_run(folder)
+    (folder / "run.json").unlink()  # which says what the files were
     rows, which = run.rows, run.rows.names.index(("face", part))
     these = (rows.which == which) & (rows.frame >= first) & (rows.frame < stop)
     lost = replace(rows, status=np.where(these, "lost", rows.status), confidence=np.where(these, 0.25, rows.confidence))

@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facetrack_cli.cli import options
+from facetrack_cli.cli.commands.people import frame_at, moment
 from facetrack_cli.cli.options import FILE, Page, argument, flag, group, option, say, verb
 from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError
 
 if TYPE_CHECKING:
     from facetrack_cli.core.types import Correction
     from facetrack_cli.editor.history import Fixer
+    from facetrack_cli.run_folder.finished import Run
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.video.seek import Frames
 
@@ -42,6 +44,7 @@ class Fix:
       facetrack fix out --clip /archive/clip.mp4 --open
       facetrack fix out --init corrected.init.yaml --no-video
       facetrack fix out --import annotations.xml
+      facetrack fix film --person Eileen@0:03
 
     \b
     Exit codes: 0 done, 2 usage or output, 3 input, 130 interrupted,
@@ -55,6 +58,11 @@ class Fix:
     )
     imported: Path | None = option(
         "--import FILE", "No page: add what was corrected in CVAT (XML) or Label Studio (JSON).", type=FILE
+    )
+    person: tuple[str, str] | None = option(
+        "--person NAME@TIME",
+        "Of a film: the points of this person in the shot at a time (1:23, or 2075f).",
+        type=moment,
     )
     no_video: bool = flag("--no-video", "Leave annotated.mp4 as it is.")
     page: Page = group(Page)
@@ -72,12 +80,21 @@ class Fix:
             self.page.refuse(f"leave it or {'--init' if self.init else '--import'} out")
         elif self.quiet:
             raise UsageError("--quiet goes with --init and --import; the page's address must be said")
-        opened = open_run(self.folder, self.clip)
+        opened = self._track(*self.person) if self.person else open_run(self.folder, self.clip)
         with Frames(opened.clip, fps=opened.fps, stream=opened.header.source.stream) as frames:
             check_size(opened, frames.size)
             with contextlib.closing(Fixer(opened, frames.read)) as fixer, Stop().listening() as stop:
                 code = self._serve(fixer, frames, stop) if file is None else self._apply(fixer, file, stop)
         return code
+
+    def _track(self, name: str, at: str) -> Run:
+        """The track of a person of a film."""
+        from facetrack_cli.editor.film_track import open_track
+        from facetrack_cli.runs.people import people_in, rows_in
+        from facetrack_cli.trajectory.clock import Clock
+
+        frame = frame_at(at, Clock(rows_in(self.folder), people_in(self.folder).fps))
+        return open_track(self.folder, name, frame, self.clip)
 
     def _apply(self, fixer: Fixer, file: Path, stop: Stop) -> int:
         """Take the corrections of --init or --import, and save; the exit code."""

@@ -25,7 +25,7 @@ def _pair(value: str) -> tuple[str, str]:
     return name.strip(), other.strip()
 
 
-def _moment(value: str) -> tuple[str, str]:
+def moment(value: str) -> tuple[str, str]:
     name, at, moment = value.rpartition("@")
     if not (at and name.strip() and moment.strip()):
         raise click.BadParameter(f"{value!r}: give a name and a time, as person_2@1:23 or person_2@2075f")
@@ -80,7 +80,7 @@ class Cast:
         "--merge A=B", "A is B: both are one person, under the name of B.", type=_pair, multiple=True
     )
     split: tuple[tuple[str, str], ...] = option(
-        "--split A@TIME", "From that time on (1:23, or 2075f) A is somebody else.", type=_moment, multiple=True
+        "--split A@TIME", "From that time on (1:23, or 2075f) A is somebody else.", type=moment, multiple=True
     )
     rename: tuple[tuple[str, str], ...] = option("--rename A=NAME", "The name of A.", type=_pair, multiple=True)
     save: Path | None = option(

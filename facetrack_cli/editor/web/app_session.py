@@ -14,7 +14,8 @@ from pydantic import Field
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.files import make_folder, write_new, writing
-from facetrack_cli.core.types import checked_name
+from facetrack_cli.core.types import Correction, checked_name
+from facetrack_cli.editor.film_track import open_track
 from facetrack_cli.editor.history import Fixer, corrections_of
 from facetrack_cli.editor.project import RECIPES, Clip, Project, What, call
 from facetrack_cli.editor.web.cast_session import CastSession
@@ -23,14 +24,13 @@ from facetrack_cli.editor.web.frame import Json, Proposer, jpeg
 from facetrack_cli.editor.web.pick_session import PickSession
 from facetrack_cli.editor.web.session import Answer, Page, RefusedError, Route
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.run_folder.finished import open_run, stamp
+from facetrack_cli.run_folder.finished import Run, open_run, stamp
 from facetrack_cli.run_folder.manifest import NAME as MANIFEST
 from facetrack_cli.run_folder.manifest import VIDEO, read_run
 from facetrack_cli.runs.inputs import expand
 from facetrack_cli.runs.people import film_of, people_in, rows_in
 from facetrack_cli.tracking.start.init_file import read_init
 from facetrack_cli.trajectory.header import UNSAVED, clip_of, said
-from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video.seek import Frames
 
@@ -43,10 +43,10 @@ Ids = Annotated[list[int], Field(max_length=2000)]
 
 
 class Program(NamedTuple):
-    """What a file is for: a format of `facetrack export`, the end of the file's name, and whether of `many` clips."""
+    """What a file is for: how it is exported, how its name ends, and whether it may be of `many` clips."""
 
     name: str
-    format: str
+    how: str
     ending: str
     many: bool = False
 
@@ -62,7 +62,7 @@ PROGRAMS: Final = {
     "subtitles": Program("Subtitles", "srt", "srt"),
     "dlc": Program("DeepLabCut", "dlc", "dlc.csv"),
     "openface": Program("OpenFace", "openface", "openface.csv"),
-    "coco": Program("COCO", "coco", "coco.json"),
+    "coco": Program("COCO", "coco --box points", "coco.json"),
 }
 BOM: Final = b"\xef\xbb\xbf"  # by which Excel knows that a CSV is UTF-8
 
@@ -240,8 +240,7 @@ class AppSession(Page):
 
     def _track(self, clips: Ids, again: bool = False) -> Json:
         for clip in clips if again else ():
-            self._shut(f"fix-{clip}")
-            self._shut(f"people-{clip}")
+            self._shut_of(clip)
         self.project.want([*map(self.project.find, clips)], True, again=again)
         return self.state()
 
@@ -254,8 +253,7 @@ class AppSession(Page):
         return self.state()
 
     def _remove(self, clip: int) -> Json:
-        for kind in ("fix", "people", "start"):
-            self._shut(f"{kind}-{clip}")
+        self._shut_of(clip)
         self.project.remove(self.project.find(clip))
         return self.state()
 
@@ -270,35 +268,31 @@ class AppSession(Page):
 
     # correcting
 
-    def _open_page(self, clip: int, page: Literal["correct", "start"]) -> Json:
-        """Open the page that corrects a run, or who is in a film, or that chooses where a track begins."""
-        found, project = self.project.find(clip), self.project
-        folder = project.run_of(found)
-        kind = page if page == "start" else "people" if (folder / PEOPLE).is_file() else "fix"
-        name = f"{kind}-{clip}"
+    def _open_page(
+        self, clip: int, page: Literal["fix", "people", "start"], person: str | None = None, frame: int = 0
+    ) -> Json:
+        """Open the page that corrects a run, or a `person` of a film, or who is who in it, or that chooses a start."""
+        found = self.project.find(clip)
+        folder, name = self.project.run_of(found), f"{page}-{clip}"
+        if person is not None:
+            name += f"-{frame}"
         with self.lock, contextlib.ExitStack() as stack:
             self._shut_ended()
+            if found.wanted:
+                raise RefusedError(409, f"{found.name} is being tracked; stop it first")
             if name not in self.opened:
-                if found.wanted:
-                    raise RefusedError(409, f"{found.name} is being tracked; stop it first")
-                opened: Page
-                if kind == "start":
-                    opened = self._start_page(found, stack)
-                elif kind == "people":
+                if page == "start":
+                    self.opened[name] = self._start_page(found, stack)
+                elif page == "people":
                     film, how = film_of(people_in(folder), rows_in(folder), None)
                     if film is None:
                         raise InputError(f"{folder}: does not name its clip")
-                    opened = CastSession(folder, stack.enter_context(Frames(film, **how)), film, video=True)
+                    frames = stack.enter_context(Frames(film, **how))
+                    self.opened[name] = CastSession(folder, frames, film, video=True)
                 else:
-                    run = open_run(folder)
-                    stream = run.header.source.stream
-                    frames = stack.enter_context(Frames(run.clip, fps=run.fps, stream=stream))
-                    fixer = stack.enter_context(contextlib.closing(Fixer(run, frames.read)))
-                    kept = folder / UNSAVED
-                    unsaved = corrections_of(kept, run) if kept.is_file() else ()
-                    opened = FixSession(fixer, frames, unsaved=unsaved)
-                self.opened[name] = opened
-                stack.callback(opened.close)
+                    run = open_run(folder) if person is None else open_track(folder, person, frame)
+                    self.opened[name] = fix_page(run, stack)
+                stack.callback(self.opened[name].close)
                 self._open[name] = stack.pop_all()
         return {"url": f"{name}/"}
 
@@ -315,6 +309,11 @@ class AppSession(Page):
             for name, page in [*self.opened.items()]:
                 if page.over():
                     self._shut(name)
+
+    def _shut_of(self, clip: int) -> None:
+        """Close the pages of a clip."""
+        for name in [one for one in self.opened if one.split("-")[1] == str(clip)]:
+            self._shut(name)
 
     def _shut(self, name: str) -> None:
         """Close a page that was opened; what was corrected and not saved is kept beside the run."""
@@ -348,7 +347,7 @@ class AppSession(Page):
                 with path.open("wb") as file:
                     file.write(BOM if one.ending.endswith("csv") and one.name.startswith("Excel") else b"")
                     file.flush()
-                    call(["export", str(source), "--to", one.format, "-o", "-"], file, folder)
+                    call(["export", str(source), "--to", *one.how.split(), "-o", "-"], file, folder)
             except FacetrackError as e:
                 path.unlink(missing_ok=True)
                 raise UsageError(str(e)) from None  # 422: the page says why
@@ -356,6 +355,16 @@ class AppSession(Page):
         return Answer(
             path, kind="application/octet-stream", headers=(("Content-Disposition", f'attachment; filename="{plain}"'),)
         )
+
+
+def fix_page(run: Run, stack: contextlib.ExitStack) -> FixSession:
+    """The page that corrects a run; it is at an end before what `stack` holds."""
+    frames = stack.enter_context(Frames(run.clip, fps=run.fps, stream=run.header.source.stream))
+    fixer = stack.enter_context(contextlib.closing(Fixer(run, frames.read)))
+    kept, unsaved = run.folder / UNSAVED, tuple[Correction, ...]()
+    with contextlib.suppress(FacetrackError):  # of another track
+        unsaved = corrections_of(kept, run) if kept.is_file() else ()
+    return FixSession(fixer, frames, unsaved=unsaved)
 
 
 def likely_in(frames: Frames) -> What:

@@ -106,6 +106,22 @@ function showMoment() {
   $("frame").alt = `Frame ${chosen.frame}`;
   $("where").textContent = `Frame ${chosen.frame}, ${clock(chosen.frame)}`;
   $("split").textContent = `From here ${chosen.name} is somebody else`;
+  const track = now.tracks.find((one) => one.person === chosen.name && one.first <= chosen.frame && chosen.frame < one.stop);
+  $("points").hidden = !HOME || !track;
+  $("points").textContent = `Correct the points of ${chosen.name} in this shot`;
+  $("points").onclick = () => openPoints(track);
+}
+
+/** The page that corrects the points of a track, if this page was opened from that of all clips. */
+async function openPoints({ person, first }) {
+  if (now.changes.length) return say("Save who is who first, or undo it.");
+  const clip = Number(/people-([0-9]+)/.exec(location.pathname)[1]);
+  const body = JSON.stringify({ clip, page: "fix", person, frame: first });
+  const headers = { "Content-Type": "application/json" };
+  const answer = await fetch(new URL("../api/open", document.baseURI), { method: "POST", body, headers });
+  const found = await answer.json();
+  if (answer.ok) location.href = new URL(`../${found.url}`, document.baseURI);
+  else say(found.error);
 }
 
 function showDoubt() {

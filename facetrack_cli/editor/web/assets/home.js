@@ -18,7 +18,8 @@ const STATES = {
   failed: "Failed",
 };
 const rows = new Map(); // id -> the parts of a line
-let now = null;
+let now = null; // the state that the server told last
+let over = false;
 
 function say(text, kind = "info") {
   $("message").dataset.kind = kind;
@@ -37,7 +38,7 @@ function duration(s) {
 async function ask(path, body = {}) {
   try {
     const found = await api.post(path, body);
-    if (found.clips) show(found);
+    if (found?.clips) show(found);
     return found;
   } catch (error) {
     say(error.message, "error");
@@ -46,7 +47,8 @@ async function ask(path, body = {}) {
 }
 
 async function open(clip, page) {
-  const found = await ask("open", { clip: clip.id, page });
+  const of = page === "correct" ? (clip.what === "everybody" ? "people" : "fix") : page;
+  const found = await ask("open", { clip: clip.id, page: of });
   if (found) location.href = found.url;
 }
 
@@ -212,10 +214,12 @@ function show(state) {
 async function poll() {
   try {
     const state = await api.state();
+    if (state.ended) return ended();
+    if (over) return;
     $("offline").hidden = true;
     show(state);
-    if (state.ended) return ended();
   } catch (error) {
+    if (over) return;
     if (!(error instanceof api.Unreachable || error instanceof api.Refused)) throw error;
     $("offline").hidden = false;
   }
@@ -223,6 +227,7 @@ async function poll() {
 }
 
 function ended() {
+  over = true;
   document.body.replaceChildren(make("p", { class: "ended", "data-testid": "ended" }, "facetrack has ended; you may close this page."));
 }
 
