@@ -19,8 +19,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from facetrack_cli.core.errors import ExitCode, InputError, OutputError, UsageError, reading
 from facetrack_cli.core.files import absolute, make_folder, read_bounded, write_new, writing
 from facetrack_cli.core.log import VARIABLE
-from facetrack_cli.run_folder.finished import stamp
-from facetrack_cli.run_folder.manifest import NAME as MANIFEST
 from facetrack_cli.run_folder.status import ClipStatus, clip_status
 
 NAME: Final = "project.json"
@@ -75,7 +73,6 @@ class Project:
         self.running: Clip | None = None
         self.progress: dict[str, Any] = {}  # of what runs, as its lines say
         self._child: subprocess.Popen[str] | None = None
-        self._known: dict[Path, tuple[object, ClipStatus]] = {}
         self._closed, self._work = False, threading.Condition(self.lock)
         self._worker = threading.Thread(target=self._go, name="runs", daemon=True)
         self._worker.start()
@@ -177,12 +174,8 @@ class Project:
     def status(self, clip: Clip) -> ClipStatus:
         """How far the run of a clip is, by its folder."""
         folder = self.run_of(clip)
-        now, (then, known) = stamp(folder / MANIFEST), self._known.get(folder, (None, None))
-        if known is None or now is None or now != then or known.state not in ("done", "failed"):
-            with reading(folder):
-                known = clip_status(folder, folder.name, clip.name)
-            self._known[folder] = now, known
-        return known
+        with reading(folder):
+            return clip_status(folder, folder.name, clip.name)
 
     def command(self, clip: Clip) -> list[str]:
         """What tracks a clip: the arguments of facetrack."""
@@ -212,28 +205,23 @@ class Project:
         """Run one clip; the lock is given back meanwhile."""
         environment = {**os.environ, VARIABLE: "json"}
         given = [sys.executable, "-m", "facetrack_cli", *self.command(clip)]
-        self.running, self.progress, said = clip, {}, ""
+        self.running, self.progress = clip, {}
+        self._child = subprocess.Popen(
+            given, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+            encoding="utf-8", errors="replace", env=environment,
+        )  # fmt: skip
+        clip.again = False  # what it has tracked stays if it is stopped
+        self.save()
+        self._work.release()
         try:
-            self._child = subprocess.Popen(
-                given, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-                encoding="utf-8", errors="replace", env=environment,
-            )  # fmt: skip
-            clip.again = False  # what it has tracked stays if it is stopped
-            self.save()
-            self._work.release()
-            try:
-                with self._child:
-                    said = self._listen(self._child.stderr)
-            finally:
-                self._work.acquire()
-            code = self._child.returncode
-            self.paused = self.paused or (clip.wanted and code in STOPPED)  # as by Ctrl-C in the terminal
-            stopped = self._closed or self.paused or not clip.wanted
-            clip.error = None if stopped or code in (ExitCode.DONE, ExitCode.LOST) else said or f"exit code {code}"
-        except OSError as e:
-            clip.error, stopped = f"facetrack run cannot be started: {e.strerror or e}", False
+            with self._child:
+                said = self._listen(self._child.stderr)
         finally:
-            self.running = self._child = None
+            self._work.acquire()
+        code, self.running, self._child = self._child.returncode, None, None
+        self.paused = self.paused or (clip.wanted and code in STOPPED)  # as by Ctrl-C in the terminal
+        stopped = self._closed or self.paused or not clip.wanted
+        clip.error = None if stopped or code in (ExitCode.DONE, ExitCode.LOST) else said or f"exit code {code}"
         clip.wanted = clip.wanted and stopped
         self.save()
         self._work.notify_all()

@@ -9,6 +9,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -380,6 +381,15 @@ class Command:
         """Exit code, standard output, and what it said after its address."""
         out, err = self.process.communicate(timeout=120)
         return self.process.returncode, out, err
+
+    def kill(self):
+        """End it and what it has started at once, as a power loss does."""
+        threads = Path(f"/proc/{self.process.pid}/task").iterdir()
+        below = [int(pid) for one in threads for pid in (one / "children").read_text().split()]
+        self.process.kill()
+        self.process.wait()
+        for pid in below:
+            os.kill(pid, signal.SIGKILL)
 
     def close(self):
         if self.process.poll() is None:

@@ -1,7 +1,6 @@
 """The page of `facetrack app`: clips are added, tracked, looked at, corrected and exported."""
 
 import contextlib
-import math
 import re
 import threading
 from collections.abc import Sequence
@@ -14,7 +13,7 @@ from pydantic import Field
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.files import make_folder, write_new, writing
-from facetrack_cli.core.types import Correction, checked_name
+from facetrack_cli.core.types import Array, Correction, checked_name
 from facetrack_cli.editor.film_track import open_track
 from facetrack_cli.editor.history import Fixer, corrections_of
 from facetrack_cli.editor.project import RECIPES, Clip, Project, What, call
@@ -30,8 +29,7 @@ from facetrack_cli.run_folder.manifest import VIDEO, read_run
 from facetrack_cli.runs.inputs import expand
 from facetrack_cli.runs.people import film_of, people_in, rows_in
 from facetrack_cli.tracking.start.init_file import read_init
-from facetrack_cli.trajectory.header import UNSAVED, clip_of, said
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.header import UNSAVED
 from facetrack_cli.video.seek import Frames
 
 LOOKS: Final = 5  # frames of a clip in which faces are sought, in its first seconds
@@ -39,6 +37,7 @@ LOOKS_WITHIN: Final = 250  # frames
 THUMB_PIXELS: Final = 240  # about, along the longer side
 BINS: Final = 400  # of a curve
 CURVES: Final = 24  # targets of which they are sent
+EVENTS: Final = 20_000  # that are sent
 Ids = Annotated[list[int], Field(max_length=2000)]
 
 
@@ -89,8 +88,7 @@ class AppSession(Page):
             Route("PUT", "api/upload", self._upload, raw=True),
             Route("POST", "api/add", self._add),
             Route("POST", "api/choose", self._choose),
-            Route("POST", "api/run", self._track),
-            Route("POST", "api/stop", self._stop),
+            Route("POST", "api/want", self._want),
             Route("POST", "api/pause", self._pause),
             Route("POST", "api/remove", self._remove),
             Route("POST", "api/open", self._open_page),
@@ -99,7 +97,7 @@ class AppSession(Page):
             Route("GET", "api/video/{clip}.mp4", self._video),
             Route("GET", "api/look/{clip}", self._looked),
             Route("GET", "api/export/{clip}", self._export),
-            Route("GET", "api/export", self._export_all),
+            Route("GET", "api/export", self._export),
         )
 
     def close(self) -> None:
@@ -111,7 +109,7 @@ class AppSession(Page):
             self._shut(name)
 
     def state(self) -> Json:
-        self._shut_ended()
+        self._shut_of()
         project = self.project
         with project.lock:
             clips = [self._told(one) for one in project.clips.values()]
@@ -203,7 +201,7 @@ class AppSession(Page):
         while not self.stopping.is_set():
             self._new.wait()
             self._new.clear()
-            for clip in [one for one in self.project.clips.values() if not one.frames]:
+            for clip in [one for one in [*self.project.clips.values()] if not one.frames]:
                 if self.stopping.is_set():
                     return
                 try:
@@ -238,14 +236,11 @@ class AppSession(Page):
             self.project.save()
         return self.state()
 
-    def _track(self, clips: Ids, again: bool = False) -> Json:
-        for clip in clips if again else ():
+    def _want(self, clips: Ids, wanted: bool, again: bool = False) -> Json:
+        """Have clips tracked, `again` from the start, or stop them."""
+        for clip in clips if wanted else ():
             self._shut_of(clip)
-        self.project.want([*map(self.project.find, clips)], True, again=again)
-        return self.state()
-
-    def _stop(self, clips: Ids) -> Json:
-        self.project.want([*map(self.project.find, clips)], False)
+        self.project.want([*map(self.project.find, clips)], wanted, again=again)
         return self.state()
 
     def _pause(self, paused: bool) -> Json:
@@ -277,7 +272,7 @@ class AppSession(Page):
         if person is not None:
             name += f"-{frame}"
         with self.lock, contextlib.ExitStack() as stack:
-            self._shut_ended()
+            self._shut_of()
             if found.wanted:
                 raise RefusedError(409, f"{found.name} is being tracked; stop it first")
             if name not in self.opened:
@@ -304,16 +299,11 @@ class AppSession(Page):
         recipe = load_recipe(RECIPES[clip.what])
         return PickSession(place, frames, out=out, overwrite=True, recipe=recipe, begun=begun)
 
-    def _shut_ended(self) -> None:
-        with self.lock:
-            for name, page in [*self.opened.items()]:
-                if page.over():
-                    self._shut(name)
-
-    def _shut_of(self, clip: int) -> None:
-        """Close the pages of a clip."""
-        for name in [one for one in self.opened if one.split("-")[1] == str(clip)]:
-            self._shut(name)
+    def _shut_of(self, clip: int | None = None) -> None:
+        """Close the pages of a clip, or those that have ended."""
+        for name, page in [*self.opened.items()]:
+            if name.split("-")[1] == str(clip) or page.over():
+                self._shut(name)
 
     def _shut(self, name: str) -> None:
         """Close a page that was opened; what was corrected and not saved is kept beside the run."""
@@ -325,23 +315,16 @@ class AppSession(Page):
 
     # exporting
 
-    def _export(self, clip: int, program: str) -> Answer:
-        found = self.project.find(clip)
-        return self._exported(program, self.project.run_of(found), self.project.place(found).stem)
-
-    def _export_all(self, program: str) -> Answer:
-        if program in PROGRAMS and not PROGRAMS[program].many:
-            raise RefusedError(400, f"{PROGRAMS[program].name} takes one clip; export it from its line")
-        return self._exported(program, self.project.folder / "runs", self.project.folder.name)
-
-    def _exported(self, program: str, source: Path, name: str) -> Answer:
-        """A file for a program, which stays in exports/."""
-        if program not in PROGRAMS:
-            raise RefusedError(400, f"{program}: choose among {', '.join(PROGRAMS)}")
-        one = PROGRAMS[program]
-        folder = self.project.folder / "exports"
+    def _export(self, program: str, clip: int | None = None) -> Answer:
+        """A file for a program, of one clip or of all; it stays in exports/."""
+        known = [name for name, one in PROGRAMS.items() if one.many or clip is not None]
+        if program not in known:
+            raise RefusedError(400, f"{program}: choose among {', '.join(known)}")
+        one, folder = PROGRAMS[program], self.project.folder / "exports"
+        found = None if clip is None else self.project.find(clip)
+        source = self.project.folder / "runs" if found is None else self.project.run_of(found)
         make_folder(folder, "free some space")
-        path = folder / f"{name}.{one.ending}"
+        path = folder / f"{self.project.folder.name if found is None else self.project.place(found).stem}.{one.ending}"
         with self._exporting, writing(path, "close what uses it"):
             try:
                 with path.open("wb") as file:
@@ -351,10 +334,9 @@ class AppSession(Page):
             except FacetrackError as e:
                 path.unlink(missing_ok=True)
                 raise UsageError(str(e)) from None  # 422: the page says why
-        plain = re.sub(r'[^ -~]|["\\]', "_", path.name)
-        return Answer(
-            path, kind="application/octet-stream", headers=(("Content-Disposition", f'attachment; filename="{plain}"'),)
-        )
+        saved_as = re.sub(r'[^ -~]|["\\]', "_", path.name)
+        how = (("Content-Disposition", f'attachment; filename="{saved_as}"'),)
+        return Answer(path, kind="application/octet-stream", headers=how)
 
 
 def fix_page(run: Run, stack: contextlib.ExitStack) -> FixSession:
@@ -384,41 +366,25 @@ def likely_in(frames: Frames) -> What:
 
 
 def looked(folder: Path, _: str) -> Json:
-    """Curves of a run, as means of bins, and its events, by target; a frame's time in s at each bin."""
+    """Curves of a run, by target, as means of equal spans of time, and its events; times in s."""
     rows = read_run(folder)
-    clip, fps = clip_of(rows), said(rows, "source", "fps")
-    times = rows.times
-    bins = max(min(BINS, len(times)), 1)
-    edges = np.unique(np.arange(bins) * len(times) // bins)
+    begins = np.linspace(float(rows.times[0]), float(rows.times[-1]), max(min(BINS, len(rows.times)), 1))
     targets = []
-    for target in rows.targets[:CURVES]:
-        curves = [
-            _curve(one.name, one.unit, one.value, one.time_s, times[edges]) for one in rows.measures[target].values()
-        ]
-        targets.append({"name": target, "sure": _sure(rows, target, times[edges]), "curves": curves})
-    events = [
-        {"target": e.target, "tier": e.tier, "value": e.value, "begin": round(e.begin_s, 3), "end": round(e.end_s, 3)}
-        for e in rows.events[:20_000]
-    ]
-    whole = {"begin": float(times[0]), "end": float(times[-1]), "fps": fps, "clip": None if clip is None else clip.name}
-    return {**whole, "targets": targets, "events": events}
+    for name in rows.targets[:CURVES]:
+        parts, measures = rows.of_target(name), rows.measures[name].values()
+        least = np.fmin.reduce([one.confidence for one in parts if len(one) == len(parts[0])])
+        curves = [_curve(one.name, one.unit, one.value, one.time_s, begins) for one in measures]
+        sure = _curve("confidence", "", least, parts[0].time_s, begins)
+        targets.append({"name": name, "curves": [sure, *curves]})
+    keys = ("target", "tier", "value", "begin_s", "end_s")
+    events = [{key: getattr(one, key) for key in keys} for one in rows.events[:EVENTS]]
+    return {"begin": begins[0], "end": begins[-1], "targets": targets, "events": events}
 
 
-def _curve(name: str, unit: str, values: Any, at: Any, begins: Any) -> Json:
-    """The mean of the values from each time to the next, None where there are none; their range."""
+def _curve(name: str, unit: str, values: Array, at: Array, begins: Array) -> Json:
+    """The mean of the values from each time to the next, None where there are none."""
     known = np.isfinite(values)
-    which = np.clip(np.searchsorted(begins, at[known], "right") - 1, 0, None)
-    count = np.bincount(which, minlength=len(begins))
-    sums = np.bincount(which, weights=values[known], minlength=len(begins))
+    which = np.clip(np.searchsorted(begins, at[known] + 1e-6, "right") - 1, 0, None)
+    count, sums = (np.bincount(which, weights, len(begins)) for weights in (None, values[known]))
     means = [round(s / n, 4) if n else None for s, n in zip(sums.tolist(), count.tolist(), strict=True)]
     return {"name": name, "unit": unit, "values": means}
-
-
-def _sure(rows: Trajectory, target: str, begins: Any) -> Json:
-    """The least confidence of a target's parts, and the share of its rows that are called lost."""
-    parts = rows.of_target(target)
-    least: Any = np.full(len(parts[0]), math.nan)
-    for part in parts:
-        if len(part) == len(least):
-            least = np.fmin(least, part.confidence)
-    return _curve("confidence", "", least, parts[0].time_s, begins)

@@ -54,7 +54,7 @@ async function open(clip, page) {
 
 async function again(clip) {
   const text = "The results that are there now are replaced, with what was corrected in them.";
-  if (await askToConfirm(`Track ${clip.name} from the start?`, text, "Track again")) ask("run", { clips: [clip.id], again: true });
+  if (await askToConfirm(`Track ${clip.name} from the start?`, text, "Track again")) ask("want", { clips: [clip.id], wanted: true, again: true });
 }
 
 async function remove(clip) {
@@ -105,9 +105,9 @@ function line(id) {
   const menu = make("select", { "data-testid": `export-${id}`, class: "small" });
   exportMenu(menu, "Export …", Object.entries(now.programs), `api/export/${id}`);
   const actions = {
-    run: named("run", "Track", (clip) => ask("run", { clips: [clip.id] })),
+    run: named("run", "Track", (clip) => ask("want", { clips: [clip.id], wanted: true })),
     start: named("start", "", (clip) => open(clip, "start")),
-    stop: named("stop", "Stop", (clip) => ask("stop", { clips: [clip.id] })),
+    stop: named("stop", "Stop", (clip) => ask("want", { clips: [clip.id], wanted: false })),
     look: named("look", "Look", (clip) => (location.hash = `look-${clip.id}`)),
     correct: named("correct", "Correct", (clip) => open(clip, "correct")),
     again: named("again", "Track again", again),
@@ -200,7 +200,7 @@ function show(state) {
   $("overall-bar").value = sum("done") / Math.max(sum("frames"), 1);
   $("run-all").hidden = !ready.length;
   setText($("run-all"), ready.length === 1 ? "Track 1 clip" : `Track all ${ready.length}`);
-  $("run-all").onclick = () => ask("run", { clips: ready.map((one) => one.id) });
+  $("run-all").onclick = () => ask("want", { clips: ready.map((one) => one.id), wanted: true });
   $("pause").hidden = !waiting;
   $("pause").classList.toggle("primary", state.paused);
   setText($("pause"), state.paused ? "Go on" : "Pause");

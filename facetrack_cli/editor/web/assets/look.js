@@ -73,7 +73,7 @@ export class Look {
     if (!target) return;
     const events = found.events.filter((one) => one.target === target.name);
     const tiers = [...new Set(events.map((one) => one.tier))];
-    const curves = [target.sure, ...target.curves].filter((one) => one.values.some((value) => value !== null));
+    const curves = target.curves.filter((one) => one.values.some((value) => value !== null));
     const parts = [
       ...tiers.map((tier) => this.#spans(tier, events.filter((one) => one.tier === tier))),
       ...curves.slice(0, FIRST).map((one) => this.#curve(one)),
@@ -84,8 +84,8 @@ export class Look {
       $("curves").append(more);
     }
     const items = events.map((one) => {
-      const click = () => this.#seek(one.begin);
-      return make("li", {}, button("event", { class: "event", click }, make("b", {}, clock(one.begin)), ` ${readable(one.tier)}: ${readable(one.value)}`, make("span", { class: "quiet" }, ` ${(one.end - one.begin).toFixed(2)} s`)));
+      const click = () => this.#seek(one.begin_s);
+      return make("li", {}, button("event", { class: "event", click }, make("b", {}, clock(one.begin_s)), ` ${readable(one.tier)}: ${readable(one.value)}`, make("span", { class: "quiet" }, ` ${(one.end_s - one.begin_s).toFixed(2)} s`)));
     });
     $("events").replaceChildren(...(items.length ? items : [make("li", { class: "quiet" }, "None were found.")]));
     this.#point();
@@ -106,7 +106,7 @@ export class Look {
 
   #spans(tier, events) {
     const [svg, row] = this.#row(readable(tier), String(events.length));
-    for (const { begin, end } of events) {
+    for (const { begin_s: begin, end_s: end } of events) {
       svg.append(drawn("rect", { x: this.#x(begin), y: 8, width: Math.max(this.#x(end) - this.#x(begin), 1.5), height: 24 }));
     }
     return row;
