@@ -4,6 +4,7 @@ Each run is the ordinary `facetrack run` in a folder of its own, so the folders 
 a kill. project.json holds what folders do not say: the list, what is chosen, and what is still to be run.
 """
 
+import contextlib
 import json
 import os
 import re
@@ -16,9 +17,10 @@ from typing import IO, Any, Final, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from facetrack_cli.core.errors import ExitCode, InputError, OutputError, UsageError, reading
+from facetrack_cli.core.errors import BusyError, ExitCode, InputError, OutputError, UsageError, reading
 from facetrack_cli.core.files import absolute, make_folder, read_bounded, write_new, writing
 from facetrack_cli.core.log import VARIABLE
+from facetrack_cli.run_folder.lock import FolderLock
 from facetrack_cli.run_folder.status import ClipStatus, clip_status
 
 NAME: Final = "project.json"
@@ -63,11 +65,17 @@ class Project:
     def __init__(self, folder: Path) -> None:
         self.folder, self.lock = absolute(folder), threading.RLock()
         make_folder(self.folder, "name another folder")
+        self._held = contextlib.ExitStack()
+        try:
+            self._held.enter_context(FolderLock(self.folder))
+        except BusyError:
+            raise UsageError(f"{self.folder}: is open already; go to its page, or name another folder") from None
         self._path = self.folder / NAME
         try:
             found = read_bounded(self._path) if self._path.exists() else b"{}"
             self.clips = {one.id: one for one in Listed.model_validate_json(found).clips}
         except ValidationError as e:
+            self._held.close()
             raise InputError(f"{self._path}: is not as facetrack app writes it; move it away, and add the clips") from e
         self.paused = any(one.wanted for one in self.clips.values())
         self.running: Clip | None = None
@@ -84,6 +92,7 @@ class Project:
             self._terminate()
             self._work.notify_all()
         self._worker.join()
+        self._held.close()
 
     # the list
 

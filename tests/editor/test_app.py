@@ -135,6 +135,12 @@ def test_a_project_that_another_program_wrote_is_refused(tmp_path, capsys):
     assert "is not as facetrack app writes it" in capsys.readouterr().err
 
 
+def test_a_project_is_open_once(app, tmp_path, capsys):
+    one = app()
+    assert main(["app", str(one.session.project.folder), "--no-open"]) == 2
+    assert "is open already; go to its page" in capsys.readouterr().err
+
+
 # --- runs ------------------------------------------------------------------------------------------------------------
 
 

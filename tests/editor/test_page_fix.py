@@ -345,6 +345,32 @@ def test_what_is_called_lost_and_lies_right_is_confirmed(page, out):
     assert again.status[6:10].tolist() == ["tracked", "tracked", "lost", "lost"]
 
 
+def test_a_run_says_of_what_is_confirmed_what_fix_says(facetrack, out):
+    init = Path("c.yaml")
+    start = CLIP.with_suffix(".init.yaml").read_text()
+    init.write_text(start + "corrections:\n- {frame: 6, points: {nose: [150, 130]}}\n- {frame: 9, confirmed: true}\n")
+    assert facetrack("fix", out, "--init", init)[0] == 0
+    assert facetrack("run", CLIP, "--init", out / CORRECTED, "-o", "again", *MADE, "--no-video")[0] == 0
+    assert Path("again/trajectory.csv").read_bytes() == (out / "trajectory.csv").read_bytes()
+    rows = open_run(out).rows
+    assert rows.find("face", "lip_upper").by_hand.nonzero()[0].tolist() == [9]
+    assert rows.find("face", "nose").by_hand.nonzero()[0].tolist() == [6, 9]
+
+
+def test_a_box_is_confirmed_whole(tmp_path):
+    out = hands_run(tmp_path / "out")
+    one = Page(out)
+    try:
+        box = one.fixer.rows.find("left_hand", "box")
+        frame = int(box.frame[box.x == box.x][3])
+        assert one.post("confirm", frame=frame, target="left_hand", part="box").status == 202
+        one.idle()
+        assert one.fixer.find(frame, "left_hand").confirmed is True
+        assert one.fixer.rows.find("left_hand", "box").by_hand.nonzero()[0].tolist() == [frame]
+    finally:
+        one.close()
+
+
 def test_what_is_confirmed_is_corrected_instead_and_the_other_way_round_refused(page):
     one = page()
     one.post("confirm", frame=8, target="face", part="nose")
