@@ -79,6 +79,12 @@ class Run:
         return Painted(self.clip, self.fps, self.first, self.last, self.recipe.name, self.header.source.stream)
 
     @property
+    def fixed_by(self) -> str:
+        """The command that corrects it."""
+        of = f" --person {self.rows.targets[0]}@{self.first}f" if self.film else ""
+        return f"facetrack fix {self.folder}{of}"
+
+    @property
     def video(self) -> Path | None:
         """The video that the run wrote, if it did."""
         path = self.folder / VIDEO

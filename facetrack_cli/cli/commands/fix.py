@@ -158,7 +158,7 @@ class Fix:
             say(f"{kept}: {said} not saved the last time; the page begins with {'them' if many else 'it'}")
         session = FixSession(fixer, frames, video=not self.no_video, unsaved=unsaved)
         if not self.page.serve(session, stop):
-            goes_on = f"all else is as it was; facetrack fix {folder} goes on with them"
+            goes_on = f"all else is as it was; {fixer.run.fixed_by} goes on with them"
             none = "what was saved stays" if session.saves else "nothing was written"
             what = f"the corrections are kept in {kept}, {goes_on}" if kept.is_file() else none
             say(f"facetrack: {stop.reason}; {what}")

@@ -324,7 +324,7 @@ class AppSession(Page):
         found = None if clip is None else self.project.find(clip)
         source = self.project.folder / "runs" if found is None else self.project.run_of(found)
         make_folder(folder, "free some space")
-        path = folder / f"{self.project.folder.name if found is None else self.project.place(found).stem}.{one.ending}"
+        path = folder / f"{self.project.folder.name if found is None else found.name}.{one.ending}"
         with self._exporting, writing(path, "close what uses it"):
             try:
                 with path.open("wb") as file:

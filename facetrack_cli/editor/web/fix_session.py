@@ -48,7 +48,7 @@ class FixSession(Session):
         self.saves = 0
         self._parts = run.parts
         about = {
-            "clip": run.header.clip_name,
+            "clip": run.header.clip_name + f": {run.rows.targets[0]}" * run.film,
             "recipe": run.recipe.name,
             "lost_below": {name: run.recipe.lost_below(name) for name in self._parts},
             "requirements": [_requirement(name, parts) for name, parts in self._parts.items()],
@@ -174,7 +174,7 @@ class FixSession(Session):
         """End the session; what is not saved is kept for the next one."""
         self.refuse_if_busy()
         folder = self.fixer.run.folder
-        left = [f"{folder / UNSAVED}: corrections that are not saved; facetrack fix {folder} goes on with them"]
+        left = [f"{folder / UNSAVED}: corrections that are not saved; {self.fixer.run.fixed_by} goes on with them"]
         nothing = [f"{folder}: nothing was corrected, all is as it was"]
         self.end(self.saved + left * self.fixer.changed or nothing, f"facetrack report {folder} --overwrite")
         return self.state()
