@@ -112,7 +112,7 @@ def test_from_three_clips_dropped_to_an_excel_table_and_an_elan_file(open_app, c
     window.until("!document.getElementById('list-view').hidden")
 
     # correct, save, and back to the list
-    window.click_on("correct-1")
+    window.page.click("[data-testid=correct-1]")
     window.page.wait_for_url("**/fix-1/")
     window.until("!!window.facetrack?.image && window.facetrack.rowsRevision !== null")
     window.press(".", ".", "]")
@@ -125,7 +125,7 @@ def test_from_three_clips_dropped_to_an_excel_table_and_an_elan_file(open_app, c
     assert window.get("ended") is False
     window.click_on("done")
     window.until("window.facetrack.ended")
-    window.click_on("saved-home")
+    window.page.click("[data-testid=saved-home]")
     window.page.wait_for_load_state()
     window.until("document.body.classList.contains('home') && document.querySelectorAll('#clips li').length === 3")
     folder = session.project.run_of(session.project.find(1))
@@ -139,13 +139,13 @@ def test_a_box_is_drawn_on_the_picture(open_app, clips, tmp_path):
     window.until("document.querySelectorAll('#clips select[data-testid^=what]:not([disabled])').length === 3")
     window.page.select_option("[data-testid=what-1]", "box")
     window.until("document.querySelector('#clips li').dataset.state === 'needs box'")
-    window.click_on("start-1")
+    window.page.click("[data-testid=start-1]")
     window.page.wait_for_url("**/start-1/")
     window.until("!!window.facetrack?.image")
     window.drag((95, 60), (215, 190))
     window.click_on("save")
     window.until("window.facetrack.ended")
-    window.click_on("saved-home")
+    window.page.click("[data-testid=saved-home]")
     window.page.wait_for_load_state()
     window.until("document.querySelector('#clips li')?.dataset.state === 'ready'")
     window.click_on("run-1")

@@ -117,7 +117,7 @@ MISTAKES = {
     "absent number": (HEAD + "- frame: 6\n  absent: [1]\n", 6, "absent[1] must be a text, not 1; write absent: [nose]"),
     "absent twice": (HEAD + "- frame: 6\n  absent: [nose, nose]\n", 6, "nose is in absent already"),
     "confirmed and given": (
-        HEAD + f"- frame: 6\n  {NOSE}\n  confirmed: true\n", 5, "is confirmed where the tracker has it; remove points"
+        HEAD + f"- frame: 6\n  {NOSE}\n  confirmed: true\n", 6, "is confirmed where the tracker has it; remove points"
     ),
     "confirmed of nobody": (HEAD + "- frame: 6\n  confirmed: [ear]\n", 6, 'confirmed names "ear", which the start'),
     "all absent and given": (HEAD + f"- frame: 6\n  {NOSE}\n  absent: true\n", 6, "all of face is absent; remove"),

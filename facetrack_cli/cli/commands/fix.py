@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.commands.people import frame_at, moment
+from facetrack_cli.cli.moments import at_moment, frame_at
 from facetrack_cli.cli.options import FILE, Page, argument, flag, group, option, say, verb
 from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError
 
@@ -62,7 +62,7 @@ class Fix:
     person: tuple[str, str] | None = option(
         "--person NAME@TIME",
         "Of a film: the points of this person in the shot at a time (1:23, or 2075f).",
-        type=moment,
+        type=at_moment,
     )
     no_video: bool = flag("--no-video", "Leave annotated.mp4 as it is.")
     page: Page = group(Page)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from facetrack_cli.cli import options
+from facetrack_cli.cli.moments import at_moment, frame_at
 from facetrack_cli.cli.options import FILE, Page, argument, flag, group, option, say, verb
 from facetrack_cli.core.errors import ExitCode, UsageError
 
@@ -25,32 +26,12 @@ def _pair(value: str) -> tuple[str, str]:
     return name.strip(), other.strip()
 
 
-def moment(value: str) -> tuple[str, str]:
-    name, at, moment = value.rpartition("@")
-    if not (at and name.strip() and moment.strip()):
-        raise click.BadParameter(f"{value!r}: give a name and a time, as person_2@1:23 or person_2@2075f")
-    return name.strip(), moment.strip()
-
-
 def _gift(value: str) -> tuple[str, str]:
     name, at, rest = value.rpartition("@")
     moment, equals, to = rest.partition("=")
     if not (at and equals and name.strip() and moment.strip() and to.strip()):
         raise click.BadParameter(f"{value!r}: give a name, a time and a name, as person_2@1:23=person_1")
     return name.strip(), f"{moment.strip()}={to.strip()}"
-
-
-def frame_at(moment: str, clock: Clock) -> int:
-    """The frame of a moment: 2075f, 83, 1:23 or 0:01:23.5. UsageError for anything else."""
-    try:
-        if moment[-1:].lower() == "f":
-            return int(moment[:-1])
-        seconds = 0.0
-        for part in moment.split(":"):
-            seconds = 60 * seconds + float(part)
-        return clock.frame(seconds)
-    except (ValueError, OverflowError):
-        raise UsageError(f"--split @{moment}: is no time; give 1:23, 83 (seconds) or 2075f (a frame)") from None
 
 
 class Cast:
@@ -80,7 +61,7 @@ class Cast:
         "--merge A=B", "A is B: both are one person, under the name of B.", type=_pair, multiple=True
     )
     split: tuple[tuple[str, str], ...] = option(
-        "--split A@TIME", "From that time on (1:23, or 2075f) A is somebody else.", type=moment, multiple=True
+        "--split A@TIME", "From that time on (1:23, or 2075f) A is somebody else.", type=at_moment, multiple=True
     )
     rename: tuple[tuple[str, str], ...] = option("--rename A=NAME", "The name of A.", type=_pair, multiple=True)
     save: Path | None = option(
