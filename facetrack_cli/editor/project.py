@@ -17,7 +17,7 @@ from typing import IO, Any, Final, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from facetrack_cli.core.errors import BusyError, ExitCode, InputError, OutputError, UsageError, reading
+from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, UsageError, reading
 from facetrack_cli.core.files import absolute, make_folder, read_bounded, write_new, writing
 from facetrack_cli.core.log import VARIABLE
 from facetrack_cli.run_folder.lock import FolderLock
@@ -203,10 +203,13 @@ class Project:
             while not self._closed:
                 waiting = [] if self.paused else [one for one in self.clips.values() if one.wanted]
                 for clip in waiting:
-                    if clip.again or (state := self.status(clip).state) not in ("done", "running"):
-                        self._run(clip)
-                        break
-                    clip.wanted = state != "done"  # by a process that was left by a kill
+                    try:
+                        if clip.again or (state := self.status(clip).state) not in ("done", "running"):
+                            self._run(clip)
+                            break
+                        clip.wanted = state != "done"  # by a process that was left by a kill
+                    except (FacetrackError, OSError) as e:  # as of a full disk
+                        clip.error, clip.wanted = " ".join(str(e).splitlines()), False
                 else:
                     self._work.wait(1.0 if waiting else None)
 
@@ -214,13 +217,13 @@ class Project:
         """Run one clip; the lock is given back meanwhile."""
         environment = {**os.environ, VARIABLE: "json"}
         given = [sys.executable, "-m", "facetrack_cli", *self.command(clip)]
-        self.running, self.progress = clip, {}
+        clip.again = False  # what it has tracked stays if it is stopped
+        self.save()
         self._child = subprocess.Popen(
             given, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
             encoding="utf-8", errors="replace", env=environment,
         )  # fmt: skip
-        clip.again = False  # what it has tracked stays if it is stopped
-        self.save()
+        self.running, self.progress = clip, {}
         self._work.release()
         try:
             with self._child:

@@ -207,6 +207,22 @@ def test_a_run_that_fails_says_so_in_one_line_and_the_next_goes_on(app, clips, t
     assert one.post("choose", clips=[2], what="box").json["clips"][1]["state"] == "done"
 
 
+def test_what_cannot_be_started_is_told_and_the_queue_lives_on(app, clips, monkeypatch):
+    one = app()
+    boxed(one, one.add(clips / "smile.mp4")[0])
+
+    def fails(*_, **__):
+        raise OSError(12, "Cannot allocate memory")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(project_module.subprocess, "Popen", fails)
+        one.post("want", clips=[1], wanted=True)
+        [clip] = one.rest()
+    assert clip["state"] == "failed" and "Cannot allocate memory" in clip["error"]
+    one.post("want", clips=[1], wanted=True)
+    assert one.rest()[0]["state"] == "done"
+
+
 def test_a_box_must_be_drawn_first(app, clips):
     one = app()
     [clip] = one.add(clips / "smile.mp4")

@@ -153,7 +153,7 @@ def test_a_box_is_drawn_on_the_picture(open_app, clips, tmp_path):
     assert read_manifest(session.project.run_of(session.project.find(1))).complete
     window.click_on("quit")
     window.click_on("confirm-yes")
-    window.until("document.querySelector('.ended')")
+    window.until("!!document.querySelector('.ended')")
 
 
 @pytest.mark.parametrize("screen", SCREENS)
