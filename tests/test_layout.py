@@ -121,6 +121,7 @@ def test_what_help_needs_is_light():
     needed |= {
         "cli/words.py",
         "cli/defaults.py",
+        "cli/moments.py",
         "core/log.py",
         "core/models.py",
         "core/shipped.py",

@@ -159,11 +159,12 @@ class Project:
     # the queue
 
     def want(self, clips: Sequence[Clip], wanted: bool, *, again: bool = False) -> None:
-        """Queue clips, or stop them; UsageError for one that has no box to begin with."""
+        """Queue clips, or stop them. Those that lack their box are left out; UsageError if no other is given."""
         with self.lock:
-            for clip in clips:
-                if wanted and clip.what == "box" and not self.start_of(clip).is_file():
-                    raise UsageError(f"{clip.name}: draw the box first")
+            able = [one for one in clips if not wanted or one.what != "box" or self.start_of(one).is_file()]
+            if clips and not able:
+                raise UsageError(f"{clips[0].name}: draw the box first")
+            for clip in able:
                 clip.wanted, clip.again = wanted, wanted and again
                 clip.error = None if wanted else clip.error
                 if not wanted and clip is self.running:
