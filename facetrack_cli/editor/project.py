@@ -251,7 +251,10 @@ class Project:
                 said = line.strip() or said
             elif str(told.get("message", "")).startswith("progress"):
                 with self.lock:
-                    self.progress = {**told, "doing": str(told["message"]).removeprefix("progress").strip(", ")}
+                    self.progress = {
+                        **told,
+                        "doing": str(told["message"]).removeprefix("progress").strip(", "),
+                    }  # "": tracks
             else:
                 said = str(told.get("message", ""))
                 error = said if told.get("level") == "error" else error

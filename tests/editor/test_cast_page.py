@@ -77,7 +77,8 @@ def test_the_cast_is_changed_undone_and_saved(page, client):
     assert names(change(client, "rename", "person_1", to="Ann").json) == ["Eileen", "person_2", "Ann"]
     base = client.get("api/state").json["revision"]
     client.save()
-    ended = client.until(lambda s: s["revision"] > base and not s["job"]) and client.ask("POST", "api/done", {"base": base + 1})
+    client.until(lambda state: state["revision"] > base and not state["job"])
+    ended = client.ask("POST", "api/done", {"base": base + 1})
     assert ended.json["ended"] == {"messages": [f"{folder}: 3 changes saved"], "next": f"facetrack people {folder}"}
     assert read_people(folder).corrections[2:] == ("rename person_1=Ann",)
     assert change(client, "rename", "Eileen", to="x").status == 409

@@ -113,7 +113,7 @@ class AppSession(Page):
         project = self.project
         with project.lock:
             clips = [self._told(one) for one in project.clips.values()]
-            rate = project.progress.get("frames_per_s") if project.running else None
+            rate = next((one["rate"] for one in clips if one.get("rate")), None)
             left = sum(max(one["frames"] - one["done"], 0) for one in clips if one["state"] in ("queued", "running"))
             return {
                 "folder": str(project.folder),
@@ -137,8 +137,13 @@ class AppSession(Page):
         start = project.start_of(clip).is_file()
         if clip is project.running:
             told = project.progress
-            state, done = "running", int(told.get("done") or 0) if told.get("unit") == "frames" else 0
-            more |= {"doing": told.get("doing", "starting"), "rate": told.get("frames_per_s")}
+            tracks = told.get("doing") == ""  # else it does something before or after
+            state, done, rate = (
+                "running",
+                int(told.get("done") or 0) * tracks,
+                told.get("frames_per_s") if tracks else None,
+            )
+            more |= {"doing": told.get("doing", "starting"), "rate": rate}
         elif clip.wanted and state != "running":
             state = "paused" if project.paused else "queued"
         elif error:

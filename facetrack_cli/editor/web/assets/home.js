@@ -172,7 +172,8 @@ function describe(clip) {
 
 function show(state) {
   now = state;
-  setText($("folder"), state.folder);
+  setText($("folder"), state.folder.split(/[\\/]/).at(-1));
+  $("folder").title = state.folder;
   for (const [id, row] of rows) {
     if (state.clips.some((one) => one.id === id)) continue;
     row.item.remove();
