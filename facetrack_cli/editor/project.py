@@ -250,11 +250,9 @@ class Project:
             if not isinstance(told, dict):
                 said = line.strip() or said
             elif str(told.get("message", "")).startswith("progress"):
+                doing = str(told["message"]).removeprefix("progress").strip(", ")  # "" while it tracks
                 with self.lock:
-                    self.progress = {
-                        **told,
-                        "doing": str(told["message"]).removeprefix("progress").strip(", "),
-                    }  # "": tracks
+                    self.progress = {**told, "doing": doing}
             else:
                 said = str(told.get("message", ""))
                 error = said if told.get("level") == "error" else error

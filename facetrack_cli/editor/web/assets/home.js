@@ -204,6 +204,7 @@ function show(state) {
   $("run-all").onclick = () => ask("want", { clips: ready.map((one) => one.id), wanted: true });
   $("pause").hidden = !waiting;
   $("pause").classList.toggle("primary", state.paused);
+  $("run-all").classList.toggle("primary", !(state.paused && waiting));
   setText($("pause"), state.paused ? "Go on" : "Pause");
   $("pause").onclick = () => ask("pause", { paused: !now.paused });
   const open = state.clips.filter((one) => one.size && ["ready", "needs box"].includes(one.state));
