@@ -13,13 +13,14 @@ import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import IO, Any, Final, Literal, TypeAlias
+from typing import IO, Annotated, Any, Final, Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, UsageError, reading
 from facetrack_cli.core.files import absolute, make_folder, read_bounded, write_new, writing
 from facetrack_cli.core.log import VARIABLE
+from facetrack_cli.core.types import checked_name
 from facetrack_cli.run_folder.lock import FolderLock
 from facetrack_cli.run_folder.status import ClipStatus, clip_status
 
@@ -36,7 +37,7 @@ class Clip(BaseModel):
     model_config = ConfigDict(extra="forbid")
     id: int
     path: str
-    name: str
+    name: Annotated[str, AfterValidator(lambda name: checked_name(name, "clip"))]
     what: What = "face"
     likely: What | None = None
     size: tuple[int, int] | None = None
@@ -113,7 +114,8 @@ class Project:
             added = []
             for path in new:
                 inside = path.is_relative_to(self.folder)
-                names, stem = {one.name for one in self.clips.values()}, path.stem or "clip"
+                names = {one.name for one in self.clips.values()}
+                stem = re.sub(r"[^\w .()-]", "_", path.stem)[:80].strip(" .") or "clip"
                 name = next(
                     name for k in range(1, MAX_CLIPS + 2) if (name := f"{stem}-{k}" if k > 1 else stem) not in names
                 )

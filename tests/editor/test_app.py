@@ -128,9 +128,10 @@ def test_a_folder_is_named_and_each_clip_is_looked_at(app, clips, tmp_path):
 
 
 def test_a_project_that_another_program_wrote_is_refused(tmp_path, capsys):
-    (tmp_path / "project.json").write_text('{"clips": 3}')
-    with pytest.raises(InputError, match=r"project\.json: is not as facetrack app writes it"):
-        Project(tmp_path)
+    for text in ('{"clips": 3}', "no", '{"clips": [{"id": 1, "path": "a.mp4", "name": "../../elsewhere"}]}'):
+        (tmp_path / "project.json").write_text(text)
+        with pytest.raises(InputError, match=r"project\.json: is not as facetrack app writes it"):
+            Project(tmp_path)
     assert main(["app", str(tmp_path), "--no-open"]) == 3
     assert "is not as facetrack app writes it" in capsys.readouterr().err
 

@@ -150,9 +150,12 @@ PARTS = ("nose", "no", "lip_upper", "mouth-left", "x1")
 @st.composite
 def corrections(draw, frame, name):
     learn = draw(st.sampled_from([None, True, False]))
-    kind = draw(st.sampled_from(["gone", "box", "points"]))
+    kind = draw(st.sampled_from(["gone", "confirmed", "box", "points"]))
     if kind == "gone":
         return Correction(frame, name, absent=True)
+    if kind == "confirmed":
+        sure = draw(st.lists(st.sampled_from(PARTS), max_size=3, unique=True))
+        return Correction(frame, name, confirmed=tuple(sure) or True)
     if kind == "box":
         return Correction(frame, name, TargetStart(draw(st.tuples(numbers, numbers, sizes, sizes))), learn=learn)
     about = {part: draw(st.sampled_from(["given", "kept", "absent", ""])) for part in PARTS}

@@ -12,7 +12,7 @@ class App:
 
     The page opens in the browser and stays open. Drop clips on it, or name a folder; choose what is tracked in each;
     run them; look at them, correct them, and export them for other programs. PROJECT is the folder where all of that is
-    kept: the same command again shows it, and goes on with what was not finished.
+    kept [default: facetrack, in your home]; the same command again shows it, and goes on with what was not finished.
 
     It is served to this machine alone, and ends with Quit on the page, or with Ctrl-C.
 
