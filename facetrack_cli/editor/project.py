@@ -114,11 +114,10 @@ class Project:
             added = []
             for path in new:
                 inside = path.is_relative_to(self.folder)
-                names = {one.name for one in self.clips.values()}
+                names = {one.name.casefold() for one in self.clips.values()}
                 stem = re.sub(r"[^\w .()-]", "_", path.stem)[:80].strip(" .") or "clip"
-                name = next(
-                    name for k in range(1, MAX_CLIPS + 2) if (name := f"{stem}-{k}" if k > 1 else stem) not in names
-                )
+                free = (f"{stem}-{k}" if k > 1 else stem for k in range(1, MAX_CLIPS + 2))
+                name = next(one for one in free if one.casefold() not in names)
                 kept = path.relative_to(self.folder).as_posix() if inside else str(path)
                 clip = Clip(id=max(self.clips, default=0) + 1, path=kept, name=name)
                 self.clips[clip.id] = clip
@@ -133,13 +132,13 @@ class Project:
             while self.running is clip:
                 self._work.wait()
             del self.clips[clip.id]
-            for folder in (self.run_of(clip, what) for what in RECIPES):
-                if folder.is_dir():
-                    made = self.folder / "removed"
+            made = self.folder / "removed"
+            for one in (place(clip, what) for what in RECIPES for place in (self.run_of, self.start_of)):
+                if one.exists():
                     make_folder(made)
-                    with writing(folder, "close what uses it"):
-                        to = (made / (folder.name if not k else f"{folder.name} {k}") for k in range(10**6))
-                        folder.rename(next(one for one in to if not one.exists()))
+                    with writing(one, "close what uses it"):
+                        to = (made / (one.name if not k else f"{one.name} {k}") for k in range(10**6))
+                        one.rename(next(path for path in to if not path.exists()))
             self.save()
 
     def place(self, clip: Clip) -> Path:
@@ -149,9 +148,9 @@ class Project:
         """The folder of a run: each choice of what is tracked has its own, so that none replaces another."""
         return self.folder / "runs" / f"{clip.name}-{what or clip.what}"
 
-    def start_of(self, clip: Clip) -> Path:
+    def start_of(self, clip: Clip, what: str | None = None) -> Path:
         """The init file of what is chosen on the page of a start."""
-        return self.folder / "starts" / f"{clip.name}-{clip.what}.init.yaml"
+        return self.folder / "starts" / f"{clip.name}-{what or clip.what}.init.yaml"
 
     def save(self) -> None:
         with self.lock:

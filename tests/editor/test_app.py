@@ -190,6 +190,8 @@ def test_a_clip_is_run_looked_at_and_exported(app, clips):
 
     assert one.post("remove", clip=1).status == 200
     assert [path.name for path in (one.session.project.folder / "removed").iterdir()] == ["smile-face"]
+    [again] = one.add(clips / "smile.mp4")
+    assert again["state"] == "ready" and not again["start"], "what was made of it before is not taken for its own"
     assert one.client.get("api/export/1?program=excel").status == 404
 
 
