@@ -11,9 +11,9 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from facetrack_cli import __version__
 from facetrack_cli.cli.options import Option, sections
 from facetrack_cli.core.log import VARIABLE
+from facetrack_cli.core.version import __version__
 
 COMMANDS = {
     "run": "Track faces, heads and hands in videos and image folders.",

@@ -10,12 +10,12 @@ from pathlib import Path
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
+from facetrack_cli.engine.corrected import all_or, correctable_parts
 from facetrack_cli.run_folder.finished import Run, recipe_of, run_files, stamp
 from facetrack_cli.run_folder.lock import FolderLock
 from facetrack_cli.runs.job import Report
 from facetrack_cli.runs.people import ORIGIN, film_of, painted, people_in, rows_in, write_people
 from facetrack_cli.runs.signals import Stopped
-from facetrack_cli.tracking.corrected import all_or, correctable_parts
 from facetrack_cli.trajectory.header import read_header
 from facetrack_cli.trajectory.people import read_still
 from facetrack_cli.trajectory.select import choose

@@ -9,12 +9,12 @@ from typing import Final, NamedTuple, TypeAlias
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
 from facetrack_cli.editor.retrack import Read, Store, Task, Track, Tracking, frames_of
+from facetrack_cli.engine.corrected import all_or, completed, is_complete, with_confirmed
 from facetrack_cli.run_folder.finished import Run, stamp
 from facetrack_cli.runs.job import Report, silent
 from facetrack_cli.runs.signals import Stopped, never
-from facetrack_cli.tracking.corrected import all_or, completed, is_complete, with_confirmed
-from facetrack_cli.tracking.start.init_file import TARGET, read_init
-from facetrack_cli.tracking.start.targets import name_targets
+from facetrack_cli.start.init_file import TARGET, read_init
+from facetrack_cli.start.targets import name_targets
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory
 

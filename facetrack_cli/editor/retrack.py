@@ -17,14 +17,14 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import Correction, Frame
+from facetrack_cli.engine.corrected import CorrectedTarget
+from facetrack_cli.engine.loop import Footprint, Target, stream
 from facetrack_cli.recipe.model import ParticlesRecipe
 from facetrack_cli.run_folder.finished import Run
 from facetrack_cli.runs.job import Report, silent
 from facetrack_cli.runs.signals import Stopped, StoppedError, never
-from facetrack_cli.tracking.build.build import build_tracker, tracker_for
-from facetrack_cli.tracking.corrected import CorrectedTarget
-from facetrack_cli.tracking.loop import Footprint, Target, stream
-from facetrack_cli.tracking.people.presence import among_others
+from facetrack_cli.start.assembly import build_tracker, tracker_for
+from facetrack_cli.start.presence import among_others
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successive
 from facetrack_cli.trajectory.writers import as_written

@@ -8,17 +8,17 @@ from pathlib import Path
 from facetrack_cli.core.errors import OutputError
 from facetrack_cli.editor.film_track import save_track
 from facetrack_cli.editor.history import Fixer
+from facetrack_cli.engine.loop import track
+from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.run_folder.finished import Run, stamp, write_rows
 from facetrack_cli.run_folder.manifest import FILTERED, outdated, read_manifest
 from facetrack_cli.runs.clip import past_end
 from facetrack_cli.runs.job import Report, silent
 from facetrack_cli.runs.signals import Stopped, StoppedError, never
 from facetrack_cli.runs.smooth import Write, given_all, repaint, replace_files
-from facetrack_cli.tracking.build.build import tracker_for
-from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.smoothed import lagged
-from facetrack_cli.tracking.smoothing import Belief
-from facetrack_cli.tracking.start.init_file import as_yaml, write_init
+from facetrack_cli.start.assembly import tracker_for
+from facetrack_cli.start.init_file import as_yaml, write_init
+from facetrack_cli.trackers.smoothed import lagged
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory
 from facetrack_cli.trajectory.writers import ending_of

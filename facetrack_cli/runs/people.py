@@ -14,9 +14,10 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.files import check_plain, make_folder, remove_folders
 from facetrack_cli.core.types import BOX, Frame, Image, Start
-from facetrack_cli.recipe.face import DETECTORS
+from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.run_folder.finished import Painted, run_files, write_rows
 from facetrack_cli.run_folder.lock import FolderLock
 from facetrack_cli.run_folder.manifest import VIDEO, check_run, read_manifest, read_run
@@ -24,11 +25,10 @@ from facetrack_cli.runs.job import Job, Outcome, Report, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.runs.smooth import repaint, replace_files
 from facetrack_cli.runs.start import frames_of
-from facetrack_cli.tracking.loop import TrackState
-from facetrack_cli.tracking.people.identity import AT_ONCE_S, SURE, UNKNOWN, Cast, Seen, cast_of, places
-from facetrack_cli.tracking.people.looks import Looks, Reader, load_people, save_people, still, views_of
-from facetrack_cli.tracking.people.presence import MAX_FACES, Film
-from facetrack_cli.tracking.start.detectors import detector
+from facetrack_cli.start.presence import MAX_FACES, Film
+from facetrack_cli.trackers.face.detectors import detector
+from facetrack_cli.trackers.people.identity import AT_ONCE_S, SURE, UNKNOWN, Cast, Seen, cast_of, places
+from facetrack_cli.trackers.people.looks import Looks, Reader, load_people, save_people, still, views_of
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import clip_of, said
 from facetrack_cli.trajectory.people import (

@@ -23,8 +23,8 @@ from numpy.random import Generator
 
 from facetrack_cli.core.snapshot import STORED
 from facetrack_cli.core.types import BOX, Correction, Frame, TargetStart
-from facetrack_cli.tracking.loop import Footprint, Target, Tracker
-from facetrack_cli.tracking.roles import Restarts
+from facetrack_cli.engine.loop import Footprint, Target, Tracker
+from facetrack_cli.engine.protocols import Restarts
 from facetrack_cli.trajectory.trajectory import DECIMALS, TargetResult, Trajectory, build
 
 STREAM: Final = 2**31  # keeps the streams of corrections apart from those of targets

@@ -13,7 +13,7 @@ from facetrack_cli.editor.film_track import open_track
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.save import keep, save
 from facetrack_cli.runs.people import people_in, recast, rows_in
-from facetrack_cli.tracking.face.target import FaceTarget
+from facetrack_cli.trackers.face.target import FaceTarget
 from facetrack_cli.trajectory import people as changes
 from facetrack_cli.trajectory.header import UNSAVED
 from facetrack_cli.video.seek import Frames

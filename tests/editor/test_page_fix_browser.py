@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.tracking.start.detectors import PARTS
-from facetrack_cli.tracking.start.init_file import read_init
+from facetrack_cli.start.init_file import read_init
+from facetrack_cli.trackers.face.detectors import PARTS
 from tests.support.browser import DESK, PHONE, SMALL, go_to, idle, until
 from tests.support.browser_looks import wrong_looks
 from tests.support.hands_run import hands_run

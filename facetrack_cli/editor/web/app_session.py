@@ -28,7 +28,7 @@ from facetrack_cli.run_folder.manifest import NAME as MANIFEST
 from facetrack_cli.run_folder.manifest import VIDEO, read_run
 from facetrack_cli.runs.inputs import expand
 from facetrack_cli.runs.people import film_of, people_in, rows_in
-from facetrack_cli.tracking.start.init_file import read_init
+from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.header import UNSAVED
 from facetrack_cli.video.seek import Frames
 

@@ -17,11 +17,11 @@ from facetrack_cli.editor.save import keep, save
 from facetrack_cli.editor.web.frame import Draft, Json, Proposer
 from facetrack_cli.editor.web.pick_session import requirement
 from facetrack_cli.editor.web.session import Answer, RefusedError, Route, Session
-from facetrack_cli.recipe.hands import NAMES as HANDS
+from facetrack_cli.engine.corrected import correctable_parts
 from facetrack_cli.recipe.model import OpenCvRecipe
 from facetrack_cli.runs.job import Report
-from facetrack_cli.tracking.corrected import correctable_parts
-from facetrack_cli.tracking.start.detectors import PARTS
+from facetrack_cli.trackers.face.detectors import PARTS
+from facetrack_cli.trackers.hands.settings import NAMES as HANDS
 from facetrack_cli.trajectory.diagnostics import outlines
 from facetrack_cli.trajectory.header import UNSAVED, FrameNumber
 from facetrack_cli.trajectory.select import choose

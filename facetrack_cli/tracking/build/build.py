@@ -6,20 +6,20 @@ from itertools import chain
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame, Start, TargetStart
-from facetrack_cli.recipe.affine import PatchLikelihood
+from facetrack_cli.engine.assembly import particle_target
+from facetrack_cli.engine.checks import box_of, check_size, check_start, check_windows
+from facetrack_cli.engine.corrected import CorrectedTarget, RestartPolicy, correctable_parts, is_complete
+from facetrack_cli.engine.loop import Target, Tracker
 from facetrack_cli.recipe.load import in_frames
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticlesRecipe, Recipe, above
-from facetrack_cli.tracking import opencv
-from facetrack_cli.tracking.build.targets import box_with, face_target, particle_target
-from facetrack_cli.tracking.corrected import CorrectedTarget, RestartPolicy, correctable_parts, is_complete
-from facetrack_cli.tracking.hands.target import HandTarget
-from facetrack_cli.tracking.loop import Target, Tracker
-from facetrack_cli.tracking.models.likelihoods.recognition import find_gallery
-from facetrack_cli.tracking.start.checks import box_of, check_size, check_start, check_windows
-from facetrack_cli.tracking.start.detectors import PARTS
-from facetrack_cli.tracking.start.init_file import TARGET as FACE
-from facetrack_cli.tracking.start.init_file import detector_of
-from facetrack_cli.tracking.start.search import box_start
+from facetrack_cli.start.init_file import TARGET as FACE
+from facetrack_cli.start.search import box_start
+from facetrack_cli.trackers import opencv
+from facetrack_cli.trackers.appearance.recognition import find_gallery
+from facetrack_cli.trackers.appearance.settings import PatchLikelihood
+from facetrack_cli.trackers.face.assembly import box_with, face_target
+from facetrack_cli.trackers.face.detectors import PARTS
+from facetrack_cli.trackers.hands.target import HandTarget
 
 
 def build_tracker(recipe: Recipe, start: Start, fps: float | Fraction = 25) -> Tracker:
@@ -108,7 +108,7 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
         assert one.given.box is not None
         said_in = f"{start.origin}: the correction of {one.target} at frame {frame.index}"
         seen = [part for part in correctable_parts(target.parts) if part not in one.hidden(target.parts)]
-        return box_start(frame, one.given.box, seen, by=detector_of(start), clip=said_in).targets[FACE]
+        return box_start(frame, one.given.box, seen, by=start.measured_by, clip=said_in).targets[FACE]
 
     def build(frame: Frame, given: TargetStart) -> Target:
         if points and given.box is None:

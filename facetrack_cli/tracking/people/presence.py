@@ -20,14 +20,14 @@ from numpy.random import Generator
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import inside, overlap, share_inside
 from facetrack_cli.core.types import BOX, Box, Frame, Start, TargetStart
+from facetrack_cli.engine.corrected import CorrectedTarget
+from facetrack_cli.engine.loop import Target, TrackState
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.tracking.build.build import tracker_for
-from facetrack_cli.tracking.corrected import CorrectedTarget
-from facetrack_cli.tracking.face.target import FaceTarget
-from facetrack_cli.tracking.loop import Target, TrackState
-from facetrack_cli.tracking.start.closer import everywhere, near, righted
-from facetrack_cli.tracking.start.detectors import MIN_FACE_SHARE, Detector, Found
-from facetrack_cli.tracking.start.points import EYES_IN_BOX, MOUTH_Y, named
+from facetrack_cli.start.assembly import tracker_for
+from facetrack_cli.trackers.face.closer import everywhere, near, righted
+from facetrack_cli.trackers.face.detectors import MIN_FACE_SHARE, Detector, Found
+from facetrack_cli.trackers.face.points import EYES_IN_BOX, MOUTH_Y, named
+from facetrack_cli.trackers.face.target import FaceTarget
 from facetrack_cli.trajectory.trajectory import UNSEEN, FrameResult, TargetResult
 from facetrack_cli.video.shots import Shot
 

@@ -30,13 +30,13 @@ from typing import Any, Final, NoReturn, TextIO, TypeAlias, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.files import write_new
 from facetrack_cli.core.types import BOX, Correction, Point, Start, TargetStart
 from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems, parse, read_source
-from facetrack_cli.recipe.face import DETECTORS
-from facetrack_cli.recipe.hands import NAMES as HANDS
 from facetrack_cli.recipe.messages import locate, problems
 from facetrack_cli.recipe.sections import suggest
+from facetrack_cli.trackers.hands.settings import NAMES as HANDS
 from facetrack_cli.trajectory.header import CorrectedTarget, TargetRecord, corrected, whole
 from facetrack_cli.trajectory.reader import MAX_FRAME
 
@@ -102,7 +102,7 @@ def write_init(to: Path | TextIO, start: Start, *, clip: str = "", overwrite: bo
 
 def as_json(start: Start) -> str:
     """As JSON, with the keys of the YAML form."""
-    by = placed_by(start)
+    by = start.placed_by
     whole: dict[str, Any] = {"frame": start.frame, **({"placed_by": by} if by else {})}
     for name, target in start.targets.items():
         keys = {"box": target.box, "points": dict(target.points), "windows": dict(target.windows)}
@@ -357,4 +357,4 @@ def placed_by(start: Start) -> str:
 
 def detector_of(start: Start) -> str:
     """The name of the detector that measures faces: what found the start, or what it names."""
-    return placed_by(start) or start.detector or DETECTORS[0]
+    return start.placed_by or start.detector or DETECTORS[0]
