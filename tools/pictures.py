@@ -54,7 +54,7 @@ def main(names: list[str]) -> None:
     for name, (width, rows) in GRIDS.items():
         if not names or name in names:
             grid(name, width, rows)
-    for make in (moving, film, pick, guide):
+    for make in (moving, film, pick, app, guide):
         if not names or make.__name__ in names:
             with tempfile.TemporaryDirectory() as folder:
                 os.chdir(folder)
@@ -178,6 +178,31 @@ def pick() -> None:
         shot(page, "page-pick.jpg")
         window.mouse.up()
         served.close()
+
+
+def app() -> None:
+    """The page of a project: a clip is done, one is tracked, others wait; on a phone, what was found."""
+    from tests.support.browser import Command
+
+    served = Command("app", "study", "--no-open")
+    with browser(1200, 700) as page:
+        page.goto(served.url)
+        for name in ("expressions", "film", "signing", "hands"):
+            shutil.copy(f"sample_videos/{name}.mp4", f"{name}.mp4")
+            page.fill("#path", str(Path(f"{name}.mp4").absolute()))
+            page.click("#add")
+            page.wait_for_selector(f"#clips li:nth-child({len(list(Path().glob('*.mp4')))})")
+        page.wait_for_selector("#clips li:nth-child(4) select:not([disabled])", timeout=60_000)
+        page.select_option("[data-testid=what-4]", "box")
+        page.click("#run-all")
+        page.wait_for_selector("[data-testid=clip-2][data-state=running] progress[value]", timeout=300_000)
+        shot(page, "page-app.jpg")
+        page.set_viewport_size({"width": 390, "height": 844})
+        page.click("[data-testid=look-1]")
+        page.wait_for_selector("#curves path")
+        page.evaluate("document.getElementById('movie').currentTime = 4.5")
+        shot(page, "page-app-phone.jpg")
+    served.close()
 
 
 def guide() -> None:

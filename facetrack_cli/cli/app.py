@@ -17,6 +17,7 @@ from facetrack_cli.core.version import __version__
 
 COMMANDS = {
     "run": "Track faces, heads and hands in videos and image folders.",
+    "app": "Track, look, correct and export on one page.",
     "init": "Write where the track of a clip begins, as a file to edit.",
     "status": "Tell how far a batch is: done, running, failed, time left.",
     "fix": "Correct a finished run, on a page.",

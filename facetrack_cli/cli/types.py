@@ -21,6 +21,7 @@ from facetrack_cli.core.models import shipped_recipes
 
 if TYPE_CHECKING:
     from facetrack_cli.core.types import Box
+    from facetrack_cli.trajectory.clock import Clock
 
 Complete: TypeAlias = Callable[[click.Context, str], list[CompletionItem]]
 FIGURES = ("png", "svg", "pdf")  # those that report/figures/style.py renders
@@ -196,3 +197,21 @@ FIGURE, INIT = Text("FILE", _figure, _files), Text("FILE", _init, _files)
 RECIPE, KEY = Text("RECIPE", complete=_recipes), Text("KEY=VALUE", complete=_keys)
 BOX, RATE = Text("X,Y,W,H", _box), Text("RATE", _rate)
 FRAME = Whole(min=0)
+
+
+def moment(metavar: str) -> Text:
+    """A name at a time."""
+    return words(metavar, "(.*)@([^@]*)", "give a name and a time, as person_2@1:23 or person_2@2075f")
+
+
+def frame_at(at: str, clock: Clock) -> int:
+    """The frame of a moment: 2075f, 83, 1:23 or 0:01:23.5. UsageError for anything else."""
+    try:
+        if at[-1:].lower() == "f":
+            return int(at[:-1])
+        seconds = 0.0
+        for part in at.split(":"):
+            seconds = 60 * seconds + float(part)
+        return clock.frame(seconds)
+    except (ValueError, OverflowError):
+        raise UsageError(f"@{at}: is no time; give 1:23, 83 (seconds) or 2075f (a frame)") from None

@@ -219,11 +219,13 @@ class TargetStart:
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """What is corrected by hand of one target at one frame, from which it begins again.
+    """What is corrected by hand of one target at one frame, from which it begins again; or what is `confirmed` there.
 
     `given` is its box, or points of it, without windows; `kept` says where its other points were: what is neither given
     nor kept stays where the tracker has it. `absent` are parts that cannot be seen from there on, True for all.
     `learn`: whether the appearance is learned again there; None: of what is given. None where all is absent.
+    `confirmed` are parts that lie right in that frame, whatever the tracker calls them, True for all: nothing begins
+    again, and nothing else is said then.
     """
 
     frame: int
@@ -232,6 +234,7 @@ class Correction:
     kept: Mapping[str, Point] = field(default_factory=dict)
     absent: tuple[str, ...] | Literal[True] = ()
     learn: bool | None = None
+    confirmed: tuple[str, ...] | Literal[True] = ()
 
     def __post_init__(self) -> None:
         if self.absent is True:  # nothing is there to be learned

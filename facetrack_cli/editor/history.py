@@ -2,15 +2,15 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import zip_longest
+from itertools import chain, zip_longest
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
 from facetrack_cli.editor.retrack import Read, Store, Task, Track, Tracking, frames_of
-from facetrack_cli.engine.corrected import all_or, completed, is_complete
-from facetrack_cli.run_folder.finished import Run
+from facetrack_cli.engine.corrected import all_or, completed, is_complete, with_confirmed
+from facetrack_cli.run_folder.finished import Run, stamp
 from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stopped, never
 from facetrack_cli.start.init_file import TARGET, read_init
@@ -36,7 +36,7 @@ class Fixer:
     """
 
     def __init__(self, run: Run, read: Read) -> None:
-        self.run = run
+        self.run, self._recorded = run, run.rows
         self._store = Store()
         self._tracking = Tracking(run, self._store, read)
         # the rows complete a correction that does not place all parts; a correction past the end stays as it is
@@ -100,7 +100,13 @@ class Fixer:
             why = ", in which it begins; begin it again with facetrack init" if one.frame == run.first else ""
             remedy = f"the run can be from {run.first + 1} to {run.last}"
             raise InputError(f"frame {one.frame} cannot be corrected{why}; {remedy}")
-        self._tracking.check(one)
+        if not one.confirmed:
+            self._tracking.check(one)
+
+    def saved(self) -> None:
+        """The run's files have the corrections of now."""
+        self._at_first = self.corrections
+        self.run = replace(self.run, files={form: (path, stamp(path)) for form, (path, _) in self.run.files.items()})
 
     def close(self) -> None:
         self._store.close()
@@ -142,7 +148,8 @@ class Fixer:
                 plan.pop(0)
             done += sum(stop - first for first, stop in frames_of(tasks))
         begins = [track.begin for tracks in found.values() for track in tracks if track.begin is not None]
-        became = self._ordered([*begins, *(one for one in corrections if one.frame > self.run.last)])
+        others = (one for one in corrections if one.frame > self.run.last or one.confirmed)
+        became = self._ordered([*begins, *others])
         for name, tracks in found.items():
             self._known[name] += [track for track in tracks if track not in self._known[name]]
         if became == self.corrections:
@@ -152,7 +159,8 @@ class Fixer:
 
     def _take(self, step: Step) -> None:
         self._step = step
-        self.corrections, self.rows = self.now = step.corrections, self._store.spliced(self.run.rows, step.tracks)
+        rows = with_confirmed(self._store.spliced(self._recorded, step.tracks), step.corrections)
+        self.corrections, self.rows = self.now = step.corrections, rows
 
     def _ordered(self, corrections: Iterable[Correction]) -> tuple[Correction, ...]:
         places = {name: place for place, name in enumerate(self.run.rows.targets)}
@@ -164,7 +172,8 @@ class Fixer:
         """
         plan: list[Task] = []
         begin, first = None, self.run.first
-        within = (one for one in corrections if one.target == target and one.frame <= self.run.last)
+        ours = (one for one in corrections if one.target == target and not one.confirmed)
+        within = (one for one in ours if one.frame <= self.run.last)
         for one in sorted(within, key=lambda one: one.frame):
             more = 0 if is_complete(one, self.run.parts[target]) else 1
             plan.append(Task(target, begin, first, one.frame + more))
@@ -197,7 +206,10 @@ def merged(new: Correction, before: Correction | None, parts: tuple[str, ...]) -
     gone = set(new.absent)
     if new.given.box is not None and (parts == (BOX,) or not points):
         return replace(new, given=TargetStart(box=new.given.box))
-    old = Correction(frame, target) if before is None else before
+    if new.confirmed:
+        lists = [parts if one.confirmed is True else one.confirmed for one in (new, before) if one is not None]
+        return replace(new, confirmed=all_or([part for part in parts if part in chain(*lists)], parts))
+    old = Correction(frame, target) if before is None or before.confirmed else before
     by_hand = {part: at for part, at in {**old.given.points, **points}.items() if part not in gone or part in points}
     kept = {part: at for part, at in old.kept.items() if part not in by_hand and part not in gone}
     hidden = [part for part in parts if part in {*gone, *old.hidden(parts)} and part not in by_hand]

@@ -24,6 +24,7 @@ from facetrack_cli.run_folder.finished import Run
 from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stopped, StoppedError, never
 from facetrack_cli.start.assembly import build_tracker, tracker_for
+from facetrack_cli.start.presence import among_others
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successive
 from facetrack_cli.trajectory.writers import as_written
@@ -185,6 +186,8 @@ class _Live:
         corrections = () if task.begin is None else (task.begin,)
         begin, fps = replace(run.start, corrections=corrections), run.header.source.fps
         self.target: Target = build_tracker(run.recipe, begin, fps)[self.place]
+        if run.film:
+            self.target = among_others(self.target)
         if task.begin is not None:
             assert isinstance(self.target, CorrectedTarget)
             self.target = self.target.resumed(first)

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from facetrack_cli.core.errors import OutputError
+from facetrack_cli.editor.film_track import save_track
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.smoothing import Belief
@@ -33,6 +34,11 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     if not fixer.changed:
         forget(run)
         return [f"{folder}: nothing was corrected, all is as it was"]
+    if run.film:
+        lines = save_track(run, rows, video=video, report=report, stop=stop)
+        forget(run)
+        fixer.saved()
+        return lines
     files: dict[Path, Write] = {}
     if "smoothed" in rows.header:
         filtered, rows = _given_all(fixer, report, stop)
@@ -52,6 +58,7 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     notes += past_end(fixer.corrections, run.last, str(folder / CORRECTED))
     if run.video is not None and not video:
         notes.append(f"{run.video}: left as it was, it shows the track of before")
+    fixer.saved()
     return [*(f"{path}: written" for path in written), *notes, *outdated(folder)]
 
 

@@ -7,13 +7,14 @@ on, and on nothing that was tracked before: `Resumed` tracks a part of a run and
 
 A given box or point is learned again; the other points keep the appearance of the first frame. With `learn` false
 nothing is learned; with `learn` true all visible points and the size of the face are. An absent part has rows without a
-place until a later correction places it. None of this is in the papers.
+place until a later correction places it. A confirmed part lies right in that frame: its row says so, and nothing begins
+again. None of this is in the papers.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal, NamedTuple
 
@@ -87,6 +88,9 @@ class CorrectedTarget:
         self, rng: Generator, state: State, frame: Frame, footprints: Sequence[Footprint]
     ) -> tuple[State, TargetResult]:
         correction = self.corrections.get(frame.index)
+        if correction is not None and correction.confirmed:
+            after, result = replace(self, corrections={}).advance(rng, state, frame, footprints)
+            return after, result._replace(rows=with_confirmed(result.rows, [correction]))
         if correction is not None and is_complete(correction, self.parts):
             return self.correct(state, frame, correction)
         if state.inner is None:
@@ -156,10 +160,34 @@ def restored(tracker: Tracker, states: Sequence[Any], frame: Callable[[int], Fra
     return [one.complete(state, frame) if isinstance(one, CorrectedTarget) else state for one, state in both]
 
 
+def with_confirmed(rows: Trajectory, corrections: Iterable[Correction]) -> Trajectory:
+    """The rows, of which those that are confirmed are tracked, certain and by hand, where they have a place."""
+    sure = np.zeros(len(rows), np.bool_)
+    for one in corrections:
+        if one.confirmed:
+            parts = [
+                name == one.target and (one.confirmed is True or part in one.confirmed) for name, part in rows.names
+            ]
+            sure |= (rows.frame == one.frame) & np.array(parts, np.bool_)[rows.which]
+    sure &= np.isfinite(rows.x) & (rows.status != "absent")
+    if not sure.any():
+        return rows
+    return replace(
+        rows,
+        status=np.where(sure, "tracked", rows.status),
+        confidence=np.where(sure & ~np.isnan(rows.confidence), 1.0, rows.confidence),
+        by_hand=rows.by_hand | sure,
+    )
+
+
 def is_complete(correction: Correction, parts: Sequence[str]) -> bool:
     """Whether it says of all `parts` of its target where they are, or that they are absent; a box alone does."""
     given = correction.given
-    if correction.absent is True or (given.box is not None and (not given.points or tuple(parts) == (BOX,))):
+    if (
+        correction.confirmed
+        or correction.absent is True
+        or (given.box is not None and (not given.points or tuple(parts) == (BOX,)))
+    ):
         return True
     return {*given.points, *correction.kept, *correction.absent} >= set(correctable_parts(parts))
 

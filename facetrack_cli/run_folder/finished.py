@@ -45,7 +45,8 @@ class Painted(NamedTuple):
 class Run:
     """A finished run: the `rows` of its JSON, and the `start` with its corrections.
 
-    `files` are its trajectories, each with its `stamp` when it was opened. `fps` is None for a video.
+    `files` are its trajectories, each with its `stamp` when it was opened. `fps` is None for a video. Of a `film` it is
+    one track of one person.
     """
 
     folder: Path
@@ -56,6 +57,7 @@ class Run:
     clip: Path
     fps: Fraction | None
     files: Mapping[Format, tuple[Path, object]]
+    film: bool = False
 
     @cached_property
     def first(self) -> int:
@@ -76,6 +78,12 @@ class Run:
         return Painted(self.clip, self.fps, self.first, self.last, self.recipe.name, self.header.source.stream)
 
     @property
+    def fixed_by(self) -> str:
+        """The command that corrects it."""
+        of = f" --person {self.rows.targets[0]}@{self.first}f" if self.film else ""
+        return f"facetrack fix {self.folder}{of}"
+
+    @property
     def video(self) -> Path | None:
         """The video that the run wrote, if it did."""
         path = self.folder / VIDEO
@@ -90,7 +98,8 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     """
     main = trajectory_of(folder)
     if (folder / PEOPLE).is_file():
-        raise InputError(f"{folder}: is of a film; facetrack people {folder} --page corrects who is who")
+        who = f"facetrack people {folder} --page corrects who is who"
+        raise InputError(f"{folder}: is of a film; {who}, and --person NAME@TIME of facetrack fix one's points")
     files = run_files(folder)
     stamped = {form: (path, stamp(path)) for form, path in files.items()}
     rows = read_files(files)
@@ -100,7 +109,7 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
         raise InputError(f"{path}: is not there, and the run in {folder} is of it; name the clip with --clip")
     if (other := other_clip(rows, path)) is not None:
         raise InputError(f"{other}; name its clip with --clip")
-    recipe = _recipe(main, rows.header["recipe"], [Path(), folder, folder.parent, path.parent])
+    recipe = recipe_of(main, rows.header["recipe"], [Path(), folder, folder.parent, path.parent])
     fps = None if brings_rate(path) else Fraction(header.source.fps).limit_denominator(1001)
     run = Run(folder, rows, header, recipe, header.init.start, path, fps, stamped)
     _check_rows(main, run)
@@ -172,7 +181,7 @@ def stamp(path: Path) -> object:
     return found.st_ino, found.st_size, found.st_mtime_ns
 
 
-def _recipe(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) -> Recipe:
+def recipe_of(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) -> Recipe:
     """The run's recipe; the files that it names are looked for in `folders` and among the shipped ones."""
     name = str(settings.get("name", "recipe"))
     known: dict[str, Any] = {key: deepcopy(value) for key, value in settings.items() if key != "name"}

@@ -343,13 +343,18 @@ def recast(
         ]
         words = (*people.corrections, *(said for said, _ in changes))
         after = people_of(Clock(rows, people.fps), people.shots, records, stills, photographs(people, tracks), words)
-        paint = None
-        known, first = read_manifest(folder), people.shots[0].first
-        if video and (folder / VIDEO).is_file() and where is not None and known is not None:
-            title, last = str(said(rows, "recipe", "name") or ""), first + known.frames - 1
-            paint = Painted(where, how["fps"], first, last, title, how["stream"])
+        paint = painted(folder, people, rows, where) if video else None
         write_people(folder, named, after, pictures, paint, report, stop, lock)
     return after
+
+
+def painted(folder: Path, people: People, rows: Trajectory, clip: Path | None) -> Painted | None:
+    """What the annotated video of a film is drawn on; None if it has none, or its clip is not known."""
+    (where, how), known, first = film_of(people, rows, clip), read_manifest(folder), people.shots[0].first
+    if where is None or known is None or not (folder / VIDEO).is_file():
+        return None
+    title = str(said(rows, "recipe", "name") or "")
+    return Painted(where, how["fps"], first, first + known.frames - 1, title, how["stream"])
 
 
 def rows_in(folder: Path) -> Trajectory:

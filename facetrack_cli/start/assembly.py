@@ -3,6 +3,7 @@
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
+from itertools import chain
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Frame, Start, TargetStart
@@ -92,6 +93,9 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
     absent: set[str] = set()
     for one in corrections:
         origin = f"{start.origin}: the correction of {one.target} at frame {one.frame}"
+        if one.confirmed:
+            _check(one, target, start, origin, points=points)
+            continue
         # what a correction leaves open stays absent
         still = () if is_complete(one, target.parts) else absent - {*one.given.points, *one.kept}
         absent = {*one.hidden(target.parts), *still}
@@ -122,12 +126,15 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
 
 def _check(one: Correction, target: Target, start: Start, origin: str, *, points: bool) -> None:
     """InputError if it speaks of parts that nobody knows, or lacks the box of what is followed as a box."""
-    named = [*one.given.points, *one.kept, *(() if one.absent is True else one.absent)]
+    lists = (those for those in (one.absent, one.confirmed) if those is not True)
+    named = [*one.given.points, *one.kept, *chain(*lists)]
     known = {*correctable_parts(target.parts), *start.targets.get(one.target, TargetStart()).points}
     if unknown := ", ".join(part for part in named if part not in known):
         these = f"these are {', '.join(correctable_parts(target.parts))}: correct the name"
         raise InputError(f"{origin}: has {unknown}, which is no part that is followed; {these}")
     hidden = one.hidden(target.parts)
+    if one.confirmed:
+        return
     if not points and not hidden and one.given.box is None:
         raise InputError(f"{origin}: has no box, which the recipe follows; add one, as in box: [x, y, w, h]")
     strange = [part for part in correctable_parts(target.parts) if part not in PARTS and part not in hidden]

@@ -55,6 +55,7 @@ _FORMS: Final = {
     "kept": "{nose: [x, y]} in pixels",
     "absent": "[nose], or absent: true",
     "learn": "true or learn: false",
+    "confirmed": "[nose], or confirmed: true",
 }
 _HOW: Final = {
     "haar": "found by Haar cascades",
@@ -130,6 +131,8 @@ def as_yaml(start: Start, clip: str = "") -> str:
             "# What was corrected by hand; from each of these frames on the target begins again.",
             "# points, box: by hand; kept: where its other points were; absent: not to be seen from there on;",
             "# learn: whether what it looks like is learned again there; if it is not said, what is given is.",
+            *["# confirmed: it lies right there, whatever the tracker says."]
+            * any(one.confirmed for one in start.corrections),
             "corrections:",
         ]
     for frame, group in groupby(start.corrections, key=lambda one: one.frame):
@@ -270,19 +273,23 @@ def _correction(frame: int, name: str, node: Node, start: TargetStart) -> Correc
     if "windows" in keys:
         _refuse(keys["windows"], "windows stay as the start has them; remove them from the correction", at_key=True)
     found = _read(CorrectedTarget, node, f"{name} in frame {frame}")
-    if not keys.keys() & {"box", "points", "absent"}:
+    if not keys.keys() & {"box", "points", "absent", "confirmed"}:
         _refuse(node, f"nothing of {name} is corrected; add points: or box: by hand, or absent: true, or remove it")
     if found.absent is True and len(keys) > 1:
         other = next(key for key in keys if key != "absent")
         _refuse(keys[other], f"all of {name} is absent; remove {other}, or list the absent parts", at_key=True)
+    if found.confirmed and len(keys) > 1:
+        other = next(key for key in keys if key != "confirmed")
+        _refuse(keys[other], f"{name} is confirmed where the tracker has it; remove {other}, or confirmed", at_key=True)
     if found.box is not None and found.kept:
         _refuse(keys["kept"], f"kept beside the box of {name}: a box has no other parts; remove kept", at_key=True)
     # a start of a box alone leaves the parts to the recipe
     parts = (*start.points, *((BOX,) if start.box is not None else ())) if start.points else ()
     known = {BOX: "box"} if found.box is not None else {}
-    for key, names in (("points", found.points), ("kept", found.kept), ("absent", found.absent)):
+    lists = {"absent": found.absent, "confirmed": found.confirmed}
+    for key, names in {"points": found.points, "kept": found.kept, **lists}.items():
         for at, part in enumerate(() if names is True else names):
-            child, _, _ = locate(node, (key, at if key == "absent" else part))
+            child, _, _ = locate(node, (key, at if key in lists else part))
             if part in known:
                 _refuse(child, f"{part} is in {known[part]} already; leave it in one place", at_key=True)
             _check_part(child, key, part, parts)

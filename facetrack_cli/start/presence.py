@@ -20,7 +20,8 @@ from numpy.random import Generator
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import inside, overlap, share_inside
 from facetrack_cli.core.types import BOX, Box, Frame, Start, TargetStart
-from facetrack_cli.engine.loop import TrackState
+from facetrack_cli.engine.corrected import CorrectedTarget
+from facetrack_cli.engine.loop import Target, TrackState
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.trackers.face.closer import everywhere, near, righted
@@ -136,8 +137,9 @@ class Film:
 
     def _target(self, start: Start) -> FaceTarget:
         [target] = tracker_for(self.recipe, start, self.size, self.fps)
-        assert isinstance(target, FaceTarget)
-        return replace(target, alone=False)
+        found = among_others(target)
+        assert isinstance(found, FaceTarget)
+        return found
 
     def _look(self, known: Everyone, frames: list[Frame], found: _Results, left: list[Track], shot: Shot) -> None:
         """Look at the last frame: which tracks go on, and which faces are new."""
@@ -215,6 +217,15 @@ class Film:
         """The results of a track in the frames before, the last of them first."""
         rng = np.random.default_rng(track.rng.bit_generator.random_raw())
         return self._advance(replace(track, rng=rng), passed, back=True)
+
+
+def among_others(target: Target) -> Target:
+    """A face, corrected or not, that is one of several: while it is lost, not any face is taken for it."""
+    if isinstance(target, CorrectedTarget):
+        build = target.policy.build
+        policy = target.policy._replace(build=lambda frame, given: among_others(build(frame, given)))
+        return replace(target, target=among_others(target.target), policy=policy)
+    return replace(target, alone=False) if isinstance(target, FaceTarget) else target
 
 
 def in_view(face: Box, size: tuple[int, int]) -> bool:

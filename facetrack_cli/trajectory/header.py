@@ -20,6 +20,10 @@ Side: TypeAlias = Annotated[float, Field(strict=True, gt=0, le=MAX_PIXELS, allow
 FrameNumber: TypeAlias = Annotated[int, Field(strict=True, ge=0, le=MAX_FRAME)]
 Name: TypeAlias = Annotated[str, AfterValidator(lambda name: checked_name(name, "target or part"))]
 _Positive: TypeAlias = Annotated[int, Field(gt=0)]
+_Parts: TypeAlias = Annotated[
+    Annotated[Literal[True], Tag("all")] | Annotated[tuple[Name, ...], Tag("parts")],
+    Discriminator(lambda given: "all" if given is True else "parts"),
+]
 
 
 class _Target(BaseModel):
@@ -41,14 +45,13 @@ class CorrectedTarget(_Target):
     """What is corrected of one target in one frame; the members are those of `core.types.Correction`."""
 
     kept: dict[Name, tuple[Pixels, Pixels]] = {}
-    absent: Annotated[
-        Annotated[Literal[True], Tag("all")] | Annotated[tuple[Name, ...], Tag("parts")],
-        Discriminator(lambda given: "all" if given is True else "parts"),
-    ] = ()
+    absent: _Parts = ()
     learn: Annotated[bool, Field(strict=True)] | None = None
+    confirmed: _Parts = ()
 
     def correction(self, frame: int, target: str) -> Correction:
-        return Correction(frame, target, TargetStart(self.box, self.points), self.kept, self.absent, self.learn)
+        given = TargetStart(self.box, self.points)
+        return Correction(frame, target, given, self.kept, self.absent, self.learn, self.confirmed)
 
 
 class CorrectionRecord(CorrectedTarget):
@@ -91,10 +94,11 @@ def corrections_record(corrections: Sequence[Correction]) -> dict[str, Any]:
 
 def corrected(correction: Correction) -> dict[str, Any]:
     """What `CorrectedTarget` reads, for JSON: whole numbers without a fraction, and only members with a value."""
-    given, absent, learn = correction.given, correction.absent, correction.learn
+    given, learn = correction.given, correction.learn
+    absent, sure = (one is True or list(one) for one in (correction.absent, correction.confirmed))
     box = given.box and list(map(whole, given.box))
     points, kept = ({k: list(map(whole, xy)) for k, xy in those.items()} for those in (given.points, correction.kept))
-    members = _members(box=box, points=points, kept=kept, absent=absent is True or list(absent))
+    members = _members(box=box, points=points, kept=kept, absent=absent, confirmed=sure)
     return members if learn is None else {**members, "learn": learn}
 
 

@@ -289,7 +289,8 @@ def under_names(rows: Trajectory, tracks: Sequence[tuple[str, TrackRecord]]) -> 
         part = choose(rows, target).between(one.first, one.stop)
         names = tuple((one.person, name) for _, name in part.names)
         if pieces and pieces[-1].target == one.person:
-            part = replace(part, status=np.where(part.status == "init", "tracked", part.status))
+            first = (part.status == "init") & ~part.by_hand
+            part = replace(part, status=np.where(first, "tracked", part.status))
         said = dict.fromkeys([one.person], part.diagnostics[target]) if target in part.diagnostics else {}
         pieces.append(replace(part, names=names, diagnostics=said))
     return replace(successive(pieces), header=rows.header, path=rows.path)

@@ -70,10 +70,17 @@ def test_the_cast_is_changed_undone_and_saved(page, client):
     assert names(undone) == ["Eileen", "person_2", "person_1"] and len(undone["changes"]) == 2
     assert (folder / "trajectory.csv").read_bytes() == before
     assert client.save().status == 202
-    ended = client.until(lambda state: state["ended"])["ended"]
-    assert ended["messages"] == [f"{folder}: 2 changes saved"] and ended["next"] == f"facetrack people {folder}"
+    state = client.until(lambda state: state["message"])
+    assert state["message"] == f"{folder}: 2 changes saved" and not state["changes"] and state["ended"] is None
     assert read_trajectory(folder / "trajectory.json").targets == ("Eileen", "person_2", "person_1")
     assert read_people(folder).corrections == ("rename person_1=Eileen", "split Eileen@80f")
+    assert names(change(client, "rename", "person_1", to="Ann").json) == ["Eileen", "person_2", "Ann"]
+    base = client.get("api/state").json["revision"]
+    client.save()
+    client.until(lambda state: state["revision"] > base and not state["job"])
+    ended = client.ask("POST", "api/done", {"base": base + 1})
+    assert ended.json["ended"] == {"messages": [f"{folder}: 3 changes saved"], "next": f"facetrack people {folder}"}
+    assert read_people(folder).corrections[2:] == ("rename person_1=Ann",)
     assert change(client, "rename", "Eileen", to="x").status == 409
 
 

@@ -4,6 +4,7 @@ import os
 import shutil
 import signal
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from facetrack_cli.editor.retrack import Tracking
 from facetrack_cli.editor.web import session as session_module
 from facetrack_cli.editor.web.fix_session import FixSession
 from facetrack_cli.editor.web.server import run_page, serving
-from facetrack_cli.run_folder.finished import open_run
+from facetrack_cli.run_folder.finished import open_run, write_rows
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from facetrack_cli.video.seek import Frames
@@ -259,7 +260,7 @@ def test_an_error_while_tracking_leaves_all_as_it_was(page, monkeypatch):
     assert (state["rows_revision"], state["can_undo"]) == (0, False) and one.rows(0, STOP - 1) == before
 
 
-def test_save_writes_the_run_and_ends(page, out, monkeypatch):
+def test_save_writes_the_run_and_goes_on_until_done(page, out, monkeypatch):
     one = page()
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     one.track(8, face=NOSE)
@@ -276,10 +277,112 @@ def test_save_writes_the_run_and_ends(page, out, monkeypatch):
     assert "No space left; free some space, and save again" in state["message"] and state["ended"] is None
     monkeypatch.setattr(saving, "as_yaml", real)
     assert one.client.save().status == 202
-    ended = one.client.until(lambda state: state["ended"])["ended"]
-    assert f"{out / CORRECTED}: written" in ended["messages"] and ended["next"] == f"facetrack report {out} --overwrite"
+    state = one.client.until(lambda state: state["saves"] == 1 and not state["job"])
+    assert f"{out / CORRECTED}: written" in state["saved"] and not state["unsaved"] and state["ended"] is None
     assert sorted(path.name for path in out.iterdir()) == [CORRECTED, "run.json", "trajectory.csv", "trajectory.json"]
+    first = (out / "trajectory.csv").read_bytes()
+    one.track(12, face={"points": {"lip_lower": [160.0, 170.0]}})
+    assert one.state()["unsaved"] and one.client.save().status == 202
+    one.client.until(lambda state: state["saves"] == 2 and not state["job"])
+    assert [one.frame for one in read_init(out / CORRECTED).corrections] == [8, 12]
+    assert one.post("undo").status == 202 and one.idle()["unsaved"], "what was saved can be undone, and saved again"
+    assert one.client.save().status == 202
+    one.client.until(lambda state: state["saves"] == 3 and not state["job"])
+    assert (out / "trajectory.csv").read_bytes() == first
+    one.track(9, face=NOSE)
+    ended = one.post("done").json["ended"]
+    assert f"{out / UNSAVED}: corrections that are not saved" in ended["messages"][-1]
+    assert ended["next"] == f"facetrack report {out} --overwrite" and (out / UNSAVED).is_file()
     assert one.post("undo").status == 409
+
+
+# --- what lies right -------------------------------------------------------------------------------------------------
+
+
+def called_lost(folder, first, stop, part):
+    """Have a part called lost in these frames of a run: in its files."""
+    run = open_run(folder)
+    (folder / "run.json").unlink()  # which says what the files were
+    rows, which = run.rows, run.rows.names.index(("face", part))
+    these = (rows.which == which) & (rows.frame >= first) & (rows.frame < stop)
+    lost = replace(rows, status=np.where(these, "lost", rows.status), confidence=np.where(these, 0.25, rows.confidence))
+    for form, (path, _) in run.files.items():
+        with path.open("wb") as file:
+            write_rows(form, file.write, lost)
+
+
+def test_what_is_called_lost_and_lies_right_is_confirmed(page, out):
+    called_lost(out, 6, 10, "nose")
+    one = page()
+    before = one.fixer.rows
+    assert one.post("confirm", frame=7, target="face", part="nose").status == 202
+    one.idle()
+    nose, was = one.fixer.rows.find("face", "nose"), before.find("face", "nose")
+    assert nose.status[6:10].tolist() == ["lost", "tracked", "lost", "lost"]
+    assert nose.by_hand.nonzero()[0].tolist() == [7] and nose.confidence[7] == 1
+    others = one.fixer.rows.take(~one.fixer.rows.by_hand)
+    assert others.x.tolist() == before.take(~one.fixer.rows.by_hand).x.tolist(), "nothing is tracked again"
+    assert nose.x.tolist() == was.x.tolist()
+    assert one.post("confirm", frame=8, target="face", part="nose", stretch=True).status == 202
+    one.idle()
+    assert one.fixer.rows.find("face", "nose").status[6:10].tolist() == ["lost", "tracked", "tracked", "tracked"]
+    one.post("undo")
+    one.idle()
+    assert [c.frame for c in one.fixer.corrections] == [7]
+    assert one.post("confirm", frame=6, target="face", part="nose", stretch=True).status == 202
+    one.idle()
+    assert one.post("confirm", frame=7, target="face", part="lip_upper").status == 202
+    one.idle()
+    assert one.fixer.find(7, "face").confirmed == ("nose", "lip_upper")
+    assert one.client.get("api/overview").json["corrections"][1]["confirmed"] == ["nose", "lip_upper"]
+    one.client.save()
+    one.client.until(lambda state: state["saves"] == 1 and not state["job"])
+    said = read_init(out / CORRECTED).corrections
+    assert [(c.frame, c.confirmed) for c in said] == [(6, ("nose",)), (7, ("nose", "lip_upper"))]
+    assert "it lies right there, whatever the tracker says" in (out / CORRECTED).read_text()
+    assert open_run(out).start.corrections == said
+    again = open_run(out).rows.find("face", "nose")
+    assert again.status[6:10].tolist() == ["tracked", "tracked", "lost", "lost"]
+
+
+def test_a_run_says_of_what_is_confirmed_what_fix_says(facetrack, out):
+    init = Path("c.yaml")
+    start = CLIP.with_suffix(".init.yaml").read_text()
+    init.write_text(start + "corrections:\n- {frame: 6, points: {nose: [150, 130]}}\n- {frame: 9, confirmed: true}\n")
+    assert facetrack("fix", out, "--init", init)[0] == 0
+    assert facetrack("run", CLIP, "--init", out / CORRECTED, "-o", "again", *MADE, "--no-video")[0] == 0
+    assert Path("again/trajectory.csv").read_bytes() == (out / "trajectory.csv").read_bytes()
+    rows = open_run(out).rows
+    assert rows.find("face", "lip_upper").by_hand.nonzero()[0].tolist() == [9]
+    assert rows.find("face", "nose").by_hand.nonzero()[0].tolist() == [6, 9]
+
+
+def test_a_box_is_confirmed_whole(tmp_path):
+    out = hands_run(tmp_path / "out")
+    one = Page(out)
+    try:
+        box = one.fixer.rows.find("left_hand", "box")
+        frame = int(box.frame[box.x == box.x][3])
+        assert one.post("confirm", frame=frame, target="left_hand", part="box").status == 202
+        one.idle()
+        assert one.fixer.find(frame, "left_hand").confirmed is True
+        assert one.fixer.rows.find("left_hand", "box").by_hand.nonzero()[0].tolist() == [frame]
+    finally:
+        one.close()
+
+
+def test_what_is_confirmed_is_corrected_instead_and_the_other_way_round_refused(page):
+    one = page()
+    one.post("confirm", frame=8, target="face", part="nose")
+    one.idle()
+    one.track(8, face=NOSE)
+    [found] = one.fixer.corrections
+    assert found.given.points == {"nose": (150.0, 130.5)} and not found.confirmed
+    got = one.post("confirm", frame=8, target="face", part="lip_upper")
+    assert got.status == 422 and "corrected in frame 8 already" in got.json["error"]
+    assert "has no place" in one.post("confirm", frame=8, target="face", part="ear").json["error"]
+    assert one.post("confirm", frame=0, target="face", part="nose").status == 202
+    assert "cannot be corrected, in which it begins" in one.idle()["message"]
 
 
 # --- the command -----------------------------------------------------------------------------------------------------
@@ -384,7 +487,7 @@ def test_the_page_ends_with_its_session(page, monkeypatch):
     worker = threading.Thread(target=run_page, args=(session, lambda: False, said.append))
     worker.start()
     client = Client(wait_for(lambda: next((s for s in said if s.startswith(READY)), None), "the address")[len(READY) :])
-    assert client.save().status == 202
+    assert client.ask("POST", "api/done", {}).status == 200
     worker.join(60)
     assert not worker.is_alive() and "nothing was corrected" in session.ended["messages"][0]
     client.close()

@@ -225,7 +225,7 @@ def test_a_lost_head_is_corrected_by_keys_alone(fix, windows, out):
     assert "corrected.init.yaml" in window.text("confirm-text") and window.text("confirm-title") == "Save 1 correction?"
     assert window.evaluate("document.activeElement.id") == "confirm-yes"
     window.press("Enter")
-    window.until("window.facetrack.ended")
+    window.until("window.facetrack.saves === 1 && !window.facetrack.job")
     [correction] = read_init(folder / "corrected.init.yaml").corrections
     assert (correction.frame, correction.target) == (CUT, "head")
     assert np.allclose(correction.given.box, [left, top, width + 1, height], atol=0.011)
@@ -471,7 +471,8 @@ def test_what_was_moved_and_not_tracked_is_kept(fix, windows, out):
     window.press("Control+z")
     idle(window, 2)
     window.click_on("save")
-    window.click_on("confirm-yes")
+    assert window.text("message").startswith("There is nothing to save")
+    window.click_on("done")
     window.until("window.facetrack.ended")
     assert files(folder) == before and session.first_error is None, "nothing was corrected in the end"
 
@@ -507,8 +508,11 @@ def through(window):
     window.click_on("save")
     yield "asked"
     window.click_on("confirm-yes")
-    window.until("window.facetrack.ended")
+    window.until("window.facetrack.saves")
     yield "saved"
+    window.click_on("done")
+    window.until("window.facetrack.ended")
+    yield "done"
 
 
 SCREENS = [pytest.param([DESK], id="mouse"), pytest.param([PHONE, SMALL], id="fingers", marks=pytest.mark.nightly)]

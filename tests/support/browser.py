@@ -9,6 +9,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -286,10 +287,12 @@ class Window:
         self.touch("end")
 
     def save(self):
-        """Save by the button, agree if the page asks, and wait for the end; the messages that are shown then."""
+        """Save by the button, agree if the page asks, and end; the messages that are shown then."""
         self.click_on("save")
         if self.get("mode") == "fix":
             self.click_on("confirm-yes")
+            self.until("window.facetrack.saves || !document.getElementById('problem').hidden")
+            self.click_on("done")
         self.until("window.facetrack.ended || !document.getElementById('problem').hidden")
         assert not self.visible("problem"), self.text("problem")
         return self.text("saved-messages")
@@ -378,6 +381,15 @@ class Command:
         """Exit code, standard output, and what it said after its address."""
         out, err = self.process.communicate(timeout=120)
         return self.process.returncode, out, err
+
+    def kill(self):
+        """End it and what it has started at once, as a power loss does."""
+        threads = Path(f"/proc/{self.process.pid}/task").iterdir()
+        below = [int(pid) for one in threads for pid in (one / "children").read_text().split()]
+        self.process.kill()
+        self.process.wait()
+        for pid in below:
+            os.kill(pid, signal.SIGKILL)
 
     def close(self):
         if self.process.poll() is None:

@@ -27,6 +27,19 @@ def from_tools(name: str) -> ModuleType:
         sys.path.remove(folder)
 
 
+def cut(name: str, frames: int, path: Path) -> Path:
+    """The first frames of a sample clip as a clip of its own; back and forth if it has not so many."""
+    with open_source(FOLDER / f"{name}.mp4", stop=frames) as source:
+        images = [frame.bgr for frame in source]
+    height, width = images[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25, (width, height))
+    both = images + images[-2:0:-1]
+    for k in range(frames):
+        writer.write(both[k % len(both)])
+    writer.release()
+    return path
+
+
 class TrackClip:
     """A sample clip up to a frame, to be tracked in process: its start, frames, and rows of ground truth."""
 

@@ -116,6 +116,10 @@ MISTAKES = {
     "absent of none": (HEAD + "- frame: 6\n  absent: []\n", 6, "nothing is given here"),
     "absent number": (HEAD + "- frame: 6\n  absent: [1]\n", 6, "absent[1] must be a text, not 1; write absent: [nose]"),
     "absent twice": (HEAD + "- frame: 6\n  absent: [nose, nose]\n", 6, "nose is in absent already"),
+    "confirmed and given": (
+        HEAD + f"- frame: 6\n  {NOSE}\n  confirmed: true\n", 6, "is confirmed where the tracker has it; remove points"
+    ),
+    "confirmed of nobody": (HEAD + "- frame: 6\n  confirmed: [ear]\n", 6, 'confirmed names "ear", which the start'),
     "all absent and given": (HEAD + f"- frame: 6\n  {NOSE}\n  absent: true\n", 6, "all of face is absent; remove"),
     "all absent and learnt": (HEAD + "- frame: 6\n  absent: true\n  learn: true\n", 7, "remove learn"),
     "learn as text": (
@@ -146,9 +150,12 @@ PARTS = ("nose", "no", "lip_upper", "mouth-left", "x1")
 @st.composite
 def corrections(draw, frame, name):
     learn = draw(st.sampled_from([None, True, False]))
-    kind = draw(st.sampled_from(["gone", "box", "points"]))
+    kind = draw(st.sampled_from(["gone", "confirmed", "box", "points"]))
     if kind == "gone":
         return Correction(frame, name, absent=True)
+    if kind == "confirmed":
+        sure = draw(st.lists(st.sampled_from(PARTS), max_size=3, unique=True))
+        return Correction(frame, name, confirmed=tuple(sure) or True)
     if kind == "box":
         return Correction(frame, name, TargetStart(draw(st.tuples(numbers, numbers, sizes, sizes))), learn=learn)
     about = {part: draw(st.sampled_from(["given", "kept", "absent", ""])) for part in PARTS}

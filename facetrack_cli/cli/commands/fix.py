@@ -10,12 +10,13 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import Page, flag, option, page_options, say
-from facetrack_cli.cli.types import FILE, RUN
+from facetrack_cli.cli.types import FILE, RUN, frame_at, moment
 from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError
 
 if TYPE_CHECKING:
     from facetrack_cli.core.types import Correction
     from facetrack_cli.editor.history import Fixer
+    from facetrack_cli.run_folder.finished import Run
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.video.seek import Frames
 
@@ -30,19 +31,24 @@ if TYPE_CHECKING:
     type=FILE,
     help="No page: add what was corrected in CVAT (XML), Label Studio (JSON) or ELAN.",
 )
+@option(
+    "--person", type=moment("NAME@TIME"),
+    help="Of a film: the points of this person in the shot at a time (1:23, or 2075f).",
+)  # fmt: skip
 @flag("--no-video", help="Leave annotated.mp4 as it is.")
 @page_options
 @flag("--quiet", "-q", help="With --init: say nothing but errors.")
 def command(
-    folder: Path, clip: Path | None, init: Path | None, imported: Path | None, no_video: bool, page: Page, quiet: bool
-) -> int:
+    folder: Path, clip: Path | None, init: Path | None, imported: Path | None, person: tuple[str, str] | None,
+    no_video: bool, page: Page, quiet: bool,
+) -> int:  # fmt: skip
     """Correct a finished run, on a page.
 
     RUN_DIR is the folder that facetrack run wrote, with JSON. The page shows the clip with its trajectory, and leads
     from one doubtful frame to the next. Where a part is wrong, drag it to its place, or mark it as absent: the target
     is tracked again from there to its next correction, and every other row stays the same, to the byte. Save writes the
     trajectories and the annotated video again, and RUN_DIR/corrected.init.yaml, with which facetrack run makes the same
-    trajectory.
+    trajectory. The page goes on after it, until Done.
 
     The rows of a smoothed run are given the whole clip, so at Save all of it is tracked and smoothed again.
 
@@ -62,6 +68,7 @@ def command(
       facetrack fix out --clip /archive/clip.mp4 --open
       facetrack fix out --init corrected.init.yaml --no-video
       facetrack fix out --import annotations.xml
+      facetrack fix film --person Eileen@0:03
 
     \b
     Exit codes: 0 done, 2 usage or output, 3 input, 130 interrupted,
@@ -81,13 +88,22 @@ def command(
         raise UsageError("--quiet goes with --init and --import; the page's address must be said")
     if imported is not None and imported.suffix.lower() == ".eaf" and (folder / PEOPLE).is_file():
         return _rename(folder, clip, imported, quiet, video=not no_video)
-    opened = open_run(folder, clip)
+    opened = _track(folder, clip, *person) if person else open_run(folder, clip)
     with Frames(opened.clip, fps=opened.fps, stream=opened.header.source.stream) as frames:
         check_size(opened, frames.size)
         with contextlib.closing(Fixer(opened, frames.read)) as fixer, Stop().listening() as stop:
             if file is None:
                 return _serve(fixer, frames, page, stop, video=not no_video)
             return _apply(fixer, file, stop, quiet, adds=init is None, video=not no_video)
+
+
+def _track(folder: Path, clip: Path | None, name: str, at: str) -> Run:
+    """The track of a person of a film."""
+    from facetrack_cli.editor.film_track import open_track
+    from facetrack_cli.runs.people import people_in, rows_in
+    from facetrack_cli.trajectory.clock import Clock
+
+    return open_track(folder, name, frame_at(at, Clock(rows_in(folder), people_in(folder).fps)), clip)
 
 
 def _apply(fixer: Fixer, file: Path, stop: Stop, quiet: bool, *, adds: bool, video: bool) -> int:
@@ -178,8 +194,9 @@ def _serve(fixer: Fixer, frames: Frames, page: Page, stop: Stop, *, video: bool)
         say(f"{kept}: {said} not saved the last time; the page begins with {'them' if many else 'it'}")
     session = FixSession(fixer, frames, video=video, unsaved=unsaved)
     if not page.serve(session, stop):
-        goes_on = f"all else is as it was; facetrack fix {folder} goes on with them"
-        what = f"the corrections are kept in {kept}, {goes_on}" if kept.is_file() else "nothing was written"
+        goes_on = f"all else is as it was; {fixer.run.fixed_by} goes on with them"
+        none = "what was saved stays" if session.saves else "nothing was written"
+        what = f"the corrections are kept in {kept}, {goes_on}" if kept.is_file() else none
         say(f"facetrack: {stop.reason}; {what}")
         return stop.code or ExitCode.FAULT
     return ExitCode.DONE

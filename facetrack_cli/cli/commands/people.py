@@ -11,7 +11,8 @@ import click
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import Command, Page, flag, option, page_options, say
-from facetrack_cli.cli.types import FILE, RUN, Text, words
+from facetrack_cli.cli.types import FILE, RUN, Text, frame_at, words
+from facetrack_cli.cli.types import moment as at_moment
 from facetrack_cli.core.errors import ExitCode, UsageError
 
 if TYPE_CHECKING:
@@ -23,27 +24,15 @@ Words: TypeAlias = tuple[tuple[str, ...], ...]
 
 _OTHER = words("A=B", "([^=]*)=(.*)", "give two names, as person_3=person_1")
 _NAME = words("A=NAME", "([^=]*)=(.*)", "give two names, as person_3=person_1")
-_MOMENT = words("A@TIME", "(.*)@([^@]*)", "give a name and a time, as person_2@1:23 or person_2@2075f")
 _GIFT = words("A@TIME=B", "(.*)@([^@=]*)=([^@]*)", "give a name, a time and a name, as person_2@1:23=person_1")
-
-
-def frame_at(moment: str, clock: Clock) -> int:
-    """The frame of a moment: 2075f, 83, 1:23 or 0:01:23.5. UsageError for anything else."""
-    try:
-        if moment[-1:].lower() == "f":
-            return int(moment[:-1])
-        seconds = 0.0
-        for part in moment.split(":"):
-            seconds = 60 * seconds + float(part)
-        return clock.frame(seconds)
-    except (ValueError, OverflowError):
-        raise UsageError(f"--split @{moment}: is no time; give 1:23, 83 (seconds) or 2075f (a frame)") from None
 
 
 @click.command(cls=Command, basic="merge split rename give save edit clip no_video as_json as_csv quiet")
 @click.argument("folder", type=RUN)
 @option("--merge", type=_OTHER, multiple=True, help="A is B: both are one person, under the name of B.")
-@option("--split", type=_MOMENT, multiple=True, help="From that time on (1:23, or 2075f) A is somebody else.")
+@option(
+    "--split", type=at_moment("A@TIME"), multiple=True, help="From that time on (1:23, or 2075f) A is somebody else."
+)
 @option("--rename", type=_NAME, multiple=True, help="The name of A.")
 @option(
     "--save", type=Text("FILE.npz", Path, FILE.complete),

@@ -31,6 +31,7 @@ class CastSession(Page):
         self.before, self._rows = people_in(folder), rows_in(folder)
         self._clock = Clock(self._rows, self.before.fps)
         self._steps: list[tuple[Change, Tracks]] = []
+        self.saved = 0  # changes
         self._still = lru_cache(256)(self._picture)
 
     @property
@@ -52,6 +53,7 @@ class CastSession(Page):
             Route("POST", "api/change", self._change),
             Route("POST", "api/undo", self._undo),
             Route("POST", "api/save", self._save),
+            Route("POST", "api/done", self._done),
         )
 
     def state(self) -> dict[str, Any]:
@@ -122,8 +124,22 @@ class CastSession(Page):
                 self.folder, steps, clip=self.clip, video=self.video, stop=self.stopping.is_set,
                 report=lambda done, total, *_: report(done, total),
             )  # fmt: skip
-        count = f"{len(steps)} change{'s' if len(steps) != 1 else ''}"
-        self.end([f"{self.folder}: {count} saved"], f"facetrack people {self.folder}")
+        with self.lock:
+            self.before, self._rows, self._steps = people_in(self.folder), rows_in(self.folder), []
+            self._still.cache_clear()
+            self.saved += len(steps)
+            self.revision += 1
+            self.message = self._said()
+
+    def _said(self) -> str:
+        return f"{self.folder}: {self.saved} change{'s' if self.saved != 1 else ''} saved"
+
+    def _done(self, base: StrictInt) -> dict[str, Any]:
+        """End the session; changes that are not saved are gone."""
+        with self.lock:
+            self._check(base)
+            self.end([self._said()], f"facetrack people {self.folder}")
+            return self.state()
 
     def _check(self, base: int) -> None:
         """RefusedError (409) while a job runs, after the end, and for what was meant for an earlier state."""

@@ -23,7 +23,7 @@ from facetrack_cli.runs.plan import Report
 from facetrack_cli.trackers.face.detectors import PARTS
 from facetrack_cli.trackers.hands.settings import NAMES as HANDS
 from facetrack_cli.trajectory.diagnostics import outlines
-from facetrack_cli.trajectory.header import FrameNumber
+from facetrack_cli.trajectory.header import UNSAVED, FrameNumber
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import by_frame
@@ -44,9 +44,11 @@ class FixSession(Session):
     def __init__(self, fixer: Fixer, frames: Frames, *, video: bool = True, unsaved: Sequence[Correction] = ()) -> None:
         run = fixer.run
         self.fixer, self.video = fixer, video
+        self.saved: list[str] = []  # a line on each file, of the last save
+        self.saves = 0
         self._parts = run.parts
         about = {
-            "clip": run.header.clip_name,
+            "clip": run.header.clip_name + f": {run.rows.targets[0]}" * run.film,
             "recipe": run.recipe.name,
             "lost_below": {name: run.recipe.lost_below(name) for name in self._parts},
             "requirements": [_requirement(name, parts) for name, parts in self._parts.items()],
@@ -67,6 +69,8 @@ class FixSession(Session):
             Route("POST", "api/track", self._track),
             Route("POST", "api/remove", self._remove),
             Route("POST", "api/exchange", self._exchange),
+            Route("POST", "api/confirm", self._confirm),
+            Route("POST", "api/done", self._done),
             Route("POST", "api/undo", self._undo),
         )
 
@@ -149,6 +153,32 @@ class FixSession(Session):
             self.fixer.check(one)
         return self._begin(f"tracking {' and '.join(hands)}", partial(self.fixer.put, given))
 
+    def _confirm(self, frame: FrameNumber, target: str, part: str, stretch: StrictBool = False) -> Answer:
+        """A part lies right in a frame, or in the whole `stretch` around it in which it is called lost."""
+        row = self.fixer.rows.find(target, part)
+        at = None if row is None else row.row(frame)
+        if row is None or at is None or not np.isfinite(row.x[at]) or row.status[at] == "absent":
+            raise RefusedError(422, f"{target} {part} has no place in frame {frame}; give it one")
+        lost = next((span for span in spans(row.status == "lost") if span[0] <= at < span[1]), (at, at + 1))
+        first, stop = lost if stretch else (at, at + 1)
+        given = []
+        for index in row.frame[first:stop][:MAX_ROWS].tolist():
+            before = self.fixer.find(index, target)
+            if before is not None and not before.confirmed:
+                raise RefusedError(422, f"{target} is corrected in frame {index} already; place {part} there")
+            new = Correction(index, target, confirmed=(part,))
+            given.append(merged(new, before, self._parts[target]))
+        return self._begin(f"confirming {target}", partial(self.fixer.put, given))
+
+    def _done(self) -> Json:
+        """End the session; what is not saved is kept for the next one."""
+        self.refuse_if_busy()
+        folder = self.fixer.run.folder
+        left = [f"{folder / UNSAVED}: corrections that are not saved; {self.fixer.run.fixed_by} goes on with them"]
+        nothing = [f"{folder}: nothing was corrected, all is as it was"]
+        self.end(self.saved + left * self.fixer.changed or nothing, f"facetrack report {folder} --overwrite")
+        return self.state()
+
     def _undo(self) -> Answer:
         if not self.fixer.can_undo:
             raise RefusedError(422, "there is nothing to undo")
@@ -189,7 +219,12 @@ class FixSession(Session):
 
     def _write(self, report: Report) -> None:
         messages = save(self.fixer, video=self.video, report=report, stop=self.stopping.is_set)
-        self.end(messages, f"facetrack report {self.fixer.run.folder} --overwrite")
+        with self.lock:
+            self.saved, self.saves = messages, self.saves + 1
+
+    def state(self) -> Json:
+        with self.lock:
+            return {**super().state(), "saves": self.saves, "saved": self.saved, "unsaved": self.fixer.changed}
 
     def _fitted(self, name: str, target: Json) -> Json:
         """A proposal has the points of a target, if it follows any, else the box."""
@@ -228,8 +263,9 @@ def overview(
     for one in corrections:
         if one.frame <= last:
             given = ["box"] if one.given.box is not None else list(one.given.points)
-            absent = True if one.absent is True else list(one.absent)
-            corrected.append({"frame": one.frame, "target": one.target, "parts": given, "absent": absent})
+            absent, sure = (those is True or list(those) for those in (one.absent, one.confirmed))
+            more = {"parts": given, "absent": absent} | ({"confirmed": sure} if sure else {})
+            corrected.append({"frame": one.frame, "target": one.target, **more})
     found = {"first": first, "last": last, "bins": bins, "parts": parts}
     return {**found, "doubtful": doubtful(rows, lost_below), "corrections": corrected}
 

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import parse_qs
 
-from pydantic import TypeAdapter, ValidationError, validate_call
+from pydantic import TypeAdapter, ValidationError
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.editor.web.session import Answer, Page, RefusedError, internal_error
@@ -32,6 +32,7 @@ MAX_BODY_BYTES: Final = 256 * 1024  # bytes: the largest draft has fewer
 MAX_REFUSED_BYTES: Final = 4 * 1024 * 1024  # of a body that is refused, so that its sender receives the answer
 IDLE_S: Final = 60.0  # until a connection without requests is closed
 POLL_S: Final = 0.1
+PIECE_BYTES: Final = 1 << 18  # of a file that is sent
 KINDS: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 HEADERS: Final = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; "
@@ -44,6 +45,7 @@ HEADERS: Final = {
     "Cross-Origin-Opener-Policy": "same-origin",
 }
 _HOST = re.compile(r"(?:localhost|127\.0\.0\.1|\[::1\])(?::[0-9]{1,5})?", re.IGNORECASE)
+_RANGE = re.compile(r"bytes=(?=.*[0-9])([0-9]{0,15})-([0-9]{0,15})")
 _BODY = TypeAdapter(dict[str, Any])
 
 
@@ -55,7 +57,7 @@ def assets() -> Mapping[str, Answer]:
 
 
 class Server(ThreadingHTTPServer):
-    """One session, at `url`. Raises UsageError if the port is taken; 0 is any free port."""
+    """One page, at `url`, and those that are opened from it below. UsageError if the port is taken; 0 is any free."""
 
     daemon_threads = True
     block_on_close = False
@@ -65,10 +67,6 @@ class Server(ThreadingHTTPServer):
     def __init__(self, session: Page, port: int = 0) -> None:
         self.session = session
         self.token = secrets.token_urlsafe(32)
-        self.routes: list[tuple[str, re.Pattern[str], Callable[..., Any]]] = []
-        for method, path, handler in session.routes():
-            pattern = re.sub(r"\\{(\w+)\\}", r"(?P<\1>[0-9]{1,9})", re.escape(path))
-            self.routes.append((method, re.compile(pattern), validate_call(handler)))
         try:
             super().__init__((ADDRESS, port), _Handler)
         except OSError as e:
@@ -166,6 +164,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._data = self.rfile.read(self._length) if readable else b""
         if readable and len(self._data) != self._length:
             raise ConnectionResetError
+        self._page = self.server.session
         try:
             answer = _encoded(self._route(self.command))
         except RefusedError as e:
@@ -180,10 +179,13 @@ class _Handler(BaseHTTPRequestHandler):
         except (ConnectionError, TimeoutError):  # the page has gone
             raise
         except Exception as e:
-            if self.server.session.stopping.is_set():  # what it needs is closed
+            if self._page.stopping.is_set():  # what it needs is closed
                 raise ConnectionAbortedError from e
             answer = Answer({"error": self.server.session.record(e)}, 500)
-        self._send(_encoded(answer))
+        if isinstance(answer.body, Path):
+            self._send_file(answer.body, answer)
+        else:
+            self._send(_encoded(answer))
 
     do_PUT = do_POST = do_GET  # noqa: N815
 
@@ -201,17 +203,18 @@ class _Handler(BaseHTTPRequestHandler):
             raise RefusedError(403, "the address lacks its token; open the whole address that facetrack printed")
         if not slash:
             return Answer(b"", 308, "text/plain", (("Location", f"/{self.server.token}/"),))
-        asset = assets().get(below or self.server.session.index)
+        self._page, below = self.server.session.page_at(below)
+        asset = assets().get(below or self._page.index)
         if asset is not None and method == "GET":
             return asset
-        found = [(wanted, pattern.fullmatch(below), handler) for wanted, pattern, handler in self.server.routes]
-        matches = {wanted: (match, handler) for wanted, match, handler in found if match is not None}
+        found = [(route, pattern.fullmatch(below), handler) for route, pattern, handler in self._page.table]
+        matches = {route.method: (route, match, handler) for route, match, handler in found if match is not None}
         if asset is None and not matches:
             raise RefusedError(404, "there is nothing at this address")
         if method not in matches:
             raise RefusedError(405, f"{method} is not for this address")
-        match, handler = matches[method]
-        body = {} if method == "GET" else self._body()
+        route, match, handler = matches[method]
+        body = {} if method == "GET" else {"data": self._raw()} if route.raw else self._body()
         fields = parse_qs(query, keep_blank_values=True)  # a list, if given twice, is refused by any handler
         once = {name: values[0] if len(values) == 1 else values for name, values in fields.items()}
         answer = handler(**{**once, **body, **match.groupdict()})
@@ -233,26 +236,58 @@ class _Handler(BaseHTTPRequestHandler):
         return int(text) if text.isascii() and text.isdigit() and len(text) < 16 else None
 
     def _body(self) -> dict[str, Any]:
+        return _BODY.validate_json(self._raw(MAX_BODY_BYTES) or b"{}")
+
+    def _raw(self, most: int = MAX_REFUSED_BYTES) -> bytes:
         if self._length is None:
             raise RefusedError(411, "the length of the body must be given, once")
-        if self._length > MAX_BODY_BYTES:
-            raise RefusedError(413, f"{self._length} bytes are too many; at most {MAX_BODY_BYTES} are accepted")
-        return _BODY.validate_json(self._data or b"{}")
+        if self._length > most:
+            raise RefusedError(413, f"{self._length} bytes are too many; at most {most} are accepted")
+        return self._data
 
     def _send(self, answer: Answer) -> None:
+        self._send_head(answer, len(answer.body))
+        self.wfile.write(answer.body)
+
+    def _send_head(self, answer: Answer, length: int) -> None:
         self.send_response(answer.code)
         self.send_header("Content-Type", answer.kind)
-        self.send_header("Content-Length", str(len(answer.body)))
+        self.send_header("Content-Length", str(length))
         for name, value in (*HEADERS.items(), *answer.headers):
             self.send_header(name, value)
         if self.close_connection:
             self.send_header("Connection", "close")
         self.end_headers()
-        self.wfile.write(answer.body)
+
+    def _send_file(self, path: Path, answer: Answer) -> None:
+        """A file, or the bytes of it that are asked for: a browser goes to any time of a video only so."""
+        try:
+            file = path.open("rb")
+        except OSError as e:
+            self._send(_encoded(Answer({"error": f"{path}: {e.strerror or e}"}, 404)))
+            return
+        with file:
+            size = os.fstat(file.fileno()).st_size
+            first, stop, part = 0, size, ()  # type: int, int, tuple[tuple[str, str], ...]
+            if asked := _RANGE.fullmatch(self.headers.get("Range", "")):
+                begin, end = asked.groups()
+                first = int(begin) if begin else max(size - int(end), 0)
+                stop = min(int(end) + 1, size) if begin and end else size
+                if first >= stop:
+                    self._send(Answer(b"", 416, headers=(("Content-Range", f"bytes */{size}"),)))
+                    return
+                part = (("Content-Range", f"bytes {first}-{stop - 1}/{size}"),)
+            headers = (*answer.headers, ("Accept-Ranges", "bytes"), *part)
+            self._send_head(answer._replace(code=206 if part else answer.code, headers=headers), stop - first)
+            file.seek(first)
+            while first < stop and (data := file.read(min(stop - first, PIECE_BYTES))):
+                self.wfile.write(data)
+                first += len(data)
+            self.close_connection = self.close_connection or first < stop  # it was cut short meanwhile
 
 
 def _encoded(answer: Answer) -> Answer:
     """With its JSON as bytes."""
-    if isinstance(answer.body, bytes):
+    if isinstance(answer.body, bytes | Path):
         return answer
     return answer._replace(body=json.dumps(answer.body, separators=(",", ":"), allow_nan=False).encode())

@@ -1,12 +1,14 @@
 """What pages have in common: one job in a thread; of picking and fixing, one draft. All methods are thread-safe."""
 
+import re
 import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, TypeAlias
 
-from pydantic import Field, StrictInt
+from pydantic import Field, StrictInt, validate_call
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.editor.web.frame import Draft, Json, Proposer, crop, jpeg
@@ -27,7 +29,7 @@ class RefusedError(Exception):
 
 
 class Answer(NamedTuple):
-    """What a route returns if it is not JSON with code 200: a `body` is JSON's value, or bytes of that `kind`."""
+    """What a route returns if it is not JSON with code 200: `body` is JSON's value, or bytes or a file of a `kind`."""
 
     body: Any
     code: int = 200
@@ -40,12 +42,13 @@ class Route(NamedTuple):
 
     The handler takes the numbers of the path, the fields of the query and the members of the JSON body by name, as its
     annotations allow (pydantic; else 400), and returns an Answer or the value of its JSON. It may raise RefusedError;
-    an InputError becomes 404 of a GET, any other FacetrackError 422.
+    an InputError becomes 404 of a GET, any other FacetrackError 422. A `raw` body comes as the bytes `data`.
     """
 
     method: Literal["GET", "PUT", "POST"]
     path: str
     handler: Callable[..., Any]
+    raw: bool = False
 
 
 class Page(ABC):
@@ -65,6 +68,20 @@ class Page(ABC):
         self._worker: threading.Thread | None = None
         self._saving = False
         self._ended_at = 0.0
+        self.opened: dict[str, Page] = {}  # the pages below this one, by the first part of their addresses
+
+    @cached_property
+    def table(self) -> list[tuple[Route, re.Pattern[str], Callable[..., Any]]]:
+        """The routes, with the pattern of their path, and a handler that checks what it is given."""
+        patterns = (re.sub(r"\\{(\w+)\\}", r"(?P<\1>[0-9]{1,9})", re.escape(one.path)) for one in self.routes())
+        both = zip(self.routes(), patterns, strict=True)
+        return [(one, re.compile(pattern), validate_call(one.handler)) for one, pattern in both]
+
+    def page_at(self, below: str) -> tuple["Page", str]:
+        """Who serves an address below the token: this page, or one that is opened from it; and the rest of it."""
+        name, slash, rest = below.partition("/")
+        page = self.opened.get(name) if slash else None
+        return (self, below) if page is None else (page, rest)
 
     @abstractmethod
     def routes(self) -> Sequence[Route]:

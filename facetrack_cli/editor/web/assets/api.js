@@ -50,6 +50,7 @@ export const session = () => json("session");
 export const state = () => json("state");
 export const proposals = (frame) => json(`proposals/${frame}`);
 export const rows = (first, last) => json(`rows?first=${first}&last=${last}`);
+export const look = (clip) => json(`look/${clip}`);
 export const overview = (bins) => json(`overview?bins=${bins}`);
 export const putDraft = (base, draft) => json("draft", { method: "PUT", body: { base, draft } });
 export const post = (path, body) => json(path, { method: "POST", body });

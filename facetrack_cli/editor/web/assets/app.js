@@ -3,7 +3,7 @@
 import { Actions } from "./actions.js";
 import * as api from "./api.js";
 import { debug } from "./debug.js";
-import { $, setText } from "./dom.js";
+import { $, HOME, setText, showHome } from "./dom.js";
 import { draftLayer } from "./draw.js";
 import { firstOverview, Fix } from "./fix.js";
 import { FixList } from "./fix_list.js";
@@ -39,6 +39,7 @@ async function start() {
   if (fixes && !Object.keys(state.draft.targets).length) {
     state.draft.frame = overview.doubtful[0]?.frame ?? overview.first;
   }
+  showHome();
   const store = fixes ? new FixStore(session, state.draft) : new Store(session, state.draft);
   showSession(session);
 
@@ -71,7 +72,8 @@ async function start() {
     onother: (lost) => mode.onOther(lost),
     onoffline: () => {
       $("offline").hidden = false;
-      if (save.accepted) setText($("offline-text"), "facetrack has ended; its terminal shows what it wrote.");
+      if (HOME) setText($("offline-text"), "Start facetrack again; what was tracked is kept.");
+      else if (save.accepted) setText($("offline-text"), "facetrack has ended; its terminal shows what it wrote.");
     },
     ononline: () => {
       $("offline").hidden = true;
@@ -124,6 +126,7 @@ async function start() {
   press("undo", does.undo);
   press("redo", does.redo);
   press("save", does.save);
+  press("done", () => void mode.done?.());
   press("zoom-in", does.zoom(1.4));
   press("zoom-out", does.zoom(1 / 1.4));
   press("zoom-fit", () => mode.showTargets());

@@ -1,7 +1,7 @@
 // The page of a film's cast: people are merged, renamed and split, and doubts are settled.
 
 import * as api from "./api.js";
-import { $, make } from "./dom.js";
+import { $, HOME, make, showHome } from "./dom.js";
 
 const POLL = 1000; // ms
 const SVG = "http://www.w3.org/2000/svg";
@@ -106,6 +106,22 @@ function showMoment() {
   $("frame").alt = `Frame ${chosen.frame}`;
   $("where").textContent = `Frame ${chosen.frame}, ${clock(chosen.frame)}`;
   $("split").textContent = `From here ${chosen.name} is somebody else`;
+  const track = now.tracks.find((one) => one.person === chosen.name && one.first <= chosen.frame && chosen.frame < one.stop);
+  $("points").hidden = !HOME || !track;
+  $("points").textContent = `Correct the points of ${chosen.name} in this shot`;
+  $("points").onclick = () => openPoints(track);
+}
+
+/** The page that corrects the points of a track, if this page was opened from that of all clips. */
+async function openPoints({ person, first }) {
+  if (now.changes.length) return say("Save who is who first, or undo it.");
+  const clip = Number(/people-([0-9]+)/.exec(location.pathname)[1]);
+  const body = JSON.stringify({ clip, page: "fix", person, frame: first });
+  const headers = { "Content-Type": "application/json" };
+  const answer = await fetch(new URL("../api/open", document.baseURI), { method: "POST", body, headers });
+  const found = await answer.json();
+  if (answer.ok) location.href = new URL(`../${found.url}`, document.baseURI);
+  else say(found.error);
 }
 
 function showDoubt() {
@@ -146,7 +162,8 @@ function render() {
   showDoubt();
   const busy = Boolean(now.job || now.ended);
   $("undo").disabled = busy || !now.changes.length;
-  $("save").disabled = busy;
+  $("save").disabled = busy || !now.changes.length;
+  $("done").disabled = busy;
   if (now.job) say(`${now.job.what}${now.job.total ? `, ${now.job.done} of ${now.job.total}` : ""}`);
   if (now.ended) say(now.ended.messages.join("; "));
   else if (now.message) say(now.message);
@@ -178,6 +195,12 @@ const step = (by) => {
 };
 $("undo").addEventListener("click", () => ask("undo"));
 $("save").addEventListener("click", () => ask("save"));
+$("done").addEventListener("click", async () => {
+  if (now.changes.length && !confirm(`${now.changes.length} changes are not saved, and would be gone. End?`)) return;
+  await ask("done");
+  if (HOME && now.ended) location.href = HOME;
+});
+showHome();
 $("back").addEventListener("click", () => step(-1));
 $("on").addEventListener("click", () => step(1));
 $("split").addEventListener("click", () => change("split", chosen.name, { frame: chosen.frame }));

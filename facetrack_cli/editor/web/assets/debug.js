@@ -24,6 +24,7 @@ export function debug({ store, stage, sync, mode }) {
     review: () => mode.review?.frames.map(({ frame }) => frame) ?? null,
     playing: () => mode.play?.on ?? false,
     canUndo: () => sync.state.can_undo,
+    saves: () => sync.state.saves ?? null,
   };
   const shifted = ([x, y], sign) => {
     const { left, top } = stage.canvas.getBoundingClientRect();

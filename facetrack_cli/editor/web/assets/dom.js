@@ -1,6 +1,8 @@
 // Helpers for elements and for texts.
 
 export const $ = (id) => document.getElementById(id);
+/** The page of all clips, if this page was opened from it. */
+export const HOME = location.pathname.split("/").length > 3 ? "../" : null;
 export const TOUCH = window.matchMedia("(pointer: coarse)");
 
 /** An element with attributes and children; functions become listeners, false and null attributes are left out. */
@@ -115,6 +117,14 @@ export function askToConfirm(title, text, yes) {
     dialog.onclose = () => resolve(dialog.returnValue === "yes");
     dialog.showModal();
   });
+}
+
+/** Shows the way back, if there is one. */
+export function showHome() {
+  for (const link of document.querySelectorAll("a.home")) {
+    link.hidden = !HOME;
+    if (HOME) link.href = HOME;
+  }
 }
 
 // --- texts

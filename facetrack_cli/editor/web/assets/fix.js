@@ -28,7 +28,8 @@ export class Fix extends Mode {
         ontaken: ({ label }) => say(`Took ${label}. Check it, then track from here.`),
       },
     );
-    this.canUndo = false;
+    this.sync = sync;
+    this.canUndo = this.unsaved = false;
     this.shown = true; // the tracks over the image
     this.revision = null; // of the rows
     this.corrections = overview.corrections;
@@ -52,6 +53,7 @@ export class Fix extends Mode {
     press("track-elsewhere", () => this.jobs.track());
     press("discard-elsewhere", () => this.discard());
     press("discard", () => this.discard());
+    press("confirm-row", () => this.confirm(false));
     press("review-next", () => this.review.next(1));
     press("review-previous", () => this.review.next(-1));
   }
@@ -124,34 +126,55 @@ export class Fix extends Mode {
     return this.store.past.length > 0 || (this.canUndo && !this.store.busy);
   }
 
+  /** The part that is selected, or because of which the frame is shown, lies right; or in the whole stretch around. */
+  confirm(stretch) {
+    const { store } = this;
+    const slot = store.selected ?? store.highlighted;
+    if (!slot || store.isBoxOfPoints(slot)) return this.say("Choose a part first: in the image, or with [ and ].");
+    if (!store.isEmpty()) return this.say("Track what was moved first, or discard it.", "warning");
+    if (this.canEdit(true)) void this.jobs.confirm(slot, store.frame, stretch, partName(store, slot));
+  }
+
+  // whether what was moved is tracked, and nothing runs; else it says so
+  #settled(what) {
+    const { store } = this;
+    if (store.busy) this.canEdit(true);
+    if (store.ended || store.busy) return false;
+    const { frame } = store.draft;
+    const text = `What was moved in frame ${frame} is not tracked yet: track it (T), or discard it; then ${what}.`;
+    if (!store.isEmpty()) showProblem(text);
+    return store.isEmpty();
+  }
+
   /** Asks first, since the files of the run are replaced. */
   async save(save) {
     const { store } = this;
-    if (store.ended || save.running) return;
-    if (store.busy) return void this.canEdit(true);
-    if (!store.isEmpty()) {
-      const { frame } = store.draft;
-      return showProblem(
-        `What was moved in frame ${frame} is not tracked yet: track it (T), or discard it; then save.`,
-      );
-    }
+    if (save.running || !this.#settled("save")) return;
     this.play.stop();
+    if (!this.unsaved) return this.say("There is nothing to save: the files of the run are as they are shown.");
     const count = this.corrections.length;
-    const yes = this.canUndo
-      ? await askToConfirm(
-          count ? `Save ${plural(count, "correction")}?` : "Save without corrections?",
-          `In ${store.session.saves_to}, the trajectory, the annotated video and corrected.init.yaml are written. ` +
-            "They replace the files that are there now.",
-          "Save",
-        )
-      : await askToConfirm(
-          "There is nothing to save",
-          "Nothing was corrected since the page was opened. The run stays as it is.",
-          "End facetrack",
-        );
+    const yes = await askToConfirm(
+      count ? `Save ${plural(count, "correction")}?` : "Save without corrections?",
+      `In ${store.session.saves_to}, the trajectory, the annotated video and corrected.init.yaml are written. ` +
+        "They replace the files that are there now.",
+      "Save",
+    );
     if (!yes) return;
     this.saving = save;
     save.save();
+  }
+
+  /** Ends the page. */
+  async done() {
+    if (!this.#settled("end")) return;
+    const text = "They are kept beside the run, and the page begins with them the next time.";
+    if (this.unsaved && !(await askToConfirm("End without saving?", text, "End"))) return;
+    try {
+      await api.post("done", {});
+    } catch (error) {
+      this.say(error.message, "error");
+    }
+    this.sync.pollAgain();
   }
 
   focusReview() {
@@ -169,6 +192,7 @@ export class Fix extends Mode {
 
   setState(now) {
     this.canUndo = now.can_undo;
+    this.unsaved = now.unsaved;
     this.jobs.update(now);
     this.timeline.reached = this.jobs.reached;
     if (now.rows_revision !== this.revision) {
@@ -244,11 +268,15 @@ export class Fix extends Mode {
     $("learn").hidden = $("track").hidden || !store.session.learns || !placed;
     setText($("track"), store.isHere() ? "Track from here" : `Track from ${store.draft.frame}`);
     $("undo").disabled = store.ended || !this.undoable;
-    $("save").classList.toggle("primary", !open && this.canUndo);
+    const lost = store.selected ?? store.highlighted;
+    $("confirm-row").hidden = open || store.busy || store.ended || !lost || !isUncertain(store.report(lost));
+    $("done").hidden = open || store.ended;
+    $("done").disabled = store.busy;
+    $("save").classList.toggle("primary", !open && this.unsaved);
     if (store.ended || this.saving?.running) return;
     const count = this.corrections.length;
     $("save").disabled = store.busy;
-    setText($("save-label"), !open && this.canUndo && count ? `Save ${plural(count, "correction")}` : "Save");
+    setText($("save-label"), !open && this.unsaved && count ? `Save ${plural(count, "correction")}` : "Save");
   }
 }
 
@@ -294,6 +322,7 @@ function howToCorrect(store, slot) {
     return `Absent from here on. ${TOUCH.matches ? "Set present" : "X"}, if it is visible again.`;
   }
   const report = describe(store.report(slot));
-  const how = TOUCH.matches ? "Drag it to its place." : "Drag it, or nudge it with the arrow keys. X: absent.";
+  const right = isUncertain(store.report(slot)) ? " Y: it lies right." : "";
+  const how = TOUCH.matches ? "Drag it to its place." : `Drag it, or nudge it with the arrow keys. X: absent.${right}`;
   return report ? `${capitalized(report)}${report.endsWith("%") ? " confidence" : ""}. ${how}` : how;
 }

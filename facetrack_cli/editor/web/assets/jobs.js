@@ -106,6 +106,13 @@ export class Jobs {
     }
   }
 
+  /** A part lies right in a frame, or in all frames around it in which it is called lost. */
+  async confirm({ target, part }, frame, stretch, name) {
+    if (await this.#run("confirm", () => ({ frame, target, part, stretch }), [frame, frame])) {
+      this.say(`${capitalized(name)} lies right ${stretch ? "in all frames around" : "in frame"} ${frame}.`);
+    }
+  }
+
   async undo(before) {
     if (!(await this.#run("undo", () => ({})))) return;
     this.say(`Undone: ${changes(before, await this.refreshed()) || "the last step"}.`);

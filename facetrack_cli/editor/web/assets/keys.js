@@ -66,6 +66,9 @@ export function keyTable({ store, stage, clip, list, gestures, magnifier, mode, 
       key("X", "the part is absent, or present (Shift: the whole target)", letter("x"), (event) =>
         mode.toggleAbsent(event.shiftKey),
       ),
+      key("Y", "it lies right, though it is called lost (Shift: in all frames around)", letter("y"), (event) =>
+        mode.confirm(event.shiftKey),
+      ),
       key("E", "the two hands change their names from here on", letter("e"), () =>
         void mode.jobs.exchange(store.frame),
       ),

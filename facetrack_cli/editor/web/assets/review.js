@@ -156,7 +156,9 @@ export class Review {
 const isLost = ({ parts }) => parts.some(({ status }) => status === "lost");
 
 // a correction in a few words
-function describe({ target, parts, absent }) {
+function describe({ target, parts, absent, confirmed }) {
+  if (confirmed === true || confirmed?.[0] === "box") return "confirmed";
+  if (confirmed) return `${confirmed.map(readable).join(", ")} confirmed`;
   const names = (list) => list.map(readable).join(", ");
   const moved = parts[0] === "box" ? "box by hand" : `${names(parts)} by hand`;
   const marked = absent === true ? "absent" : `${names(absent)} absent`;

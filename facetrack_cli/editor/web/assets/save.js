@@ -1,7 +1,7 @@
 // Save, and what is shown afterwards.
 
 import * as api from "./api.js";
-import { $, make, setText } from "./dom.js";
+import { $, HOME, make, setText } from "./dom.js";
 
 const TEXTS = {
   pick: {
@@ -28,6 +28,7 @@ export class Save {
     setText($("saved-for"), this.texts.next);
     this.running = false;
     this.accepted = false;
+    this.saves = null; // how often the run was saved, of a page that goes on
     $("copy").addEventListener("click", () => this.#copy());
     $("saved-close").addEventListener("click", () => $("saved").close());
   }
@@ -57,9 +58,15 @@ export class Save {
   }
 
   /** The server's state: a job, the end, or a failure. */
-  update({ ended, job, message }) {
+  update({ ended, job, message, saves, saved }) {
+    const goesOn = this.saves !== null && saves > this.saves;
+    this.saves = saves ?? null;
     if (ended && !this.store.ended) this.#end(ended);
-    else if (this.accepted && !ended && !job && message) {
+    else if (!ended && !job && goesOn) {
+      this.accepted = false;
+      this.#setRunning(false);
+      this.say(`Saved. ${saved.join(". ")}`);
+    } else if (this.accepted && !ended && !job && message) {
       this.accepted = false;
       this.#setRunning(false);
       showProblem(message);
@@ -82,7 +89,8 @@ export class Save {
     setText($("save-label"), this.title());
     setText($("saved-title"), this.title());
     $("saved-messages").replaceChildren(...messages.map((line) => make("li", {}, line)));
-    $("saved-next").hidden = !next;
+    $("saved-next").hidden = !next || !!HOME;
+    $("saved-quiet").hidden = !!HOME;
     setText($("next-command"), next ?? "");
     if (!$("saved").open) $("saved").showModal();
     this.say(messages.join(". "));

@@ -1,0 +1,271 @@
+"""A project of `facetrack app`: clips, what is tracked in each, and their runs, one child process at a time.
+
+Each run is the ordinary `facetrack run` in a folder of its own, so the folders say how far everything is, also after
+a kill. project.json holds what folders do not say: the list, what is chosen, and what is still to be run.
+"""
+
+import contextlib
+import json
+import os
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO, Annotated, Any, Final, Literal, TypeAlias
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+
+from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, UsageError, reading
+from facetrack_cli.core.files import absolute, make_folder, read_bounded, write_new, writing
+from facetrack_cli.core.log import VARIABLE
+from facetrack_cli.core.types import checked_name
+from facetrack_cli.run_folder.lease import FolderLease
+from facetrack_cli.run_folder.status import ClipStatus, clip_status
+
+NAME: Final = "project.json"
+MAX_CLIPS: Final = 2000
+RECIPES: Final = {"face": "face", "everybody": "face", "signer": "signer", "box": "correlation_filter"}
+STOPPED: Final = (ExitCode.INTERRUPTED, ExitCode.TERMINATED)
+What: TypeAlias = Literal["face", "everybody", "signer", "box"]
+
+
+class Clip(BaseModel):
+    """A clip of the list. `name` is that of its folders; `likely` what a detector sees there, once it has looked."""
+
+    model_config = ConfigDict(extra="forbid")
+    id: int
+    path: str
+    name: Annotated[str, AfterValidator(lambda name: checked_name(name, "clip"))]
+    what: What = "face"
+    likely: What | None = None
+    size: tuple[int, int] | None = None
+    seconds: float = 0.0
+    frames: int = 0
+    wanted: bool = False  # to be run
+    again: bool = False  # from the start, over what is there
+    error: str | None = None
+
+
+class Listed(BaseModel):
+    """project.json."""
+
+    model_config = ConfigDict(extra="forbid")
+    format: Literal["facetrack-project"] = "facetrack-project"
+    version: Literal[1] = 1
+    clips: list[Clip] = []
+
+
+class Project:
+    """The list in a folder, and the queue. Thread-safe; `lock` is held while a clip is changed.
+
+    What was to be run when it was closed, or killed, is `paused`.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.lock = absolute(folder), threading.RLock()
+        make_folder(self.folder, "name another folder")
+        self._held = contextlib.ExitStack()
+        try:
+            self._held.enter_context(FolderLease(self.folder))
+        except BusyError:
+            raise UsageError(f"{self.folder}: is open already; go to its page, or name another folder") from None
+        self._path = self.folder / NAME
+        try:
+            found = read_bounded(self._path) if self._path.exists() else b"{}"
+            self.clips = {one.id: one for one in Listed.model_validate_json(found).clips}
+        except ValidationError as e:
+            self._held.close()
+            raise InputError(f"{self._path}: is not as facetrack app writes it; move it away, and add the clips") from e
+        self.paused = any(one.wanted for one in self.clips.values())
+        self.running: Clip | None = None
+        self.progress: dict[str, Any] = {}  # of what runs, as its lines say
+        self._child: subprocess.Popen[str] | None = None
+        self._closed, self._work = False, threading.Condition(self.lock)
+        self._worker = threading.Thread(target=self._go, name="runs", daemon=True)
+        self._worker.start()
+
+    def close(self) -> None:
+        """End what runs, which keeps what it has tracked, and wait for it."""
+        with self.lock:
+            self._closed = True
+            self._terminate()
+            self._work.notify_all()
+        self._worker.join()
+        self._held.close()
+
+    # the list
+
+    def find(self, clip: int) -> Clip:
+        """InputError for a clip that is not there any more."""
+        with self.lock:
+            if clip not in self.clips:
+                raise InputError("this clip is not in the list any more")
+            return self.clips[clip]
+
+    def add(self, paths: Sequence[Path]) -> list[Clip]:
+        """Add clips that are not in the list yet. Raises UsageError for too many."""
+        with self.lock:
+            there = {self.place(one) for one in self.clips.values()}
+            new = [path for path in map(absolute, paths) if path not in there]
+            if len(self.clips) + len(new) > MAX_CLIPS:
+                raise UsageError(f"{len(self.clips) + len(new)} clips are too many for a list; at most {MAX_CLIPS}")
+            added = []
+            for path in new:
+                inside = path.is_relative_to(self.folder)
+                names = {one.name.casefold() for one in self.clips.values()}
+                stem = re.sub(r"[^\w .()-]", "_", path.stem)[:80].strip(" .") or "clip"
+                free = (f"{stem}-{k}" if k > 1 else stem for k in range(1, MAX_CLIPS + 2))
+                name = next(one for one in free if one.casefold() not in names)
+                kept = path.relative_to(self.folder).as_posix() if inside else str(path)
+                clip = Clip(id=max(self.clips, default=0) + 1, path=kept, name=name)
+                self.clips[clip.id] = clip
+                added.append(clip)
+            self.save()
+            return added
+
+    def remove(self, clip: Clip) -> None:
+        """Take a clip from the list; what was made of it goes into the folder removed/."""
+        with self.lock:
+            self.want([clip], False)
+            while self.running is clip:
+                self._work.wait()
+            del self.clips[clip.id]
+            made = self.folder / "removed"
+            for one in (place(clip, what) for what in RECIPES for place in (self.run_of, self.start_of)):
+                if one.exists():
+                    make_folder(made)
+                    with writing(one, "close what uses it"):
+                        to = (made / (one.name if not k else f"{one.name} {k}") for k in range(10**6))
+                        one.rename(next(path for path in to if not path.exists()))
+            self.save()
+
+    def place(self, clip: Clip) -> Path:
+        return self.folder / clip.path
+
+    def run_of(self, clip: Clip, what: str | None = None) -> Path:
+        """The folder of a run: each choice of what is tracked has its own, so that none replaces another."""
+        return self.folder / "runs" / f"{clip.name}-{what or clip.what}"
+
+    def start_of(self, clip: Clip, what: str | None = None) -> Path:
+        """The init file of what is chosen on the page of a start."""
+        return self.folder / "starts" / f"{clip.name}-{what or clip.what}.init.yaml"
+
+    def save(self) -> None:
+        with self.lock:
+            data = Listed(clips=list(self.clips.values())).model_dump_json(indent=1).encode() + b"\n"
+            write_new(self._path, data, overwrite=True)
+
+    # the queue
+
+    def want(self, clips: Sequence[Clip], wanted: bool, *, again: bool = False) -> None:
+        """Queue clips, or stop them. Those that lack their box are left out; UsageError if no other is given."""
+        with self.lock:
+            able = [one for one in clips if not wanted or one.what != "box" or self.start_of(one).is_file()]
+            if clips and not able:
+                raise UsageError(f"{clips[0].name}: draw the box first")
+            for clip in able:
+                clip.wanted, clip.again = wanted, wanted and again
+                clip.error = None if wanted else clip.error
+                if not wanted and clip is self.running:
+                    self._terminate()
+            self.paused = self.paused and not wanted
+            self.save()
+            self._work.notify_all()
+
+    def pause(self, paused: bool) -> None:
+        """Let the queue wait; what runs is ended, and goes on later from where it was."""
+        with self.lock:
+            self.paused = paused
+            if paused:
+                self._terminate()
+            self._work.notify_all()
+
+    def status(self, clip: Clip) -> ClipStatus:
+        """How far the run of a clip is, by its folder."""
+        folder = self.run_of(clip)
+        with reading(folder):
+            return clip_status(folder, folder.name, clip.name)
+
+    def command(self, clip: Clip) -> list[str]:
+        """What tracks a clip: the arguments of facetrack."""
+        start = self.start_of(clip)
+        how = ["--faces", "all"] if clip.what == "everybody" else ["--config", RECIPES[clip.what]]
+        how += ["--init", str(start)] if start.is_file() else []
+        return ["run", str(self.place(clip)), *how, "--out", str(self.run_of(clip))] + ["--overwrite"] * clip.again
+
+    def _terminate(self) -> None:
+        if self._child is not None:
+            self._child.terminate()
+
+    def _go(self) -> None:
+        """Run what is wanted, one after another, until it is closed."""
+        with self.lock:
+            while not self._closed:
+                waiting = [] if self.paused else [one for one in self.clips.values() if one.wanted]
+                for clip in waiting:
+                    try:
+                        if clip.again or (state := self.status(clip).state) not in ("done", "running"):
+                            self._run(clip)
+                            break
+                        clip.wanted = state != "done"  # by a process that was left by a kill
+                    except (FacetrackError, OSError) as e:  # as of a full disk
+                        clip.error, clip.wanted = " ".join(str(e).splitlines()), False
+                else:
+                    self._work.wait(1.0 if waiting else None)
+
+    def _run(self, clip: Clip) -> None:
+        """Run one clip; the lock is given back meanwhile."""
+        environment = {**os.environ, VARIABLE: "json"}
+        given = [sys.executable, "-m", "facetrack_cli", *self.command(clip)]
+        clip.again = False  # what it has tracked stays if it is stopped
+        self.save()
+        self._child = subprocess.Popen(
+            given, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+            encoding="utf-8", errors="replace", env=environment,
+        )  # fmt: skip
+        self.running, self.progress = clip, {}
+        self._work.release()
+        try:
+            with self._child:
+                said = self._listen(self._child.stderr)
+        finally:
+            self._work.acquire()
+        code, self.running, self._child = self._child.returncode, None, None
+        self.paused = self.paused or (clip.wanted and code in STOPPED)  # as by Ctrl-C in the terminal
+        stopped = self._closed or self.paused or not clip.wanted
+        clip.error = None if stopped or code in (ExitCode.DONE, ExitCode.LOST) else said or f"exit code {code}"
+        clip.wanted = clip.wanted and stopped
+        self.save()
+        self._work.notify_all()
+
+    def _listen(self, lines: IO[str] | None) -> str:
+        """Follow what a run says, each line an object of JSON; the last error, or the last line."""
+        said = error = ""
+        for line in lines or ():
+            try:
+                told = json.loads(line)
+            except ValueError:
+                told = None
+            if not isinstance(told, dict):
+                said = line.strip() or said
+            elif str(told.get("message", "")).startswith("progress"):
+                doing = str(told["message"]).removeprefix("progress").strip(", ")  # "" while it tracks
+                with self.lock:
+                    self.progress = {**told, "doing": doing}
+            else:
+                said = str(told.get("message", ""))
+                error = said if told.get("level") == "error" else error
+        return error or said
+
+
+def call(arguments: Sequence[str], out: IO[bytes] | None, cwd: Path) -> None:
+    """A short command of facetrack, whose standard output goes to a file. Its error is an OutputError."""
+    done = subprocess.run(
+        [sys.executable, "-m", "facetrack_cli", *arguments], stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL if out is None else out, stderr=subprocess.PIPE, cwd=cwd,
+    )  # fmt: skip
+    if done.returncode:
+        lines = done.stderr.decode(errors="replace").strip().splitlines() or [f"exit code {done.returncode}"]
+        raise OutputError(re.sub(r"^(facetrack: )?(error: )?(.*trajectory\.\w+: )?", "", lines[-1]))

@@ -1,0 +1,395 @@
+"""The page of `facetrack app`: clips are added, tracked, looked at, corrected and exported."""
+
+import contextlib
+import re
+import threading
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
+from facetrack_cli.core.files import make_folder, write_new, writing
+from facetrack_cli.core.types import Array, Correction, checked_name
+from facetrack_cli.editor.film_track import open_track
+from facetrack_cli.editor.history import Fixer, corrections_of
+from facetrack_cli.editor.project import RECIPES, Clip, Project, What, call
+from facetrack_cli.editor.web.cast_session import CastSession
+from facetrack_cli.editor.web.fix_session import FixSession
+from facetrack_cli.editor.web.frame import Json, Proposer, jpeg
+from facetrack_cli.editor.web.pick_session import PickSession
+from facetrack_cli.editor.web.session import Answer, Page, RefusedError, Route
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.run_folder.finished import Run, open_run, stamp
+from facetrack_cli.run_folder.manifest import NAME as MANIFEST
+from facetrack_cli.run_folder.manifest import VIDEO, read_run
+from facetrack_cli.runs.batch import expand
+from facetrack_cli.runs.people import film_of, people_in, rows_in
+from facetrack_cli.start.init_file import read_init
+from facetrack_cli.trajectory.header import UNSAVED
+from facetrack_cli.video.seek import Frames
+
+LOOKS: Final = 5  # frames of a clip in which faces are sought, in its first seconds
+LOOKS_WITHIN: Final = 250  # frames
+THUMB_PIXELS: Final = 240  # about, along the longer side
+BINS: Final = 400  # of a curve
+CURVES: Final = 24  # targets of which they are sent
+EVENTS: Final = 20_000  # that are sent
+Ids = Annotated[list[int], Field(max_length=2000)]
+
+
+class Program(NamedTuple):
+    """What a file is for: how it is exported, how its name ends, and whether it may be of `many` clips."""
+
+    name: str
+    how: str
+    ending: str
+    many: bool = False
+
+
+PROGRAMS: Final = {
+    "excel": Program("Excel: a row for each frame", "csv-wide", "csv"),
+    "measures": Program("Excel: measures of faces and hands", "measures", "measures.csv", many=True),
+    "events": Program("Excel: events", "events", "events.csv", many=True),
+    "elan": Program("ELAN", "eaf", "eaf"),
+    "cvat": Program("CVAT", "cvat", "cvat.xml"),
+    "labelstudio": Program("Label Studio", "labelstudio", "labelstudio.json"),
+    "boris": Program("BORIS", "boris", "boris", many=True),
+    "subtitles": Program("Subtitles", "srt", "srt"),
+    "dlc": Program("DeepLabCut", "dlc", "dlc.csv"),
+    "openface": Program("OpenFace", "openface", "openface.csv"),
+    "coco": Program("COCO", "coco --box points", "coco.json"),
+}
+BOM: Final = b"\xef\xbb\xbf"  # by which Excel knows that a CSV is UTF-8
+
+
+class AppSession(Page):
+    """The page of a project. Pages that correct a run, or choose a start, are opened below it."""
+
+    index: ClassVar[str] = "home.html"
+
+    def __init__(self, project: Project) -> None:
+        super().__init__()
+        self.project = project
+        self._open: dict[str, contextlib.ExitStack] = {}
+        self._look = lru_cache(4)(looked)
+        self._exporting = threading.Lock()
+        self._new = threading.Event()  # clips that nobody has looked at yet
+        self._new.set()
+        self._looker = threading.Thread(target=self._look_at_new, name="looks", daemon=True)
+        self._looker.start()
+
+    def routes(self) -> Sequence[Route]:
+        return (
+            Route("GET", "api/state", self.state),
+            Route("PUT", "api/upload", self._upload, raw=True),
+            Route("POST", "api/add", self._add),
+            Route("POST", "api/choose", self._choose),
+            Route("POST", "api/want", self._want),
+            Route("POST", "api/pause", self._pause),
+            Route("POST", "api/remove", self._remove),
+            Route("POST", "api/open", self._open_page),
+            Route("POST", "api/quit", lambda: self.end([], None)),
+            Route("GET", "api/thumb/{clip}.jpg", lambda clip: Answer(self._thumb(clip), kind="image/jpeg")),
+            Route("GET", "api/video/{clip}.mp4", self._video),
+            Route("GET", "api/look/{clip}", self._looked),
+            Route("GET", "api/export/{clip}", self._export),
+            Route("GET", "api/export", self._export),
+        )
+
+    def close(self) -> None:
+        super().close()
+        self._new.set()
+        self.project.close()
+        self._looker.join()
+        for name in [*self._open]:
+            self._shut(name)
+
+    def state(self) -> Json:
+        self._shut_of()
+        project = self.project
+        with project.lock:
+            clips = [self._told(one) for one in project.clips.values()]
+            rate = next((one["rate"] for one in clips if one.get("rate")), None)
+            left = sum(max(one["frames"] - one["done"], 0) for one in clips if one["state"] in ("queued", "running"))
+            return {
+                "folder": str(project.folder),
+                "clips": clips,
+                "paused": project.paused,
+                "running": None if project.running is None else project.running.id,
+                "left_s": round(left / rate) if rate else None,
+                "programs": {name: {"name": one.name, "many": one.many} for name, one in PROGRAMS.items()},
+                "ended": self.ended,
+            }
+
+    def _told(self, clip: Clip) -> Json:
+        """A clip as the page shows it."""
+        project, error, more = self.project, clip.error, dict[str, Any]()
+        try:
+            found = project.status(clip)
+            state, done, more["look"] = str(found.state), found.frames, found.look
+            error = error or found.error
+        except FacetrackError as e:
+            state, done, error = "failed", 0, str(e)
+        start = project.start_of(clip).is_file()
+        if clip is project.running:
+            told = project.progress
+            tracks = told.get("doing") == ""  # else it does something before or after
+            state, done, rate = (
+                "running",
+                int(told.get("done") or 0) * tracks,
+                told.get("frames_per_s") if tracks else None,
+            )
+            more |= {"doing": told.get("doing", "starting"), "rate": rate}
+        elif clip.wanted and state != "running":
+            state = "paused" if project.paused else "queued"
+        elif error:
+            state = "failed"
+        elif state == "interrupted":
+            state = "stopped"
+        elif state == "not begun":
+            state = "needs box" if clip.what == "box" and not start else "ready"
+        movie = stamp(project.run_of(clip) / VIDEO)
+        more["movie"] = None if movie is None else str(movie)  # changes when it is drawn again
+        return {
+            "id": clip.id, "name": project.place(clip).name, "path": str(project.place(clip)), "what": clip.what,
+            "likely": clip.likely, "size": clip.size, "seconds": clip.seconds, "frames": clip.frames, "state": state,
+            "done": done, "error": error, "start": start, **more,
+        }  # fmt: skip
+
+    # adding
+
+    def _upload(self, data: bytes, name: str, offset: int, total: int) -> Json:
+        """A piece of a file that is dropped; the last one adds it."""
+        try:
+            name = re.sub(r'[<>:"|?*]', "_", checked_name(name.strip(" ."), "file"))
+        except ValueError as e:
+            raise RefusedError(400, str(e)) from None
+        folder = self.project.folder / "clips"
+        make_folder(folder, "name another folder")
+        part = folder / f".{name}.part"
+        with writing(part, "free some space"), part.open("r+b" if offset and part.exists() else "wb") as file:
+            if file.seek(0, 2) < offset:
+                raise RefusedError(409, f"{name}: a piece is missing; drop the file again")
+            file.seek(offset)
+            file.write(data)
+            file.truncate()
+            if file.tell() < total:
+                return {"offset": file.tell()}
+        with self.project.lock, writing(part, "choose another folder"):
+            stem, suffix = Path(name).stem, Path(name).suffix
+            free = (folder / (f"{stem} {k}{suffix}" if k > 1 else name) for k in range(1, 10**6))
+            part.rename(path := next(one for one in free if not one.exists()))
+        return self._added([path])
+
+    def _add(self, path: str) -> Json:
+        """The clips that a path names: a file, or a folder of clips or images."""
+        if not path.strip() or path.startswith("@"):
+            raise RefusedError(400, "name a video, or a folder with videos or images")
+        place = Path(path.strip().strip("\"'")).expanduser()
+        if not place.is_absolute():
+            raise RefusedError(400, f"{place}: give the whole path, as {Path.home() / 'clips'}")
+        if not place.exists():
+            raise RefusedError(422, f"{place}: there is nothing of this name")
+        return self._added(expand([place]).clips)
+
+    def _added(self, paths: Sequence[Path]) -> Json:
+        added = self.project.add(paths)
+        self._new.set()
+        return {"added": [one.id for one in added]}
+
+    def _look_at_new(self) -> None:
+        """Look at clips as they come: a picture, how long they are, and what is likely to be tracked."""
+        while not self.stopping.is_set():
+            self._new.wait()
+            self._new.clear()
+            for clip in [one for one in [*self.project.clips.values()] if not one.frames]:
+                if self.stopping.is_set():
+                    return
+                try:
+                    self._look_at(clip)
+                except FacetrackError as e:
+                    clip.error = " ".join(str(e).splitlines())
+                except Exception as e:
+                    clip.error = self.record(e)
+
+    def _look_at(self, clip: Clip) -> None:
+        with Frames(self.project.place(clip)) as frames:
+            thumb = self._thumb(clip.id)
+            make_folder(thumb.parent)
+            write_new(thumb, jpeg(frames, 0, max(round(max(frames.size) / THUMB_PIXELS), 1)), overwrite=True)
+            likely = likely_in(frames)
+            with self.project.lock:
+                clip.size, clip.frames, clip.likely = frames.size, max(frames.count, 1), likely
+                clip.seconds, clip.what = round(frames.count / float(frames.fps), 2), likely
+                self.project.save()
+
+    def _thumb(self, clip: int) -> Path:
+        return self.project.folder / "thumbs" / f"{clip}.jpg"
+
+    # running
+
+    def _choose(self, clips: Ids, what: What) -> Json:
+        with self.project.lock:
+            for clip in map(self.project.find, clips):
+                if clip.wanted:
+                    raise RefusedError(409, f"{clip.name} is being tracked; stop it first")
+                clip.what, clip.error = what, None
+            self.project.save()
+        return self.state()
+
+    def _want(self, clips: Ids, wanted: bool, again: bool = False) -> Json:
+        """Have clips tracked, `again` from the start, or stop them."""
+        for clip in clips if wanted else ():
+            self._shut_of(clip)
+        self.project.want([*map(self.project.find, clips)], wanted, again=again)
+        return self.state()
+
+    def _pause(self, paused: bool) -> Json:
+        self.project.pause(paused)
+        return self.state()
+
+    def _remove(self, clip: int) -> Json:
+        self._shut_of(clip)
+        self.project.remove(self.project.find(clip))
+        return self.state()
+
+    # looking
+
+    def _video(self, clip: int, v: str = "") -> Answer:
+        return Answer(self.project.run_of(self.project.find(clip)) / VIDEO, kind="video/mp4")
+
+    def _looked(self, clip: int) -> Json:
+        folder = self.project.run_of(self.project.find(clip))
+        return self._look(folder, str(stamp(folder / MANIFEST)))
+
+    # correcting
+
+    def _open_page(
+        self, clip: int, page: Literal["fix", "people", "start"], person: str | None = None, frame: int = 0
+    ) -> Json:
+        """Open the page that corrects a run, or a `person` of a film, or who is who in it, or that chooses a start."""
+        found = self.project.find(clip)
+        folder, name = self.project.run_of(found), f"{page}-{clip}"
+        if person is not None:
+            name += f"-{frame}"
+        with self.lock, contextlib.ExitStack() as stack:
+            self._shut_of()
+            if found.wanted:
+                raise RefusedError(409, f"{found.name} is being tracked; stop it first")
+            if name not in self.opened:
+                if page == "start":
+                    self.opened[name] = self._start_page(found, stack)
+                elif page == "people":
+                    film, how = film_of(people_in(folder), rows_in(folder), None)
+                    if film is None:
+                        raise InputError(f"{folder}: does not name its clip")
+                    frames = stack.enter_context(Frames(film, **how))
+                    self.opened[name] = CastSession(folder, frames, film, video=True)
+                else:
+                    run = open_run(folder) if person is None else open_track(folder, person, frame)
+                    self.opened[name] = fix_page(run, stack)
+                stack.callback(self.opened[name].close)
+                self._open[name] = stack.pop_all()
+        return {"url": f"{name}/"}
+
+    def _start_page(self, clip: Clip, stack: contextlib.ExitStack) -> PickSession:
+        place, out = self.project.place(clip), self.project.start_of(clip)
+        make_folder(out.parent)
+        begun = read_init(out) if out.is_file() else None
+        frames = stack.enter_context(Frames(place))
+        recipe = load_recipe(RECIPES[clip.what])
+        return PickSession(place, frames, out=out, overwrite=True, recipe=recipe, begun=begun)
+
+    def _shut_of(self, clip: int | None = None) -> None:
+        """Close the pages of a clip, or those that have ended."""
+        for name, page in [*self.opened.items()]:
+            if name.split("-")[1] == str(clip) or page.over():
+                self._shut(name)
+
+    def _shut(self, name: str) -> None:
+        """Close a page that was opened; what was corrected and not saved is kept beside the run."""
+        with self.lock:
+            self.opened.pop(name, None)
+            stack = self._open.pop(name, None)
+        if stack is not None:
+            stack.close()
+
+    # exporting
+
+    def _export(self, program: str, clip: int | None = None) -> Answer:
+        """A file for a program, of one clip or of all; it stays in exports/."""
+        known = [name for name, one in PROGRAMS.items() if one.many or clip is not None]
+        if program not in known:
+            raise RefusedError(400, f"{program}: choose among {', '.join(known)}")
+        one, folder = PROGRAMS[program], self.project.folder / "exports"
+        found = None if clip is None else self.project.find(clip)
+        source = self.project.folder / "runs" if found is None else self.project.run_of(found)
+        make_folder(folder, "free some space")
+        path = folder / f"{self.project.folder.name if found is None else found.name}.{one.ending}"
+        with self._exporting, writing(path, "close what uses it"):
+            try:
+                with path.open("wb") as file:
+                    file.write(BOM if one.ending.endswith("csv") and one.name.startswith("Excel") else b"")
+                    file.flush()
+                    call(["export", str(source), "--to", *one.how.split(), "-o", "-"], file, folder)
+            except FacetrackError as e:
+                path.unlink(missing_ok=True)
+                raise UsageError(str(e)) from None  # 422: the page says why
+        saved_as = re.sub(r'[^ -~]|["\\]', "_", path.name)
+        how = (("Content-Disposition", f'attachment; filename="{saved_as}"'),)
+        return Answer(path, kind="application/octet-stream", headers=how)
+
+
+def fix_page(run: Run, stack: contextlib.ExitStack) -> FixSession:
+    """The page that corrects a run; it is at an end before what `stack` holds."""
+    frames = stack.enter_context(Frames(run.clip, fps=run.fps, stream=run.header.source.stream))
+    fixer = stack.enter_context(contextlib.closing(Fixer(run, frames.read)))
+    kept, unsaved = run.folder / UNSAVED, tuple[Correction, ...]()
+    with contextlib.suppress(FacetrackError):  # of another track
+        unsaved = corrections_of(kept, run) if kept.is_file() else ()
+    return FixSession(fixer, frames, unsaved=unsaved)
+
+
+def likely_in(frames: Frames) -> What:
+    """What is likely to be tracked, by the faces and hands that a detector sees in some frames."""
+    proposer = Proposer(frames, recipe := load_recipe("head_hands"), recipe.points)
+    faces = hands = several = 0
+    try:
+        last = min(max(frames.count - 1, 0), LOOKS_WITHIN)
+        for at in sorted({last * k // (LOOKS - 1) for k in range(LOOKS)}):
+            with contextlib.suppress(InputError):
+                found = [one["targets"] for one in proposer(at)["proposals"]]
+                faces, several = faces + bool(found), several + (len(found) > 1)
+                hands += len(found) == 1 and len(found[0]) > 1
+    finally:
+        proposer.close()
+    return "box" if not faces else "everybody" if several else "signer" if 2 * hands > LOOKS else "face"
+
+
+def looked(folder: Path, _: str) -> Json:
+    """Curves of a run, by target, as means of equal spans of time, and its events; times in s."""
+    rows = read_run(folder)
+    begins = np.linspace(float(rows.times[0]), float(rows.times[-1]), max(min(BINS, len(rows.times)), 1))
+    targets = []
+    for name in rows.targets[:CURVES]:
+        parts, measures = rows.of_target(name), rows.measures[name].values()
+        least = np.fmin.reduce([one.confidence for one in parts if len(one) == len(parts[0])])
+        curves = [_curve(one.name, one.unit, one.value, one.time_s, begins) for one in measures]
+        sure = _curve("confidence", "", least, parts[0].time_s, begins)
+        targets.append({"name": name, "curves": [sure, *curves]})
+    keys = ("target", "tier", "value", "begin_s", "end_s")
+    events = [{key: getattr(one, key) for key in keys} for one in rows.events[:EVENTS]]
+    return {"begin": begins[0], "end": begins[-1], "targets": targets, "events": events}
+
+
+def _curve(name: str, unit: str, values: Array, at: Array, begins: Array) -> Json:
+    """The mean of the values from each time to the next, None where there are none."""
+    known = np.isfinite(values)
+    which = np.clip(np.searchsorted(begins, at[known] + 1e-6, "right") - 1, 0, None)
+    count, sums = (np.bincount(which, weights, len(begins)) for weights in (None, values[known]))
+    means = [round(s / n, 4) if n else None for s, n in zip(sums.tolist(), count.tolist(), strict=True)]
+    return {"name": name, "unit": unit, "values": means}

@@ -1,0 +1,352 @@
+"""facetrack app without a browser: the list, the queue of runs, what its server refuses, and what a kill leaves."""
+
+import cv2
+import numpy as np
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.editor import project as project_module
+from facetrack_cli.editor.project import Project
+from facetrack_cli.editor.web.app_session import PROGRAMS, AppSession, likely_in
+from facetrack_cli.editor.web.server import serving
+from facetrack_cli.run_folder.manifest import read_manifest
+from facetrack_cli.video.seek import Frames
+from tests.support.page_client import Client, wait_for
+from tests.support.samples import FOLDER, cut
+
+BOX = "frame: 0\nface:\n  box: [95, 60, 120, 130]\n"
+ACTIVE = ("queued", "running")
+
+
+class App:
+    """A project that is served, and a window of it."""
+
+    def __init__(self, folder):
+        self.session = AppSession(Project(folder))
+        self._serving = serving(self.session)
+        self.client = Client(self._serving.__enter__().url)
+
+    def post(self, path, /, **body):
+        return self.client.ask("POST", f"api/{path}", body)
+
+    def state(self):
+        return self.client.get("api/state").json
+
+    def clips(self):
+        return {one["name"]: one for one in self.state()["clips"]}
+
+    def add(self, *paths):
+        """Add clips, and wait until they were looked at."""
+        for path in paths:
+            assert self.post("add", path=str(path)).status == 200
+        wait_for(lambda: all(one["size"] or one["error"] for one in self.state()["clips"]), "looks at the clips")
+        return self.state()["clips"]
+
+    def rest(self):
+        """The clips, once nothing is to be done any more."""
+        return wait_for(lambda: (s := self.state()["clips"]) and not any(c["state"] in ACTIVE for c in s) and s, "runs")
+
+    def close(self):
+        self.client.close()
+        self._serving.__exit__(None, None, None)
+
+
+@pytest.fixture
+def app(tmp_path):
+    opened = []
+
+    def make(folder=tmp_path / "project"):
+        opened.append(App(folder))
+        return opened[-1]
+
+    yield make
+    for one in opened:
+        one.close()
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    """A face, several people, and something that is no clip."""
+    folder = tmp_path_factory.mktemp("clips")
+    cut("expressions", 30, folder / "smile.mp4")
+    cut("film", 120, folder / "film.mp4")
+    (folder / "notes.mp4").write_text("no clip at all")
+    return folder
+
+
+def boxed(one, clip):
+    """Choose a box, as the page of the start does, which is written by itself."""
+    assert one.post("choose", clips=[clip["id"]], what="box").status == 200
+    start = one.session.project.start_of(one.session.project.find(clip["id"]))
+    start.parent.mkdir(exist_ok=True)
+    start.write_text(BOX)
+    return clip["id"]
+
+
+# --- the list --------------------------------------------------------------------------------------------------------
+
+
+def test_clips_are_dropped_piece_by_piece(app, clips):
+    one, data = app(), (clips / "smile.mp4").read_bytes()
+    half = len(data) // 2
+
+    def put(piece, **query):
+        address = "&".join(f"{name}={value}" for name, value in query.items())
+        return one.client.ask("PUT", f"api/upload?{address}", piece)
+
+    for _ in range(2):  # a piece may be sent again
+        assert put(data[:half], name="smile.mp4", offset=0, total=len(data)).json == {"offset": half}
+    assert put(data[half:], name="smile.mp4", offset=half + 1, total=len(data)).status == 409
+    assert put(data[half:], name="smile.mp4", offset=half, total=len(data)).json == {"added": [1]}
+    assert put(data, name="smile.mp4", offset=0, total=len(data)).json == {"added": [2]}, "never over another file"
+    folder = one.session.project.folder / "clips"
+    assert sorted(path.name for path in folder.iterdir()) == ["smile 2.mp4", "smile.mp4"]
+    assert (folder / "smile.mp4").read_bytes() == data
+    for name in ("..%2Fa.mp4", "a%2Fb.mp4", "%00", "", ".", "a%0Ab"):
+        assert put(b"x", name=name, offset=0, total=1).status == 400
+    assert not list(one.session.project.folder.parent.glob("*.mp4"))
+
+
+def test_a_folder_is_named_and_each_clip_is_looked_at(app, clips, tmp_path):
+    one = app()
+    found = {clip["name"]: clip for clip in one.add(clips)}
+    assert [found[name]["likely"] for name in ("smile.mp4", "film.mp4")] == ["face", "everybody"]
+    assert found["smile.mp4"]["frames"] == 30 and found["smile.mp4"]["size"] == [320, 240]
+    assert found["notes.mp4"]["state"] == "failed" and "notes.mp4" in found["notes.mp4"]["error"]
+    assert {clip["state"] for clip in found.values() if clip["size"]} == {"ready"}
+    thumb = one.client.get(f"api/thumb/{found['smile.mp4']['id']}.jpg")
+    assert cv2.imdecode(np.frombuffer(thumb.data, np.uint8), 1).shape == (240, 320, 3)
+    assert one.post("add", path=str(clips)).json == {"added": []}, "each once"
+    for path, code in (("", 400), ("clips", 400), ("@list", 400), (str(clips / "gone"), 422)):
+        assert one.post("add", path=path).status == code
+    assert one.post("remove", clip=found["notes.mp4"]["id"]).status == 200
+    assert one.post("remove", clip=77).status == 422
+    assert "notes.mp4" not in one.clips() and (clips / "notes.mp4").exists()
+    with Frames(FOLDER / "gestures.mp4") as frames:
+        assert likely_in(frames) == "signer"
+
+
+def test_a_project_that_another_program_wrote_is_refused(tmp_path, capsys):
+    for text in ('{"clips": 3}', "no", '{"clips": [{"id": 1, "path": "a.mp4", "name": "../../elsewhere"}]}'):
+        (tmp_path / "project.json").write_text(text)
+        with pytest.raises(InputError, match=r"project\.json: is not as facetrack app writes it"):
+            Project(tmp_path)
+    assert main(["app", str(tmp_path), "--no-open"]) == 3
+    assert "is not as facetrack app writes it" in capsys.readouterr().err
+
+
+def test_a_project_is_open_once(app, tmp_path, capsys):
+    one = app()
+    assert main(["app", str(one.session.project.folder), "--no-open"]) == 2
+    assert "is open already; go to its page" in capsys.readouterr().err
+
+
+# --- runs ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_clip_is_run_looked_at_and_exported(app, clips):
+    one = app()
+    [clip] = one.add(clips / "smile.mp4")
+    assert one.post("want", clips=[clip["id"]], wanted=True).status == 200
+    [done] = one.rest()
+    assert (done["state"], done["done"], done["error"]) == ("done", 30, None)
+    folder = one.session.project.run_of(one.session.project.find(1))
+    assert read_manifest(folder).complete, "an ordinary run"
+
+    video = one.client.get("api/video/1.mp4")
+    whole = (folder / "annotated.mp4").read_bytes()
+    assert video.data == whole and video.headers["Accept-Ranges"] == "bytes"
+    for asked, part in (("bytes=5-9", whole[5:10]), ("bytes=-4", whole[-4:]), ("bytes=8-", whole[8:])):
+        got = one.client.get("api/video/1.mp4", Range=asked)
+        assert (got.status, got.data) == (206, part) and got.headers["Content-Range"].endswith(f"/{len(whole)}")
+    assert one.client.get("api/video/1.mp4", Range=f"bytes={len(whole)}-").status == 416
+    assert one.client.get("api/video/1.mp4", Range="lines=1-2").status == 200
+
+    look = one.client.get("api/look/1").json
+    [face] = look["targets"]
+    assert face["name"] == "face" and "mouth_opening" in [curve["name"] for curve in face["curves"]]
+    assert len(face["curves"][0]["values"]) == 30 and 0 <= face["curves"][0]["values"][3] <= 1
+    table = one.client.get("api/export/1?program=excel")
+    assert table.data.startswith(b"\xef\xbb\xbfframe,") and len(table.data.splitlines()) == 31
+    assert table.headers["Content-Disposition"] == 'attachment; filename="smile.csv"'
+    assert b"ANNOTATION_DOCUMENT" in one.client.get("api/export/1?program=elan").data
+    refused = one.client.get("api/export/1?program=labelstudio")
+    assert refused.status == 422 and refused.json["error"].startswith("face/"), "no path, no traceback"
+    assert one.client.get("api/export?program=measures").data.startswith(b"\xef\xbb\xbfclip,frame,")
+    assert one.client.get("api/export?program=elan").status == 400
+    assert one.client.get("api/export/1?program=word").status == 400
+    assert sorted(path.name for path in (one.session.project.folder / "exports").iterdir()) == [
+        "project.measures.csv", "smile.csv", "smile.eaf",
+    ]  # fmt: skip
+
+    url = one.post("open", clip=1, page="fix").json["url"]
+    assert one.client.get(f"{url}api/session").json["mode"] == "fix" and b"app.js" in one.client.get(url).data
+    assert one.post("open", clip=1, page="fix").json["url"] == url
+    assert one.client.ask("POST", f"{url}api/done", {}).status == 200
+    wait_for(lambda: one.state() and one.client.get(f"{url}api/session").status == 404, "the end of the page")
+    start = one.post("open", clip=1, page="start").json["url"]
+    assert one.client.get(f"{start}api/session").json["mode"] == "pick"
+
+    assert one.post("remove", clip=1).status == 200
+    assert [path.name for path in (one.session.project.folder / "removed").iterdir()] == ["smile-face"]
+    [again] = one.add(clips / "smile.mp4")
+    assert again["state"] == "ready" and not again["start"], "what was made of it before is not taken for its own"
+    assert one.client.get("api/export/1?program=excel").status == 404
+
+
+def test_a_run_that_fails_says_so_in_one_line_and_the_next_goes_on(app, clips, tmp_path):
+    lost, good = cut("expressions", 20, tmp_path / "gone.mp4"), clips / "smile.mp4"
+    one = app()
+    first, second = one.add(lost, good)
+    lost.unlink()
+    for clip in (first, second):
+        boxed(one, clip)
+    assert one.post("want", clips=[1, 2], wanted=True).status == 200
+    failed, done = one.rest()
+    assert failed["state"] == "failed" and "gone.mp4" in failed["error"] and "\n" not in failed["error"]
+    assert done["state"] == "done"
+    assert one.post("choose", clips=[2], what="face").json["clips"][1]["state"] == "ready", "a folder for each choice"
+    assert one.post("choose", clips=[2], what="box").json["clips"][1]["state"] == "done"
+
+
+def test_what_cannot_be_started_is_told_and_the_queue_lives_on(app, clips, monkeypatch):
+    one = app()
+    boxed(one, one.add(clips / "smile.mp4")[0])
+
+    def fails(*_, **__):
+        raise OSError(12, "Cannot allocate memory")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(project_module.subprocess, "Popen", fails)
+        one.post("want", clips=[1], wanted=True)
+        [clip] = one.rest()
+    assert clip["state"] == "failed" and "Cannot allocate memory" in clip["error"]
+    one.post("want", clips=[1], wanted=True)
+    assert one.rest()[0]["state"] == "done"
+
+
+def test_a_box_must_be_drawn_first(app, clips):
+    one = app()
+    [clip] = one.add(clips / "smile.mp4")
+    state = one.post("choose", clips=[clip["id"]], what="box").json
+    assert state["clips"][0]["state"] == "needs box"
+    got = one.post("want", clips=[clip["id"]], wanted=True)
+    assert got.status == 422 and "draw the box first" in got.json["error"]
+    url = one.post("open", clip=clip["id"], page="start").json["url"]
+    about = one.client.get(f"{url}api/session").json
+    assert about["requirements"][0]["box"] == "needed" and not about["requirements"][0]["points"]
+
+
+@pytest.fixture(scope="module")
+def long(tmp_path_factory):
+    return cut("expressions", 1200, tmp_path_factory.mktemp("long") / "long.mp4")
+
+
+def running(one, at_least=1):
+    return wait_for(
+        lambda: [c for c in one.state()["clips"] if c["state"] == "running" and c["done"] >= at_least], "a run", 240
+    )
+
+
+def test_the_queue_is_paused_stopped_and_goes_on_where_it_was(app, clips, long):
+    one = app()
+    first, second = one.add(long, clips / "smile.mp4")
+    for clip in (first, second):
+        boxed(one, clip)
+    one.post("want", clips=[1, 2], wanted=True)
+    running(one, 1001)  # at 1000 frames is a checkpoint
+    assert one.clips()["smile.mp4"]["state"] == "queued"
+    assert one.post("choose", clips=[1], what="face").status == 409
+    state = one.post("pause", paused=True).json
+    assert state["paused"]
+    wait_for(lambda: one.state()["running"] is None, "the pause")
+    assert [clip["state"] for clip in one.state()["clips"]] == ["paused", "paused"]
+    kept = one.clips()["long.mp4"]["done"]
+    assert kept > 0
+    one.post("pause", paused=False)
+    running(one, 1001)
+    one.post("want", clips=[1], wanted=False)
+    stopped, done = one.rest()
+    assert (stopped["state"], done["state"]) == ("stopped", "done") and stopped["done"] >= 1000
+    assert one.client.get("api/look/1").status == 200, "what was tracked may be looked at"
+    one.post("want", clips=[1], wanted=True)
+    assert one.rest()[0]["state"] == "done"
+    manifest = read_manifest(one.session.project.run_of(one.session.project.find(1)))
+    assert manifest.complete and manifest.frames == 1200 and manifest.resumed == 1000
+
+
+def test_after_a_kill_all_is_there_and_goes_on(app, clips, long, command, tmp_path):
+    folder = tmp_path / "project"
+    one = app(folder)
+    for clip in one.add(long, clips / "smile.mp4"):
+        boxed(one, clip)
+    one.close()
+    killed = command("app", folder, "--no-open")
+    client = Client(killed.url)
+    client.ask("POST", "api/want", {"clips": [1, 2], "wanted": True})
+    wait_for(lambda: client.get("api/state").json["clips"][0]["done"] > 0, "the run")
+    killed.kill()
+    client.close()
+
+    two = app(folder)
+    assert two.state()["paused"]
+    wait_for(lambda: {clip["state"] for clip in two.state()["clips"]} == {"paused"}, "the end of what was killed")
+    two.post("pause", paused=False)
+    assert [clip["state"] for clip in two.rest()] == ["done", "done"]
+    assert read_manifest(two.session.project.run_of(two.session.project.find(1))).frames == 1200
+
+
+def test_a_run_that_outlives_the_app_is_not_begun_twice(app, clips, monkeypatch, tmp_path):
+    one = app()
+    [clip] = one.add(clips / "smile.mp4")
+    boxed(one, clip)
+    real, told = project_module.clip_status, []
+
+    def status(folder, name, clip):
+        found = real(folder, name, clip)
+        told.append(found.state)
+        if len(told) < 8 and found.state == "not begun":
+            return project_module.ClipStatus(clip, name, "running", frames=7)
+        return found
+
+    monkeypatch.setattr(project_module, "clip_status", status)
+    one.post("want", clips=[1], wanted=True)
+    assert (shown := one.clips()["smile.mp4"])["state"] == "running" and shown["done"] == 7
+    assert one.state()["running"] is None
+    assert one.rest()[0]["state"] == "done"
+
+
+# --- who may use it --------------------------------------------------------------------------------------------------
+
+
+def test_pages_below_have_the_guards_of_the_page(app, clips):
+    one = app()
+    one.add(clips / "smile.mp4")
+    url = one.post("open", clip=1, page="start").json["url"]
+    port, base = one.client.port, one.client.base
+    for method, path in (
+        ("GET", f"{url}api/state"), ("PUT", "api/upload?name=a&offset=0&total=1"), ("GET", "api/video/1.mp4"),
+        ("POST", "api/want"), ("POST", f"{url}api/save"),
+    ):  # fmt: skip
+        for address, headers in (
+            (f"/wrong/{path}", {}),
+            (base + path, {"Host": f"evil.example:{port}"}),
+            (base + path, {"Origin": "http://evil.example"}),
+        ):
+            got = one.client.ask(method, address, None if method == "GET" else b"{}", headers)
+            assert got.status == 403, (path, headers)
+    assert not list((one.session.project.folder).glob("clips/*"))
+    assert one.client.get("start-99/api/state").status == 404
+    assert one.client.get(f"{url}../api/state").status == 404
+    policy = one.client.get("").headers["Content-Security-Policy"]
+    assert policy.startswith("default-src 'self'") and b"home.js" in one.client.get("").data
+    assert set(PROGRAMS) == set(one.state()["programs"])
+
+
+def test_it_ends_by_its_button(app, command, tmp_path):
+    served = command("app", tmp_path / "p", "--no-open")
+    client = Client(served.url)
+    assert client.ask("POST", "api/quit", {}).status == 200
+    client.close()
+    assert served.ended()[0] == 0

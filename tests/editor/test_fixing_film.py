@@ -1,0 +1,134 @@
+"""The points of a film's people are corrected: one track, which takes its place in the film."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.types import Correction, TargetStart
+from facetrack_cli.editor.film_track import open_track
+from facetrack_cli.editor.history import Fixer
+from facetrack_cli.editor.save import keep, save
+from facetrack_cli.runs.people import people_in, recast, rows_in
+from facetrack_cli.trackers.face.target import FaceTarget
+from facetrack_cli.trajectory import people as changes
+from facetrack_cli.trajectory.header import UNSAVED
+from facetrack_cli.video.seek import Frames
+from tests.support.film_run import FILM, film_run
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    return film_run(tmp_path_factory)
+
+
+@pytest.fixture
+def film(ran, tmp_path):
+    return shutil.copytree(ran, tmp_path / "film")
+
+
+def moved(run, rows, frame, by=3.0):
+    """The nose of the track's person, moved, with all else where it is."""
+    nose = rows.find(run.rows.targets[0], "nose").at(frame)
+    place = (round(float(nose.x[0]) + by, 2), round(float(nose.y[0]), 2))
+    return Correction(frame, run.rows.targets[0], TargetStart(points={"nose": place}))
+
+
+@pytest.fixture
+def fixer(film):
+    """The second track of the first person."""
+    track = [one for one in people_in(film).tracks if one.person == "person_1"][1]
+    run = open_track(film, "person_1", track.first + 3)
+    assert (run.first, run.last + 1) == (track.first, track.stop)
+    with Frames(FILM) as frames:
+        one = Fixer(run, frames.read)
+        yield one
+        one.close()
+
+
+def test_a_track_is_corrected_and_takes_its_place_in_the_film(film, fixer):
+    before, run = rows_in(film), fixer.run
+    at = run.first + 8
+    fixer.put([moved(run, fixer.rows, at)])
+    fixer.put([Correction(run.first + 2, "person_1", confirmed=("nose",))])
+    lines = save(fixer, video=False)
+    assert f"{film / 'trajectory.json'}: written" in lines
+    after = rows_in(film)
+    assert after.names == before.names and len(after) == len(before)
+    nose, was = after.find("person_1", "nose"), before.find("person_1", "nose")
+    differ = nose.frame[nose.x != was.x]
+    assert differ.min() == at and differ.max() <= run.last and len(differ) > 5
+    assert nose.frame[nose.by_hand].tolist() == [run.first + 2, at]
+    np.testing.assert_array_equal(after.find("person_2", "nose").x, before.find("person_2", "nose").x)
+    assert people_in(film).corrections == (f"fix person_1@{run.first}f",)
+    assert all((film / one.still).is_file() for one in people_in(film).people)
+    assert not (film / UNSAVED).exists()
+    assert main(["report", str(film), "-q"]) == 0, "all else reads it as before"
+
+
+def test_what_was_corrected_is_known_again_and_goes_with_its_person(film, fixer):
+    first = fixer.run.first
+    fixer.put([moved(fixer.run, fixer.rows, first + 8)])
+    fixer.put([Correction(first + 12, "person_1", absent=True)])
+    fixer.put([Correction(first + 2, "person_1", confirmed=("nose",))])
+    said = fixer.corrections
+    save(fixer, video=False)
+    recast(film, [("rename", lambda tracks: changes.rename(tracks, "person_1", "Eileen"))], video=False)
+    again = open_track(film, "Eileen", first)
+    told = again.start.corrections
+    assert [(one.frame, one.confirmed, one.absent) for one in told] == [
+        (one.frame, one.confirmed, one.absent) for one in said
+    ]
+    assert told[1].given == said[1].given and {one.target for one in told} == {"Eileen"}
+    with Frames(FILM) as frames:
+        other = Fixer(again, frames.read)
+        other.remove(first + 12, "Eileen")
+        assert not (other.rows.status[other.rows.frame > first + 12] == "absent").any()
+        save(other, video=False)
+        other.close()
+    assert [one.frame for one in open_track(film, "Eileen", first).start.corrections] == [first + 2, first + 8]
+
+
+def test_a_corrected_face_is_not_found_again_as_somebody_else(fixer, monkeypatch):
+    seen = []
+    real = FaceTarget.advance
+    monkeypatch.setattr(FaceTarget, "advance", lambda self, *rest: (seen.append(self.alone), real(self, *rest))[1])
+    fixer.put([moved(fixer.run, fixer.rows, fixer.run.first + 8)])
+    assert seen and not any(seen)
+
+
+def test_what_changed_meanwhile_is_not_written_over(film, fixer):
+    fixer.put([moved(fixer.run, fixer.rows, fixer.run.first + 8)])
+    assert keep(fixer) == film / UNSAVED
+    recast(film, [("rename", lambda tracks: changes.rename(tracks, "person_1", "Eileen"))], video=False)
+    before = (film / "trajectory.json").read_bytes()
+    with pytest.raises(InputError, match="who is who was changed meanwhile"):
+        save(fixer)
+    assert (film / "trajectory.json").read_bytes() == before
+
+
+def test_who_is_not_there_is_refused(film, capsys):
+    with pytest.raises(InputError, match="person_2 is not seen in frame 3"):
+        open_track(film, "person_2", 3)
+    with pytest.raises((InputError, UsageError)):
+        open_track(film, "nobody", 3)
+    assert main(["fix", str(film)]) == 3
+    assert "--person NAME@TIME of facetrack fix" in capsys.readouterr().err
+    assert main(["fix", str(film), "--person", "person_2"]) == 2
+    assert main(["fix", str(film), "--person", "person_2@0:00"]) == 3
+    data = json.loads((film / "people.json").read_text())
+    assert data["corrections"] == []
+
+
+def test_the_command_applies_a_file_to_a_track(film, tmp_path, capsys):
+    run = open_track(film, "person_1", 0)
+    init = tmp_path / "c.yaml"
+    init.write_text(f"frame: {run.first}\nperson_1:\n  box: {list(run.start.targets['person_1'].box)}\n"
+                    f"corrections:\n- frame: 5\n  person_1:\n    confirmed: [nose]\n")  # fmt: skip
+    assert main(["fix", str(film), "--person", "person_1@0:00", "--init", str(init), "--no-video"]) == 0
+    nose = rows_in(film).find("person_1", "nose")
+    assert nose.frame[nose.by_hand].tolist() == [5]
+    assert "trajectory.json: written" in capsys.readouterr().err
