@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame, Mask, Particles
 from facetrack_cli.recipe import face
-from facetrack_cli.tracking.face.descent import looks
+from facetrack_cli.tracking.kernels.orientations import looks
 from facetrack_cli.tracking.models.spaces import Context
 
 Channels = NDArray[np.float32]  # (H, W, 2)
