@@ -58,7 +58,9 @@ class Frame:
     _reduced: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
     _luma: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
     _grey: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
-    _patches: dict[Hashable, tuple[Array, NDArray[np.float32]]] = field(default_factory=dict, repr=False, compare=False)
+    _patches: dict[Hashable, tuple[object, NDArray[np.float32]]] = field(
+        default_factory=dict, repr=False, compare=False
+    )
     aspect: float = field(default=1.0, kw_only=True)
 
     @property
@@ -156,7 +158,7 @@ class Frame:
         known = self._patches.get(key)
         return None if known is None else known[1]
 
-    def remember(self, key: Hashable, of: Array, values: NDArray[np.float32]) -> None:
+    def remember(self, key: Hashable, of: object, values: NDArray[np.float32]) -> None:
         """Keep `values` for `remembered`, with the last few others, and `of`, whose id may be part of the key."""
         if len(self._patches) >= MAX_REMEMBERED:
             del self._patches[next(iter(self._patches))]

@@ -253,9 +253,10 @@ class FaceTarget:
     ) -> tuple[FaceState, TargetResult]:
         """The points in a frame of which there is a `view`; a head without a `box` goes with them."""
         odds, features, shift = view.parts.odds, state.features, view.shift
-        if isinstance(features.learned, window_ncc.WindowState):
-            features = replace(features, learned=features.learned._replace(told=odds))
         features = shifted(features, lambda x: x + shift)
+        if isinstance(features.learned, window_ncc.WindowState):
+            within = self._within(features.estimated, view.measured)
+            features = replace(features, learned=features.learned._replace(told=odds, within=within))
         given = view.measured if isinstance(self.features.motion, JumpingWalk) else None  # others have the shift alone
         features, points = self.features.advance(rng, features, view.seen, (), given)
         estimated, visible = features.estimated, self._visible(features)
@@ -299,6 +300,13 @@ class FaceTarget:
         """(K,) how visible the parts are, where their likelihood says so."""
         known = isinstance(features.learned, window_ncc.WindowState)
         return np.asarray(features.learned.visible if known else np.ones(len(self.features.parts)))
+
+    def _within(self, before: Estimate, measured: Sequence[SensorReading]) -> float:
+        """How far parts are from where they are expected, in pixels, by their spread and by what is `measured`."""
+        expected, far = self.features.motion.expect(before.state[None])[0], 0.0
+        for one in measured:
+            far = max(far, np.abs(np.where(one.sure[:, None] > 0.5, one.z - expected, 0.0)).max())
+        return float(far + 3 * math.sqrt(before.cov[:, [0, 1], [0, 1]].max()))
 
     def _judged(self, features: ParticleState, view: View, found: Estimate) -> tuple[Array, Array]:
         """By how much it is said that sensors see parts (S, K), and that windows do (K,), in log odds.

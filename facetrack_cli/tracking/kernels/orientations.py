@@ -115,7 +115,9 @@ def _slopes(values, across, down):
     for y in range(height):
         above, here, below = values[abs(y - 1)], values[y], values[height - 1 - abs(height - 2 - y)]
         for x in range(1, width - 1):
-            across[y, x] = above[x + 1] - above[x - 1] + _TWO * (here[x + 1] - here[x - 1]) + below[x + 1] - below[x - 1]
+            across[y, x] = (
+                above[x + 1] - above[x - 1] + _TWO * (here[x + 1] - here[x - 1]) + below[x + 1] - below[x - 1]
+            )
             down[y, x] = below[x - 1] - above[x - 1] + _TWO * (below[x] - above[x]) + below[x + 1] - above[x + 1]
         across[y, 0] = across[y, width - 1] = _ZERO  # the border reflects
         down[y, 0] = _TWO * (below[1] - above[1] + below[0] - above[0])
@@ -139,7 +141,7 @@ def _over_rms(values, reach, out, squares, around, sums):
 
 @fast_part
 def _mean(values, reach, out, sums):
-    """The means over squares that reach so far: sums down the image, and of these across it, in eight rows at a time."""
+    """The means over squares that reach so far: sums down the image, and of these across it, eight rows at a time."""
     height, width = values.shape
     column, eight = np.zeros(width, np.float32), np.empty(8, np.float32)
     share = _ONE / np.float32((2 * reach + 1) ** 2)
@@ -194,8 +196,8 @@ def _read(seen, x, offsets, scale, out):
     height, width = seen.shape[1], seen.shape[2] - 2 * _REACH
     for k in range(len(x)):
         for g in range(len(offsets)):
-            column = min(max(int(round(x[k, 0] + scale * offsets[g, 0])), 0), width - 1)
-            row = min(max(int(round(x[k, 1] + scale * offsets[g, 1])), 0), height - 1)
+            column = min(max(round(x[k, 0] + scale * offsets[g, 0]), 0), width - 1)
+            row = min(max(round(x[k, 1] + scale * offsets[g, 1]), 0), height - 1)
             for c in range(len(seen)):
                 p = seen[c, row, column : column + 9]
                 near = _FIVE * p[4] + _FOUR * (p[3] + p[5]) + _THREE * (p[2] + p[6]) + _TWO * (p[1] + p[7])

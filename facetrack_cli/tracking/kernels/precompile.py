@@ -28,6 +28,8 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "cells._of_scales": ("u1:2 f8 f8 f8:2 i8 f4:2 i8:2 f4:1 f4:3 f4:2 f4:2 i4:1 f4:4", _CELLS),
     "orientations._channels": ("f4:3 f4:2 b1 f4:3 f4:3", "head"),
     "orientations._descend": ("f4:3 f8:2 f8:2 f8:1 f4:3 f4:3 f4:1", "head"),
+    "correlations.greatest": ("f4:3 f4:5 i8:1 i8:2 f8:2 f4:3", "likelihood=window_ncc"),
+    "correlations.matched": ("f4:3 f4:5 i8:1 i8:2 f8:3 f4:4 f8:3", "likelihood=window_ncc"),
     "affine.read_patches": ("u1:2 i8 i8 i8 i8 i8 f8x4 f8:2 f8 f8 i8 i8", "target=affine"),
     "mixture.log_densities": ("f4:2r f4:2 f4:2 f4:2 f8 b1", _LOOKS),
     "windows._distances": ("u1:2 f4:1 i8:1 i8:2 i8:1 f8:3 i8 i8 i8 f8 i8 f8 f4:1 f4:1 f8:2", _COLOURS),
