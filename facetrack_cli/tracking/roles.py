@@ -8,7 +8,7 @@ from numpy.random import Generator
 from facetrack_cli.core.types import Array, Frame, Image, Mask, Particles, TargetStart
 from facetrack_cli.tracking.confidence import ComparesParts
 from facetrack_cli.tracking.guides import Guides
-from facetrack_cli.tracking.models.motion import Linear
+from facetrack_cli.tracking.models.motion import Linear, ScoredMaps
 from facetrack_cli.trajectory.diagnostics import Diagnostic
 from facetrack_cli.trajectory.trajectory import TargetResult
 
@@ -50,6 +50,13 @@ class PreparesFrame(Protocol):
     """A likelihood that looks at a frame once, before any particle is drawn."""
 
     def look(self, learned: Any, frame: Frame, expected: Array) -> Any: ...  # around the expected state (K, D)
+
+
+@runtime_checkable
+class ScoresByMaps(Protocol):
+    """A likelihood that reads what it says of a frame from maps."""
+
+    def scored(self, learned: Any) -> ScoredMaps: ...
 
 
 @runtime_checkable

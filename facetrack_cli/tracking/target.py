@@ -41,6 +41,7 @@ from facetrack_cli.tracking.roles import (
     PreparesFrame,
     ProposesModes,
     Reports,
+    ScoresByMaps,
     ScoresPatches,
 )
 from facetrack_cli.tracking.smoothing import Belief, belief
@@ -248,6 +249,10 @@ class ParticleTarget:
         return self.likelihood if isinstance(self.likelihood, PreparesFrame) else None
 
     @cached_property
+    def _scores_by_maps(self) -> ScoresByMaps | None:
+        return self.likelihood if isinstance(self.likelihood, ScoresByMaps) else None
+
+    @cached_property
     def _estimates_visibility(self) -> EstimatesVisibility | None:
         return self.likelihood if isinstance(self.likelihood, EstimatesVisibility) else None
 
@@ -341,13 +346,17 @@ class ParticleTarget:
 
 @dataclass(frozen=True)
 class Bound:
-    """A target with one frame bound in: the model that filters see (`filters.FrameModel`)."""
+    """A target with one frame bound in: the model that filters see (`filters.FrameModel`).
+
+    `known` are draws whose log likelihoods were computed with them, by the draws' ids.
+    """
 
     target: ParticleTarget
     state: ParticleState
     frame: Frame
     footprints: Sequence[Footprint] = ()
     measured: Sequence[SensorReading] | None = None
+    known: dict[int, tuple[Array, Array]] = field(default_factory=dict)
 
     @cached_property
     def ahead(self) -> Prediction:
@@ -370,7 +379,12 @@ class Bound:
         predicts, motion = self.target._predicts, self.target.motion
         if self.measured is not None:
             assert isinstance(motion, JumpingWalk)
-            return motion.propagate_given(rng, x, self.measured)
+            if self.target._scores_by_maps is None or self.target.exclusion is not None:
+                return motion.propagate_given(rng, x, self.measured)
+            windows = self.target._scores_by_maps.scored(self.state.learned)
+            drawn, log_p = motion.propose(rng, x, self.measured, windows)
+            self.known[id(drawn)] = drawn, log_p
+            return drawn
         if predicts is None:
             return motion.propagate(rng, x)
         return predicts.propagate(rng, x, self.ahead.shift, self.ahead.noise)
@@ -382,6 +396,8 @@ class Bound:
         return self._of_present(self.target.motion.log_transition(x, parents))
 
     def log_likelihood(self, x: Array, parents: Array) -> Array:
+        if (known := self.known.get(id(x))) is not None:
+            return self._of_present(known[1])
         log_p = self.target.likelihood.score(self.state.learned, self.frame, x, parents)
         if self.measured is not None:
             assert isinstance(self.target.motion, JumpingWalk)

@@ -40,6 +40,10 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "ncc.read_patch": ("u1:2 f8 f8 f8 i8 i8", _NCC),
     "ncc.variances": ("f8:2x5 f8:2 i8 i8 i8 i8", _NCC),
     "walk._arrive": ("f8:2 f8:2 f8:2 f8 f8:1 f8:1 f8:1 f8:1 f8:1 i8:1 f8:2 f8:2 f8:1", "motion=visible_walk"),
+    "walk._jump": (
+        "f8:3 f8:2 f8:3 f8:3 f8:2 f8:2 f8:1 f8:1 f8 f8:2 f8 f8 f4:3 f8:2 f8:1 f8 f8 f8:2 f8:3 f8:2",
+        "motion=jumping_walk",
+    ),
     "cells.multiply": ("f4:3 f4:3 f4:3", _CELLS),
     "mixture.errors": ("f4:2r f4:2 f4:2 f4:2", "velocity"),
     "histogram.match_integral": ("u2:2 i8:2 i8:2 f8:1 f4:2", "histogram"),

@@ -8,12 +8,13 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.core.types import BOX, Array, Particles
 from facetrack_cli.recipe import affine, correlation_filter, face, points, regions
 from facetrack_cli.tracking.guides import Arrived
 from facetrack_cli.tracking.kernels.affine import diffuse
-from facetrack_cli.tracking.kernels.walk import arrive
+from facetrack_cli.tracking.kernels.walk import arrive, jump
 from facetrack_cli.tracking.models.spaces import VISIBLE, Context
 
 ANY: Final = 0.3  # share of draws that do not follow what a sensor and the last place make likely
@@ -70,6 +71,16 @@ class SensorReading(NamedTuple):
     var: Array
     sure: Array
     area: float
+
+
+class ScoredMaps(NamedTuple):
+    """log p(y | x) of parts as log(v exp(s (r(x) - 1)) + (1 - v) exp(-floor s)), r read from maps, as by WindowNcc."""
+
+    maps: NDArray[np.float32]
+    corner: Array
+    visible: Array
+    sharpness: float
+    floor: float
 
 
 def _proposed(log_p: Array) -> Array:
@@ -136,6 +147,14 @@ class JumpingWalk:
         mean, var, log_p = self._components(parents, measured)
         log_n = -0.5 * np.sum((x - mean) ** 2, axis=3) / var - np.log(2 * np.pi * var)
         return np.asarray(_log_sum(log_p + log_n) - _log_sum(np.log(_proposed(log_p)) + log_n))
+
+    def propose(
+        self, rng: np.random.Generator, x: Array, measured: Sequence[SensorReading], windows: ScoredMaps
+    ) -> tuple[Array, Array]:
+        """`propagate_given`, and `log_measured` with the score by `windows` of what it gives, (N, K), in one kernel."""
+        uniform, normal = rng.random(x.shape[:2]), rng.standard_normal(x.shape)
+        steps = self.sigma, self.jump, self.jumps
+        return jump(x, uniform, normal, modes(measured, x.shape[1]), steps, self.rest, self.keep, ANY, *windows)
 
     def _components(self, x: Array, measured: Sequence[SensorReading]) -> tuple[Array, Array, Array]:
         """Means (C, N, K, 2) and variances (C, 1, K) of a part, log p(z and this | a^-) (C, N, K).

@@ -35,6 +35,7 @@ from facetrack_cli.core.types import Array, Frame, Mask, Particles, Whole
 from facetrack_cli.recipe import face
 from facetrack_cli.tracking.kernels.correlations import greatest, matched
 from facetrack_cli.tracking.kernels.orientations import looks
+from facetrack_cli.tracking.models.motion import ScoredMaps
 from facetrack_cli.tracking.models.spaces import Context
 
 Channels = NDArray[np.float32]
@@ -139,6 +140,13 @@ class WindowNcc:
         """log p(y | x) of each part but for a constant, x (N, K, 2) -> (N, K); parents do not matter."""
         v, s = np.clip(learned.visible, *BOUNDS), self.settings.sharpness
         return np.logaddexp(np.log(v) + s * (self.correlation(learned, x) - 1), np.log1p(-v) - FLOOR * s)
+
+    def scored(self, learned: WindowState) -> ScoredMaps:
+        """What `score` reads."""
+        assert learned.maps is not None and learned.corner is not None
+        return ScoredMaps(
+            learned.maps, learned.corner, np.clip(learned.visible, *BOUNDS), self.settings.sharpness, FLOOR
+        )
 
     def distances(self, learned: WindowState, frame: Frame, x: Array) -> Array:
         """1 - r of windows at x (N, K, 2) -> (N, K)."""
