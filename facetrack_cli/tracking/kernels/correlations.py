@@ -1,0 +1,136 @@
+"""Normalised correlation of windows in two channels with templates that lie side by side in one array.
+
+Of K parts there are up to T templates, `windows` (K, T, 2, H, W), each of unit norm and zero mean in both channels,
+zero beyond the part's own sides; W is a multiple of 4. Beyond the border of an image its outermost pixels count.
+"""
+
+import numpy as np
+
+from facetrack_cli.tracking.kernels.compiled import fast, fast_part
+
+_LANES = 16
+_ZERO, _TINY = np.float32(0.0), np.float32(1e-6)
+
+
+@fast
+def greatest(seen, windows, count, sides, corner, maps):
+    """`maps` (K, S, S): the greatest correlation at the whole pixels from `corner` (K, 2) on.
+
+    `seen` (2, H, W) are the channels of an image. Part k has `count[k]` templates of `sides[k]` = (w, h) pixels.
+    """
+    side, padded = maps.shape[1], windows.shape[4]
+    blocks = (side + _LANES - 1) // _LANES
+    wide = blocks * _LANES + padded - 1
+    region = np.empty((2, side + windows.shape[3] - 1, wide), np.float32)
+    energy, sums = np.empty((side, side), np.float32), np.empty((2, wide), np.float32)
+    best = np.empty(_LANES, np.float32)
+    for k in range(len(windows)):
+        w, h = sides[k, 0], sides[k, 1]
+        _region(seen, int(corner[k, 0]) - w // 2, int(corner[k, 1]) - h // 2, side + h - 1, region)
+        _energies(region, w, h, sums, energy)
+        for t in range(count[k]):
+            for i in range(side):
+                for first in range(0, side, _LANES):
+                    best[:] = _ZERO
+                    for c in range(2):
+                        for y in range(h):
+                            row, template = region[c, i + y], windows[k, t, c, y]
+                            for x in range(0, padded, 4):
+                                t0, t1, t2, t3 = template[x], template[x + 1], template[x + 2], template[x + 3]
+                                part = row[first + x : first + x + _LANES + 3]
+                                for j in range(_LANES):
+                                    left, right = t0 * part[j] + t1 * part[j + 1], t2 * part[j + 2] + t3 * part[j + 3]
+                                    best[j] += left + right
+                    for j in range(min(_LANES, side - first)):
+                        r = best[j] / np.sqrt(energy[i, first + j] + _TINY)
+                        maps[k, i, first + j] = r if t == 0 else max(maps[k, i, first + j], r)
+
+
+@fast_part
+def _region(seen, left, top, rows, region):
+    """The pixels from (left, top) on, less their means: so float32 is enough for sums of squares."""
+    height, width = seen.shape[1:]
+    for c in range(2):
+        mean = _ZERO
+        for y in range(rows):
+            source = seen[c, min(max(top + y, 0), height - 1)]
+            for x in range(region.shape[2]):
+                region[c, y, x] = source[min(max(left + x, 0), width - 1)]
+                mean += region[c, y, x]
+        mean /= np.float32(rows * region.shape[2])
+        for y in range(rows):
+            for x in range(region.shape[2]):
+                region[c, y, x] -= mean
+
+
+@fast_part
+def _energies(region, w, h, sums, energy):
+    """The sums of squares of windows about their means, both channels together."""
+    side, share = len(energy), np.float32(1.0 / (w * h))
+    energy[:] = _ZERO
+    for c in range(2):
+        sums[:] = _ZERO
+        for y in range(h - 1):
+            for x in range(region.shape[2]):
+                sums[0, x] += region[c, y, x]
+                sums[1, x] += region[c, y, x] ** 2
+        for i in range(side):
+            for x in range(region.shape[2]):
+                sums[0, x] += region[c, i + h - 1, x]
+                sums[1, x] += region[c, i + h - 1, x] ** 2
+            one, two = _ZERO, _ZERO
+            for x in range(w - 1):
+                one += sums[0, x]
+                two += sums[1, x]
+            for j in range(side):
+                one += sums[0, j + w - 1]
+                two += sums[1, j + w - 1]
+                energy[i, j] += max(two - one * one * share, _ZERO)
+                one -= sums[0, j]
+                two -= sums[1, j]
+            for x in range(region.shape[2]):
+                sums[0, x] -= region[c, i, x]
+                sums[1, x] -= region[c, i, x] ** 2
+
+
+@fast
+def matched(seen, windows, count, sides, at, found, like):
+    """The windows at places `at` (M, K, 2), read bilinearly: `like` (M, K, T), their correlation with each template.
+
+    `found` (K, 2, H, W) are those of the last places, of unit norm. Of templates that a part lacks nothing is said.
+    """
+    height, width = seen.shape[1:]
+    for m in range(len(at)):
+        for k in range(len(windows)):
+            w, h = sides[k, 0], sides[k, 1]
+            left, top = at[m, k, 0] - (w - 1) / 2, at[m, k, 1] - (h - 1) / 2
+            x0, y0 = int(np.floor(left)), int(np.floor(top))
+            fx, fy = np.float32(left - x0), np.float32(top - y0)
+            squares = _ZERO
+            for c in range(2):
+                total = _ZERO
+                for y in range(h):
+                    upper = seen[c, min(max(y0 + y, 0), height - 1)]
+                    lower = seen[c, min(max(y0 + y + 1, 0), height - 1)]
+                    for x in range(w):
+                        a, b = min(max(x0 + x, 0), width - 1), min(max(x0 + x + 1, 0), width - 1)
+                        above, below = upper[a] + fx * (upper[b] - upper[a]), lower[a] + fx * (lower[b] - lower[a])
+                        found[k, c, y, x] = above + fy * (below - above)
+                        total += found[k, c, y, x]
+                total /= np.float32(w * h)
+                for y in range(h):
+                    for x in range(w):
+                        found[k, c, y, x] -= total
+                        squares += found[k, c, y, x] ** 2
+            share = np.float32(1.0) / np.sqrt(squares + _TINY)
+            for c in range(2):
+                for y in range(h):
+                    for x in range(w):
+                        found[k, c, y, x] *= share
+            for t in range(count[k]):
+                r = _ZERO
+                for c in range(2):
+                    for y in range(h):
+                        for x in range(w):
+                            r += found[k, c, y, x] * windows[k, t, c, y, x]
+                like[m, k, t] = r
