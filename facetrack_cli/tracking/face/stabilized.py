@@ -40,6 +40,11 @@ class Similarity(NamedTuple):
         """Places (..., 2) of the frame in the stabilized image."""
         return np.asarray((x - self.centre) @ np.linalg.inv(self.matrix).T + MIDDLE)
 
+    def is_near(self, other: Similarity, pixels: float) -> bool:
+        """Whether the face's box lies within so many pixels of the stabilized image of where another map has it."""
+        far = math.hypot(*(self.centre - other.centre)) + abs(self.scale - other.scale) * FACE / 2
+        return far < pixels * self.scale and math.cos(self.angle - other.angle) > math.cos(2 * pixels / FACE)
+
     def read(self, frame: Frame, side: int = SIDE) -> Frame:
         """The stabilized image, (side, side, 3), of a frame; beyond the frame's border, the border's pixels."""
         factor = 2 ** min(max(math.floor(math.log2(max(self.scale, 1.0))), 0), 8)

@@ -74,7 +74,7 @@ from facetrack_cli.video.shots import Passing, small
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
 COMPANY: Final = 2  # looks at several faces, from which the clip has shown somebody else
-LOOK: Final = 3  # frames from one look of the head's filter to the next, where the points are seen in between
+LOOK: Final = 9  # frames from one look of the head's filter to the next, where the points are seen in between
 EASY: Final = 8.0  # log odds that the points are seen where they are
 DOUBT: Final = 8.0  # log odds, below which the detector looks at once
 STEADY: Final = 2.5  # pixels of the stabilized image, which a face is at most from where it is expected, in between
@@ -202,6 +202,7 @@ class FaceTarget:
         due = self._is_due(state)
         if self.senses.detector is not None and self.settings.detections is not None:
             due |= shown and state.sure <= DOUBT
+        view: View | None = None
         if shown and state.sure >= EASY and state.frames % LOOK:
             view = self._view(state, self.head.motion.expect(state.head.estimated.state[None])[0], frame, due=due)
             if view.parts.sure >= EASY and math.hypot(*view.shift) < STEADY:
@@ -217,7 +218,9 @@ class FaceTarget:
             state = replace(state, head=head, facing=state.facing.predicted(), sure=_FORGETS * state.sure)
             return state, self._result(state, box, frame)
         state = replace(state, head=head, sighting=None)
-        return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=due), frame, box)
+        if view is None or not view.similarity.is_near(self._map(head.estimated.state, state.pose), STEADY):
+            view = self._view(state, head.estimated.state, frame, due=due)
+        return self._followed(rng, state, view, frame, box)
 
     def _stays(self, state: FaceState, frame: Frame) -> bool:
         """Whether what is followed, after what may be a cut, is the face of before."""
@@ -283,7 +286,9 @@ class FaceTarget:
         if eyes is not None and view.eyes is not None:
             eyes = eyes.after(*view.eyes)
         if box is None:
-            head, box = self.head.carried(rng, head, frame, similarity.matrix @ shift)
+            # by all of what the points have moved, or it falls behind until the head's filter looks again
+            moved = in_common(estimated.state - state.features.estimated.state, visible > 0.5)
+            head, box = self.head.carried(rng, head, frame, similarity.matrix @ moved)
         state = replace(
             state, head=head, features=features, points=points, sensors=sensors, facing=facing, others=others,
             eyes=eyes, sure=view.sure,
