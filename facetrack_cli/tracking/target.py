@@ -1,9 +1,10 @@
 """A target followed by a particle filter: its state from frame to frame, and the model that the filter sees."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -67,6 +68,15 @@ class ParticleState:
     ahead: Prediction | None = None
     entropy_before: float | None = None
     absent: Mask | None = None
+
+
+class Rows(NamedTuple):
+    """The rows of a target in a frame before they are a trajectory: columns (K,) each, log evidence, notes."""
+
+    columns: Mapping[str, Any]
+    frame: int
+    evidence: float = math.nan
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -177,9 +187,20 @@ class ParticleTarget:
         state: ParticleState,
         frame: Frame,
         footprints: Sequence[Footprint] = (),
-        measured: Sequence[SensorReading] | None = None,
     ) -> tuple[ParticleState, TargetResult]:
-        """As a `Target` does; `measured` is what sensors say of the parts of a target that moves by a JumpingWalk."""
+        """As a `Target` does."""
+        state, info = self.advanced(rng, state, frame, footprints)
+        return state, self._result(state, frame, info, "tracked")
+
+    def advanced(
+        self,
+        rng: Generator,
+        state: ParticleState,
+        frame: Frame,
+        footprints: Sequence[Footprint] = (),
+        measured: Sequence[SensorReading] | None = None,
+    ) -> tuple[ParticleState, Info]:
+        """As `advance`; `measured` is what sensors say of the parts of a target that moves by a JumpingWalk."""
         if self._prepares is not None:
             expected = self.motion.expect(state.estimated.state[None])[0]
             state = replace(state, learned=self._prepares.look(state.learned, frame, expected))
@@ -206,24 +227,22 @@ class ParticleTarget:
         state = ParticleState(
             particles, estimated, learned, judgement, self._diagnose(learned), absent=state.absent, **predicted
         )
-        return state, self._result(state, frame, info, "tracked")
+        return state, info
 
-    def carried(
-        self, rng: Generator, state: ParticleState, frame: Frame, shift: Array
-    ) -> tuple[ParticleState, TargetResult]:
-        """As `advance`, of a box that others see `shift` (2,) from where it is expected."""
+    def carried(self, rng: Generator, state: ParticleState, shift: Array) -> tuple[ParticleState, Info]:
+        """As `advanced`, of a box that others see `shift` (2,) from where it is expected."""
         assert isinstance(self.motion, VisibleWalk)
         before = state.estimated.state
         step = self.motion.expect(before[None])[0, 0, :2] + shift - before[0, :2]
         particles = state.particles._replace(x=self.motion.carried(rng, state.particles.x, step))
         ess = np.full(1, effective_sample_size(particles.log_w))
         state = replace(state, particles=particles, estimated=self.space.estimate(particles, ess, best=self.best))
-        return state, self._result(state, frame, Info(ess), "tracked")
+        return state, Info(ess)
 
     def unseen(
         self, rng: Generator, state: ParticleState, frame: Frame, *, anywhere: bool
-    ) -> tuple[ParticleState, TargetResult]:
-        """As `advance`, of a box that nobody sees: it stays, or may be `anywhere` in the frame."""
+    ) -> tuple[ParticleState, Info]:
+        """As `advanced`, of a box that nobody sees: it stays, or may be `anywhere` in the frame."""
         assert isinstance(self.space, VisibleBoxSpace) and self.confidence is not None and state.judgement is not None
         x = state.particles.x.copy()
         x[:, 0, VISIBLE] = 0.0
@@ -233,8 +252,7 @@ class ParticleTarget:
         ess = np.full(1, effective_sample_size(particles.log_w))
         estimated = self.space.estimate(particles, ess, best=self.best)
         judgement = confidence.decide(self.confidence, state.judgement, np.zeros(1))
-        state = replace(state, particles=particles, estimated=estimated, judgement=judgement)
-        return state, self._result(state, frame, Info(ess), "lost")
+        return replace(state, particles=particles, estimated=estimated, judgement=judgement), Info(ess)
 
     @cached_property
     def _predicts(self) -> PredictedWalk | None:
@@ -285,8 +303,9 @@ class ParticleTarget:
         parts = (self._reports, self.space, self._predicts)
         return (*(one for part in parts if part is not None for one in part.diagnostics), EVIDENCE)
 
-    def _result(self, state: ParticleState, frame: Frame, info: Info, otherwise: Status) -> TargetResult:
-        """`otherwise` is the status where nothing judges."""
+    def rows(self, state: ParticleState, frame: Frame, info: Info | None = None, otherwise: Status = "tracked") -> Rows:
+        """`otherwise` is the status where nothing judges. Without `info` particles have just begun."""
+        info = Info(np.full(len(self.parts), float(self.particles))) if info is None else info
         k, judged, estimated = len(self.parts), state.judgement, state.estimated
         windows, outline = self.space.windows(estimated), self.space.outline(estimated)
         std = np.sqrt(np.maximum(estimated.cov.reshape(k, 4)[:, ::3], 0.0))
@@ -294,14 +313,13 @@ class ParticleTarget:
             "x": estimated.state[:, 0], "y": estimated.state[:, 1], "w": windows[:, 0], "h": windows[:, 1],
             "std_x": std[:, 0], "std_y": std[:, 1], "cov_xy": estimated.cov[:, 0, 1],
             "particles": np.full(k, float(len(state.particles.x))), "ess": info.ess,
-            "diagnostics": self._reported(state, frame, info),
         }  # fmt: skip
         if estimated.side_std is not None:
             known |= {"std_w": estimated.side_std[:1], "std_h": estimated.side_std[1:]}
         if judged is None:
-            known["status"] = [otherwise] * k
+            known["status"] = np.array([otherwise] * k)
         else:
-            known |= {"status": judged.status, "confidence": judged.confidence}
+            known |= {"status": np.array(judged.status), "confidence": judged.confidence}
         if outline is not None:
             known |= {"angle": [outline.angle], "corners": outline.corners[None]}
         if posterior := state.reported.get(POSTERIOR.name):
@@ -309,10 +327,14 @@ class ParticleTarget:
             likeliest = [name for name, probability in posterior.items() if probability == best]
             if len(likeliest) == 1:  # of equals, as in the first frame, nobody is named
                 known |= {"identity": likeliest * k, "identity_prob": [best] * k}
-        rows = of_frame(self._names, frame, **known)
         if state.absent is not None:
-            known = {name: np.where(state.absent, np.nan, getattr(rows, name)) for name in PLACE}
-            rows = replace(rows, **known, status=np.where(state.absent, "absent", rows.status))
+            known |= {name: np.where(state.absent, np.nan, known[name]) for name in PLACE if name in known}
+            known["status"] = np.where(state.absent, "absent", known["status"])
+        return Rows(known, frame.index, info.evidence)
+
+    def _result(self, state: ParticleState, frame: Frame, info: Info, otherwise: Status) -> TargetResult:
+        found = self.rows(state, frame, info, otherwise)
+        rows = of_frame(self._names, frame, self._reported(state, frame, info), **found.columns)
         if self.calibration is not None:
             rows = self.calibration.applied(rows, self.size)
         insets = () if self._scores_patches is None else self._scores_patches.insets(state.learned)

@@ -95,8 +95,10 @@ class Sensor(NamedTuple):
         `cross` (K,): its share of the squared distance from an independent sensor, since the filter's state is partly
         what it has said itself.
         """
-        var, spread, before = self._ahead, 0.5 * np.trace(cov, axis1=1, axis2=2), self.keep * self.bias
-        off = z - before - state
+        var, before = self._ahead, self.keep * self.bias
+        if not np.isfinite(z).any():
+            return self._replace(bias=before, var=var, right=self._right_ahead)
+        off, spread = z - before - state, 0.5 * (cov[:, 0, 0] + cov[:, 1, 1])
         squared = 0.5 * np.sum(off**2, axis=1)
         total = var + self.noise + spread
         use = np.where(np.isfinite(squared) & (squared < MAX_SQUARED_DISTANCE * total), visible * visible.min(), 0.0)
@@ -175,7 +177,11 @@ def apart(one: SensorReading, other: SensorReading) -> Mask:
 
 def in_common(off: Array, known: Mask) -> Array:
     """By how much (2,) all `known` (K,) parts are `off` (K, 2) alike: then the head has slipped, and no sensor errs."""
-    return np.asarray(np.median(off[known], axis=0)) if known.sum() >= 3 else np.zeros(2)
+    many = int(known.sum())
+    if many < 3:
+        return np.zeros(2)
+    each = np.sort(off[known], axis=0)  # their median; NumPy's takes ten times as long
+    return np.asarray(0.5 * (each[(many - 1) // 2] + each[many // 2]))
 
 
 def common_shift(measured: SensorReading, state: Array) -> Array:

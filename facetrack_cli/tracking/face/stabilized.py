@@ -38,7 +38,14 @@ class Similarity(NamedTuple):
 
     def to_stabilized(self, x: Array) -> Array:
         """Places (..., 2) of the frame in the stabilized image."""
-        return np.asarray((x - self.centre) @ np.linalg.inv(self.matrix).T + MIDDLE)
+        return np.asarray((x - self.centre) @ (self.matrix / self.scale**2) + MIDDLE)
+
+    def into(self, other: Similarity) -> tuple[Array, Array]:
+        """M.T (2, 2) and t (2,): x @ M.T + t are places x in the stabilized image of another map."""
+        turned = self.matrix.T @ other.matrix / other.scale**2
+        return turned, (self.centre - other.centre) @ (other.matrix / other.scale**2) + MIDDLE - MIDDLE * turned.sum(
+            axis=0
+        )
 
     def is_near(self, other: Similarity, pixels: float) -> bool:
         """Whether the face's box lies within so many pixels of the stabilized image of where another map has it."""
