@@ -1,15 +1,22 @@
 """Normalised correlation of windows in two channels with templates that lie side by side in one array.
 
-Of K parts there are up to T templates, `windows` (K, T, 2, H, W), each of unit norm and zero mean in both channels,
-zero beyond the part's own sides; W is a multiple of 4. Beyond the border of an image its outermost pixels count.
+Of K parts there are up to T templates, `windows` (K, T, 2, L), each of unit norm and zero mean in both channels: rows of
+the part's own sides, filled up with zeros to `stride` pixels. Beyond the border of an image its outermost pixels count.
 """
 
 import numpy as np
 
-from facetrack_cli.tracking.kernels.compiled import fast, fast_part
+from facetrack_cli.tracking.kernels.compiled import fast, fast_part, part
 
-_LANES = 16
 _ZERO, _TINY = np.float32(0.0), np.float32(1e-6)
+
+
+def stride(width: int) -> int:
+    """The length of a row of `width` pixels: whole vectors."""
+    return (width + 7) // 8 * 8
+
+
+_stride = part(stride)
 
 
 @fast
@@ -18,32 +25,30 @@ def greatest(seen, windows, count, sides, corner, maps):
 
     `seen` (2, H, W) are the channels of an image. Part k has `count[k]` templates of `sides[k]` = (w, h) pixels.
     """
-    side, padded = maps.shape[1], windows.shape[4]
-    blocks = (side + _LANES - 1) // _LANES
-    wide = blocks * _LANES + padded - 1
-    region = np.empty((2, side + windows.shape[3] - 1, wide), np.float32)
-    energy, sums = np.empty((side, side), np.float32), np.empty((2, wide), np.float32)
-    best = np.empty(_LANES, np.float32)
+    side, wide, high = maps.shape[1], np.max(sides[:, 0]), np.max(sides[:, 1])
+    region = np.empty((2, side + high - 1, side + _stride(wide) - 1), np.float32)
+    strip = np.empty((2, (side + high - 1) * _stride(wide)), np.float32)
+    energy, sums = np.empty((side, side), np.float32), np.empty((2, region.shape[2]), np.float32)
     for k in range(len(windows)):
         w, h = sides[k, 0], sides[k, 1]
+        row = _stride(w)
         _region(seen, int(corner[k, 0]) - w // 2, int(corner[k, 1]) - h // 2, side + h - 1, region)
         _energies(region, w, h, sums, energy)
-        for t in range(count[k]):
+        for j in range(side):
+            # rows one after the other, so that a window is one piece
+            for c in range(2):
+                for y in range(side + h - 1):
+                    for x in range(row):
+                        strip[c, y * row + x] = region[c, y, j + x]
             for i in range(side):
-                for first in range(0, side, _LANES):
-                    best[:] = _ZERO
-                    for c in range(2):
-                        for y in range(h):
-                            row, template = region[c, i + y], windows[k, t, c, y]
-                            for x in range(0, padded, 4):
-                                t0, t1, t2, t3 = template[x], template[x + 1], template[x + 2], template[x + 3]
-                                part = row[first + x : first + x + _LANES + 3]
-                                for j in range(_LANES):
-                                    left, right = t0 * part[j] + t1 * part[j + 1], t2 * part[j + 2] + t3 * part[j + 3]
-                                    best[j] += left + right
-                    for j in range(min(_LANES, side - first)):
-                        r = best[j] / np.sqrt(energy[i, first + j] + _TINY)
-                        maps[k, i, first + j] = r if t == 0 else max(maps[k, i, first + j], r)
+                first, second = strip[0, i * row : (i + h) * row], strip[1, i * row : (i + h) * row]
+                best = np.float32(-np.inf)
+                for t in range(count[k]):
+                    one, two, r = windows[k, t, 0], windows[k, t, 1], _ZERO
+                    for x in range(h * row):
+                        r += first[x] * one[x] + second[x] * two[x]
+                    best = max(best, r)
+                maps[k, i, j] = best / np.sqrt(energy[i, j] + _TINY)
 
 
 @fast_part
@@ -97,40 +102,39 @@ def _energies(region, w, h, sums, energy):
 def matched(seen, windows, count, sides, at, found, like):
     """The windows at places `at` (M, K, 2), read bilinearly: `like` (M, K, T), their correlation with each template.
 
-    `found` (K, 2, H, W) are those of the last places, of unit norm. Of templates that a part lacks nothing is said.
+    `found` (K, 2, L) are those of the last places, of unit norm. Of templates that a part lacks nothing is said.
     """
     height, width = seen.shape[1:]
     for m in range(len(at)):
         for k in range(len(windows)):
             w, h = sides[k, 0], sides[k, 1]
+            row = _stride(w)
             left, top = at[m, k, 0] - (w - 1) / 2, at[m, k, 1] - (h - 1) / 2
             x0, y0 = int(np.floor(left)), int(np.floor(top))
             fx, fy = np.float32(left - x0), np.float32(top - y0)
             squares = _ZERO
             for c in range(2):
-                total = _ZERO
+                total, window = _ZERO, found[k, c]
                 for y in range(h):
                     upper = seen[c, min(max(y0 + y, 0), height - 1)]
                     lower = seen[c, min(max(y0 + y + 1, 0), height - 1)]
                     for x in range(w):
                         a, b = min(max(x0 + x, 0), width - 1), min(max(x0 + x + 1, 0), width - 1)
                         above, below = upper[a] + fx * (upper[b] - upper[a]), lower[a] + fx * (lower[b] - lower[a])
-                        found[k, c, y, x] = above + fy * (below - above)
-                        total += found[k, c, y, x]
+                        value = above + fy * (below - above)
+                        window[y * row + x] = value
+                        total += value
                 total /= np.float32(w * h)
                 for y in range(h):
-                    for x in range(w):
-                        found[k, c, y, x] -= total
-                        squares += found[k, c, y, x] ** 2
+                    for x in range(y * row, y * row + w):
+                        window[x] -= total
+                        squares += window[x] ** 2
             share = np.float32(1.0) / np.sqrt(squares + _TINY)
-            for c in range(2):
-                for y in range(h):
-                    for x in range(w):
-                        found[k, c, y, x] *= share
+            for x in range(h * row):
+                found[k, 0, x] *= share
+                found[k, 1, x] *= share
             for t in range(count[k]):
-                r = _ZERO
-                for c in range(2):
-                    for y in range(h):
-                        for x in range(w):
-                            r += found[k, c, y, x] * windows[k, t, c, y, x]
+                one, two, r = windows[k, t, 0], windows[k, t, 1], _ZERO
+                for x in range(h * row):
+                    r += found[k, 0, x] * one[x] + found[k, 1, x] * two[x]
                 like[m, k, t] = r

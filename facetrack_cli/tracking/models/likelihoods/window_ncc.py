@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame, Mask, Particles, Whole
 from facetrack_cli.recipe import face
-from facetrack_cli.tracking.kernels.correlations import greatest, matched
+from facetrack_cli.tracking.kernels.correlations import greatest, matched, stride
 from facetrack_cli.tracking.kernels.orientations import looks
 from facetrack_cli.tracking.models.motion import ScoredMaps
 from facetrack_cli.tracking.models.spaces import Context
@@ -56,7 +56,7 @@ USED: Final = 0.02  # rate at which it is learned how often a template matches b
 
 
 class Templates(NamedTuple):
-    """Up to T templates of K parts: `windows` (K, T, 2, H, W), as the kernels read them, the first frame's first.
+    """Up to T templates of K parts: `windows` (K, T, 2, L), as the kernels read them, the first frame's first.
 
     Of a part `many` (K,) are there; `used` (K, T): how often each matched best, `age` (K, T) in frames.
     """
@@ -107,8 +107,8 @@ class WindowNcc:
 
     def init(self, frame: Frame, x0: Array) -> WindowState:
         """Templates at x0 (K, 2) in the first frame."""
-        (k, most), (w, h) = (len(x0), self.settings.templates), self.sides.max(axis=0).tolist()
-        empty = np.zeros((k, most, 2, h, -(-w // 4) * 4), np.float32)
+        k, most = len(x0), self.settings.templates
+        empty = np.zeros((k, most, 2, max(stride(w) * h for w, h in self.sides.tolist())), np.float32)
         none = np.zeros((k, most), np.int64)
         templates = Templates(empty, np.ones(k, np.int64), none.astype(np.float64), none)
         empty[:, 0] = self._matched(frame, templates, x0[None])[0]
@@ -196,7 +196,7 @@ class WindowNcc:
         return WindowState(templates, good, beside, visible, learned.told, learned.usual)
 
     def _kept(self, known: Templates, found: Channels, like: Array, clear: Mask, hidden: Mask) -> Templates:
-        """The templates after one more frame; `found` (K, 2, H, W): how parts look, `clear` and `hidden` (K,): which.
+        """The templates after one more frame; `found` (K, 2, L): how parts look, `clear` and `hidden` (K,): which.
 
         `like` (K, T) are the windows that are found the templates.
         """
@@ -229,7 +229,7 @@ class WindowNcc:
         return np.asarray(np.where(there, like, -np.inf).max(axis=2).mean(axis=0))
 
     def _matched(self, frame: Frame, templates: Templates, at: Array) -> tuple[Channels, Array]:
-        """The windows (K, 2, H, W) at the last of places `at` (M, K, 2), and r of all with each template (M, K, T)."""
+        """The windows (K, 2, L) at the last of places `at` (M, K, 2), and r of all with each template (M, K, T)."""
         windows, count = templates[:2]
         found, like = (
             np.zeros((len(windows), *windows.shape[2:]), np.float32),
