@@ -108,6 +108,25 @@ class Frame:
         self._part = image, 2 * x0, 2 * y0, asked
         return self._part[:3]
 
+    def planes(self, factor: int, extent: Extent) -> list[tuple[Image, int, int, int]] | None:
+        """Y, U and V, each reduced for itself and with (left, top) and its own factor; None of what has no planes.
+
+        As `reduced`, but that U and V, which are half as large, are reduced by 2 at least.
+        """
+        if self.pixels.ndim == 3 or self._bgr is not None:
+            return None
+        whole, own = planes_of(self.pixels), max(factor, 2)
+        found = [(*self._brightness(factor, extent), factor)]
+        width, height = (max(side // own, 1) for side in self.size)
+        x0, x1 = _blocks(extent[0], extent[2], own, width)
+        y0, y1 = _blocks(extent[1], extent[3], own, height)
+        for plane in whole[1:]:
+            part = plane[y0 * own // 2 : y1 * own // 2, x0 * own // 2 : x1 * own // 2]
+            if own > 2:
+                part = np.asarray(cv2.resize(part, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA), np.uint8)
+            found.append((part, x0 * own, y0 * own, own))
+        return found
+
     def grey(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         """The image in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""
         known = self._grey.get(factor)

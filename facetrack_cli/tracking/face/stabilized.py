@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.face_points import EYE_DISTANCE
-from facetrack_cli.core.types import Array, Frame
+from facetrack_cli.core.types import Array, Frame, Image
+from facetrack_cli.tracking.kernels.colours import coloured
 
 SIDE: Final = 160  # sides of the stabilized image, in pixels
 FACE: Final = 112.0  # sides of the face's box in it
@@ -57,13 +58,22 @@ class Similarity(NamedTuple):
         factor = 2 ** min(max(math.floor(math.log2(max(self.scale, 1.0))), 0), 8)
         far = 0.75 * side * self.scale + 2 * factor
         x, y = self.centre.tolist()
-        image, left, top = frame.reduced(factor, (x - far, y - far, x + far, y + far))
-        matrix = self.matrix / factor
-        corner = (self.centre - (left, top) - (factor - 1) / 2) / factor - matrix @ ((side - 1) / 2, (side - 1) / 2)
+        extent = (x - far, y - far, x + far, y + far)
+        if (planes := frame.planes(factor, extent)) is not None:
+            still = coloured(*(self._warped(*one, side) for one in planes))
+        else:
+            still = self._warped(*frame.reduced(factor, extent), factor, side)
+        return Frame(frame.index, frame.time_s, still)
+
+    def _warped(self, image: Image, left: int, top: int, factor: int, side: int) -> Image:
+        """Of a frame an image, reduced by `factor`, that begins at (left, top)."""
+        (x, y), half, off = self.centre.tolist(), (side - 1) / 2, (factor - 1) / 2
+        a, b = self.scale * math.cos(self.angle) / factor, self.scale * math.sin(self.angle) / factor
+        u, v = (x - left - off) / factor - (a - b) * half, (y - top - off) / factor - (b + a) * half
         how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        whole = np.column_stack([matrix, corner])
-        still = cv2.warpAffine(image, whole, (side, side), flags=how, borderMode=cv2.BORDER_REPLICATE)
-        return Frame(frame.index, frame.time_s, np.asarray(still, np.uint8))
+        matrix = np.array([[a, -b, u], [b, a, v]])
+        still = cv2.warpAffine(image, matrix, (side, side), flags=how, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(still, np.uint8)
 
 
 def change_between(x: Array, rest: Array) -> tuple[float, float]:

@@ -53,6 +53,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "skin._map": ("u1:2 u1:1", "skin likelihood=skin"),
     "orientations._read": ("f4:3 f8:2 f8:2 f8 f4:3", "head"),
     "orientations._looks": ("u1:3 f4:1 f4:1 f4:3", "head"),
+    "colours._coloured": ("u1:1 u1:1 u1:1 u1:1 u1:1 u1:1", "head"),
     "skin.differences": ("i4:2 f8:2 f8:2", "skin"),
     "ncc.means": ("f8:2 f8:2 f8:2 i8 i8", _NCC),
     "affine.diffuse": ("f8:2 f8:2 f8:2 f8:1 f8 f8 f8", "motion=affine_walk"),
