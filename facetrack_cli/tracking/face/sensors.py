@@ -75,6 +75,9 @@ class Sensor(NamedTuple):
     def measured(self, z: Array, visible: Array) -> SensorReading:
         """What z (K, 2) says of parts that are visible with a probability (K,)."""
         known = _known(z)
+        if not known.any():
+            nothing = np.zeros(len(z))
+            return SensorReading(np.zeros_like(z), self._ahead + self.noise, nothing, AREA)
         sure = np.where(known, self._right_ahead * (BLIND + (1 - BLIND) * visible), 0.0)
         at = np.where(known[:, None], z - self.keep * self.bias, 0.0)
         noise = self.noise + MISLED**2 * (1 - visible.min())
@@ -160,6 +163,8 @@ def who_is_right(readings: Sequence[SensorReading], *scores: Array) -> Array:
 
 def joined(one: SensorReading, other: SensorReading) -> SensorReading:
     """What two sensors say together; where they are far apart, what the other says alone."""
+    if not other.sure.any():
+        return one
     weight = np.where(apart(one, other), 0.0, one.sure / one.var), other.sure / other.var
     total = np.maximum(weight[0] + weight[1], 1e-12)
     z = (weight[0][:, None] * one.z + weight[1][:, None] * other.z) / total[:, None]
@@ -169,10 +174,9 @@ def joined(one: SensorReading, other: SensorReading) -> SensorReading:
 
 def apart(one: SensorReading, other: SensorReading) -> Mask:
     """(K,): of which parts two sensors cannot both be right."""
-    return np.asarray(
-        (np.minimum(one.sure, other.sure) > 0)
-        & (np.sum((one.z - other.z) ** 2, axis=1) > MAX_SQUARED_DISTANCE * (one.var + other.var))
-    )
+    if not (both := np.minimum(one.sure, other.sure) > 0).any():
+        return np.asarray(both)
+    return np.asarray(both & (np.sum((one.z - other.z) ** 2, axis=1) > MAX_SQUARED_DISTANCE * (one.var + other.var)))
 
 
 def in_common(off: Array, known: Mask) -> Array:

@@ -267,8 +267,10 @@ class FaceTarget:
         estimated, visible = features.estimated, self._visible(features)
         told, own = self._judged(state.features, view, estimated)
         regression, _, network = view.measured
-        off = np.sum((network.z - regression.z) ** 2, axis=1)
-        cross = np.where((network.sure > 0) & ~apart(network, regression), 0.25 * off, 0.0)
+        cross: Array | float = 0.0
+        if network.sure.any():
+            off = np.sum((network.z - regression.z) ** 2, axis=1)
+            cross = np.where((network.sure > 0) & ~apart(network, regression), 0.25 * off, 0.0)
         each = zip(state.sensors, view.places, told, (cross, 0.0, cross), strict=True)
         sensors = tuple(one.learned(z, estimated.state, estimated.cov, visible, *more) for one, z, *more in each)
         if isinstance(features.learned, window_ncc.WindowState):
@@ -312,7 +314,7 @@ class FaceTarget:
     def _within(self, before: Estimate, measured: Sequence[SensorReading]) -> float:
         """How far parts are from where they are expected, in pixels, by their spread and by what is `measured`."""
         expected, far = self.features.motion.expect(before.state[None])[0], 0.0
-        for one in measured:
+        for one in (each for each in measured if each.sure.any()):
             far = max(far, np.abs(np.where(one.sure[:, None] > 0.5, one.z - expected, 0.0)).max())
         return float(far + 3 * math.sqrt(before.cov[:, [0, 1], [0, 1]].max()))
 
@@ -324,9 +326,10 @@ class FaceTarget:
         likelihood, own, measured = self.features.likelihood, found.state, view.measured
         odds = np.full((len(measured) + 1, len(own)), np.nan)
         visible = self._visible(features)
+        windows = SensorReading(own, 0.5 * (found.cov[:, 0, 0] + found.cov[:, 1, 1]), WINDOWS * visible, AREA)
+        said = [i for i, one in enumerate((*measured, windows)) if one.sure.any()]
         each = [one._replace(z=one.z - in_common(one.z - own, one.sure > 0)) for one in measured]
-        each.append(SensorReading(own, 0.5 * np.trace(found.cov, axis1=1, axis2=2), WINDOWS * visible, AREA))
-        said = [i for i, one in enumerate(each) if one.sure.any()]
+        each.append(windows)
         differ = np.any([apart(one, other) for one, other in combinations([each[i] for i in said], 2)], axis=0)
         if isinstance(likelihood, window_ncc.WindowNcc) and differ.any():
             learned, readings = likelihood.look(features.learned, view.seen, own), [each[i] for i in said]
