@@ -74,7 +74,7 @@ from facetrack_cli.video.shots import Passing, small
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
 COMPANY: Final = 2  # looks at several faces, from which the clip has shown somebody else
-LOOK: Final = 9  # frames from one look of the head's filter to the next, where the points are seen in between
+LOOK: Final = 3  # frames from one look of the head's filter to the next, where the points are seen in between
 EASY: Final = 8.0  # log odds that the points are seen where they are
 DOUBT: Final = 8.0  # log odds, below which the detector looks at once
 STEADY: Final = 2.5  # pixels of the stabilized image, which a face is at most from where it is expected, in between

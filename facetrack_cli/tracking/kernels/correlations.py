@@ -1,7 +1,7 @@
 """Normalised correlation of windows in two channels with templates that lie side by side in one array.
 
-Of K parts there are up to T templates, `windows` (K, T, 2, L), each of unit norm and zero mean in both channels: rows of
-the part's own sides, filled up with zeros to `stride` pixels. Beyond the border of an image its outermost pixels count.
+Of K parts there are up to T templates, `windows` (K, T, 2, L), each of unit norm and zero mean in both channels: rows
+of the part's own sides, filled up with zeros to `stride` pixels. Beyond an image its outermost pixels count.
 """
 
 import numpy as np
