@@ -25,7 +25,9 @@ def greatest(seen, windows, count, sides, corner, maps):
 
     `seen` (2, H, W) are the channels of an image. Part k has `count[k]` templates of `sides[k]` = (w, h) pixels.
     """
-    side, wide, high = maps.shape[1], np.max(sides[:, 0]), np.max(sides[:, 1])
+    side, wide, high = maps.shape[1], 0, 0
+    for k in range(len(sides)):  # np.max has its kernel import scipy.linalg, a tenth of a start
+        wide, high = max(wide, sides[k, 0]), max(high, sides[k, 1])
     region = np.empty((2, side + high - 1, side + _stride(wide) - 1), np.float32)
     strip = np.empty((2, (side + high - 1) * _stride(wide)), np.float32)
     energy, sums = np.empty((side, side), np.float32), np.empty((2, region.shape[2]), np.float32)
