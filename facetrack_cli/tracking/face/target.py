@@ -422,7 +422,7 @@ class FaceTarget:
         turned, shift = old.into(self._map(state.head.estimated.state, state.pose))
 
         def moved(x: Array) -> Array:
-            return np.asarray(x @ turned + shift)
+            return np.asarray((x.reshape(-1, 2) @ turned + shift).reshape(x.shape))
 
         sensors = tuple(one._replace(bias=one.bias @ turned) for one in state.sensors)
         others, eyes = (one and one.mapped(moved) for one in (state.others, state.eyes))
