@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from facetrack_cli.core.types import Array, Box
-from facetrack_cli.tracking.face import descent, eyes
+from facetrack_cli.trackers.face import descent, eyes
 
 MESH: Final = "mesh.csv"
 EYES: Final = "eyes.csv"

@@ -34,11 +34,11 @@ import imageio_ffmpeg
 import numpy as np
 
 from facetrack_cli.core.types import Frame, Start, TargetStart
+from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.tracking.build.build import build_tracker
-from facetrack_cli.tracking.kernels import windows
-from facetrack_cli.tracking.loop import track
-from facetrack_cli.tracking.start.init_file import find_init, read_init, write_init
+from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.start.init_file import find_init, read_init, write_init
+from facetrack_cli.trackers.points import window_kernels as windows
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
 

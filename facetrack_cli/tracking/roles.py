@@ -6,9 +6,10 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 from numpy.random import Generator
 
 from facetrack_cli.core.types import Array, Frame, Image, Mask, Particles, TargetStart
-from facetrack_cli.tracking.confidence import ComparesParts
-from facetrack_cli.tracking.guides import Guides
-from facetrack_cli.tracking.models.motion import Linear, ScoredMaps
+from facetrack_cli.engine.confidence import ComparesParts
+from facetrack_cli.engine.protocols import Linear
+from facetrack_cli.trackers.box.proposals import Guides
+from facetrack_cli.trackers.face.motion import ScoredMaps
 from facetrack_cli.trajectory.diagnostics import Diagnostic
 from facetrack_cli.trajectory.trajectory import TargetResult
 

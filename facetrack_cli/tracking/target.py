@@ -12,28 +12,12 @@ from numpy.random import Generator
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import Array, Frame, Info, Mask, Particles, TargetStart
-from facetrack_cli.recipe.model import Confidence
-from facetrack_cli.recipe.skin import Exclusion
-from facetrack_cli.tracking import confidence
-from facetrack_cli.tracking.calibration import Calibration
-from facetrack_cli.tracking.confidence import Judgement
-from facetrack_cli.tracking.filters import Prediction, Step
-from facetrack_cli.tracking.guides import Arrived, Guides
-from facetrack_cli.tracking.loop import Footprint, log_weights
-from facetrack_cli.tracking.models.motion import JumpingWalk, SensorReading, VisibleWalk
-from facetrack_cli.tracking.models.shape_prior import BoundPrior, StudentPrior
-from facetrack_cli.tracking.models.spaces import (
-    VISIBLE,
-    CloudSpace,
-    Estimate,
-    PointSpace,
-    Space,
-    VisibleBoxSpace,
-    evenly,
-)
-from facetrack_cli.tracking.models.velocity import Flow, PredictedWalk
-from facetrack_cli.tracking.resampling import effective_sample_size, uniform
-from facetrack_cli.tracking.roles import (
+from facetrack_cli.engine import confidence
+from facetrack_cli.engine.calibration import Calibration
+from facetrack_cli.engine.confidence import Judgement
+from facetrack_cli.engine.filters import Prediction, Step
+from facetrack_cli.engine.loop import Footprint
+from facetrack_cli.engine.protocols import (
     EstimatesVisibility,
     LearnsParts,
     Likelihood,
@@ -45,7 +29,18 @@ from facetrack_cli.tracking.roles import (
     ScoresByMaps,
     ScoresPatches,
 )
-from facetrack_cli.tracking.smoothing import Belief, belief
+from facetrack_cli.engine.resampling import effective_sample_size, uniform
+from facetrack_cli.engine.smoothing import Belief, belief
+from facetrack_cli.engine.spaces import Estimate, PointSpace, Space, evenly
+from facetrack_cli.recipe.model import Confidence
+from facetrack_cli.trackers.appearance.velocity import Flow, PredictedWalk
+from facetrack_cli.trackers.box.filters import Arrived, Guides
+from facetrack_cli.trackers.box.hidden_box import VISIBLE, VisibleBoxSpace, VisibleWalk
+from facetrack_cli.trackers.face.motion import JumpingWalk, SensorReading
+from facetrack_cli.trackers.face.shape_prior import StudentPrior
+from facetrack_cli.trackers.points.shape_prior import BoundPrior
+from facetrack_cli.trackers.skin.cloud import CloudSpace, log_weights
+from facetrack_cli.trackers.skin.settings import Exclusion
 from facetrack_cli.trajectory.diagnostics import ENTROPY, ERROR, EVIDENCE, NOISE, POSTERIOR, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import PLACE, Status, TargetResult, of_frame
 

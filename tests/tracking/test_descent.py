@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.tracking.face.descent import LEFT, TOP, channels, load_descent, read
-from facetrack_cli.tracking.face.stabilized import EYES, Similarity, change_between
-from facetrack_cli.tracking.kernels import orientations
+from facetrack_cli.trackers.face import channel_kernels as orientations
+from facetrack_cli.trackers.face.descent import LEFT, TOP, channels, load_descent, read
+from facetrack_cli.trackers.face.stabilized import EYES, Similarity, change_between
 from tests.support.samples import TrackClip
 from tests.twins import descent as naive
 

@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame, planes_of
-from facetrack_cli.tracking.face.stabilized import Similarity
-from facetrack_cli.tracking.kernels import resampling, windows
+from facetrack_cli.engine.kernels import resampling
+from facetrack_cli.trackers.face.stabilized import Similarity
+from facetrack_cli.trackers.points import window_kernels as windows
 from facetrack_cli.tracking.kernels.colours import coloured
 from tests.twins import windows as naive
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.geometry import size_of_points
-from facetrack_cli.tracking.models.likelihoods.window_ncc import WindowNcc, WindowState
-from facetrack_cli.tracking.models.motion import JumpingWalk, RandomWalk, SensorReading
+from facetrack_cli.engine.motion import RandomWalk
+from facetrack_cli.trackers.face.motion import JumpingWalk, SensorReading
+from facetrack_cli.trackers.face.window_ncc import WindowNcc, WindowState
 
 SIGMA = np.array([0.5, 2.0, 4.0])
 

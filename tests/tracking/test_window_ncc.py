@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.recipe import face
-from facetrack_cli.tracking.models.likelihoods import window_ncc
-from facetrack_cli.tracking.models.likelihoods.window_ncc import NEW_BELOW, YOUNG, WindowNcc
+from facetrack_cli.trackers.face import settings as face
+from facetrack_cli.trackers.face import window_ncc
+from facetrack_cli.trackers.face.window_ncc import NEW_BELOW, YOUNG, WindowNcc
 from tests.support.images import frame
 from tests.support.parts import section
 from tests.support.samples import TrackClip

@@ -26,11 +26,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.npz import Kind, Stored
-from facetrack_cli.core.shipped import shipped_folder
 from facetrack_cli.core.types import Array, Image
-from facetrack_cli.tracking.kernels import orientations
-from facetrack_cli.tracking.kernels.orientations import DIRECTIONS, smoothed_channels
+from facetrack_cli.trackers.face import channel_kernels as orientations
+from facetrack_cli.trackers.face.channel_kernels import DIRECTIONS, smoothed_channels
 
 KIND = Kind("facetrack-descent", 1, "mouth descent", "python tools/mouth_descent.py")
 DEFAULT = "mouth_descent.npz"

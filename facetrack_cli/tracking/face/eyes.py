@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.face_points import GROUPS
+from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.npz import Kind, Stored
-from facetrack_cli.core.shipped import shipped_folder
 from facetrack_cli.core.types import Array, Frame, Image
-from facetrack_cli.tracking.face.descent import AROUND, CORNER, GRID, PlacedPoints
-from facetrack_cli.tracking.face.stabilized import EYES, MIDDLE, Similarity, slope
-from facetrack_cli.tracking.kernels.orientations import DIRECTIONS, descended, read, smoothed_channels
+from facetrack_cli.trackers.face.channel_kernels import DIRECTIONS, descended, read, smoothed_channels
+from facetrack_cli.trackers.face.descent import AROUND, CORNER, GRID, PlacedPoints
+from facetrack_cli.trackers.face.stabilized import EYES, MIDDLE, Similarity, slope
 
 KIND = Kind("facetrack-eyes", 1, "eye descent", "python tools/eye_descent.py")
 DEFAULT = "eye_descent.npz"

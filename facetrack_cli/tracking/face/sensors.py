@@ -24,9 +24,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.types import Array, Mask
-from facetrack_cli.tracking.face.descent import PlacedPoints
-from facetrack_cli.tracking.face.stabilized import EYES
-from facetrack_cli.tracking.models.motion import SensorReading, modes
+from facetrack_cli.trackers.face.descent import PlacedPoints
+from facetrack_cli.trackers.face.motion import SensorReading, modes
+from facetrack_cli.trackers.face.stabilized import EYES
 
 DRIFT: Final = 0.001 * EYES  # standard deviation of b in a frame, pixels
 REGRESSION, NETWORK, DETECTOR = 0.05 * EYES, 0.02 * EYES, 0.05 * EYES  # the least r of a sensor

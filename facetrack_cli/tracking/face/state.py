@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame
-from facetrack_cli.tracking.face.descent import PlacedPoints
-from facetrack_cli.tracking.face.evidence import Sighting
-from facetrack_cli.tracking.face.mesh_points import MeshPoints
-from facetrack_cli.tracking.face.sensors import Facing, Sensor
-from facetrack_cli.tracking.face.stabilized import Similarity
-from facetrack_cli.tracking.models.motion import SensorReading
-from facetrack_cli.tracking.people.looks import Picture
-from facetrack_cli.tracking.start.detectors import Found
-from facetrack_cli.tracking.target import ParticleState, Rows
+from facetrack_cli.engine.target import ParticleState, Rows
+from facetrack_cli.trackers.face.descent import PlacedPoints
+from facetrack_cli.trackers.face.detectors import Found
+from facetrack_cli.trackers.face.evidence import Sighting
+from facetrack_cli.trackers.face.mesh_points import MeshPoints
+from facetrack_cli.trackers.face.motion import SensorReading
+from facetrack_cli.trackers.face.sensors import Facing, Sensor
+from facetrack_cli.trackers.face.stabilized import Similarity
+from facetrack_cli.trackers.people.looks import Picture
 from facetrack_cli.video.shots import Passing
 
 _MAX_POSE: Final = np.array([math.inf, 0.7, 0.3, 0.3])  # a face may lie, and a head may turn over

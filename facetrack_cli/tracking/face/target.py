@@ -30,10 +30,14 @@ from numpy.random import Generator
 
 from facetrack_cli.core.geometry import centre, corners, square
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, TargetStart
-from facetrack_cli.recipe.face import Head
-from facetrack_cli.tracking.calibration import Calibration
-from facetrack_cli.tracking.face import stabilized
-from facetrack_cli.tracking.face.evidence import (
+from facetrack_cli.engine.calibration import Calibration
+from facetrack_cli.engine.loop import Footprint
+from facetrack_cli.engine.protocols import Names
+from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.engine.spaces import Estimate
+from facetrack_cli.engine.target import ParticleState, ParticleTarget, Rows
+from facetrack_cli.trackers.face import stabilized, window_ncc
+from facetrack_cli.trackers.face.evidence import (
     MAYBE,
     NEW,
     STAYS,
@@ -46,9 +50,10 @@ from facetrack_cli.tracking.face.evidence import (
     look_of,
     probabilities,
 )
-from facetrack_cli.tracking.face.mesh_points import NO_FACE, MeshPoints
-from facetrack_cli.tracking.face.senses import Senses
-from facetrack_cli.tracking.face.sensors import (
+from facetrack_cli.trackers.face.mesh_points import NO_FACE, MeshPoints
+from facetrack_cli.trackers.face.motion import JumpingWalk, SensorReading, modes
+from facetrack_cli.trackers.face.senses import Senses
+from facetrack_cli.trackers.face.sensors import (
     AREA,
     WINDOWS,
     Facing,
@@ -58,16 +63,10 @@ from facetrack_cli.tracking.face.sensors import (
     joined,
     who_is_right,
 )
-from facetrack_cli.tracking.face.stabilized import EYES, FACE, Similarity
-from facetrack_cli.tracking.face.state import FaceState, View, shifted, sure_of, updated
-from facetrack_cli.tracking.loop import Footprint
-from facetrack_cli.tracking.models.likelihoods import window_ncc
-from facetrack_cli.tracking.models.motion import JumpingWalk, SensorReading, modes
-from facetrack_cli.tracking.models.spaces import Estimate
-from facetrack_cli.tracking.people.looks import Picture
-from facetrack_cli.tracking.roles import Names
-from facetrack_cli.tracking.smoothing import Belief
-from facetrack_cli.tracking.target import ParticleState, ParticleTarget, Rows
+from facetrack_cli.trackers.face.settings import Head
+from facetrack_cli.trackers.face.stabilized import EYES, FACE, Similarity
+from facetrack_cli.trackers.face.state import FaceState, View, shifted, sure_of, updated
+from facetrack_cli.trackers.people.looks import Picture
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, NETWORK, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
 from facetrack_cli.video.shots import Passing, small

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.tracking.kernels.compiled import exact
+from facetrack_cli.engine.kernels.compiled import exact
 
 Plane: TypeAlias = NDArray[np.uint8]
 

@@ -6,7 +6,7 @@ of the part's own sides, filled up with zeros to `stride` pixels. Beyond an imag
 
 import numpy as np
 
-from facetrack_cli.tracking.kernels.compiled import fast, fast_part, part
+from facetrack_cli.engine.kernels.compiled import fast, fast_part, part
 
 _ZERO, _TINY = np.float32(0.0), np.float32(1e-6)
 

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.tracking.kernels.compiled import fast, fast_part
+from facetrack_cli.engine.kernels.compiled import fast, fast_part
 
 Single: TypeAlias = NDArray[np.float32]
 Array: TypeAlias = NDArray[np.float64]

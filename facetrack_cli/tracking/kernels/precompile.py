@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from facetrack_cli.tracking.kernels.cache import compiling
+from facetrack_cli.engine.kernels.cache import compiling
 
 _FILTERS = "filter=auxiliary filter=factorized filter=guided filter=independent filter=sir"
 _CELLS, _LOOKS, _NCC = "likelihood=correlation_filter", "likelihood=appearance", "ncc"

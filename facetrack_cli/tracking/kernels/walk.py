@@ -6,7 +6,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.tracking.kernels.compiled import exact, read_at
+from facetrack_cli.engine.kernels.compiled import exact, read_at
 
 Array: TypeAlias = NDArray[np.float64]
 

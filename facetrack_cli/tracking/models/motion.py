@@ -11,11 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import BOX, Array, Particles
-from facetrack_cli.recipe import affine, correlation_filter, face, points, regions
-from facetrack_cli.tracking.guides import Arrived
-from facetrack_cli.tracking.kernels.affine import diffuse
-from facetrack_cli.tracking.kernels.walk import arrive, jump
-from facetrack_cli.tracking.models.spaces import VISIBLE, Context
+from facetrack_cli.engine.kernels.affine import diffuse
+from facetrack_cli.engine.spaces import Context
+from facetrack_cli.trackers.appearance import settings as affine
+from facetrack_cli.trackers.box import settings as correlation_filter
+from facetrack_cli.trackers.box.hidden_box import VISIBLE
+from facetrack_cli.trackers.box.proposals import Arrived
+from facetrack_cli.trackers.box.walk_kernels import arrive, jump
+from facetrack_cli.trackers.face import settings as face
+from facetrack_cli.trackers.points import settings as points
+from facetrack_cli.trackers.regions import settings as regions
 
 ANY: Final = 0.3  # share of draws that do not follow what a sensor and the last place make likely
 

@@ -29,13 +29,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, RecipeError, UsageError
+from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array
-from facetrack_cli.recipe.face import StudentT
-from facetrack_cli.recipe.files import resolve_file, shipped_folder
-from facetrack_cli.recipe.points import Parzen
-from facetrack_cli.tracking.kernels.shape import LANES, PADDING, log_parzen, pick_shape
-from facetrack_cli.tracking.models.spaces import Context
+from facetrack_cli.engine.spaces import Context
+from facetrack_cli.recipe.load import resolve_file
+from facetrack_cli.trackers.face.settings import StudentT
+from facetrack_cli.trackers.points.settings import Parzen
+from facetrack_cli.trackers.points.shape_kernels import LANES, PADDING, log_parzen, pick_shape
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned
 

@@ -32,11 +32,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame, Mask, Particles, Whole
-from facetrack_cli.recipe import face
+from facetrack_cli.engine.spaces import Context
+from facetrack_cli.trackers.face import settings as face
+from facetrack_cli.trackers.face.channel_kernels import looks
+from facetrack_cli.trackers.face.motion import ScoredMaps
 from facetrack_cli.tracking.kernels.correlations import greatest, matched, stride
-from facetrack_cli.tracking.kernels.orientations import looks
-from facetrack_cli.tracking.models.motion import ScoredMaps
-from facetrack_cli.tracking.models.spaces import Context
 
 Channels = NDArray[np.float32]
 MEMORY: Final = 50.0  # frames over which g and b are learned
