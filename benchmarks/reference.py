@@ -47,6 +47,8 @@ def take_regression(folder: Path | None, name: str) -> None:
     eyes_without_NAME.npz. None: the package's.
     """
     descent.DEFAULT, eyes.DEFAULT = SHIPPED
+    descent.load_descent.cache_clear()
+    eyes.load_eyes.cache_clear()
     if folder is not None:
         descent.DEFAULT = str((folder / f"without_{name}.npz").resolve())
         if (lids := folder / f"eyes_without_{name}.npz").exists():

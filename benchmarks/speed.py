@@ -8,18 +8,26 @@ tracker   the tracker's own time for a frame at 640x480 against decoding it     
           factorized_robust against factorized                                              to reach: at most 2
 pipeline  `run --no-video` on 1,000 frames against a bare decoding loop                     to reach: at most 1.2
 video     `run` with MP4 against the slower of decoding and encoding alone                  to reach: at most 1.2
+
+    python benchmarks/speed.py --against 35a92ca --recipe face clips/*.mp4
+
+--against measures processor time a frame of this tree and of another commit, one thread, decoding included, in turns
+A B A B: for each clip the median of the ratios this / other, and the least and the greatest. Without clips it takes the
+sample clips that faces are in. Where FACETRACK_MESH names a Python that has mediapipe, its face mesh takes turns too.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
+from typing import Final
 
 import cv2
 import imageio_ffmpeg
@@ -182,11 +190,98 @@ def video() -> None:
         report("video: run with MP4, 600 frames / slower of both alone", ratio, "<= 1.2", ratio <= 1.2)
 
 
+CHILD: Final = """
+import os, sys, time
+tree, recipe = sys.argv[1:]
+sys.path.insert(0, tree)
+os.environ["FACETRACK_MODELS"] = tree  # without networks that are there by chance
+import cv2
+cv2.setNumThreads(1)
+from facetrack_cli import track_video
+for line in sys.stdin:
+    stop, clip = line.rstrip().split(" ", 1)
+    began = time.process_time()
+    track_video(clip, recipe, stop=int(stop), seed=0)
+    print("took", time.process_time() - began, flush=True)
+"""
+MESH: Final = """
+import itertools, sys, time
+import cv2
+cv2.setNumThreads(1)
+import mediapipe
+for line in sys.stdin:
+    stop, clip = line.rstrip().split(" ", 1)
+    began, capture = time.process_time(), cv2.VideoCapture(clip)
+    model = mediapipe.solutions.face_mesh.FaceMesh(max_num_faces=1)
+    for _ in range(int(stop)):
+        model.process(cv2.cvtColor(capture.read()[1], cv2.COLOR_BGR2RGB))
+    print("took", time.process_time() - began, flush=True)
+"""
+ONE_THREAD: Final = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "NUMBA")}
+WARM: Final = 5  # frames of a run that is subtracted: start-up
+
+
+class Worker:
+    """A process that tracks one clip after another, and says what processor time it took."""
+
+    def __init__(self, python: str, *arguments: str) -> None:
+        environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": ""}
+        command = [python, "-c", *arguments]
+        pipe = subprocess.PIPE
+        self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment)
+
+    def took(self, clip: Path, stop: int) -> float:
+        assert self.process.stdin is not None and self.process.stdout is not None
+        print(stop, clip, file=self.process.stdin, flush=True)
+        for line in self.process.stdout:
+            if line.startswith("took "):
+                return float(line.split()[1])
+        raise SystemExit(f"{clip}: a process that measures has ended with {self.process.wait()}")
+
+    def a_frame(self, clip: Path, frames: int) -> float:
+        return (self.took(clip, WARM + frames) - self.took(clip, WARM)) / frames
+
+
+def against(revision: str, recipe: str, clips: Sequence[Path], frames: int, rounds: int) -> None:
+    here = Path(__file__).parent.parent
+    with tempfile.TemporaryDirectory() as folder:
+        other = Path(folder) / "other"
+        subprocess.run(["git", "-C", here, "worktree", "add", "--quiet", "--detach", other, revision], check=True)
+        try:
+            workers = {"this": Worker(sys.executable, CHILD, str(here), recipe)}
+            workers[revision] = Worker(sys.executable, CHILD, str(other), recipe)
+            if python := os.environ.get("FACETRACK_MESH"):
+                workers["mesh"] = Worker(python, MESH)
+            for clip in clips:
+                for worker in workers.values():
+                    worker.took(clip.resolve(), WARM)  # kernels are compiled
+                turns = [[one.a_frame(clip.resolve(), frames) for one in workers.values()] for _ in range(rounds)]
+                for name, *each in zip(list(workers)[1:], *np.array(turns)[:, 1:], strict=True):
+                    ratios = np.array(turns)[:, 0] / np.array(each)
+                    spread = f"{np.median(ratios):.2f} ({ratios.min():.2f} to {ratios.max():.2f})"
+                    print(f"{clip.name:24s} this / {name:12s} {spread}", flush=True)
+            for worker in workers.values():
+                worker.process.kill()
+        finally:
+            subprocess.run(["git", "-C", here, "worktree", "remove", "--force", other], check=True)
+
+
 def main() -> None:
     parts = {"kernel": kernel, "tracker": tracker, "pipeline": pipeline, "video": video}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", choices=[*parts, []], help="which ones (default: all)")
-    for name in parser.parse_args().parts or parts:
+    parser.add_argument("parts", nargs="*", help=f"which of {', '.join(parts)} (default: all), or clips")
+    parser.add_argument("--against", metavar="REV", help="measure a commit beside this tree; what follows are clips")
+    parser.add_argument("--recipe", default="face")
+    parser.add_argument("--frames", type=int, default=200)
+    parser.add_argument("--rounds", type=int, default=5)
+    given = parser.parse_args()
+    if given.against:
+        clips = [Path(one) for one in given.parts] or [SAMPLE, SAMPLE.with_name("occlusion.mp4")]
+        against(given.against, given.recipe, clips, given.frames, given.rounds)
+        return
+    if unknown := set(given.parts) - set(parts):
+        parser.error(f"no such part: {', '.join(sorted(unknown))}")
+    for name in given.parts or parts:
         parts[name]()
 
 

@@ -59,7 +59,9 @@ class Frame:
     _reduced: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
     _luma: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
     _grey: dict[int, tuple[Image, int, int, Extent]] = field(default_factory=dict, repr=False, compare=False)
-    _patches: dict[Hashable, tuple[Array, NDArray[np.float32]]] = field(default_factory=dict, repr=False, compare=False)
+    _patches: dict[Hashable, tuple[object, NDArray[np.float32]]] = field(
+        default_factory=dict, repr=False, compare=False
+    )
     aspect: float = field(default=1.0, kw_only=True)
 
     @property
@@ -106,6 +108,25 @@ class Frame:
         image = np.asarray(cv2.cvtColor(planes, cv2.COLOR_YUV2BGR_I420), np.uint8)
         self._part = image, 2 * x0, 2 * y0, asked
         return self._part[:3]
+
+    def planes(self, factor: int, extent: Extent) -> list[tuple[Image, int, int, int]] | None:
+        """Y, U and V, each reduced for itself and with (left, top) and its own factor; None of what has no planes.
+
+        As `reduced`, but that U and V, which are half as large, are reduced by 2 at least.
+        """
+        if self.pixels.ndim == 3 or self._bgr is not None:
+            return None
+        whole, own = planes_of(self.pixels), max(factor, 2)
+        found = [(*self._brightness(factor, extent), factor)]
+        width, height = (max(side // own, 1) for side in self.size)
+        x0, x1 = _blocks(extent[0], extent[2], own, width)
+        y0, y1 = _blocks(extent[1], extent[3], own, height)
+        for plane in whole[1:]:
+            part = plane[y0 * own // 2 : y1 * own // 2, x0 * own // 2 : x1 * own // 2]
+            if own > 2:
+                part = np.asarray(cv2.resize(part, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA), np.uint8)
+            found.append((part, x0 * own, y0 * own, own))
+        return found
 
     def grey(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         """The image in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""
@@ -157,7 +178,7 @@ class Frame:
         known = self._patches.get(key)
         return None if known is None else known[1]
 
-    def remember(self, key: Hashable, of: Array, values: NDArray[np.float32]) -> None:
+    def remember(self, key: Hashable, of: object, values: NDArray[np.float32]) -> None:
         """Keep `values` for `remembered`, with the last few others, and `of`, whose id may be part of the key."""
         if len(self._patches) >= MAX_REMEMBERED:
             del self._patches[next(iter(self._patches))]

@@ -75,6 +75,10 @@ class Motion(Protocol):
         """(N, K): log of p(x | parents) over the density by which x was drawn; None where these are equal."""
         return None
 
+    def weighed(self, x: Array) -> Array | None:
+        """(N, K): log p(y | x) plus `log_importance` of draws that were weighed as they were drawn; None of others."""
+        return None
+
 
 @runtime_checkable  # isinstance is slow: it is asked once per target
 class PredictiveMotion(Protocol):

@@ -1,9 +1,10 @@
 """A target followed by a particle filter: its state from frame to frame, and the model that the filter sees."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.random import Generator
@@ -46,6 +47,15 @@ class ParticleState:
     ahead: Prediction | None = None
     entropy_before: float | None = None
     absent: Mask | None = None
+
+
+class Rows(NamedTuple):
+    """The rows of a target in a frame before they are a trajectory: columns (K,) each, log evidence, notes."""
+
+    columns: Mapping[str, Any]
+    frame: int
+    evidence: float = math.nan
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -155,12 +165,24 @@ class ParticleTarget:
         state: ParticleState,
         frame: Frame,
         footprints: Sequence[Footprint] = (),
-        motion: Motion | None = None,
     ) -> tuple[ParticleState, TargetResult]:
-        """As a `Target` does; `motion` is that of this one frame, if not the target's own."""
+        """As a `Target` does."""
+        state, info = self.advanced(rng, state, frame, footprints)
+        return state, self._result(state, frame, info, "tracked")
+
+    def advanced(
+        self,
+        rng: Generator,
+        state: ParticleState,
+        frame: Frame,
+        footprints: Sequence[Footprint] = (),
+        motion: Callable[[Any], Motion] | None = None,
+    ) -> tuple[ParticleState, Info]:
+        """As `advance`; `motion` makes that of this one frame of what the likelihood has learned by a look at it."""
         expected = self.motion.expect(state.estimated.state[None])[0]
         state = replace(state, learned=self.likelihood.look(state.learned, frame, expected))
-        bound = Bound(self, state, frame, footprints, motion or self.motion)
+        moved = self.motion if motion is None else motion(state.learned)
+        bound = Bound(self, state, frame, footprints, moved)
         particles, info = self.step(rng, state.particles, bound)
         if state.absent is not None:
             particles = particles._replace(x=self.follow(particles.x, state.absent))
@@ -189,7 +211,7 @@ class ParticleTarget:
             absent=state.absent,
             **predicted,
         )
-        return state, self._result(state, frame, info, "tracked")
+        return state, info
 
     @cached_property
     def _predicts(self) -> PredictiveMotion | None:
@@ -213,8 +235,9 @@ class ParticleTarget:
         predicted = () if self._predicts is None else self._predicts.diagnostics
         return (*self.likelihood.diagnostics, *self.space.diagnostics, *predicted, EVIDENCE)
 
-    def _result(self, state: ParticleState, frame: Frame, info: Info, otherwise: Status) -> TargetResult:
-        """`otherwise` is the status where nothing judges."""
+    def rows(self, state: ParticleState, frame: Frame, info: Info | None = None, otherwise: Status = "tracked") -> Rows:
+        """`otherwise` is the status where nothing judges. Without `info` particles have just begun."""
+        info = Info(np.full(len(self.parts), float(self.particles))) if info is None else info
         k, judged, estimated = len(self.parts), state.judgement, state.estimated
         windows, outline = self.space.windows(estimated), self.space.outline(estimated)
         std = np.sqrt(np.maximum(estimated.cov.reshape(k, 4)[:, ::3], 0.0))
@@ -222,14 +245,13 @@ class ParticleTarget:
             "x": estimated.state[:, 0], "y": estimated.state[:, 1], "w": windows[:, 0], "h": windows[:, 1],
             "std_x": std[:, 0], "std_y": std[:, 1], "cov_xy": estimated.cov[:, 0, 1],
             "particles": np.full(k, float(len(state.particles.x))), "ess": info.ess,
-            "diagnostics": self._reported(state, frame, info),
         }  # fmt: skip
         if estimated.side_std is not None:
             known |= {"std_w": estimated.side_std[:1], "std_h": estimated.side_std[1:]}
         if judged is None:
-            known["status"] = [otherwise] * k
+            known["status"] = np.array([otherwise] * k)
         else:
-            known |= {"status": judged.status, "confidence": judged.confidence}
+            known |= {"status": np.array(judged.status), "confidence": judged.confidence}
         if outline is not None:
             known |= {"angle": [outline.angle], "corners": outline.corners[None]}
         if posterior := state.reported.get(POSTERIOR.name):
@@ -237,10 +259,14 @@ class ParticleTarget:
             likeliest = [name for name, probability in posterior.items() if probability == best]
             if len(likeliest) == 1:  # of equals, as in the first frame, nobody is named
                 known |= {"identity": likeliest * k, "identity_prob": [best] * k}
-        rows = of_frame(self._names, frame, **known)
         if state.absent is not None:
-            known = {name: np.where(state.absent, np.nan, getattr(rows, name)) for name in PLACE}
-            rows = replace(rows, **known, status=np.where(state.absent, "absent", rows.status))
+            known |= {name: np.where(state.absent, np.nan, known[name]) for name in PLACE if name in known}
+            known["status"] = np.where(state.absent, "absent", known["status"])
+        return Rows(known, frame.index, info.evidence)
+
+    def _result(self, state: ParticleState, frame: Frame, info: Info, otherwise: Status) -> TargetResult:
+        found = self.rows(state, frame, info, otherwise)
+        rows = of_frame(self._names, frame, self._reported(state, frame, info), **found.columns)
         if self.calibration is not None:
             rows = self.calibration.applied(rows, self.size)
         insets = self.likelihood.insets(state.learned)
@@ -274,7 +300,10 @@ class ParticleTarget:
 
 @dataclass(frozen=True)
 class Bound:
-    """A target with one frame bound in: the model that filters see (`filters.FrameModel`)."""
+    """A target with one frame bound in: the model that filters see (`filters.FrameModel`).
+
+    `known` are draws whose log likelihoods were computed with them, by the draws' ids.
+    """
 
     target: ParticleTarget
     state: ParticleState
@@ -318,6 +347,8 @@ class Bound:
         return self._of_present(self.motion.log_transition(x, parents))
 
     def log_likelihood(self, x: Array, parents: Array) -> Array:
+        if (weighed := self.motion.weighed(x)) is not None:
+            return self._of_present(weighed)
         log_p = self.target.likelihood.score(self.learned, self.frame, x, parents)
         if (drawn := self.motion.log_importance(x, parents)) is not None:
             log_p = log_p + drawn

@@ -29,7 +29,17 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.regions.contour_kernels.nearest_edges": ("u2:2 f8:2 i8 i8 i8 f8:2 f8:2 f8 f8", "contour"),
     "trackers.appearance.velocity_kernels._solve": ("f8:2 f8:2 f8:1 f8:1 f8:1 f8:1 f8:1 f8:2 i4:1 i8 f8", "velocity"),
     "trackers.box.cell_kernels._of_scales": ("u1:2 f8 f8 f8:2 i8 f4:2 i8:2 f4:1 f4:3 f4:2 f4:2 i4:1 f4:4", _CELLS),
-    "trackers.face.channel_kernels._channels": ("f4:2 f4:2 f4:2 f4:2 f4:2 f4:3 f4:3 f4:2 f4:2 f4:3", "head"),
+    "trackers.face.channel_kernels._channels": ("f4:3 f4:2 b1 f4:3 f4:3", "head"),
+    "trackers.face.channel_kernels._descend": ("f4:3 f8:2 f8:2 f8:1 f4:3 f4:3 f4:1", "head"),
+    "trackers.face.correlation_kernels.greatest": ("f4:3 f4:4 i8:1 i8:2 f8:2 f4:3", "likelihood=window_ncc"),
+    "trackers.face.correlation_kernels.matched": ("f4:3 f4:4 i8:1 i8:2 f8:3 f4:3 f8:3", "likelihood=window_ncc"),
+    "trackers.face.walk_kernels._jump": (
+        "f8:3 f8:2 f8:3 f8:3 f8:2 f8:2 f8:1 f8:1 f8 f8:2 f8 f8 f4:3 f8:2 f8:1 f8 f8 f8:2 f8:3 f8:2",
+        "motion=jumping_walk",
+    ),
+    "trackers.face.channel_kernels._read": ("f4:3 f8:2 f8:2 f8 f4:3", "head"),
+    "trackers.face.channel_kernels._looks": ("u1:3 f4:1 f4:1 f4:3", "head"),
+    "trackers.face.colour_kernels._coloured": ("u1:1 u1:1 u1:1 u1:1 u1:1 u1:1", "head"),
     "engine.kernels.affine.read_patches": ("u1:2 i8 i8 i8 i8 i8 f8x4 f8:2 f8 f8 i8 i8", "target=affine"),
     "trackers.appearance.mixture_kernels.log_densities": ("f4:2r f4:2 f4:2 f4:2 f8 b1", _LOOKS),
     "trackers.points.window_kernels._distances": (

@@ -30,7 +30,7 @@ SAME_SCENE: Final = 0.7  # correlation of two images between which there is no d
 _AFTER: Final = 4  # frames after which a cut of a clip that passes is decided
 _LATE: Final = 12  # frames from one look for a dissolve to the next; it has ended half as many ago, at least
 _KEPT: Final = SPANS[-1] + 2 * _LATE  # images that are kept of a clip that passes
-_READ: Final = 5  # pixels a row and column that a pixel of a small image is the mean of, at least
+_READ: Final = 5  # pixels a row and column that a pixel of a small image is the mean of
 _MARGIN: Final = 2 * SPANS[-1]  # frames on either side that a decision rests on
 _BLOCK: Final = 1000  # frames that are decided at a time
 
@@ -158,8 +158,10 @@ def _flat(images: Sequence[Image]) -> NDArray[np.float32]:
 
 
 def _shrunk(image: Image) -> Image:
-    few = max(min(image.shape[1] // (_READ * SIDE[0]), image.shape[0] // (_READ * SIDE[1])), 1)
-    return np.asarray(cv2.resize(image[::few, ::few], SIDE, interpolation=cv2.INTER_AREA), np.uint8)
+    few = SIDE[0] * _READ, SIDE[1] * _READ
+    if image.shape[1] > few[0] and image.shape[0] > few[1]:
+        image = np.asarray(cv2.resize(image, few, interpolation=cv2.INTER_NEAREST), np.uint8)
+    return np.asarray(cv2.resize(image, SIDE, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _cuts(images: NDArray[np.float32], first: int, flash: int) -> list[Cut]:

@@ -17,6 +17,7 @@ from facetrack_cli.editor import history
 from facetrack_cli.editor import save as saving
 from facetrack_cli.editor.history import Fixer, corrections_of
 from facetrack_cli.editor.save import keep, save
+from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.finished import check_size, open_run, recipe_of
 from facetrack_cli.runs.signals import StoppedError

@@ -1,6 +1,7 @@
 """The walks of points: their draws have the density that they state."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.engine.motion import RandomWalk
 from facetrack_cli.trackers.face.motion import JumpingWalk, SensorReading
+from facetrack_cli.trackers.face.window_ncc import WindowNcc, WindowState
 
 SIGMA = np.array([0.5, 2.0, 4.0])
 
@@ -140,3 +142,21 @@ def test_a_walk_that_never_or_always_jumps_is_a_gaussian_one(jumps):
         np.testing.assert_allclose(one, other)
     assert np.isfinite(walk.log_measured(x + 1, x, [MEASURED])).all()
     assert np.isfinite(walk.propagate_given(np.random.default_rng(6), x + 1e5, [MEASURED])).all()
+
+
+@pytest.mark.parametrize(
+    "measured", [[MEASURED], [MEASURED, OTHER], [MEASURED, OTHER, MEASURED._replace(sure=0 * REST[:, 0])]]
+)
+def test_one_kernel_draws_and_weighs_as_walk_and_windows_do(measured):
+    """The readable methods are its twin: the same draws, the same weights."""
+    rng = np.random.default_rng(4)
+    maps, corner = rng.uniform(-1, 1, (3, 9, 9)).astype(np.float32), np.round(REST) - 4
+    windows = WindowNcc.__new__(WindowNcc)
+    windows.settings = SimpleNamespace(sharpness=30.0)
+    learned = WindowState(None, None, None, np.array([1.0, 0.5, 0.0]), None, None, maps=maps, corner=corner)
+    x = REST + rng.normal(0, 3, (200, 3, 2))
+    x = np.repeat(np.sort(x[:100], axis=0), 2, axis=0)  # parents that repeat
+    drawn, log_p = JUMPS.propose(np.random.default_rng(5), x, measured, windows.scored(learned))
+    np.testing.assert_allclose(drawn, JUMPS.propagate_given(np.random.default_rng(5), x, measured), rtol=1e-12)
+    plain = windows.score(learned, None, drawn, x) + JUMPS.log_measured(drawn, x, measured)
+    np.testing.assert_allclose(log_p, plain, atol=2e-3)

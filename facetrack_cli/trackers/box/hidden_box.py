@@ -19,7 +19,6 @@ from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.trackers.box import settings as correlation_filter
 from facetrack_cli.trackers.box.proposals import Arrived
 from facetrack_cli.trackers.box.walk_kernels import arrive
-from facetrack_cli.trajectory.trajectory import TargetResult
 
 VISIBLE = 5  # the coordinate of a box that may be hidden that is P(visible)
 
@@ -177,21 +176,19 @@ class BoxTarget(ParticleTarget):
 
     motion: VisibleWalk
 
-    def carried(
-        self, rng: Generator, state: ParticleState, frame: Frame, shift: Array
-    ) -> tuple[ParticleState, TargetResult]:
-        """As `advance`, where others see the box `shift` (2,) from where it is expected."""
+    def carried(self, rng: Generator, state: ParticleState, shift: Array) -> tuple[ParticleState, Info]:
+        """As `advanced`, where others see the box `shift` (2,) from where it is expected."""
         before = state.estimated.state
         step = self.motion.expect(before[None])[0, 0, :2] + shift - before[0, :2]
         particles = state.particles._replace(x=self.motion.carried(rng, state.particles.x, step))
         ess = np.full(1, effective_sample_size(particles.log_w))
         state = replace(state, particles=particles, estimated=self.space.estimate(particles, ess, best=self.best))
-        return state, self._result(state, frame, Info(ess), "tracked")
+        return state, Info(ess)
 
     def unseen(
         self, rng: Generator, state: ParticleState, frame: Frame, *, anywhere: bool
-    ) -> tuple[ParticleState, TargetResult]:
-        """As `advance`, of a box that nobody sees: it stays, or may be `anywhere` in the frame."""
+    ) -> tuple[ParticleState, Info]:
+        """As `advanced`, of a box that nobody sees: it stays, or may be `anywhere` in the frame."""
         assert self.confidence is not None and state.judgement is not None
         x = state.particles.x.copy()
         x[:, 0, VISIBLE] = 0.0
@@ -201,5 +198,4 @@ class BoxTarget(ParticleTarget):
         ess = np.full(1, effective_sample_size(particles.log_w))
         estimated = self.space.estimate(particles, ess, best=self.best)
         judgement = confidence.decide(self.confidence, state.judgement, np.zeros(1))
-        state = replace(state, particles=particles, estimated=estimated, judgement=judgement)
-        return state, self._result(state, frame, Info(ess), "lost")
+        return replace(state, particles=particles, estimated=estimated, judgement=judgement), Info(ess)

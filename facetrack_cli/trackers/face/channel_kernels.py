@@ -1,67 +1,227 @@
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
-"""Gradients by direction and further channels of an image, smoothed."""
+"""Gradients by direction and further channels of an image, smoothed, and regressions that read them at points.
+
+Logarithms come from tables, means over squares from running sums. Channels are smoothed down the image everywhere, and
+across it at the points alone that are read.
+"""
 
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.engine.kernels.compiled import fast
+from facetrack_cli.engine.kernels.compiled import fast, fast_part
 
 Single: TypeAlias = NDArray[np.float32]
+Array: TypeAlias = NDArray[np.float64]
+Image: TypeAlias = NDArray[np.uint8]
 _ZERO, _ONE, _TWO, _THREE, _FOUR, _FIVE = (np.float32(k) for k in range(6))
 _ALL = np.float32(1 / 625)
-_FLAT, _TINY = np.float32(0.02), np.float32(1e-6)
+_FLAT, _EVEN, _TINY = np.float32(0.02), np.float32(0.05), np.float32(1e-6)
+_REACH = 4  # pixels that smoothing reads on either side
+_NEAR, _AROUND = 13, 23  # pixels on either side of a mean
+_GREY = np.log(np.arange(8 * 255 + 1) / 8 + 16).astype(np.float32)  # by an eighth of a grey level
+_COLOUR = np.log(np.arange(256) + 8.0).astype(np.float32)
+_TURNS = np.arange(8) * (2 * np.pi / 8)
+_WAYS = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1).astype(np.float32)
+DIRECTIONS = len(_WAYS)
 
 
-def smoothed_channels(across: Single, down: Single, size: Single, rms: Single, ways: Single, others: Single) -> Single:
-    """(H, W, D + C): in D directions `ways` (D, 2), and the `others` (C, H, W), each twice the mean over 5x5 pixels.
-
-    A gradient (`across`, `down`) (H, W) of length `size` counts in a direction with the square of its share along it,
-    over `size` and over `rms`, the usual length around. H and W are 5 or more; the border reflects.
-    """
-    height, width = size.shape
-    count = len(ways) + len(others)
-    planes, row = np.empty((height, count, width), np.float32), np.empty((count, width), np.float32)
-    out = np.empty((height, width, count), np.float32)
-    _channels(across, down, size, rms, ways, others, planes, row, np.empty((2, width + 8), np.float32), out)
+def looks(image: Image) -> Single:
+    """log(grey + 16), and the redness log((red + 8) / (green + 8)), (2, H, W), of an image (H, W, 3)."""
+    out = np.empty((2, *image.shape[:2]), np.float32)
+    _looks(np.ascontiguousarray(image), _GREY, _COLOUR, out)
     return out
 
 
 @fast
-def _channels(across, down, size, rms, ways, others, planes, row, line, out):
-    height, width = size.shape
-    directions = len(ways)
-    count = directions + len(others)
+def _looks(image, greys, colours, out):
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            b, g, r = np.int32(image[y, x, 0]), np.int32(image[y, x, 1]), np.int32(image[y, x, 2])
+            out[0, y, x] = greys[(934 * b + 4809 * g + 2449 * r + 512) >> 10]
+            out[1, y, x] = colours[r] - colours[g]
+
+
+def smoothed_channels(image: Image, *, whole: bool = True) -> Single:
+    """(C, H, W + 8): channels of an image (H, W, 3), smoothed down it, with a border on the left and on the right.
+
+    In each direction the square of a gradient's share along it, over its length and the usual length: around of the
+    `whole` channels, else in the image. Then redness, brightness and the slope of redness down the image, each relative
+    to what is around, or brightness alone, relative to the image. H and W are 24 or more; the border reflects.
+    """
+    seen = looks(image)
+    height, width = seen.shape[1:]
+    out = np.empty((DIRECTIONS + (3 if whole else 1), height, width + 2 * _REACH), np.float32)
+    _channels(seen, _WAYS, whole, np.empty((9, height, width), np.float32), out)
+    return out
+
+
+@fast
+def _channels(seen, ways, whole, scratch, out):
+    height, width = seen.shape[1:]
+    across, down, others, one, two, sums = scratch[0], scratch[1], scratch[2:5], scratch[5], scratch[6], scratch[7]
+    usual, raw, directions = scratch[8], one, len(ways)
+    _slopes(seen[0], across, down)
+    if whole:
+        _slopes(seen[1], two, others[2])
+        _over_rms(others[2], _NEAR, others[2], one, two, sums)
+        for k in range(2):
+            _mean(seen[1 - k], _AROUND, two, sums)
+            for y in range(height):
+                for x in range(width):
+                    others[k, y, x] = seen[1 - k, y, x] - two[y, x]
+            _over_rms(others[k], _AROUND, others[k], one, two, sums)
+        for y in range(height):
+            for x in range(width):
+                one[y, x] = across[y, x] ** 2 + down[y, x] ** 2
+        _mean(one, _NEAR, usual, sums)
+    else:
+        total, first, second = _ZERO, _ZERO, _ZERO
+        for y in range(height):
+            for x in range(width):
+                total += across[y, x] ** 2 + down[y, x] ** 2
+                first += seen[0, y, x]
+        count = np.float32(height * width)
+        first /= count
+        for y in range(height):
+            for x in range(width):
+                others[0, y, x] = seen[0, y, x] - first
+                second += others[0, y, x] ** 2
+        share = _ONE / (np.sqrt(second / count) + _EVEN)
+        for y in range(height):
+            for x in range(width):
+                others[0, y, x] *= share
+                usual[y, x] = total / count
     for y in range(height):
-        for k in range(directions):
-            u, v, plane = ways[k, 0], ways[k, 1], planes[y, k]
-            for x in range(width):
-                along = max(u * across[y, x] + v * down[y, x], _ZERO)
-                plane[x] = along * along / (size[y, x] * (rms[y, x] + _FLAT) + _TINY)
-        for k in range(directions, count):
-            for x in range(width):
-                planes[y, k, x] = others[k - directions, y, x]
-    # two means over 5 pixels are a sum with weights 1 2 3 4 5 4 3 2 1
-    padded, values = line[0], line[1]
-    flat = row.ravel()
+        for x in range(width):
+            size = np.sqrt(across[y, x] ** 2 + down[y, x] ** 2)
+            usual[y, x] = _ONE / (size * (np.sqrt(max(usual[y, x], _ZERO)) + _FLAT) + _TINY)
+    for k in range(len(out)):
+        if k < directions:
+            u, v = ways[k, 0], ways[k, 1]
+            for y in range(height):
+                for x in range(width):
+                    along = max(u * across[y, x] + v * down[y, x], _ZERO)
+                    raw[y, x] = along * along * usual[y, x]
+            _smooth_down(raw, out[k])
+        else:
+            _smooth_down(others[k - directions], out[k])
+
+
+@fast_part
+def _slopes(values, across, down):
+    """Sobel's slopes."""
+    height, width = values.shape
     for y in range(height):
-        middle = planes[y].ravel()
-        for x in range(len(flat)):
-            flat[x] = _FIVE * middle[x]
-        for d in range(1, 5):
-            weight, upper = np.float32(5 - d), planes[abs(y - d)].ravel()
-            lower = planes[height - 1 - abs(height - 1 - y - d)].ravel()
-            for x in range(len(flat)):
-                flat[x] += weight * (upper[x] + lower[x])
-        for k in range(count):
-            for x in range(width):
-                padded[x + 4] = row[k, x]
-            for d in range(1, 5):
-                padded[4 - d], padded[width + 3 + d] = row[k, d], row[k, width - 1 - d]
-            for x in range(width):
-                near = _FIVE * padded[x + 4] + _FOUR * (padded[x + 3] + padded[x + 5])
-                near += _THREE * (padded[x + 2] + padded[x + 6]) + _TWO * (padded[x + 1] + padded[x + 7])
-                values[x] = (near + padded[x] + padded[x + 8]) * _ALL
-            for x in range(width):
-                out[y, x, k] = values[x]
+        above, here, below = values[abs(y - 1)], values[y], values[height - 1 - abs(height - 2 - y)]
+        for x in range(1, width - 1):
+            across[y, x] = (
+                above[x + 1] - above[x - 1] + _TWO * (here[x + 1] - here[x - 1]) + below[x + 1] - below[x - 1]
+            )
+            down[y, x] = below[x - 1] - above[x - 1] + _TWO * (below[x] - above[x]) + below[x + 1] - above[x + 1]
+        across[y, 0] = across[y, width - 1] = _ZERO  # the border reflects
+        down[y, 0] = _TWO * (below[1] - above[1] + below[0] - above[0])
+        last = width - 1
+        down[y, last] = _TWO * (below[last - 1] - above[last - 1] + below[last] - above[last])
+
+
+@fast_part
+def _over_rms(values, reach, out, squares, around, sums):
+    """Values over the root of the mean of squares around, and a little."""
+    height, width = values.shape
+    for y in range(height):
+        for x in range(width):
+            squares[y, x] = values[y, x] ** 2
+    _mean(squares, reach, around, sums)
+    for y in range(height):
+        for x in range(width):
+            # sums of float32 that cancel may come out below 0
+            out[y, x] = values[y, x] / (np.sqrt(max(around[y, x], _ZERO)) + _EVEN)
+
+
+@fast_part
+def _mean(values, reach, out, sums):
+    """The means over squares that reach so far: sums down the image, and of these across it, eight rows at a time."""
+    height, width = values.shape
+    column, eight = np.zeros(width, np.float32), np.empty(8, np.float32)
+    share = _ONE / np.float32((2 * reach + 1) ** 2)
+    for d in range(-reach, reach + 1):
+        row = values[abs(d)]
+        for x in range(width):
+            column[x] += row[x]
+    for y in range(height):
+        enters, leaves = values[height - 1 - abs(height - 2 - y - reach)], values[abs(y - reach)]
+        for x in range(width):
+            sums[y, x] = column[x] * share
+            column[x] += enters[x] - leaves[x]
+    for first in range(0, height, 8):
+        many = min(8, height - first)
+        for i in range(many):
+            eight[i] = sums[first + i, 0]
+            for d in range(1, reach + 1):
+                eight[i] += _TWO * sums[first + i, d]
+        for x in range(width):
+            enters, leaves = width - 1 - abs(width - 2 - x - reach), abs(x - reach)
+            for i in range(many):
+                out[first + i, x] = eight[i]
+                eight[i] += sums[first + i, enters] - sums[first + i, leaves]
+
+
+@fast_part
+def _smooth_down(values, out):
+    """Sums with the weights 1 2 3 4 5 4 3 2 1, two means over 5 pixels but for a factor, and a border beside them."""
+    height, width = values.shape
+    last = height - 1
+    for y in range(height):
+        here, row = values[y], out[y]
+        a1, a2, a3, a4 = values[abs(y - 1)], values[abs(y - 2)], values[abs(y - 3)], values[abs(y - 4)]
+        b1, b2 = values[last - abs(last - y - 1)], values[last - abs(last - y - 2)]
+        b3, b4 = values[last - abs(last - y - 3)], values[last - abs(last - y - 4)]
+        for x in range(width):
+            near = _FIVE * here[x] + _FOUR * (a1[x] + b1[x]) + _THREE * (a2[x] + b2[x])
+            row[_REACH + x] = near + _TWO * (a3[x] + b3[x]) + a4[x] + b4[x]
+        for d in range(1, _REACH + 1):
+            row[_REACH - d], row[width + _REACH - 1 + d] = row[_REACH + d], row[width + _REACH - 1 - d]
+
+
+def read(seen: Single, x: Array, offsets: Array) -> Single:
+    """(K, G, C): the channels `seen` at the pixels nearest to the places x (K, 2) and `offsets` (G, 2) beside them."""
+    out = np.empty((len(x), len(offsets), len(seen)), np.float32)
+    _read(seen, x, offsets, 1.0, out)
+    return out
+
+
+@fast
+def _read(seen, x, offsets, scale, out):
+    height, width = seen.shape[1], seen.shape[2] - 2 * _REACH
+    for k in range(len(x)):
+        for g in range(len(offsets)):
+            column = min(max(round(x[k, 0] + scale * offsets[g, 0]), 0), width - 1)
+            row = min(max(round(x[k, 1] + scale * offsets[g, 1]), 0), height - 1)
+            for c in range(len(seen)):
+                p = seen[c, row, column : column + 9]
+                near = _FIVE * p[4] + _FOUR * (p[3] + p[5]) + _THREE * (p[2] + p[6]) + _TWO * (p[1] + p[7])
+                out[k, g, c] = (near + p[0] + p[8]) * _ALL
+
+
+def descended(seen: Single, x: Array, offsets: Array, scales: Array, stages: Single) -> Array:
+    """x (K, 2) after S stages (S, F + 1, 2 K), which read at `offsets` (G, 2) times the `scales` (S,) around them."""
+    x, move = x.copy(), np.empty(2 * len(x), np.float32)
+    _descend(seen, x, offsets, scales, stages, np.empty((len(x), len(offsets), len(seen)), np.float32), move)
+    return x
+
+
+@fast
+def _descend(seen, x, offsets, scales, stages, phi, move):
+    flat = phi.ravel()
+    for s in range(len(stages)):
+        _read(seen, x, offsets, scales[s], phi)
+        move[:] = stages[s, len(flat)]
+        for f in range(len(flat)):
+            value, row = flat[f], stages[s, f]
+            for j in range(len(move)):
+                move[j] += value * row[j]
+        for k in range(len(x)):
+            x[k, 0] += move[2 * k]
+            x[k, 1] += move[2 * k + 1]

@@ -29,22 +29,20 @@ from numpy.typing import NDArray
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array, Image
-from facetrack_cli.trackers.face.channel_kernels import smoothed_channels
+from facetrack_cli.trackers.face import channel_kernels as orientations
+from facetrack_cli.trackers.face.channel_kernels import DIRECTIONS, smoothed_channels
 
 KIND = Kind("facetrack-descent", 1, "mouth descent", "python tools/mouth_descent.py")
 DEFAULT = "mouth_descent.npz"
 LEFT, TOP, SIDE = 24, 46, 112  # of the stabilized image, pixels: the part that is read
 CORNER: Final = np.array([LEFT, TOP], np.float64)
-DIRECTIONS, GRID = 8, 5
+GRID: Final = 5
 ODDS_SCALE: Final = 1.6
 NEAR: Final = 3.0  # pixels
-SEEN: Final = 14.0  # log odds of all parts, above which nothing else is tried
+SEEN: Final = 8.0  # log odds of all parts, above which nothing else is tried
 SURE: Final = 4.0  # bound of what one part says of how well a face lies, in log odds
 STEP: Final = 5.0  # pixels between the points of the grid, times the stage's scale
-GREY: Final = np.array([0.114, 0.587, 0.299], np.float32)
-_TURNS: Final = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
-WAYS: Final = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1).astype(np.float32)
-_AROUND: Final = (np.stack(np.meshgrid(*2 * [np.arange(GRID) - (GRID - 1) / 2]), axis=2) * STEP).reshape(-1, 2)
+AROUND: Final = (np.stack(np.meshgrid(*2 * [np.arange(GRID) - (GRID - 1) / 2]), axis=2) * STEP).reshape(-1, 2)
 
 
 class PlacedPoints(NamedTuple):
@@ -99,12 +97,12 @@ class Descent(NamedTuple):
 
     def descended(self, seen: NDArray[np.float32]) -> Array:
         """x after the last stage (K, 2), in the channels of the part of the stabilized image that is read."""
-        return descended(seen, self.mean, self.scales, self.stages)
+        return orientations.descended(seen, self.mean, AROUND, self.scales, self.stages)
 
     def visible(self, seen: NDArray[np.float32], at: Array) -> Array:
         """The log odds (J,) that the first J points are visible at (J, 2), by the channels `seen`."""
-        phi, odds = read(seen, at - CORNER, ODDS_SCALE)[:-1].reshape(len(at), -1), self.odds[:, : len(at)]
-        return np.asarray(np.einsum("jf,fj->j", phi, odds[:-1]) + odds[-1])
+        phi, odds = orientations.read(seen, at - CORNER, ODDS_SCALE * AROUND), self.odds[:, : len(at)]
+        return np.asarray(np.einsum("jf,fj->j", phi.reshape(len(at), -1), odds[:-1]) + odds[-1])
 
     def save(self, path: Path) -> None:
         """Raises OutputError."""
@@ -113,14 +111,10 @@ class Descent(NamedTuple):
         KIND.write(path, {"points": np.array(self.points), **numbers})
 
 
+@lru_cache(maxsize=8)
 def load_descent(path: Path | None = None) -> Descent:
     """The descent in a file that `save` wrote, by default the shipped one. Raises InputError for anything else."""
-    return _load(shipped_folder() / DEFAULT if path is None else path)
-
-
-@lru_cache(maxsize=8)
-def _load(path: Path) -> Descent:
-    return KIND.read(path, _made)
+    return KIND.read(shipped_folder() / DEFAULT if path is None else path, _made)
 
 
 def _made(stored: Stored) -> Descent:
@@ -137,13 +131,6 @@ def _made(stored: Stored) -> Descent:
     return Descent(points, mean, stages, scales, std, odds)
 
 
-def descended(seen: NDArray[np.float32], x: Array, scales: Array, stages: NDArray[np.float32]) -> Array:
-    """x (K, 2) after the last of S stages, in channels `seen`."""
-    for scale, matrix in zip(scales.tolist(), stages, strict=True):
-        x = x + (read(seen, x, scale) @ matrix).reshape(x.shape)
-    return x
-
-
 def seen_in(still: Image, shift: Array | None = None) -> NDArray[np.float32]:
     """The channels of the part of a stabilized image that is read, or of the part (2,) whole pixels beside it."""
     if shift is None or not shift.any():
@@ -155,40 +142,10 @@ def seen_in(still: Image, shift: Array | None = None) -> NDArray[np.float32]:
 
 
 def read(seen: NDArray[np.float32], x: Array, scale: float) -> NDArray[np.float32]:
-    """phi of parts x (K, 2): channels (H, W, C) at the nearest pixels of the grids, and a 1; (K GRID^2 C + 1,)."""
-    at = np.round(x[:, None] + scale * _AROUND).astype(np.int64).reshape(-1, 2)
-    column, row = np.clip(at, 0, (seen.shape[1] - 1, seen.shape[0] - 1)).T
-    return np.append(seen[row, column].ravel(), np.float32(1))
+    """phi of parts x (K, 2): the channels at the nearest pixels of the grids, and a 1; (K GRID^2 C + 1,)."""
+    return np.append(orientations.read(seen, x, scale * AROUND).ravel(), np.float32(1))
 
 
 def channels(image: Image) -> NDArray[np.float32]:
-    """The channels (H, W, DIRECTIONS + 3) of an image (H, W, 3)."""
-    grey, red = looks(np.asarray(cv2.blur(image, (3, 3)), np.uint8))
-    across, down = (np.asarray(cv2.Sobel(grey, cv2.CV_32F, *way), np.float32) for way in ((1, 0), (0, 1)))
-    size = np.sqrt(across**2 + down**2)  # what cv2.magnitude gives depends on where memory begins
-    slope = np.asarray(cv2.Sobel(red, cv2.CV_32F, 0, 1), np.float32)
-    others = np.stack([_relative(red), _relative(grey), slope / (_rms(slope, 27) + 0.05)])
-    return smoothed_channels(across, down, size, _rms(size, 27), WAYS, others)
-
-
-def looks(image: Image) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """log(grey + 16), and the redness log((red + 8) / (green + 8)), (H, W) each, of an image (H, W, 3)."""
-    bgr = image.astype(np.float32)
-    grey = bgr @ GREY
-    return np.log(grey + 16), np.log((bgr[..., 2] + 8) / (bgr[..., 1] + 8))
-
-
-def _mean(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
-    """The means around each pixel, in squares of `side` pixels."""
-    return np.asarray(cv2.blur(values, (side, side)), np.float32)
-
-
-def _rms(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
-    # sums of float32 that cancel may come out below 0
-    return np.asarray(np.sqrt(np.maximum(_mean(values**2, side), 0)), np.float32)
-
-
-def _relative(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Values less the mean around them, in standard deviations around them."""
-    off = values - _mean(values, 47)
-    return np.asarray(off / (_rms(off, 47) + 0.05), np.float32)
+    """The channels of an image (H, W, 3), as `smoothed_channels` has them."""
+    return smoothed_channels(np.asarray(cv2.blur(image, (3, 3)), np.uint8))

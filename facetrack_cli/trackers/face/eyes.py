@@ -26,16 +26,8 @@ from facetrack_cli.core.face_points import GROUPS
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array, Frame, Image
-from facetrack_cli.trackers.face.channel_kernels import smoothed_channels
-from facetrack_cli.trackers.face.descent import (
-    CORNER,
-    DIRECTIONS,
-    GREY,
-    GRID,
-    WAYS,
-    PlacedPoints,
-    descended,
-)
+from facetrack_cli.trackers.face.channel_kernels import DIRECTIONS, descended, read, smoothed_channels
+from facetrack_cli.trackers.face.descent import AROUND, CORNER, GRID, PlacedPoints
 from facetrack_cli.trackers.face.stabilized import EYES, MIDDLE, Similarity, slope
 
 KIND = Kind("facetrack-eyes", 1, "eye descent", "python tools/eye_descent.py")
@@ -52,7 +44,7 @@ CELL: Final = 4  # pixels between the points of its grid
 NARROW: Final = 0.25  # width of an eye in distances between the eyes, below which it is turned away
 SMALL: Final = 16.0  # pixels of the frame between the eyes, below which lids are not seen
 STEEP: Final = 40.0  # log odds of being visible that are lost by a width that is narrower by 1, or a face by its size
-_GRID: Final = slice(CELL // 2, None, CELL)
+_GRID: Final = np.stack(np.meshgrid(*2 * [np.arange(CELL // 2, SIDE, CELL, dtype=np.float64)]), axis=2).reshape(-1, 2)
 WIDTH: Final = (SIDE // CELL) ** 2 * (DIRECTIONS + 1) + 1  # of phi
 
 
@@ -90,7 +82,7 @@ class EyeDescent(NamedTuple):
     def corners(self, seen: NDArray[np.float32], parts: Array) -> Array:
         """The corners (4, 2), as the cascade has them."""
         x = self.mean + (np.append(parts - CORNER - self.rest, 1.0) @ self.first).reshape(-1, 2)
-        return descended(seen, x, self.scales, self.stages) + CORNER
+        return descended(seen, x, AROUND, self.scales, self.stages) + CORNER
 
     def save(self, path: Path) -> None:
         """Raises OutputError."""
@@ -117,12 +109,8 @@ def views(head: Similarity, corners: Array) -> list[Similarity]:
 
 def phi(patch: Image) -> NDArray[np.float32]:
     """(WIDTH,) of a patch (SIDE, SIDE, 3)."""
-    grey = np.log(cv2.blur(patch, (3, 3)) @ GREY + 16)
-    across, down = (np.asarray(cv2.Sobel(grey, cv2.CV_32F, *way), np.float32) for way in ((1, 0), (0, 1)))
-    size = np.sqrt(across**2 + down**2)
-    usual = np.full_like(size, math.sqrt(np.mean(size**2)))
-    others = ((grey - grey.mean()) / (grey.std() + 0.05))[None]
-    return np.append(smoothed_channels(across, down, size, usual, WAYS, others)[_GRID, _GRID].ravel(), np.float32(1))
+    seen = smoothed_channels(np.asarray(cv2.blur(patch, (3, 3)), np.uint8), whole=False)
+    return np.append(read(seen, np.zeros((1, 2)), _GRID).ravel(), np.float32(1))
 
 
 @lru_cache(maxsize=8)

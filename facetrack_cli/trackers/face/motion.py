@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array
 from facetrack_cli.engine.protocols import Linear, Motion
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.face import settings as face
+from facetrack_cli.trackers.face.walk_kernels import jump
 
 ANY: Final = 0.3  # share of draws that do not follow what a sensor and the last place make likely
 
@@ -26,6 +28,16 @@ class SensorReading(NamedTuple):
     var: Array
     sure: Array
     area: float
+
+
+class ScoredMaps(NamedTuple):
+    """log p(y | x) of parts as log(v exp(s (r(x) - 1)) + (1 - v) exp(-floor s)), r read from maps, as by WindowNcc."""
+
+    maps: NDArray[np.float32]
+    corner: Array
+    visible: Array
+    sharpness: float
+    floor: float
 
 
 def _proposed(log_p: Array) -> Array:
@@ -93,6 +105,14 @@ class JumpingWalk(Motion):
         log_n = -0.5 * np.sum((x - mean) ** 2, axis=3) / var - np.log(2 * np.pi * var)
         return np.asarray(_log_sum(log_p + log_n) - _log_sum(np.log(_proposed(log_p)) + log_n))
 
+    def propose(
+        self, rng: np.random.Generator, x: Array, measured: Sequence[SensorReading], windows: ScoredMaps
+    ) -> tuple[Array, Array]:
+        """`propagate_given`, and `log_measured` with the score by `windows` of what it gives, (N, K), in one kernel."""
+        uniform, normal = rng.random(x.shape[:2]), rng.standard_normal(x.shape)
+        steps = self.sigma, self.jump, self.jumps
+        return jump(x, uniform, normal, modes(measured, x.shape[1]), steps, self.rest, self.keep, ANY, *windows)
+
     def _components(self, x: Array, measured: Sequence[SensorReading]) -> tuple[Array, Array, Array]:
         """Means (C, N, K, 2) and variances (C, 1, K) of a part, log p(z and this | a^-) (C, N, K).
 
@@ -135,13 +155,25 @@ def jumping_walk(settings: face.JumpingWalk, context: Context) -> JumpingWalk:
 
 @dataclass(frozen=True)
 class MeasuredWalk(Motion):
-    """A jumping walk in one frame, in which sensors have `measured` the parts."""
+    """A jumping walk in one frame, in which sensors have `measured` the parts.
+
+    With `windows`, which score the parts, draws are weighed as they are drawn; `known` are these, by their ids.
+    """
 
     walk: JumpingWalk
     measured: Sequence[SensorReading]
+    windows: ScoredMaps | None = None
+    known: dict[int, tuple[Array, Array]] = field(default_factory=dict)
 
     def propagate(self, rng: np.random.Generator, x: Array) -> Array:
-        return self.walk.propagate_given(rng, x, self.measured)
+        if self.windows is None:
+            return self.walk.propagate_given(rng, x, self.measured)
+        drawn, log_p = self.walk.propose(rng, x, self.measured, self.windows)
+        self.known[id(drawn)] = drawn, log_p
+        return drawn
+
+    def weighed(self, x: Array) -> Array | None:
+        return self.known[id(x)][1] if id(x) in self.known else None
 
     def log_importance(self, x: Array, parents: Array) -> Array:
         return self.walk.log_measured(x, parents, self.measured)

@@ -75,6 +75,9 @@ class Sensor(NamedTuple):
     def measured(self, z: Array, visible: Array) -> SensorReading:
         """What z (K, 2) says of parts that are visible with a probability (K,)."""
         known = _known(z)
+        if not known.any():
+            nothing = np.zeros(len(z))
+            return SensorReading(np.zeros_like(z), self._ahead + self.noise, nothing, AREA)
         sure = np.where(known, self._right_ahead * (BLIND + (1 - BLIND) * visible), 0.0)
         at = np.where(known[:, None], z - self.keep * self.bias, 0.0)
         noise = self.noise + MISLED**2 * (1 - visible.min())
@@ -95,8 +98,10 @@ class Sensor(NamedTuple):
         `cross` (K,): its share of the squared distance from an independent sensor, since the filter's state is partly
         what it has said itself.
         """
-        var, spread, before = self._ahead, 0.5 * np.trace(cov, axis1=1, axis2=2), self.keep * self.bias
-        off = z - before - state
+        var, before = self._ahead, self.keep * self.bias
+        if not np.isfinite(z).any():
+            return self._replace(bias=before, var=var, right=self._right_ahead)
+        off, spread = z - before - state, 0.5 * (cov[:, 0, 0] + cov[:, 1, 1])
         squared = 0.5 * np.sum(off**2, axis=1)
         total = var + self.noise + spread
         use = np.where(np.isfinite(squared) & (squared < MAX_SQUARED_DISTANCE * total), visible * visible.min(), 0.0)
@@ -158,6 +163,8 @@ def who_is_right(readings: Sequence[SensorReading], *scores: Array) -> Array:
 
 def joined(one: SensorReading, other: SensorReading) -> SensorReading:
     """What two sensors say together; where they are far apart, what the other says alone."""
+    if not other.sure.any():
+        return one
     weight = np.where(apart(one, other), 0.0, one.sure / one.var), other.sure / other.var
     total = np.maximum(weight[0] + weight[1], 1e-12)
     z = (weight[0][:, None] * one.z + weight[1][:, None] * other.z) / total[:, None]
@@ -167,15 +174,18 @@ def joined(one: SensorReading, other: SensorReading) -> SensorReading:
 
 def apart(one: SensorReading, other: SensorReading) -> Mask:
     """(K,): of which parts two sensors cannot both be right."""
-    return np.asarray(
-        (np.minimum(one.sure, other.sure) > 0)
-        & (np.sum((one.z - other.z) ** 2, axis=1) > MAX_SQUARED_DISTANCE * (one.var + other.var))
-    )
+    if not (both := np.minimum(one.sure, other.sure) > 0).any():
+        return np.asarray(both)
+    return np.asarray(both & (np.sum((one.z - other.z) ** 2, axis=1) > MAX_SQUARED_DISTANCE * (one.var + other.var)))
 
 
 def in_common(off: Array, known: Mask) -> Array:
     """By how much (2,) all `known` (K,) parts are `off` (K, 2) alike: then the head has slipped, and no sensor errs."""
-    return np.asarray(np.median(off[known], axis=0)) if known.sum() >= 3 else np.zeros(2)
+    many = int(known.sum())
+    if many < 3:
+        return np.zeros(2)
+    each = np.sort(off[known], axis=0)  # their median; NumPy's takes ten times as long
+    return np.asarray(0.5 * (each[(many - 1) // 2] + each[many // 2]))
 
 
 def common_shift(measured: SensorReading, state: Array) -> Array:

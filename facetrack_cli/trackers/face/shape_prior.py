@@ -39,5 +39,5 @@ class StudentPrior(Prior):
         """(N,): the log density, at most 0."""
         moved = (x - self.first) / self.length
         q = (moved - moved[:, [self._stable]])[:, self._moving].reshape(len(x), len(self.cov))
-        squared = np.einsum("ni,ij,nj->n", q, self._inverse, q)
+        squared = np.sum(q @ self._inverse * q, axis=1)
         return np.asarray(-0.5 * (self.freedom + q.shape[1]) * np.log1p(squared / self.freedom))

@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.face_points import EYE_DISTANCE
-from facetrack_cli.core.types import Array, Frame
+from facetrack_cli.core.types import Array, Frame, Image
 from facetrack_cli.core.warp import warp_affine
+from facetrack_cli.trackers.face.colour_kernels import coloured
 
 SIDE: Final = 160  # sides of the stabilized image, in pixels
 FACE: Final = 112.0  # sides of the face's box in it
@@ -35,23 +36,44 @@ class Similarity(NamedTuple):
 
     def to_frame(self, x: Array) -> Array:
         """Places (..., 2) of the stabilized image in the frame."""
-        return np.asarray((x - MIDDLE) @ self.matrix.T + self.centre)
+        flat = (x.reshape(-1, 2) - MIDDLE) @ self.matrix.T + self.centre  # of more axes it takes five times as long
+        return np.asarray(flat.reshape(x.shape))
 
     def to_stabilized(self, x: Array) -> Array:
         """Places (..., 2) of the frame in the stabilized image."""
-        return np.asarray((x - self.centre) @ np.linalg.inv(self.matrix).T + MIDDLE)
+        return np.asarray((x - self.centre) @ (self.matrix / self.scale**2) + MIDDLE)
+
+    def into(self, other: Similarity) -> tuple[Array, Array]:
+        """M.T (2, 2) and t (2,): x @ M.T + t are places x in the stabilized image of another map."""
+        turned = self.matrix.T @ other.matrix / other.scale**2
+        return turned, (self.centre - other.centre) @ (other.matrix / other.scale**2) + MIDDLE - MIDDLE * turned.sum(
+            axis=0
+        )
+
+    def is_near(self, other: Similarity, pixels: float) -> bool:
+        """Whether the face's box lies within so many pixels of the stabilized image of where another map has it."""
+        far = math.hypot(*(self.centre - other.centre)) + abs(self.scale - other.scale) * FACE / 2
+        return far < pixels * self.scale and math.cos(self.angle - other.angle) > math.cos(2 * pixels / FACE)
 
     def read(self, frame: Frame, side: int = SIDE) -> Frame:
         """The stabilized image, (side, side, 3), of a frame; beyond the frame's border, the border's pixels."""
         factor = 2 ** min(max(math.floor(math.log2(max(self.scale, 1.0))), 0), 8)
         far = 0.75 * side * self.scale + 2 * factor
         x, y = self.centre.tolist()
-        image, left, top = frame.reduced(factor, (x - far, y - far, x + far, y + far))
-        matrix = self.matrix / factor
-        corner = (self.centre - (left, top) - (factor - 1) / 2) / factor - matrix @ ((side - 1) / 2, (side - 1) / 2)
-        whole = np.column_stack([matrix, corner])
-        still = warp_affine(image, whole, (side, side), cv2.BORDER_REPLICATE, inverse=True)
-        return Frame(frame.index, frame.time_s, np.asarray(still, np.uint8))
+        extent = (x - far, y - far, x + far, y + far)
+        if (planes := frame.planes(factor, extent)) is not None:
+            still = coloured(*(self._warped(*one, side) for one in planes))
+        else:
+            still = self._warped(*frame.reduced(factor, extent), factor, side)
+        return Frame(frame.index, frame.time_s, still)
+
+    def _warped(self, image: Image, left: int, top: int, factor: int, side: int) -> Image:
+        """Of a frame an image, reduced by `factor`, that begins at (left, top)."""
+        (x, y), half, off = self.centre.tolist(), (side - 1) / 2, (factor - 1) / 2
+        a, b = self.scale * math.cos(self.angle) / factor, self.scale * math.sin(self.angle) / factor
+        u, v = (x - left - off) / factor - (a - b) * half, (y - top - off) / factor - (b + a) * half
+        matrix = np.array([[a, -b, u], [b, a, v]])
+        return np.asarray(warp_affine(image, matrix, (side, side), cv2.BORDER_REPLICATE, inverse=True), np.uint8)
 
 
 def change_between(x: Array, rest: Array) -> tuple[float, float]:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame
-from facetrack_cli.engine.target import ParticleState
+from facetrack_cli.engine.target import ParticleState, Rows
 from facetrack_cli.trackers.face.descent import PlacedPoints
 from facetrack_cli.trackers.face.detectors import Found
 from facetrack_cli.trackers.face.evidence import Sighting
@@ -20,15 +20,13 @@ from facetrack_cli.trackers.face.motion import SensorReading
 from facetrack_cli.trackers.face.sensors import Facing, Sensor
 from facetrack_cli.trackers.face.stabilized import Similarity
 from facetrack_cli.trackers.people.looks import Picture
-from facetrack_cli.trajectory.trajectory import TargetResult
 from facetrack_cli.video.shots import Passing
 
 _MAX_POSE: Final = np.array([math.inf, 0.7, 0.3, 0.3])  # a face may lie, and a head may turn over
 
 
-@dataclass(frozen=True)
-class FaceState:
-    """The states of head and points, the last `points` as rows of the stabilized image; what is known of their sensors.
+class FaceState(NamedTuple):
+    """The states of head and points, the last rows of `points` in the stabilized image; what is known of their sensors.
 
     `sensors` are regression, detector, network; `others` the network's points, None before it has seen the face;
     `eyes` those of the eyes, None where they have no rows.
@@ -43,7 +41,7 @@ class FaceState:
 
     head: ParticleState
     features: ParticleState
-    points: TargetResult
+    points: Rows
     sensors: tuple[Sensor, ...]
     facing: Facing
     pose: Array

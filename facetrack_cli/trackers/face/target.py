@@ -32,10 +32,10 @@ from facetrack_cli.core.geometry import centre, corners, square
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, TargetStart
 from facetrack_cli.engine.calibration import Calibration
 from facetrack_cli.engine.loop import Footprint
-from facetrack_cli.engine.protocols import Names
+from facetrack_cli.engine.protocols import Motion, Names
 from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.engine.spaces import Estimate
-from facetrack_cli.engine.target import ParticleState, ParticleTarget
+from facetrack_cli.engine.target import ParticleState, ParticleTarget, Rows
 from facetrack_cli.trackers.box.hidden_box import BoxTarget
 from facetrack_cli.trackers.face import stabilized, window_ncc
 from facetrack_cli.trackers.face.evidence import (
@@ -69,7 +69,7 @@ from facetrack_cli.trackers.face.stabilized import EYES, FACE, Similarity
 from facetrack_cli.trackers.face.state import FaceState, View, shifted, sure_of, updated
 from facetrack_cli.trackers.people.looks import Picture
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, NETWORK, ROLL, SCALE, Diagnostics
-from facetrack_cli.trajectory.trajectory import TargetResult, Trajectory, of_frame
+from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
 from facetrack_cli.video.shots import Passing, small
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
@@ -116,19 +116,20 @@ class FaceTarget:
         return {**points, **self.head.windows}
 
     def begin(self, rng: Generator, frame: Frame) -> tuple[FaceState, TargetResult]:
-        head, box = self.head.begin(rng, frame)
+        head, begun = self.head.begin(rng, frame)
         similarity = self._map(head.estimated.state, self.pose)
         seen = similarity.read(frame)
-        features, points = self.features.begin(rng, seen)
+        features, _ = self.features.begin(rng, seen)
         facing, found = Facing(), self.senses.detected(seen)
         sensors, others, eyes = self.senses.begin(frame, similarity, seen, found, self.features.x0)
         if self.senses.detector is not None and not self.senses.searched and found is None:
             facing = facing.unseen()
-        points = points._replace(beliefs=None)
+        points = self.features.rows(features, seen, otherwise="init")
         state = FaceState(
             head, features, points, sensors, facing, self.pose, np.zeros(4), others, eyes,
             (look_of(seen),), (self._picture(frame, similarity),), similarity, Passing((small(frame),)),
         )  # fmt: skip
+        box = self.head.rows(head, frame, otherwise="init")._replace(notes=begun.notes)
         return state, self._result(state, box, frame)
 
     def restart(
@@ -148,42 +149,42 @@ class FaceTarget:
         shape = Similarity(np.zeros(2), scale, roll)
         middle = at.mean(axis=0) - (rest.mean(axis=0) - stabilized.MIDDLE) @ shape.matrix.T
         side = FACE * scale
-        head, boxed = self.head.restart(rng, frame, first.head, TargetStart(square(middle, side)))
+        head, _ = self.head.restart(rng, frame, first.head, TargetStart(square(middle, side)))
         pose = np.array([roll, 0.0, 0.0, 0.0])
         similarity = self._map(head.estimated.state, pose)
         moved = {part: tuple(similarity.to_stabilized(place).tolist()) for part, place in placed.items()}
         seen, there = similarity.read(frame), TargetStart(points=moved)
-        features, rows = self.features.restart(rng, seen, first.features, there, absent, anew)
+        features, _ = self.features.restart(rng, seen, first.features, there, absent, anew)
         found, at = self.senses.detected(seen), features.estimated.state
         sensors, others, eyes = self.senses.begin(frame, similarity, seen, found, at)
-        points = rows._replace(beliefs=None)
+        points = self.features.rows(features, seen)
         state = FaceState(
             head, features, points, sensors, Facing(), pose, np.zeros(4), others, eyes, first.looks,
             first.pictures, similarity, Passing((small(frame),)),
         )  # fmt: skip
-        return state, self._result(state, boxed, frame)
+        return state, self._result(state, self.head.rows(head, frame), frame)
 
     def advance(
         self, rng: Generator, state: FaceState, frame: Frame, footprints: Sequence[Footprint] = ()
     ) -> tuple[FaceState, TargetResult]:
-        state = replace(state, frames=state.frames + 1)
+        state = state._replace(frames=state.frames + 1)
         if not self._searches:
             return self._step(rng, state, frame, footprints)
         passing, event = state.passing.after(frame)
         cut = {"": state.cut, "none": None}.get(event, frame.time_s)
-        state = replace(state, passing=passing, cut=cut)
+        state = state._replace(passing=passing, cut=cut)
         if cut is None or frame.time_s - cut <= STAYS:
             after, result = self._step(rng, state, frame, footprints)
             if cut is None or after.cut is None or self._stays(after, frame):
-                return replace(after, cut=None), result
+                return after._replace(cut=None), result
         just = frame.time_s - cut <= STAYS  # then every frame counts
         if just or event or self._is_due(state):
             state = self._sighted(state, frame)
             if (seen := state.sighting) is not None and seen.is_target(frame):
                 return self._returned(rng, state, seen, frame)
-        head, box = self.head.unseen(rng, state.head, frame, anywhere=not just)
-        state = replace(state, head=head, sure=_FORGETS * state.sure)
-        return state, self._result(state, box, frame)
+        head, info = self.head.unseen(rng, state.head, frame, anywhere=not just)
+        state = state._replace(head=head, sure=_FORGETS * state.sure)
+        return state, self._result(state, self.head.rows(head, frame, info), frame)
 
     @cached_property
     def _searches(self) -> bool:
@@ -202,6 +203,7 @@ class FaceTarget:
         due = self._is_due(state)
         if self.senses.detector is not None and self.settings.detections is not None:
             due |= shown and state.sure <= DOUBT
+        view: View | None = None
         if shown and state.sure >= EASY and state.frames % LOOK:
             view = self._view(state, self.head.motion.expect(state.head.estimated.state[None])[0], frame, due=due)
             if view.parts.sure >= EASY and math.hypot(*view.shift) < STEADY:
@@ -212,12 +214,15 @@ class FaceTarget:
                 return self._returned(rng, state, seen, frame)
         told = 0.0 if state.sighting is not None else state.facing.odds(state.sure)
         before = replace(state.head, learned=state.head.learned._replace(told=told))
-        head, box = self.head.advance(rng, before, frame, footprints)
+        head, info = self.head.advanced(rng, before, frame, footprints)
+        box = self.head.rows(head, frame, info)
         if sure_of(head) < self.settings.lost_below:
-            state = replace(state, head=head, facing=state.facing.predicted(), sure=_FORGETS * state.sure)
+            state = state._replace(head=head, facing=state.facing.predicted(), sure=_FORGETS * state.sure)
             return state, self._result(state, box, frame)
-        state = replace(state, head=head, sighting=None)
-        return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=due), frame, box)
+        state = state._replace(head=head, sighting=None)
+        if view is None or not view.similarity.is_near(self._map(head.estimated.state, state.pose), STEADY):
+            view = self._view(state, head.estimated.state, frame, due=due)
+        return self._followed(rng, state, view, frame, box)
 
     def _stays(self, state: FaceState, frame: Frame) -> bool:
         """Whether what is followed, after what may be a cut, is the face of before."""
@@ -249,28 +254,36 @@ class FaceTarget:
         return View(similarity, seen, channels, due, found, parts, others, eyes, places, measured, upright, shift, sure)
 
     def _followed(
-        self, rng: Generator, state: FaceState, view: View, frame: Frame, box: TargetResult | None
+        self, rng: Generator, state: FaceState, view: View, frame: Frame, box: Rows | None
     ) -> tuple[FaceState, TargetResult]:
         """The points in a frame of which there is a `view`; a head without a `box` goes with them."""
         odds, features, shift = view.parts.odds, state.features, view.shift
-        if isinstance(features.learned, window_ncc.WindowState):
-            features = replace(features, learned=features.learned._replace(told=odds))
         features = shifted(features, lambda x: x + shift)
-        walk = self.features.motion
-        given = (
-            MeasuredWalk(walk, view.measured) if isinstance(walk, JumpingWalk) else None
-        )  # others have the shift alone
-        features, points = self.features.advance(rng, features, view.seen, (), given)
+        if isinstance(features.learned, window_ncc.WindowState):
+            within = self._within(features.estimated, view.measured)
+            features = replace(features, learned=features.learned._replace(told=odds, within=within))
+        walk, likelihood = self.features.motion, self.features.likelihood
+
+        def measured(learned: Any) -> Motion:
+            """Other motions than this walk have the shift alone."""
+            if not isinstance(walk, JumpingWalk):
+                return walk
+            windows = likelihood.scored(learned) if isinstance(likelihood, window_ncc.WindowNcc) else None
+            return MeasuredWalk(walk, view.measured, windows)
+
+        features, info = self.features.advanced(rng, features, view.seen, (), measured)
         estimated, visible = features.estimated, self._visible(features)
         told, own = self._judged(state.features, view, estimated)
         regression, _, network = view.measured
-        off = np.sum((network.z - regression.z) ** 2, axis=1)
-        cross = np.where((network.sure > 0) & ~apart(network, regression), 0.25 * off, 0.0)
+        cross: Array | float = 0.0
+        if network.sure.any():
+            off = np.sum((network.z - regression.z) ** 2, axis=1)
+            cross = np.where((network.sure > 0) & ~apart(network, regression), 0.25 * off, 0.0)
         each = zip(state.sensors, view.places, told, (cross, 0.0, cross), strict=True)
         sensors = tuple(one.learned(z, estimated.state, estimated.cov, visible, *more) for one, z, *more in each)
         if isinstance(features.learned, window_ncc.WindowState):
             features = replace(features, learned=window_ncc.doubted(features.learned, own))
-        points = points._replace(beliefs=None)  # those are of the state
+        points = self.features.rows(features, frame, info)
         facing = state.facing if self.senses.detector is None else state.facing.predicted()
         others, far, similarity, head = state.others, view.others, view.similarity, state.head
         if others is not None:
@@ -285,16 +298,19 @@ class FaceTarget:
         if eyes is not None and view.eyes is not None:
             eyes = eyes.after(*view.eyes)
         if box is None:
-            head, box = self.head.carried(rng, head, frame, similarity.matrix @ shift)
-        state = replace(
-            state, head=head, features=features, points=points, sensors=sensors, facing=facing, others=others,
+            # by all of what the points have moved, or it falls behind until the head's filter looks again
+            moved = in_common(estimated.state - state.features.estimated.state, visible > 0.5)
+            head, info = self.head.carried(rng, head, similarity.matrix @ moved)
+            box = self.head.rows(head, frame, info)
+        state = state._replace(
+            head=head, features=features, points=points, sensors=sensors, facing=facing, others=others,
             eyes=eyes, sure=view.sure,
         )  # fmt: skip
         if view.found is not None and view.sure >= EASY and state.cut is None:
-            state = replace(state, seen=similarity)
+            state = state._replace(seen=similarity)
             if likeness(state.looks, look := look_of(view.seen)) < NEW:
                 picture = self._picture(frame, similarity)
-                state = replace(state, looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
+                state = state._replace(looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
         state = self._moved(self._posed(state, view), similarity)
         return state, self._result(state, box, frame)
 
@@ -302,6 +318,13 @@ class FaceTarget:
         """(K,) how visible the parts are, where their likelihood says so."""
         known = isinstance(features.learned, window_ncc.WindowState)
         return np.asarray(features.learned.visible if known else np.ones(len(self.features.parts)))
+
+    def _within(self, before: Estimate, measured: Sequence[SensorReading]) -> float:
+        """How far parts are from where they are expected, in pixels, by their spread and by what is `measured`."""
+        expected, far = self.features.motion.expect(before.state[None])[0], 0.0
+        for one in (each for each in measured if each.sure.any()):
+            far = max(far, np.abs(np.where(one.sure[:, None] > 0.5, one.z - expected, 0.0)).max())
+        return float(far + 3 * math.sqrt(before.cov[:, [0, 1], [0, 1]].max()))
 
     def _judged(self, features: ParticleState, view: View, found: Estimate) -> tuple[Array, Array]:
         """By how much it is said that sensors see parts (S, K), and that windows do (K,), in log odds.
@@ -311,9 +334,10 @@ class FaceTarget:
         likelihood, own, measured = self.features.likelihood, found.state, view.measured
         odds = np.full((len(measured) + 1, len(own)), np.nan)
         visible = self._visible(features)
+        windows = SensorReading(own, 0.5 * (found.cov[:, 0, 0] + found.cov[:, 1, 1]), WINDOWS * visible, AREA)
+        said = [i for i, one in enumerate((*measured, windows)) if one.sure.any()]
         each = [one._replace(z=one.z - in_common(one.z - own, one.sure > 0)) for one in measured]
-        each.append(SensorReading(own, 0.5 * np.trace(found.cov, axis1=1, axis2=2), WINDOWS * visible, AREA))
-        said = [i for i, one in enumerate(each) if one.sure.any()]
+        each.append(windows)
         differ = np.any([apart(one, other) for one, other in combinations([each[i] for i in said], 2)], axis=0)
         if isinstance(likelihood, window_ncc.WindowNcc) and differ.any():
             learned, readings = likelihood.look(features.learned, view.seen, own), [each[i] for i in said]
@@ -336,7 +360,7 @@ class FaceTarget:
             np.array([*(np.array(centre(one.box)) - one.box[2] * pose[2:]), math.log(one.box[2] / self.side)])
             for one in faces
         )
-        state = replace(state, several=state.several + (len(faces) > 1))
+        state = state._replace(several=state.several + (len(faces) > 1))
         seen = [Sighting.of(one, frame) for one in faces]
         if seen:
             lie = [one.similarity for one in seen]
@@ -354,7 +378,7 @@ class FaceTarget:
         sighting = found if seen and found.p > MAYBE else None
         facing = state.facing.looked(found=False) if sighting is None else state.facing
         head = replace(state.head, learned=state.head.learned._replace(sighted=places))
-        return replace(state, head=head, sighting=sighting, facing=facing)
+        return state._replace(head=head, sighting=sighting, facing=facing)
 
     def _is_covered(self, head: ParticleState) -> bool:
         """Whether a head that is not seen is held to be where it was."""
@@ -368,7 +392,8 @@ class FaceTarget:
         """The face where it is seen again."""
         side = seen.box[2] * math.exp(-state.pose[1])
         middle = np.array(centre(seen.box)) - side * state.pose[2:]
-        head, boxed = self.head.restart(rng, frame, state.head, TargetStart(square(middle, side)))
+        head, _ = self.head.restart(rng, frame, state.head, TargetStart(square(middle, side)))
+        boxed = self.head.rows(head, frame)
         pose, rest = np.array([seen.roll, *state.pose[1:]]), self.features.x0
         if seen.p < SURE:
             doubt = (
@@ -376,7 +401,7 @@ class FaceTarget:
             )
             boxed = boxed._replace(notes=(*boxed.notes, doubt))
         features = shifted(state.features, lambda x: x + (rest - state.features.estimated.state))
-        state = replace(state, head=head, features=features, pose=pose, facing=Facing(), sighting=None, cut=None)
+        state = state._replace(head=head, features=features, pose=pose, facing=Facing(), sighting=None, cut=None)
         return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=True), frame, boxed)
 
     def _posed(self, state: FaceState, view: View) -> FaceState:
@@ -390,7 +415,7 @@ class FaceTarget:
         if turns:
             pose, var = updated(pose, var, np.array([np.mean(turns), 0, 0, 0]), _BY_PAIRS)
         if view.due:
-            state = replace(state, facing=state.facing.looked(found=view.found is not None))
+            state = state._replace(facing=state.facing.looked(found=view.found is not None))
         # a box drawn by hand may differ from the detector's box
         if view.found is not None and self.senses.searched:
             box = view.found.box
@@ -398,22 +423,19 @@ class FaceTarget:
             lies = Similarity(np.zeros(2), math.exp(pose[1]) / FACE, float(pose[0])).to_frame(np.array(centre(box)))
             std = _BY_BOX if view.found.eyes is None else np.array([np.inf, _BY_EYES, *_BY_BOX[2:]])
             pose, var = updated(pose, var, np.array([0.0, math.log(box[2] / FACE), *lies]), std)
-        return replace(state, pose=pose, pose_var=var)
+        return state._replace(pose=pose, pose_var=var)
 
     def _moved(self, state: FaceState, old: Similarity) -> FaceState:
         """With the points, which are in the stabilized image of the `old` map, in that of the state's own."""
-        new, rows = self._map(state.head.estimated.state, state.pose), state.points.rows
+        turned, shift = old.into(self._map(state.head.estimated.state, state.pose))
 
         def moved(x: Array) -> Array:
-            return new.to_stabilized(old.to_frame(x))
+            return np.asarray((x.reshape(-1, 2) @ turned + shift).reshape(x.shape))
 
-        origin = moved(np.zeros(2))
-        sensors = tuple(one._replace(bias=moved(one.bias) - origin) for one in state.sensors)
+        sensors = tuple(one._replace(bias=one.bias @ turned) for one in state.sensors)
         others, eyes = (one and one.mapped(moved) for one in (state.others, state.eyes))
-        x, y = moved(np.stack([rows.x, rows.y], axis=1)).T
-        points = state.points._replace(rows=replace(rows, x=x, y=y), cloud=moved(state.points.cloud))
         features = shifted(state.features, moved)
-        return replace(state, features=features, points=points, sensors=sensors, others=others, eyes=eyes)
+        return state._replace(features=features, sensors=sensors, others=others, eyes=eyes)
 
     def footprint(self, state: FaceState, *, ahead: bool) -> Footprint | None:
         return self.head.footprint(state.head, ahead=ahead)
@@ -422,21 +444,21 @@ class FaceTarget:
     def diagnostics(self) -> tuple[Any, ...]:
         return (SCALE, ROLL, EVIDENCE) if self.senses.mesh is None else (SCALE, ROLL, EVIDENCE, NETWORK)
 
-    def _result(self, state: FaceState, box: TargetResult, frame: Frame) -> TargetResult:
+    def _result(self, state: FaceState, box: Rows, frame: Frame) -> TargetResult:
         """Rows of the points, as last seen in the stabilized image, of the box, and of points without windows."""
-        similarity, rows = self._map(state.head.estimated.state, state.pose), state.points.rows
-        scale = similarity.scale
-        cov = np.array([[rows.std_x**2, rows.cov_xy], [rows.cov_xy, rows.std_y**2]]).transpose(2, 0, 1)
-        visible = np.where(np.isnan(rows.confidence), 1.0, rows.confidence)
-        points = self._rows(state, np.stack([rows.x, rows.y], axis=1), cov, visible, rows.status == "lost")
-        since = np.where(rows.status == "init", "init" if not state.frames else "tracked", rows.status)
+        similarity, rows = self._map(state.head.estimated.state, state.pose), state.points.columns
+        scale, points_at, status = similarity.scale, state.features.estimated, rows["status"]
+        confidence = rows.get("confidence", np.full(len(status), np.nan))
+        visible = np.where(np.isnan(confidence), 1.0, confidence)
+        points = self._rows(state, points_at.state, points_at.cov, visible, status == "lost")
+        since = np.where(status == "init", "init" if not state.frames else "tracked", status)
         points["status"] = np.where(points["status"] == "lost", "lost", since)
-        points["confidence"] = points["confidence"] if state.frames else rows.confidence
-        points |= {"w": rows.w * scale, "h": rows.h * scale, "ess": rows.ess}
-        if (gone := rows.status == "absent").any():
+        points["confidence"] = points["confidence"] if state.frames else confidence
+        points |= {"w": rows["w"] * scale, "h": rows["h"] * scale, "ess": rows["ess"]}
+        if (gone := status == "absent").any():
             nothing = {name: "absent" if name == "status" else np.nan for name in points}
             points = {name: np.where(gone, nothing[name], values) for name, values in points.items()}
-        face = {name: getattr(box.rows, name) for name in points} | self._face(box.rows, similarity)
+        face = {name: box.columns[name] for name in points} | self._face(box.columns, similarity)
         blank = {name: np.full((1, *one.shape[1:]), np.nan) for name, one in face.items() if name != "status"}
         sections = [points, face]
         for names, one in self._without_windows(state):
@@ -445,7 +467,7 @@ class FaceTarget:
             else:
                 covered = one.visible < self.settings.lost_below
                 sections.append(self._rows(state, one.at, one.cov, one.visible, covered, placed=True))
-        counts = len(rows), 1, *(len(names) for names, _ in self._without_windows(state))
+        counts = len(status), 1, *(len(names) for names, _ in self._without_windows(state))
         columns = {
             name: np.concatenate(
                 [
@@ -456,18 +478,17 @@ class FaceTarget:
             for name in face
         }
         # of a target one number: both filters' together
-        columns["particles"] = np.full(len(self.parts), float(rows.particles.max() + box.rows.particles[0]))
+        columns["particles"] = np.full(len(self.parts), float(rows["particles"].max() + box.columns["particles"][0]))
         values = {SCALE.name: scale * FACE / self.side, ROLL.name: math.degrees(state.pose[0])}
         # both likelihoods are ratios, which are 1 where the head is lost and nothing is compared
-        seen = [one for one in (box.rows, rows) if one.frame[0] == frame.index]
-        values[EVIDENCE.name] = sum(float(one.diagnostics[self.name].get(EVIDENCE.name)[0]) for one in seen)
+        values[EVIDENCE.name] = sum(one.evidence for one in (box, state.points) if one.frame == frame.index)
         values[NETWORK.name] = float(state.sensors[2].right.mean())
         found = {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
         faces = of_frame(self._names, frame, found, **columns)
         unseen = faces.unseen
         if self.calibration is not None:
             faces = self.calibration.applied(faces, self.features.size * self.side / FACE)
-        cloud = similarity.to_frame(state.points.cloud)
+        cloud = similarity.to_frame(state.features.particles.x)
         return TargetResult(faces, cloud, (), box.notes, lambda: self.beliefs(state, unseen))
 
     def _rows(
@@ -529,10 +550,10 @@ class FaceTarget:
     def _names(self) -> tuple[tuple[str, str], ...]:
         return tuple((self.name, part) for part in self.parts)
 
-    def _face(self, row: Trajectory, face: Similarity) -> dict[str, Array]:
+    def _face(self, row: Mapping[str, Any], face: Similarity) -> dict[str, Array]:
         """Columns of the head's box: it is where the face is in it, as large as that, and turned by its roll."""
-        roll, grown = math.remainder(face.angle, math.tau), face.scale * FACE / np.sqrt(row.w * row.h)
-        found = {name: getattr(row, name) * grown for name in ("w", "h", "std_w", "std_h")}
+        roll, grown = math.remainder(face.angle, math.tau), face.scale * FACE / np.sqrt(row["w"] * row["h"])
+        found = {name: row.get(name, np.nan) * grown for name in ("w", "h", "std_w", "std_h")}
         found |= {"x": face.centre[:1], "y": face.centre[1:], "angle": np.array([math.degrees(roll)])}
         way = np.array([[math.cos(roll), -math.sin(roll), math.sin(roll), math.cos(roll)]])
         # the border runs through the middle of the outermost pixels
