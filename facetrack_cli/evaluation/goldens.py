@@ -89,7 +89,7 @@ class Golden(BaseModel):
     frames: tuple[int, int]
     checksums: str
     spread: dict[str, dict[str, tuple[float, float]]] = Field(min_length=1)
-    rows: list[tuple[int, str, float, float, float]] = Field(min_length=1)
+    rows: list[tuple[int, str, float, float, float]]
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,8 @@ def judge(golden: Golden, now: Golden, runs: Sequence[Trajectory]) -> list[tuple
     for part, quantity in product(golden.spread, QUANTITIES):
         if (band := golden.spread[part].get(quantity)) is not None:
             least, offset = QUANTITIES[quantity]
-            half = (band[1] - band[0]) * (0.5 + MARGIN) + loose * least * (1 if offset is None else abs(band[1]))
+            least *= 1 if offset is None else abs(band[1]) + offset + 1e-3
+            half = (band[1] - band[0]) * (0.5 + MARGIN) + loose * least
             ends = now.spread[part].get(quantity, (math.inf, math.inf))
             far = max(ends[0] - sum(band) / 2, sum(band) / 2 - ends[1], 0.0) / half
             name = f"{part or 'all parts'}: mean {quantity}"
