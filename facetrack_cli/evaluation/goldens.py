@@ -407,7 +407,7 @@ def _compared(result: Checked, golden: Golden, now: Golden, plan: Plan, runs: Se
     found, changed = judge(golden, now, runs), differences(golden, plan.recipe)
     rows, spreads = found[: len(golden.rows)], sorted(found[len(golden.rows) :], reverse=True)
     off = [text for one, most in ((rows, 1), (spreads, 3)) for text in [text for far, text in one if far > 1][:most]]
-    notes = [f"not as recorded: {', '.join(changed)}; {UPDATE}"] if changed else []
+    notes = [f"not as recorded: {', '.join(changed)}"] if changed else []
     result = replace(result, farthest=min(max(far for far, _ in found), 1e6), details=tuple(notes))
     if not changed:
         sums = zip(*(re.findall("....", one.checksums) for one in (golden, now)), strict=False)
@@ -419,7 +419,7 @@ def _compared(result: Checked, golden: Golden, now: Golden, plan: Plan, runs: Se
         off = [first, *(off or ["they are within the spread of seeds"])]
     if not off:
         return replace(result, message=f"at {100 * (result.farthest or 0):.0f} % of the spread of {golden.seeds} seeds")
-    return replace(result, status="fails", message=off[0], details=(*off[1:], *notes))
+    return replace(result, status="fails", message=off[0], details=(*off[1:], *(f"{one}; {UPDATE}" for one in notes)))
 
 
 def counts(found: Sequence[Checked]) -> dict[str, int]:
