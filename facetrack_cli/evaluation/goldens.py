@@ -89,7 +89,7 @@ class Golden(BaseModel):
     frames: tuple[int, int]
     checksums: str
     spread: dict[str, dict[str, tuple[float, float]]] = Field(min_length=1)
-    rows: list[tuple[int, str, float, float, float]] = Field(min_length=1)
+    rows: list[tuple[int, str, float, float, float]]
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,8 @@ def judge(golden: Golden, now: Golden, runs: Sequence[Trajectory]) -> list[tuple
     for part, quantity in product(golden.spread, QUANTITIES):
         if (band := golden.spread[part].get(quantity)) is not None:
             least, offset = QUANTITIES[quantity]
-            half = (band[1] - band[0]) * (0.5 + MARGIN) + loose * least * (1 if offset is None else abs(band[1]))
+            least *= 1 if offset is None else abs(band[1]) + offset + 1e-3
+            half = (band[1] - band[0]) * (0.5 + MARGIN) + loose * least
             ends = now.spread[part].get(quantity, (math.inf, math.inf))
             far = max(ends[0] - sum(band) / 2, sum(band) / 2 - ends[1], 0.0) / half
             name = f"{part or 'all parts'}: mean {quantity}"
@@ -406,7 +407,7 @@ def _compared(result: Checked, golden: Golden, now: Golden, plan: SeedPlan, runs
     found, changed = judge(golden, now, runs), differences(golden, plan.recipe)
     rows, spreads = found[: len(golden.rows)], sorted(found[len(golden.rows) :], reverse=True)
     off = [text for one, most in ((rows, 1), (spreads, 3)) for text in [text for far, text in one if far > 1][:most]]
-    notes = [f"not as recorded: {', '.join(changed)}; {UPDATE}"] if changed else []
+    notes = [f"not as recorded: {', '.join(changed)}"] if changed else []
     result = replace(result, farthest=min(max(far for far, _ in found), 1e6), details=tuple(notes))
     if not changed:
         sums = zip(*(re.findall("....", one.checksums) for one in (golden, now)), strict=False)
@@ -418,7 +419,7 @@ def _compared(result: Checked, golden: Golden, now: Golden, plan: SeedPlan, runs
         off = [first, *(off or ["they are within the spread of seeds"])]
     if not off:
         return replace(result, message=f"at {100 * (result.farthest or 0):.0f} % of the spread of {golden.seeds} seeds")
-    return replace(result, status="fails", message=off[0], details=(*off[1:], *notes))
+    return replace(result, status="fails", message=off[0], details=(*off[1:], *(f"{one}; {UPDATE}" for one in notes)))
 
 
 def counts(found: Sequence[Checked]) -> dict[str, int]:

@@ -8,13 +8,13 @@ import click
 
 from facetrack_cli.cli.options import flag
 from facetrack_cli.cli.types import FOLDER
-from facetrack_cli.core.errors import ExitCode, flat
+from facetrack_cli.core.errors import flat
 
 
 @click.command()
 @click.argument("results", type=FOLDER, metavar="RESULTS")
 @flag("--json", "as_json", help="Print JSON.")
-def command(results: Path, as_json: bool) -> int:
+def command(results: Path, as_json: bool) -> None:
     """Tell how far a batch is, and how long it still takes.
 
     RESULTS is the folder that --out of facetrack run named, or that of a single run. A table names the clips to look
@@ -30,9 +30,4 @@ def command(results: Path, as_json: bool) -> int:
     from facetrack_cli.run_folder.status import survey
 
     found = survey(results)
-    if as_json:
-        click.echo(found.json(), nl=False)
-    else:
-        for line in found.lines():
-            click.echo(flat(line))
-    return ExitCode.DONE
+    click.echo(found.json() if as_json else "\n".join(map(flat, found.lines())), nl=not as_json)
