@@ -19,7 +19,7 @@ from facetrack_cli.editor.save import keep, save
 from facetrack_cli.recipe.files import shipped_recipes
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.run_folder.finished import _recipe, check_size, open_run
+from facetrack_cli.run_folder.finished import check_size, open_run, recipe_of
 from facetrack_cli.runs.signals import StoppedError
 from facetrack_cli.tracking.start.detectors import detector
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
@@ -449,7 +449,7 @@ def test_every_recipe_is_read_back_from_the_header_as_it_was(tmp_path):
     for path in shipped_recipes():
         wanted = to_dict(load_recipe(path.stem))
         header = json.loads(json.dumps({"name": path.stem, **wanted}))
-        found = _recipe(tmp_path / "trajectory.json", header, [tmp_path])
+        found = recipe_of(tmp_path / "trajectory.json", header, [tmp_path])
         assert found.name == path.stem
         got = to_dict(found)
         for mine, theirs in zip(
@@ -466,20 +466,20 @@ def test_files_that_a_recipe_names_are_found_again_or_missed_in_one_line(tmp_pat
     header = {"name": "mine", **to_dict(shipped)}
     header["prior"]["file"] = "my.npz"
     with pytest.raises(InputError, match=r'its recipe names the file "my.npz", which is in none of') as missed:
-        _recipe(tmp_path / "trajectory.json", header, [tmp_path])
+        recipe_of(tmp_path / "trajectory.json", header, [tmp_path])
     assert "\n" not in str(missed.value)
     shutil.copy(shipped.path.parent / "mouth_prior.npz", tmp_path / "my.npz")
-    found = _recipe(tmp_path / "trajectory.json", header, [tmp_path])
+    found = recipe_of(tmp_path / "trajectory.json", header, [tmp_path])
     assert found.prior.file == str(tmp_path / "my.npz") and header["prior"]["file"] == "my.npz"
     header["confidence"]["calibration"] = "my.json"
     with pytest.raises(InputError, match=r'its recipe names the file "my.json", which is in none of'):
-        _recipe(tmp_path / "trajectory.json", header, [tmp_path])
+        recipe_of(tmp_path / "trajectory.json", header, [tmp_path])
     (tmp_path / "my.json").touch()
-    found = _recipe(tmp_path / "trajectory.json", header, [tmp_path])
+    found = recipe_of(tmp_path / "trajectory.json", header, [tmp_path])
     assert found.confidence.calibration == str(tmp_path / "my.json")
     header["filter"]["particles"] = "many"
     with pytest.raises(InputError, match=r"does not know its recipe \(filter"):
-        _recipe(tmp_path / "trajectory.json", header, [tmp_path])
+        recipe_of(tmp_path / "trajectory.json", header, [tmp_path])
 
 
 @pytest.mark.parametrize(

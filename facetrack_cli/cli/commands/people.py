@@ -128,9 +128,10 @@ class Cast:
         if clip is None:
             raise UsageError(f"{self.folder}: does not name its clip; give it with --clip")
         with Frames(clip, **how) as frames, Stop().listening() as stop:
-            if self.page.serve(CastSession(self.folder, frames, clip, video=not self.no_video), stop):
+            session = CastSession(self.folder, frames, clip, video=not self.no_video)
+            if self.page.serve(session, stop):
                 return 0
-            say(f"facetrack: {stop.reason}; nothing was written")
+            say(f"facetrack: {stop.reason}; {'what was saved stays' if session.saved else 'nothing was written'}")
             return stop.code or ExitCode.FAULT
 
     def _changes(self, clock: Clock) -> list[tuple[str, Callable[[Tracks], Tracks]]]:
