@@ -190,9 +190,9 @@ def test_a_clip_is_run_looked_at_and_exported(app, clips):
 
     assert one.post("remove", clip=1).status == 200
     assert [path.name for path in (one.session.project.folder / "removed").iterdir()] == ["smile-face"]
+    assert one.client.get("api/export/1?program=excel").status == 404
     [again] = one.add(clips / "smile.mp4")
     assert again["state"] == "ready" and not again["start"], "what was made of it before is not taken for its own"
-    assert one.client.get("api/export/1?program=excel").status == 404
 
 
 def test_a_run_that_fails_says_so_in_one_line_and_the_next_goes_on(app, clips, tmp_path):

@@ -119,9 +119,10 @@ def _serve(folder: Path, elsewhere: Path | None, page: Page, *, video: bool) -> 
     if clip is None:
         raise UsageError(f"{folder}: does not name its clip; give it with --clip")
     with Frames(clip, **how) as frames, Stop().listening() as stop:
-        if page.serve(CastSession(folder, frames, clip, video=video), stop):
+        session = CastSession(folder, frames, clip, video=video)
+        if page.serve(session, stop):
             return 0
-        say(f"facetrack: {stop.reason}; nothing was written")
+        say(f"facetrack: {stop.reason}; {'what was saved stays' if session.saved else 'nothing was written'}")
         return stop.code or ExitCode.FAULT
 
 
