@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.types import Frame, Start, TargetStart
+from facetrack_cli.core.warp import warp_affine
 from tests.support.samples import TrackClip
 
 SIZE = (320, 240)
@@ -45,8 +46,8 @@ def paste(picture, pose, source=0):
     oval = np.hypot((x - _X - _SIDE / 2) / 0.56, (y - _Y - 0.52 * _SIDE) / 0.72) / _SIDE
     alpha = np.clip((1 - oval) * 10, 0, 1).astype(np.float32)
     to = matrix(pose)
-    share = cv2.warpAffine(alpha, to, SIZE)[..., None]
-    return picture * (1 - share) + share * cv2.warpAffine(SOURCE.frames[source].bgr.astype(np.float32), to, SIZE)
+    share = warp_affine(alpha, to, SIZE)[..., None]
+    return picture * (1 - share) + share * warp_affine(SOURCE.frames[source].bgr.astype(np.float32), to, SIZE)
 
 
 def frame(index, picture):

@@ -88,7 +88,7 @@ def test_another_network_is_refused_before_anything_is_tracked(tmp_path, monkeyp
         def forward(self, names):
             return [np.zeros((1, 213)), np.zeros((1, 15))]
 
-    monkeypatch.setattr("cv2.dnn.readNetFromTFLite", lambda path: Iris())
+    monkeypatch.setattr("cv2.dnn.readNetFromTFLite", lambda path, **engine: Iris())
     with pytest.raises(InputError, match=r"iris\.tflite: is another network than MediaPipe's face mesh; get it by"):
         Mesh(tmp_path / "iris.tflite")
 

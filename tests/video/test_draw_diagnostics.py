@@ -178,7 +178,7 @@ def test_the_bar_tells_of_one_target_that_adapts() -> None:
     assert said() == said(None) == said({}) == said({"noise": 1.0}) == said({"scale": float("nan")}) == {}
 
 
-@pytest.mark.parametrize("width", [60, 160, 320, 640, 1280])
+@pytest.mark.parametrize("width", [60, 160, 240, 640, 1280])
 def test_it_stands_in_the_bar_where_there_is_room(width: int) -> None:
     def draw(reported: dict[str, float]) -> Image:
         one = results.part("box", 20.0, 40.0, 20.0, 20.0, "tracked", 0.9)

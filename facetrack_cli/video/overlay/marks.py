@@ -41,6 +41,7 @@ _DIAMOND = 1.2 * np.array([[(0, -1), (1, 0), (0, 1), (-1, 0), (0, -1)]])
 _FINER = 4
 _FACE = cv2.FONT_HERSHEY_SIMPLEX
 _HERSHEY_CAP = 21  # units from baseline to the top of a capital
+_OUTLINE_CAP = 20.5  # the same of OpenCV 5, whose letters are outlines: a stroke adds nothing to their height
 _KEPT = 256
 
 
@@ -157,13 +158,14 @@ class Font:
 
     def _draw_glyph(self, char: str) -> Image:
         stroke = max(1, round(_FINER * max(1.1, 0.12 * self.cap)))
-        scale = (self.cap * _FINER - stroke) / _HERSHEY_CAP
+        strokes = cv2.__version__.startswith("4.")
+        scale = (self.cap * _FINER - stroke) / _HERSHEY_CAP if strokes else self.cap * _FINER / _OUTLINE_CAP
         (wide, _), _ = cv2.getTextSize(char, _FACE, scale, stroke)
         # Hershey sets widely; below 10 px each pixel between letters is needed
         advance = max(2, round(wide / _FINER - max(0.0, 0.08 * (self.cap - 9))))
         if char == " ":
             advance = max(3, round(0.45 * self.cap))
-        baseline = (self.top + self.cap) * _FINER - (stroke + 1) // 2
+        baseline = (self.top + self.cap) * _FINER - (stroke + 1) // 2 * strokes
         margin = self.cap
         best, sharpest = np.zeros((self.height, advance), np.uint8), -1.0
         for shift in range(_FINER):
