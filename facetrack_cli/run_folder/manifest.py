@@ -47,7 +47,16 @@ from facetrack_cli.core.version import __version__
 from facetrack_cli.core.yaml_tree import YamlProblems
 from facetrack_cli.recipe.load import files_of
 from facetrack_cli.recipe.model import Recipe, to_dict
-from facetrack_cli.run_folder.lease import FolderLease, finish_replacing, is_held, left_in, mark_of, sweep, utc_now
+from facetrack_cli.run_folder.lease import (
+    FolderLease,
+    finish_replacing,
+    holder,
+    is_held,
+    left_in,
+    mark_of,
+    sweep,
+    utc_now,
+)
 from facetrack_cli.trajectory.header import is_there, to_record
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.reader import read_table, read_trajectory, table_in
@@ -310,6 +319,8 @@ def recover_interrupted(folder: Path, stopped: Callable[[], bool] = lambda: Fals
     if not is_held(folder):
         return 0
     finish_replacing(folder, left_in(folder))
+    if holder(folder) is not None:  # who is at work
+        return 0
     with contextlib.suppress(OutputError, OSError), FolderLease(folder, stopped) as lock:
         return recover(folder, lock)
     return 0

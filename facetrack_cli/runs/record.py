@@ -183,15 +183,15 @@ class RunFolder:
         assert plan.job.out is not None
         self.plan, self.path = plan, plan.job.out
         self.checkpoints: Checkpoints | None = None
-        self._lease, self._held = FolderLease(self.path, stopped), False
+        self.lease, self._held = FolderLease(self.path, stopped), False
         self._run = Manifest(asked=plan.asked, networks=plan.job.recipe.networks, host=here()[0])
 
     def __enter__(self) -> RunFolder:
         self._made = make_folder(self.path)
         try:
-            self._lease.__enter__()
+            self.lease.__enter__()
             self._held, self._entered_s = True, time.monotonic()
-            recover(self.path, self._lease)
+            recover(self.path, self.lease)
             self._run.began = utc_now()
             self.plan = self.plan.again()  # somebody may have written since
             self._run.asked = self.plan.asked
@@ -219,11 +219,7 @@ class RunFolder:
     def begin(self, digest: ClipDigest, frames: int, total: int | None) -> None:
         """Note what is being written."""
         self._run.clip = digest.clip
-        self._lease.note({"clip": str(self.plan.job.clip), "run": self._run.record(), "frame": frames, "frames": total})
-
-    def progress(self, frames: int, total: int | None) -> None:
-        """Note how many frames are written, now and then."""
-        self._lease.progress(frames, total)
+        self.lease.note({"clip": str(self.plan.job.clip), "run": self._run.record(), "frame": frames, "frames": total})
 
     def commit(
         self, done: Outcome, facts: Mapping[str, Any], error: Exception | None, errors: list[Exception]
@@ -240,7 +236,7 @@ class RunFolder:
         if self.plan.job.batch and error is not None and not isinstance(error, OutputError):
             run = failed(run, error)
         try:
-            commit(self._lease, self.path, done.files, run)
+            commit(self.lease, self.path, done.files, run)
             return [*outdated(self.path), *_kept_corrections(self.plan.job, self.path)]
         except OutputError as e:  # the lease is lost
             errors.append(e)
@@ -252,8 +248,8 @@ class RunFolder:
     def __exit__(self, kind: object = None, error: object = None, trace: object = None) -> None:
         if self._held:
             if self.plan.job.batch and isinstance(error, Exception):
-                note_failure(self.plan, self._lease, error, begun=self._run)
-            self._lease.__exit__()
+                note_failure(self.plan, self.lease, error, begun=self._run)
+            self.lease.__exit__()
         remove_folders(self._made)
 
 
@@ -316,7 +312,7 @@ class Recorder:
             self.outcome.count(result.rows)
         self.state.frame = result.frame.index + 1
         if self._folder is not None:
-            self._folder.progress(self.outcome.frames, self.total)
+            self._folder.lease.progress(self.outcome.frames, self.total)
         if self._checkpoints is not None:
             self._checkpoints.release()
             if self.state.at.states and self._checkpoints.is_due(self.outcome.frames):
@@ -382,10 +378,26 @@ class Recorder:
 
 
 def record(results: Results, into: Recorder, stop: Stop, report: Report = silent) -> Outcome:
-    """Write the results until they end, an error or `stop`; what became of the clip.
+    """Write the results until they end, an error or `stop`.
 
-    An error after the first frame is in the outcome, beside what was kept. Raises the error, and leaves no file, if
-    nothing was tracked.
+    Parameters
+    ----------
+    results : Results
+        They end when `stop` says so.
+    into : Recorder
+    stop : Stop
+    report : Callable
+        Hears how many frames are written, and how many there are, None if that is not known.
+
+    Returns
+    -------
+    Outcome
+        An error after the first frame is in it, beside what was kept.
+
+    Raises
+    ------
+    Exception
+        The error, if nothing was tracked; no file is left then.
     """
     assert results.frames is not None
     before, begun, error = into.outcome.frames, False, None

@@ -37,10 +37,10 @@ def leave_here(folder, note, process=None):
 
 def abandon(held):
     """Leave a lease as a kill leaves it; for `FolderLease.__exit__`."""
-    note = leases.left_in(held._folder)
+    note, number = leases.left_in(held._folder), ended_process()
     with contextlib.suppress(ValueError):
         held._file.close()
-    leave_here(held._folder, note)
+    leave_here(held._folder, {**note, "process": number} if note else "", number)
 
 
 def note_here(process):
