@@ -110,7 +110,7 @@ def test_colours_of_planes_are_those_that_opencv_computes():
     pixels = rng.integers(0, 256, (12, 8)).astype(np.uint8)
     y, *tints = planes_of(pixels)
     u, v = (one.repeat(2, axis=0).repeat(2, axis=1) for one in tints)
-    np.testing.assert_array_equal(coloured(y, u, v), cv2.cvtColor(pixels, cv2.COLOR_YUV2BGR_I420))
+    np.testing.assert_array_equal(np.moveaxis(coloured(y, u, v), 0, 2), cv2.cvtColor(pixels, cv2.COLOR_YUV2BGR_I420))
 
 
 @pytest.mark.parametrize("scale", [0.8, 1.5, 2.5, 5.0])
