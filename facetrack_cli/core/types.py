@@ -114,7 +114,7 @@ class Frame:
 
         As `reduced`, but that U and V, which are half as large, are reduced by 2 at least.
         """
-        if self.pixels.ndim == 3 or self._bgr is not None:
+        if self.pixels.ndim == 3:  # whether colours were computed meanwhile must not matter
             return None
         whole, own = planes_of(self.pixels), max(factor, 2)
         found = [(*self._brightness(factor, extent), factor)]

@@ -12,7 +12,7 @@ Plane: TypeAlias = NDArray[np.uint8]
 
 
 def coloured(y: Plane, u: Plane, v: Plane) -> Plane:
-    """(3, H, W), blue first, of planes Y, U and V (H, W) of limited range by BT.601, as OpenCV computes it."""
+    """Blue, green and red, (3, H, W), of planes Y, U and V (H, W) of limited range by BT.601, as OpenCV computes it."""
     out = np.empty((3, *y.shape), np.uint8)
     _coloured(y.ravel(), u.ravel(), v.ravel(), *out.reshape(3, -1))
     return out

@@ -39,7 +39,7 @@ CORNER: Final = np.array([LEFT, TOP], np.float64)
 GRID: Final = 5
 ODDS_SCALE: Final = 1.6
 NEAR: Final = 3.0  # pixels
-SEEN: Final = 8.0  # log odds of all parts, above which nothing else is tried
+SEEN: Final = 14.0  # log odds of all parts, above which nothing else is tried
 SURE: Final = 4.0  # bound of what one part says of how well a face lies, in log odds
 STEP: Final = 5.0  # pixels between the points of the grid, times the stage's scale
 AROUND: Final = (np.stack(np.meshgrid(*2 * [np.arange(GRID) - (GRID - 1) / 2]), axis=2) * STEP).reshape(-1, 2)

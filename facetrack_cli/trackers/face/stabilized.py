@@ -62,8 +62,8 @@ class Similarity(NamedTuple):
         x, y = self.centre.tolist()
         extent = (x - far, y - far, x + far, y + far)
         if (planes := frame.planes(factor, extent)) is not None:
-            bgr = coloured(*(self._warped(*one, side) for one in planes))
-            still: Image = np.asarray(cv2.merge(tuple(bgr)), np.uint8)
+            colours = coloured(*(self._warped(*one, side) for one in planes))
+            still = np.asarray(cv2.merge(tuple(colours)), np.uint8)
         else:
             still = self._warped(*frame.reduced(factor, extent), factor, side)
         return Frame(frame.index, frame.time_s, still)
