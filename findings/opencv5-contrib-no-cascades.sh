@@ -36,6 +36,6 @@ PYTHON
 for one in "opencv-python-headless 4.14.0.94 4" "opencv-python-headless 5.0.0.93 5" "opencv-contrib-python-headless 5.0.0.93 c"; do
     read -r package version kind <<< "$one"
     python3 -m venv "env-$kind"
-    "env-$kind/bin/pip" install --quiet --disable-pip-version-check "$package==$version" numpy==2.4.6
+    "env-$kind"/bin/pip install --quiet --disable-pip-version-check "$package==$version" numpy==2.4.6
     "env-$kind/bin/python" look.py "$package $version" "$kind"
 done

@@ -34,6 +34,6 @@ PYTHON
 for one in "4.14.0.94 309" "5.0.0.93 255"; do
     read -r version wide <<< "$one"
     python3 -m venv "env-$version"
-    "env-$version/bin/pip" install --quiet --disable-pip-version-check opencv-python-headless==$version numpy==2.4.6
+    "env-$version"/bin/pip install --quiet --disable-pip-version-check opencv-python-headless==$version numpy==2.4.6
     "env-$version/bin/python" text.py "$wide"
 done

@@ -47,7 +47,7 @@ np.savez(sys.argv[1], **found)
 PYTHON
 for version in 4.14.0.94 5.0.0.93; do
     python3 -m venv "env-$version"
-    "env-$version/bin/pip" install --quiet --disable-pip-version-check opencv-python-headless==$version numpy==2.4.6
+    "env-$version"/bin/pip install --quiet --disable-pip-version-check opencv-python-headless==$version numpy==2.4.6
     "env-$version/bin/python" warp.py "${version%%.*}.npz"
 done
 env-5.0.0.93/bin/python - <<'PYTHON'

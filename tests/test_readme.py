@@ -92,7 +92,6 @@ def folder(tmp_path):
         for file in samples.glob(f"{name}.*"):
             shutil.copy(file, here / "clips")
     shutil.copy(samples / "expressions.mp4", here / "clip.mp4")
-    shutil.copy(samples / "expressions.truth.csv", here / "points.csv")
     for name, text in {"facetrack": FACETRACK, "python": PYTHON}.items():
         (programs / name).write_text(text.format(python=sys.executable))
         (programs / name).chmod(0o755)

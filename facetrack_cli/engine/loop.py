@@ -1,4 +1,4 @@
-"""The loop over frames: each target steps, and each frame gives one result. `build.py` makes the targets."""
+"""The loop over frames: each target steps, and each frame gives one result. `start/assembly.py` makes the targets."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,5 +1,5 @@
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
-"""Pixels of polygons, row by row, compiled: `raster.py` says whose rule it is. Twin: `tests/twins/boxes.py`."""
+"""Pixels of polygons, row by row, compiled: `boxes.py` says whose rule it is. Twin: `tests/twins/boxes.py`."""
 
 import numpy as np
 

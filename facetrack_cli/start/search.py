@@ -5,8 +5,8 @@ face if it is found often enough, and shows eyes or a mouth. Of several faces th
 area, summed over the frames. It takes a face that does not change, as in a photograph, only if no other face moves
 within some time, and a dark face only if no better lit face follows. What changes is what is left when the face, which
 a hand may shake, is laid on its first picture. Where nobody is certain the frame is looked at more closely
-(`closer.py`). The points of a face are means over its frames, in its box, of the places that are near those of the
-first frame: noise averages out, and a mouth that moves keeps its first shape. Nothing here is random.
+(`trackers/face/closer.py`). The points of a face are means over its frames, in its box, of the places that are near
+those of the first frame: noise averages out, and a mouth that moves keeps its first shape. Nothing here is random.
 """
 
 from __future__ import annotations

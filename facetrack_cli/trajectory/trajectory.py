@@ -480,7 +480,7 @@ class TargetResult(NamedTuple):
 
     `cloud` (N, K, 2) are the particles' centres in pixels; `insets` are small grey images of what the tracker knows,
     each with its name; `notes` are lines for the user, of the frame in which they arise. `beliefs` gives what the
-    smoother needs (`tracking.smoothing.Belief`); None of what has none.
+    smoother needs (`engine.smoothing.Belief`); None of what has none.
     """
 
     rows: Trajectory

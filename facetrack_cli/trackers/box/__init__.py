@@ -2,11 +2,10 @@
 
 - `settings.py`: what a recipe may say.
 - `correlation_filter.py`: the likelihood; begin here.
-- `features.py`: the channels of a window; `trained.py`: the filter over them; `scale.py`: its filter of size;
-  `colour.py`: the colours of target and surroundings; `peak_statistics.py`: how high the response stands.
-- `motion.py`, `space.py`: a walk of a box that may be hidden.
+- `features.py`: the channels of a window, its colours and its scales; `trained.py`: the filter over the channels;
+  `peak_statistics.py`: how high the response stands.
+- `hidden_box.py`: a box that may be hidden, its walk, and what others than the filter may do to it.
 - `proposals.py`, `filters.py`: particles drawn around the modes of the response, with exact weights.
-- `target.py`: what others than the filter may do to the box.
 
 Loops are in `cell_kernels.py` and `walk_kernels.py`. Recipe: `correlation_filter`. A face's head is such a box.
 """

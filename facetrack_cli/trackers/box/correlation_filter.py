@@ -1,12 +1,11 @@
 """A target by the response of a correlation filter, with its scale, its colours, and whether it is there.
 
-Ours, of published pieces; each has a file of its own in `models/correlation_filter`:
+Ours, of published pieces, in files beside this one:
 
-    heights.py   how high responses are of the target, and of all else
-    features.py  gradients, grey and colours of a window, reduced (Danelljan et al. 2017, ECO)
-    trained.py   the filter and how it is learned (2015, SRDCF; ECO; Li et al. 2018, STRCF)
-    scale.py     the filter of scale (2014, DSST)
-    colour.py    colours of target and surroundings (Bertinetto et al. 2016, Staple)
+    peak_statistics.py  how high responses are of the target, and of all else
+    trained.py          the filter and how it is learned (2015, SRDCF; 2017, ECO; Li et al. 2018, STRCF)
+    features.py         gradients, grey and colours of a window, reduced (ECO of Danelljan et al.); scale (2014, DSST);
+                        colours of target and surroundings (Bertinetto et al. 2016, Staple)
 
 With R the response to a window and Rm its highest value, the log-likelihood ratio of a target visible at x = (place,
 log scale) against one that is hidden is

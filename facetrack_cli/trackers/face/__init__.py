@@ -6,6 +6,7 @@
 - `sensors.py`: how far each is trusted, and which is right. `evidence.py`: which face is the target.
 - `window_ncc.py`: the likelihood of a point's window; `motion.py`: a walk that jumps; `shape_prior.py`: shapes.
 - `mesh_points.py`: points without windows. `closer.py`, `points.py`: a face looked at again, and its five points.
+- Loops are in the files that end in `_kernels.py`.
 - `assembly.py`: from a recipe and a start to the target. `settings.py`: what a recipe may say.
 
 Recipe: `face`.

@@ -8,7 +8,7 @@ stabilized image, so it is registered by the head: translation, scale and roll.
 
 In each frame sensors place the points in the stabilized image: a regression (`descent.py`), and a network if its file
 is there (`mesh.py`). Windows are exact and may be lost. Sensors are less exact and have no memory. The points' filter
-joins all (`sensors.py`, `models/motion.py`). Eyes (`eyes.py`) and further points of the network have no windows
+joins all (`sensors.py`, `motion.py`). Eyes (`eyes.py`) and further points of the network have no windows
 (`mesh_points.py`), and no say in where the face is.
 
 A detector of faces measures the face's box every so many frames. Of a head that is lost, it is asked as often where in

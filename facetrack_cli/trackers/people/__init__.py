@@ -1,4 +1,6 @@
-"""Everybody in a film (ours): the tracks of a shot, what each face looks like, and who is who.
+"""Everybody in a film (ours): what each face looks like, and who is who.
 
-- `presence.py`: the tracks of a shot; begin here. `looks.py`: what a face looks like. `identity.py`: who is who.
+- `looks.py`: what a face looks like. `identity.py`: who is who.
+
+The tracks of a shot are made in `start/presence.py`, as each of them begins with a search.
 """

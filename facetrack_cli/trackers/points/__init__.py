@@ -2,7 +2,7 @@
 
 "Particle Filtering with Factorized Likelihoods for Tracking Facial Features". Each point is the centre of a window.
 
-- `settings.py`: what a recipe may say.
+- `settings.py`: what a recipe may say. `space.py`: where the points begin.
 - `colour_ratio.py`: the likelihood of a window, eq. 8 to 10; its loops are in `window_kernels.py`.
 - `shape_prior.py`: the Parzen prior over shapes, eq. 11, how it is fitted and stored; loops in `shape_kernels.py`.
 

@@ -3,10 +3,10 @@
 "Embedding Motion in Model-Based Stochastic Tracking".
 
 - `settings.py`: what a recipe may say.
-- `motion.py`: second-order dynamics as linear dynamics of value and speed (section 3.2).
 - `histogram.py`, `contour.py`: colours and edges of the box (section 3.3, eq. 11).
 - `correlation.py`: the correlation of the box with itself in the frame before (sections 3.1 and 3.3).
 - `product.py`: their product (eq. 10).
 
-Loops are in the files that end in `kernels.py`. Recipes: `contour`, `histogram`, and those whose names have both.
+Its motion, dynamics of value and speed (section 3.2), is in `engine/motion.py`. Loops are in the files that end in
+`_kernels.py`. Recipes: `contour`, `histogram`, and those whose names have both.
 """
