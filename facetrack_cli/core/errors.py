@@ -98,7 +98,7 @@ def check_opencv(version: str) -> None:
     told = ", ".join(f"{name} {v}" for name, v in there.items()) or "no package of it"
     wheel = "opencv-contrib-python-headless" if any("contrib" in name for name in there) else "opencv-python-headless"
     remedy = f"pip uninstall -y {' '.join(there)}; " if there else ""
-    remedy += f"pip install --force-reinstall '{wheel}>=4.13,<6'"
+    remedy += f"pip install --force-reinstall '{wheel}>=4.13,<5'"
     raise UsageError(
         f"OpenCV 4 or 5 is needed, and cv2 is {version} ({told} installed, of which the last one wins): {remedy}"
     )
