@@ -6,7 +6,7 @@ A frame comes out up to eight frames late: so many take a cut and a look of the 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain, groupby
 from typing import Final
@@ -19,7 +19,7 @@ from facetrack_cli.start.presence import LOOK_FRAMES, Film
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.people.identity import UNKNOWN, Seen, cast_of
 from facetrack_cli.trackers.people.looks import VIEWS, Looks, Reader, together, views_of
-from facetrack_cli.trajectory.people import PERSON
+from facetrack_cli.trajectory.people import new_name
 from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.video.shots import Shot, passing_shots
 
@@ -41,7 +41,7 @@ class _Followed:
 
 
 class LiveCast:
-    """Who the tracks of a film are of, of `known` people and others; `names` has those that are named so far."""
+    """Who the tracks of a film are of, of `known` people and others; `names` has those that are named, the last ones."""
 
     def __init__(self, by: DetectorName | None, fps: float, known: Mapping[str, Looks]) -> None:
         self.names: dict[str, str] = {}
@@ -69,7 +69,7 @@ class LiveCast:
         found = cast_of(tracks, [*self._given.values()], self._fps).person.tolist()
         for person in sorted({*found} - {UNKNOWN} - {*called}):
             had = [self.names.get(one.name, "") for one, of in zip(tracks, found, strict=True) if of == person]
-            called[person] = next((name for name in had if name and name not in called.values()), "") or _new(
+            called[person] = next((name for name in had if name and name not in called.values()), "") or new_name(
                 [*self._looks, *called.values()]
             )
         return {one.name: called[of] for one, of in zip(tracks, found, strict=True) if of != UNKNOWN}
@@ -107,7 +107,7 @@ class LiveCast:
             any(one.track == which for one in found.doubts) and len(there[which].reader.scores) < VIEWS
         ):
             return
-        name = next(iter([*self._looks][person : person + 1]), "") or _new(self._looks)
+        name = next(iter([*self._looks][person : person + 1]), "") or new_name(self._looks)
         if all(self.names.get(other) != name for other in self._now):  # nobody is there twice
             self.names[track] = name
             self._looks.setdefault(name, there[which].reader.looks())
@@ -116,12 +116,9 @@ class LiveCast:
         ended = self._now.pop(track)
         if not ended.reader.is_face:
             return
+        if len(self._past) == KEPT:
+            self.names.pop(self._past[0].name, None)
         self._past.append(ended.seen)
         if (name := self.names.get(track)) is not None:
             both = together([self._looks[name], ended.reader.looks()])
             self._looks[name] = Looks(*(one[-4 * VIEWS :] for one in both))
-
-
-def _new(names: Iterable[str]) -> str:
-    taken = {*names}
-    return next(name for k in range(1, len(taken) + 2) if (name := f"{PERSON}{k}") not in taken)

@@ -89,3 +89,11 @@ def test_a_film_that_is_stopped_tells_its_cast():
 def test_what_is_of_one_face_is_refused(capsys, more):
     assert main(["run", str(FILM), "--faces", "all", "--live", *more]) == 2
     assert "--faces all --live looks for every face; leave out" in capsys.readouterr().err
+
+
+def test_what_is_kept_of_a_stream_is_bounded(monkeypatch):
+    monkeypatch.setattr("facetrack_cli.runs.live_people.KEPT", 2)
+    cast = LiveCast(None, 25.0, {})
+    with open_source(FILM) as source:
+        for _ in cast.follow(iter(source), load_recipe("face")):
+            assert len(cast.names) <= 4 and len(cast._past) <= 2, "those that are there, and two that were"
