@@ -41,7 +41,7 @@ class _Followed:
 
 
 class LiveCast:
-    """Who the tracks of a film are of, of `known` people and others; `names` has those that are named, the last ones."""
+    """Who the tracks of a film are of, of `known` people and others; `names` has the last ones that are named."""
 
     def __init__(self, by: DetectorName | None, fps: float, known: Mapping[str, Looks]) -> None:
         self.names: dict[str, str] = {}
