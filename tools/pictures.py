@@ -54,7 +54,7 @@ def main(names: list[str]) -> None:
     for name, (width, rows) in GRIDS.items():
         if not names or name in names:
             grid(name, width, rows)
-    for make in (moving, film, pick, app, guide):
+    for make in (moving, film, pick, app, report, cell, guide):
         if not names or make.__name__ in names:
             with tempfile.TemporaryDirectory() as folder:
                 os.chdir(folder)
@@ -205,21 +205,49 @@ def app() -> None:
     served.close()
 
 
+def report() -> None:
+    """The first screen of a report, at a desk and on a phone."""
+    command("run", "sample_videos/occlusion.mp4", "-q")
+    command("report", "occlusion-face", "-q")
+    at_both_widths(f"file://{Path.cwd()}/occlusion-face/report.html", "report", 620)
+
+
+def cell() -> None:
+    """What two cells of a notebook give, in a page as plain as a notebook's."""
+    found = facetrack.track_video("sample_videos/expressions.mp4", report=lambda done, total: None)
+    facetrack.plot(found).savefig("plot.png", dpi=75)
+    path = "sample_videos/expressions.mp4"
+    Path("cell.html").write_text(
+        "<!doctype html><meta charset=utf-8><meta name=viewport content='width=device-width'><style>"
+        "body{margin:12px;font:14px sans-serif} pre{padding:8px;background:#f4f4f4;border:1px solid #ddd;overflow:auto}"
+        "table{border-collapse:collapse} td,th{padding:4px 8px;text-align:right} div{overflow:auto}"
+        "tr:nth-child(even){background:#f4f4f4} img{max-width:100%}</style>"
+        f'<pre>trajectory = facetrack.track_video("{path}")\ntrajectory</pre><div>{found._repr_html_()}</div>'
+        "<pre>facetrack.plot(trajectory)</pre><img src=plot.png>",
+        encoding="utf-8",
+    )
+    at_both_widths(f"file://{Path.cwd()}/cell.html", "notebook", 620)
+
+
+def at_both_widths(address: str, name: str, height: int) -> None:
+    with browser(1200, height) as page:
+        page.goto(address)
+        shot(page, f"page-{name}.jpg", 60)
+        page.set_viewport_size({"width": 390, "height": 844})
+        shot(page, f"page-{name}-phone.jpg", 60)
+
+
 def guide() -> None:
     from tests.support.browser import Command, Window, go_to
 
     command("run", "sample_videos/occlusion.mp4", "-q")
-    command("report", "occlusion-face", "-q")
     shutil.copytree("occlusion-face", "before")
     part = "lip_lower"
     truth = facetrack.read_truth("sample_videos/occlusion.truth.csv").find("face", part)
     was = facetrack.read_trajectory("occlusion-face").find("face", part)
     assert truth is not None and was is not None
     truth, was = truth.at(DRAGGED), was.at(DRAGGED)
-    with browser(900, 960) as page:
-        page.goto(f"file://{Path.cwd()}/occlusion-face/report.html")
-        shot(page, "first_track-report.jpg")
-        page.set_viewport_size({"width": 1280, "height": 800})
+    with browser() as page:
         served = Command("fix", "occlusion-face")
         window = Window(page).go(served.url)
         go_to(window, DRAGGED)

@@ -11,7 +11,8 @@ import re
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from itertools import count
 from pathlib import Path
 from typing import IO, Annotated, Any, Final, Literal, TypeAlias
 
@@ -114,10 +115,8 @@ class Project:
             added = []
             for path in new:
                 inside = path.is_relative_to(self.folder)
-                names = {one.name.casefold() for one in self.clips.values()}
                 stem = re.sub(r"[^\w .()-]", "_", path.stem)[:80].strip(" .") or "clip"
-                free = (f"{stem}-{k}" if k > 1 else stem for k in range(1, MAX_CLIPS + 2))
-                name = next(one for one in free if one.casefold() not in names)
+                name = free(stem, [one.name for one in self.clips.values()])
                 kept = path.relative_to(self.folder).as_posix() if inside else str(path)
                 clip = Clip(id=max(self.clips, default=0) + 1, path=kept, name=name)
                 self.clips[clip.id] = clip
@@ -137,8 +136,7 @@ class Project:
                 if one.exists():
                     make_folder(made)
                     with writing(one, "close what uses it"):
-                        to = (made / (one.name if not k else f"{one.name} {k}") for k in range(10**6))
-                        one.rename(next(path for path in to if not path.exists()))
+                        one.rename(made / free(one.name, (path.name for path in made.iterdir())))
             self.save()
 
     def place(self, clip: Clip) -> Path:
@@ -258,6 +256,13 @@ class Project:
                 said = str(told.get("message", ""))
                 error = said if told.get("level") == "error" else error
         return error or said
+
+
+def free(stem: str, taken: Iterable[str], suffix: str = "") -> str:
+    """The name, or the first one with a number, that is not taken, in whatever letters."""
+    known = {one.casefold() for one in taken}
+    names = (f"{stem}-{k}{suffix}" if k > 1 else f"{stem}{suffix}" for k in count(1))
+    return next(one for one in names if one.casefold() not in known)
 
 
 def call(arguments: Sequence[str], out: IO[bytes] | None, cwd: Path) -> None:

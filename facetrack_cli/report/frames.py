@@ -4,7 +4,6 @@ import base64
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
@@ -18,7 +17,7 @@ from facetrack_cli.run_folder.manifest import check_belongs, other_clip
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import Header
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
-from facetrack_cli.video.files import brings_rate
+from facetrack_cli.video.files import given_rate
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import open_source
 
@@ -172,11 +171,10 @@ def _frames(
     path: Path, size: tuple[int, int], fps: float, wanted: Sequence[int], report: Report, stream: int | None
 ) -> Iterator[Frame]:
     """The wanted frames, in their order, in one pass. InputError if the clip is of another size."""
-    folder = not brings_rate(path)
-    runs = [(n, n + 1) for n in wanted] if folder else [(wanted[0], wanted[-1] + 1)]
+    rate = given_rate(path, fps)
+    runs = [(n, n + 1) for n in wanted] if rate else [(wanted[0], wanted[-1] + 1)]
     total, done = sum(end - begin for begin, end in runs), 0
     for begin, end in runs:
-        rate = Fraction(fps).limit_denominator(1001) if folder else None
         with open_source(path, fps=rate, start=begin, stop=end, stream=stream) as source:
             if source.size != size:
                 is_, was = (f"{width}x{height}" for width, height in (source.size, size))

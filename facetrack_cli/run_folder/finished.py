@@ -23,7 +23,7 @@ from facetrack_cli.trajectory.header import Header, corrections_record, is_there
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.trajectory import Status, Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Format, RunSummary, summary_of
-from facetrack_cli.video.files import brings_rate
+from facetrack_cli.video.files import given_rate
 from facetrack_cli.video.images import listing
 
 STATUS: Final = get_args(Status)
@@ -110,7 +110,7 @@ def open_run(folder: Path, clip: Path | None = None) -> Run:
     if (other := other_clip(rows, path)) is not None:
         raise InputError(f"{other}; name its clip with --clip")
     recipe = recipe_of(main, rows.header["recipe"], [Path(), folder, folder.parent, path.parent])
-    fps = None if brings_rate(path) else Fraction(header.source.fps).limit_denominator(1001)
+    fps = given_rate(path, header.source.fps)
     run = Run(folder, rows, header, recipe, header.init.start, path, fps, stamped)
     _check_rows(main, run)
     return run

@@ -151,8 +151,8 @@ class Status:
                 yield f"running: {one.clip}: {since}, {one.frames}{of} frames{rate}"
         for one in self.clips:
             if one.state == "interrupted":
-                kept = f"{one.frames} frames are" if one.frames else "what it had tracked is"
-                yield f"interrupted: {one.clip}: {kept} kept"
+                kept = f" ({one.frames} frame{'s' * (one.frames > 1)})" if one.frames else ""
+                yield f"interrupted: {one.clip}: what it had tracked is kept{kept}"
         for one in self.clips:
             if one.log:
                 yield f"the last lines of {one.clip}:"

@@ -120,7 +120,7 @@ def track_frames(
     chosen = chosen_recipe(recipe, seed, init)
     if lag:
         check_smoothing(chosen)
-    frames = _frames(images, clock or (lambda index: index / fps))
+    frames = frames_of_images(images, clock or (lambda index: index / fps))
     begin = chosen_start(init)
     if begin is None or isinstance(begin, str):
         looked, frames = tee(frames)
@@ -244,7 +244,7 @@ def chosen_start(init: Init | None) -> Start | DetectorName | None:
     return read_init(begin) if isinstance(begin, Path) else begin
 
 
-def _frames(images: Iterable[Image], clock: Callable[[int], float]) -> Iterator[Frame]:
+def frames_of_images(images: Iterable[Image], clock: Callable[[int], float]) -> Iterator[Frame]:
     size: tuple[int, int] | None = None
     for index, image in enumerate(images):
         frame = frame_of(image, index, clock(index), size)

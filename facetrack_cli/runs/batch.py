@@ -191,7 +191,7 @@ def outcome_of_crash(job: Job, error: Exception) -> Outcome:
         plan = resolve(job)
     if plan is not None and plan.known is not None:  # an earlier turn may have come farther
         frames = max(frames, plan.known.frames)
-    kept = f"the {frames} frames that it had tracked are kept" if frames else "nothing was kept"
+    kept = f"the frames that it had tracked are kept ({frames})" if frames else "nothing was kept"
     said = FacetrackError(f"{job.clip}: {error}; {kept}")
     log = error.log if isinstance(error, DiedError) else ()
     if plan is not None and job.out is not None and job.batch:

@@ -6,7 +6,6 @@ import base64
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from fractions import Fraction
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -27,7 +26,7 @@ from facetrack_cli.trajectory.header import clip_of, frame_size_of, is_there, sa
 from facetrack_cli.trajectory.select import Around, blank_lost, enclose, hide_outside
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video import images
-from facetrack_cli.video.files import brings_rate
+from facetrack_cli.video.files import given_rate
 from facetrack_cli.video.source import open_source
 
 ALIASES: Final = {"elan": "eaf"}
@@ -219,7 +218,7 @@ def annotated_video(trajectory: Trajectory, *, media: str | Path | None = None) 
     if clip is None:
         raise InputError("the trajectory does not name its clip; give it with media")
     fps, stream = said(trajectory, "source", "fps"), said(trajectory, "source", "stream")
-    rate = None if brings_rate(clip) or not isinstance(fps, int | float) else Fraction(fps).limit_denominator(1001)
+    rate = given_rate(clip, fps) if isinstance(fps, int | float) else None
     ends = int(trajectory.frames[0]), int(trajectory.frames[-1])
     title = str(said(trajectory, "recipe", "name") or "")
     with TemporaryDirectory() as folder:

@@ -24,7 +24,8 @@ from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.face_points import DetectorName
 from facetrack_cli.core.types import Box, Frame, Image
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.runs.api import track_frames
+from facetrack_cli.runs.api import frames_of_images, track_frames
+from facetrack_cli.runs.live_people import LiveCast
 from facetrack_cli.runs.signals import never
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 from facetrack_cli.video.decode import FORMATS, pixels, silence
@@ -69,9 +70,10 @@ def follow(
     init: Path | DetectorName | Box | None,
     write: Callable[[str], None],
     stopped: Callable[[], bool] = never,
+    cast: LiveCast | None = None,
 ) -> int:
     """Track `images` and write a line for each; the number of lines. Times are those of frames, else seconds since the
-    first image came.
+    first image came. With a `cast` everybody is tracked, and a line more says at the end who is who.
 
     Raises InputError for images that are none, or no start in the first of them.
     """
@@ -89,13 +91,21 @@ def follow(
 
     count = 0
     try:
-        for result in track_frames(counted(), recipe, init=init, clock=shown.pop):
+        if cast is None:
+            results = track_frames(counted(), recipe, init=init, clock=shown.pop)
+        else:
+            results = cast.follow(frames_of_images(counted(), shown.pop), recipe)
+        for result in results:
             at = came[result.frame.index]
             for index in [index for index in came if index <= result.frame.index]:
                 del came[index]
             line = record(result, result.frame.time_s, time.monotonic() - at)
+            if cast is not None:
+                line["people"] = {one: cast.names.get(one) for one in (each["target"] for each in line["targets"])}
             write(json.dumps(line, allow_nan=False))
             count += 1
+        if cast is not None:
+            write(json.dumps({"people": cast.cast()}))
     except InputError:  # also where the images end before the target is found
         if not stopped():
             raise

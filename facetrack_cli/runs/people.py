@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -33,12 +32,12 @@ from facetrack_cli.trajectory.header import clip_of, said
 from facetrack_cli.trajectory.people import (
     NOBODY,
     PEOPLE,
-    PERSON,
     STILLS,
     People,
     ShotRecord,
     TrackRecord,
     Tracks,
+    new_name,
     people_of,
     photographs,
     read_people,
@@ -48,7 +47,7 @@ from facetrack_cli.trajectory.people import (
 )
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import summary_of
-from facetrack_cli.video.files import brings_rate
+from facetrack_cli.video.files import given_rate
 from facetrack_cli.video.shots import Shot, find_cuts, shots_of
 from facetrack_cli.video.source import Source, open_source
 
@@ -133,8 +132,9 @@ def cast(
         if readers[name].is_face
     ]  # fmt: skip
     found = cast_of(tracks, list(known.values()), float(source.fps))
-    new = iter(one for k in range(1, len(tracks) + len(known) + 1) if (one := f"{PERSON}{k}") not in known)
-    names = [*known, *(next(new) for _ in range(int(found.person.max(initial=-1)) + 1 - len(known)))]
+    names = [*known]
+    while len(names) <= found.person.max(initial=-1):
+        names.append(new_name(names))
     return _named(tracks, found, names, readers, shots, Clock(rows, float(source.fps)))
 
 
@@ -163,8 +163,7 @@ def _boxes(rows: Trajectory) -> dict[str, Trajectory]:
 def film_of(people: People, rows: Trajectory, clip: Path | None) -> tuple[Path | None, Any]:
     """The clip of a run, if it is known, and how it is read: its rate if the clip brings none, and its stream."""
     where = clip or clip_of(rows)
-    rate = None if where is None or brings_rate(where) else Fraction(people.fps).limit_denominator(1001)
-    return where, {"fps": rate, "stream": said(rows, "source", "stream")}
+    return where, {"fps": where and given_rate(where, people.fps), "stream": said(rows, "source", "stream")}
 
 
 def _ends(box: Trajectory) -> tuple[Any, Any]:

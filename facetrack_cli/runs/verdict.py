@@ -144,7 +144,7 @@ class RunMonitor(Sink):
         why = self.doubts()
         who = "some part " if self.several else ""
         lost = (
-            f"{who}called lost in {self.lost_frames} of {self.frames} frames"
+            f"{who}called lost in {self.lost_frames} of {self.frames} frame{'s' * (self.frames > 1)}"
             if self.lost_frames
             else "never called lost"
         )

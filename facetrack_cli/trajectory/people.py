@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations
@@ -220,7 +220,7 @@ def split(tracks: Tracks, name: str, frame: int) -> Tracks:
         spans = ", ".join(f"{one.first} to {one.stop - 1}" for _, one in theirs[:4])
         remedy = f"{name} is seen in frames {spans}; give a frame between the first and the last"
         raise UsageError(f"--split {name}@{frame}f: {remedy}")
-    new = _new(tracks)
+    new = new_name({one.person for _, one in tracks})
     found: Tracks = []
     for of, one in tracks:
         if one.person != name or one.stop <= frame:
@@ -247,7 +247,7 @@ def give(tracks: Tracks, name: str, frame: int, to: str | None) -> Tracks:
         if busy:
             at = max(busy[0].first, own[1].first)
             raise UsageError(f"--give {name}@{frame}f={to}: {to} is seen in frame {at}, too; give somebody else")
-    person = _new(tracks) if to is None else to
+    person = new_name({one.person for _, one in tracks}) if to is None else to
     return [pair if pair is not own else (pair[0], _given(pair[1], person)) for pair in tracks]
 
 
@@ -258,10 +258,9 @@ def photographs(before: People, tracks: Tracks) -> list[str]:
     return [name for name, of in first.items() if of in still]
 
 
-def _new(tracks: Tracks) -> str:
+def new_name(taken: Collection[str]) -> str:
     """A name that nobody has."""
-    taken = {one.person for _, one in tracks}
-    return next(f"{PERSON}{k}" for k in range(1, len(tracks) + 2) if f"{PERSON}{k}" not in taken)
+    return next(f"{PERSON}{k}" for k in range(1, len(taken) + 2) if f"{PERSON}{k}" not in taken)
 
 
 def _given(one: TrackRecord, person: str) -> TrackRecord:

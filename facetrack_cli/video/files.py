@@ -4,6 +4,7 @@ import re
 import shlex
 from collections import defaultdict
 from collections.abc import Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -58,6 +59,11 @@ def brings_rate(clip: Path) -> bool:
     """Whether a clip has a frame rate of its own, as all have but images: of a folder, a glob, an archive, or alone."""
     several = clip.is_dir() or images.listing(clip) is not None or is_archive(clip)
     return not several and not is_image(clip)
+
+
+def given_rate(clip: Path, fps: float) -> Fraction | None:
+    """The rate at which a clip was read, of frames per second, where it does not bring it itself."""
+    return None if brings_rate(clip) else Fraction(fps).limit_denominator(1001)
 
 
 def address_of(path: Path) -> str | None:

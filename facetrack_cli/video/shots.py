@@ -8,6 +8,7 @@ two images that are blended fade. A pan or a person that moves leaves that line 
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final, Literal, NamedTuple, TypeAlias
 
@@ -108,6 +109,18 @@ class Passing(NamedTuple):
             ends = [last - len(images) for _, _, last in _dissolves(_flat(images))]
             return passing, "cut" if any(-1.5 * _LATE <= one < -0.5 * _LATE for one in ends) else ""
         return passing, ""
+
+
+def passing_shots(frames: Iterable[Frame]) -> Iterator[tuple[int, Frame]]:
+    """Each frame of a clip that passes with the number of its shot, as late as a cut is known; dissolves come later."""
+    passing, waiting, shot = Passing(()), deque[Frame](), 0
+    for frame in frames:
+        passing, event = passing.after(frame) if passing.images else (Passing((small(frame),)), "")
+        shot += event == "cut"  # which the first that waits begins
+        waiting.append(frame)
+        if len(waiting) == _AFTER:
+            yield shot, waiting.popleft()
+    yield from ((shot, frame) for frame in waiting)
 
 
 def find_cuts(

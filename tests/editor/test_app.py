@@ -101,7 +101,7 @@ def test_clips_are_dropped_piece_by_piece(app, clips):
     assert put(data[half:], name="smile.mp4", offset=half, total=len(data)).json == {"added": [1]}
     assert put(data, name="smile.mp4", offset=0, total=len(data)).json == {"added": [2]}, "never over another file"
     folder = one.session.project.folder / "clips"
-    assert sorted(path.name for path in folder.iterdir()) == ["smile 2.mp4", "smile.mp4"]
+    assert sorted(path.name for path in folder.iterdir()) == ["smile-2.mp4", "smile.mp4"]
     assert (folder / "smile.mp4").read_bytes() == data
     for name in ("..%2Fa.mp4", "a%2Fb.mp4", "%00", "", ".", "a%0Ab"):
         assert put(b"x", name=name, offset=0, total=1).status == 400

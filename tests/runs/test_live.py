@@ -1,5 +1,6 @@
 """What comes from a pipe or a camera: a line a frame, with its age; bounded, and refused in one line."""
 
+import contextlib
 import io
 import itertools
 import json
@@ -12,6 +13,7 @@ import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from urllib.request import urlopen
 
 import av
 import cv2
@@ -24,6 +26,11 @@ from facetrack_cli.core.types import Frame
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs import live
 from facetrack_cli.runs.live import follow, is_live, piped, received
+from facetrack_cli.trackers.face.points import check_cascades
+from facetrack_cli.trajectory.formats.read import read_truth
+from tests.support.rtsp import camera
+from tests.support.samples import FOLDER
+from tests.test_docs import ROOT, blocks
 
 
 def sway(frames):
@@ -216,3 +223,50 @@ def test_options_that_live_has_none_of_are_refused(capsys):
     assert "--live has no --stop" in capsys.readouterr().err
     assert main(["run", "0"]) == 2
     assert "0: has no end; give --live" in capsys.readouterr().err
+
+
+def test_a_camera_of_rtsp_is_followed_and_said_when_it_ends(monkeypatch, capsys):
+    """It shows its images once: then nobody answers there, and a signal ends the wait."""
+    address, lines, said = camera(IMAGES), [], []
+    monkeypatch.setattr(live, "LEAST_WAIT_S", 0.01)
+    images = received(address, said.append)
+    found = follow(
+        images, load_recipe("correlation_filter"), (40.0, 30.0, 24.0, 24.0), lines.append, lambda: len(said) > 1
+    )
+    assert found == 6 and [json.loads(line)["frame"] for line in lines] == list(range(6))
+    assert json.loads(lines[-1])["targets"][0]["parts"][0]["x"] == pytest.approx(56.5, abs=2)
+    assert said[0] == f"{address}: it has ended; it is opened again in 0.01 s"
+
+
+def test_the_service_of_the_page_follows_a_camera(tmp_path):
+    """Typed as the page has it, in a process of its own, beside a camera that shows a sample clip once."""
+    check_cascades()
+    [text] = [one for one in blocks(ROOT / "docs" / "pipelines.md", "python") if "HTTPServer" in one]
+    (tmp_path / "service.py").write_text(text, encoding="utf-8")
+    with av.open(str(FOLDER / "expressions.mp4")) as file:
+        images = [one.to_ndarray(format="bgr24") for one in itertools.islice(file.decode(video=0), 50)]
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    words = [sys.executable, str(tmp_path / "service.py"), camera(images), str(port)]
+    with subprocess.Popen(words, cwd=ROOT, stderr=subprocess.PIPE) as service:
+        try:
+            seen = _asked(port, lambda told: told.get("time_s", 0) >= 49 / 25)
+            assert service.poll() is None
+        finally:
+            service.kill()
+            said = service.stderr.read().decode()
+    assert seen, said
+    truth = read_truth(FOLDER / "expressions.truth.csv").find("face", "nose").at(49)
+    assert seen["status"] == "tracked" and seen["time_s"] == pytest.approx(49 / 25)
+    assert np.hypot(seen["x"] - truth.x[0], seen["y"] - truth.y[0]) < 5
+
+
+def _asked(port, until):
+    """What a service answers once it is what is waited for; None after a minute."""
+    end = time.monotonic() + 60
+    while time.monotonic() < end:
+        with contextlib.suppress(OSError), urlopen(f"http://127.0.0.1:{port}/", timeout=5) as answer:
+            if until(told := json.load(answer)):
+                return told
+        time.sleep(0.1)
+    return None

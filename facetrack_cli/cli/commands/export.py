@@ -156,7 +156,7 @@ def command(
     write_new(path, encoded(made), overwrite=overwrite)
     frames = table.frames
     begins = f"; line 1 is frame {frames[0]}" if to in ("otb", "got10k") and frames[0] else ""
-    what = f"{len(frames)} frames of {', '.join(table.targets) or 'one target'}"
+    what = f"{len(frames)} frame{'s' * (len(frames) != 1)} of {', '.join(table.targets) or 'one target'}"
     say(f"{path}: {what if not many else f'{len(clips)} clips'}{begins}")
 
 

@@ -169,7 +169,7 @@ def command(
     local = None if cluster is None else _check_cluster(cluster, out, jobs, split)
     recipe_of = partial(_recipe, config, overrides, seed, gallery, extent, faces)
     if live or any(is_live(one) for one in inputs):
-        return _live(inputs, live, out, extent, recipe_of)
+        return _live(inputs, live, out, extent, recipe_of, (faces, gallery))
     with progress(quiet) as shown:
         given, several = expand(inputs, shown.say)
     extent.check(*given)
@@ -245,11 +245,18 @@ def _recipe(
 
 
 def _live(
-    inputs: tuple[Path, ...], asked: bool, out: str | None, extent: Extent, recipe_of: Callable[[], Recipe]
+    inputs: tuple[Path, ...],
+    asked: bool,
+    out: str | None,
+    extent: Extent,
+    recipe_of: Callable[[], Recipe],
+    who: tuple[str, str | None],
 ) -> int:
     """Track what comes from a camera, a pipe or a clip; the exit code."""
     from facetrack_cli.runs.live import follow, images_of
+    from facetrack_cli.runs.live_people import LiveCast
     from facetrack_cli.runs.signals import Stop
+    from facetrack_cli.trackers.people.looks import load_people
 
     [clip, *more] = inputs
     if not asked:
@@ -258,13 +265,19 @@ def _live(
         raise UsageError("--live follows one INPUT; give one")
     if out not in (None, "-"):
         raise UsageError("--live writes to stdout; leave --out out")
-    known = {"inputs", "config", "overrides", "seed", "gallery", "init", "box", "out", "live", "no_video", "quiet"}
+    known = {"inputs", "config", "overrides", "seed", "gallery", "init", "box", "out", "live", "faces",
+             "no_video", "quiet"}  # fmt: skip
     if unfit := options.given_beside(known):
         raise UsageError(f"--live has no {unfit}: frames are tracked as they come; leave it out")
     recipe = recipe_of()
-    init = extent.box if extent.box is not None else extent.init
+    init, cast = extent.box if extent.box is not None else extent.init, None
+    faces, gallery = who
+    if faces == "all":
+        if recipe.later or recipe.followed or not recipe.has_head or isinstance(init, Path | tuple):
+            raise UsageError("--faces all --live looks for every face; leave out --init, --box, and --config but face")
+        cast = LiveCast(init, 25.0, {} if gallery is None else load_people(Path(gallery)))
     with Stop().listening() as stop:
-        follow(images_of(clip, say), recipe, init, lambda line: click.echo(line), stop)
+        follow(images_of(clip, say), recipe, init, lambda line: click.echo(line), stop, cast)
     return stop.code or ExitCode.DONE
 
 

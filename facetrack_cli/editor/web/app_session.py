@@ -16,7 +16,7 @@ from facetrack_cli.core.files import make_folder, write_new, writing
 from facetrack_cli.core.types import Array, Correction, checked_name
 from facetrack_cli.editor.film_track import open_track
 from facetrack_cli.editor.history import Fixer, corrections_of
-from facetrack_cli.editor.project import RECIPES, Clip, Project, What, call
+from facetrack_cli.editor.project import RECIPES, Clip, Project, What, call, free
 from facetrack_cli.editor.web.cast_session import CastSession
 from facetrack_cli.editor.web.fix_session import FixSession
 from facetrack_cli.editor.web.frame import Json, Proposer, jpeg
@@ -180,9 +180,8 @@ class AppSession(Page):
             if file.tell() < total:
                 return {"offset": file.tell()}
         with self.project.lock, writing(part, "choose another folder"):
-            stem, suffix = Path(name).stem, Path(name).suffix
-            free = (folder / (f"{stem} {k}{suffix}" if k > 1 else name) for k in range(1, 10**6))
-            part.rename(path := next(one for one in free if not one.exists()))
+            name = free(Path(name).stem, (one.name for one in folder.iterdir()), Path(name).suffix)
+            part.rename(path := folder / name)
         return self._added([path])
 
     def _add(self, path: str) -> Json:

@@ -47,7 +47,7 @@ class Tier(NamedTuple):
 
 def read_tiers(path: Path, clip: str) -> list[Tier]:
     """The tiers of a file, with annotations that have times. Raises InputError for a file that is not ELAN's."""
-    root, offset = _root(path, _bytes(path))[0], 0
+    root = _read(path)[1]
     offset = offset_of(root, clip) or 0
     slots = {one.get("TIME_SLOT_ID"): one.get("TIME_VALUE") for one in root.iter("TIME_SLOT")}
     found = []
@@ -76,8 +76,7 @@ def add_tiers(path: Path, ours: str, clip: str) -> tuple[bytes, list[str], bool]
 
     Tiers whose name is there get another. InputError for a file that cannot take them.
     """
-    data = _bytes(path)
-    root, marks = _root(path, data)
+    data, root, marks = _read(path)
     new, offset = ET.fromstring(ours), offset_of(root, clip)
     tiers, slots = _named_apart(root, new), sorted(_moved(new, offset or 0), key=lambda one: one[0])
     added: list[tuple[int, int, bytes]] = []  # where, how many bytes are replaced, by what
@@ -186,17 +185,14 @@ class Mark(NamedTuple):
     text: tuple[int, int] | None = None
 
 
-def _bytes(path: Path) -> bytes:
+def _read(path: Path) -> tuple[bytes, ET.Element, list[Mark]]:
+    """The bytes of a file, its tree, and where each element is in the bytes."""
     try:
         data = read_bounded(path)
     except OSError as e:
         raise InputError(f"{path}: cannot be read: {e.strerror or e}; name an .eaf") from None
     if b"<!DOCTYPE" in data[:4096] or b"<!ENTITY" in data:
         raise InputError(f"{path}: declares a document type, which ELAN's files do not; it is not read")
-    return data
-
-
-def _root(path: Path, data: bytes) -> tuple[ET.Element, list[Mark]]:
     marks: list[Mark] = []
     parser, depth = expat.ParserCreate("UTF-8"), 0
 
@@ -226,7 +222,7 @@ def _root(path: Path, data: bytes) -> tuple[ET.Element, list[Mark]]:
     version = root.get("FORMAT") or root.get("VERSION") or ""
     if not version.replace(".", "", 1).isdigit() or float(version) < LEAST_FORMAT:
         raise InputError(f"{path}: is of EAF {version or 'without a version'}; save it by ELAN 4.9 or later")
-    return root, marks
+    return data, root, marks
 
 
 def _text(elements: list[ET.Element], depth: int) -> bytes:
