@@ -98,6 +98,7 @@ def test_a_pipe_that_is_no_clip_is_one_line(data):
     with pytest.raises(InputError, match=r"^standard input: ") as error:
         list(piped(io.BytesIO(data)))
     assert "\n" not in str(error.value)
+    assert "Errno" not in str(error.value)
 
 
 def served(data, times):
