@@ -73,9 +73,9 @@ def command(
         load_gallery(gallery)
     given = {load_recipe(name, overrides, installed=False).name: name for name in config}
     asked = recordable(folder, given) if update and given else recorded(folder, given)
-    for one in asked if overrides else ():
+    for each in asked if overrides else ():
         try:
-            load_recipe(one.recipe, overrides, installed=False)
+            load_recipe(each.recipe, overrides, installed=False)
         except RecipeError as e:  # what is wrong with the recipe fails its golden
             if str(e).startswith("--set"):
                 raise
