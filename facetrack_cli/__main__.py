@@ -80,7 +80,8 @@ def _run(argv: Sequence[str] | None) -> int:
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
         hint = f" (see {context.command_path} --help)" if context is not None else ""
-        _say(f"error: {error.format_message().rstrip('.')}{hint}")
+        said = error.format_message().replace("\n\t", " ")  # Click lists choices a line each
+        _say(f"error: {said.rstrip('.')}{hint}")
         return ExitCode.USAGE
     except (KeyboardInterrupt, click.Abort) as error:
         if isinstance(error.__cause__, EOFError):  # which click takes for Ctrl-C at a prompt

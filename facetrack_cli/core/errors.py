@@ -82,8 +82,7 @@ def flat(line: str) -> str:
 
 def reason(error: Exception) -> str:
     """The message of an exception on one line, at most 120 characters, without the path that the caller names."""
-    text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    text = " ".join(str(text).split())
+    text = " ".join(str(getattr(error, "strerror", None) or error).split())  # FFmpeg's errors have it, too
     return text if len(text) <= 120 else text[:117] + "..."
 
 

@@ -140,7 +140,7 @@ class FolderLease:
                 path,
                 lease_duration=LEASE_S,
                 heartbeat_interval=LEASE_S / 6,
-                mode=self._folder.stat().st_mode & 0o666,  # who may write here may take it over
+                mode=0o600 | self._folder.stat().st_mode & 0o666,  # who may write here may take it over
                 thread_local=False,
             )
             with contextlib.suppress(Timeout):

@@ -291,7 +291,16 @@ def check_run(path: Path) -> None:
     """Recover the folder of a run, or of one of its files. InputError for a file of another run than run.json there."""
     with reading(path, "name a trajectory or ground-truth file"):
         recover_interrupted(path if path.is_dir() else path.parent)
+        _check_written(path)
         check_belongs(table_in(path))
+
+
+def _check_written(folder: Path) -> None:
+    """InputError for a folder whose first run is not at its end."""
+    if folder.is_dir() and holder(folder) is not None and not any(folder.glob("trajectory.*")):
+        raise InputError(
+            f"{folder}: a run is being written here; wait until it ends (facetrack status tells how far it is)"
+        )
 
 
 def trajectory_of(run: Path) -> Path:
@@ -302,6 +311,7 @@ def trajectory_of(run: Path) -> Path:
     if not run.is_dir():
         raise InputError(f"{run}: no such folder; {remedy}")
     recover_interrupted(run)
+    _check_written(run)
     for form in ("json", "jsonl"):
         if (path := run / f"trajectory.{form}").is_file():
             return path

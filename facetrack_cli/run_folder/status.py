@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from facetrack_cli.core.errors import InputError, UsageError, reading
 from facetrack_cli.core.files import check_plain, make_folder, read_bounded, write_new
 from facetrack_cli.core.numbers import document, places
-from facetrack_cli.run_folder.lease import holder, is_held
+from facetrack_cli.run_folder.lease import holder, is_held, left_in
 from facetrack_cli.run_folder.manifest import NAME, Manifest, as_text, read_manifest
 
 State: TypeAlias = Literal["done", "running", "interrupted", "failed", "not begun"]
@@ -264,7 +264,8 @@ def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
         )
     if known is None:
         begun = is_held(folder)  # a process that is gone has left it
-        return ClipStatus(clip or name, name, "interrupted" if begun else "not begun")
+        told = as_text(str(left_in(folder).get("clip", name)))
+        return ClipStatus(clip or told, name, "interrupted" if begun else "not begun")
     state: State = "failed" if known.error is not None else "done" if known.stopped is None else "interrupted"
     tracked, took = known.frames - known.resumed, known.seconds
     lost, look = _worst_part(known)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -30,7 +31,7 @@ from facetrack_cli.recipe.load import default_recipe, load_recipe
 from facetrack_cli.recipe.model import Recipe, seeded, to_dict
 from facetrack_cli.runs.clip import rows_of
 from facetrack_cli.runs.people import cast_in
-from facetrack_cli.runs.plan import Job, check_smoothing, completed, resolve, search, silent
+from facetrack_cli.runs.plan import Job, check_count, check_smoothing, completed, resolve, search, silent
 from facetrack_cli.runs.progress import Bar, Progress, watched
 from facetrack_cli.runs.record import ClipFacts, Recorder, Results, RunFolder, Video, header_of, tables
 from facetrack_cli.runs.signals import Stop, never
@@ -81,7 +82,7 @@ def track_video(
         init=_init(init, start),
         start=start,
         stop=stop,
-        fps=None if fps is None else Fraction(fps).limit_denominator(1001),
+        fps=None if fps is None else _rate(fps),
         lag=lag,
         faces=faces,
     )
@@ -118,6 +119,7 @@ def track_frames(
     Raises InputError for images that are none, or no start in them.
     """
     chosen = chosen_recipe(recipe, seed, init)
+    check_count("lag", lag)
     if lag:
         check_smoothing(chosen)
     frames = frames_of_images(images, clock or (lambda index: index / fps))
@@ -183,7 +185,7 @@ class Recording:
         video: bool = True,
         overwrite: bool = False,
     ) -> None:
-        chosen, self._rate = chosen_recipe(recipe, None, None), Fraction(fps).limit_denominator(1001)
+        chosen, self._rate = chosen_recipe(recipe, None, None), _rate(fps)
         self.job = Job(Path(clip), chosen, Path(out), formats=tuple(formats), video=video, overwrite=overwrite)
 
     def __enter__(self) -> Recording:
@@ -224,6 +226,13 @@ def chosen_recipe(recipe: str | Path | Recipe | None, seed: int | None, init: In
     if not isinstance(recipe, Recipe):
         recipe = load_recipe(str(recipe))
     return seeded(recipe, seed)
+
+
+def _rate(fps: float) -> Fraction:
+    """A rate as written to files. Raises UsageError."""
+    if not 0 < fps < math.inf:
+        raise UsageError(f"fps {fps!r} is no rate; give frames per second, as 25 or 29.97")
+    return Fraction(fps).limit_denominator(1001)
 
 
 def _init(init: Init | None, start: int) -> Path | DetectorName | Start | None:

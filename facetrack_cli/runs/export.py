@@ -61,10 +61,12 @@ def export(
 
     Raises
     ------
-    UsageError : for a format that there is not.
+    UsageError : for a format that there is not, or `drop_lost` where it has tiers for what was lost.
     InputError : for a trajectory that lacks what the format needs.
     OutputError : for a file that is there, or cannot be written.
     """
+    if drop_lost and ALIASES.get(form, form) == "eaf":
+        raise UsageError("drop_lost is not for eaf, which has a tier for what was lost; leave it out")
     path, clip = None if out is None else Path(out), None if media is None else Path(media)
     if path is not None:
         inputs = (trajectory.path, clip, clip_of(trajectory))
@@ -139,7 +141,7 @@ def content(
         return keypoints.write_coco(table, size, _image_names(clip, table), around=around)
     write = {"vot": boxes.write_vot, "otb": boxes.write_otb, "got10k": boxes.write_got10k}
     if form not in ("mot", *write):
-        raise UsageError(f"{form} is no format; there are {', '.join(sorted([*writers, *OF_MEDIA, *write, 'mot']))}")
+        raise UsageError(f"{form} is no format; there are {', '.join(sorted({*writers, *OF_MEDIA, *write, 'mot'}))}")
     chosen = [enclose(table.of_target(target), around) for target in table.targets]
     return boxes.write_mot(chosen) if form == "mot" else write[form](chosen[0])
 

@@ -39,7 +39,8 @@ LEAST_WAIT_S, MOST_WAIT_S = 1.0, 30.0  # until an address is opened again
 _PIPE: Final = "standard input"
 _FORMATS: Final = f"{FORMATS},jpeg_pipe"
 _PROTOCOLS: Final = "rtsp,rtsps,rtp,udp,tcp,tls,srt,http,https,crypto"
-_REMEDY: Final = "give what ffmpeg reads, as from ffmpeg -i ... -f yuv4mpegpipe -pix_fmt yuv420p -"
+_OF_PIPE: Final = "give what ffmpeg reads, as from ffmpeg -i ... -f yuv4mpegpipe -pix_fmt yuv420p -"
+_OF_OTHERS: Final = "check the name, and whether ffplay shows it"
 
 
 def is_live(clip: Path) -> bool:
@@ -154,7 +155,11 @@ def _parts(rows: Trajectory) -> Iterator[dict[str, Any]]:
 
 def camera(number: int) -> Iterator[Image]:
     """The images of a camera, until it is taken away. InputError where there is none."""
-    capture = cv2.VideoCapture(number)
+    said = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # what is wrong is one line, ours
+    try:
+        capture = cv2.VideoCapture(number)
+    finally:
+        cv2.utils.logging.setLogLevel(said)
     try:
         got, image = capture.read() if capture.isOpened() else (False, None)
         if not got or image is None:
@@ -212,12 +217,13 @@ def _decoded(file: Any, options: dict[str, str], name: str) -> Iterator[Frame]:
     import av
 
     silence()
+    remedy = _OF_PIPE if name == _PIPE else _OF_OTHERS
     device = "v4l2" if isinstance(file, str) and file.startswith("/dev/") else None
     options = options if device else {**options, "probesize": "1000000"}
     try:
         with av.open(file, "r", format=device, options=options, timeout=(OPEN_S, READ_S)) as container:
             if not container.streams.video:
-                raise InputError(f"{name}: has no video; {_REMEDY}")
+                raise InputError(f"{name}: has no video; {remedy}")
             video = container.streams.video[0]
             timed, began = container.format.name not in ("mjpeg", "jpeg_pipe"), None
             video.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
@@ -227,4 +233,4 @@ def _decoded(file: Any, options: dict[str, str], name: str) -> Iterator[Frame]:
                 time_s = (raw.time or 0.0) - (began or 0.0)
                 yield Frame(index, time_s if timed else math.nan, pixels(raw))
     except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{name}: {reason(error)}; {_REMEDY}") from None
+        raise InputError(f"{name}: {reason(error)}; {remedy}") from None

@@ -367,6 +367,8 @@ def rows_in(folder: Path) -> Trajectory:
 
 def people_in(folder: Path) -> People:
     """The people of a run. InputError for a run that is of no film."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; name the folder of a film, which facetrack run --faces all wrote")
     check_run(folder)
     found = read_people(folder)
     if found is None:

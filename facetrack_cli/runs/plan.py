@@ -12,8 +12,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from fractions import Fraction
 from itertools import chain, islice
+from numbers import Integral
 from pathlib import Path
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
@@ -50,7 +51,7 @@ from facetrack_cli.trackers.people.looks import load_people
 from facetrack_cli.trackers.skin.settings import Cloud
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
-from facetrack_cli.trajectory.writers import Format, RunSummary, by_frame
+from facetrack_cli.trajectory.writers import FORMATS, Format, RunSummary, by_frame
 from facetrack_cli.video.source import Source, open_source
 
 SIGNS_FRAMES: Final = 50  # in which hands are looked at, where a recipe follows those of one of several faces
@@ -441,8 +442,20 @@ def digest_of(job: Job) -> str:
     return job_digest(job.recipe, job.init, settings, options, *chunks)
 
 
+def check_count(name: str, value: object) -> None:
+    """UsageError for what does not count frames."""
+    if not isinstance(value, Integral) or value < 0:
+        raise UsageError(f"{name} {value!r} is no whole number from 0 on")
+
+
 def _check_options(job: Job, everyone: bool, kept: bool) -> None:
-    """UsageError for options that exclude each other."""
+    """UsageError for options that exclude each other, and for values that only Python can ask for."""
+    if job.faces not in get_args(Faces):
+        raise UsageError(f"faces {job.faces!r} is not one of {', '.join(get_args(Faces))}")
+    if unknown := [form for form in job.formats if form not in FORMATS]:
+        raise UsageError(f"formats: {unknown[0]!r} is not one of {', '.join(FORMATS)}")
+    for name, value in (("start", job.start), ("stop", job.stop or 0), ("lag", job.lag)):
+        check_count(name, value)
     if job.faces == "all" and job.recipe.later:
         who = f"recipe {job.recipe.name} follows the hands of one person"
         raise UsageError(f"--faces all: {who}; leave it out, and choose the signer with --box X,Y,W,H")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError, needed
+from facetrack_cli.core.errors import InputError, UsageError, needed
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 def data_frame(table: Trajectory, what: Literal["rows", "measures", "events"], *, measures: bool) -> DataFrame:
     """As `Trajectory.to_pandas` says."""
+    if what not in ("rows", "measures", "events"):
+        raise UsageError(f"{what!r} is no table; give rows, measures or events")
     with needed("data frames", "pandas", "pandas"):
         import pandas
 

@@ -158,6 +158,7 @@ def test_a_command_may_return_its_exit_code_or_leave_with_it(boom, code):
         (["xyzzy"], f'no command "xyzzy"; there are: {", ".join(cli.COMMANDS)} (see facetrack --help)'),
         (["--hlep"], "No such option"),
         (["recipes", "show"], "Missing argument 'RECIPE' (see facetrack recipes show --help)"),
+        (["export", "run"], "Missing option '--to'. Choose from: csv-wide, pose,"),
         (["recipes", "show", "factorised"], '"factorised" is neither a file nor a shipped recipe; did you mean'),
     ],
 )

@@ -167,6 +167,8 @@ def test_a_changed_recipe_is_told_and_compared_all_the_same(facetrack: Runner, c
     code, out, _ = facetrack("regress", clips, "--set", "motion.sigma=0.25")
     assert code == ExitCode.REGRESSION
     assert "not as recorded: motion.sigma 0.1 -> 0.25; record again with --update" in out
+    code, _, err = facetrack("regress", clips, "--set", "motion.sigm=0.25")
+    assert code == ExitCode.USAGE and 'unknown key "sigm"' in err  # a mistake in the option is no regression
     code, out, _ = facetrack("regress", clips, "--set", "confidence.patience=4")
     assert code == ExitCode.DONE and "confidence.patience 3 -> 4" in out and ": ok (" in out
 

@@ -14,10 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from facetrack_cli.core.errors import BusyError, OutputError
+from facetrack_cli.core.errors import BusyError, InputError, OutputError
 from facetrack_cli.core.files import own_mark, temporary_path
 from facetrack_cli.run_folder import lease as leases
 from facetrack_cli.run_folder.lease import LOCK, NOTE, FolderLease, finish_replacing, holder, left_in, sweep
+from facetrack_cli.run_folder.manifest import read_run, trajectory_of
 from tests.support.leases import ELSEWHERE, abandon, ended_process, leave, leave_here, note_here
 
 LEASE_S = 0.6
@@ -58,6 +59,15 @@ def test_a_folder_has_one_writer(tmp_path):
             assert is_refused(folder)
             lease.check()
         assert names(folder) == [] and holder(folder) is None
+
+
+def test_who_reads_a_run_that_is_being_written_is_told(tmp_path):
+    with FolderLease(tmp_path):
+        for reader in (read_run, trajectory_of):
+            with pytest.raises(InputError, match="a run is being written here; wait until it ends"):
+                reader(tmp_path)
+    with pytest.raises(InputError, match=r"has no trajectory\.json"):
+        trajectory_of(tmp_path)
 
 
 def test_signs_of_life(tmp_path, soon):

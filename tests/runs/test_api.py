@@ -111,6 +111,30 @@ def test_mistakes_raise_the_line_of_the_command(tmp_path):
         facetrack.track_video(CLIP, "no_such")
 
 
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"faces": "both"}, "faces 'both' is not one of one, all"),
+        ({"lag": -1}, "lag -1 is no whole number from 0 on"),
+        ({"start": -1}, "start -1 is no whole number"),
+        ({"stop": 2.5}, "stop 2.5 is no whole number"),
+        ({"fps": 0}, "fps 0 is no rate"),
+    ],
+)
+def test_values_that_the_command_line_refuses(asked, message):
+    with pytest.raises(facetrack.FacetrackError, match=message):
+        facetrack.track_video(CLIP, "histogram", **asked)
+
+
+def test_images_and_recordings_take_no_other_values(tmp_path, images):
+    with pytest.raises(facetrack.FacetrackError, match=r"lag 1\.5 is no whole number"):
+        next(facetrack.track_frames(images, "histogram", init=(5, 5, 40, 40), lag=1.5))
+    for about, message in (({"formats": ("xml",)}, "formats: 'xml' is not"), ({"fps": float("nan")}, "fps nan is no")):
+        with pytest.raises(facetrack.FacetrackError, match=message), facetrack.Recording(tmp_path / "out", **about):
+            pass
+    assert not (tmp_path / "out").exists()
+
+
 def test_only_public_names_are_there():
     assert all(getattr(facetrack, name) is not None for name in facetrack.__all__)
     assert set(facetrack.__all__) < set(dir(facetrack)) and "import_module" not in dir(facetrack)

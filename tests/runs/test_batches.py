@@ -284,6 +284,11 @@ def test_status_of_one_run_and_of_none(clips, capsys):
         assert len(capsys.readouterr().err.splitlines()) == 1
     Path("one/run.json").write_text("[]")
     assert [one["state"] for one in status("one", capsys)["clips"]] == ["failed"]
+    Path("killed").mkdir()
+    leave(Path("killed"), {**ELSEWHERE, "clip": "clips/c9.mp4"}, silent_s=1e6)
+    assert [(one["clip"], one["state"]) for one in status("killed", capsys)["clips"]] == [
+        ("clips/c9.mp4", "interrupted")
+    ]
 
 
 def test_the_table_has_the_clip_that_is_lost_most_first():

@@ -59,6 +59,8 @@ def test_elan_is_a_name_of_eaf_and_nothing_is_replaced_unasked(run, tmp_path):
     assert added.read_bytes().count(b"<HEADER") == 1
     with pytest.raises(UsageError, match=r"eav is no format; there are boris, .*eaf, .*textgrid"):
         table.export("eav")
+    with pytest.raises(UsageError, match="drop_lost is not for eaf"):
+        table.export("elan", drop_lost=True)
     with pytest.raises(UsageError, match="vot holds one target"):
         joined([*rows().parts, one_part("hand", "box", [10], x=[1.0], y=[1.0])]).export("vot")
 

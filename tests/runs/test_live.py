@@ -105,6 +105,7 @@ def test_a_pipe_that_is_no_clip_is_one_line(data):
     with pytest.raises(InputError, match=r"^standard input: ") as error:
         list(piped(io.BytesIO(data)))
     assert "\n" not in str(error.value)
+    assert "Errno" not in str(error.value)
 
 
 def served(data, times):
@@ -210,12 +211,13 @@ def test_a_pipe_from_which_nothing_comes_is_ended():
         os.close(into)  # the thread that reads ends
 
 
-def test_what_live_cannot_be(capsys, tmp_path, monkeypatch):
+def test_what_live_cannot_be(capfd, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["run", "-"]) == 2 and "has no end; give --live" in capsys.readouterr().err
+    assert main(["run", "-"]) == 2 and "has no end; give --live" in capfd.readouterr().err
     assert main(["run", "7", "--live", "--box", "1,1,9,9"]) == 3
-    assert "7: there is no camera of this number" in capsys.readouterr().err
-    assert main(["run", "-", "--live", "-o", "x"]) == 2 and "leave --out out" in capsys.readouterr().err
+    err = capfd.readouterr().err
+    assert "7: there is no camera of this number" in err and err.count("\n") == 1  # OpenCV says nothing
+    assert main(["run", "-", "--live", "-o", "x"]) == 2 and "leave --out out" in capfd.readouterr().err
 
 
 def test_options_that_live_has_none_of_are_refused(capsys):

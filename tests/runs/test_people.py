@@ -357,6 +357,8 @@ def test_a_film_in_python_is_that_of_the_command_line(ran):
 def test_a_run_of_one_face_has_no_cast(tmp_path, capsys):
     assert main(["people", str(tmp_path)]) == ExitCode.INPUT
     assert "has no people.json; facetrack run --faces all writes it" in capsys.readouterr().err
+    assert main(["people", str(tmp_path / "none")]) == ExitCode.INPUT
+    assert "none: no such folder; name the folder of a film" in capsys.readouterr().err
 
 
 def job(out, **more):

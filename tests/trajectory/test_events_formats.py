@@ -147,6 +147,8 @@ def test_measures_and_events_are_data_frames():
     opening = measures[measures.measure == "mouth_opening"]
     np.testing.assert_array_equal(opening.value, table.measures["face"]["mouth_opening"].value)
     assert {"target", "unit", "frame", "time_s", "std", "noise"} <= {*measures.columns}
+    with pytest.raises(UsageError, match="'people' is no table"):
+        table.to_pandas("people")
     assert table.take(table.frame < 0).to_pandas("events").empty
 
 

@@ -8,7 +8,7 @@ import click
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import flag, option
 from facetrack_cli.cli.types import FILE, FOLDER, RECIPE, Whole
-from facetrack_cli.core.errors import ExitCode, UsageError
+from facetrack_cli.core.errors import ExitCode, RecipeError, UsageError
 
 
 @click.command()
@@ -73,6 +73,12 @@ def command(
         load_gallery(gallery)
     given = {load_recipe(name, overrides, installed=False).name: name for name in config}
     asked = recordable(folder, given) if update and given else recorded(folder, given)
+    for each in asked if overrides else ():
+        try:
+            load_recipe(each.recipe, overrides, installed=False)
+        except RecipeError as e:  # what is wrong with the recipe fails its golden
+            if str(e).startswith("--set"):
+                raise
     fails, began, found = "not recorded" if update else "FAILS", time.monotonic(), []
     with Stop().listening() as stopped, progress(quiet) as shown:
         shown.begin(str(folder))
