@@ -137,6 +137,9 @@ def content(
             raise InputError(f"{why}; name the clip: --media")
         if form == "labelstudio":
             say(f'{name}: give the Video of the labelling configuration framerate="{fps:.10g}"')
+            bare = ", ".join(part.part for part in table.parts if not np.isfinite(part.w + part.h).any())
+            if bare:
+                say(f"facetrack: warning: Label Studio has no points, and these have no windows; left out: {bare}")
             return labelstudio.write_labelstudio(table, size, fps, name)
         return keypoints.write_coco(table, size, _image_names(clip, table), around=around)
     write = {"vot": boxes.write_vot, "otb": boxes.write_otb, "got10k": boxes.write_got10k}

@@ -44,8 +44,8 @@ def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajecto
     """One box for each row of a target, as the series of a part `box`: the smallest upright box around its parts.
 
     A target of one part has that part's own box. Of several, `windows` encloses the windows that the tracker compares,
-    `points` their centres alone, each as one pixel. Parts whose place is not known in a row are left out of it; lost
-    ones count, since their place is the estimate. `confidence` is the mean over the parts, `status` lost when all parts
+    `points` their centres alone, each as one pixel. Parts whose place is not known in a row are left out of it, and so
+    are parts without windows where others have some; lost ones count, since their place is the estimate. `confidence` is the mean over the parts, `status` lost when all parts
     are that are not absent. Raises InputError for windows of parts that have none.
     """
     target = parts[0].target
@@ -54,6 +54,7 @@ def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajecto
     if around == "points":
         parts = [part for part in parts if part.part != BOX]
         parts = [replace(part, w=np.ones(len(part)), h=np.ones(len(part))) for part in parts]
+    parts = with_windows(parts) or parts
     for part in parts:
         if (sizeless := part.frame[np.isfinite(part.x) & ~np.isfinite(part.w + part.h)]).size:
             raise InputError(f"{part.name}: frame {sizeless[0]} has no w and h; enclose the points with --box points")
@@ -68,6 +69,11 @@ def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajecto
     place = {"x": left + (w - 1) / 2, "y": top + (h - 1) / 2, "w": w, "h": h, "confidence": mean(confidence)}
     about = {"status": _together(status), "by_hand": by_hand.any(axis=1), "time_s": joined(parts).times}
     return one_part(target, BOX, frame, **place, **about)
+
+
+def with_windows(parts: Sequence[Trajectory]) -> list[Trajectory]:
+    """Those that have a width and a height: no window follows the eyes of a face."""
+    return [part for part in parts if np.isfinite(part.w + part.h).any()]
 
 
 def mean(values: Array) -> Array:

@@ -97,6 +97,9 @@ def test_label_studio_s_numbers():
     assert shares == pytest.approx((one.boxes[0] / [640, 480, 640, 480]).tolist(), abs=1e-6)
     with pytest.raises(InputError, match=r"face/nose: frame 0 has no w and h, and .* rectangles alone"):
         write_labelstudio(one_part("face", "nose", [0], x=[1.0], y=[2.0]), SIZE, 25.0, "c.mp4")
+    eye = one_part("hand", "eye", table().frames, x=np.ones(len(table().frames)), y=np.ones(len(table().frames)))
+    (both,) = json.loads(write_labelstudio(joined([*table().parts, eye]), SIZE, 25.0, "clip.mp4"))
+    assert both["annotations"] == task["annotations"]
 
 
 def at_times(time_s, first=0):

@@ -24,6 +24,7 @@ from facetrack_cli.trajectory.formats.boxes import (
 )
 from facetrack_cli.trajectory.formats.pts import read_pts
 from facetrack_cli.trajectory.formats.read import read_results, read_truth, recognise
+from facetrack_cli.trajectory.select import enclose
 from facetrack_cli.trajectory.trajectory import Trajectory, one_part
 
 
@@ -134,6 +135,14 @@ def test_formats_without_frame_numbers_have_no_room_for_gaps() -> None:
 def test_points_are_no_boxes(writer: object) -> None:
     with pytest.raises(InputError, match="face/nose: frame 3 has no w and h"):
         writer(one_part("face", "nose", [3], x=[1.0], y=[2.0]))  # type: ignore[operator]
+
+
+def test_points_without_windows_are_left_out_where_others_have_some(tmp_path: Path) -> None:
+    nose = one_part("face", "nose", [3], x=[50.0], y=[40.0], w=[11.0], h=[11.0])
+    mouth = one_part("face", "mouth_left", [3], x=[40.0], y=[60.0], w=[11.0], h=[11.0])
+    eye = one_part("face", "eye_left_upper", [3], x=[10.0], y=[10.0])
+    assert enclose([nose, eye, mouth]).boxes.tolist() == enclose([nose, mouth]).boxes.tolist()
+    assert enclose([nose, eye], "points").boxes.tolist() != enclose([nose], "points").boxes.tolist()
 
 
 def test_mot_flags_and_visibility(tmp_path: Path) -> None:
