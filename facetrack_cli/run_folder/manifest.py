@@ -297,7 +297,8 @@ def check_run(path: Path) -> None:
 
 def _check_written(folder: Path) -> None:
     """InputError for a folder whose first run is not at its end."""
-    if folder.is_dir() and holder(folder) is not None and not any(folder.glob("trajectory.*")):
+    ended = (folder / NAME).is_file() or any(folder.glob("trajectory.*"))
+    if folder.is_dir() and not ended and holder(folder) is not None:
         raise InputError(
             f"{folder}: a run is being written here; wait until it ends (facetrack status tells how far it is)"
         )
