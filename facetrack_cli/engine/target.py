@@ -300,10 +300,7 @@ class ParticleTarget:
 
 @dataclass(frozen=True)
 class Bound:
-    """A target with one frame bound in: the model that filters see (`filters.FrameModel`).
-
-    `known` are draws whose log likelihoods were computed with them, by the draws' ids.
-    """
+    """A target with one frame, and the motion of it, bound in: the model that filters see (`filters.FrameModel`)."""
 
     target: ParticleTarget
     state: ParticleState

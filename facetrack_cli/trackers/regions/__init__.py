@@ -1,6 +1,6 @@
 """A head as a box: Odobez, Ba & Gatica-Perez, IDIAP-RR 03-15, 2003.
 
-"Embedding Motion in Model-Based Stochastic Tracking".
+"An Implicit Motion Likelihood for Tracking with Particle Filters".
 
 - `settings.py`: what a recipe may say.
 - `histogram.py`, `contour.py`: colours and edges of the box (section 3.3, eq. 11).
