@@ -19,19 +19,28 @@ from facetrack_cli.run_folder.manifest import VIDEO
 from facetrack_cli.runs.plan import silent
 from facetrack_cli.runs.signals import never
 from facetrack_cli.runs.smooth import repaint
-from facetrack_cli.trajectory.formats import boxes, cvat, eaf, events, keypoints, labelstudio, openface, tables
+from facetrack_cli.trajectory.formats import (
+    OF_MEDIA,
+    ONE_TARGET,
+    boxes,
+    cvat,
+    eaf,
+    events,
+    keypoints,
+    labelstudio,
+    openface,
+    tables,
+)
 from facetrack_cli.trajectory.formats.eaf_session import add_tiers
 from facetrack_cli.trajectory.formats.events import Clip
 from facetrack_cli.trajectory.header import clip_of, frame_size_of, is_there, said
-from facetrack_cli.trajectory.select import Around, blank_lost, enclose, hide_outside
+from facetrack_cli.trajectory.select import Around, blank_lost, enclose, has_windows, hide_outside
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video import images
 from facetrack_cli.video.files import given_rate
 from facetrack_cli.video.source import open_source
 
 ALIASES: Final = {"elan": "eaf"}
-ONE_TARGET: Final = ("otb", "got10k", "vot")
-OF_MEDIA: Final = ("openface", "coco", "eaf", "cvat", "labelstudio")
 
 
 def export(
@@ -137,7 +146,7 @@ def content(
             raise InputError(f"{why}; name the clip: --media")
         if form == "labelstudio":
             say(f'{name}: give the Video of the labelling configuration framerate="{fps:.10g}"')
-            bare = ", ".join(part.part for part in table.parts if not np.isfinite(part.w + part.h).any())
+            bare = ", ".join(part.part for part in table.parts if not has_windows(part))
             if bare:
                 say(f"facetrack: warning: Label Studio has no points, and these have no windows; left out: {bare}")
             return labelstudio.write_labelstudio(table, size, fps, name)

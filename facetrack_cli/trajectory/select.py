@@ -55,7 +55,7 @@ def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajecto
     if around == "points":
         parts = [part for part in parts if part.part != BOX]
         parts = [replace(part, w=np.ones(len(part)), h=np.ones(len(part))) for part in parts]
-    parts = with_windows(parts) or parts
+    parts = list(filter(has_windows, parts)) or parts
     for part in parts:
         if (sizeless := part.frame[np.isfinite(part.x) & ~np.isfinite(part.w + part.h)]).size:
             raise InputError(f"{part.name}: frame {sizeless[0]} has no w and h; enclose the points with --box points")
@@ -72,9 +72,9 @@ def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajecto
     return one_part(target, BOX, frame, **place, **about)
 
 
-def with_windows(parts: Sequence[Trajectory]) -> list[Trajectory]:
-    """Those that have a width and a height: no window follows the eyes of a face."""
-    return [part for part in parts if np.isfinite(part.w + part.h).any()]
+def has_windows(part: Trajectory) -> bool:
+    """Whether it has a width and a height: no window follows the eyes of a face."""
+    return bool(np.isfinite(part.w + part.h).any())
 
 
 def mean(values: Array) -> Array:

@@ -240,13 +240,6 @@ def durations(path: Path) -> list[float]:
     return found if found and min(found) > 0 else []
 
 
-def header_size(data: bytes) -> tuple[int, int] | None:
-    """(width, height) of an image by its header; None when it is not known."""
-    with contextlib.suppress(*_DAMAGED), Pictures.open(io.BytesIO(data)) as image:
-        return image.size
-    return None
-
-
 def check_pixels(path: Path, width: int, height: int) -> None:
     """UnreadableError for an image that claims more pixels than are read: before memory is taken for them."""
     if width * height > MOST_PIXELS:

@@ -12,6 +12,7 @@ from facetrack_cli.cli import options
 from facetrack_cli.cli.options import flag, option, say
 from facetrack_cli.cli.types import FILE, FILE_OR_DASH, TRAJECTORY
 from facetrack_cli.core.errors import InputError, OutputError, UsageError
+from facetrack_cli.trajectory.formats import OF_BOXES, OF_MEDIA
 
 if TYPE_CHECKING:
     from facetrack_cli.trajectory.formats.events import Clip
@@ -42,9 +43,6 @@ ENDINGS = {
 """How the file of each format is called, after the name of the trajectory."""
 OF_RUNS = ("measures", "events", "boris")
 """Those that take the folder of many runs."""
-ONE_TARGET = ("otb", "got10k", "vot")
-OF_BOXES = ("mot", *ONE_TARGET, "coco")
-OF_MEDIA = ("openface", "coco", "eaf", "cvat", "labelstudio")
 
 
 @click.command()

@@ -25,7 +25,7 @@ from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.trajectory.formats.annotation import Mark, box_mark, collected, counted, named, tracks
 from facetrack_cli.trajectory.formats.lines import read_text
 from facetrack_cli.trajectory.reader import MAX_FRAME
-from facetrack_cli.trajectory.select import with_windows
+from facetrack_cli.trajectory.select import has_windows
 from facetrack_cli.trajectory.trajectory import Trajectory, every_frame, joined
 
 KIND = "videorectangle"
@@ -40,7 +40,7 @@ def write_labelstudio(table: Trajectory, size: tuple[int, int], fps: float, clip
     shown, count = dict(zip(pictures.tolist(), numbers.tolist(), strict=True)), int(numbers[-1])
     scale = 100 / np.array([*size, *size], dtype=np.float64)
     results: list[dict[str, Any]] = []
-    for one in tracks(joined(with_windows(table.parts) or table.parts)):
+    for one in tracks(joined(list(filter(has_windows, table.parts)) or table.parts)):
         if (sizeless := np.flatnonzero(~np.isfinite(one.ltwh).all(axis=1))).size:
             why = "has no w and h, and Label Studio's video has rectangles alone; export to cvat"
             raise InputError(f"{one.label}: frame {one.frame[sizeless[0]]} {why}")
