@@ -43,7 +43,7 @@ from facetrack_cli.evaluation.reliability import (
 from facetrack_cli.evaluation.rows import Pair, match, rows_of
 from facetrack_cli.evaluation.sheet import clip_name
 from facetrack_cli.evaluation.summary import units_of
-from facetrack_cli.recipe.model import LIKELY, ParticleFilter, ParticlesRecipe, Recipe
+from facetrack_cli.recipe.model import LIKELY, ParticleFilterSettings, ParticlesRecipe, Recipe
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 MAX_ROWS: Final = 500  # of a kind of part in a clip
@@ -357,13 +357,13 @@ def uncalibrated(recipe: Recipe) -> Recipe:
     if not recipe.judges or not recipe.filters:
         raise UsageError(f"{recipe.name} gives no confidence to calibrate; take a recipe that does")
 
-    def raw(one: ParticleFilter) -> ParticleFilter:
+    def raw(one: ParticleFilterSettings) -> ParticleFilterSettings:
         return one.model_copy(update={"confidence": one.confidence.model_copy(update={"calibration": None})})
 
     if isinstance(recipe, ParticlesRecipe):
         targets = {name: None if one is None else raw(one) for name, one in recipe.targets.items()}
         return recipe.model_copy(update={"targets": targets})
-    return raw(recipe) if isinstance(recipe, ParticleFilter) else recipe  # type: ignore[return-value]
+    return raw(recipe) if isinstance(recipe, ParticleFilterSettings) else recipe  # type: ignore[return-value]
 
 
 def collect(

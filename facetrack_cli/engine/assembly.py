@@ -7,7 +7,7 @@ from facetrack_cli.engine.calibration import Calibration, load_calibration
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.engine.target import Exclusion, ParticleTarget
 from facetrack_cli.recipe.load import resolve_file
-from facetrack_cli.recipe.model import ParticleFilter, Recipe, above
+from facetrack_cli.recipe.model import ParticleFilterSettings, Recipe, above
 
 T = TypeVar("T", bound=ParticleTarget)
 
@@ -15,7 +15,7 @@ T = TypeVar("T", bound=ParticleTarget)
 def particle_target(
     recipe: Recipe,
     key: str,
-    given: ParticleFilter,
+    given: ParticleFilterSettings,
     start: Start,
     name: str,
     kind: type[T],
@@ -42,7 +42,7 @@ def particle_target(
     )
 
 
-def calibration_of(recipe: Recipe, key: str, given: ParticleFilter) -> Calibration | None:
+def calibration_of(recipe: Recipe, key: str, given: ParticleFilterSettings) -> Calibration | None:
     """The calibration that settings name, if any."""
     name = given.confidence.calibration
     if name is None:

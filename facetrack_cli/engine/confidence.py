@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from facetrack_cli.core.types import Array, Frame, Mask, Whole
-from facetrack_cli.recipe.model import Confidence
+from facetrack_cli.recipe.model import ConfidenceSettings
 from facetrack_cli.trajectory.trajectory import Status
 
 
@@ -39,7 +39,7 @@ class Judgement:
 
 
 def begin(
-    settings: Confidence, measure: ComparesParts, learned: Any, frame: Frame, x0: Array, windows: Array
+    settings: ConfidenceSettings, measure: ComparesParts, learned: Any, frame: Frame, x0: Array, windows: Array
 ) -> Judgement:
     """The judgement of the first frame, whose parts are at x0 (K, D) and `windows` (K, 2) pixels large."""
     k = len(x0)
@@ -53,7 +53,7 @@ def begin(
     return Judgement(near, bad, np.ones(k), np.zeros(k, np.int64), tuple(["init"] * k))
 
 
-def judge(settings: Confidence, last: Judgement, distance: Array) -> Judgement:
+def judge(settings: ConfidenceSettings, last: Judgement, distance: Array) -> Judgement:
     """The judgement of the next frame, whose windows at the estimates have `distance` (K,) from the templates."""
     good, span = last.good, last.bad - last.good
     share = np.minimum(np.maximum((last.bad - distance) / np.maximum(span, 1e-6), 0.0), 1.0)
@@ -63,21 +63,27 @@ def judge(settings: Confidence, last: Judgement, distance: Array) -> Judgement:
     return _decided(settings, last, good, confidence)
 
 
-def decide(settings: Confidence, last: Judgement, confidence: Array) -> Judgement:
+def decide(settings: ConfidenceSettings, last: Judgement, confidence: Array) -> Judgement:
     """The judgement of the next frame, with this confidence (K,)."""
     return _decided(settings, last, last.good, confidence)
 
 
-def _decided(settings: Confidence, last: Judgement, good: Array, confidence: Array) -> Judgement:
+def _decided(settings: ConfidenceSettings, last: Judgement, good: Array, confidence: Array) -> Judgement:
     below = np.where(confidence < settings.lost_below, last.below + 1, 0)
     status: tuple[Status, ...] = tuple(["lost" if n >= settings.patience else "tracked" for n in below.tolist()])
     return Judgement(good, last.bad, confidence, below, status)
 
 
 def resume(
-    settings: Confidence, first: Judgement, anew: Mask, measure: ComparesParts, learned: Any, frame: Frame, x0: Array,
+    settings: ConfidenceSettings,
+    first: Judgement,
+    anew: Mask,
+    measure: ComparesParts,
+    learned: Any,
+    frame: Frame,
+    x0: Array,
     windows: Array,
-) -> Judgement:  # fmt: skip
+) -> Judgement:
     """The judgement where a target begins again at x0 (K, D), with `windows` (K, 2), knowing what `learned` says.
 
     Parts learned `anew` (K,) are judged from here on, others by the `first` frame; one in doubt is `lost` at once.

@@ -21,7 +21,7 @@ from facetrack_cli.engine.resampling import (
     summed,
     uniform,
 )
-from facetrack_cli.recipe import shared
+from facetrack_cli.recipe.shared import AuxiliarySettings, FactorizedSettings, IndependentSettings, SirSettings
 
 
 class Prediction(NamedTuple):
@@ -71,13 +71,13 @@ Stepped: TypeAlias = tuple[Particles, Info]
 Step: TypeAlias = Callable[[Generator, Particles, FrameModel], Stepped]
 
 
-def sir(settings: shared.Sir, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
+def sir(settings: SirSettings, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
     """Sampling/importance resampling over the joint state (section 2), p(y|s)p(s) as the observation."""
     parents = particles.x[_parents(settings, rng, particles, 1)[:, 0]]
     return weighted(model, model.propagate(rng, parents), parents, 0.0)
 
 
-def auxiliary(settings: shared.Auxiliary, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
+def auxiliary(settings: AuxiliarySettings, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
     """Auxiliary filter over the joint state (section 4; Pitt & Shephard 1999); mu is drawn of p(s|s^-), not a mean.
 
     `look_ahead: mean` takes the mean, as Pitt & Shephard do.
@@ -91,7 +91,10 @@ def auxiliary(settings: shared.Auxiliary, rng: Generator, particles: Particles, 
 
 
 def factorized(
-    settings: shared.Factorized | shared.Independent, rng: Generator, particles: Particles, model: FrameModel
+    settings: FactorizedSettings | IndependentSettings,
+    rng: Generator,
+    particles: Particles,
+    model: FrameModel,
 ) -> Stepped:
     """Filter with factorized likelihoods (Patras & Pantic 2004, section 2.1).
 
@@ -141,7 +144,10 @@ def factorized(
 
 
 def _parents(
-    settings: shared.Sir | shared.Factorized | shared.Independent, rng: Generator, particles: Particles, columns: int
+    settings: SirSettings | FactorizedSettings | IndependentSettings,
+    rng: Generator,
+    particles: Particles,
+    columns: int,
 ) -> Whole:
     """Indices (N, C) of the parents of each column."""
     log_w = np.repeat(particles.log_w[:, None], columns, axis=1)

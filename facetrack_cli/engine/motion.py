@@ -10,7 +10,7 @@ import numpy as np
 from facetrack_cli.core.types import BOX, Array
 from facetrack_cli.engine.protocols import Linear, Motion
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.recipe import shared
+from facetrack_cli.recipe.shared import RandomWalkSettings
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def log_normal(off: Array, cov: Array) -> Array:
     return np.where(inside, log_p, -np.inf)
 
 
-def random_walk(settings: shared.RandomWalk, context: Context) -> RandomWalk | FirstOrder:
+def random_walk(settings: RandomWalkSettings, context: Context) -> RandomWalk | FirstOrder:
     """Of points, or of the place and the scale of a box, whose speeds stay 0."""
     placed, target = context.placed, context.settings.target
     sigma = [settings.sigma.of(part).pixels(placed.unit) for part in target.points or (BOX,)]

@@ -13,8 +13,8 @@ from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Particles, Start
 from facetrack_cli.engine.checks import box_of, check_size, size_of_box
-from facetrack_cli.recipe.model import ParticleFilter, Recipe
-from facetrack_cli.recipe.shared import Scaled
+from facetrack_cli.recipe.model import ParticleFilterSettings, Recipe
+from facetrack_cli.recipe.shared import ScaledSettings
 from facetrack_cli.trajectory.diagnostics import Diagnostic
 
 
@@ -88,7 +88,7 @@ class SizedSpace(Space):
     size: tuple[float, float]
 
     @classmethod
-    def place(cls, settings: Scaled, start: Start, name: str) -> Placed:
+    def place(cls, settings: ScaledSettings, start: Start, name: str) -> Placed:
         """Where the target begins; the unit of length is the mean side of its box."""
         box = check_size(start.origin, name, box_of(start, name))
         space = cls(box[2:])
@@ -174,7 +174,7 @@ class Context:
 
     recipe: Recipe
     above: str
-    settings: ParticleFilter
+    settings: ParticleFilterSettings
     start: Start
     name: str
     placed: Placed

@@ -21,7 +21,7 @@ from facetrack_cli.engine.protocols import Likelihood, Motion, Names, Predictive
 from facetrack_cli.engine.resampling import uniform
 from facetrack_cli.engine.smoothing import Belief, belief
 from facetrack_cli.engine.spaces import Estimate, PointSpace, Space, evenly
-from facetrack_cli.recipe.model import Confidence
+from facetrack_cli.recipe.model import ConfidenceSettings
 from facetrack_cli.trajectory.diagnostics import ENTROPY, ERROR, EVIDENCE, NOISE, POSTERIOR, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import PLACE, Status, TargetResult, of_frame
 
@@ -77,7 +77,7 @@ class ParticleTarget:
     likelihood: Likelihood
     prior: Prior | None
     step: Step
-    confidence: Confidence | None
+    confidence: ConfidenceSettings | None
     exclusion: Exclusion | None = None
     scatter: Array | None = None
     best: bool = False

@@ -3,16 +3,26 @@
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.recipe.model import Recipe, register
 from facetrack_cli.recipe.sections import (
-    Filter,
+    FilterSettings,
     Length,
     LengthPerPart,
-    Likelihood,
-    Motion,
-    Prior,
+    LikelihoodSettings,
+    MotionSettings,
+    PriorSettings,
     Refusal,
     Section,
-    Target,
+    TargetSettings,
 )
 
-__all__ = ["Filter", "Length", "LengthPerPart", "Likelihood", "Motion", "Prior", "Refusal", "Section", "Target"]
+__all__ = [
+    "FilterSettings",
+    "Length",
+    "LengthPerPart",
+    "LikelihoodSettings",
+    "MotionSettings",
+    "PriorSettings",
+    "Refusal",
+    "Section",
+    "TargetSettings",
+]
 __all__ += ["Recipe", "check_recipe", "load_recipe", "register"]

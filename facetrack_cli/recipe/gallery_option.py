@@ -8,7 +8,7 @@ from pathlib import Path
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.yaml_tree import YamlProblems, assign, printable
 from facetrack_cli.recipe.model import Recipe, above, error_of
-from facetrack_cli.trackers.appearance.settings import Affine
+from facetrack_cli.trackers.appearance.settings import AffineSettings
 
 MADE_BY = "as facetrack gallery fit writes it"
 
@@ -42,7 +42,7 @@ def _recognising(recipe: Recipe) -> list[str]:
 
 
 def _affine(recipe: Recipe) -> list[str]:
-    return [name for name, given in recipe.filters.items() if isinstance(given.target, Affine)]
+    return [name for name, given in recipe.filters.items() if isinstance(given.target, AffineSettings)]
 
 
 def wants_gallery(recipe: Recipe) -> bool:

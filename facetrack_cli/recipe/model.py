@@ -11,13 +11,23 @@ from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.core.yaml_tree import Node, Problem
 from facetrack_cli.recipe import sections
 from facetrack_cli.recipe.messages import locate
-from facetrack_cli.recipe.sections import Component, Filter, Kind, Likelihood, Motion, Prior, Refusal, Section, Target
+from facetrack_cli.recipe.sections import (
+    Component,
+    FilterSettings,
+    Kind,
+    LikelihoodSettings,
+    MotionSettings,
+    PriorSettings,
+    Refusal,
+    Section,
+    TargetSettings,
+)
 from facetrack_cli.recipe.times import FRAMES
-from facetrack_cli.trackers.appearance.settings import Recognition
-from facetrack_cli.trackers.face.settings import Head
+from facetrack_cli.trackers.appearance.settings import RecognitionSettings
+from facetrack_cli.trackers.face.settings import HeadSettings
 from facetrack_cli.trackers.hands.settings import NAMES as HANDS
-from facetrack_cli.trackers.hands.settings import Hands
-from facetrack_cli.trackers.skin.settings import Exclusion, SkinCloud
+from facetrack_cli.trackers.hands.settings import HandsSettings
+from facetrack_cli.trackers.skin.settings import ExclusionSettings, SkinCloudSettings
 
 MAX_SEED: Final = 2**63 - 1
 S = TypeVar("S", bound=Kind)
@@ -29,7 +39,7 @@ LIKELY: Final = 0.5
 """With a calibration a part is lost where the probability that its place is right is below this."""
 
 
-class Confidence(Section):
+class ConfidenceSettings(Section):
     """When a part counts as lost."""
 
     lost_below: Annotated[float, Field(ge=0, le=1)] = 0.3
@@ -44,24 +54,24 @@ class Confidence(Section):
     """File of a calibration: `confidence` is a probability, lost below 1/2, and the spread covers."""
 
 
-class ParticleFilter(Section):
+class ParticleFilterSettings(Section):
     """A particle filter for one target."""
 
-    target: Target
+    target: TargetSettings
     """What is tracked: the state alpha."""
-    motion: Motion
+    motion: MotionSettings
     """How it moves from frame to frame: the transition density p(alpha_i | alpha^-)."""
-    likelihood: Likelihood
+    likelihood: LikelihoodSettings
     """How a part looks: the observation model p(y | alpha_i)."""
-    filter: Filter
+    filter: FilterSettings
     """How the particles are proposed, weighted and resampled."""
-    prior: Prior | None = None
+    prior: PriorSettings | None = None
     """Which shapes are likely: p(alpha); null for none."""
-    head: Head | None = None
+    head: HeadSettings | None = None
     """The head that carries the points of a face; null, as published: a head at rest."""
-    recognition: Recognition | None = None
+    recognition: RecognitionSettings | None = None
     """Who it is, of an affine target; null: there is no recognition."""
-    confidence: Confidence = Confidence()
+    confidence: ConfidenceSettings = ConfidenceSettings()
     """When a part counts as lost, and when as found again."""
 
     @property
@@ -105,7 +115,11 @@ class ParticleFilter(Section):
 
 
 _KINDS: Mapping[str, type[Any]] = {
-    one.__name__.lower(): one for one in (Likelihood, Motion, Filter, Prior, Recognition)
+    "likelihood": LikelihoodSettings,
+    "motion": MotionSettings,
+    "filter": FilterSettings,
+    "prior": PriorSettings,
+    "recognition": RecognitionSettings,
 }
 
 
@@ -136,7 +150,7 @@ class Recipe(Section):
         return self._path.stem
 
     @property
-    def filters(self) -> Mapping[str, ParticleFilter]:
+    def filters(self) -> Mapping[str, ParticleFilterSettings]:
         """The particle filters by target, in order; a filter for any target has an empty name."""
         return {}
 
@@ -190,7 +204,7 @@ class Recipe(Section):
     def lost_below(self, target: str) -> float:
         """A part of this target is lost while its confidence stays below this."""
         one = self.filters.get(target) or next(iter(self.filters.values()), None)
-        judged = Confidence() if one is None else one.confidence
+        judged = ConfidenceSettings() if one is None else one.confidence
         return judged.lost_below if judged.calibration is None else LIKELY
 
     def error(self, key: str, message: str) -> RecipeError:
@@ -213,15 +227,15 @@ class OpenCvRecipe(Recipe):
         return self.tracker == "mil"  # its features are drawn
 
 
-class ParticleRecipe(ParticleFilter, Recipe):
+class ParticleRecipe(ParticleFilterSettings, Recipe):
     """A particle filter: what is tracked, how it moves, how it looks, and which filter."""
 
     type: Literal["particle_filter"] = "particle_filter"
-    exclusion: Exclusion | None = None
+    exclusion: ExclusionSettings | None = None
     """How targets exclude each other where there are several; null: each is followed independently."""
 
     @property
-    def filters(self) -> Mapping[str, ParticleFilter]:
+    def filters(self) -> Mapping[str, ParticleFilterSettings]:
         return {"": self}
 
 
@@ -230,13 +244,13 @@ class ParticlesRecipe(Recipe):
 
     type: Literal["particle_filters"]
     targets: Annotated[
-        dict[TargetName, ParticleFilter | None],
+        dict[TargetName, ParticleFilterSettings | None],
         Field(min_length=1, max_length=20, json_schema_extra={"additionalProperties": False}),
     ]
     """A particle filter for each target, by its name in the init file; null for none."""
-    exclusion: Exclusion | None = None
+    exclusion: ExclusionSettings | None = None
     """How targets exclude each other; null: each is followed independently."""
-    hands: Hands | None = None
+    hands: HandsSettings | None = None
     """Two hands of the first target, which is a head: `left_hand` and `right_hand`, absent until they appear."""
 
     @property
@@ -259,7 +273,7 @@ class ParticlesRecipe(Recipe):
         return (super().particles or 0) + (0 if self.hands is None else self.hands.particles)
 
     @property
-    def filters(self) -> Mapping[str, ParticleFilter]:
+    def filters(self) -> Mapping[str, ParticleFilterSettings]:
         return {name: one for name, one in self.targets.items() if one is not None}
 
     def mistakes(self) -> Iterable[Refusal]:
@@ -272,7 +286,7 @@ class ParticlesRecipe(Recipe):
             if one.points:
                 message = "several targets are regions, clouds or affine; follow points by a recipe of their own"
                 yield Refusal(("targets", name, "target", "type"), message)
-            if isinstance(one.likelihood, SkinCloud) and one.likelihood.learn_from not in (None, *names):
+            if isinstance(one.likelihood, SkinCloudSettings) and one.likelihood.learn_from not in (None, *names):
                 message = f'there is no target "{one.likelihood.learn_from}" to learn from; {known}'
                 yield Refusal(("targets", name, "likelihood", "learn_from"), message)
         for i, name in enumerate(self.exclusion.first if self.exclusion is not None else ()):
@@ -305,7 +319,8 @@ def register(section: type[S]) -> type[S]:
     """Make a section from outside of this package known, so that recipes can name it by its `type`; a decorator too.
 
     A package names its sections as entry points of the group `facetrack.sections` in place of this. Raises TypeError
-    for what is no `Likelihood`, `Motion`, `Filter`, `Prior` or `Target`, ValueError for a `type` that is taken.
+    for what is no `LikelihoodSettings`, `MotionSettings`, `FilterSettings`, `PriorSettings` or `TargetSettings`,
+    ValueError for a `type` that is taken.
     """
     sections.add(section)
     rebuild()
@@ -314,7 +329,7 @@ def register(section: type[S]) -> type[S]:
 
 def rebuild() -> None:
     """Build the models of recipes again, with the sections that the registry has now."""
-    for model in (ParticleFilter, ParticleRecipe, ParticlesRecipe):
+    for model in (ParticleFilterSettings, ParticleRecipe, ParticlesRecipe):
         model.model_rebuild(force=True)
 
 

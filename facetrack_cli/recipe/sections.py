@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
     from typing_extensions import Self
 
-    from facetrack_cli.recipe.model import ParticleFilter
+    from facetrack_cli.recipe.model import ParticleFilterSettings
 
 Steps: TypeAlias = tuple[str | int, ...]
 T = TypeVar("T")
@@ -81,7 +81,7 @@ class Component(Section):
         """The part of the tracker. A section outside of this package may override this in place of `engine`."""
         return pkgutil.resolve_name(self.engine)(self, context)
 
-    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
         """What does not fit the other sections of its particle filter; paths begin at the particle filter."""
         return ()
 
@@ -106,7 +106,7 @@ class Kind(Component):
         return handler.generate_schema(union)
 
 
-class Target(Kind):
+class TargetSettings(Kind):
     """What is tracked. Its engine takes the section, the start and the target's name, and says where it begins."""
 
     relearns: ClassVar[bool] = True
@@ -127,11 +127,11 @@ class Target(Kind):
         return pkgutil.resolve_name(self.engine)(self, start, name)
 
 
-class Motion(Kind):
+class MotionSettings(Kind):
     """How a target moves from frame to frame: the transition density p(alpha_i | alpha^-)."""
 
 
-class Likelihood(Kind):
+class LikelihoodSettings(Kind):
     """How a part looks: the observation model p(y | alpha_i)."""
 
     @property
@@ -140,7 +140,7 @@ class Likelihood(Kind):
         return True
 
 
-class Filter(Kind):
+class FilterSettings(Kind):
     """How particles are proposed, weighted and resampled. Its engine is a function, as in `engine/filters.py`."""
 
     particles: int
@@ -148,21 +148,21 @@ class Filter(Kind):
     def build(self, context: Any) -> Any:
         return partial(pkgutil.resolve_name(self.engine), self)
 
-    def most(self, whole: ParticleFilter) -> tuple[int, Steps]:
+    def most(self, whole: ParticleFilterSettings) -> tuple[int, Steps]:
         """The largest number of particles in a frame, and the path of the key that sets it."""
         return self.particles, ("filter", "particles")
 
 
-class Prior(Kind):
+class PriorSettings(Kind):
     """Which shapes are likely: p(alpha)."""
 
 
-KINDS: tuple[type[Kind], ...] = (Target, Motion, Likelihood, Filter, Prior)
+KINDS: tuple[type[Kind], ...] = (TargetSettings, MotionSettings, LikelihoodSettings, FilterSettings, PriorSettings)
 _types: dict[type[Kind], dict[str, type[Kind]]] = {}
 
 
 def registered(kind: type[Kind]) -> Mapping[str, type[Kind]]:
-    """The types of a kind, as `Filter`, by what recipes call them. Raises RecipeError for an entry point that fails."""
+    """The types of a kind, as `FilterSettings`, by name. Raises RecipeError for an entry point that fails."""
     if _types:
         return _types[kind]
     _types.update({one: {} for one in KINDS})
@@ -188,13 +188,14 @@ def add(section: type[Kind]) -> None:
     if kind is None or not name:
         bases = ", ".join(one.__name__ for one in KINDS)
         raise TypeError(f'{section!r} is no section: derive it from one of {bases}, with type: Literal["its_name"]')
-    if kind is not Target and not section.goes_with:
+    if kind is not TargetSettings and not section.goes_with:
         raise TypeError(f'{section.__name__} goes with no type of target: add goes_with = ("points",), as it may be')
-    if kind is not Target and not hasattr(section, "engine") and section.build is kind.build:
+    if kind is not TargetSettings and not hasattr(section, "engine") and section.build is kind.build:
         raise TypeError(f"{section.__name__} builds nothing: give it a method build(self, context)")
     known = registered(kind).get(name, section)
     if (known.__module__, known.__qualname__) != (section.__module__, section.__qualname__):
-        raise ValueError(f'the {kind.__name__.lower()} type "{name}" is taken by {known.__module__}; choose another')
+        noun = kind.__name__.removesuffix("Settings").lower()
+        raise ValueError(f'the {noun} type "{name}" is taken by {known.__module__}; choose another')
     _types[kind][name] = section
 
 

@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import Filter, LengthPerPart, Motion, Refusal, Target
+from facetrack_cli.recipe.sections import FilterSettings, LengthPerPart, MotionSettings, Refusal, TargetSettings
 
 if TYPE_CHECKING:
-    from facetrack_cli.recipe.model import ParticleFilter
+    from facetrack_cli.recipe.model import ParticleFilterSettings
 
 BOX = "box"  # the one part of a target that is followed as a box
 Factor: TypeAlias = Annotated[float, Field(gt=0, le=100)]
 MAX_COMPARED_PARTICLES = 2_000  # particles that are compared with each other: memory grows with their square
 
 
-class Resampled(Filter):
+class ResampledSettings(FilterSettings):
     """A filter that picks particles by their weights."""
 
     particles: Annotated[int, Field(ge=1, le=1_000_000)]
@@ -32,7 +32,7 @@ class Resampled(Filter):
     """How particles are picked by their weights."""
 
 
-class Sir(Resampled):
+class SirSettings(ResampledSettings):
     """Sampling/importance resampling over the joint state (section 2); weights are p(y|s), or p(y|s) p(s)."""
 
     engine = "facetrack_cli.engine.filters:sir"
@@ -40,7 +40,7 @@ class Sir(Resampled):
     type: Literal["sir"]
 
 
-class Auxiliary(Resampled):
+class AuxiliarySettings(ResampledSettings):
     """Auxiliary particle filter over the joint state (Pitt & Shephard 1999); observes p(y|s), or p(y|s) p(s)."""
 
     engine = "facetrack_cli.engine.filters:auxiliary"
@@ -50,14 +50,14 @@ class Auxiliary(Resampled):
     """What a particle is picked by: the likelihood at a draw of its transition, as published, or at its mean."""
 
 
-class LooksAhead(Resampled):
+class LooksAheadSettings(ResampledSettings):
     """A filter that steps each part on its own."""
 
     look_ahead: Literal["draw", "mean", "none"] = "draw"
     """What a part is picked by: the likelihood at a draw of its transition, as published, at its mean, or none."""
 
 
-class Factorized(LooksAhead):
+class FactorizedSettings(LooksAheadSettings):
     """Proposes from g(alpha) = prod_i p(alpha_i|Y), the product of the parts' posteriors; reweights (section 2.1)."""
 
     engine = "facetrack_cli.engine.filters:factorized"
@@ -68,7 +68,7 @@ class Factorized(LooksAhead):
     from_prior: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Share of a part's sub-particles that is proposed from the prior given the other parts; as published 0."""
 
-    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
         by_prior, add = self.reweight == "prior", "needs a prior; add a prior section, or write"
         if not by_prior and self.particles > MAX_COMPARED_PARTICLES:
             most = f"give {MAX_COMPARED_PARTICLES:,} at most, not {self.particles:,}"
@@ -82,7 +82,7 @@ class Factorized(LooksAhead):
             yield Refusal(("filter", "from_prior"), f"filter.from_prior above 0 {goes}")
 
 
-class Independent(LooksAhead):
+class IndependentSettings(LooksAheadSettings):
     """An auxiliary particle filter for each part on its own (section 4, the paper's baseline)."""
 
     engine = "facetrack_cli.engine.filters:factorized"
@@ -91,13 +91,13 @@ class Independent(LooksAhead):
     from_prior: ClassVar[float] = 0.0
     type: Literal["independent"]
 
-    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
         if whole.prior is not None:
             message = 'filter type "independent" makes no use of a prior; remove it, or write prior: null'
             yield Refusal(("prior",), message)
 
 
-class RandomWalk(Motion):
+class RandomWalkSettings(MotionSettings):
     """Zero-order motion with Gaussian noise: p(alpha_i | alpha_i^-) = alpha_i^- + N(0, sigma) (section 3.3)."""
 
     engine = "facetrack_cli.engine.motion:random_walk"
@@ -108,14 +108,14 @@ class RandomWalk(Motion):
     scale: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Of a region: standard deviation of its scale's step, 1 being its size at the start; 0: its size stays."""
 
-    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
         yield from self.sigma.refusals(("motion", "sigma"), whole.points or (BOX,))
         if self.scale and whole.target.type != "region":
             message = f"motion.scale is that of a region; a target of type {whole.target.type} has none: remove it"
             yield Refusal(("motion", "scale"), message)
 
 
-class Scaled(Target):
+class ScaledSettings(TargetSettings):
     """A target whose scale is bounded, [least, largest], in terms of the size at the start."""
 
     if TYPE_CHECKING:

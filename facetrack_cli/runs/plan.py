@@ -48,7 +48,7 @@ from facetrack_cli.start.search import Faces, box_start, search_start
 from facetrack_cli.start.targets import name_targets
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.people.looks import load_people
-from facetrack_cli.trackers.skin.settings import Cloud
+from facetrack_cli.trackers.skin.settings import CloudSettings
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
 from facetrack_cli.trajectory.writers import FORMATS, Format, RunSummary, by_frame
@@ -586,7 +586,7 @@ def check_smoothing(recipe: Recipe) -> None:
     """UsageError for a recipe whose trackers have no posterior to smooth."""
     if not recipe.filters:
         raise UsageError(f"{recipe.name} is one of OpenCV's trackers, which have no posterior to smooth; take another")
-    if all(isinstance(one.target, Cloud) for one in recipe.filters.values()):
+    if all(isinstance(one.target, CloudSettings) for one in recipe.filters.values()):
         raise UsageError(f"{recipe.name}: the particles of a cloud are the target itself, no posterior to smooth")
 
 

@@ -18,7 +18,7 @@ from facetrack_cli.start.init_file import TARGET as FACE
 from facetrack_cli.start.search import box_start
 from facetrack_cli.trackers import opencv
 from facetrack_cli.trackers.appearance.recognition import find_gallery
-from facetrack_cli.trackers.appearance.settings import PatchLikelihood
+from facetrack_cli.trackers.appearance.settings import PatchLikelihoodSettings
 from facetrack_cli.trackers.face.assembly import box_with, face_target
 from facetrack_cli.trackers.face.detectors import PARTS
 from facetrack_cli.trackers.hands.target import HandTarget
@@ -48,7 +48,7 @@ def build_tracker(recipe: Recipe, start: Start, fps: float | Fraction = 25) -> T
 def check_gallery(recipe: Recipe) -> None:
     """Raises what `build_tracker` would, of the galleries of a recipe alone, before any clip is opened."""
     for name, given in recipe.filters.items():
-        if given.recognition is not None and isinstance(given.likelihood, PatchLikelihood):
+        if given.recognition is not None and isinstance(given.likelihood, PatchLikelihoodSettings):
             columns, rows = given.likelihood.template
             find_gallery(given.recognition, (rows, columns), recipe, above(name))
 

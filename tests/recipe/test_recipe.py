@@ -15,8 +15,8 @@ from facetrack_cli.recipe.load import check_recipe, load_recipe, read_recipe, re
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, to_dict
 from facetrack_cli.recipe.schema import json_schema
 from facetrack_cli.recipe.sections import Length
-from facetrack_cli.recipe.shared import Factorized, Independent, Sir
-from facetrack_cli.trackers.points.settings import ColourRatio, Points
+from facetrack_cli.recipe.shared import FactorizedSettings, IndependentSettings, SirSettings
+from facetrack_cli.trackers.points.settings import ColourRatioSettings, PointsSettings
 
 # from the tracker that Zhou et al. improve on to the whole of theirs, in this order, and what goes beyond it
 STEPS = [
@@ -158,7 +158,7 @@ def test_a_recipe_is_found_by_name_and_by_path(write, tmp_path, monkeypatch):
     assert load_recipe("sir").description == "A recipe for tests"  # a path that exists wins
     assert load_recipe("./sir.yaml").description == "A recipe for tests"
     (tmp_path / "factorized").mkdir()
-    assert isinstance(load_recipe("factorized").filter, Factorized)  # a folder is no recipe
+    assert isinstance(load_recipe("factorized").filter, FactorizedSettings)  # a folder is no recipe
 
 
 def test_a_miss_names_the_nearest_and_all(tmp_path):
@@ -208,14 +208,14 @@ def test_an_error_of_building_points_into_the_recipe(write):
 
 def test_values_and_lengths(write):
     recipe = load_recipe(write(GOOD))
-    assert isinstance(recipe.target, Points) and isinstance(recipe.filter, Sir)
+    assert isinstance(recipe.target, PointsSettings) and isinstance(recipe.filter, SirSettings)
     assert recipe.target.parts == ("nose", "chin")
     assert recipe.target.window("nose") == (Length(0.5), Length(0.5))
     assert recipe.target.window("chin") == (Length(12, px=True), Length(12, px=True))
     assert recipe.motion.sigma.of("chin").pixels(200) == 10
     assert Length(12, px=True).pixels(200) == 12
     assert recipe.prior is None and recipe.seed == 0 and recipe.confidence.lost_below == 0.3
-    assert isinstance(recipe.likelihood, ColourRatio) and recipe.likelihood.sigma == 1.5
+    assert isinstance(recipe.likelihood, ColourRatioSettings) and recipe.likelihood.sigma == 1.5
     with pytest.raises(ValidationError):
         recipe.seed = 3
 
@@ -246,7 +246,7 @@ def test_overrides_in_order_and_of_every_kind():
     recipe = load_recipe("factorized", ["filter.particles=200", "filter.particles=300", "seed = 7", "prior.sigma=1e-1"])
     assert (recipe.filter.particles, recipe.seed) == (300, 7)
     recipe = load_recipe("factorized", ["filter={type: independent, particles: 5}", "prior=null"])
-    assert recipe.filter == Independent(type="independent", particles=5) and recipe.prior is None
+    assert recipe.filter == IndependentSettings(type="independent", particles=5) and recipe.prior is None
     recipe = load_recipe("sir", ["filter.type=auxiliary", "confidence.patience=9"])
     assert recipe.filter.type == "auxiliary" and recipe.filter.particles == 1000
     assert recipe.confidence.patience == 9 and recipe.confidence.lost_below == 0.3
@@ -447,8 +447,16 @@ def test_schema_describes_every_field():
         assert reference.removeprefix("#/$defs/") in schema["$defs"]
     of_filter = schema["$defs"]["ParticleRecipe"]["properties"]["filter"]["oneOf"]
     kinds = [ref["$ref"].rpartition("/")[2] for ref in of_filter]
-    assert kinds == ["Sir", "Auxiliary", "Factorized", "Independent", "Adaptive", "Guided", "Peak"]
+    assert kinds == [
+        "SirSettings",
+        "AuxiliarySettings",
+        "FactorizedSettings",
+        "IndependentSettings",
+        "AdaptiveSettings",
+        "GuidedSettings",
+        "PeakSettings",
+    ]
     length = json.dumps(schema["$defs"]["LengthPerPart"])
     assert '"maximum": 1000000.0' in length and "px" in length
-    assert models["VisibleWalk"]["properties"]["hidden"]["default"] == 0.1, "as a recipe writes it"
-    assert schema["$defs"]["ColourRatio"]["properties"]["robust"]["enum"][0] == "l1"
+    assert models["VisibleWalkSettings"]["properties"]["hidden"]["default"] == 0.1, "as a recipe writes it"
+    assert schema["$defs"]["ColourRatioSettings"]["properties"]["robust"]["enum"][0] == "l1"

@@ -4,23 +4,29 @@ from dataclasses import replace
 from functools import partial
 
 from facetrack_cli.engine import filters as steps
-from facetrack_cli.recipe import shared as filters
 from facetrack_cli.recipe.sections import type_of
-from facetrack_cli.trackers.appearance import settings as affine
+from facetrack_cli.recipe.shared import AuxiliarySettings, FactorizedSettings, SirSettings
 from facetrack_cli.trackers.appearance.appearance import Appearance
 from facetrack_cli.trackers.appearance.recognition import Recognition
+from facetrack_cli.trackers.appearance.settings import (
+    AdaptiveSettings,
+    AffineWalkSettings,
+    AppearanceSettings,
+    ComponentsSettings,
+    RecognitionSettings,
+)
 from facetrack_cli.trackers.appearance.velocity import AffineWalk, PredictedWalk
 from facetrack_cli.trackers.box import filters as box
-from facetrack_cli.trackers.box import settings as correlation_filter
 from facetrack_cli.trackers.box.hidden_box import VisibleWalk
-from facetrack_cli.trackers.points import settings as points
+from facetrack_cli.trackers.box.settings import GuidedSettings, PeakSettings, VisibleWalkSettings
 from facetrack_cli.trackers.points.colour_ratio import ColourRatio
-from facetrack_cli.trackers.regions import settings as regions
+from facetrack_cli.trackers.points.settings import ColourRatioSettings
 from facetrack_cli.trackers.regions.contour import Contour
 from facetrack_cli.trackers.regions.correlation import Correlation
 from facetrack_cli.trackers.regions.histogram import Histogram
-from facetrack_cli.trackers.skin import settings as skin
+from facetrack_cli.trackers.regions.settings import ContourSettings, CorrelationSettings, HistogramSettings
 from facetrack_cli.trackers.skin.cloud import SkinCloud
+from facetrack_cli.trackers.skin.settings import PatternSettings, SkinCloudSettings, SkinNccSettings, SkinSettings
 from facetrack_cli.trackers.skin.skin_ncc import SkinNcc
 
 
@@ -35,57 +41,57 @@ def changed(part, **settings):
 
 
 def colour_ratio(windows, **settings):
-    return ColourRatio(section(points.ColourRatio, **settings), windows)
+    return ColourRatio(section(ColourRatioSettings, **settings), windows)
 
 
 def contour(size, sigma, search, **settings):
     """Sigma and search in pixels."""
-    return Contour(section(regions.Contour, **{"max_size": None, **settings}), size, sigma, search)
+    return Contour(section(ContourSettings, **{"max_size": None, **settings}), size, sigma, search)
 
 
 def histogram(size, **settings):
     plain = {"hue_bins": 8, "saturation_bins": 4, "regions": (3, 3), "lambda_h": 20.0, "max_size": None}
-    return Histogram(section(regions.Histogram, **{**plain, **settings}), size)
+    return Histogram(section(HistogramSettings, **{**plain, **settings}), size)
 
 
 def correlation(size, distance="l2", **settings):
     plain = {"sigma": 100.0, "saturation": 20.0}
-    return Correlation(section(regions.Correlation, distance=distance, **{**plain, **settings}), size)
+    return Correlation(section(CorrelationSettings, distance=distance, **{**plain, **settings}), size)
 
 
 def skin_cue(**settings):
-    return section(skin.Skin, **{"max_size": None, **settings})
+    return section(SkinSettings, **{"max_size": None, **settings})
 
 
 def pattern(mean="keep", **settings):
-    return section(skin.Pattern, mean=mean, **{"max_size": None, **settings})
+    return section(PatternSettings, mean=mean, **{"max_size": None, **settings})
 
 
 def skin_ncc(size, **settings):
     plain = {"skin": skin_cue(), "ncc": pattern(), "sigma": 0.1}
-    return SkinNcc(section(skin.SkinNcc, **{**plain, **settings}), size)
+    return SkinNcc(section(SkinNccSettings, **{**plain, **settings}), size)
 
 
 def skin_cloud(size, teacher, **settings):
-    return SkinCloud(section(skin.SkinCloud, **settings), size, teacher)
+    return SkinCloud(section(SkinCloudSettings, **settings), size, teacher)
 
 
 def components(w, s, f):
-    return section(affine.Components, w=w, s=s, f=f)
+    return section(ComponentsSettings, w=w, s=s, f=f)
 
 
 def appearance(patches, alpha=0.03, **settings):
     plain = {"mixing": components(0.3, 0.4, 0.3), "sigma": components(0.3, 0.5, 0.5)}
-    return Appearance(section(affine.Appearance, alpha=alpha, **{**plain, **settings}), patches)
+    return Appearance(section(AppearanceSettings, alpha=alpha, **{**plain, **settings}), patches)
 
 
 def recognition(gallery, model, **settings):
-    return Recognition(section(affine.Recognition, **settings), model, gallery)
+    return Recognition(section(RecognitionSettings, **settings), model, gallery)
 
 
 def affine_walk(sigma, deform, shear=None, scale=(0.2, 5.0), turn=None):
     """The noise of the place in pixels."""
-    return AffineWalk(section(affine.AffineWalk, deform=deform, shear=shear, turn=turn), sigma, scale)
+    return AffineWalk(section(AffineWalkSettings, deform=deform, shear=shear, turn=turn), sigma, scale)
 
 
 def predicted(walk, patches, velocity=None, noise=None):
@@ -96,29 +102,29 @@ def predicted(walk, patches, velocity=None, noise=None):
 
 def visible_walk(sigma, hidden, unit=20.0, limits=(0.1, 10.0), **settings):
     """Sigma and hidden in pixels."""
-    return VisibleWalk(section(correlation_filter.VisibleWalk, **settings), unit, (sigma, hidden), limits)
+    return VisibleWalk(section(VisibleWalkSettings, **settings), unit, (sigma, hidden), limits)
 
 
 def sir(**settings):
-    return partial(steps.sir, section(filters.Sir, **settings))
+    return partial(steps.sir, section(SirSettings, **settings))
 
 
 def auxiliary(**settings):
-    return partial(steps.auxiliary, section(filters.Auxiliary, **settings))
+    return partial(steps.auxiliary, section(AuxiliarySettings, **settings))
 
 
 def factorized(reweight="prior", **settings):
     """`none` is what the filter `independent` does."""
-    return partial(steps.factorized, section(filters.Factorized, reweight=reweight, **settings))
+    return partial(steps.factorized, section(FactorizedSettings, reweight=reweight, **settings))
 
 
 def adaptive(particles, **settings):
-    return section(affine.Adaptive, particles=particles, **settings)
+    return section(AdaptiveSettings, particles=particles, **settings)
 
 
 def guided(particles, share):
-    return partial(box.guided, section(correlation_filter.Guided, particles=particles, guided=share))
+    return partial(box.guided, section(GuidedSettings, particles=particles, guided=share))
 
 
 def peak():
-    return partial(box.peak, section(correlation_filter.Peak))
+    return partial(box.peak, section(PeakSettings))

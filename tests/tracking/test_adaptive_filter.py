@@ -17,7 +17,7 @@ from facetrack_cli.engine.resampling import uniform
 from facetrack_cli.engine.spaces import estimate
 from facetrack_cli.engine.target import Bound, ParticleTarget
 from facetrack_cli.trackers.appearance import velocity as filters
-from facetrack_cli.trackers.appearance.settings import Noise, Velocity
+from facetrack_cli.trackers.appearance.settings import NoiseSettings, VelocitySettings
 from facetrack_cli.trackers.appearance.space import AffineSpace, Patches
 from facetrack_cli.trackers.appearance.velocity import eta
 from facetrack_cli.trajectory.diagnostics import ENTROPY, POSTERIOR
@@ -176,7 +176,7 @@ def target(**settings):
     patches = Patches(BOX)
     made = ParticleTarget(
         name="face", parts=("box",), space=AffineSpace(BOX), x0=state(110, 95), particles=100,
-        motion=predicted(WALK, patches, Velocity()), likelihood=Watching(appearance(patches)), prior=None,
+        motion=predicted(WALK, patches, VelocitySettings()), likelihood=Watching(appearance(patches)), prior=None,
         step=partial(filters.adaptive, adaptive(100, entropy=0.2)), confidence=None,
     )  # fmt: skip
     return replace(made, **settings)
@@ -221,8 +221,8 @@ def test_who_it_is_is_said_where_one_is_likelier_than_all_others():
 
 @pytest.mark.parametrize("best", [False, True])
 def test_what_is_predicted_is_where_the_picture_went(best):
-    noise = Noise(rate=4.0)
-    states, results = followed(target(best=best, motion=predicted(WALK, Patches(BOX), Velocity(), noise)))
+    noise = NoiseSettings(rate=4.0)
+    states, results = followed(target(best=best, motion=predicted(WALK, Patches(BOX), VelocitySettings(), noise)))
     for before, after, result in zip(states, states[1:], results[1:], strict=False):
         np.testing.assert_array_equal(after.ahead.state, before.estimated.state)
         np.testing.assert_array_equal(after.flow.state, after.estimated.state)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame
 from facetrack_cli.engine import confidence as judging
-from facetrack_cli.recipe.model import Confidence
+from facetrack_cli.recipe.model import ConfidenceSettings
 
 X0 = np.array([[50.0, 50.0], [80.0, 50.0]])
 WINDOWS = np.array([[10.0, 10.0], [20.0, 12.0]])
@@ -31,7 +31,7 @@ class Ring:
 
 def confidence_of(**options):
     """The functions of confidence.py with these settings."""
-    settings = Confidence(**options)
+    settings = ConfidenceSettings(**options)
     return SimpleNamespace(begin=partial(judging.begin, settings), judge=partial(judging.judge, settings))
 
 

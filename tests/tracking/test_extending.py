@@ -14,7 +14,7 @@ from pydantic import Field
 from facetrack_cli.core.errors import ExitCode, RecipeError
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.engine.loop import track
-from facetrack_cli.recipe import Filter, Likelihood, Refusal, Section, sections
+from facetrack_cli.recipe import FilterSettings, LikelihoodSettings, Refusal, Section, sections
 from facetrack_cli.recipe.load import check_recipe, load_recipe, read_recipe
 from facetrack_cli.recipe.model import completed, rebuild, register, to_dict
 from facetrack_cli.recipe.schema import json_schema
@@ -49,7 +49,7 @@ def folder(tmp_path_factory):
 @pytest.fixture
 def registry(folder):
     """Afterwards the registry is as it was."""
-    sections.registered(Likelihood)
+    sections.registered(LikelihoodSettings)
     before = {kind: dict(types) for kind, types in sections._types.items()}
     yield
     sections._types.update(before)
@@ -203,7 +203,7 @@ def test_every_engine_that_a_section_names_is_there():
     for kind in sections.KINDS:
         for section in sections.registered(kind).values():
             assert callable(sections.pkgutil.resolve_name(section.engine)), section
-            assert section.goes_with or kind is sections.Target
+            assert section.goes_with or kind is sections.TargetSettings
     engines = re.findall(r"engine = \"(.*)\"", PAGE.read_text(encoding="utf-8"))
     assert engines and all(one.startswith("facetrack_cli.trackers.points.") for one in engines)
 
@@ -211,7 +211,7 @@ def test_every_engine_that_a_section_names_is_there():
 # --- what cannot be registered
 
 
-class Known(Likelihood):
+class Known(LikelihoodSettings):
     """A likelihood that is fine."""
 
     goes_with = ("points",)
@@ -226,7 +226,7 @@ def likelihood(**changes):
     name = changes.pop("name", "another")
     annotations = {"type": Literal[name]} if name else {}
     body = {"goes_with": ("points",), "build": Known.build, "__annotations__": annotations, **changes}
-    return type("Another", (Likelihood,), body)
+    return type("Another", (LikelihoodSettings,), body)
 
 
 def nothing_built(base):
@@ -241,14 +241,14 @@ def test_a_class_that_is_run_again_takes_the_place_of_the_first(registry):
 
 def test_what_is_no_section_is_refused(registry):
     for nothing in (int, Section, "text", likelihood(name="")):
-        with pytest.raises(TypeError, match=r"is no section: derive it from one of Target, Motion, Likelihood, Filter"):
+        with pytest.raises(TypeError, match="is no section: derive it from one of TargetSettings, MotionSettings"):
             register(nothing)
     with pytest.raises(TypeError, match=r'Another goes with no type of target: add goes_with = \("points",\)'):
         register(likelihood(goes_with=()))
     with pytest.raises(TypeError, match="Another builds nothing: give it a method build"):
-        register(nothing_built(Likelihood))
+        register(nothing_built(LikelihoodSettings))
     with pytest.raises(TypeError, match="Another builds nothing"):
-        register(nothing_built(Filter))
+        register(nothing_built(FilterSettings))
     register(Known)
     for taken in ("known", "colour_ratio"):
         with pytest.raises(ValueError, match=f'the likelihood type "{taken}" is taken by .*; choose another'):
@@ -257,7 +257,7 @@ def test_what_is_no_section_is_refused(registry):
 
 
 def test_a_section_may_have_rules_of_its_own(registry):
-    class Strict(Filter):
+    class Strict(FilterSettings):
         """A filter that wants a prior."""
 
         goes_with: ClassVar[tuple[str, ...]] = ("points",)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.trackers.appearance.settings import Noise, Velocity
+from facetrack_cli.trackers.appearance.settings import NoiseSettings, VelocitySettings
 from facetrack_cli.trackers.appearance.space import Patches
 from facetrack_cli.trackers.appearance.velocity import RANK, Flow, eta
 from facetrack_cli.trackers.appearance.velocity_kernels import differences, gain, mapped
@@ -22,7 +22,7 @@ SIZE = (50.0, 56.0)
 PATCHES = Patches(SIZE)
 MODEL = appearance(PATCHES)
 WALK = affine_walk(2.0, 0.025)
-GUIDE = predicted(WALK, PATCHES, Velocity(), Noise())
+GUIDE = predicted(WALK, PATCHES, VelocitySettings(), NoiseSettings())
 HERE = state(120, 90)
 PICTURE = smooth(5, 180, 240, 6.0)
 
@@ -64,7 +64,7 @@ MOTIONS = [
 @pytest.mark.parametrize("samples", [None, 32])
 def test_the_shift_points_to_the_truth(motion, samples, towards):
     now, there = moved(**motion)
-    guide = changed(GUIDE, velocity=Velocity(samples=samples, towards=towards))
+    guide = changed(GUIDE, velocity=VelocitySettings(samples=samples, towards=towards))
     ahead = ahead_of(guide, flow_of(guide), now)
     assert ahead.state is HERE or (ahead.state == HERE).all()
     before, after = apart(HERE, there), apart(ahead.state + ahead.shift, there)
@@ -120,7 +120,7 @@ def test_any_products_end_and_give_numbers(products):
 @pytest.mark.parametrize(("count", "most"), [(100, 32), (33, 32), (32, 32), (5, 32), (1, 2), (7, None)])
 def test_b_comes_from_so_many_particles_evenly(count, most):
     x = WALK.propagate(np.random.default_rng(0), np.repeat(HERE[None], count, axis=0))
-    flow = changed(GUIDE, velocity=Velocity(samples=most)).learn(frame(PICTURE), HERE, x)
+    flow = changed(GUIDE, velocity=VelocitySettings(samples=most)).learn(frame(PICTURE), HERE, x)
     used = count if most is None else min(count, most)
     rows = PATCHES.read(frame(PICTURE), x, 1) - flow.patch
     place = [int(np.abs(rows - row).sum(axis=1).argmin()) for row in flow.rows]
@@ -153,7 +153,7 @@ FLAT = np.full_like(PICTURE, 90)
     ],
     ids=["all equal", "one", "outside", "wild"],
 )
-@pytest.mark.parametrize("velocity", [Velocity(), Velocity(towards="appearance", search=1.0), None])
+@pytest.mark.parametrize("velocity", [VelocitySettings(), VelocitySettings(towards="appearance", search=1.0), None])
 def test_where_nothing_can_be_learned_nothing_is_wild(last, now, x, velocity):
     guide = changed(GUIDE, velocity=velocity)
     for here in (HERE, x[-1]):
@@ -169,15 +169,15 @@ def test_where_nothing_can_be_learned_nothing_is_wild(last, now, x, velocity):
 def test_without_velocity_it_is_where_it_was():
     guide, (now, _) = changed(GUIDE, velocity=None), moved(x=4)
     ahead = ahead_of(guide, flow_of(guide), now)
-    assert not ahead.shift.any() and ahead.noise == eta(Noise(), ahead.error) and ahead.error > 0.5
+    assert not ahead.shift.any() and ahead.noise == eta(NoiseSettings(), ahead.error) and ahead.error > 0.5
     assert ahead_of(changed(guide, noise=None), flow_of(guide), now).noise == 1
 
 
 def test_the_noise_is_tight_after_a_good_prediction_and_wide_after_a_bad_one():
     # figure 2a, eta(x; 0.5, 2, 1)
-    assert eta(Noise(), 0.0) == 0.5 and eta(Noise(), 50.0) == 2.0 and eta(None, 3.0) == 1.0
+    assert eta(NoiseSettings(), 0.0) == 0.5 and eta(NoiseSettings(), 50.0) == 2.0 and eta(None, 3.0) == 1.0
     for x, y in ((0.5, 1.193), (1.0, 1.642), (1.5, 1.858), (2.0, 1.946)):
-        assert eta(Noise(), x) == pytest.approx(y, abs=5e-4)
+        assert eta(NoiseSettings(), x) == pytest.approx(y, abs=5e-4)
     now, _ = moved(x=4)
     learned = MODEL.init(frame(PICTURE), HERE)
     good, bad = (ahead_of(GUIDE, flow_of(), one, learned) for one in (now, frame(smooth(77, 180, 240))))
@@ -189,7 +189,7 @@ def test_the_noise_is_tight_after_a_good_prediction_and_wide_after_a_bad_one():
 
 @given(st.floats(0, 300), st.floats(0.1, 2), st.floats(0, 5), st.floats(0.5, 20))
 def test_eta_equals_the_plain_twin_and_keeps_its_bounds(error, least, more, rate):
-    found = eta(Noise(least=least, most=least + more, rate=rate), error)
+    found = eta(NoiseSettings(least=least, most=least + more, rate=rate), error)
     assert least <= found <= least + more + 1e-12
     assert found == pytest.approx(naive.eta(min(error, 300 * rate), least, least + more, rate))
 
@@ -213,7 +213,7 @@ def told_by(errors):
 def test_it_ends_when_the_error_settles_and_keeps_the_best(errors, kept, asked):
     now, _ = moved(x=4)
     flow, said = flow_of(), list(errors)
-    guide = changed(GUIDE, velocity=Velocity(iterations=asked - 1 if kept == 4 else 10))
+    guide = changed(GUIDE, velocity=VelocitySettings(iterations=asked - 1 if kept == 4 else 10))
     shifts, shift = [np.zeros((1, 6))], np.zeros((1, 6))
     for _ in range(asked - 1):
         difference = PATCHES.read(now, (HERE + shift)[None], 1)[0] - flow.patch
@@ -227,11 +227,11 @@ def test_it_ends_when_the_error_settles_and_keeps_the_best(errors, kept, asked):
 
 def test_a_search_finds_what_jumped_and_no_worse_place():
     now, there = moved(x=30, y=-25)
-    guide, searching = (changed(GUIDE, velocity=Velocity(search=s)) for s in (0.0, 1.0))
+    guide, searching = (changed(GUIDE, velocity=VelocitySettings(search=s)) for s in (0.0, 1.0))
     near, far = (ahead_of(one, flow_of(), now) for one in (guide, searching))
     assert apart(near.state + near.shift, there) > 20
     assert apart(far.state + far.shift, there) < 0.25
-    still = ahead_of(changed(GUIDE, velocity=Velocity(search=1.0, iterations=1)), flow_of(), frame(PICTURE))
+    still = ahead_of(changed(GUIDE, velocity=VelocitySettings(search=1.0, iterations=1)), flow_of(), frame(PICTURE))
     assert apart(still.state + still.shift, HERE) < 0.1
     # nor does it believe a match that the appearance does not
     flow, said = flow_of(), [1.0, 3.0, 4.0]
@@ -258,7 +258,7 @@ def test_towards_the_appearance_corrects_what_the_last_frame_was_wrong_by():
     wrong, picture = state(123, 90), frame(PICTURE)
     learned = MODEL.init(picture, HERE)
     for towards, off in (("last", 3.0), ("appearance", 0.0)):
-        guide = changed(GUIDE, velocity=Velocity(towards=towards))
+        guide = changed(GUIDE, velocity=VelocitySettings(towards=towards))
         ahead = ahead_of(guide, flow_of(guide, here=wrong), picture, learned)
         assert apart(ahead.state + ahead.shift, HERE) == pytest.approx(off, abs=0.2)
 

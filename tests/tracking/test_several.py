@@ -14,7 +14,7 @@ from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trackers.skin.cloud import CloudSpace
-from facetrack_cli.trackers.skin.settings import Exclusion, SkinCloud
+from facetrack_cli.trackers.skin.settings import ExclusionSettings, SkinCloudSettings
 from tests.support.parts import sir
 from tests.support.results import target
 
@@ -143,10 +143,10 @@ def settings(target):
 def test_targets_are_built_in_the_recipes_order_and_the_first_keep_off_none():
     tracker = built("head_hands", "exclusion.strength=0.3", "exclusion.reach=2", names=ALL[::-1])
     assert tuple(target.name for target in tracker) == ALL
-    exclusion = Exclusion(strength=0.3, reach=2.0, first=("head",))
+    exclusion = ExclusionSettings(strength=0.3, reach=2.0, first=("head",))
     assert [settings(target) for target in tracker] == [None, exclusion, exclusion]
     everyone = built("head_hands", "exclusion.first=[]")
-    assert all(settings(target) == Exclusion(strength=0.9, reach=1.0) for target in everyone)
+    assert all(settings(target) == ExclusionSettings(strength=0.9, reach=1.0) for target in everyone)
     assert all(target.exclusion is None for target in built("head_hands", "exclusion=null"))
 
 
@@ -156,7 +156,7 @@ def test_a_cloud_begins_over_its_own_box_and_learns_from_whom_the_recipe_names()
         "head_hands", f"{hand}.least_share=0.2", f"{hand}.floor=0.05", f"{hand}.max_size=null",
         "targets.right_hand.likelihood.learn_from=null",
     )  # fmt: skip
-    settings = SkinCloud(type="skin", learn_from="head", least_share=0.2, floor=0.05, max_size=None)
+    settings = SkinCloudSettings(type="skin", learn_from="head", least_share=0.2, floor=0.05, max_size=None)
     assert (left.likelihood.settings, left.likelihood.size) == (settings, (24.0, 28.0))
     assert left.likelihood.teacher == BOXES["head"]
     assert right.likelihood.teacher == BOXES["right_hand"]

@@ -18,7 +18,7 @@ from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.hands import evidence, joint, names
 from facetrack_cli.trackers.hands import target as hand_target
-from facetrack_cli.trackers.hands.settings import NAMES, Hands
+from facetrack_cli.trackers.hands.settings import NAMES, HandsSettings
 from facetrack_cli.trackers.smoothed import renamed_hands
 from facetrack_cli.trajectory.formats.eaf import seen_in
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
@@ -447,4 +447,4 @@ def test_settings_of_hands_are_refused_beside_targets_of_their_names():
         load_recipe("head_hands", ["hands={}"])
     with pytest.raises(Exception, match="the shares add up to"):
         load_recipe("signer", ["hands.shares=[0.5, 0.3, 0.1]"])
-    assert Hands.model_fields.keys() == SETTINGS.model_dump().keys()
+    assert HandsSettings.model_fields.keys() == SETTINGS.model_dump().keys()

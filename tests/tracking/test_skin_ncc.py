@@ -10,7 +10,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.trackers.skin import ncc as matching
 from facetrack_cli.trackers.skin import skin_kernels as kernel
 from facetrack_cli.trackers.skin.colour import learn_skin
-from facetrack_cli.trackers.skin.settings import SkinNcc
+from facetrack_cli.trackers.skin.settings import SkinNccSettings
 from facetrack_cli.trackers.skin.skin_ncc import MIN_NCC
 from tests.support.images import frame, states
 from tests.support.parts import pattern, skin_cue, skin_ncc
@@ -107,7 +107,7 @@ def test_a_start_outside_of_the_picture_is_refused():
                 learned(scene(), place, **cues)
         assert learned(scene(), (-10, 5), **cues)[1].k is not None
     with pytest.raises(ValueError, match="neither skin nor ncc"):
-        SkinNcc(type="skin_ncc", sigma=0.1)
+        SkinNccSettings(type="skin_ncc", sigma=0.1)
 
 
 def test_what_the_start_lacks_is_told():

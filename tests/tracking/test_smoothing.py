@@ -11,10 +11,10 @@ from facetrack_cli.core.types import Particles
 from facetrack_cli.engine import smoothing
 from facetrack_cli.engine.motion import FirstOrder, RandomWalk
 from facetrack_cli.engine.smoothing import Belief
-from facetrack_cli.trackers.appearance import settings as affine
+from facetrack_cli.trackers.appearance.settings import AffineWalkSettings
 from facetrack_cli.trackers.appearance.velocity import AffineWalk
-from facetrack_cli.trackers.box import settings as correlation_filter
 from facetrack_cli.trackers.box.hidden_box import VisibleWalk
+from facetrack_cli.trackers.box.settings import VisibleWalkSettings
 from facetrack_cli.trackers.face.motion import JumpingWalk
 
 STAY = np.array([[1.0, 0.0], [0.0, 0.0]])
@@ -22,7 +22,7 @@ PLACE = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[2.0], [1.0]])  # one sour
 TWO_SOURCES = np.array([[1.0, 0.9], [0.0, 0.8]]), np.array([[2.0, 0.5], [0.3, 1.0]])
 SIZE = np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([[0.02], [0.0]])
 VISIBLE = VisibleWalk(
-    correlation_filter.VisibleWalk(type="visible_walk", sigma="2px", scale=0.02, hide=1e-6),
+    VisibleWalkSettings(type="visible_walk", sigma="2px", scale=0.02, hide=1e-6),
     40.0,
     (2.0, 4.0),
     (0.2, 5.0),
@@ -164,7 +164,7 @@ def test_particles_come_to_the_exact_posterior():
         assert np.abs(cov[1:, k] / spread[0, 0, 0] - spread / spread[0, 0, 0]).max() < 0.1
 
 
-WALK = affine.AffineWalk(type="affine_walk", sigma="3px", deform=0.02, turn=0.03, shear=0.01)
+WALK = AffineWalkSettings(type="affine_walk", sigma="3px", deform=0.02, turn=0.03, shear=0.01)
 
 
 @pytest.mark.parametrize(

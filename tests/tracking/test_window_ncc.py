@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Particles
-from facetrack_cli.trackers.face import settings as face
 from facetrack_cli.trackers.face import window_ncc
+from facetrack_cli.trackers.face.settings import Length, ShiftPerPart, WindowNccSettings
 from facetrack_cli.trackers.face.window_ncc import NEW_BELOW, YOUNG, WindowNcc
 from tests.support.images import frame
 from tests.support.parts import section
@@ -20,7 +20,7 @@ PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 
 def built(windows, parts=PARTS, reach=9.0, shift=(0.0, 0.0), **settings):
     """Windows (K, 2) and reach in pixels."""
-    one = section(face.WindowNcc, reach=face.Length(reach, px=True), shift=face.ShiftPerPart(shift), **settings)
+    one = section(WindowNccSettings, reach=Length(reach, px=True), shift=ShiftPerPart(shift), **settings)
     placed = SimpleNamespace(windows=np.array(windows, float), unit=40.0)
     return WindowNcc(one, SimpleNamespace(placed=placed, settings=SimpleNamespace(points=parts)))
 

@@ -25,7 +25,7 @@ from facetrack_cli.start.init_file import (
 from facetrack_cli.start.preview import write_preview
 from facetrack_cli.start.targets import name_targets
 from facetrack_cli.trackers.face.detectors import PARTS, detector
-from facetrack_cli.trackers.skin.settings import SkinCloud
+from facetrack_cli.trackers.skin.settings import SkinCloudSettings
 from facetrack_cli.video.seek import Frames
 
 ORIGIN: Final = "the page"
@@ -141,7 +141,9 @@ def requirements(recipe: Recipe | None) -> list[Json]:
         return [requirement(TARGET, points, _box_for(points))]
     first, *_ = recipe.filters
     # the first target's face is where the others are looked for, and a cloud learns its colours from a box
-    clouds = {name: one.likelihood for name, one in recipe.filters.items() if isinstance(one.likelihood, SkinCloud)}
+    clouds = {
+        name: one.likelihood for name, one in recipe.filters.items() if isinstance(one.likelihood, SkinCloudSettings)
+    }
     boxed = {first, *(one.learn_from or name for name, one in clouds.items())}
     points_of = {name: one.points for name, one in recipe.filters.items()}
     found = [requirement(name, p, "needed" if name in boxed else _box_for(p)) for name, p in points_of.items()]

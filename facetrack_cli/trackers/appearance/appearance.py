@@ -39,7 +39,7 @@ from facetrack_cli.engine.independent import averaged, effective_share
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.appearance import mixture_kernels as kernel
-from facetrack_cli.trackers.appearance import settings as affine
+from facetrack_cli.trackers.appearance.settings import AppearanceSettings
 from facetrack_cli.trackers.appearance.space import Patches, patches_of
 
 OUTLIER_RANGE = 6.0  # a normalised patch lies within 3 standard deviations of its mean, but for a few points
@@ -87,11 +87,11 @@ class Mixture:
 class Appearance(Likelihood):
     """`patches`: how faces are read."""
 
-    settings: affine.Appearance
+    settings: AppearanceSettings
     patches: Patches
 
     @classmethod
-    def build(cls, settings: affine.Appearance, context: Context) -> Appearance:
+    def build(cls, settings: AppearanceSettings, context: Context) -> Appearance:
         return cls(settings, patches_of(context))
 
     def init(self, frame: Frame, x0: Array) -> Mixture:

@@ -26,9 +26,9 @@ from facetrack_cli.engine.resampling import logsumexp, normalise
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.recipe.load import resolve_file
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.trackers.appearance import settings as affine
 from facetrack_cli.trackers.appearance.appearance import Appearance, Mixture
 from facetrack_cli.trackers.appearance.gallery import NONE, Gallery, load_gallery
+from facetrack_cli.trackers.appearance.settings import RecognitionSettings
 from facetrack_cli.trajectory.diagnostics import ENTROPY, POSTERIOR
 
 # of a box's proportions against the gallery's: up to 1.2 all of 24 runs named the right one, at 1.25 22, at 1.5 16
@@ -61,13 +61,13 @@ class Recognised:
 class Recognition(Likelihood):
     """An appearance that also says who it is."""
 
-    settings: affine.Recognition
+    settings: RecognitionSettings
     appearance: Appearance
     gallery: Gallery
     diagnostics: ClassVar = (POSTERIOR, ENTROPY)
 
     @classmethod
-    def build(cls, settings: affine.Recognition, context: Context) -> Recognition:
+    def build(cls, settings: RecognitionSettings, context: Context) -> Recognition:
         appearance = context.settings.likelihood.build(context)
         shape = appearance.patches.shape
         return cls(settings, appearance, find_gallery(settings, shape, context.recipe, context.above))
@@ -138,7 +138,7 @@ class Recognition(Likelihood):
         return np.asarray(np.maximum(joint.astype(np.float64) + log_beta, _NEVER))
 
 
-def find_gallery(settings: affine.Recognition, shape: tuple[int, int], recipe: Recipe, above: str) -> Gallery:
+def find_gallery(settings: RecognitionSettings, shape: tuple[int, int], recipe: Recipe, above: str) -> Gallery:
     """The gallery of a recipe for a template of that shape; RecipeError if there is none. `above`: as in `Context`."""
     key = f"{above}recognition.gallery"
     if settings.gallery is None:

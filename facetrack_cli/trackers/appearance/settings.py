@@ -11,19 +11,28 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import Component, Filter, Length, Likelihood, Motion, Refusal, Section, Steps
-from facetrack_cli.recipe.shared import MAX_COMPARED_PARTICLES, Factor, Scaled
+from facetrack_cli.recipe.sections import (
+    Component,
+    FilterSettings,
+    Length,
+    LikelihoodSettings,
+    MotionSettings,
+    Refusal,
+    Section,
+    Steps,
+)
+from facetrack_cli.recipe.shared import MAX_COMPARED_PARTICLES, Factor, ScaledSettings
 from facetrack_cli.recipe.times import SHARE
 
 if TYPE_CHECKING:
-    from facetrack_cli.recipe.model import ParticleFilter
+    from facetrack_cli.recipe.model import ParticleFilterSettings
 
 MAX_TEMPLATE_POINTS = 100_000_000  # particles times points of a template: some gigabytes
 Points: TypeAlias = Annotated[int, Field(ge=6, le=128)]
 Deviation: TypeAlias = Annotated[float, Field(ge=1e-3, le=100)]
 
 
-class Affine(Scaled):
+class AffineSettings(ScaledSettings):
     """A face under affine maps: place, and what became of the box of the first frame (section 4)."""
 
     engine = "facetrack_cli.trackers.appearance.space:AffineSpace.place"
@@ -38,7 +47,7 @@ class Affine(Scaled):
         return self.estimate == "map"
 
 
-class Velocity(Section):
+class VelocitySettings(Section):
     """Adaptive velocity: the shift that the change of the image predicts (eq. 12)."""
 
     components: Annotated[int, Field(ge=1, le=500)] = 20
@@ -55,7 +64,7 @@ class Velocity(Section):
     """Beyond the paper: first look for the face so far around, in units of its box; 0: do not."""
 
 
-class Noise(Section):
+class NoiseSettings(Section):
     """Adaptive noise: r_t / r_0 = a + (b - a) tanh(eps_t / c), eps_t the error of the prediction (eq. 13)."""
 
     least: Annotated[float, Field(gt=0, le=100)] = 0.5
@@ -70,7 +79,7 @@ class Noise(Section):
             yield Refusal(("most",), "motion.noise.most is below least; give it a value at least as large")
 
 
-class AffineWalk(Motion):
+class AffineWalkSettings(MotionSettings):
     """Gaussian noise on the six parameters, around the predicted place: theta_t = theta_{t-1} + nu_t + u_t (eq. 1)."""
 
     engine = "facetrack_cli.trackers.appearance.velocity:affine_walk"
@@ -84,13 +93,13 @@ class AffineWalk(Motion):
     """... of its turn; null: the same; 0: the box stays upright."""
     shear: Annotated[float, Field(ge=0, le=1)] | None = None
     """... and of its stretch along one side and its shear; null: the same; 0: the box keeps its shape."""
-    velocity: Velocity | None = None
+    velocity: VelocitySettings | None = None
     """nu_t; null: none, the target is expected where it was."""
-    noise: Noise | None = None
+    noise: NoiseSettings | None = None
     """r_t; null: fixed, r_0."""
 
-    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
-        if (self.velocity or self.noise) and not isinstance(whole.likelihood, PatchLikelihood):
+    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
+        if (self.velocity or self.noise) and not isinstance(whole.likelihood, PatchLikelihoodSettings):
             message = f'likelihood type "{whole.likelihood.type}" does not compare patches'
             key = "velocity" if self.velocity else "noise"
             yield Refusal(("motion", key), f"{message}; write velocity: null, noise: null")
@@ -104,7 +113,7 @@ class AffineWalk(Motion):
             yield Refusal(where if samples is None else ("motion", "velocity", "samples"), message)
 
 
-class Components(Section):
+class ComponentsSettings(Section):
     """One number for each component of the appearance."""
 
     w: Annotated[float, Field(ge=0, le=100)]
@@ -119,28 +128,28 @@ class Components(Section):
         return self.w, self.s, self.f
 
 
-class PatchLikelihood(Likelihood):
+class PatchLikelihoodSettings(LikelihoodSettings):
     """A likelihood that scores patches by their distance from the appearance (eq. 13): `roles.ScoresPatches`."""
 
     template: Annotated[tuple[Points, Points], Field(strict=False)] = (26, 30)
     """[columns, rows] of the patch; its grey levels have zero mean and unit variance."""
 
-    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
         (n, where), (columns, rows) = whole.filter.most(whole), self.template
         if n * columns * rows > MAX_TEMPLATE_POINTS:
             most = f"no more than {MAX_TEMPLATE_POINTS:,} points fit into memory"
             yield Refusal(where, f"{n:,} particles of {columns}x{rows} points each; {most}")
 
 
-class Appearance(PatchLikelihood):
+class AppearanceSettings(PatchLikelihoodSettings):
     """The adaptive appearance model: a mixture of W, S and F in each pixel of a patch (eq. 6 to 11)."""
 
     engine = "facetrack_cli.trackers.appearance.appearance:Appearance.build"
     goes_with = ("affine",)
     type: Literal["appearance"]
-    mixing: Components
+    mixing: ComponentsSettings
     """m_i in the first frame, in proportion; 0 leaves a component out, and f alone is a fixed template."""
-    sigma: Components
+    sigma: ComponentsSettings
     """sigma_i in the first frame, in standard deviations of the patch."""
     alpha: Annotated[float, Field(ge=0, lt=1), SHARE]
     """The updating factor: the share of a new frame in what is known."""
@@ -167,7 +176,7 @@ class Appearance(PatchLikelihood):
                 yield Refusal(("sigma", name), f"likelihood.sigma.{name} must be at least 0.001")
 
 
-class Recognition(Component):
+class RecognitionSettings(Component):
     """Who it is: the joint posterior of motion and identity (eq. 5, 14 to 16)."""
 
     engine = "facetrack_cli.trackers.appearance.recognition:Recognition.build"
@@ -186,13 +195,13 @@ class Recognition(Component):
     def files(self) -> Mapping[str, str]:
         return {} if self.gallery is None else {"gallery": self.gallery}
 
-    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
-        if not isinstance(whole.likelihood, PatchLikelihood):
+    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
+        if not isinstance(whole.likelihood, PatchLikelihoodSettings):
             message = f'recognition does not go with likelihood type "{whole.likelihood.type}"; remove it'
             yield Refusal(("recognition",), message)
 
 
-class Adaptive(Filter):
+class AdaptiveSettings(FilterSettings):
     """All particles around the predicted place, as many as the prediction is worth (figure 1, eq. 17)."""
 
     engine = "facetrack_cli.trackers.appearance.velocity:adaptive"
@@ -209,15 +218,15 @@ class Adaptive(Filter):
     centre: bool = False
     """Beyond the paper: the first particle is the predicted place itself."""
 
-    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
-        if self.adapt and isinstance(whole.motion, AffineWalk) and whole.motion.noise is None:
+    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
+        if self.adapt and isinstance(whole.motion, AffineWalkSettings) and whole.motion.noise is None:
             message = "filter.adapt follows motion.noise, which is null; add noise: {}, or write adapt: false"
             yield Refusal(("filter", "adapt"), message)
 
-    def most(self, whole: ParticleFilter) -> tuple[int, Steps]:
+    def most(self, whole: ParticleFilterSettings) -> tuple[int, Steps]:
         n, where = super().most(whole)
         if not self.adapt:
             return n, where
-        if isinstance(whole.motion, AffineWalk) and whole.motion.noise is not None:
+        if isinstance(whole.motion, AffineWalkSettings) and whole.motion.noise is not None:
             n = round(n * (whole.motion.noise.most + self.entropy))
         return (self.least, ("filter", "least")) if self.least > n else (n, where)

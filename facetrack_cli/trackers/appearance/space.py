@@ -12,7 +12,7 @@ from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Frame, Particles, factor_for
 from facetrack_cli.engine.kernels.affine import boxes_extent, read_patches
 from facetrack_cli.engine.spaces import Context, Estimate, Outline, SizedSpace, estimate
-from facetrack_cli.trackers.appearance import settings as affine
+from facetrack_cli.trackers.appearance.settings import PatchLikelihoodSettings
 from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE
 
 MAX_FACTOR = 256  # a face of 13 times 256 pixels or more is read with gaps
@@ -118,7 +118,7 @@ class Patches:
 def patches_of(context: Context) -> Patches:
     """How the likelihood of a target reads patches. Raises TypeError for a likelihood that reads none."""
     likelihood = context.settings.likelihood
-    if not isinstance(likelihood, affine.PatchLikelihood):
+    if not isinstance(likelihood, PatchLikelihoodSettings):
         raise TypeError(f"the likelihood {likelihood.type} does not compare patches")
     columns, rows = likelihood.template
     return Patches(context.placed.size, (rows, columns))

@@ -34,8 +34,7 @@ from facetrack_cli.engine.kernels.affine import diffuse
 from facetrack_cli.engine.motion import log_normal
 from facetrack_cli.engine.protocols import Linear, Motion
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.trackers.appearance import settings as affine
-from facetrack_cli.trackers.appearance.settings import Adaptive
+from facetrack_cli.trackers.appearance.settings import AdaptiveSettings, AffineWalkSettings, NoiseSettings
 from facetrack_cli.trackers.appearance.space import Patches, patches_of
 from facetrack_cli.trackers.appearance.velocity_kernels import differences, gain, mapped
 from facetrack_cli.trajectory.diagnostics import ERROR, NOISE
@@ -49,7 +48,7 @@ _AFFINE = np.eye(6)
 _AFFINE[2:, 2:] = np.sqrt(0.5) * np.array([[1, 0, 1, 0], [0, -1, 0, 1], [0, 1, 0, 1], [1, 0, -1, 0]])
 
 
-def eta(settings: affine.Noise | None, error: float) -> float:
+def eta(settings: NoiseSettings | None, error: float) -> float:
     """r_t / r_0 of eps_t = `error` (eq. 13); 1 without adaptive noise."""
     if settings is None:
         return 1.0
@@ -75,7 +74,7 @@ class AffineWalk(Motion):
     a4. `scale` bounds the scale, [least, most].
     """
 
-    settings: affine.AffineWalk
+    settings: AffineWalkSettings
     sigma: float
     scale: tuple[float, float]
 
@@ -176,7 +175,7 @@ class PredictedWalk(AffineWalk):
         return np.array([[*place, 0.0, 0.0, 0.0, 0.0]])
 
 
-def affine_walk(settings: affine.AffineWalk, context: Context) -> AffineWalk:
+def affine_walk(settings: AffineWalkSettings, context: Context) -> AffineWalk:
     """Around a place that is predicted from the frame, where the settings say so."""
     placed = context.placed
     walk = settings, settings.sigma.pixels(placed.unit), placed.scale
@@ -185,7 +184,7 @@ def affine_walk(settings: affine.AffineWalk, context: Context) -> AffineWalk:
     return PredictedWalk(*walk, patches_of(context), context.settings.filter.particles)
 
 
-def adaptive(settings: Adaptive, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
+def adaptive(settings: AdaptiveSettings, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
     """Around the one place that is predicted (Zhou et al. 2003, figure 1): theta_t = theta_{t-1} + nu_t + u_t."""
     ahead = model.ahead
     parents = np.repeat(ahead.state[None], number(settings, ahead), axis=0)
@@ -195,7 +194,7 @@ def adaptive(settings: Adaptive, rng: Generator, particles: Particles, model: Fr
     return weighted(model, x, parents, 0.0)
 
 
-def number(settings: Adaptive, ahead: Prediction) -> int:
+def number(settings: AdaptiveSettings, ahead: Prediction) -> int:
     """J_t, the number of particles (eq. 17). With J_0 = `particles` and d = `entropy` it is
 
         J_t = J_0 (eta + d)  if the entropy of the identity rose,  J_0 (eta - d)  if it did not,

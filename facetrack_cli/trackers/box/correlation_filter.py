@@ -41,7 +41,6 @@ from facetrack_cli.core.types import Array, Frame, Particles
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.resampling import logsumexp
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.trackers.box import settings as recipe
 from facetrack_cli.trackers.box.cell_kernels import read_cubic
 from facetrack_cli.trackers.box.features import ColourModel, Colours, Features, ScaleTrainer, Single, TrainedScale
 from facetrack_cli.trackers.box.hidden_box import VISIBLE
@@ -54,6 +53,7 @@ from facetrack_cli.trackers.box.peak_statistics import (
     log_student,
 )
 from facetrack_cli.trackers.box.proposals import Guides
+from facetrack_cli.trackers.box.settings import CorrelationFilterSettings
 from facetrack_cli.trackers.box.trained import UPSAMPLED, Trained, Trainer, peaks
 
 FIRST = 10  # frames from which the filter for re-detection is learned
@@ -113,12 +113,12 @@ class CorrelationState(NamedTuple):
 class CorrelationFilter(Likelihood):
     """`size`: width and height of the box at the start, in pixels; `limits`: of its scale."""
 
-    settings: recipe.CorrelationFilter
+    settings: CorrelationFilterSettings
     size: tuple[float, float]
     limits: tuple[float, float]
 
     @classmethod
-    def build(cls, settings: recipe.CorrelationFilter, context: Context) -> CorrelationFilter:
+    def build(cls, settings: CorrelationFilterSettings, context: Context) -> CorrelationFilter:
         return cls(settings, context.placed.size, context.placed.scale)
 
     @cached_property

@@ -10,10 +10,10 @@ from numpy.random import Generator
 from facetrack_cli.core.types import Info, Particles
 from facetrack_cli.engine.filters import MIN_LOG, FrameModel, Stepped
 from facetrack_cli.engine.resampling import SCHEMES, effective_sample_size, summed
-from facetrack_cli.trackers.box import settings as correlation_filter
+from facetrack_cli.trackers.box.settings import GuidedSettings, PeakSettings
 
 
-def guided(settings: correlation_filter.Guided, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
+def guided(settings: GuidedSettings, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
     """Proposes from the modes of the likelihood too, with exact weights (after Zhang et al. 2017, 2018).
 
     Places and log scales z are drawn from q(z) = g * sum_j a_j N(z; mode_j) + (1 - g) * p(z | Y_{t-1}), g = `guided`,
@@ -48,7 +48,7 @@ def guided(settings: correlation_filter.Guided, rng: Generator, particles: Parti
     return Particles(x, log_w), Info(np.full(1, float(effective_sample_size(log_w))), evidence)
 
 
-def peak(settings: correlation_filter.Peak, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
+def peak(settings: PeakSettings, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
     """The highest mode, as trackers by correlation filters take it."""
     guides = model.likelihood.guides(model.learned)
     z = guides.mean[[int(np.argmax(np.where(guides.anew, -np.inf, guides.log_w)))]]

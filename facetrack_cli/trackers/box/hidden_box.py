@@ -16,8 +16,8 @@ from facetrack_cli.engine.protocols import Linear, Motion
 from facetrack_cli.engine.resampling import effective_sample_size, normalise
 from facetrack_cli.engine.spaces import BoxSpace, Context, Estimate
 from facetrack_cli.engine.target import ParticleState, ParticleTarget
-from facetrack_cli.trackers.box import settings as correlation_filter
 from facetrack_cli.trackers.box.proposals import Arrived
+from facetrack_cli.trackers.box.settings import VisibleWalkSettings
 from facetrack_cli.trackers.box.walk_kernels import arrive
 
 VISIBLE = 5  # the coordinate of a box that may be hidden that is P(visible)
@@ -64,7 +64,7 @@ class VisibleWalk(Motion):
     sigma^2). Whether it is visible is a chain of two states, independent of the rest. `limits` are those of s.
     """
 
-    settings: correlation_filter.VisibleWalk
+    settings: VisibleWalkSettings
     unit: float
     sigma: tuple[float, float]
     limits: tuple[float, float]
@@ -163,7 +163,7 @@ class VisibleWalk(Motion):
         return np.asarray(-0.5 * off - 2 * np.log(step) - np.log(one.scale) - 1.5 * np.log(2 * np.pi))
 
 
-def visible_walk(settings: correlation_filter.VisibleWalk, context: Context) -> VisibleWalk:
+def visible_walk(settings: VisibleWalkSettings, context: Context) -> VisibleWalk:
     unit = context.placed.unit
     return VisibleWalk(
         settings, unit, (settings.sigma.pixels(unit), settings.hidden.pixels(unit)), context.placed.scale

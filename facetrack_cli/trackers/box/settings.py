@@ -8,8 +8,8 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import Filter, Length, Likelihood, Motion, Refusal, Section
-from facetrack_cli.recipe.shared import Factor, Scaled
+from facetrack_cli.recipe.sections import FilterSettings, Length, LikelihoodSettings, MotionSettings, Refusal, Section
+from facetrack_cli.recipe.shared import Factor, ScaledSettings
 from facetrack_cli.recipe.times import FRAMES, SHARE
 
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
@@ -17,7 +17,7 @@ Rate: TypeAlias = Annotated[float, Field(ge=0, le=1), SHARE]
 Probability: TypeAlias = Annotated[float, Field(gt=0, lt=1)]
 
 
-class Box(Scaled):
+class BoxSettings(ScaledSettings):
     """A box that moves, changes its size, and may be hidden: place, scale, velocity, and whether it is visible."""
 
     engine = "facetrack_cli.trackers.box.hidden_box:VisibleBoxSpace.place"
@@ -26,7 +26,7 @@ class Box(Scaled):
     """The least and the largest size of the box, as factors of its size at the start."""
 
 
-class VisibleWalk(Motion):
+class VisibleWalkSettings(MotionSettings):
     """A walk of place and log scale with velocity, of a target that may be hidden (a chain of two states)."""
 
     engine = "facetrack_cli.trackers.box.hidden_box:visible_walk"
@@ -50,7 +50,7 @@ class VisibleWalk(Motion):
     """How much of `show` is a return at a place that re-detection proposes, and not near the last one."""
 
 
-class Scales(Section):
+class ScalesSettings(Section):
     """The filter of scale (Danelljan et al. 2014, DSST)."""
 
     count: Annotated[int, Field(ge=3, le=65)] = 25
@@ -67,7 +67,7 @@ class Scales(Section):
             yield Refusal(("count",), "likelihood.scales.count must be odd: one scale is the last one")
 
 
-class CorrelationFilter(Likelihood):
+class CorrelationFilterSettings(LikelihoodSettings):
     """A correlation filter's response, calibrated (ours, of ECO, SRDCF, DSST, Staple and LMCF)."""
 
     engine = "facetrack_cli.trackers.box.correlation_filter:CorrelationFilter.build"
@@ -91,7 +91,7 @@ class CorrelationFilter(Likelihood):
     """How much is learned while the target is hidden, in terms of what is learned while it is visible."""
     inertia: Annotated[float, Field(gt=0, le=1e6)] = 16.0
     """mu of the temporal term."""
-    scales: Scales | None = Scales()
+    scales: ScalesSettings | None = ScalesSettings()
     """How the scale is found; null: the box keeps the size that the motion gives it."""
     colour: Share = 0.3
     """Share of the per-pixel colours in the response, where they tell the target from its surroundings (Staple)."""
@@ -105,7 +105,7 @@ class CorrelationFilter(Likelihood):
     """While the target is hidden, so many windows elsewhere are looked at in a frame."""
 
 
-class Guided(Filter):
+class GuidedSettings(FilterSettings):
     """Proposes from the likelihood's modes, the transition, and re-detection; weights are exact (Zhang et al. 2017)."""
 
     engine = "facetrack_cli.trackers.box.filters:guided"
@@ -117,7 +117,7 @@ class Guided(Filter):
     """Share of the particles that is drawn around the modes."""
 
 
-class Peak(Filter):
+class PeakSettings(FilterSettings):
     """The highest mode alone, as correlation filters are published: always visible, no posterior."""
 
     engine = "facetrack_cli.trackers.box.filters:peak"

@@ -13,13 +13,13 @@ from facetrack_cli.core.types import Array, Box, Start, TargetStart
 from facetrack_cli.engine.assembly import calibration_of, particle_target
 from facetrack_cli.engine.target import ParticleTarget
 from facetrack_cli.recipe.load import resolve_file
-from facetrack_cli.recipe.model import Confidence, ParticleFilter, Recipe, above
+from facetrack_cli.recipe.model import ConfidenceSettings, ParticleFilterSettings, Recipe, above
 from facetrack_cli.trackers.box.hidden_box import BoxTarget
 from facetrack_cli.trackers.face.descent import CORNER, load_descent
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.face.mesh import NAMES, Iris, Mesh
 from facetrack_cli.trackers.face.senses import Senses
-from facetrack_cli.trackers.face.settings import Head
+from facetrack_cli.trackers.face.settings import HeadSettings
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity, change_between, slope
 from facetrack_cli.trackers.face.target import FaceTarget
 
@@ -34,7 +34,9 @@ def _network(recipe: Recipe, key: str, name: str) -> Path:
     return path
 
 
-def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, start: Start, name: str) -> FaceTarget:
+def face_target(
+    recipe: Recipe, key: str, given: ParticleFilterSettings, head: HeadSettings, start: Start, name: str
+) -> FaceTarget:
     """The head by its own filter, and the points by the recipe's, in the stabilized image."""
     begun = start.targets[name]
     box = begun.box or box_around(begun)
@@ -47,9 +49,9 @@ def face_target(recipe: Recipe, key: str, given: ParticleFilter, head: Head, sta
     at = {part: similarity.to_stabilized(np.array(place)).tolist() for part, place in begun.points.items()}
     windows = {part: (w / similarity.scale, h / similarity.scale) for part, (w, h) in begun.windows.items()}
     inside = TargetStart(None, {part: (x, y) for part, (x, y) in at.items()}, windows)
-    judged = Confidence(lost_below=head.lost_below, patience=1)
+    judged = ConfidenceSettings(lost_below=head.lost_below, patience=1)
     by = None if head.detections is None else head.detections.by
-    alone = ParticleFilter.model_construct(
+    alone = ParticleFilterSettings.model_construct(
         target=head.target, motion=head.motion, likelihood=head.likelihood, filter=head.filter, confidence=judged
     )
     named = head.landmarks

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from facetrack_cli.core.types import Array
 from facetrack_cli.engine.protocols import Linear, Motion
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.trackers.face import settings as face
+from facetrack_cli.trackers.face.settings import JumpingWalkSettings
 from facetrack_cli.trackers.face.walk_kernels import jump
 
 ANY: Final = 0.3  # share of draws that do not follow what a sensor and the last place make likely
@@ -144,7 +144,7 @@ class JumpingWalk(Motion):
         return Linear(self.keep * eye, (1 - self.keep) * self.rest, eye * var[:, None, None])
 
 
-def jumping_walk(settings: face.JumpingWalk, context: Context) -> JumpingWalk:
+def jumping_walk(settings: JumpingWalkSettings, context: Context) -> JumpingWalk:
     placed = context.placed
     sigma, jump = (
         np.array([lengths.of(part).pixels(placed.unit) for part in context.settings.points])

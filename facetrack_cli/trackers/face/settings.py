@@ -14,21 +14,27 @@ from facetrack_cli.core.face_points import DetectorName
 from facetrack_cli.recipe.sections import (
     Length,
     LengthPerPart,
-    Likelihood,
-    Motion,
+    LikelihoodSettings,
+    MotionSettings,
     PerPart,
-    Prior,
+    PriorSettings,
     Refusal,
     Section,
 )
 from facetrack_cli.recipe.times import FRAMES
-from facetrack_cli.trackers.box.settings import Box, CorrelationFilter, Guided, Share, VisibleWalk
+from facetrack_cli.trackers.box.settings import (
+    BoxSettings,
+    CorrelationFilterSettings,
+    GuidedSettings,
+    Share,
+    VisibleWalkSettings,
+)
 
 if TYPE_CHECKING:
-    from facetrack_cli.recipe.model import ParticleFilter
+    from facetrack_cli.recipe.model import ParticleFilterSettings
 
 
-class Detections(Section):
+class DetectionsSettings(Section):
     """A detector of faces that measures the face's box every so many frames."""
 
     every: Annotated[int, Field(ge=1, le=1000), FRAMES] = 3
@@ -37,7 +43,7 @@ class Detections(Section):
     """OpenCV's Haar cascades or YuNet (extra `detect`); auto: what found the start, else the best that is installed."""
 
 
-class Landmarks(Section):
+class LandmarksSettings(Section):
     """What places the points of the face in every frame: a regression, and a network where its file is there."""
 
     network: Annotated[str, Field(min_length=1)] | None = "auto"
@@ -50,26 +56,26 @@ class Landmarks(Section):
     """The points of the network: 28 of mouth, eyes, brows, nose and jaw, or all 468."""
 
 
-class Head(Section):
+class HeadSettings(Section):
     """The head that carries the points: a box, followed by a correlation filter."""
 
-    target: Box = Box(type="box")
+    target: BoxSettings = BoxSettings(type="box")
     """The box of the face."""
-    motion: VisibleWalk
+    motion: VisibleWalkSettings
     """How it moves."""
-    likelihood: CorrelationFilter
+    likelihood: CorrelationFilterSettings
     """How it looks."""
-    filter: Guided = Guided(type="guided", particles=100)
+    filter: GuidedSettings = GuidedSettings(type="guided", particles=100)
     """Its particle filter."""
     lost_below: Share = 0.5
     """The head is lost while its confidence is below this, and all points with it."""
-    detections: Detections | None = Detections()
+    detections: DetectionsSettings | None = DetectionsSettings()
     """Detections of the face as measurements of its box; null: none."""
-    landmarks: Landmarks = Landmarks()
+    landmarks: LandmarksSettings = LandmarksSettings()
     """What places the points."""
 
 
-class JumpingWalk(Motion):
+class JumpingWalkSettings(MotionSettings):
     """A walk with heavy tails around rest: N(m, sigma) or, with probability `jumps`, N(m, jump) (ours).
 
     m_i = rest_i + keep (a_i^- - rest_i), where rest is the shape of the first frame, carried by the head.
@@ -87,7 +93,7 @@ class JumpingWalk(Motion):
     keep: Share = 0.98
     """Share of the distance from the place at rest that is left after a frame."""
 
-    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
         for key in ("sigma", "jump"):
             yield from getattr(self, key).refusals(("motion", key), whole.points)
 
@@ -99,7 +105,7 @@ class ShiftPerPart(PerPart[Annotated[Shift, Field(strict=False)]]):
     """One shift for all parts, or `part: shift` for each; `default` serves the parts not named."""
 
 
-class WindowNcc(Likelihood):
+class WindowNccSettings(LikelihoodSettings):
     """Normalised correlation of windows in brightness and redness with several templates of a part (ours)."""
 
     engine = "facetrack_cli.trackers.face.window_ncc:WindowNcc"
@@ -114,11 +120,11 @@ class WindowNcc(Likelihood):
     shift: ShiftPerPart = ShiftPerPart((0.0, 0.0))
     """Where the middle of a window lies, seen from its part, in sizes of the window: [across, down]."""
 
-    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
         return self.shift.refusals(("likelihood", "shift"), whole.points)
 
 
-class StudentT(Prior):
+class StudentTSettings(PriorSettings):
     """Shape prior: one Student t density with the second moments of registered training shapes (ours)."""
 
     engine = "facetrack_cli.trackers.face.shape_prior:build_student"
@@ -133,6 +139,6 @@ class StudentT(Prior):
     def files(self) -> Mapping[str, str]:
         return {"file": self.file}
 
-    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
         if getattr(whole.filter, "from_prior", 0):
             yield Refusal(("filter", "from_prior"), "student_t proposes no parts; remove from_prior, or write parzen")

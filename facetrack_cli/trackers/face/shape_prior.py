@@ -7,14 +7,16 @@ import numpy as np
 from facetrack_cli.core.types import Array
 from facetrack_cli.engine.protocols import Prior
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.trackers.face.settings import StudentT
-from facetrack_cli.trackers.points.settings import Parzen
+from facetrack_cli.trackers.face.settings import StudentTSettings
+from facetrack_cli.trackers.points.settings import ParzenSettings
 from facetrack_cli.trackers.points.shape_prior import MIN_SIGMA, BoundPrior, build
 
 
-def build_student(settings: StudentT, context: Context) -> StudentPrior:
+def build_student(settings: StudentTSettings, context: Context) -> StudentPrior:
     """The Student t prior of a recipe, from the same files as `build`."""
-    return StudentPrior(build(Parzen(type="parzen", file=settings.file, sigma=MIN_SIGMA), context), settings.freedom)
+    return StudentPrior(
+        build(ParzenSettings(type="parzen", file=settings.file, sigma=MIN_SIGMA), context), settings.freedom
+    )
 
 
 class StudentPrior(Prior):

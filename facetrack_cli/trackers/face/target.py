@@ -64,7 +64,7 @@ from facetrack_cli.trackers.face.sensors import (
     joined,
     who_is_right,
 )
-from facetrack_cli.trackers.face.settings import Head
+from facetrack_cli.trackers.face.settings import HeadSettings
 from facetrack_cli.trackers.face.stabilized import EYES, FACE, Similarity
 from facetrack_cli.trackers.face.state import FaceState, View, shifted, sure_of, updated
 from facetrack_cli.trackers.people.looks import Picture
@@ -98,7 +98,7 @@ class FaceTarget:
     name: str
     head: BoxTarget
     features: ParticleTarget
-    settings: Head
+    settings: HeadSettings
     senses: Senses
     side: float
     pose: Array

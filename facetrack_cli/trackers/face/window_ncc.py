@@ -34,10 +34,10 @@ from numpy.typing import NDArray
 from facetrack_cli.core.types import Array, Frame, Mask, Particles, Whole
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.trackers.face import settings as face
 from facetrack_cli.trackers.face.channel_kernels import looks
 from facetrack_cli.trackers.face.correlation_kernels import greatest, matched, stride
 from facetrack_cli.trackers.face.motion import ScoredMaps
+from facetrack_cli.trackers.face.settings import WindowNccSettings
 
 Channels = NDArray[np.float32]
 MEMORY: Final = 50.0  # frames over which g and b are learned
@@ -97,7 +97,7 @@ class WindowState(NamedTuple):
 class WindowNcc(Likelihood):
     """Windows of `sides` (K, 2) odd pixels, whose middles lie `shift` (K, 2) whole pixels from the parts."""
 
-    def __init__(self, settings: face.WindowNcc, context: Context) -> None:
+    def __init__(self, settings: WindowNccSettings, context: Context) -> None:
         windows = context.placed.windows
         self.settings, self.reach = settings, max(round(settings.reach.pixels(context.placed.unit)), 2)
         self.sides = np.maximum(2 * np.round((windows - 1) / 2).astype(np.int64) + 1, 3)

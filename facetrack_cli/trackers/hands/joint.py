@@ -26,7 +26,7 @@ from numpy.random import Generator
 from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.engine.resampling import effective_sample_size, normalise, systematic
 from facetrack_cli.trackers.hands.evidence import Map, Seen
-from facetrack_cli.trackers.hands.settings import Hands
+from facetrack_cli.trackers.hands.settings import HandsSettings
 
 START: Final = 0.075  # sizes, standard deviation of a hand that is given
 HIDES: Final = 0.5  # of `skin`, which two hands that overlap need once: between two discs apart, 0, and a union, 1
@@ -84,7 +84,7 @@ class Face(NamedTuple):
     size: float
 
 
-def begin(rng: Generator, settings: Hands, face: Face, given: Array) -> Cloud:
+def begin(rng: Generator, settings: HandsSettings, face: Face, given: Array) -> Cloud:
     """Hands that nobody sees, where they hang; or where they are `given` (2, 2), if that is not nan."""
     known = np.isfinite(given[:, :1])
     x = np.zeros((settings.particles, 2, 4))
@@ -94,7 +94,14 @@ def begin(rng: Generator, settings: Hands, face: Face, given: Array) -> Cloud:
 
 
 def step(
-    rng: Generator, settings: Hands, cloud: Cloud, looked: Seen, scale: float, face: Face, *, first: bool = False
+    rng: Generator,
+    settings: HandsSettings,
+    cloud: Cloud,
+    looked: Seen,
+    scale: float,
+    face: Face,
+    *,
+    first: bool = False,
 ) -> tuple[Cloud, Belief]:
     """One frame, of which is `looked`, in pixels of which `scale` are a size. No hand appears before the face."""
     n, evidence = len(cloud.x), looked.evidence
@@ -164,7 +171,7 @@ def disc_means(evidence: Map, radius: float) -> Map:
 
 
 def log_likelihood(
-    settings: Hands, x: Array, seen: Mask, parted: Mask, maps: tuple[Map, Map, Map], scale: float, face: Face
+    settings: HandsSettings, x: Array, seen: Mask, parted: Mask, maps: tuple[Map, Map, Map], scale: float, face: Face
 ) -> Array:
     """(N,): log p(y, x) of both hands, but for the motion; `maps` are log p(y | x) of one hand, its share of skin, and
     the evidence.
@@ -259,7 +266,7 @@ def _mixture(at: Array, peaks: Array, weights: Array, sigma: float) -> Array:
     return np.asarray((np.exp(-0.5 * squared / sigma**2) @ weights) / (2 * math.pi * sigma**2))
 
 
-def _transition(settings: Hands, off: Array) -> Array:
+def _transition(settings: HandsSettings, off: Array) -> Array:
     """(N,): the density of steps `off` (N, 2)."""
     squared = np.sum(off**2, axis=1)
     var = np.array(settings.steps) ** 2

@@ -23,7 +23,7 @@ import numpy as np
 from facetrack_cli.core.types import Array
 from facetrack_cli.trackers.hands.evidence import Map
 from facetrack_cli.trackers.hands.joint import Belief, Face, crop
-from facetrack_cli.trackers.hands.settings import Hands
+from facetrack_cli.trackers.hands.settings import HandsSettings
 
 SIGNS: Final = (1.0, -1.0)  # of each hand, of the way to the other hand's side
 WEIGHTS: Final = np.array([0.4, -1.3, -7.0])  # of u, u v, and l sin 2a
@@ -39,7 +39,7 @@ def exchanged(belief: Belief, face: Face) -> float:
     return ANY + MEET * min(max(2 * (1 - apart / MEETS), 0.0), 1.0)
 
 
-def log_odds(settings: Hands, evidence: Map, belief: Belief, scale: float, face: Face) -> float:
+def log_odds(settings: HandsSettings, evidence: Map, belief: Belief, scale: float, face: Face) -> float:
     """log p(frame | named as they are) - log p(frame | exchanged); a size is `scale` pixels of the evidence."""
     apart, both = math.dist(*belief.at) / face.size / settings.radius, bool((belief.seen >= 0.5).all())
     clear = min(max((apart - APART[0]) / (APART[1] - APART[0]), 0.0), 1.0) if both else 1.0

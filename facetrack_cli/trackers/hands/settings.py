@@ -16,7 +16,7 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Sizes = Annotated[float, Field(gt=0, le=10)]
 
 
-class Hands(Section):
+class HandsSettings(Section):
     """Two hands of the first target, which is a head: absent until they appear. Lengths are in sizes of its box."""
 
     particles: Annotated[int, Field(ge=10, le=100_000)] = 400

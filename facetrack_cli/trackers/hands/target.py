@@ -26,7 +26,7 @@ from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Linear, Names
 from facetrack_cli.trackers.hands import evidence, joint, names
 from facetrack_cli.trackers.hands.evidence import Scene
-from facetrack_cli.trackers.hands.settings import Hands
+from facetrack_cli.trackers.hands.settings import HandsSettings
 from facetrack_cli.trajectory.diagnostics import NAMED, PRESENT, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
 
@@ -70,7 +70,7 @@ class HandTarget:
     name: str
     person: str
     hand: int
-    settings: Hands
+    settings: HandsSettings
     head: Box
     given: tuple[Box | None, Box | None]
 

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from facetrack_cli.core.types import Array, Extent, Frame, Mask, Particles, Whole, factor_for
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.trackers.points import settings as points
 from facetrack_cli.trackers.points import window_kernels as windows
+from facetrack_cli.trackers.points.settings import ColourRatioSettings
 
 CHANNELS = 3
 MIN_MEAN = 1.0  # dividing by the mean of a darker window would only blow up its noise
@@ -56,11 +56,11 @@ class Templates:
 class ColourRatio(Likelihood):
     """`windows` (K, 2): width and height of each part's window, in pixels."""
 
-    settings: points.ColourRatio
+    settings: ColourRatioSettings
     windows: Array
 
     @classmethod
-    def build(cls, settings: points.ColourRatio, context: Context) -> ColourRatio:
+    def build(cls, settings: ColourRatioSettings, context: Context) -> ColourRatio:
         return cls(settings, context.placed.windows)
 
     def init(self, frame: Frame, x0: Array) -> Templates:

@@ -13,20 +13,20 @@ from pydantic import Field
 
 from facetrack_cli.recipe.sections import (
     Length,
-    Likelihood,
-    Prior,
+    LikelihoodSettings,
+    PriorSettings,
     Refusal,
-    Target,
+    TargetSettings,
     WindowPerPart,
 )
 
 if TYPE_CHECKING:
-    from facetrack_cli.recipe.model import ParticleFilter
+    from facetrack_cli.recipe.model import ParticleFilterSettings
 
 PartName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
 
 
-class Points(Target):
+class PointsSettings(TargetSettings):
     """Named points of a face, each the centre of a window (section 3.1: alpha = <alpha_1 ... alpha_N>)."""
 
     engine = "facetrack_cli.trackers.points.space:place_points"
@@ -51,11 +51,11 @@ class Points(Target):
         window = self.windows.of(part)
         return window if isinstance(window, tuple) else (window, window)
 
-    def mismatches(self, whole: ParticleFilter) -> Iterable[Refusal]:
+    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
         return self.windows.refusals(("target", "windows"), self.parts)
 
 
-class ColourRatio(Likelihood):
+class ColourRatioSettings(LikelihoodSettings):
     """Colours of a window, each divided by the window's mean, against the first frame's (section 3.2, eq. 8-10)."""
 
     engine = "facetrack_cli.trackers.points.colour_ratio:ColourRatio.build"
@@ -81,7 +81,7 @@ class ColourRatio(Likelihood):
             yield Refusal(("robust",), f"robust: {self.robust} needs likelihood.scale; add it, as in scale: 0.2")
 
 
-class Parzen(Prior):
+class ParzenSettings(PriorSettings):
     """Shape prior: a sum of Gaussian kernels over registered training shapes (section 3.3, eq. 11)."""
 
     engine = "facetrack_cli.trackers.points.shape_prior:build"

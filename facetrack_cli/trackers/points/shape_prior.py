@@ -35,7 +35,7 @@ from facetrack_cli.core.types import Array
 from facetrack_cli.engine.protocols import Prior
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.recipe.load import resolve_file
-from facetrack_cli.trackers.points.settings import Parzen
+from facetrack_cli.trackers.points.settings import ParzenSettings
 from facetrack_cli.trackers.points.shape_kernels import LANES, PADDING, log_parzen, pick_shape
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned
@@ -124,7 +124,7 @@ def bind(prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) ->
     return BoundPrior(parts, shapes, first, parts.index(prior.stable), length, float(sigma))
 
 
-def build(settings: Parzen, context: Context) -> BoundPrior:
+def build(settings: ParzenSettings, context: Context) -> BoundPrior:
     """The prior of a recipe, for its target's parts and where they begin."""
     prior = load_prior(resolve_file(context.recipe, settings.file, f"{context.above}prior.file"))
     try:

@@ -7,10 +7,10 @@ from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import Start
 from facetrack_cli.engine.checks import size_of_box
 from facetrack_cli.engine.spaces import Placed, PointSpace
-from facetrack_cli.trackers.points import settings as points
+from facetrack_cli.trackers.points.settings import PointsSettings
 
 
-def place_points(settings: points.Points, start: Start, name: str) -> Placed:
+def place_points(settings: PointsSettings, start: Start, name: str) -> Placed:
     """Points where the start has them; the unit is the largest distance of two, or the box's size around one."""
     placed, parts = start.targets[name], settings.parts
     if missing := ", ".join(part for part in parts if part not in placed.points):

@@ -24,7 +24,7 @@ from facetrack_cli.core.types import Array, Frame, Particles, factor_for
 from facetrack_cli.engine.independent import averaged, effective_share
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.regions import contour_kernels as contour
-from facetrack_cli.trackers.regions import settings as regions
+from facetrack_cli.trackers.regions.settings import ContourSettings
 
 _MAX_PIXELS = 1e9  # pixels; no frame is as large
 
@@ -47,13 +47,13 @@ class Ellipse:
 class Contour:
     """`size`: (w, h) of the box at scale 1; `sigma` and `search` as in the settings, all in pixels."""
 
-    settings: regions.Contour
+    settings: ContourSettings
     size: tuple[float, float]
     sigma: float
     search: float
 
     @classmethod
-    def build(cls, settings: regions.Contour, context: Context) -> Contour:
+    def build(cls, settings: ContourSettings, context: Context) -> Contour:
         unit = context.placed.unit
         return cls(settings, context.placed.size, settings.sigma.pixels(unit), settings.search.pixels(unit))
 

@@ -38,7 +38,7 @@ from facetrack_cli.engine.independent import averaged, effective_share
 from facetrack_cli.engine.kernels.affine import boxes_extent
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.regions import patch_kernels as patches
-from facetrack_cli.trackers.regions import settings as regions
+from facetrack_cli.trackers.regions.settings import CorrelationSettings
 
 # grey levels: a region that is followed well has 6 to 20 (RMS); much more would push regions back into the frame
 OUTSIDE = 32.0
@@ -62,11 +62,11 @@ class Previous:
 class Correlation:
     """`size`: width and height of the compared region at scale 1, in pixels: `region` times the box."""
 
-    settings: regions.Correlation
+    settings: CorrelationSettings
     size: tuple[float, float]
 
     @classmethod
-    def build(cls, settings: regions.Correlation, context: Context) -> Correlation:
+    def build(cls, settings: CorrelationSettings, context: Context) -> Correlation:
         w, h = context.placed.size
         return cls(settings, (w * settings.region, h * settings.region))
 

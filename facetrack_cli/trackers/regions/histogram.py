@@ -24,7 +24,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Image, Particles, Whole, factor_for
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.regions import histogram_kernels as kernel
-from facetrack_cli.trackers.regions import settings as regions
+from facetrack_cli.trackers.regions.settings import HistogramSettings
 
 MIN_COLOURED = 0.05  # of a face half and more, of grey clips after lossy codecs less than 0.001
 MAX_CELLS = 2**24  # of an integral histogram: 64 MB
@@ -48,11 +48,11 @@ class Reference:
 class Histogram:
     """`size`: width and height of the box at scale 1, in pixels."""
 
-    settings: regions.Histogram
+    settings: HistogramSettings
     size: tuple[float, float]
 
     @classmethod
-    def build(cls, settings: regions.Histogram, context: Context) -> Histogram:
+    def build(cls, settings: HistogramSettings, context: Context) -> Histogram:
         return cls(settings, context.placed.size)
 
     def init(self, frame: Frame, x0: Array) -> Reference:

@@ -16,7 +16,7 @@ import numpy as np
 from facetrack_cli.core.types import Array, Frame, Particles
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.trackers.regions import settings as regions
+from facetrack_cli.trackers.regions.settings import ProductSettings
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Product(Likelihood):
     factors: tuple[Any, ...]
 
     @classmethod
-    def build(cls, settings: regions.Product, context: Context) -> Product:
+    def build(cls, settings: ProductSettings, context: Context) -> Product:
         return cls(tuple(one.build(context) for one in settings.factors))
 
     def init(self, frame: Frame, x0: Array) -> tuple[Any, ...]:

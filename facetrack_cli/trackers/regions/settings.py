@@ -9,8 +9,16 @@ from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import Component, Length, LengthOrNone, Likelihood, Motion, Refusal, Section
-from facetrack_cli.recipe.shared import Factor, Scaled
+from facetrack_cli.recipe.sections import (
+    Component,
+    Length,
+    LengthOrNone,
+    LikelihoodSettings,
+    MotionSettings,
+    Refusal,
+    Section,
+)
+from facetrack_cli.recipe.shared import Factor, ScaledSettings
 
 MAX_SEARCH_SIZES, MAX_SEARCH_PX = 10.0, 10_000.0  # beyond most frames; every step of it takes time
 Count: TypeAlias = Annotated[int, Field(ge=1, le=64)]
@@ -21,7 +29,7 @@ Deviation: TypeAlias = Annotated[float, Field(ge=0, le=1e6)]
 Share: TypeAlias = Annotated[tuple[Deviation, ...], Field(strict=False, min_length=1, max_length=2)]
 
 
-class Region(Scaled):
+class RegionSettings(ScaledSettings):
     """A region of the frame: an upright box that moves and changes its size (section 3.2)."""
 
     engine = "facetrack_cli.engine.spaces:BoxSpace.place"
@@ -30,7 +38,7 @@ class Region(Scaled):
     """The least and the largest size of the box, as factors of its size at the start."""
 
 
-class _Dynamics(Section):
+class _DynamicsSettings(Section):
     name: ClassVar[str]
     A: Annotated[tuple[Pair, Pair], Field(strict=False)]
     B: Any
@@ -48,7 +56,7 @@ class _Dynamics(Section):
             yield Refusal(("A",), f"{grows}; its eigenvalues must not exceed 1")
 
 
-class PositionDynamics(_Dynamics):
+class PositionDynamicsSettings(_DynamicsSettings):
     """c = A c + B w for x and its speed, and likewise for y."""
 
     name = "position"
@@ -58,7 +66,7 @@ class PositionDynamics(_Dynamics):
     """How the noise enters place and speed: a row each, with a standard deviation for each of one or two sources."""
 
 
-class ScaleDynamics(_Dynamics):
+class ScaleDynamicsSettings(_DynamicsSettings):
     """c = A c + B w for the scale, 1 at the start, and its speed."""
 
     name = "scale"
@@ -68,19 +76,19 @@ class ScaleDynamics(_Dynamics):
     """How the noise enters scale and speed, as in position.B; numbers, since a scale has no unit."""
 
 
-class FirstOrder(Motion):
+class FirstOrderSettings(MotionSettings):
     """First-order dynamics of place, scale and their speeds: c_k = A c_{k-1} + B w_k (section 3.2)."""
 
     engine = "facetrack_cli.engine.motion:first_order"
     goes_with = ("region", "cloud")
     type: Literal["first_order"]
-    position: PositionDynamics
+    position: PositionDynamicsSettings
     """Of x and of y."""
-    scale: ScaleDynamics
+    scale: ScaleDynamicsSettings
     """Of the size of the box."""
 
 
-class Contour(Component):
+class ContourSettings(Component):
     """Edges along the normals of the ellipse in the box (eq. 11)."""
 
     engine = "facetrack_cli.trackers.regions.contour:Contour.build"
@@ -106,7 +114,7 @@ class Contour(Component):
             yield Refusal(("search",), f"likelihood.contour.search must be at most {reach}")
 
 
-class Histogram(Component):
+class HistogramSettings(Component):
     """Histograms of hue and saturation in sub-regions of the box (section 3.3)."""
 
     engine = "facetrack_cli.trackers.regions.histogram:Histogram.build"
@@ -128,7 +136,7 @@ class Histogram(Component):
     """As in contour.max_size."""
 
 
-class Correlation(Component):
+class CorrelationSettings(Component):
     """Grey values of the box against those of its parent in the previous frame (eq. 12 and 13)."""
 
     engine = "facetrack_cli.trackers.regions.correlation:Correlation.build"
@@ -154,17 +162,17 @@ class Correlation(Component):
             yield Refusal(("saturation",), f"saturation has no meaning for distance: {self.distance}; remove it")
 
 
-class Product(Likelihood):
+class ProductSettings(LikelihoodSettings):
     """The product of the likelihoods that are given, each of them usable alone (eq. 10)."""
 
     engine = "facetrack_cli.trackers.regions.product:Product.build"
     goes_with = ("region",)
     type: Literal["product"]
-    contour: Contour | None = None
+    contour: ContourSettings | None = None
     """Edges along the normals of the ellipse in the box (eq. 11)."""
-    histogram: Histogram | None = None
+    histogram: HistogramSettings | None = None
     """Histograms of hue and saturation in sub-regions of the box."""
-    correlation: Correlation | None = None
+    correlation: CorrelationSettings | None = None
     """Grey values against those of the parent in the previous frame (eq. 12 and 13)."""
 
     @property

@@ -26,10 +26,9 @@ from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context, Estimate, Placed, Space, estimate
 from facetrack_cli.trackers.points.window_kernels import extent
-from facetrack_cli.trackers.skin import settings as skin
 from facetrack_cli.trackers.skin import skin_kernels as kernel
 from facetrack_cli.trackers.skin.colour import learn_skin, note
-from facetrack_cli.trackers.skin.settings import Cloud, Exclusion
+from facetrack_cli.trackers.skin.settings import CloudSettings, ExclusionSettings, SkinCloudSettings
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,7 @@ class CloudSpace(Space):
     smooths = False
 
     @classmethod
-    def place(cls, settings: Cloud, start: Start, name: str) -> Placed:
+    def place(cls, settings: CloudSettings, start: Start, name: str) -> Placed:
         """All over the target's box, whose mean side is the unit of length."""
         box = check_size(start.origin, name, box_of(start, name))
         windows = np.array([box[2:]])
@@ -56,7 +55,7 @@ class CloudSpace(Space):
         return np.array([[*centre(box), 1.0, 0.0, 0.0, 0.0]])
 
 
-def log_weights(settings: Exclusion, x: Array, footprints: Sequence[Footprint]) -> Array:
+def log_weights(settings: ExclusionSettings, x: Array, footprints: Sequence[Footprint]) -> Array:
     """(N, K): what mutual exclusion adds to log p(y | x) of x (N, K, D) (Gianni, Collet & Dalle 2007).
 
     Particles are penalised when the objects are close, so that two filters do not track the same skin (Gonzalez &
@@ -91,12 +90,12 @@ class SkinColours:
 class SkinCloud(Likelihood):
     """`size`: width and height in pixels at the start; `teacher`: the box that teaches the colour, in pixels."""
 
-    settings: skin.SkinCloud
+    settings: SkinCloudSettings
     size: tuple[float, float]
     teacher: Box
 
     @classmethod
-    def build(cls, settings: skin.SkinCloud, context: Context) -> SkinCloud:
+    def build(cls, settings: SkinCloudSettings, context: Context) -> SkinCloud:
         start, teacher = context.start, settings.learn_from or context.name
         if teacher not in start.targets:
             raise InputError(f"{start.origin}: has no {teacher}, whose colours {context.name} learns from; add its box")

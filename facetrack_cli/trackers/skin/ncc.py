@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Image, Mask, factor_for
 from facetrack_cli.trackers.skin import ncc_kernels as kernel
-from facetrack_cli.trackers.skin.settings import Pattern
+from facetrack_cli.trackers.skin.settings import PatternSettings
 
 MIN_VARIANCE = 0.25  # grey levels squared: what varies less than by rounding is no pattern
 DENSE = 10.0  # what one pixel of a dense correlation takes, in points read directly
@@ -81,7 +81,7 @@ def correlate(template: Template, frame: Frame, x: Array) -> tuple[Array, Array]
     return _ratio(cross + mean * level, (variance + mean * mean) * square, view.seen), remove
 
 
-def adapted(template: Template, settings: Pattern, frame: Frame, state: Array) -> Template:
+def adapted(template: Template, settings: PatternSettings, frame: Frame, state: Array) -> Template:
     """The template after a frame whose estimate is `state` (1, 6)."""
     if settings.adapt == 0.0:
         return template

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import Likelihood, Refusal, Section, Target
+from facetrack_cli.recipe.sections import LikelihoodSettings, Refusal, Section, TargetSettings
 from facetrack_cli.recipe.times import SHARE
 
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
@@ -18,7 +18,7 @@ MaxSize: TypeAlias = Annotated[int, Field(ge=16)]
 LEAST_SHARE = 0.4
 
 
-class Skin(Section):
+class SkinSettings(Section):
     """Skin in a rectangle of two regions of equal area, the inner one the face (eq. 3 to 9)."""
 
     inner: Annotated[float, Field(ge=0.1, le=4)] = 1.0
@@ -29,7 +29,7 @@ class Skin(Section):
     """Boxes with a longer side, in pixels, are read from a reduced frame; null: every pixel."""
 
 
-class Pattern(Section):
+class PatternSettings(Section):
     """Normalised cross-correlation with the first frame's grey template (eq. 10)."""
 
     mean: Literal["keep", "remove"] = "keep"
@@ -44,15 +44,15 @@ class Pattern(Section):
     """As in skin.max_size."""
 
 
-class SkinNcc(Likelihood):
+class SkinNccSettings(LikelihoodSettings):
     """A face by skin colour, by a template, or by both together (eq. 11)."""
 
     engine = "facetrack_cli.trackers.skin.skin_ncc:SkinNcc.build"
     goes_with = ("region",)
     type: Literal["skin_ncc"]
-    skin: Skin | None = None
+    skin: SkinSettings | None = None
     """Skin in a rectangle of two regions (rho, eq. 9)."""
-    ncc: Pattern | None = None
+    ncc: PatternSettings | None = None
     """Normalised cross-correlation with a template (eq. 10)."""
     cost: Literal["shifted", "printed", "product"] = "shifted"
     """Eq. 11 compares k with rho / NCC as printed, with (1 + rho) / NCC, or, beyond the paper, with rho * NCC."""
@@ -68,7 +68,7 @@ class SkinNcc(Likelihood):
             yield Refusal(("cost",), "cost: product is that of skin and ncc; add ncc, or leave cost out")
 
 
-class SkinCloud(Likelihood):
+class SkinCloudSettings(LikelihoodSettings):
     """The probability that the colour of one pixel is skin; each particle is a pixel (Gianni et al. 2007)."""
 
     engine = "facetrack_cli.trackers.skin.cloud:SkinCloud.build"
@@ -84,7 +84,7 @@ class SkinCloud(Likelihood):
     """Of a target larger than this in pixels, particles are pixels of a reduced frame; null: of the clip's own."""
 
 
-class Cloud(Target):
+class CloudSettings(TargetSettings):
     """A cloud of pixels, whose mean is the target's place and whose spread is its size (Gianni et al. 2007)."""
 
     engine = "facetrack_cli.trackers.skin.cloud:CloudSpace.place"
@@ -92,7 +92,7 @@ class Cloud(Target):
     type: Literal["cloud"]
 
 
-class Exclusion(Section):
+class ExclusionSettings(Section):
     """Mutual exclusion of targets: a likelihood counts for less where another target is (section 3)."""
 
     strength: Annotated[float, Field(ge=0, le=1)]

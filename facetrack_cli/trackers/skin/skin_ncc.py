@@ -32,9 +32,9 @@ from facetrack_cli.engine.kernels.affine import boxes_extent
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.skin import ncc as matching
-from facetrack_cli.trackers.skin import settings as sections
 from facetrack_cli.trackers.skin import skin_kernels as kernel
 from facetrack_cli.trackers.skin.colour import learn_skin, note
+from facetrack_cli.trackers.skin.settings import SkinNccSettings
 
 MIN_NCC = 0.01  # what divides is at least this: a match of zero or below is as bad as can be, not of the other sign
 MIN_RHO = 0.05  # a start with hardly more skin within than around cannot scale a distance
@@ -56,11 +56,11 @@ class SkinPattern:
 class SkinNcc(Likelihood):
     """`size`: width and height of the box at scale 1, in pixels."""
 
-    settings: sections.SkinNcc
+    settings: SkinNccSettings
     size: tuple[float, float]
 
     @classmethod
-    def build(cls, settings: sections.SkinNcc, context: Context) -> SkinNcc:
+    def build(cls, settings: SkinNccSettings, context: Context) -> SkinNcc:
         return cls(settings, context.placed.size)
 
     def init(self, frame: Frame, x0: Array) -> SkinPattern:
