@@ -22,9 +22,8 @@ from facetrack_cli.core.yaml_tree import printable
 from facetrack_cli.engine.checks import check_size, check_start
 from facetrack_cli.start.init_file import SUFFIXES as INIT_SUFFIXES
 from facetrack_cli.start.init_file import default_path, find_init, read_init
-from facetrack_cli.trackers.appearance.gallery import name_problem
-from facetrack_cli.trackers.appearance.space import AffineSpace, Patches
-from facetrack_cli.trackers.appearance.subspaces import Rows
+from facetrack_cli.trackers.appearance.affine import AffineSpace, Patches
+from facetrack_cli.trackers.appearance.gallery import Rows, name_problem
 from facetrack_cli.trackers.face.detectors import find_faces
 from facetrack_cli.video import images
 from facetrack_cli.video.source import open_source

@@ -1,18 +1,35 @@
-"""facetrack gallery fit and show: files, words, refusals, and the figure."""
+"""facetrack gallery: faces read from folders of small images, files, words, refusals, and the figure."""
 
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from facetrack_cli.core.errors import UsageError
+from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.types import Frame
 from facetrack_cli.report.figures.gallery import calibrated, gallery_figure, kept
 from facetrack_cli.report.figures.style import DPI, WIDTH, render
+from facetrack_cli.start.gallery_images import (
+    SHIFT,
+    STRETCH,
+    TURN,
+    Reading,
+    count,
+    find_people,
+    moved,
+    near,
+    off,
+    read_faces,
+)
+from facetrack_cli.trackers.appearance.affine import Patches
 from facetrack_cli.trackers.appearance.gallery import load_gallery
 from facetrack_cli.trackers.appearance.gallery_fit import fit_gallery
-from tests.support.gallery_faces import NAMES, people_folder
-from tests.support.samples import FOLDER
+from facetrack_cli.trackers.face.detectors import find_faces
+from tests.support.gallery_faces import NAMES, face_of, people_folder
+from tests.support.media import write_video
 
 pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
 
@@ -49,11 +66,11 @@ def some_gallery(names, pictures=3, shape=(30, 26), seed=0):
 
 
 def test_fit_and_show(facetrack, clips):
-    code, out, err = facetrack("gallery", "fit", "IN/people", "-o", "own.npz")
+    code, out, err = facetrack("gallery", "fit", "IN/people", "-o", "own.npz", "--jitter", "1")
     assert (code, out) == (0, "")
     gallery = load_gallery(Path("own.npz"))
     assert gallery.names == NAMES and gallery.counts == (3, 3) and gallery.shape == (30, 26)
-    lines = err.splitlines()
+    lines = err[err.index("person") :].splitlines()
     assert [line.split() for line in lines[:3]] == [
         ["person", "used", "skipped"],
         ["collins", "3", "0"],
@@ -70,10 +87,9 @@ def test_fit_and_show(facetrack, clips):
     code, _, err = facetrack("gallery", "show", "own.npz")
     assert code == 2 and "own.png" in err and "--overwrite" in err
     assert facetrack("gallery", "show", "own.npz", "--overwrite")[0] == 0
-    for ending, begins in (("svg", b"<?xml"), ("PDF", b"%PDF")):
-        assert facetrack("gallery", "show", "own.npz", "-o", f"own.{ending}")[0] == 0
-        assert Path(f"own.{ending}").read_bytes().startswith(begins)
-    assert names_here() == ["own.PDF", "own.npz", "own.png", "own.svg"]
+    assert facetrack("gallery", "show", "own.npz", "-o", "own.PDF")[0] == 0
+    assert Path("own.PDF").read_bytes().startswith(b"%PDF")
+    assert names_here() == ["own.PDF", "own.npz", "own.png"]
 
 
 def test_without_matplotlib_show_says_how_to_get_it_and_writes_nothing(facetrack, clips, monkeypatch):
@@ -84,25 +100,11 @@ def test_without_matplotlib_show_says_how_to_get_it_and_writes_nothing(facetrack
     assert names_here() == ["gallery.npz"]
 
 
-def test_the_sample_gallery_is_whole(facetrack):
-    code, _, err = facetrack("gallery", "fit", FOLDER / "gallery", "--jitter", "0")
-    assert code == 0 and "warning" not in err
-    gallery = load_gallery(Path("gallery.npz"))
-    assert len(gallery.names) == 6 and gallery.counts == (5,) * 6
-
-
-def test_template_is_width_by_height(facetrack, clips):
-    assert facetrack("gallery", "fit", "IN/people", "--template", "13x15", "-q")[0] == 0
-    assert load_gallery(Path("gallery.npz")).shape == (15, 13)
-    code, out, _ = facetrack("gallery", "show")
-    assert code == 0 and "template: 13 points across, 15 down" in out
-
-
 def test_a_single_picture_each_is_told_and_without_copies_refused(facetrack, clips):
     code, _, err = facetrack("gallery", "fit", "IN/single", "--jitter", "0")
     assert code == 3 and f"{clips}/single: " in err and "cannot be learned" in err and "--jitter" in err
     assert err.count("\n") == 1 and names_here() == []
-    code, _, err = facetrack("gallery", "fit", "IN/single")
+    code, _, err = facetrack("gallery", "fit", "IN/single", "--jitter", "1")
     note = [line for line in err.splitlines() if line.startswith("note: ")]
     assert code == 0 and len(note) == 1 and "collins, hopper" in note[0] and "cannot be learned" in note[0]
     assert note[0] in facetrack("gallery", "show")[1].splitlines()
@@ -135,8 +137,10 @@ def test_what_is_there_is_not_replaced(facetrack):
     assert code == 3 and "gallery.npz: is not a usable gallery" in err
     code, _, err = facetrack("gallery", "show", "-o", "look.jpg")
     assert code == 2 and "look.jpg" in err and ".png" in err
-    assert facetrack("gallery", "fit", "IN/people", "--overwrite", "-q", "--jitter", "0")[0] == 0
-    assert load_gallery(Path("gallery.npz")).names == NAMES
+    # the template is width by height
+    assert facetrack("gallery", "fit", "IN/people", "--overwrite", "-q", "--jitter", "0", "--template", "13x15")[0] == 0
+    gallery = load_gallery(Path("gallery.npz"))
+    assert gallery.names == NAMES and gallery.shape == (15, 13)
 
 
 @pytest.mark.parametrize("place", ["start.gallery_images.find_faces", "core.files.publish"])
@@ -150,6 +154,236 @@ def test_an_interrupt_leaves_nothing_behind(facetrack, monkeypatch, place):
     assert names_here() == []
 
 
+# --- folders of faces -------------------------------------------------------------------------------------------------
+
+
+def faces_of(folder, **how):
+    """What was read, and what was warned of."""
+    said = []
+    reading = Reading(**how)
+    return read_faces(find_people(folder, said.append), reading, said.append), said
+
+
+def refused(folder, **how):
+    with pytest.raises(InputError) as caught:
+        faces_of(folder, **how)
+    message = str(caught.value)
+    assert "\n" not in message and str(folder) in message
+    return message
+
+
+@pytest.fixture
+def people(tmp_path):
+    return people_folder(tmp_path / "people", 2)
+
+
+# --- whose folders -------------------------------------------------------------------------------------------------
+
+
+def test_persons_are_folders_and_their_pictures_in_natural_order(people):
+    for name in ("10.jpg", "9.png", ".hidden.jpg", "notes.txt", "boxes.csv", "1.init.yaml", "list.json"):
+        (people / "collins" / name).touch()
+    (people / ".cache").mkdir()
+    (people / "readme.md").touch()
+    said = []
+    collins, hopper = find_people(people, said.append)
+    assert (collins.name, hopper.name, said) == ("collins", "hopper", [])
+    assert [item.path.name for item in collins.items] == ["1.png", "2.png", "9.png", "10.jpg"]
+    assert [item.init and item.init.name for item in collins.items] == ["1.init.yaml", None, None, None]
+    assert count([collins, hopper], Reading()) == 6
+
+
+def test_what_is_no_gallery_is_refused(tmp_path):
+    folder = tmp_path / "people"
+    assert "no such folder" in refused(folder)
+    folder.touch()
+    assert "is no folder" in refused(folder)
+    folder.unlink()
+    folder.mkdir()
+    assert "is empty" in refused(folder)
+    (folder / "a.jpg").touch()
+    assert "no folders" in refused(folder) and str(folder / "anna" / "a.jpg") in refused(folder)
+    (folder / "anna").mkdir()
+    assert f"{folder / 'anna'}: no image or video" in refused(folder)
+    (folder / "anna" / "1.jpg").touch()
+    assert "anna is the only person" in refused(folder)
+    (folder / "none").mkdir()
+    assert "'none'" in refused(folder) and "rename" in refused(folder)
+
+
+def test_two_folders_of_one_name_are_refused_or_told(people):
+    said = []
+    (people / "hopper").rename(people / "Collins")
+    if not (people / "collins" / "1.png").samefile(people / "Collins" / "1.png"):
+        assert len(find_people(people, said.append)) == 2
+        assert len(said) == 1 and f"{people / 'Collins'}" in said[0] and "are two persons" in said[0]
+    (people / "Collins").rename(people / "Ame\u0301lie ")
+    (people / "collins").rename(people / "Am\u00e9lie")
+    assert "are both called Am\u00e9lie" in refused(people)
+    (people / "Am\u00e9lie").rename(people / "collins")
+    assert [one.name for one in find_people(people, said.append)] == ["Am\u00e9lie", "collins"]
+
+
+# --- which face ----------------------------------------------------------------------------------------------------
+
+
+def test_a_person_of_whom_nothing_is_left_is_refused(people):
+    for path in (people / "hopper").iterdir():
+        path.write_text("no image")
+    message = refused(people)
+    assert f"{people / 'hopper'}: no face of hopper" in message and "init file" in message
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("frame: 0\na: {box: [40, 40, 60, 60]}\nb: {box: [40, 40, 60, 60]}", "2 targets, a, b"),
+        ("frame: 0\nbox: [900, 40, 60, 60]", "outside the frame"),
+        ("frame: 0\nbox: [40, 40, 3, 3]", "smaller than"),
+        ("frame: 3\nbox: [40, 40, 60, 60]", "is an image; write frame: 0"),
+        ("frame: 0\npoints: {nose: [50, 50]}", "no box of face"),
+        ("frame: 0\nbocks: [1, 2, 3, 4]", "box"),
+        ("", "empty"),
+    ],
+)
+def test_init_files_that_do_not_fit_are_refused(people, text, said):
+    (people / "collins" / "1.init.yaml").write_text(text)
+    message = refused(people)
+    assert said in message and "1.init.yaml" in message
+
+
+def test_of_several_faces_the_largest_is_taken_and_said(people):
+    small, large = face_of("collins", 0), face_of("hopper", 0)
+    small = cv2.resize(small, None, fx=0.6, fy=0.6, interpolation=cv2.INTER_AREA)
+    both = np.full((large.shape[0], large.shape[1] + small.shape[1], 3), 128, np.uint8)
+    both[:, : large.shape[1]] = large
+    both[: small.shape[0], large.shape[1] :] = small
+    (people / "hopper" / "2.png").unlink()
+    cv2.imwrite(str(people / "hopper" / "2.png"), both)
+    alone = faces_of(people_folder(people.parent / "again", 1))[0].patches[1]
+    faces, said = faces_of(people)
+    assert len(said) == 1 and "2.png: 2 faces; the largest" in said[0] and "2.init.yaml" in said[0]
+    assert float(faces.patches[3] @ alone) / alone.size > 0.9
+
+
+# --- copies and counter-examples -----------------------------------------------------------------------------------
+
+
+def test_copies_follow_their_picture_and_hardly_differ_from_it(people):
+    plain, _ = faces_of(people)
+    faces, _ = faces_of(people, jitter=3)
+    assert faces.images == (0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3)
+    assert faces.persons == ("collins",) * 8 + ("hopper",) * 8
+    np.testing.assert_array_equal(faces.patches[::4], plain.patches)
+    own = (faces.patches.reshape(4, 4, -1) * faces.patches[::4][:, None]).mean(2)
+    assert own[:, 1:].max() < 0.999 and own[:, 1:].min() > 0.7
+    assert faces.patches[:1].size * len(faces.negatives) >= 240 * 780 * 0.9
+    best = (faces.negatives @ plain.patches.T / 780).max(1)
+    assert np.median(best) < 0.4 and best.max() < 0.85
+    assert np.isfinite(faces.negatives).all() and faces.negatives.any(1).all()
+
+
+@given(st.integers(0, 10**6), st.integers(0, 200))
+def test_ways_stay_within_what_is_said_and_do_not_depend_on_how_many_are_asked_for(first, number):
+    close, away = near(first, number), off(first, number)
+    assert close.shape == away.shape == (number, 4)
+    assert (np.abs(close[:, :2]) <= SHIFT).all() and (np.abs(close[:, 2]) <= np.log1p(STRETCH)).all()
+    assert (np.abs(close[:, 3]) <= np.radians(TURN)).all()
+    np.testing.assert_array_equal(near(first, number + 3)[:number], close)
+    np.testing.assert_array_equal(off(first, number + 3)[:number], away)
+    displaced = np.hypot(away[:, 0], away[:, 1]) >= 0.2 - 1e-9
+    resized, turned = np.abs(away[:, 2]) >= 0.4 - 1e-9, np.abs(away[:, 3]) >= np.radians(30.0) - 1e-9
+    assert (displaced | resized | turned).all()
+
+
+def test_a_state_is_moved_by_sides_of_its_box():
+    x = np.array([10.0, 20.0, 1.0, 0.0, 0.0, 1.0])
+    ways = np.array([[0.1, -0.5, 0.0, 0.0], [0.0, 0.0, np.log(2.0), np.pi / 2]])
+    np.testing.assert_allclose(
+        moved(x, (0, 0, 40, 50), ways), [[14, -5, 1, 0, 0, 1], [10, 20, 0, -2, 2, 0]], atol=1e-12
+    )
+
+
+@pytest.fixture(scope="module")
+def read(tmp_path_factory):
+    """What is read of a folder that has everything odd: its faces, what was said, and the folder."""
+    folder = people_folder(tmp_path_factory.mktemp("odd") / "people", 2)
+    (folder / "stray.jpg").touch()
+    (folder / "hopper" / "empty").mkdir()
+    rng = np.random.default_rng(0)
+    cv2.imwrite(str(folder / "collins" / "wall.png"), rng.integers(90, 110, (120, 160, 3), np.uint8))
+    (folder / "collins" / "broken.jpg").write_text("no image")
+    (folder / "collins" / "sound.mp3").write_text("no video")
+    cv2.imwrite(str(folder / "hopper" / "flat.png"), np.full((120, 160, 3), 77, np.uint8))
+    (folder / "hopper" / "flat.init.yaml").write_text("frame: 0\nbox: [40, 40, 60, 60]\n")
+    for name in ("collins/9.png", "hopper/9.png"):
+        (folder / name).write_bytes((folder / "collins" / "1.png").read_bytes())
+    box = find_faces(face_of("hopper", 0))[0]
+    (folder / "hopper" / "1.init.yaml").write_text(f"frame: 0\nanna: {{box: {[box[0] + 9, *box[1:]]}}}\n")
+    return *faces_of(folder, shape=(15, 13)), folder
+
+
+def test_what_shows_no_face_or_one_again_is_skipped_with_a_warning_that_names_it(read):
+    faces, said, folder = read
+    assert faces.used == {"collins": 2, "hopper": 2} and faces.skipped == {"collins": 4, "hopper": 2}
+    first = folder / "collins" / "1.png"
+    for line in (
+        f"{folder / 'collins' / '9.png'}: the same face as {first}; skipped",
+        f"{folder / 'hopper' / '9.png'}: the same face as {first}, which is collins; skipped",
+    ):
+        assert line in said
+    for name in ("wall.png: no face found", "broken.jpg: ", "sound.mp3: ", "flat.png: nothing to see"):
+        assert sum(name in line and "skipped" in line for line in said) == 1, name
+    assert sum("stray.jpg" in line for line in said) == sum("empty" in line for line in said) == 1
+    assert len(said) == 8
+
+
+def test_a_face_is_read_as_the_tracker_reads_one_that_begins_in_its_box(read):
+    faces, _, folder = read
+    assert faces.persons == ("collins", "collins", "hopper", "hopper")
+    for index, name, right in ((0, "collins", 0), (2, "hopper", 9)):  # an init file moved the second
+        picture = cv2.imread(str(folder / name / "1.png"))
+        x, y, w, h = find_faces(picture)[0]
+        patches = Patches(size=(w, h), shape=(15, 13))
+        state = np.array([[[x + right + (w - 1) / 2, y + (h - 1) / 2, 1.0, 0.0, 0.0, 1.0]]])
+        expected = patches.read(Frame(0, 0.0, picture), state, patches.factor(state[0]))[0]
+        assert float(faces.patches[index] @ expected) / expected.size > 0.999
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory):
+    """A clip of hopper: her face, which goes right by two pixels a frame, in the first 6 frames of 8; stills of it."""
+    folder, face = people_folder(tmp_path_factory.mktemp("clip") / "people", 2), face_of("hopper", 0)
+    frames = [np.roll(face, 2 * index, axis=1) if index < 6 else np.full_like(face, 60) for index in range(8)]
+    for path in (folder / "hopper").iterdir():
+        path.unlink()
+    write_video(folder / "hopper" / "clip.avi", frames=frames, size=(face.shape[1], face.shape[0]))
+    (folder / "hopper" / "stills").mkdir()
+    for index in range(3):
+        cv2.imwrite(str(folder / "hopper" / "stills" / f"{index}.png"), frames[index])
+    return folder
+
+
+def test_frames_of_a_clip_are_spread_between_start_and_stop(clip):
+    faces, said = faces_of(clip, frames=4)  # frames 1, 3, 5, 7 of the clip, 0 to 2 of the folder
+    assert faces.used["hopper"] == 6 and faces.skipped["hopper"] == 1
+    assert len(said) == 1 and "no face found in 1 of 4 frames" in said[0] and "frame 7" in said[0]
+    faces, said = faces_of(clip, start=3, stop=5)
+    assert faces.used["hopper"] == 2 and faces.skipped["hopper"] == 1
+    assert len(said) == 1 and "stills" in said[0] and "past the end" in said[0]
+
+
+def test_the_init_file_of_a_clip_gives_its_one_face(clip):
+    x, y, w, h = find_faces(face_of("hopper", 0))[0]
+    init = clip / "hopper" / "clip.init.yaml"
+    init.write_text(f"frame: 5\nbox: [{x + 10}, {y}, {w}, {h}]\n")
+    assert faces_of(clip, frames=2)[0].used["hopper"] == 1 + 2
+    assert "only frames 0 to 3 are to be used" in refused(clip, stop=4)
+    init.write_text("frame: 90\nbox: [30, 30, 60, 60]\n")
+    assert "clip.init.yaml" in refused(clip) and "past the end" in refused(clip)
+    init.unlink()
+
+
 # --- the figure ----------------------------------------------------------------------------------------------------
 
 LONG = "Ada Augusta King, Countess of Lovelace, of Ockham Park"
@@ -159,7 +393,7 @@ def drawn(gallery, title="gallery.npz"):
     return cv2.imdecode(np.frombuffer(render(gallery_figure(gallery, title=title)), np.uint8), cv2.IMREAD_COLOR)
 
 
-@pytest.mark.parametrize("count", [2, 10, *(pytest.param(count, marks=pytest.mark.nightly) for count in (60, 90))])
+@pytest.mark.parametrize("count", [10, *(pytest.param(count, marks=pytest.mark.nightly) for count in (60, 90))])
 def test_the_figure_has_everyone_in_it(count):
     names = [f"person {number:03}" for number in range(count)]
     gallery = some_gallery(names, pictures=2, shape=(15, 13))
@@ -179,12 +413,9 @@ def test_the_figure_has_everyone_in_it(count):
     assert (drawn(gallery) == picture).all()
 
 
-@pytest.mark.one_in(4)
-@pytest.mark.parametrize(
-    "name", [LONG, LONG.replace(" ", ""), "Ñandú Žižek", "李小龍", "a", "$x_1^2$", "x" * 300, "_a"]
-)
-def test_names_of_every_kind_are_drawn(name):
-    picture = drawn(some_gallery([name, "ben"]), name)
+def test_names_of_every_kind_are_drawn():
+    names = [LONG, LONG.replace(" ", ""), "Ñandú Žižek", "李小龍", "a", "$x_1^2$", "x" * 100, "_a"]
+    picture = drawn(some_gallery(names), names[0])
     assert (picture[:, -20:] == 255).all()
     assert (picture < 128).any(2).sum() > 5000
 

@@ -1,24 +1,31 @@
-"""Recipes of affine targets and galleries at the command line: what users meet, and what is wrong said in one line."""
+"""The recipes of Zhou et al. from clip to files: scale, who it is, goldens, and what is wrong said in one line."""
 
+import csv
 import json
 import re
 import shutil
 import textwrap
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
-from facetrack_cli.core.models import shipped_recipes
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import ExitCode
+from facetrack_cli.core.geometry import iou
+from facetrack_cli.evaluation.goldens import find_goldens, read_golden
 from facetrack_cli.recipe.gallery_option import with_gallery
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.trackers.appearance.gallery_fit import fit_gallery
+from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.reader import read_trajectory
 from tests.support.media import write_pictures
 from tests.support.samples import FOLDER, read_pictures
 from tests.support.terminal import refusal
 
 BOX = "[78.41, 79.91, 66, 66]"
-
+PEOPLE = FOLDER / "people.npz"
 
 RECOGNITION = (FOLDER.parent / "configs" / "adaptive_recognition.yaml").read_text().partition("seed: 0\n")[2]
 
@@ -31,7 +38,7 @@ def some_gallery(shape=(30, 26), names=("anna", "ben", "cleo")):
     faces = np.repeat(rng.normal(size=(len(names), 15)), 4, axis=0) + 0.3 * rng.normal(size=(4 * len(names), 15))
     x = faces @ waves.reshape(15, -1) + rng.normal(0.0, 0.05, (4 * len(names), waves[0].size))
     x = (x - x.mean(1, keepdims=True)) / x.std(1, keepdims=True)
-    return fit_gallery(x, np.repeat(names, 4).tolist(), shape)
+    return fit_gallery(x, np.repeat(names, 4).tolist(), shape, negatives=rng.normal(size=(20, waves[0].size)))
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +62,6 @@ def clips(tmp_path_factory):
     np.savez(folder / "pickled.npz", **{**arrays, "names": np.array(["a", "b", "c"], object)})
     whole = (folder / "people.npz").read_bytes()
     (folder / "half.npz").write_bytes(whole[: len(whole) // 2])
-    (folder / "empty.npz").touch()
-    (folder / "picture.npz").write_bytes(next((folder / "zoom").iterdir()).read_bytes())
     (folder / "folder").mkdir()
     return folder
 
@@ -68,6 +73,105 @@ def refused(result, code):
 
 def run(facetrack, *args, config="adaptive_recognition", clip="zoom"):
     return facetrack("run", f"IN/{clip}", "--config", config, "--no-video", "-q", *args)
+
+
+# --- tracking, and who it is: ten seeds gave the thresholds; beside each stands what the worst of them had ----------
+
+
+def followed(facetrack, clip, recipe, *more):
+    """The finished run, its one box, the overlap with the truth, and the scale beside the true one, both 1 at first."""
+    code, _, err = facetrack("run", FOLDER / f"{clip}.mp4", "--config", recipe, "-q", "-o", "out", *more)
+    assert (code, err) == (0, "")
+    run = read_trajectory(Path("out"))
+    (part,) = run.parts
+    truth = read_truth(FOLDER / f"{clip}.truth.csv").parts[0].take(part.frame)
+    scale = np.sqrt(((part.w / part.w[0]) ** 2 + (part.h / part.h[0]) ** 2) / 2)
+    side = np.sqrt(truth.w * truth.h)
+    return run, part, iou(part.boxes, truth.boxes), scale, side / side[0]
+
+
+@pytest.mark.parametrize(
+    ("clip", "growth", "alike", "error", "overlap"),
+    [("zoom", 3, 0.97, 0.25, 0.78), ("lamp", 1, 0.75, 0.6, 0.75)],  # 3.2, .995, .16, .845; 1.3, .857, .44, .830
+)
+def test_the_scale_follows_the_truth(facetrack, clip, growth, alike, error, overlap):
+    _, _, found, scale, true = followed(facetrack, clip, "adaptive", "--no-video")
+    assert true.max() / true.min() > growth, "the clip has something to follow"
+    assert np.corrcoef(scale, true)[0, 1] > alike
+    off = np.exp(np.abs(np.log(scale / true))) - 1
+    assert np.median(off) < 0.13 and off.max() < error
+    assert found.mean() > overlap
+
+
+def test_a_run_writes_who_it_is_into_table_json_and_video(facetrack):
+    more = ["--gallery", PEOPLE, "--stop", 30]
+    run, face, overlap, _, _ = followed(facetrack, "zoom", "adaptive_recognition", *more)
+    passed = run.recognised(run.targets[0], "hopper")
+    assert passed is not None and passed <= 10  # 2
+    later = face.frame >= 10
+    assert (face.identity[later] == "hopper").all() and face.identity_prob[later].min() > 0.9
+    assert face.identity[0] == "" and (face.identity[1:] != "").all()
+    assert overlap.mean() > 0.75 and face.particles[1:].mean() < 80  # .839, 64
+    with Path("out/trajectory.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 30 and rows[0]["identity"] == rows[0]["identity_prob"] == ""
+    assert rows[-1]["identity"] == "hopper" and float(rows[-1]["identity_prob"]) > 0.99
+
+    whole = json.loads(Path("out/trajectory.json").read_text())
+    assert whole["recipe"]["recognition"]["gallery"].endswith("people.npz")
+    targets = [frame["targets"][0] for frame in whole["frames"]]
+    first, last = targets[0], targets[-1]
+    assert list(first["posterior"].values()) == [pytest.approx(1 / 6, abs=1e-4)] * 6 and "identity" not in first
+    assert last["identity"] == "hopper" and sum(last["posterior"].values()) == pytest.approx(1, abs=1e-3)
+    assert first["entropy"] == pytest.approx(np.log(6), abs=1e-3) and last["entropy"] < 0.1
+    a1, a2, a3, a4, x, y = last["affine"]
+    assert last["scale"] == pytest.approx(np.sqrt((a1**2 + a2**2 + a3**2 + a4**2) / 2), abs=1e-3)
+    (part,) = last["parts"]
+    assert (part["x"], part["y"]) == pytest.approx((x, y), abs=1e-3)
+    assert all(0.5 <= target["noise"] <= 2 and target["error"] > 0 for target in targets[1:])
+    (found,) = run.diagnostics.values()
+    assert found.labels["posterior"] == ("collins", "hopper", "ines", "marta", "otto", "viktor")
+    assert found.get("posterior").shape == (30, 6) and found.get("affine").shape == (30, 6)
+    assert "diagnostics" not in whole, "every version knows these"
+
+    video, plain = cv2.VideoCapture("out/annotated.mp4"), cv2.VideoCapture(str(FOLDER / "zoom.mp4"))
+    frames = [(video.read()[1], plain.read()[1]) for _ in range(30)]
+    assert not video.read()[0], "as many frames as were tracked"
+    # the insets S and W at the lower left are grey, what was there is not
+    drawn, shown = (np.quantile(np.ptp(one[195:234, 6:84].astype(int), axis=2), 0.9) for one in frames[-1])
+    assert drawn < 25 < 50 < shown
+
+
+def test_a_golden_holds_who_it_is_and_finds_its_gallery(tmp_path, capfd, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    folder = Path("clips")
+    folder.mkdir()
+    for name in ("zoom.mp4", "zoom.init.yaml", "people.npz"):
+        shutil.copy(FOLDER / name, folder)
+
+    def regress(*more):
+        code = main(["regress", "clips", "-q", *map(str, more)])
+        return code, capfd.readouterr().out
+
+    first = ["--update", "--config", "adaptive_recognition", "--stop", 5]
+    code, out = regress(*first)
+    assert code == ExitCode.BATCH and "not recorded: " in out and "--gallery FILE" in out
+    assert regress(*first, "--gallery", "clips/people.npz")[0] == 0
+    (path,) = find_goldens(folder)
+    golden, before = read_golden(path), path.read_bytes()
+    assert golden.names == {"face": "hopper"} and golden.gallery == "people.npz"
+    assert golden.settings["recognition"]["gallery"] == "people.npz" and str(tmp_path) not in path.read_text()
+    assert {"identity", "particles", "angle", "w"} <= golden.spread["face/box"].keys()
+    code, out = regress()
+    assert code == 0 and "the same rows" in out
+    assert regress("--update")[0] == 0 and path.read_bytes() == before, "with the gallery that it remembers"
+    some_gallery().save(Path("other.npz"))
+    code, out = regress("--gallery", "other.npz")
+    assert code == ExitCode.REGRESSION and "face/box: mean identity 0, of recorded seeds " in out
+    assert "not as recorded: " in out
+    (folder / "people.npz").unlink()
+    code, out = regress()
+    assert code == ExitCode.REGRESSION and "people.npz is not there; put it back, or name another with --gallery" in out
 
 
 # --- recipes -------------------------------------------------------------------------------------------------------
@@ -109,28 +213,19 @@ def test_mistakes_in_a_recipe_of_an_affine_target(recipe, keys, said):
     [
         ("missing.npz", 3, ["no such file", "facetrack gallery fit"]),
         ("folder", 3, ["is a folder", "facetrack gallery fit"]),
-        ("empty.npz", 3, ["no .npz of plain arrays"]),
-        ("picture.npz", 3, ["no .npz of plain arrays"]),
         ("half.npz", 3, ["no .npz of plain arrays"]),
         ("pickled.npz", 3, ["no .npz of plain arrays"]),
         ("newer.npz", 3, ["version 2", "reads version 1"]),
         ("small.npz", 2, ["24 points high and 20 wide", "30 points high and 26 wide", "fit a gallery of that size"]),
-        ("x" * 300, 3, ["no such file"]),
     ],
 )
-@pytest.mark.parametrize("how", ["run", "compare", "regress"])
-def test_a_file_that_is_no_gallery_of_the_recipe(facetrack, how, file, code, said):
-    one = ["--config", "adaptive_recognition"]
-    args = {
-        "run": ["run", "IN/zoom", *one],
-        "compare": ["compare", "IN/zoom", "--truth", FOLDER / "zoom.truth.csv", "--seeds", 2, *one],
-        "regress": ["regress", "IN/.", *one],
-    }[how]
-    if how == "regress" and file == "small.npz":
-        return  # a gallery of its own right
-    told = refused(facetrack(*args, "--gallery", f"IN/{file}"), code)
-    assert all(part in told for part in said) and file[:20] in told
-    assert not list(Path().iterdir())
+def test_a_file_that_is_no_gallery_of_the_recipe(facetrack, file, code, said):
+    for how in (["run", "IN/zoom"], ["compare", "IN/zoom", "--truth", FOLDER / "zoom.truth.csv"], ["regress", "IN/."]):
+        if how[0] == "regress" and file == "small.npz":
+            continue  # a gallery of its own right
+        told = refused(facetrack(*how, "--config", "adaptive_recognition", "--gallery", f"IN/{file}"), code)
+        assert all(part in told for part in said) and file[:20] in told
+        assert not list(Path().iterdir())
 
 
 def test_a_shape_prior_is_no_gallery(facetrack):
@@ -158,11 +253,7 @@ def test_a_recipe_that_cannot_recognise(facetrack, config, said):
     assert told.startswith(f"--gallery: {config}") and said in told and "take adaptive_recognition" in told
 
 
-NAMES = ["no", "1e3", "null", "~x", "a: b", "[a]", "#x", "it's", 'q"q', "back\\slash", "a b", "é ü", "- a", "{a: b}",
-         "&a", "new\nline", "affine", "x,y", "%41"]  # fmt: skip
-
-
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["no", "1e3", "~x", "a: b", "[a]", "#x", 'q"q', "back\\slash", "é ü", "new\nline"])
 def test_a_gallery_may_have_any_name(facetrack, clips, name):
     shutil.copy(clips / "people.npz", name)
     code, _, err = run(facetrack, "--stop=2", "--gallery", name, "-o", "out")
@@ -210,43 +301,25 @@ def test_in_a_comparison_the_gallery_goes_to_the_recipes_that_recognise():
 
 
 def test_several_clips_are_each_told_who_is_in_them(facetrack):
-    code, _, err = facetrack(
-        "run",
-        "IN/zoom",
-        "IN/other",
-        "--config",
-        "adaptive_recognition",
-        "--gallery",
-        "IN/people.npz",
-        "-j",
-        2,
-        "-o",
-        "out",
-    )
+    asked = ["run", "IN/zoom", "IN/other", "--config", "adaptive_recognition", "--no-video"]
+    code, _, err = facetrack(*asked, "--gallery", "IN/people.npz", "-j", 1, "-o", "out")
     assert code == 0 and not re.search("warning|error", err)
     one, other = (Path(f"out/{name}-adaptive_recognition/trajectory.csv").read_text() for name in ("zoom", "other"))
     assert one == other and "anna" in one + "anna"
     # a mistake in what is common to all clips is said once, before any
-    told = refused(
-        facetrack("run", "IN/zoom", "IN/other", "--config", "adaptive_recognition", "--gallery=IN/half.npz"), 3
-    )
-    assert "half.npz" in told
+    assert "half.npz" in refused(facetrack(*asked, "--gallery=IN/half.npz"), 3)
 
 
 # --- clips ---------------------------------------------------------------------------------------------------------
 
-SEVEN = [path.stem for path in shipped_recipes() if re.match("adaptive|fixed_template", path.stem)]
 
-
-@pytest.mark.one_in(3)
-@pytest.mark.parametrize("config", SEVEN)
+@pytest.mark.parametrize("config", ["adaptive_recognition", "fixed_template"])
 def test_clips_and_boxes_of_every_kind(facetrack, config):
     known = ["--gallery=IN/people.npz"] if config == "adaptive_recognition" else []
 
     def track(clip, box):
         return run(facetrack, "--box", box, "-o", "-", *known, config=config, clip=clip)
 
-    assert len(SEVEN) == 7
     for clip, box in (
         ("grey", "79,80,66,66"),
         ("zoom", "-15,-15,66,66"),

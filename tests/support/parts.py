@@ -6,6 +6,7 @@ from functools import partial
 from facetrack_cli.engine import filters as steps
 from facetrack_cli.recipe.sections import type_of
 from facetrack_cli.recipe.shared import AuxiliarySettings, FactorizedSettings, SirSettings
+from facetrack_cli.trackers.appearance.affine import AffineWalk, PredictedWalk
 from facetrack_cli.trackers.appearance.appearance import Appearance
 from facetrack_cli.trackers.appearance.recognition import Recognition
 from facetrack_cli.trackers.appearance.settings import (
@@ -15,7 +16,6 @@ from facetrack_cli.trackers.appearance.settings import (
     ComponentsSettings,
     RecognitionSettings,
 )
-from facetrack_cli.trackers.appearance.velocity import AffineWalk, PredictedWalk
 from facetrack_cli.trackers.box import filters as box
 from facetrack_cli.trackers.box.hidden_box import VisibleWalk
 from facetrack_cli.trackers.box.settings import GuidedSettings, PeakSettings, VisibleWalkSettings

@@ -1,9 +1,8 @@
 """The adaptive appearance model W, S, F: its densities, what it learns, and where its peak lies."""
 
-import math
+import re
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,12 +10,12 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.engine.kernels.compiled import exact
-from facetrack_cli.trackers.appearance import mixture_kernels as kernel
+from facetrack_cli.trackers.appearance import appearance_kernels as kernel
+from facetrack_cli.trackers.appearance.affine import Patches
 from facetrack_cli.trackers.appearance.appearance import OUTLIER_RANGE, Mixture
-from facetrack_cli.trackers.appearance.mixture_kernels import _exp2
-from facetrack_cli.trackers.appearance.space import Patches
+from facetrack_cli.trackers.appearance.appearance_kernels import _exp2
 from tests.support.parts import appearance, changed, components
-from tests.tracking.test_patches import frame, smooth, state, states
+from tests.tracking.test_affine import frame, smooth, state, states
 from tests.twins import appearance as naive
 
 PATCHES = Patches((40.0, 50.0))
@@ -40,9 +39,7 @@ def mixture(rng, d, off=(), laplace=False, outlier=0.0):
 
 
 def log_densities(learned, y):
-    return kernel.log_densities(
-        y, learned.mu, *learned.terms, learned.outlier / OUTLIER_RANGE, learned.laplace
-    )  # fmt: skip
+    return kernel.log_densities(y, learned.mu, *learned.terms, learned.outlier / OUTLIER_RANGE, learned.laplace)
 
 
 def taught(learned, y, alpha=0.1, least_sigma=0.05, least_mixing=0.01):
@@ -70,14 +67,14 @@ def powers(x):
 
 
 def test_powers_of_two_are_as_exact_as_float32():
-    x = np.concatenate([np.linspace(-125.9, 0, 200_001), [0.0, -0.5, -1.0, -1.5]]).astype(np.float32)
+    x = np.concatenate([np.linspace(-125.9, 0, 20_001), [0.0, -0.5, -1.0, -1.5]]).astype(np.float32)
     np.testing.assert_allclose(powers(x), np.exp2(x.astype(np.float64)), rtol=4e-7)
     assert powers(np.array([-1e30, -np.inf], np.float32)) == pytest.approx(0, abs=1e-37)
 
 
 @KINDS
-@settings(max_examples=15)
-@given(st.integers(0, 10**6), st.sampled_from([1, 7, 33, 480, 500]), st.floats(0.5, 3))
+@settings(max_examples=6)
+@given(st.integers(0, 10**6), st.sampled_from([1, 33, 500]), st.floats(0.5, 3))
 def test_densities_equal_the_plain_twin(off, laplace, outlier, seed, d, spread):
     rng = np.random.default_rng(seed)
     learned = mixture(rng, d, off, laplace, outlier)
@@ -107,7 +104,7 @@ def test_far_from_all_components_the_nearest_one_counts(laplace):
 
 
 @KINDS
-@settings(max_examples=15)
+@settings(max_examples=6)
 @given(st.integers(0, 10**6), st.floats(0.01, 0.9), st.sampled_from([0.0, 0.01, 0.2]))
 def test_learning_equals_the_plain_twin(off, laplace, outlier, seed, alpha, least_mixing):
     rng, d = np.random.default_rng(seed), 9
@@ -125,35 +122,6 @@ def test_learning_equals_the_plain_twin(off, laplace, outlier, seed, alpha, leas
     found = learned.m, learned.mu, learned.sigma, learned.moments
     for mine, theirs in zip(found, zip(*twin, strict=True), strict=True):
         np.testing.assert_allclose(mine, np.array(theirs).T, rtol=1e-4, atol=1e-5)
-
-
-@pytest.mark.nightly
-@settings(max_examples=25)
-@given(
-    st.integers(0, 10**6), st.sampled_from([1e-3, 0.05, 0.5, 1.0]), st.sampled_from([0.0, 1e-3, 0.05, 0.5]),
-    st.sampled_from([1e-3, 0.05, 1.0]), st.sampled_from(["gaussian", "laplace"]), st.sampled_from([None, 0.1]),
-    st.sampled_from([(0.3, 0.3, 0.4), (0, 0, 1), (0, 1, 0), (1, 0, 0), (0.5, 0.5, 0)]),
-)  # fmt: skip
-@pytest.mark.nightly
-def test_nothing_drifts_away_in_thousands_of_frames(seed, alpha, floor, least_sigma, density, outlier, mixing):
-    rng = np.random.default_rng(seed)
-    f, model = frame(smooth(1)), changed(MODEL, density=density, outlier=outlier, mixing=components(*mixing))
-    learned = model.init(f, TRUTH)
-    face, pictures = learned.mu[F].copy(), rng.normal(size=(7, math.prod(PATCHES.shape))).astype(np.float32)
-    for k in range(2000):
-        # long rests, so that variances go to their floor, and then something else, of which some is unseen
-        y = face if k % 500 < 400 else pictures[k % 7] * np.float32(10.0 ** (k % 3 - 1))
-        learned = taught(learned, np.where(face * (k % 5) > 4, 0, y), alpha, least_sigma, floor)
-    for values in (learned.m, learned.mu, learned.sigma, learned.moments, *learned.terms):
-        assert np.isfinite(values).all()
-    assert learned.m.sum(axis=0) == pytest.approx(1, abs=1e-5)
-    assert learned.sigma.min() >= np.float32(min(least_sigma, *SIGMA.each))
-    for i in (W, S, F):
-        assert (learned.m[i] > 0).all() if mixing[i] > 0 and floor > 0 else True
-        assert mixing[i] > 0 or not learned.m[i].any(), "what is out stays out"
-    # S is within what was shown
-    assert abs(learned.mu[S]).max() <= 10 * abs(pictures).max()
-    assert np.isfinite(log_densities(learned, pictures)).all()
 
 
 def test_the_moments_at_the_start_give_back_what_they_were_made_of():
@@ -192,8 +160,8 @@ def moved(rows):
     return (TRUTH[0, 0] + dx, TRUTH[0, 1] + dy, *(turn @ np.array([[1, shear], [0, 1]])).ravel())
 
 
-@pytest.mark.parametrize("model", [MODEL, FIXED, LAPLACE, changed(MODEL, outlier=0.1)])
-@pytest.mark.parametrize(("axis", "reach"), [(0, 6), (1, 6), (2, 0.2), (3, 0.3), (4, 0.3)])
+@pytest.mark.parametrize("model", [MODEL, LAPLACE, changed(MODEL, outlier=0.1)])
+@pytest.mark.parametrize(("axis", "reach"), [(0, 6), (2, 0.2), (3, 0.3), (4, 0.3)])
 def test_the_peak_is_at_the_truth_whatever_is_wrong(model, axis, reach):
     offs = np.linspace(-reach, reach, 25)
     wrong = np.repeat([[0, 0, 1, 0, 0]], 25, axis=0).astype(float)
@@ -221,9 +189,7 @@ def test_the_peak_is_at_the_truth_whatever_is_wrong(model, axis, reach):
 def test_nothing_to_see_at_the_start_is_one_clear_line(place, picture, words):
     with pytest.raises(InputError) as refused:
         MODEL.init(frame(picture), state(*place))
-    assert str(refused.value).startswith(words)
-    assert str(refused.value).endswith("or begin elsewhere with --init-frame")
-    assert "\n" not in str(refused.value)
+    assert re.fullmatch(f"{words}.*or begin elsewhere with --init-frame", str(refused.value))
 
 
 def test_a_component_that_is_left_out_needs_no_sigma():
@@ -239,17 +205,6 @@ def test_a_component_that_is_left_out_needs_no_sigma():
         assert np.isfinite(with_.score(a, f, x)).all()
 
 
-def test_patches_are_read_at_the_scale_that_was_learned():
-    # the same face, four times as large: the model's state says how far the image is reduced
-    grey = smooth(16, 120, 160, 4)
-    large = cv2.resize(grey, None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
-    learned = MODEL.init(frame(grey), TRUTH)
-    there = state(80.5 * 4 - 0.5, 60.5 * 4 - 0.5, 4, 0, 0, 4)
-    assert MODEL.distances(replace(learned, state=there), frame(large), there[None])[0, 0] < 0.01
-    assert MODEL.learn(learned, frame(large), there).state is not there
-    np.testing.assert_array_equal(MODEL.learn(learned, frame(large), there).state, there)
-
-
 def test_the_pictures_of_s_and_w_are_grey_levels_around_the_middle():
     learned = MODEL.init(frame(smooth(1)), TRUTH)
     mu = learned.mu.copy()
@@ -260,20 +215,6 @@ def test_the_pictures_of_s_and_w_are_grey_levels_around_the_middle():
     assert shown["recent"].ravel()[:6].tolist() == [0, 0, 255, 153, 102, 128]
     assert [name for name, _ in FIXED.insets(learned)] == ["first"]
     assert [name for name, _ in changed(MODEL, mixing=components(0.5, 0, 0.5)).insets(learned)] == ["recent"]
-
-
-def test_so_many_pixels_count_as_independent():
-    f, x = frame(smooth(1)), states((80, 60), (83, 60), (80, 64, 1.1, 0, 0, 1.1))
-    learned = MODEL.init(f, TRUTH)
-    all_ = MODEL.score(learned, f, x)
-    np.testing.assert_allclose(changed(MODEL, pixels=math.prod(PATCHES.shape)).score(learned, f, x), all_)
-    np.testing.assert_allclose(changed(MODEL, pixels=5).score(learned, f, x), all_ * 5 / math.prod(PATCHES.shape))
-
-
-def test_what_is_expected_is_the_mean_of_the_mixture():
-    learned = mixture(np.random.default_rng(2), 780)
-    mean = sum(learned.m[i].astype(float) * learned.mu[i] for i in (W, S, F))
-    np.testing.assert_allclose(MODEL.expected(learned), mean, atol=1e-5)
 
 
 @pytest.mark.parametrize(("density", "outlier"), [("gaussian", None), ("gaussian", 0.3), ("laplace", 0.3)])
@@ -287,3 +228,7 @@ def test_the_score_is_eq_6_of_the_patches_that_are_read(density, outlier):
         for v in y
     ]
     assert model.score(learned, f, x)[:, 0] == pytest.approx(expected, rel=1e-4)
+    few = changed(model, pixels=5).score(learned, f, x)[:, 0]
+    assert few == pytest.approx(np.array(expected) * 5 / y.shape[1], rel=1e-4)
+    mean = sum(learned.m[i].astype(float) * learned.mu[i] for i in (W, S, F))
+    np.testing.assert_allclose(model.expected(learned), mean, atol=1e-5)

@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.images import frame
 from tests.support.parts import colour_ratio
-from tests.twins import windows as naive
+from tests.twins import points as naive
 
 
 def texture(height=120, width=160, seed=0, blur=2.0, scale=1):

@@ -12,7 +12,7 @@ from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.spaces import BoxSpace, Estimate, PointSpace
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
-from facetrack_cli.trackers.appearance.space import AffineSpace
+from facetrack_cli.trackers.appearance.affine import AffineSpace
 from facetrack_cli.trackers.skin.cloud import CloudSpace
 from facetrack_cli.trajectory.trajectory import joined
 from facetrack_cli.trajectory.writers import csv_frames

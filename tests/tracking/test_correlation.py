@@ -3,16 +3,16 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from facetrack_cli.core.types import Frame, Particles
+from facetrack_cli.core.types import Frame
 from facetrack_cli.engine.kernels.affine import boxes_extent
-from facetrack_cli.trackers.regions import patch_kernels as patches
+from facetrack_cli.trackers.regions import region_kernels as kernel
 from facetrack_cli.trackers.regions.correlation import OUTSIDE
 from tests.support.images import grey, states
 from tests.support.parts import correlation
-from tests.twins import patches as naive_patches
+from tests.twins import regions as naive
 
 DISTANCES = ["l2", "saturated_l1", "hausdorff"]
 SIZE = (40.0, 48.0)
@@ -37,20 +37,11 @@ def scored(likelihood, before, now, x, parents):
     return likelihood.score(likelihood.init(before, states([0, 0, 1.0])[0]), now, states(x), parents)[:, 0]
 
 
-def offsets(reach, step):
-    steps = np.arange(-reach, reach + step / 2, step)
-    return np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-
-
-def around(centre, reach=6.0, step=0.5, s=1.0):
-    near = offsets(reach, step) + centre
-    return np.column_stack([near, np.full(len(near), s)])
-
-
 place = st.floats(-60, 220, width=32)
 scale = st.one_of(st.floats(0.0, 3.0, width=32), st.sampled_from([1e-6, 1e3, -0.7]))
 
 
+@settings(max_examples=30)
 @given(
     kind=st.sampled_from(DISTANCES),
     boxes=st.lists(st.tuples(place, place, scale), min_size=1, max_size=4),
@@ -80,20 +71,20 @@ def test_kernel_does_what_its_twin_does(kind, boxes, parent, other, split, size,
     of = np.tile(parent, (len(x), 1))
     of[split:, other[0]] += other[1]
     out = np.full(len(x), np.nan)
-    patches.patch_distances(
-        now, now_view, before, before_view, factor, x, of, size, *grid, patches.DISTANCES[kind], 25.0, 1000.0, out
+    kernel.patch_distances(
+        now, now_view, before, before_view, factor, x, of, size, *grid, kernel.DISTANCES[kind], 25.0, 1000.0, out
     )  # fmt: skip
     for n in range(len(x)):
-        a = naive_patches.patch(now, now_view, factor, x[n], size, *grid)
-        b = naive_patches.patch(before, before_view, factor, of[n], size, *grid)
+        a = naive.patch(now, now_view, factor, x[n], size, *grid)
+        b = naive.patch(before, before_view, factor, of[n], size, *grid)
         # float32 places a point to within 1e-5 pixels, over which grey levels differ by up to 255
-        assert out[n] == pytest.approx(naive_patches.distance(a, b, kind, 25.0, 1000.0), rel=1e-3, abs=0.05)
+        assert out[n] == pytest.approx(naive.distance(a, b, kind, 25.0, 1000.0), rel=1e-3, abs=0.05)
 
 
 @given(boxes=st.lists(st.tuples(place, place, scale), min_size=1, max_size=5))
 def test_extent_is_that_of_its_twin(boxes):
     found = boxes_extent(np.array(boxes), *SIZE, WIDTH, HEIGHT)
-    np.testing.assert_allclose(found, naive_patches.extent(boxes, SIZE, WIDTH, HEIGHT), atol=1e-9)
+    np.testing.assert_allclose(found, naive.extent(boxes, SIZE, WIDTH, HEIGHT), atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", DISTANCES)
@@ -107,10 +98,10 @@ def test_likelihood_is_the_formula_of_the_paper(kind):
     (a, b), view = [grey[0] for grey in greys], (0, 0, WIDTH, HEIGHT)
     assert all(grey[1:] == (0, 0) for grey in greys)
     for row, log_p in zip(x, scored(likelihood, before, now, x, parent), strict=True):
-        here = naive_patches.patch(a, view, factor, row, SIZE, 5, 4)
-        there = naive_patches.patch(b, view, factor, parent, SIZE, 5, 4)
+        here = naive.patch(a, view, factor, row, SIZE, 5, 4)
+        there = naive.patch(b, view, factor, parent, SIZE, 5, 4)
         outside = {"l2": OUTSIDE**2, "saturated_l1": 15.0, "hausdorff": OUTSIDE}[kind]
-        d = naive_patches.distance(here, there, kind, 15.0, outside)
+        d = naive.distance(here, there, kind, 15.0, outside)
         assert log_p == pytest.approx(-d / (2 * 60.0**2 if kind == "l2" else 60.0), rel=1e-3)
 
 
@@ -121,22 +112,6 @@ def test_peak_is_at_the_true_scale(kind):
     x = np.column_stack([np.full(len(scales), 80.0), np.full(len(scales), 60.0), scales])
     log_p = scored(correlation(SIZE, distance=kind), grey(still), grey(moved(still, 0, 0, 1.1)), x, [80, 60, 1])
     assert scales[np.argmax(log_p)] == pytest.approx(1.1, abs=0.021)
-
-
-@pytest.mark.parametrize("kind", DISTANCES)
-def test_a_particle_on_the_ground_follows_the_ground(kind):
-    ground, thing = texture(1), texture(2)
-    mask = np.zeros_like(ground)
-    mask[30:90, 20:70] = 1
-    before = np.where(mask > 0, thing, ground)
-    now = np.where(moved(mask, 4, 0) > 0.5, moved(thing, 4, 0), moved(ground, -2, 1))
-    likelihood = correlation((30.0, 30.0), distance=kind)
-    for parent, motion in (((45.0, 60.0), (4, 0)), ((120.0, 60.0), (-2, 1))):
-        near = around(parent, reach=7.0, step=1.0)
-        log_p = scored(likelihood, grey(before), grey(now), near, [*parent, 1.0])
-        np.testing.assert_array_equal(near[np.argmax(log_p), :2], np.add(parent, motion))
-        # equally well, whatever it is: no object is known
-        assert log_p.max() > -0.5
 
 
 @pytest.mark.parametrize("kind", DISTANCES)
@@ -161,23 +136,16 @@ def test_leaving_the_picture_never_pays(kind):
     assert log_p[-1] < -5
 
 
-wild = st.one_of(st.floats(allow_nan=True, allow_infinity=True), st.floats(-300, 300))
-
-
-@pytest.mark.parametrize("kind", DISTANCES)
-def test_no_motion_is_a_perfect_match_and_each_frame_takes_the_place_of_the_one_before(kind):
+def test_each_frame_takes_the_place_of_the_one_before():
     frames = [grey(texture(0)), grey(texture(1)), grey(moved(texture(1), 2, 0))]
-    likelihood = correlation(SIZE, distance=kind)
-    x = states([[80.3, 60.1, 1.0], [75.2, 61.7, 0.83]])
+    likelihood = correlation(SIZE)
+    x, x2 = states([[80.3, 60.1, 1.0], [75.2, 61.7, 0.83]]), states([[82.3, 60.1, 1.0], [77.2, 61.7, 0.83]])
     learned = likelihood.init(frames[0], x[0])
     np.testing.assert_array_equal(likelihood.score(learned, Frame(1, 0.0, frames[0].bgr), x, x), 0.0)
-    particles = Particles(x, np.log([0.5, 0.5]))
-    after = likelihood.learn(learned, frames[1], x[0], particles)
+    after = likelihood.learn(learned, frames[1], x[0])
     assert after.frame is frames[1]
     assert learned.frame is frames[0], "what was learned is a value"
-    x2 = states([[82.3, 60.1, 1.0], [77.2, 61.7, 0.83]])
     assert likelihood.score(after, frames[2], x2, x).min() > likelihood.score(learned, frames[2], x2, x).max()
-    np.testing.assert_array_equal(likelihood.score(after, frames[1], x, x), 0.0)
 
 
 def test_the_picture_is_reduced_as_far_as_the_grid_allows():

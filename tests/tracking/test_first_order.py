@@ -1,5 +1,7 @@
 """First-order dynamics: draws against A and B, the density against the draws, the filter against a Kalman filter."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from facetrack_cli.core.types import Particles
 from facetrack_cli.engine.motion import FirstOrder
 from facetrack_cli.engine.resampling import uniform
 from facetrack_cli.engine.spaces import BoxSpace, evenly
-from facetrack_cli.trackers.regions.product import Product
+from facetrack_cli.trackers.regions.correlation import Product
 from tests.support.parts import auxiliary, factorized, sir
 
 A = np.array([[1.0, 0.9], [0.0, 0.8]])
@@ -23,15 +25,6 @@ def whole(block, scale):
     for i, one in enumerate((block, block, scale)):
         out[np.ix_([i, i + 3], [i, i + 3])] = one
     return out
-
-
-def test_one_source_of_noise_moves_place_and_speed_together():
-    constant_velocity = FirstOrder((A, np.array([[0.7], [0.7]])), (SCALE_A, np.zeros((2, 1))), 0.1, 10.0)
-    x = np.tile(BoxSpace((31, 41)).at((10, 20, 31, 41)), (50, 1, 1))
-    moved = constant_velocity.propagate(np.random.default_rng(1), x)[:, 0]
-    np.testing.assert_allclose(moved[:, :2] - x[:, 0, :2], moved[:, 3:5])
-    assert moved[:, 0].std() > 0.3 and np.all(moved[:, 5] == 0)
-    np.testing.assert_allclose(moved[:, 2], 0.95)
 
 
 def test_scale_stops_at_its_bounds():
@@ -104,11 +97,8 @@ def test_filters_score_each_state_beside_the_one_it_was_moved_from(step, looks):
             assert family.asked == looks
 
 
-class Moves:
+class Moves(SimpleNamespace):
     """A likelihood that is given its answer, and knows only how the target moved."""
-
-    def __init__(self, score, distance=None):
-        self.answer, self.distance = score, distance
 
     def init(self, frame, x0):
         return frame, self
@@ -121,16 +111,11 @@ class Moves:
         return frame, self
 
 
-class Says(Moves):
-    """One that also says how badly places match."""
-
-    def distances(self, learned, frame, x):
-        assert learned[1] is self
-        return np.full(x.shape[:2], self.distance)
-
-
 def test_a_product_is_the_sum_of_logarithms_and_judges_by_its_objects():
-    product = Product((Says(2.0, 0.1), Says(3.0, 0.7), Moves(5.0)))
+    one, other = (
+        Moves(answer=a, distances=lambda _, __, x, d=d: np.full(x.shape[:2], d)) for a, d in ((2, 0.1), (3, 0.7))
+    )
+    product = Product((one, other, Moves(answer=5)))
     x, parents = np.zeros((4, 1, 6)), np.ones((4, 1, 6))
     learned = product.init("first", x[0])
     np.testing.assert_allclose(product.score(learned, "now", x, parents), np.full((4, 1), 10.0))
@@ -138,9 +123,6 @@ def test_a_product_is_the_sum_of_logarithms_and_judges_by_its_objects():
     after = product.learn(learned, "now", x[0], None)
     assert [frame for frame, _ in learned] == ["first"] * 3
     assert [frame for frame, _ in after] == ["now"] * 3
-    product.score(after, "next", x, parents)
-    with pytest.raises(ValueError, match="what the object looks like"):
-        Product((Moves(5.0),)).distances(learned[2:], "now", x)
 
 
 def test_a_box_is_its_state():

@@ -10,12 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from facetrack_cli.trackers.appearance.affine import RANK, Flow, Patches, eta
+from facetrack_cli.trackers.appearance.appearance_kernels import differences, gain, mapped
 from facetrack_cli.trackers.appearance.settings import NoiseSettings, VelocitySettings
-from facetrack_cli.trackers.appearance.space import Patches
-from facetrack_cli.trackers.appearance.velocity import RANK, Flow, eta
-from facetrack_cli.trackers.appearance.velocity_kernels import differences, gain, mapped
 from tests.support.parts import affine_walk, appearance, changed, predicted
-from tests.tracking.test_patches import frame, smooth, state
+from tests.tracking.test_affine import frame, smooth, state
 from tests.twins import guide as naive
 
 SIZE = (50.0, 56.0)

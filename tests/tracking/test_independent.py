@@ -8,7 +8,7 @@ import pytest
 
 from facetrack_cli.core.types import Frame
 from facetrack_cli.engine.independent import MEMORY, averaged, effective_share
-from facetrack_cli.trackers.appearance.space import Patches
+from facetrack_cli.trackers.appearance.affine import Patches
 from tests.support.parts import appearance, changed, contour, correlation
 
 

@@ -198,12 +198,12 @@ def test_nothing_is_compiled_that_the_settings_do_not_call_nor_after_a_stop(comp
 
 
 def test_the_second_process_leaves_kernels_for_the_first(tmp_path):
-    order = json.dumps([sys.path, ["trackers.regions.histogram_kernels.crop"]])
+    order = json.dumps([sys.path, ["trackers.regions.region_kernels.crop_boxes"]])
     done = python(precompile._SECOND.format(precompile.__name__), order, NUMBA_CACHE_DIR=str(tmp_path))
     assert (done.stdout, done.stderr) == ("", "")
     script = (
         "from facetrack_cli.start import precompile\n"
-        "names = ('trackers.regions.histogram_kernels.crop', 'trackers.regions.histogram_kernels.edges')\n"
+        "names = ('trackers.regions.region_kernels.crop_boxes', 'trackers.regions.region_kernels.box_edges')\n"
         "print(*(precompile._is_cached(name) for name in names))"
     )
     assert python(script, NUMBA_CACHE_DIR=str(tmp_path)).stdout == "True False\n"

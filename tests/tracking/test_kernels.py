@@ -11,7 +11,7 @@ from facetrack_cli.engine.kernels import resampling
 from facetrack_cli.trackers.face.colour_kernels import coloured
 from facetrack_cli.trackers.face.stabilized import Similarity
 from facetrack_cli.trackers.points import window_kernels as windows
-from tests.twins import windows as naive
+from tests.twins import points as naive
 
 
 def picture(seed, height=24, width=31):

@@ -58,7 +58,7 @@ def moved(ellipse, dx, dy):
     return ellipse[0] + dx, ellipse[1] + dy, *ellipse[2:]
 
 
-def swing(count=40):
+def swing(count=24):
     """A head that nods and two hands that move fast, apart from each other."""
     fast, slow = np.arange(count) / 3, np.arange(count) / 4
     return [(moved(HEAD, 10 * np.sin(t / 6), 4 * np.sin(s)), moved(LEFT, 25 * np.sin(f), 20 * np.cos(s) - 20),
@@ -84,19 +84,19 @@ def test_head_and_hands_are_followed_and_keep_their_names(config):
 
 def test_the_size_of_a_cloud_is_that_of_the_skin():
     """Four standard deviations a side are exact of an ellipse that is evenly filled."""
-    still = [(HEAD, LEFT, RIGHT)] * 30
+    still = [(HEAD, LEFT, RIGHT)] * 16
     found = places(run("head_hands_cloud", frames(still), start(*ALL)))
     np.testing.assert_allclose(found[0, :, 2:], [[44, 56], [28, 28], [28, 28]])
-    np.testing.assert_allclose(found[10:, :, 2:].mean(axis=0), [[44, 56], [28, 28], [28, 28]], rtol=0.15)
+    np.testing.assert_allclose(found[6:, :, 2:].mean(axis=0), [[44, 56], [28, 28], [28, 28]], rtol=0.15)
 
 
 def test_hands_that_meet_the_face_do_not_take_it_and_go_on_their_way():
     """Without exclusion, the cloud of a hand that passes over the face would stay on it."""
     across = [(HEAD, (70 + 4.0 * t, 62.0, 14.0, 14.0), RIGHT) for t in range(30)]
     begin = Start(0, {name: TargetStart(box=box(e)) for name, e in zip(ALL, across[0], strict=True)}, "x")
-    kept = [places(run("head_hands", frames(across), begin, seed))[-1, 1, 0] for seed in range(3)]
+    kept = [places(run("head_hands", frames(across), begin, seed))[-1, 1, 0] for seed in range(2)]
     assert np.abs(np.array(kept) - across[-1][1][0]).max() < 8
-    lost = [places(run("head_hands", frames(across), begin, seed, ["exclusion=null"]))[-1, 1, 0] for seed in range(3)]
+    lost = [places(run("head_hands", frames(across), begin, seed, ["exclusion=null"]))[-1, 1, 0] for seed in range(2)]
     assert np.abs(np.array(lost) - HEAD[0]).mean() < 20
 
 
@@ -109,17 +109,15 @@ def test_a_pixel_weighs_what_its_colour_says_and_the_floor_elsewhere():
     assert found[0] > 0.8 and found[1:].tolist() == pytest.approx([0.02] * 3)
     on, off = model.distances(learned, frame, x[:2])[:, 0]
     assert on < 0.4 and off > 0.9
+    # the least share arrives
+    assert not learned.notes
+    assert skin_cloud((28.0, 28.0), box(LEFT), least_share=1.0).init(frame, np.zeros((1, 2))).notes
 
 
-def clouds(results, target):
-    return np.array([result.targets[target].cloud for result in results])
-
-
-@pytest.mark.parametrize("config", ["head_hands", "head_hands_cloud"])
-@pytest.mark.parametrize("zoom", [1, 4])
+@pytest.mark.parametrize(("config", "zoom"), [("head_hands", 1), ("head_hands_cloud", 4)])
 def test_a_target_that_keeps_off_none_does_not_change_by_what_is_tracked_beside_it(config, zoom):
     """Nor by which parts of a frame others have asked for before: at the larger size they are reduced."""
-    clip = [cv2.resize(frame.bgr, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_LINEAR) for frame in frames(swing(5))]
+    clip = [cv2.resize(frame.bgr, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_LINEAR) for frame in frames(swing(3))]
     at = {name: tuple(zoom * v for v in box(e)) for name, e in zip(ALL, (HEAD, LEFT, RIGHT), strict=True)}
 
     def followed(*names):
@@ -128,9 +126,10 @@ def test_a_target_that_keeps_off_none_does_not_change_by_what_is_tracked_beside_
         return run(config, [Frame(i, 0.0, bgr) for i, bgr in enumerate(clip)], begin, 2, ["exclusion=null", *left_out])
 
     together, pair = followed(*ALL), followed("head", "left_hand")
-    np.testing.assert_array_equal(clouds(together, 0), clouds(followed("head"), 0))
-    for target in (0, 1):
-        np.testing.assert_array_equal(clouds(together, target), clouds(pair, target))
+    alone = followed("head")
+    for seen, by, target in ((together, alone, 0), (together, pair, 0), (together, pair, 1)):
+        for one, other in zip(seen, by, strict=True):
+            np.testing.assert_array_equal(one.targets[target].cloud, other.targets[target].cloud)
 
 
 def noisy(width=260, height=200):
@@ -152,25 +151,3 @@ def test_particles_are_pixels_of_the_reduced_picture():
     assert np.ptp(p) > 0.3 and (p < model.settings.floor).any()
     found = np.exp(model.score(learned, Frame(1, 0.0, bgr), x, x))[:, 0]
     np.testing.assert_allclose(found, np.maximum(p, model.settings.floor))
-
-
-def test_distances_look_at_the_middle_of_a_box_of_the_targets_shape():
-    bgr = np.full((200, 260, 3), WALL, np.uint8)
-    bgr[80:120, 90:170] = SKIN
-    learned = skin_cloud((80.0, 40.0), (90.0, 80.0, 80.0, 40.0)).init(Frame(0, 0.0, bgr), None)
-    there = np.array([[[129.5, 99.5]]])
-    wide, high, larger = (
-        skin_cloud(size, box(HEAD), max_size=None).distances(learned, Frame(0, 0.0, bgr), there)[0, 0]
-        for size in ((110.0, 55.0), (55.0, 110.0), (130.0, 65.0))
-    )
-    assert wide < 0.05 < larger and high > 0.3
-
-
-def test_least_share_arrives():
-    dark = Frame(0, 0.0, picture(HEAD, skin=(30, 36, 52)))
-    (said,) = skin_cloud((44.0, 56.0), box(HEAD)).init(dark, None).notes
-    assert said.startswith("Kovac")
-    # none of it passes as skin, so that only what does not need to can be learned without a word
-    usual = Frame(0, 0.0, picture(HEAD))
-    assert not skin_cloud((44.0, 56.0), box(HEAD)).init(usual, None).notes
-    assert skin_cloud((44.0, 56.0), box(HEAD), least_share=1.0).init(usual, None).notes

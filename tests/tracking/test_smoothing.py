@@ -11,8 +11,8 @@ from facetrack_cli.core.types import Particles
 from facetrack_cli.engine import smoothing
 from facetrack_cli.engine.motion import FirstOrder, RandomWalk
 from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.trackers.appearance.affine import AffineWalk
 from facetrack_cli.trackers.appearance.settings import AffineWalkSettings
-from facetrack_cli.trackers.appearance.velocity import AffineWalk
 from facetrack_cli.trackers.box.hidden_box import VisibleWalk
 from facetrack_cli.trackers.box.settings import VisibleWalkSettings
 from facetrack_cli.trackers.face.motion import JumpingWalk

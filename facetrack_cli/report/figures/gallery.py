@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.report.figures.style import FAINT, GRID, WIDTH, Axes, Figure, clean, new_figure, style
-from facetrack_cli.trackers.appearance.gallery import Gallery
-from facetrack_cli.trackers.appearance.subspaces import Subspace
+from facetrack_cli.trackers.appearance.gallery import Gallery, Subspace
 
 # lengths are inches
 MARGIN, GAP, LINE = 0.2, 0.1, 0.14

@@ -31,16 +31,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.engine.independent import averaged, effective_share
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.trackers.appearance import mixture_kernels as kernel
+from facetrack_cli.trackers.appearance import appearance_kernels as kernel
+from facetrack_cli.trackers.appearance.affine import Patches
+from facetrack_cli.trackers.appearance.appearance_kernels import Rows
 from facetrack_cli.trackers.appearance.settings import AppearanceSettings
-from facetrack_cli.trackers.appearance.space import Patches, patches_of
 
 OUTLIER_RANGE = 6.0  # a normalised patch lies within 3 standard deviations of its mean, but for a few points
 _NEVER = -1e30
@@ -54,9 +54,9 @@ class Mixture:
     much of the pixels counts as independent, averaged over `frames`.
     """
 
-    m: NDArray[np.float32]
-    mu: NDArray[np.float32]
-    sigma: NDArray[np.float32]
+    m: Rows
+    mu: Rows
+    sigma: Rows
     moments: Array
     state: Array
     laplace: bool = False
@@ -64,7 +64,7 @@ class Mixture:
     share: float = 1.0
     frames: int = 0
 
-    def log_terms(self, y: NDArray[np.float32]) -> Array:
+    def log_terms(self, y: Rows) -> Array:
         """(d,): log of the mixture in each pixel of one patch y (d,), the terms of the sum in eq. 6."""
         rate, log = self.terms
         off = np.abs(y - self.mu)
@@ -72,7 +72,7 @@ class Mixture:
         return np.asarray(np.logaddexp(each * math.log(2.0), math.log(max(self.outlier / OUTLIER_RANGE, 1e-300))))
 
     @cached_property
-    def terms(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def terms(self) -> tuple[Rows, Rows]:
         """(rate, log), (3, d) each: a component's density is 2^(log - rate |y - mu|^2), or |y - mu| of `laplace`."""
         if self.laplace:
             rate, area = np.float32(math.sqrt(2.0) / math.log(2.0)) / self.sigma, math.sqrt(2.0)
@@ -92,7 +92,7 @@ class Appearance(Likelihood):
 
     @classmethod
     def build(cls, settings: AppearanceSettings, context: Context) -> Appearance:
-        return cls(settings, patches_of(context))
+        return cls(settings, Patches.of(context))
 
     def init(self, frame: Frame, x0: Array) -> Mixture:
         """The model of the patch at x0 (1, 6). Raises InputError if there is nothing to see."""
@@ -112,12 +112,12 @@ class Appearance(Likelihood):
         first = face.astype(np.float64)
         moments = m[1].astype(np.float64) * np.stack([first, sigmas[1] ** 2 + np.square(first)])
         centres = np.repeat(face[None], 3, axis=0)
-        begun = Mixture(m, centres, sigma, moments, x0, settings.density == "laplace", settings.outlier or 0.0)
+        mixture = Mixture(m, centres, sigma, moments, x0, settings.density == "laplace", settings.outlier or 0.0)
         if settings.independent == "all":
-            return begun
+            return mixture
         # a pixel off, which is what a tracker is at best
         shifted = self.patches.read(frame, (x0 + np.eye(1, 6) + np.eye(1, 6, 1))[None], self.patches.factor(x0))[0]
-        return replace(begun, share=effective_share(begun.log_terms(shifted).reshape(self.patches.shape)))
+        return replace(mixture, share=effective_share(mixture.log_terms(shifted).reshape(self.patches.shape)))
 
     def score(self, learned: Mixture, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_a of x (N, 1, 6) -> (N, 1), eq. 6; parents do not matter."""
@@ -143,7 +143,7 @@ class Appearance(Likelihood):
         share = effective_share(learned.log_terms(y).reshape(self.patches.shape))
         return replace(after, share=averaged(learned.share, learned.frames + 1, share), frames=learned.frames + 1)
 
-    def error(self, learned: Mixture, patches: NDArray[np.float32]) -> Array:
+    def error(self, learned: Mixture, patches: Rows) -> Array:
         """eps_t of section 3.1.2 for patches (N, d) -> (N,): phi = 1/d sum_pixels sum_i m_i ((y - mu_i) / sigma_i)^2.
 
         The paper leaves phi open; this is that of the authors' later paper (IEEE Trans. Image Processing 13(11), 2004).
@@ -156,13 +156,12 @@ class Appearance(Likelihood):
         match = np.asarray(kernel.best_matches(y, learned.mu[1:]))
         return np.clip(1.0 - match, 0.0, 1.0)[:, None]
 
-    def expected(self, learned: Mixture) -> NDArray[np.float32]:
+    def expected(self, learned: Mixture) -> Rows:
         """(d,): the mean of the mixture in each pixel."""
         return np.asarray((learned.m * learned.mu).sum(axis=0))
 
     def insets(self, learned: Mixture) -> tuple[tuple[str, Image], ...]:
         """S and W as grey images, as in the paper's figure 3; a component of weight 0 is left out."""
-        shown = [(name, i) for name, i in (("stable", 1), ("recent", 0)) if self.settings.mixing.each[i] > 0] or [
-            ("first", 2)
-        ]
-        return tuple((name, np.asarray(kernel.greys(learned.mu[i])).reshape(self.patches.shape)) for name, i in shown)
+        shown = [(name, i) for name, i in (("stable", 1), ("recent", 0)) if self.settings.mixing.each[i] > 0]
+        each = [(name, kernel.greys(learned.mu[i])) for name, i in shown or [("first", 2)]]
+        return tuple((name, np.asarray(grey).reshape(self.patches.shape)) for name, grey in each)

@@ -1,10 +1,18 @@
 """Who is who: Zhou, Chellappa & Moghaddam (ICME 2003), sections 3.2 and 3.3.
 
-Three probabilistic subspaces (eq. 14, `subspaces.py`) over patches y of zero mean and unit variance:
+Three probabilistic subspaces (Moghaddam, PAMI 24, 2002) over patches y of zero mean and unit variance:
 
     frontal   the patches of the gallery                                  p_f = most / (1 + exp(-a log Q_FFS(y) - b))
     intra     differences between images of one person, both signs        p_n = Q_IPS(y - I_n) / Q_EPS(y - I_n)
     extra     differences between images of different persons             eq. 16
+
+Q is a Gaussian whose covariance has s principal directions e_i with variances lambda_i, and the variance rho in all
+others (eq. 14):
+
+    log Q(x) = -1/2 sum_i (q_i^2 / lambda_i + log 2 pi lambda_i) - err^2 / (2 rho) - (d - s) / 2 log 2 pi rho
+
+with q_i = e_i' (x - mean) and err^2 = |x - mean|^2 - sum_i q_i^2. Two slips of the print: rho is the mean of the d - s
+eigenvalues that are left (not of d - q), and err^2 is measured after the mean is removed, as q_i is.
 
 What we take the paper to mean, and what is ours:
 
@@ -19,10 +27,11 @@ What we take the paper to mean, and what is ours:
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +39,63 @@ from numpy.typing import NDArray
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array, checked_name
 from facetrack_cli.engine.resampling import logsumexp
-from facetrack_cli.trackers.appearance.subspaces import Rows, Subspace
 
+Rows: TypeAlias = NDArray[np.float32]
+Reals: TypeAlias = NDArray[np.floating[Any]]
 NONE: Final = "none"  # what the posterior calls nobody of the gallery
 MAX_FRONTAL: Final = 0.5
 KIND: Final = Kind("facetrack-gallery", 1, "gallery", "facetrack gallery fit")
 _SPACES = ("frontal", "intra", "extra")
 _FIELDS: Final = {"mean": "<f4", "vectors": "<f4", "values": "<f8", "rho": "<f8"}
+
+
+@dataclass(frozen=True, eq=False)
+class Subspace:
+    """Mean (d,), orthonormal rows `vectors` (s, d) with variances `values` (s,), and `rho` in all other directions."""
+
+    mean: Rows
+    vectors: Rows
+    values: Array
+    rho: float
+
+    def __post_init__(self) -> None:
+        s, d = len(self.values), len(self.mean)
+        if self.mean.ndim != 1 or self.values.ndim != 1 or self.vectors.shape != (s, d) or s > d or not d:
+            raise ValueError(f"{self.vectors.shape} directions, {self.values.shape} variances, mean {self.mean.shape}")
+        if not all(np.isfinite(a).all() for a in (self.mean, self.vectors, self.values)):
+            raise ValueError("a number is not finite")
+        if not (0.0 < self.rho < math.inf and (self.values > 0.0).all()):
+            raise ValueError("a variance is not above 0")
+        if s and np.abs(self.vectors.astype(np.float64) @ self.vectors.T - np.eye(s)).max() > 1e-3:
+            raise ValueError("the directions are not orthonormal")
+
+    @property
+    def log_constant(self) -> float:
+        """log Q(mean)."""
+        rest = (len(self.mean) - len(self.values)) * math.log(2 * math.pi * self.rho)
+        return -0.5 * float(np.log(2 * math.pi * self.values).sum() + rest)
+
+    def log_density(self, y: Reals) -> Array:
+        """(N,): log Q of y (N, d), eq. 14."""
+        centred = np.asarray(y, np.float64) - self.mean
+        q = centred @ self.vectors.T.astype(np.float64)
+        error = np.maximum((centred**2).sum(1) - (q**2).sum(1), 0.0) if len(self.values) < len(self.mean) else 0.0
+        return np.asarray(self.log_constant - 0.5 * ((q**2 / self.values).sum(1) + error / self.rho))
+
+    @property
+    def precision(self) -> tuple[Array, float, Array]:
+        """Rows v (s, d), p and w (s,): the inverse of the covariance is p I + v' diag(w) v."""
+        plain = 1.0 / self.rho if len(self.values) < len(self.mean) else 0.0
+        return self.vectors.astype(np.float64), plain, 1.0 / self.values - plain
+
+    def log_densities(self, y: Array, faces: Array) -> Array:
+        """(N, P): log Q of the differences of y (N, d) to faces (P, d), which are not written out."""
+        v, plain, weight = self.precision
+        faces = faces + self.mean
+        a, b = y @ v.T, faces @ v.T
+        here, there = (plain * np.einsum("nd,nd->n", rows, rows) + (q**2) @ weight for rows, q in ((y, a), (faces, b)))
+        square = here[:, None] + there - 2.0 * (plain * (y @ faces.T) + (a * weight) @ b.T)
+        return np.asarray(self.log_constant - 0.5 * square)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +130,7 @@ class Gallery:
         if len(self.shape) != 2 or min(self.shape) < 1 or self.faces.shape != (p, self.shape[0] * self.shape[1]):
             raise ValueError(f"faces of {self.faces.shape} for {p} persons and a template of {self.shape}")
         d = self.faces.shape[1]
-        if any(space.d != d for space in (self.frontal, self.intra, self.extra)):
+        if any(len(space.mean) != d for space in (self.frontal, self.intra, self.extra)):
             raise ValueError(f"a subspace is not of {d} points")
         if len(self.counts) != p or min(self.counts) < 1:
             raise ValueError("each person has one image or more")
@@ -99,7 +158,7 @@ class Gallery:
         space, p, s = self.frontal, len(self.names), len(self.frontal.values)
         q = projected[:, p + 1 : p + 1 + s] - ratios.q_mean
         error = np.maximum(seen - 2.0 * projected[:, p] + ratios.mean_square - (q**2).sum(1), 0.0)
-        log_q = space.log_constant - 0.5 * ((q**2) @ (1.0 / space.values) + (s < space.d) * error / space.rho)
+        log_q = space.log_constant - 0.5 * ((q**2) @ (1.0 / space.values) + (s < y.shape[1]) * error / space.rho)
         frontal = self.most_frontal * logistic(log_q, *self.calibration)
         log_ratio = projected[:, :p] + ratios.constant
         if none:
@@ -138,9 +197,8 @@ class Gallery:
         if self.proportion is not None:
             arrays["proportion"] = np.array(self.proportion, "<f8")
         for name in _SPACES:
-            space: Subspace = getattr(self, name)
             for field, kind in _FIELDS.items():
-                arrays[f"{name}_{field}"] = np.array(getattr(space, field), kind, order="C")
+                arrays[f"{name}_{field}"] = np.array(getattr(getattr(self, name), field), kind, order="C")
         KIND.write(path, arrays)
 
 
@@ -183,13 +241,13 @@ def load_gallery(path: Path) -> Gallery:
 
 
 def _from_arrays(stored: Stored) -> Gallery:
-    found: dict[str, Any] = {name: stored.texts(name) for name in ("names", "notes")}
-    found |= {name: stored.whole(name) for name in ("shape", "counts")}
+    fields: dict[str, Any] = {name: stored.texts(name) for name in ("names", "notes")}
+    fields |= {name: stored.whole(name) for name in ("shape", "counts")}
     numbers = ("threshold", "errors", "most_frontal", *(["proportion"] if "proportion" in stored else []))
-    found |= {name: stored.number(name) for name in numbers}
-    if len(found["shape"]) != 2:
+    fields |= {name: stored.number(name) for name in numbers}
+    if len(fields["shape"]) != 2:
         raise ValueError("shape is not two numbers")
     for name in _SPACES:
         mean, vectors = stored.reals(f"{name}_mean", 1), stored.reals(f"{name}_vectors", 2)
-        found[name] = Subspace(mean, vectors, stored.reals(f"{name}_values", 1), stored.number(f"{name}_rho"))
-    return Gallery(faces=stored.reals("faces", 2), calibration=tuple(stored.reals("calibration", 1).tolist()), **found)
+        fields[name] = Subspace(mean, vectors, stored.reals(f"{name}_values", 1), stored.number(f"{name}_rho"))
+    return Gallery(faces=stored.reals("faces", 2), calibration=tuple(stored.reals("calibration", 1).tolist()), **fields)

@@ -1,6 +1,12 @@
 """A gallery learned from images (see `gallery.py`).
 
-Persons are held out in folds: rho, p_f and the threshold are learned from those whom the spaces have not seen.
+Persons are held out in folds: rho, p_f and the threshold are learned from those whom the spaces have not seen. The
+eigenvalues that are left are less than what a new image leaves over, by far where the images are frames of a few
+clips. So rho is what maximises the density of images held out: the mean of err^2 / (d - s) of each, reconstructed from
+those of other people. Where nothing is held out, rho is as printed.
+
+Of many rows only their moments are kept, in the coordinates of a basis (`Moments`): of up to MAX_DIRECTIONS rows it
+spans all, of more the largest directions. Of the other directions the lengths of the rows tell the variance.
 """
 
 from __future__ import annotations
@@ -10,28 +16,20 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Mask
-from facetrack_cli.core.warp import warp_affine
-from facetrack_cli.trackers.appearance import subspaces
-from facetrack_cli.trackers.appearance.gallery import Gallery, logistic, name_problem
-from facetrack_cli.trackers.appearance.subspaces import (
-    Fitted,
-    Moments,
-    Reals,
-    fit_moments,
-    fit_subspace,
-    folds_by,
-)
+from facetrack_cli.trackers.appearance.gallery import Gallery, Reals, Subspace, logistic
 
 Indices: TypeAlias = NDArray[np.intp]
-# of a patch: right, down (shares of its sides), degrees, size
-_OFF = ((0.3, 0, 0, 1), (-0.3, 0, 0, 1), (0, 0.3, 0, 1), (0, -0.3, 0, 1), (0, 0, 40, 1), (0, 0, -40, 1), (0, 0, 0, 0.6))
 MAX_ERRORS = 0.25  # beyond them the user is warned; half is chance
+MIN_RHO = 1e-3  # of the variance of a patch: noise of a camera, about one grey level
+FOLDS = 10
+ENERGY = 0.9  # share of the variance that a subspace keeps
+MAX_DIRECTIONS = 256  # of a basis; of ten people's patches what is beyond holds about 1 % of the variance
+MAX_ROWS = 1500  # from which a basis is found
 _CHANGES = "how {} with light, expression and pose cannot be learned from it"
 
 
@@ -40,30 +38,20 @@ def fit_gallery(
     persons: Sequence[str],
     shape: tuple[int, int],
     *,
+    negatives: Reals,
     images: Sequence[int] | None = None,
-    negatives: Reals | None = None,
     proportion: float | None = None,
 ) -> Gallery:
     """The gallery of patches (n, d), zero mean and unit variance, each of a person; persons in order of their names.
 
-    `images` (n,): the image of each patch, first the image itself, then copies cut a little off; without it each patch
-    is an image. `negatives` (m, d) are displaced, turned, scaled; without them they are made of the patches.
-    `proportion`: the boxes' width over height. InputError for one person, or no two patches of one.
+    `negatives` (m, d) are displaced, turned, scaled. `images` (n,): the image of each patch, first the image itself,
+    then copies cut a little off; without it each patch is an image. `proportion`: the boxes' width over height. Raises
+    InputError where there are no two patches of one person.
     """
     x = np.asarray(patches, np.float64)
-    if x.ndim != 2 or x.shape[1] != shape[0] * shape[1] or len(x) != len(persons):
-        raise ValueError(f"patches of {x.shape} of {len(persons)} persons, and a template of {shape}")
-    for name in sorted(set(persons)):
-        if problem := name_problem(name):
-            raise InputError(f"{problem}; give the folder another name")
     names, who = np.unique(np.array(persons, str), return_inverse=True)
-    if len(names) < 2:
-        people = f"{len(names)} person{'' if len(names) == 1 else 's'}"
-        remedy = "how people differ is learned from two or more; add another person"
-        raise InputError(f"a gallery of {people} tells nobody apart: {remedy}")
     of = np.unique(np.arange(len(x)) if images is None else np.asarray(images), return_inverse=True)[1]
-    basis = subspaces.common_basis(x)
-    samples = Samples(x, who, of, basis)
+    samples = Samples(x, who, of, common_basis(x))
     own, own_of = samples.to_own()
     if not len(own):
         remedy = "add a second image of somebody, or copies that are cut a little off"
@@ -71,16 +59,15 @@ def fit_gallery(
     # persons that are held out together; where that leaves nothing to learn from, images are
     folds = folds_by(who)
     fold = np.argmax(folds, axis=0)
-    frontal = fit_subspace(x, folds, basis=basis)
+    frontal = fit_subspace(x, folds, samples.basis)
     own_folds = [mask[own_of] for mask in folds]
     able = any(mask.any() and not mask.all() for mask in own_folds)
-    intra = fit_subspace(own, own_folds if able else folds_by(of[own_of]), centred=True, basis=basis)
+    intra = fit_subspace(own, own_folds if able else folds_by(of[own_of]), samples.basis, centred=True)
     if not able:
         intra = Fitted(intra.whole, (intra.whole,) * len(folds))
     extra = _fit_others(samples, folds)
-    wrong = off_the_mark(x[samples.first], shape) if negatives is None else np.asarray(negatives, np.float64)
     right_q = np.concatenate([space.log_density(x[mask]) for space, mask in zip(frontal.without, folds, strict=True)])
-    wrong_q = np.mean([space.log_density(wrong) for space in frontal.without], axis=0)
+    wrong_q = np.mean([space.log_density(negatives) for space in frontal.without], axis=0)
     threshold, errors = equal_errors(*_genuine_and_strangers(intra, extra, samples, own, fold, own_of))
     counts = tuple(np.bincount(who[samples.first]).tolist())
     return Gallery(
@@ -98,8 +85,7 @@ def _fit_others(samples: Samples, folds: Sequence[Mask]) -> Fitted:
     if not able:
         held = [(mask, anyone) for mask in folds_by(samples.of)]
     without = [samples.to_others(~mask, others) for mask, others in held]
-    whole = samples.to_others(everybody, anyone)
-    fitted = fit_moments(whole, without, samples.x.shape[1], centred=True, basis=samples.basis)
+    fitted = fit_moments(samples.to_others(everybody, anyone), without, samples.basis, centred=True)
     return fitted if able else Fitted(fitted.whole, (fitted.whole,) * len(folds))
 
 
@@ -109,28 +95,27 @@ def _genuine_and_strangers(
     """Log ratios (eq. 16) by spaces that have not seen the person: to it (m,), and the largest to another (n,)."""
     genuine, best, faces = np.empty(len(own)), np.empty(len(samples.x)), samples.faces
     for k, (within, between) in enumerate(zip(intra.without, extra.without, strict=True)):
-        mine = fold[own_of] == k
-        genuine[mine] = within.log_density(own[mine]) - between.log_density(own[mine])
-        mine = fold == k
-        x, who = samples.x[mine], samples.who[mine]
+        held = fold[own_of] == k
+        genuine[held] = within.log_density(own[held]) - between.log_density(own[held])
+        held = fold == k
+        x, who = samples.x[held], samples.who[held]
         ratios = within.log_densities(x, faces) - between.log_densities(x, faces)
         ratios[np.arange(len(x)), who] = -np.inf
-        best[mine] = ratios.max(axis=1)
+        best[held] = ratios.max(axis=1)
     return genuine, best
 
 
 def _notes(names: Sequence[str], counts: Sequence[int], errors: float) -> tuple[str, ...]:
     """What cannot be learned, for the user."""
-    found = []
-    single = [name for name, count in zip(names, counts, strict=True) if count == 1]
-    if single:
+    notes = []
+    if single := [name for name, count in zip(names, counts, strict=True) if count == 1]:
         each, their = (" each", "their faces change") if len(single) > 1 else ("", "this face changes")
-        found.append(f"{', '.join(single)}: one image{each}: {_CHANGES.format(their)}; add further images")
+        notes.append(f"{', '.join(single)}: one image{each}: {_CHANGES.format(their)}; add further images")
     if errors > MAX_ERRORS:
         share = f"the equal error rate is {100 * errors:.0f} % for a person who is not in the gallery"
         remedy = "look whether each is in one folder alone, and add people and images"
-        found.append(f"by these images people are hardly told apart: {share}; {remedy}")
-    return tuple(found)
+        notes.append(f"by these images people are hardly told apart: {share}; {remedy}")
+    return tuple(notes)
 
 
 def fit_logistic(positive: Array, negative: Array) -> tuple[float, float]:
@@ -186,13 +171,13 @@ def equal_errors(genuine: Array, impostor: Array) -> tuple[float, float]:
 class Samples:
     """Patches `x` (n, d), the person `who` (n,) and the image `of` (n,) of each, counted from 0.
 
-    The first patch of an image is the image itself, others are copies cut a little off. `basis`: as in `Moments`.
+    The first patch of an image is the image itself, others are copies cut a little off. `basis` (r, d): orthonormal.
     """
 
     x: Array
     who: Indices
     of: Indices
-    basis: Array | None = None
+    basis: Array
 
     @cached_property
     def first(self) -> Mask:
@@ -204,33 +189,32 @@ class Samples:
     @cached_property
     def faces(self) -> Array:
         """(P, d): what stands for each person."""
-        first = self.first
-        return np.stack([stand_in(self.x[first & (self.who == p)]) for p in range(self.who.max() + 1)])
+        return np.stack([stand_in(self.x[self.first & (self.who == p)]) for p in range(self.who.max() + 1)])
 
     def to_own(self) -> tuple[Array, Indices]:
         """Differences of patches to the mean of the other images of the person, or to the only one; their index."""
-        rows, index, first = [], [], self.first
+        rows, index = [], []
         for k in range(self.of.max() + 1):
-            mine = np.flatnonzero(self.of == k)
-            others = first & (self.who == self.who[mine[0]]) & (self.of != k)
-            stands = stand_in(self.x[others]) if others.any() else self.x[mine[0]]
-            mine = mine if others.any() else mine[1:]
-            rows.append(self.x[mine] - stands)
-            index.append(mine)
+            copies = np.flatnonzero(self.of == k)
+            others = self.first & (self.who == self.who[copies[0]]) & (self.of != k)
+            stands = stand_in(self.x[others]) if others.any() else self.x[copies[0]]
+            copies = copies if others.any() else copies[1:]
+            rows.append(self.x[copies] - stands)
+            index.append(copies)
         return np.concatenate(rows), np.concatenate(index)
 
     def to_others(self, patches: Mask, persons: Mask) -> Moments:
         """Moments, from sums, of the differences of these patches (n,) to the faces of others of these persons (P,)."""
         coordinates, squares, face_coordinates, face_squares, products_of_both = self._sums
         z, who, faces = coordinates[patches], self.who[patches], face_coordinates[persons]
-        known = persons[who][:, None]
-        apart = np.where(known, face_coordinates[who], 0.0)  # a patch is not compared with its own person
-        number = persons.sum() - known[:, 0]
+        own = persons[who]
+        apart = np.where(own[:, None], face_coordinates[who], 0.0)  # a patch is not compared with its own person
+        number = persons.sum() - own
         asked = len(z) - np.bincount(who, minlength=len(persons))[persons]
         cross = z.T @ (faces.sum(0) - apart)
         products = (z.T * number) @ z - cross - cross.T + (faces.T * asked) @ faces
         along = products_of_both[patches]
-        between = (along @ persons).sum() - along[np.arange(len(z)), who][known[:, 0]].sum()
+        between = (along @ persons).sum() - along[np.arange(len(z)), who][own].sum()
         square = number @ squares[patches] - 2.0 * between + asked @ face_squares[persons]
         return Moments(int(number.sum()), number @ z - asked @ faces, products, max(float(square), 0.0))
 
@@ -239,7 +223,7 @@ class Samples:
         """Coordinates (n, r) and squared lengths (n,) of patches, the same of faces, and their products (n, P)."""
         of_each = []
         for rows in (self.x, self.faces):
-            of_each += [rows if self.basis is None else rows @ self.basis.T, np.einsum("nd,nd->n", rows, rows)]
+            of_each += [rows @ self.basis.T, np.einsum("nd,nd->n", rows, rows)]
         return (*of_each, self.x @ self.faces.T)
 
 
@@ -252,14 +236,119 @@ def stand_in(images: Array) -> Array:
     return np.asarray((mean - mean.mean()) / spread)
 
 
-def off_the_mark(x: Array, shape: tuple[int, int]) -> Array:
-    """Patches (m, d): each of x (n, d) displaced, turned and made smaller, where the border is repeated."""
-    (rows, cols), out = shape, []
-    for patch in x.astype(np.float32).reshape(-1, rows, cols):
-        for dx, dy, angle, size in _OFF:
-            m = cv2.getRotationMatrix2D(((cols - 1) / 2, (rows - 1) / 2), angle, size)
-            m[:, 2] += np.array([dx * cols, dy * rows])
-            moved = warp_affine(patch, m, (cols, rows), cv2.BORDER_REPLICATE).astype(np.float64)
-            spread = float(moved.std())
-            out.append(((moved - moved.mean()) / spread if spread > 1e-6 else 0.0 * moved).ravel())
-    return np.array(out)
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """The subspace of all rows, and one subspace per fold: `without[k]` has not seen the rows of fold k."""
+
+    whole: Subspace
+    without: tuple[Subspace, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Of `count` rows: sums of coordinates (r,) and of their products (r, r), and of squared lengths of whole rows."""
+
+    count: int
+    total: Array
+    products: Array
+    square: float
+
+    @staticmethod
+    def of(z: Array, square: Array) -> Moments:
+        """Of coordinates z (n, r) and squared lengths (n,)."""
+        return Moments(len(z), z.sum(0), z.T @ z, float(square.sum()))
+
+    def __sub__(self, other: Moments) -> Moments:
+        """Of these rows without the others, which are among them."""
+        count, square = self.count - other.count, self.square - other.square
+        return Moments(count, self.total - other.total, self.products - other.products, square)
+
+
+def common_basis(x: Array, most: int = MAX_DIRECTIONS) -> Array:
+    """Orthonormal rows (r, d), r at most `most`: the largest directions of rows x (n, d), or all."""
+    n, d = x.shape
+    if d <= most:
+        return np.eye(d)
+    if n <= most:
+        return np.asarray(np.linalg.svd(x, full_matrices=False)[2])
+    if min(n, d) > MAX_ROWS:
+        x = x[np.linspace(0, n - 1, MAX_ROWS).astype(int)]
+    if d <= len(x):
+        return np.ascontiguousarray(np.linalg.eigh(x.T @ x)[1][:, : -most - 1 : -1].T)
+    largest = np.linalg.eigh(x @ x.T)[1][:, : -most - 1 : -1]
+    return np.asarray(np.linalg.qr(x.T @ largest)[0].T)
+
+
+def fit_subspace(x: Array, folds: Sequence[Mask], basis: Array, *, centred: bool = False) -> Fitted:
+    """The subspace of rows x (n, d): as many components as hold ENERGY of the variance, at most half of the rank.
+
+    `folds[k]` (n,) is true for the rows that are held out together; a fold of no row or of all of them holds nothing
+    out. `basis` (r, d), orthonormal, of a space that the rows are nearly in. `centred`: the mean is 0 by construction.
+    All subspaces have the same rho.
+    """
+    z, square = x @ basis.T, np.einsum("nd,nd->n", x, x)
+    without = [Moments.of(z[~fold], square[~fold]) for fold in folds]
+    return fit_moments(Moments.of(z, square), without, basis, centred=centred)
+
+
+def fit_moments(all_rows: Moments, without: Sequence[Moments], basis: Array, *, centred: bool) -> Fitted:
+    """As `fit_subspace`, from the moments of all rows and of the rows `without` each fold."""
+    d = basis.shape[1]
+    whole = _Components.of(all_rows, centred, d)
+    parts = [_Components.of(m, centred, d) if 0 < m.count < all_rows.count else whole for m in without]
+    held = [(part, all_rows - moments) for part, moments in zip(parts, without, strict=True) if part is not whole]
+    rho = whole.remaining
+    if held:
+        rho = max(rho, sum(part.errors(rows) for part, rows in held) / sum(rows.count for _, rows in held))
+    rho = max(rho, MIN_RHO)
+    return Fitted(whole.subspace(rho, basis), tuple(part.subspace(rho, basis) for part in parts))
+
+
+def folds_by(labels: Indices) -> list[Mask]:
+    """Masks (n,) of the rows to hold out, a label together, FOLDS masks at most; none with fewer than two labels."""
+    names, index = np.unique(labels, return_inverse=True)
+    return [index % FOLDS == k for k in range(min(FOLDS, len(names)))] if len(names) > 1 else []
+
+
+@dataclass(frozen=True, eq=False)
+class _Components:
+    """Principal components in a basis; `remaining`: the sum of the eigenvalues that are left, over d - s."""
+
+    mean: Array
+    vectors: Array
+    values: Array
+    remaining: float
+    d: int
+
+    @staticmethod
+    def of(rows: Moments, centred: bool, d: int) -> _Components:
+        """Of rows of d numbers."""
+        n = rows.count
+        mean = np.zeros_like(rows.total) if centred else rows.total / n
+        freedom = n if centred else max(n - 1, 1)
+        values, vectors = np.linalg.eigh((rows.products - n * np.outer(mean, mean)) / freedom)
+        values = np.maximum(values[::-1], 0.0)
+        # the lengths of the rows include directions that are not in the basis
+        total = max(float(rows.square - n * mean @ mean) / freedom, float(values.sum()))
+        rank = int((values > 1e-9 * max(total, 1e-12)).sum())
+        enough = int(np.searchsorted(np.cumsum(values), ENERGY * total)) + 1
+        s = min(enough, max(rank // 2, 1), rank)
+        left = max(total - float(values[:s].sum()), 0.0)
+        return _Components(mean, vectors[:, ::-1][:, :s].T, values[:s], left / max(d - s, 1), d)
+
+    def errors(self, rows: Moments) -> float:
+        """What rows leave over, the sum of err^2 / (d - s)."""
+        along = self.vectors @ self.mean
+        length = rows.square - 2.0 * self.mean @ rows.total + rows.count * self.mean @ self.mean
+        kept = np.einsum("si,ij,sj->", self.vectors, rows.products, self.vectors, optimize=True)
+        kept += -2.0 * along @ (self.vectors @ rows.total) + rows.count * along @ along
+        return max(float(length - kept), 0.0) / max(self.d - len(self.values), 1)
+
+    def subspace(self, rho: float, basis: Array) -> Subspace:
+        # a principal direction varies at least as much as the directions left out
+        values, vectors = np.maximum(self.values, rho), self.vectors @ basis
+        # the sign of an eigenvector is arbitrary: its largest entry is positive
+        largest = np.abs(vectors).argmax(axis=1)
+        vectors = vectors * np.sign(vectors[np.arange(len(vectors)), largest])[:, None]
+        mean = (self.mean @ basis).astype(np.float32)
+        return Subspace(mean, np.ascontiguousarray(vectors, np.float32), values, rho)

@@ -79,12 +79,13 @@ class Recognition(Likelihood):
 
     def init(self, frame: Frame, x0: Array) -> Recognised:
         """Every identity is as likely. Raises InputError as the appearance does."""
-        n, (w, h), wanted, notes = len(self.names), self.appearance.patches.size, self.gallery.proportion, []
+        n, (w, h), wanted = len(self.names), self.appearance.patches.size, self.gallery.proportion
+        notes: tuple[str, ...] = ()
         if wanted is not None and not 1 / MAX_STRETCH <= w / h / wanted <= MAX_STRETCH:
             box = f"the box of {w:.0f}x{h:.0f} pixels is {w / h:.2f} times as wide as high"
             remedy = "the name may be wrong; begin with a box of their proportions"
-            notes.append(f"{box}, and those of the gallery are {wanted:.2f} times: {remedy}")
-        return Recognised(self.appearance.init(frame, x0), self.names, np.full(n, -math.log(n)), tuple(notes))
+            notes = (f"{box}, and those of the gallery are {wanted:.2f} times: {remedy}",)
+        return Recognised(self.appearance.init(frame, x0), self.names, np.full(n, -math.log(n)), notes)
 
     def score(self, learned: Recognised, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_a + log sum_l beta_l {p_f p_n + (1 - p_f) / N} of x (N, 1, 6) -> (N, 1)."""
@@ -118,20 +119,20 @@ class Recognition(Likelihood):
 
     def _log_joint(self, learned: Recognised, frame: Frame, x: Array) -> Array:
         """(N, L): log beta_l {p_f p_n + (1 - p_f) / N} of x (N, 1, 6)."""
-        factor = self.appearance.patches.factor(learned.appearance.state)
+        settings, patches = self.settings, self.appearance.patches
+        factor = patches.factor(learned.appearance.state)
         # of the array x itself, since `score` and `learn` ask for the same one
-        none, sharpness = self.settings.none, self.settings.sharpness
-        key = id(x), self.gallery, none, sharpness, factor, self.appearance.patches
+        key = id(x), self.gallery, settings.none, settings.sharpness, factor, patches
         joint = frame.remembered(key)
         if joint is None:
-            patches = self.appearance.patches.read(frame, x, factor)
-            frontal, log_n = self.gallery.log_scores(patches, sharpness=sharpness, none=none)
+            y = patches.read(frame, x, factor)
+            frontal, log_n = self.gallery.log_scores(y, sharpness=settings.sharpness, none=settings.none)
             with np.errstate(divide="ignore"):
                 named, nobody = np.log(frontal)[:, None] + log_n, np.log1p(-frontal)[:, None]
                 joint = np.logaddexp(named, nobody - math.log(len(self.names))).astype(np.float32)
             frame.remember(key, x, joint)
         log_beta = learned.log_beta
-        if switch := self.settings.switch:
+        if switch := settings.switch:
             beta = np.exp(log_beta)
             with np.errstate(divide="ignore"):
                 log_beta = np.log((1.0 - switch) * beta + switch * (1.0 - beta) / (len(beta) - 1))
@@ -147,7 +148,7 @@ def find_gallery(settings: RecognitionSettings, shape: tuple[int, int], recipe: 
     path = resolve_file(recipe, settings.gallery, key)
     gallery = load_gallery(path)
     if gallery.shape != shape:
-        its, mine = ("{} points high and {} wide".format(*one) for one in (gallery.shape, shape))
+        its, mine = ("{} points high and {} wide".format(*size) for size in (gallery.shape, shape))
         remedy = "fit a gallery of that size, or change the template"
         raise recipe.error(key, f"{path}: the gallery's faces are {its}, and the recipe's template is {mine}; {remedy}")
     return gallery

@@ -35,7 +35,7 @@ Deviation: TypeAlias = Annotated[float, Field(ge=1e-3, le=100)]
 class AffineSettings(ScaledSettings):
     """A face under affine maps: place, and what became of the box of the first frame (section 4)."""
 
-    engine = "facetrack_cli.trackers.appearance.space:AffineSpace.place"
+    engine = "facetrack_cli.trackers.appearance.affine:AffineSpace.place"
     type: Literal["affine"]
     estimate: Literal["map", "mean"] = "map"
     """The particle of the greatest weight, thus likelihood, which the paper calls MAP, or the mean of them all."""
@@ -82,7 +82,7 @@ class NoiseSettings(Section):
 class AffineWalkSettings(MotionSettings):
     """Gaussian noise on the six parameters, around the predicted place: theta_t = theta_{t-1} + nu_t + u_t (eq. 1)."""
 
-    engine = "facetrack_cli.trackers.appearance.velocity:affine_walk"
+    engine = "facetrack_cli.trackers.appearance.affine:affine_walk"
     goes_with = ("affine",)
     type: Literal["affine_walk"]
     sigma: Length
@@ -204,7 +204,7 @@ class RecognitionSettings(Component):
 class AdaptiveSettings(FilterSettings):
     """All particles around the predicted place, as many as the prediction is worth (figure 1, eq. 17)."""
 
-    engine = "facetrack_cli.trackers.appearance.velocity:adaptive"
+    engine = "facetrack_cli.trackers.appearance.affine:adaptive"
     goes_with = ("affine",)
     type: Literal["adaptive"]
     particles: Annotated[int, Field(ge=1)]

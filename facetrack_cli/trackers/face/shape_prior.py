@@ -32,8 +32,8 @@ class StudentPrior(Prior):
 
     def __init__(self, bound: BoundPrior, freedom: float) -> None:
         self.first, self.length, self.freedom = bound.first, bound.length, freedom
-        self._stable, self._moving = bound._stable, bound._moving
-        h = bound._shapes[:, self._moving].reshape(len(bound._shapes), -1)
+        self._stable, self._moving = bound.stable, bound.moving
+        h = bound.shapes[:, self._moving].reshape(len(bound.shapes), -1)
         self.cov = h.T @ h / len(h) + MIN_SIGMA**2 * np.eye(h.shape[1])
         self._inverse = np.linalg.inv(self.cov)
 

@@ -1,4 +1,6 @@
-"""Colour template that ignores the strength of the light (Patras & Pantic 2004, section 3.2, eq. 8-10).
+"""Points and their windows (section 3.1), and a colour template that ignores the strength of the light (eq. 8-10).
+
+Patras & Pantic, FG 2004, section 3.2:
 
     c(o, q) = o / E{o} - q / E{q}          each window divided by its own mean, over pixels and channels    (eq. 8)
     d(o, q) = E_j{ rho(c_j) }              mean over the window of a robust function, L1 as published       (eq. 9)
@@ -19,14 +21,30 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Array, Extent, Frame, Mask, Particles, Whole, factor_for
+from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import size_of_points
+from facetrack_cli.core.types import Array, Extent, Frame, Mask, Particles, Start, Whole, factor_for
+from facetrack_cli.engine.checks import size_of_box
 from facetrack_cli.engine.protocols import Likelihood
-from facetrack_cli.engine.spaces import Context
+from facetrack_cli.engine.spaces import Context, Placed, PointSpace
 from facetrack_cli.trackers.points import window_kernels as windows
-from facetrack_cli.trackers.points.settings import ColourRatioSettings
+from facetrack_cli.trackers.points.settings import ColourRatioSettings, PointsSettings
 
 CHANNELS = 3
 MIN_MEAN = 1.0  # dividing by the mean of a darker window would only blow up its noise
+
+
+def place_points(settings: PointsSettings, start: Start, name: str) -> Placed:
+    """Points where the start has them; the unit is the largest distance of two, or the box's size around one."""
+    target, parts = start.targets[name], settings.parts
+    if missing := ", ".join(part for part in parts if part not in target.points):
+        raise InputError(f"{start.origin}: {name} has no point for {missing}; the recipe wants them")
+    x0 = np.array([target.points[part] for part in parts], dtype=float)
+    unit = size_of_points(x0) if len(parts) > 1 else size_of_box(start, name)
+    if not unit:
+        raise InputError(f"{start.origin}: all points of {name} are in one place; move them apart")
+    sides = [target.windows.get(part) or [side.pixels(unit) for side in settings.window(part)] for part in parts]
+    return Placed(PointSpace(np.array(sides)), x0, np.array(sides), unit)
 
 
 @dataclass(frozen=True)
@@ -67,7 +85,7 @@ class ColourRatio(Likelihood):
         """The templates of K parts at x0 (K, 2)."""
         layouts, reach = self._layouts
         extent, means = windows.extent(x0[None], reach), np.empty(len(x0))
-        groups = tuple(self._group(frame, extent, x0, one, means) for one in layouts)
+        groups = tuple(self._group(frame, extent, x0, layout, means) for layout in layouts)
         return Templates(groups, self.settings.sigma / means, reach)
 
     @cached_property
@@ -75,14 +93,14 @@ class ColourRatio(Likelihood):
         """Groups whose templates are still empty, and the reach: they follow from the windows."""
         most = self.settings.max_samples
         factors = np.array([factor_for(side, most) for side in self.windows.max(axis=1).tolist()])
-        found = []
+        groups = []
         for factor in np.unique(factors).tolist():
             parts = np.flatnonzero(factors == factor)
             # odd, and at least 3, so that a window has a pixel at its centre
             odd = [[max(3, 2 * round((side / factor - 1) / 2) + 1) for side in self.windows[k]] for k in parts]
             offsets = np.cumsum([0, *(CHANNELS * (w + 1) * h for w, h in odd)])
-            found.append(Group(factor, parts, np.array(odd, np.int64), np.empty(0, np.float32), offsets))
-        return tuple(found), float(self.windows.max()) / 2 + 3 * int(factors.max())
+            groups.append(Group(factor, parts, np.array(odd, np.int64), np.empty(0, np.float32), offsets))
+        return tuple(groups), float(self.windows.max()) / 2 + 3 * int(factors.max())
 
     def score(self, learned: Templates, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p(y | x) of each part, x (N, K, 2) -> (N, K), with the floor if there is one; parents do not matter."""
@@ -107,27 +125,21 @@ class ColourRatio(Likelihood):
 
     def relearn(self, learned: Templates, frame: Frame, x0: Array, parts: Mask) -> Templates:
         """With the templates of `parts` (K,) as they look in `frame` at x0 (K, 2)."""
-        return self.blended(learned, frame, x0, parts.astype(np.float64))
-
-    def blended(self, learned: Templates, frame: Frame, x0: Array, rate: Array) -> Templates:
-        """Each template moved by its `rate` (K,), 0..1, towards how the part looks in `frame` at x0 (K, 2)."""
-        anew = self.init(frame, x0)
+        seen = self.init(frame, x0)
         groups = []
-        for old, new in zip(learned.groups, anew.groups, strict=True):  # which part is where follows from the windows
-            share = np.repeat(rate[new.parts].astype(np.float32), np.diff(new.offsets))
-            groups.append(replace(new, ratios=(1 - share) * old.ratios + share * new.ratios))
-        return Templates(tuple(groups), learned.sigma + rate * (anew.sigma - learned.sigma), learned.reach)
+        for old, new in zip(learned.groups, seen.groups, strict=True):  # which part is where follows from the windows
+            fresh = np.repeat(parts[new.parts], np.diff(new.offsets))
+            groups.append(replace(new, ratios=np.where(fresh, new.ratios, old.ratios)))
+        return Templates(tuple(groups), learned.sigma + parts * (seen.sigma - learned.sigma), learned.reach)
 
     def _group(self, frame: Frame, extent: Extent, x0: Array, layout: Group, means: Array) -> Group:
         """The templates of the parts of a group; E{o_i} of each goes into `means` (K,)."""
         factor, (image, left, top) = layout.factor, frame.reduced(layout.factor, extent)
-        flat, ratios = windows.flat(image), np.empty(layout.offsets[-1], np.float32)
-        for k, (w, h), first in zip(
-            layout.parts.tolist(), layout.sides.tolist(), layout.offsets[:-1].tolist(), strict=True
-        ):
-            x, y = x0[k].tolist()
-            at = (x - left - (factor - 1) / 2) / factor, (y - top - (factor - 1) / 2) / factor
-            o = windows.read_window(flat, *at, w, h)
+        flat, ratios = windows.flat(image), []
+        places = (x0 - (left, top) - (factor - 1) / 2) / factor
+        for k, (w, h) in zip(layout.parts.tolist(), layout.sides.tolist(), strict=True):
+            x, y = places[k].tolist()
+            o = windows.read_window(flat, x, y, w, h)
             means[k] = max(float(o[:, :w].mean()), MIN_MEAN)
-            np.divide(o.ravel(), np.float32(means[k]), out=ratios[first : first + o.size])
-        return replace(layout, ratios=ratios)
+            ratios.append(o.ravel() / np.float32(means[k]))
+        return replace(layout, ratios=np.concatenate(ratios))

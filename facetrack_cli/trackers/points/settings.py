@@ -29,7 +29,7 @@ PartName: TypeAlias = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_len
 class PointsSettings(TargetSettings):
     """Named points of a face, each the centre of a window (section 3.1: alpha = <alpha_1 ... alpha_N>)."""
 
-    engine = "facetrack_cli.trackers.points.space:place_points"
+    engine = "facetrack_cli.trackers.points.colour_ratio:place_points"
     type: Literal["points"]
     parts: Annotated[tuple[PartName, ...], Field(strict=False, min_length=1, max_length=100)]
     """The names of the points, in the order of the state; left and right as seen in the frame."""

@@ -97,7 +97,7 @@ def _weigh(x, parts, first, stable, width, h, bias, w, bits, scale):
 
 @exact
 def _parzen(x, parts, first, stable, width, h, bias, u, w, bits, scale, sums, chosen):
-    """Both answers below: `sums` (N,), and where there is `u` the indices `chosen` (N,). w, bits, scale: scratch."""
+    """`parzen`: `sums` (N,), and where there is `u` the indices `chosen` (N,). w, bits, scale: scratch."""
     m = bias.shape[0]
     for s in range(x.shape[0]):
         top, total = _weigh(x[s], parts, first, stable, width, h, bias, w, bits, scale)
@@ -113,26 +113,15 @@ def _parzen(x, parts, first, stable, width, h, bias, u, w, bits, scale, sums, ch
         chosen[s] = j
 
 
-def _ask(x: Array, table: tuple[Any, ...], u: Array) -> tuple[Array, NDArray[np.int64]]:
+def parzen(x: Array, table: tuple[Any, ...], u: Array = _NOTHING) -> tuple[Array, NDArray[np.int64]]:
+    """log sum_j exp(-|q_n - h_j|^2 / 2), (N,), and the index j of a shape for each hypothesis that `u` is given for.
+
+    The index is drawn by the uniform u[n] in [0, 1) with a probability proportional to exp(-|q_n - h_j|^2 / 2).
+    x (N, K, 2) in pixels. `table`: parts (P,) int64; first (K, 2) in pixels; stable: a part, or -1 for the mean of
+    `parts`; width: the kernel's standard deviation in pixels; h (2P, M) float32 in kernel widths; bias (M,) float32 =
+    -|h_j|^2 / 2, and PADDING behind the last; M a multiple of LANES.
+    """
     m = len(table[-1])
     w, bits, sums, chosen = np.empty(m, np.float32), np.empty(m, np.int32), np.empty(len(x)), np.empty(len(u), np.int64)
     _parzen(x, *table, u, w, bits, bits.view(np.float32), sums, chosen)
     return sums, chosen
-
-
-def log_parzen(x: Array, *table: Any) -> Array:
-    """log sum_j exp(-|q_n - h_j|^2 / 2), (N,).
-
-    x (N, K, 2) in pixels. `table`: first (K, 2) in pixels after parts (P,) int64; stable: a part, or -1 for the mean of
-    `parts`; width: the kernel's standard deviation in pixels; h (2P, M) float32 in kernel widths; bias (M,) float32 =
-    -|h_j|^2 / 2, and PADDING behind the last; M a multiple of LANES.
-    """
-    return _ask(x, table, _NOTHING)[0]
-
-
-def pick_shape(x: Array, *table: Any) -> NDArray[np.int64]:
-    """The index j of a shape for each hypothesis, (N,) int64, drawn by the uniform u[n] in [0, 1), the last argument.
-
-    Its probability is proportional to exp(-|q_n - h_j|^2 / 2). The other arguments are those of `log_parzen`.
-    """
-    return _ask(x, table[:-1], table[-1])[1]

@@ -36,7 +36,7 @@ from facetrack_cli.engine.protocols import Prior
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.recipe.load import resolve_file
 from facetrack_cli.trackers.points.settings import ParzenSettings
-from facetrack_cli.trackers.points.shape_kernels import LANES, PADDING, log_parzen, pick_shape
+from facetrack_cli.trackers.points.shape_kernels import LANES, PADDING, parzen
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned
 
@@ -61,8 +61,7 @@ class ShapePrior:
     def __post_init__(self) -> None:
         if len(self.parts) < 2 or len(set(self.parts)) != len(self.parts):
             raise ValueError("a prior needs two parts or more, each named once")
-        unknown = [name for name in (self.stable, *self.scale) if name not in self.parts]
-        if unknown:
+        if unknown := [name for name in (self.stable, *self.scale) if name not in self.parts]:
             raise ValueError(f"{unknown[0]!r} is none of the parts {', '.join(self.parts)}")
         if self.scale[0] == self.scale[1]:
             raise ValueError("the scale is the distance of two different parts")
@@ -88,47 +87,22 @@ def default_prior_path() -> Path:
 
 def load_prior(path: Path) -> ShapePrior:
     """The prior in a file that `save` wrote. Raises InputError for anything else; nothing in the file is executed."""
-    return KIND.read(path, _made)
+    return KIND.read(path, _from_arrays)
 
 
-def _made(stored: Stored) -> ShapePrior:
-    first, *others = stored.texts("scale")
-    if len(others) != 1:
-        raise ValueError(f"scale names {1 + len(others)} parts where 2 belong")
+def _from_arrays(stored: Stored) -> ShapePrior:
+    scale = stored.texts("scale")
+    if len(scale) != 2:
+        raise ValueError(f"scale names {len(scale)} parts where 2 belong")
     shapes = np.asarray(stored.reals("shapes", 3), np.float64)
-    return ShapePrior(stored.texts("parts"), shapes, stored.text("stable"), (first, others[0]))
-
-
-def bind(prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) -> BoundPrior:
-    """The prior for `parts` in the tracker's order, at `first` (K, 2) pixels in the first frame; `sigma`: mouth widths.
-
-    Raises RecipeError if the parts are not the prior's, InputError if the first frame gives no scale.
-    """
-    strange = [name for name in parts if name not in prior.parts]
-    absent = [name for name in prior.parts if name not in parts]
-    if strange or absent:
-        said = f"the shape prior knows {', '.join(prior.parts)}"
-        said += f" not {', '.join(strange)}" if strange else ""
-        said += f" and the recipe does not track {', '.join(absent)}" if absent else ""
-        raise RecipeError(f"{said}; fit a prior with `facetrack prior fit --parts` or change the parts")
-    first, parts = np.array(first, np.float64), tuple(parts)
-    if first.shape != (len(parts), 2) or not np.isfinite(first).all():
-        named = ", ".join(parts)
-        raise InputError(f"the first frame gives no finite position for each of {named}; complete the init file")
-    left, right = (first[parts.index(name)] for name in prior.scale)
-    length = float(np.hypot(*(right - left)))
-    if not length > 0.0:
-        remedy = "so the shape prior has no scale; move them apart in the init file"
-        raise InputError(f"{' and '.join(prior.scale)} are at the same place in the first frame, {remedy}")
-    shapes = prior.shapes[:, [prior.parts.index(name) for name in parts]]
-    return BoundPrior(parts, shapes, first, parts.index(prior.stable), length, float(sigma))
+    return ShapePrior(stored.texts("parts"), shapes, stored.text("stable"), (scale[0], scale[1]))
 
 
 def build(settings: ParzenSettings, context: Context) -> BoundPrior:
     """The prior of a recipe, for its target's parts and where they begin."""
     prior = load_prior(resolve_file(context.recipe, settings.file, f"{context.above}prior.file"))
     try:
-        return bind(prior, context.settings.points, context.placed.x0, settings.sigma)
+        return BoundPrior(prior, context.settings.points, context.placed.x0, settings.sigma)
     except RecipeError as e:
         raise context.error("prior.file", str(e)) from None
     except InputError as e:
@@ -136,7 +110,10 @@ def build(settings: ParzenSettings, context: Context) -> BoundPrior:
 
 
 class BoundPrior(Prior):
-    """A prior registered to one track; made by `bind`. x is (N, K, 2) in pixels; lengths are pixels throughout.
+    """A prior for `parts` in the tracker's order, at `first` (K, 2) pixels in the first frame; `sigma`: mouth widths.
+
+    x is (N, K, 2) in pixels; lengths are pixels throughout. Raises RecipeError if the parts are not the prior's,
+    InputError if the first frame gives no scale.
 
     Given the other parts, the Parzen density of one part is a mixture with one component for each shape j:
 
@@ -148,19 +125,30 @@ class BoundPrior(Prior):
       x and h_j after the means over the other parts are taken off both.
     """
 
-    def __init__(
-        self, parts: tuple[str, ...], shapes: Array, first: Array, stable: int, length: float, sigma: float
-    ) -> None:
-        self.parts, self.first, self.length, self.sigma = parts, first, length, sigma
-        self._shapes, self._stable, self._width = shapes, stable, sigma * length
-        self._moving = [k for k in range(len(parts)) if k != stable]
-        self._all = self._table(self._moving, stable)
-        others = ([k for k in self._moving if k != part] for part in range(len(parts)))
-        self._without = [self._table(rest, -1 if k == stable else stable) for k, rest in enumerate(others)]
+    def __init__(self, prior: ShapePrior, parts: Sequence[str], first: Array, sigma: float) -> None:
+        parts = list(parts)
+        strange = [name for name in parts if name not in prior.parts]
+        absent = [name for name in prior.parts if name not in parts]
+        if strange or absent:
+            parted = f"the shape prior knows {', '.join(prior.parts)}"
+            parted += f" not {', '.join(strange)}" if strange else ""
+            parted += f" and the recipe does not track {', '.join(absent)}" if absent else ""
+            raise RecipeError(f"{parted}; fit a prior with `facetrack prior fit --parts` or change the parts")
+        left, right = (first[parts.index(name)] for name in prior.scale)
+        self.first, self.length, self.sigma = np.array(first, np.float64), float(np.hypot(*(right - left))), sigma
+        if not self.length > 0.0:
+            remedy = "so the shape prior has no scale; move them apart in the init file"
+            raise InputError(f"{' and '.join(prior.scale)} are at the same place in the first frame, {remedy}")
+        self.shapes = prior.shapes[:, [prior.parts.index(name) for name in parts]]
+        self.stable, self._width = parts.index(prior.stable), sigma * self.length
+        self.moving = [k for k in range(len(parts)) if k != self.stable]
+        self._all = self._table(self.moving, self.stable)
+        others = ([k for k in self.moving if k != part] for part in range(len(parts)))
+        self._without = [self._table(rest, -1 if k == self.stable else self.stable) for k, rest in enumerate(others)]
 
     def _table(self, parts: list[int], stable: int) -> tuple[Any, ...]:
         """What the kernels need to compare hypotheses with all shapes over some of the parts."""
-        h = self._shapes[:, parts] / self.sigma
+        h = self.shapes[:, parts] / self.sigma
         if stable < 0:
             h = h - h.mean(1, keepdims=True)
         flat = h.reshape(len(h), -1).T.astype(np.float32)
@@ -171,24 +159,24 @@ class BoundPrior(Prior):
         return np.array(parts, np.int64), self.first, stable, self._width, padded, bias
 
     def _log_sum(self, table: tuple[Any, ...], x: Array) -> Array:
-        return np.asarray(log_parzen(np.ascontiguousarray(x, np.float64), *table), np.float64)
+        return parzen(np.ascontiguousarray(x, np.float64), table)[0]
 
     def _spread(self, part: int) -> float:
-        return self._width / math.sqrt(len(self._moving)) if part == self._stable else self._width
+        return self._width / math.sqrt(len(self.moving)) if part == self.stable else self._width
 
     def log_density(self, x: Array) -> Array:
         """(N,): eq. 11 in logs, divided by the number of shapes; at most 0, right to 1e-5, or 1e-6 of large ones."""
-        return self._log_sum(self._all, x) - math.log(len(self._shapes))
+        return self._log_sum(self._all, x) - math.log(len(self.shapes))
 
     def propose(self, rng: np.random.Generator, x: Array, part: int) -> Array:
         """(N, 2): part `part` drawn from the prior given the other parts of each particle; x[:, part] is not read."""
         x = np.ascontiguousarray(x, np.float64)
         u, noise = rng.random(len(x)), rng.standard_normal((len(x), 2))
-        chosen = pick_shape(x, *self._without[part], u)
-        if part == self._stable:
-            centre = (x - self.first - self.length * self._shapes[chosen])[:, self._moving].mean(1)
+        chosen = parzen(x, self._without[part], u)[1]
+        if part == self.stable:
+            centre = (x - self.first - self.length * self.shapes[chosen])[:, self.moving].mean(1)
         else:
-            centre = x[:, self._stable] - self.first[self._stable] + self.length * self._shapes[chosen, part]
+            centre = x[:, self.stable] - self.first[self.stable] + self.length * self.shapes[chosen, part]
         return np.asarray(self.first[part] + centre + self._spread(part) * noise, np.float64)
 
 
@@ -223,32 +211,31 @@ def fit_prior(
 
     Rows that are hidden, absent, lost or without a position do not count as seen. Raises UsageError or InputError.
     """
-    if not paths:
-        raise UsageError("no ground truth file is named; give one or more, such as clip.truth.csv")
-    if max_shapes < 1:
-        raise UsageError(f"at most {max_shapes} shapes leave no prior; keep 1 or more")
     tables = [read_trajectory(path) for path in paths]
     names = tuple(parts) if parts is not None else _parts_of(tables[0])
     if len(set(names)) != len(names):
         raise UsageError(f"a part is named twice among {', '.join(names)}")
     if scale[0] == scale[1]:
         raise UsageError(f"the scale is the distance of two parts, and both are {scale[0]}")
-    for name in (stable, *scale):
-        if name not in names:
-            where = "among the parts that are asked for" if parts is not None else f"in {paths[0]}"
-            known = ", ".join(names)
-            raise UsageError(f"there is no part {name} {where} ({known}); name another with --stable or --scale")
-    found = [_shapes_of(path, table, names, stable, scale) for path, table in zip(paths, tables, strict=True)]
-    every = np.concatenate([shapes for _, shapes in found])
-    kept = every[_spread_out(every.reshape(len(every), -1), max_shapes)]
-    prior = ShapePrior(names, kept, stable, scale)
-    return Fit(prior, tuple(report for report, _ in found), suggested_sigma(prior))
+    if unknown := [name for name in (stable, *scale) if name not in names]:
+        where = "among the parts that are asked for" if parts is not None else f"in {paths[0]}"
+        raise UsageError(
+            f"there is no part {unknown[0]} {where} ({', '.join(names)}); name another with --stable or --scale"
+        )
+    reports, shapes = [], []
+    for path, table in zip(paths, tables, strict=True):
+        frames, seen = _shapes_of(path, table, names, stable, scale)
+        reports.append(FileReport(path, frames, len(seen)))
+        shapes.append(seen)
+    every = np.concatenate(shapes)
+    prior = ShapePrior(names, every[_spread_out(every.reshape(len(every), -1), max_shapes)], stable, scale)
+    return Fit(prior, tuple(reports), suggested_sigma(prior))
 
 
 def suggested_sigma(prior: ShapePrior) -> float:
     """A kernel's standard deviation, in mouth widths: the mean distance of a shape to its nearest neighbour."""
     flat = prior.shapes.reshape(len(prior.shapes), -1)
-    nearest = [np.partition(((flat - one) ** 2).sum(1), 1)[1] for one in flat if len(flat) > 1]
+    nearest = [np.partition(((flat - shape) ** 2).sum(1), 1)[1] for shape in flat if len(flat) > 1]
     return max(float(np.sqrt(nearest).mean()), MIN_SIGMA) if nearest else MIN_SIGMA
 
 
@@ -258,18 +245,19 @@ def _parts_of(trajectory: Trajectory) -> tuple[str, ...]:
 
 def _shapes_of(
     path: Path, trajectory: Trajectory, names: tuple[str, ...], stable: str, scale: tuple[str, str]
-) -> tuple[FileReport, Array]:
+) -> tuple[int, Array]:
+    """The frames of a file, and its shapes (M, K, 2)."""
     if missing := ", ".join(name for name in names if name not in _parts_of(trajectory)):
         raise InputError(f"{path}: there is no part {missing}; annotate it, or name the parts to learn with --parts")
     shapes: list[Array] = []
     total = 0
     for target in trajectory.targets:
         parts = trajectory.of_target(target)
-        frames, known = aligned(parts, "x", "y", "status")
+        frames, columns = aligned(parts, "x", "y", "status")
         total += len(frames)
-        order = [k for name in names for k, one in enumerate(parts) if one.part == name]
-        points = np.stack([known["x"], known["y"]], axis=2)[:, order]
-        seen = np.isfinite(points).all(axis=(1, 2)) & np.isin(known["status"][:, order], SEEN).all(axis=1)
+        order = [k for name in names for k, part in enumerate(parts) if part.part == name]
+        points = np.stack([columns["x"], columns["y"]], axis=2)[:, order]
+        seen = np.isfinite(points).all(axis=(1, 2)) & np.isin(columns["status"][:, order], SEEN).all(axis=1)
         if len(order) < len(names) or not seen.any():
             continue
         first = points[seen][0]
@@ -283,12 +271,11 @@ def _shapes_of(
     if not shapes:
         remedy = "annotate one, or name the parts to learn with --parts"
         raise InputError(f"{path}: none of its {total} frames shows all of {', '.join(names)}; {remedy}")
-    found = np.concatenate(shapes)
-    far = np.abs(found).max(axis=(1, 2))
-    if far.max() > 10.0:
-        moves = f"moves {far.max():.0f} times the distance of {scale[0]} and {scale[1]} away from {stable}"
+    every = np.concatenate(shapes)
+    if (far := np.abs(every).max()) > 10.0:
+        moves = f"moves {far:.0f} times the distance of {scale[0]} and {scale[1]} away from {stable}"
         raise InputError(f"{path}: a part {moves}; correct that row, or name another --scale")
-    return FileReport(path, total, len(found)), found
+    return total, every
 
 
 def _spread_out(flat: Array, most: int) -> list[int]:

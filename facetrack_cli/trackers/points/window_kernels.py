@@ -59,20 +59,14 @@ def read_window(image: NDArray[Any], x: float, y: float, w: int, h: int) -> NDAr
     """
     height, width = image.shape[0], image.shape[1] // 3
     left, top = x - (w - 1) / 2, y - (h - 1) / 2
-    x0, y0 = math.floor(left), math.floor(top)
-    fx, fy, one = np.float32(left - x0), np.float32(top - y0), np.float32(1.0)
-    if x0 >= 0 and y0 >= 0 and x0 + w + 1 <= width and y0 + h + 1 <= height:
-        pixels = image[y0 : y0 + h + 1, 3 * x0 : 3 * (x0 + w + 1)].astype(np.float32)
-    else:
-        rows, columns = (
-            np.clip(np.arange(y0, y0 + h + 1), 0, height - 1),
-            np.clip(np.arange(x0, x0 + w + 1), 0, width - 1),
-        )
-        pixels = image.reshape(height, width, 3)[rows[:, None], columns].astype(np.float32).reshape(h + 1, -1)
+    x0, y0, one = math.floor(left), math.floor(top), np.float32(1.0)
+    fx, fy = np.float32(left - x0), np.float32(top - y0)
+    rows = np.clip(np.arange(y0, y0 + h + 1), 0, height - 1)
+    columns = np.clip(np.arange(x0, x0 + w + 1), 0, width - 1)
+    pixels = image.reshape(height, width, 3)[rows[:, None], columns].astype(np.float32)
     out = np.zeros((h, w + 1, 3), np.float32)
-    upper = (one - fy) * (one - fx) * pixels[:-1, :-3] + (one - fy) * fx * pixels[:-1, 3:]
-    seen = upper + fy * (one - fx) * pixels[1:, :-3] + fy * fx * pixels[1:, 3:]
-    out[:, :w] = seen.reshape(h, w, 3)
+    upper = (one - fy) * (one - fx) * pixels[:-1, :-1] + (one - fy) * fx * pixels[:-1, 1:]
+    out[:, :w] = upper + fy * (one - fx) * pixels[1:, :-1] + fy * fx * pixels[1:, 1:]
     return out
 
 
@@ -114,9 +108,9 @@ def colour_ratio_distances(
     window darker than `least_mean` is divided by that instead of its mean.
     """
     largest = 3 * max(((w + 1) * (h + 1) for w, h in sides.tolist()), default=0)  # NumPy takes ten times as long
-    pixels, buffer = np.zeros(largest + 3, np.float32), np.empty(largest, np.float32)
+    scratch = np.zeros(largest + 3, np.float32), np.empty(largest, np.float32)
     templates, place = (ratios, offsets, sides, parts), (x, origin_x, origin_y, factor)
-    _distances(image, *templates, *place, least_mean, robust, scale, pixels, buffer, out)
+    _distances(image, *templates, *place, least_mean, robust, scale, *scratch, out)
 
 
 @fast

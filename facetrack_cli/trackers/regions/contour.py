@@ -23,7 +23,7 @@ import numpy as np
 from facetrack_cli.core.types import Array, Frame, Particles, factor_for
 from facetrack_cli.engine.independent import averaged, effective_share
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.trackers.regions import contour_kernels as contour
+from facetrack_cli.trackers.regions import region_kernels as kernel
 from facetrack_cli.trackers.regions.settings import ContourSettings
 
 _MAX_PIXELS = 1e9  # pixels; no frame is as large
@@ -59,8 +59,8 @@ class Contour:
 
     def init(self, frame: Frame, x0: Array) -> Ellipse:
         """The ellipse; of the first frame and x0 (1, 6) nothing is learned but how independent the normals are."""
-        begun = Ellipse(factor_for(max(self.size), self.settings.max_size), *ellipse(self.size, self.settings.normals))
-        return self.learn(begun, frame, x0)
+        factor = factor_for(max(self.size), self.settings.max_size)
+        return self.learn(Ellipse(factor, *ellipse(self.size, self.settings.normals)), frame, x0)
 
     def score(self, learned: Ellipse, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_o of x (N, 1, 6) -> (N, 1), from L log K to 0; parents do not matter."""
@@ -94,9 +94,8 @@ class Contour:
         grey, left, top = frame.grey(learned.factor, (*low, *high))
         # sums, which are whole numbers: their ninths are the means
         nine = cv2.boxFilter(grey, cv2.CV_16U, (3, 3), normalize=False)
-        threshold = 9.0 * self.settings.threshold
         outline = learned.factor, learned.points, learned.normals
-        return np.asarray(contour.nearest_edges(nine, boxes, left, top, *outline, reach, threshold))
+        return np.asarray(kernel.nearest_edges(nine, boxes, left, top, *outline, reach, 9.0 * self.settings.threshold))
 
 
 def ellipse(size: tuple[float, float], count: int) -> tuple[Array, Array]:

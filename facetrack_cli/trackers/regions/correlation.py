@@ -1,4 +1,6 @@
-"""Correlation of a region with itself in the frame before (Odobez, Ba & Gatica-Perez 2003, sections 3.1 and 3.3).
+"""Correlation of a region with itself in the frame before, and the product of likelihoods.
+
+Odobez, Ba & Gatica-Perez, IDIAP-RR 03-15, 2003, sections 3.1 and 3.3:
 
     z(r)  = z_k(T_c r), r in R                       the patch of a hypothesis on a fixed reference grid      (eq. 6)
     z now = z before + noise                         along the path of one object                             (eq. 7)
@@ -6,7 +8,10 @@
     p_c   = exp(-lambda_c d_c)                       c_k-1 is the particle's own parent                       (eq. 12)
     d_c   = sum over r of rho(z now(r) - z before(r))                                                         (eq. 13)
 
-It scores how a particle moved, not where it lies: one that rests on a resting background has distance 0. R are the
+p_o may itself be the product of a contour and a histogram (section 4). The factors are taken to be independent; the
+paper notes that this is not strictly so for colours and correlation, which look at the same pixels.
+
+p_c scores how a particle moved, not where it lies: one that rests on a resting background has distance 0. R are the
 centres of equal cells of the box, read bilinearly from the grey frame. The distances of figure 5:
 
     l2            rho(x) = x^2, lambda_c = 1 / (2 sigma^2)            as published
@@ -28,6 +33,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -36,9 +42,10 @@ from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.core.warp import remap
 from facetrack_cli.engine.independent import averaged, effective_share
 from facetrack_cli.engine.kernels.affine import boxes_extent
+from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.trackers.regions import patch_kernels as patches
-from facetrack_cli.trackers.regions.settings import CorrelationSettings
+from facetrack_cli.trackers.regions import region_kernels as kernel
+from facetrack_cli.trackers.regions.settings import CorrelationSettings, ProductSettings
 
 # grey levels: a region that is followed well has 6 to 20 (RMS); much more would push regions back into the frame
 OUTSIDE = 32.0
@@ -74,30 +81,22 @@ class Correlation:
         """What the first frame after this one is compared with."""
         columns, rows = self.settings.grid
         step = min(self.size[0] / columns, self.size[1] / rows)
-        begun = Previous(frame, 2 ** math.floor(math.log2(max(step, 1.0))), x0)
+        first = Previous(frame, 2 ** math.floor(math.log2(max(step, 1.0))), x0)
         # half a step off, as a region that is followed well may be
-        return self.learn(begun, frame, x0 + 0.5 * step * (np.eye(1, 6) + np.eye(1, 6, 1)))
+        return self.learn(first, frame, x0 + 0.5 * step * (np.eye(1, 6) + np.eye(1, 6, 1)))
 
     def score(self, learned: Previous, frame: Frame, x: Array, parents: Array) -> Array:
         """log p_c of x (N, 1, 6) in `frame` given its parents (N, 1, 6) in the frame before -> (N, 1), at most 0."""
-        sigma = self.settings.sigma
-        rate = 0.5 / sigma**2 if self.settings.distance == "l2" else 1.0 / sigma
-        return -rate * learned.share * self.differences(learned, frame, x, parents)
-
-    def differences(self, learned: Previous, frame: Frame, x: Array, parents: Array) -> Array:
-        """d_c of eq. 13 -> (N, 1): grey levels, or their squares for `l2`, summed over the grid."""
-        out = np.empty((len(x), 1))
         here, there = (np.ascontiguousarray(boxes[:, 0, :3]) for boxes in (x, parents))
-        now, now_view = self._image(frame, learned.factor, here)
-        before, before_view = self._image(learned.frame, learned.factor, there)
-        distance, saturation = self.settings.distance, self.settings.saturation or 0.0
-        outside = OUTSIDE**2 if distance == "l2" else OUTSIDE
+        images = *self._image(frame, learned.factor, here), *self._image(learned.frame, learned.factor, there)
+        distance, sigma, saturation = self.settings.distance, self.settings.sigma, self.settings.saturation or 0.0
+        rate, outside = (0.5 / sigma**2, OUTSIDE**2) if distance == "l2" else (1.0 / sigma, OUTSIDE)
         if distance == "saturated_l1":
             outside = min(outside, saturation)
-        images, boxes = (now, now_view, before, before_view, learned.factor), (here, there, self.size)
-        kind = patches.DISTANCES[distance], saturation, outside
-        patches.patch_distances(*images, *boxes, *self.settings.grid, *kind, out[:, 0])
-        return out
+        sums = np.empty((len(x), 1))  # d_c of eq. 13
+        boxes, kind = (here, there, self.size), (kernel.DISTANCES[distance], saturation, outside)
+        kernel.patch_distances(*images, learned.factor, *boxes, *self.settings.grid, *kind, sums[:, 0])
+        return -rate * learned.share * sums
 
     def learn(self, learned: Previous, frame: Frame, state: Array, particles: Particles | None = None) -> Previous:
         """`frame`, in which the parents of the next frame's particles lie, and how independent the points are."""
@@ -125,3 +124,35 @@ class Correlation:
         # between its border and the centre of its first block, a box is read from the block before too
         grey, left, top = frame.grey(factor, (left - factor, top - factor, right + factor, bottom + factor))
         return grey, (left, top, width, height)
+
+
+@dataclass(frozen=True)
+class Product(Likelihood):
+    """Eq. 10. `factors` that have `distances` say what the target looks like, p_o, the others how it moved, p_c."""
+
+    factors: tuple[Any, ...]
+
+    @classmethod
+    def build(cls, settings: ProductSettings, context: Context) -> Product:
+        return cls(tuple(factor.build(context) for factor in settings.factors))
+
+    def init(self, frame: Frame, x0: Array) -> tuple[Any, ...]:
+        """What each factor learns from the first frame with the parts at x0 (K, D)."""
+        return tuple(factor.init(frame, x0) for factor in self.factors)
+
+    def score(self, learned: tuple[Any, ...], frame: Frame, x: Array, parents: Array) -> Array:
+        """(N, K): the sum of the factors' log-likelihoods."""
+        total = np.zeros(x.shape[:2])
+        for factor, part in zip(self.factors, learned, strict=True):
+            total += factor.score(part, frame, x, parents)
+        return total
+
+    def learn(self, learned: tuple[Any, ...], frame: Frame, state: Array, particles: Particles) -> tuple[Any, ...]:
+        """What each factor knows after a frame."""
+        both = zip(self.factors, learned, strict=True)
+        return tuple(factor.learn(part, frame, state, particles) for factor, part in both)
+
+    def distances(self, learned: tuple[Any, ...], frame: Frame, x: Array) -> Array:
+        """(N, K): the mean over the factors of p_o, from 0, a perfect match, to about 1."""
+        looks = [pair for pair in zip(self.factors, learned, strict=True) if hasattr(pair[0], "distances")]
+        return np.asarray(np.mean([factor.distances(part, frame, x) for factor, part in looks], axis=0))

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Image, Particles, Whole, factor_for
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.trackers.regions import histogram_kernels as kernel
+from facetrack_cli.trackers.regions import region_kernels as kernel
 from facetrack_cli.trackers.regions.settings import HistogramSettings
 
 MIN_COLOURED = 0.05  # of a face half and more, of grey clips after lossy codecs less than 0.001
@@ -57,7 +57,7 @@ class Histogram:
 
     def init(self, frame: Frame, x0: Array) -> Reference:
         """The histogram of the box at x0 (1, 6). InputError without colours where `value_bins` knows no greys."""
-        factor = factor_for(max(self.size), self.settings.max_size)
+        settings, factor = self.settings, factor_for(max(self.size), self.settings.max_size)
         region, ex, ey, _, pixels = self._read(frame, x0[None], factor)
         if region is None:
             wrong = "lies outside the image: choose another box"
@@ -66,18 +66,17 @@ class Histogram:
                 wrong = f"has no pixel of the image at 1/{factor} of its size: {remedy}"
             raise InputError(f"frame {frame.index}: the box {wrong}")
         hsv = _hsv(region)
-        if self.settings.value_bins <= 1:
+        if settings.value_bins <= 1:
             self._need_colours(frame, hsv)
-        hue = np.arange(180) * self.settings.hue_bins // 180 * self.settings.saturation_bins
-        saturation = np.arange(256) * self.settings.saturation_bins // 256
-        coloured = (hue[:, None] + saturation).astype(np.uint16)
-        bins = self.settings.hue_bins * self.settings.saturation_bins
-        colourless = (bins + np.arange(256) * self.settings.value_bins // 256).astype(np.uint16)
-        codes = kernel.code(hsv, coloured, colourless, *self._least())
-        counts = kernel.count(codes, ex[0], ey[0], bins + self.settings.value_bins)
+        hue = np.arange(180) * settings.hue_bins // 180 * settings.saturation_bins
+        coloured = (hue[:, None] + np.arange(256) * settings.saturation_bins // 256).astype(np.uint16)
+        bins = settings.hue_bins * settings.saturation_bins
+        colourless = (bins + np.arange(256) * settings.value_bins // 256).astype(np.uint16)
+        codes = kernel.code_colours(hsv, coloured, colourless, *self._least())
+        counts = kernel.count_bins(codes, ex[0], ey[0], bins + settings.value_bins)
         used = np.flatnonzero(counts.any(axis=0))
         width = kernel.LANES * (len(used) // kernel.LANES + 1)
-        new = np.full(bins + max(self.settings.value_bins, 1), len(used), np.uint16)
+        new = np.full(bins + max(settings.value_bins, 1), len(used), np.uint16)
         new[used] = np.arange(len(used))
         root = np.zeros((len(counts), width), np.float32)
         root[:, : len(used)] = np.sqrt(counts[:, used] / pixels)
@@ -98,7 +97,7 @@ class Histogram:
         region, ex, ey, area, pixels = self._read(frame, x, learned.factor)
         if region is None:
             return np.ones((len(x), 1))
-        codes = kernel.code(_hsv(region), learned.coloured, learned.colourless, *self._least())
+        codes = kernel.code_colours(_hsv(region), learned.coloured, learned.colourless, *self._least())
         # what each way takes, in units of one pixel counted directly; both give the same to the last bit
         bins = learned.root.shape[1]
         integral = codes.size * bins <= MAX_CELLS and codes.size * (2 + bins // kernel.LANES) < pixels
@@ -109,8 +108,8 @@ class Histogram:
         """The part of the frame that boxes (N, 1, 6) cover, their edges in it, areas, and pixels of all together."""
         width, height = (max(side // factor, 1) for side in frame.size)
         boxes = np.ascontiguousarray(x[:, 0, :3])
-        ex, ey, area = kernel.edges(boxes, *self.size, *self.settings.regions, factor, width, height)
-        left, top, right, bottom, pixels = kernel.crop(ex, ey)
+        ex, ey, area = kernel.box_edges(boxes, *self.size, *self.settings.regions, factor, width, height)
+        left, top, right, bottom, pixels = kernel.crop_boxes(ex, ey)
         if pixels == 0:
             return None, ex, ey, area, 0
         extent = (left * factor, top * factor, right * factor - 1, bottom * factor - 1)
@@ -125,13 +124,12 @@ class Histogram:
         return int(np.ceil(self.settings.least_saturation * 255)), int(np.ceil(self.settings.least_value * 255))
 
     def _need_colours(self, frame: Frame, hsv: Image) -> None:
-        # whether each pixel is saturated enough, and light enough: of the box, and of the whole frame
-        least = self.settings.least_saturation * 255, self.settings.least_value * 255
-        (saturated, light), whole = ([one[..., i + 1] >= least[i] for i in (0, 1)] for one in (hsv, _hsv(frame.bgr)))
+        least = 255 * self.settings.least_saturation, 255 * self.settings.least_value
+        saturated, light = hsv[..., 1] >= least[0], hsv[..., 2] >= least[1]
         share, dark = float(np.mean(saturated & light)), float(np.mean(~light))
         if share >= MIN_COLOURED:
             return
-        grey = np.mean(whole[0] & whole[1]) < MIN_COLOURED
+        grey = np.mean((_hsv(frame.bgr)[..., 1:] >= least).all(axis=2)) < MIN_COLOURED
         what = "this clip is grey, or too dark" if grey else "the box shows no colours"
         remedy = "use the recipe contour or contour_correlation, or --set likelihood.histogram.value_bins=8"
         if np.mean(saturated & ~light) >= MIN_COLOURED and dark > 0.5:

@@ -165,7 +165,7 @@ class CorrelationSettings(Component):
 class ProductSettings(LikelihoodSettings):
     """The product of the likelihoods that are given, each of them usable alone (eq. 10)."""
 
-    engine = "facetrack_cli.trackers.regions.product:Product.build"
+    engine = "facetrack_cli.trackers.regions.correlation:Product.build"
     goes_with = ("region",)
     type: Literal["product"]
     contour: ContourSettings | None = None
@@ -178,7 +178,7 @@ class ProductSettings(LikelihoodSettings):
     @property
     def factors(self) -> tuple[Component, ...]:
         """Those that are given, in the order of the fields."""
-        return tuple(one for name in type(self).model_fields if isinstance(one := getattr(self, name), Component))
+        return tuple(factor for factor in (self.contour, self.histogram, self.correlation) if factor is not None)
 
     @property
     def judges(self) -> bool:

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import centre
@@ -27,8 +26,11 @@ from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context, Estimate, Placed, Space, estimate
 from facetrack_cli.trackers.points.window_kernels import extent
 from facetrack_cli.trackers.skin import skin_kernels as kernel
-from facetrack_cli.trackers.skin.colour import learn_skin, note
+from facetrack_cli.trackers.skin.colour import SkinModel, learn_skin
 from facetrack_cli.trackers.skin.settings import CloudSettings, ExclusionSettings, SkinCloudSettings
+
+MIDDLE = 0.7  # of the box's sides: what is looked at to tell whether a place is skin
+GRID = 9  # points along each side of it
 
 
 @dataclass(frozen=True)
@@ -74,18 +76,6 @@ def log_weights(settings: ExclusionSettings, x: Array, footprints: Sequence[Foot
     return total
 
 
-MIDDLE = 0.7  # of the box's sides: what is looked at to tell whether a place is skin
-GRID = 9  # points along each side of it
-
-
-@dataclass(frozen=True)
-class SkinColours:
-    """The skin's colour as a table of 255 p by [Cb, Cr], (256, 256); what there is to say of it."""
-
-    table: NDArray[np.uint8]
-    notes: tuple[str, ...]
-
-
 @dataclass(frozen=True)
 class SkinCloud(Likelihood):
     """`size`: width and height in pixels at the start; `teacher`: the box that teaches the colour, in pixels."""
@@ -101,27 +91,25 @@ class SkinCloud(Likelihood):
             raise InputError(f"{start.origin}: has no {teacher}, whose colours {context.name} learns from; add its box")
         return cls(settings, context.placed.size, box_of(start, teacher))
 
-    def init(self, frame: Frame, x0: Array) -> SkinColours:
+    def init(self, frame: Frame, x0: Array) -> SkinModel:
         """The colour of skin in the teacher's box. Raises InputError if nothing of it is in the frame."""
-        model = learn_skin(frame, self.teacher, least_share=self.settings.least_share)
-        said = note(model)
-        return SkinColours(model.table, () if said is None else (said,))
+        return learn_skin(frame, self.teacher, least_share=self.settings.least_share)
 
-    def score(self, learned: SkinColours, frame: Frame, x: Array, parents: Array) -> Array:
+    def score(self, learned: SkinModel, frame: Frame, x: Array, parents: Array) -> Array:
         """(N, 1): log p(y | x) of x (N, 1, D), x and y first."""
         return np.log(np.maximum(self._skin(learned, frame, x[:, 0, :2]), self.settings.floor))[:, None]
 
-    def learn(self, learned: SkinColours, frame: Frame, state: Array, particles: Particles) -> SkinColours:
+    def learn(self, learned: SkinModel, frame: Frame, state: Array, particles: Particles) -> SkinModel:
         return learned
 
-    def distances(self, learned: SkinColours, frame: Frame, x: Array) -> Array:
+    def distances(self, learned: SkinModel, frame: Frame, x: Array) -> Array:
         """(N, 1): 1 less the mean probability of skin about each place."""
         steps = np.linspace(-0.5, 0.5, GRID) * MIDDLE
         grid = np.stack(np.meshgrid(steps * self.size[0], steps * self.size[1]), axis=-1).reshape(-1, 2)
         skin = self._skin(learned, frame, (x[:, 0, None, :2] + grid).reshape(-1, 2))
         return np.asarray(1.0 - skin.reshape(len(x), -1).mean(axis=1)[:, None])
 
-    def _skin(self, learned: SkinColours, frame: Frame, xy: Array) -> Array:
+    def _skin(self, learned: SkinModel, frame: Frame, xy: Array) -> Array:
         """(N,): p of the pixel at each place xy (N, 2); 0 beyond the frame."""
         factor = factor_for(max(self.size), self.settings.max_size)
         image, left, top = frame.reduced(factor, extent(np.ascontiguousarray(xy)[:, None], 0.0))

@@ -6,7 +6,7 @@
 
 so that p is 1 at the mean. Beyond the paper, the spread of Sigma_S has a floor in every direction, or skin of one flat
 colour would be found nowhere else. And the rules know neither very dark nor very pale skin: when they pass too little
-of the ellipse in the box, all of it is the sample, and `note` says so. Corners do not count: there may be a warm wall.
+of the ellipse in the box, all of it is the sample, and `notes` says so. Corners do not count: there may be a warm wall.
 """
 
 import math
@@ -45,6 +45,18 @@ class SkinModel:
     fallback: bool
     contrast: float
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know of how the colour was learned, one line at most."""
+        notes = []
+        if self.fallback:
+            little = f"Kovac's rules find skin in only {self.share:.0%} of the face"
+            notes.append(f"{little}, so its colour was learned from all that its box shows")
+        if self.contrast < MIN_CONTRAST:
+            same = "what surrounds the face has nearly the same colour"
+            notes.append(f"{same}, so skin colour will hardly tell them apart")
+        return ("; ".join(notes),) if notes else ()
+
 
 def kovac(bgr: Image) -> Mask:
     """Which pixels of bgr (H, W, 3) are skin by the rules for daylight or those for flashlight -> (H, W)."""
@@ -81,17 +93,6 @@ def learn_skin(frame: Frame, box: Box, *, least_share: float = LEAST_SHARE) -> S
     squared = np.einsum("...i,ij,...j", d, np.linalg.inv(cov), d)
     table = np.asarray(np.rint(255 * np.exp(-squared / 2)), np.uint8)
     return SkinModel(mean, cov, table, share, fallback, _contrast(frame, box, table))
-
-
-def note(model: SkinModel) -> str | None:
-    """What the user should know of how the colour was learned, in one line; None if there is nothing."""
-    said = []
-    if model.fallback:
-        little = f"Kovac's rules find skin in only {model.share:.0%} of the face"
-        said.append(f"{little}, so its colour was learned from all that its box shows")
-    if model.contrast < MIN_CONTRAST:
-        said.append("what surrounds the face has nearly the same colour, so skin colour will hardly tell them apart")
-    return "; ".join(said) or None
 
 
 def _inside(frame: Frame, box: Box) -> tuple[int, int, int, int]:

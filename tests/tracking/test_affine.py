@@ -1,0 +1,430 @@
+"""A face under affine maps: its patches, what it is in the image, its walk, and the filter around a predicted place."""
+
+import math
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import ClassVar
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from facetrack_cli.core.types import MAX_REMEMBERED, Frame, Particles
+from facetrack_cli.engine.filters import Prediction
+from facetrack_cli.engine.resampling import uniform
+from facetrack_cli.engine.spaces import estimate, evenly
+from facetrack_cli.engine.target import Bound, ParticleTarget
+from facetrack_cli.trackers.appearance import affine as filters
+from facetrack_cli.trackers.appearance.affine import AffineSpace, Patches, eta, scale_of
+from facetrack_cli.trackers.appearance.appearance import Appearance
+from facetrack_cli.trackers.appearance.settings import NoiseSettings, VelocitySettings
+from facetrack_cli.trajectory.diagnostics import ENTROPY, POSTERIOR
+from tests.support.parts import adaptive, affine_walk, appearance, predicted
+from tests.support.results import parts_of
+from tests.twins import appearance as naive_patches
+from tests.twins import guide as naive
+
+SIZE, SHAPE = (26.0, 30.0), (30, 26)
+
+
+def frame(grey):
+    return Frame(0, 0.0, np.repeat(np.asarray(grey, np.uint8)[..., None], 3, axis=2))
+
+
+def smooth(seed, height=120, width=160, sigma=3.0):
+    noise = np.random.default_rng(seed).normal(size=(height, width))
+    values = cv2.GaussianBlur(noise, (0, 0), sigma)
+    return np.clip(128 + 45 * values / values.std(), 0, 255).astype(np.uint8)
+
+
+def state(cx, cy, a1=1.0, a2=0.0, a3=0.0, a4=1.0):
+    return np.array([[cx, cy, a1, a2, a3, a4]], np.float64)
+
+
+def states(*rows):
+    return np.stack([state(*row) for row in rows])
+
+
+# --- patches -------------------------------------------------------------------------------------------------------
+
+
+@given(
+    st.integers(0, 10**6), st.sampled_from([1, 2, 4, 8]), st.tuples(st.integers(1, 40), st.integers(1, 40)),
+    st.tuples(st.integers(1, 9), st.integers(1, 9)), st.sampled_from([0.02, 0.3, 1.0, 4.0]),
+)  # fmt: skip
+def test_patches_equal_the_plain_twin(seed, factor, picture, shape, spread):
+    rng = np.random.default_rng(seed)
+    width, height = picture
+    grey = rng.integers(0, 256, (height, width))
+    x = np.concatenate([rng.uniform(-0.3, 1.3, (6, 2)) * picture, rng.normal(scale=spread, size=(6, 4))], axis=1)
+    x[:3, 2:] += (1, 0, 0, 1)
+    size = tuple(rng.uniform(1, 30, 2).tolist())
+    found = Patches(size, shape).read(frame(grey), x[:, None], factor)
+    reduced, left, top = frame(grey).grey(factor, (0.0, 0.0, width, height))
+    assert (left, top) == (0, 0)
+    for y, row in zip(found, x, strict=True):
+        expected = naive_patches.patch(reduced, (0, 0, width, height), factor, row, size, shape)
+        np.testing.assert_allclose(y, expected, atol=2e-3)
+
+
+def test_a_patch_of_which_less_than_half_is_seen_is_blank():
+    patches, f = Patches((20.0, 20.0), (10, 10)), frame(smooth(5))
+    # columns at -9, -7, ..., 9 from the centre: five of ten lie right of x = -0.5 at 0, four at -1.6
+    y = patches.read(f, states((0.0, 60), (-1.6, 60), (-300, 60)), 1)
+    assert np.any(y, axis=1).tolist() == [True, False, False]
+    assert [patches.inside(f, state(v, 60)) for v in (0.0, -1.6, -300, 60)] == [0.5, 0.4, 0.0, 1.0]
+
+
+def test_flat_is_below_half_a_grey_level():
+    grey = np.full((60, 60), 100)
+    grey[:, ::2] = 101
+    # half of the points at 100, half at 101: the variance is exactly 0.25
+    assert Patches((10.0, 10.0), (10, 10)).read(frame(grey), states((30.5, 30.5)), 1).any()
+    grey[:, ::4] = 100
+    assert not Patches((8.0, 8.0), (8, 8)).read(frame(grey), states((31.5, 31.5)), 1).any()
+
+
+@pytest.mark.parametrize("wild", [np.nan, np.inf, -1e300, 1e12, 1e-300, 0.0])
+@pytest.mark.parametrize("factor", [1, 4])
+def test_wild_states_are_survived_and_harm_no_other(wild, factor):
+    patches, good = Patches((40.0, 50.0)), state(70, 60)
+    rows = [np.where(np.arange(6) == k, wild, good) for k in range(6)] + [np.full((1, 6), wild)]
+    y = patches.read(frame(smooth(7)), np.stack([*rows, good]), factor)
+    assert np.isfinite(y).all()
+    np.testing.assert_allclose(y[-1], patches.read(frame(smooth(7)), good[None], factor)[0], atol=1e-4)
+    assert all(patches.factor(row) in {2**k for k in range(9)} for row in rows)
+
+
+def test_factor_keeps_points_one_to_two_pixels_apart():
+    patches = Patches((52.0, 60.0))
+    for scale in np.geomspace(0.1, 60, 50):
+        a = scale * np.array([np.cos(0.3), -np.sin(0.3), np.sin(0.3), np.cos(0.3)])
+        step = 2.0 * scale / patches.factor(state(0, 0, *a))
+        assert step <= 2.0 + 1e-9
+        assert step > 1.0 or patches.factor(state(0, 0, *a)) == 1
+    # the side where points are closer decides; a column is a step of 8 pixels by (a1, a3), a row one by (a2, a4)
+    sheared = Patches((8.0 * 26, 8.0 * 30))
+    for a, factor in ((1, 0, 0, 1), 4), ((0.2, 5, 0.2, 5), 2), ((5, 0.2, 5, 0.2), 2), ((5, 5, 0.2, 0.2), 32):
+        assert sheared.factor(state(0, 0, *a)) == factor
+
+
+def test_the_frame_remembers_the_last_patches():
+    f, patches, x = frame(smooth(9)), Patches(SIZE), states((70, 60), (71, 60))
+    first = patches.read(f, x, 1)
+    assert patches.read(f, x, 1) is first
+    assert Patches((26.0, 30.0), (30, 26)).read(f, x, 1) is first
+    assert patches.read(f, x.copy(), 1) is not first
+    assert patches.read(f, x, 2) is not first
+    assert Patches((26.0, 31.0)).read(f, x, 1) is not first
+    with pytest.raises(ValueError, match="read-only"):
+        first[0, 0] = 1
+    # a single state is asked for again and again, each time in another array
+    single = patches.read(f, state(70, 60), 1)
+    assert patches.read(f, states((70, 60)), 1) is single
+    assert patches.read(f, states((71, 60)), 1) is not single
+    # arrays that are gone give their id to others: each must be read again
+    for k in range(3 * MAX_REMEMBERED):
+        y = patches.read(f, states((70 + k, 60), (60, 50)), 1)
+        np.testing.assert_array_equal(y, patches.read(frame(smooth(9)), states((70 + k, 60), (60, 50)), 1))
+    assert len(f._patches) <= MAX_REMEMBERED
+
+
+# --- in the image --------------------------------------------------------------------------------------------------
+
+SPACE = AffineSpace((41.0, 61.0))
+STILL = np.zeros((1, 2))
+NUMBER = st.floats(-3, 3)
+STATES = st.tuples(st.floats(-500, 500), st.floats(-500, 500), NUMBER, NUMBER, NUMBER, NUMBER)
+
+
+def shown(*state, space=SPACE):
+    estimated = evenly(np.array([state], np.float64), STILL)
+    outline = space.outline(estimated)
+    return space.windows(estimated)[0], outline.angle, outline.corners
+
+
+def test_a_box_at_the_start_is_itself():
+    (x0,) = SPACE.at((100, 50, 41, 61))
+    np.testing.assert_array_equal(x0, (120, 80, 1, 0, 0, 1))
+    windows, angle, corners = shown(*x0)
+    assert (tuple(windows), angle) == ((41, 61), 0)
+    # its outermost pixels
+    np.testing.assert_array_equal(corners, [(100, 50), (140, 50), (140, 110), (100, 110)])
+    # a box of a pixel has corners too
+    corners = shown(5.0, 6, 1, 0, 0, 1, space=AffineSpace((1.0, 1.0)))[2]
+    np.testing.assert_array_equal(corners, [(4.5, 5.5), (5.5, 5.5), (5.5, 6.5), (4.5, 6.5)])
+
+
+@given(STATES)
+def test_corners_equal_the_plain_twin_and_the_angle_is_the_nearest_rotation(state):
+    windows, angle, corners = shown(*state)
+    np.testing.assert_allclose(corners, naive.corners(state, SPACE.size), atol=1e-9)
+    right, down = corners[1] - corners[0], corners[3] - corners[0]
+    sides = np.linalg.norm(right) * 41 / 40, np.linalg.norm(down) * 61 / 60
+    np.testing.assert_allclose(windows, sides, atol=1e-9)
+    a = np.reshape(state[2:], (2, 2))
+
+    def off(degrees):
+        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+        return np.linalg.norm(a - [[c, -s], [s, c]])
+
+    assert off(angle) <= min(off(angle + more) for more in (-90, -7, 0.5, 30, 180)) + 1e-9
+
+
+def test_scale_is_that_of_a_similarity_and_1_at_the_start():
+    x = states((0, 0), (5, 5, 0, -3, 3, 0), (0, 0, 1, 0, 0, 0))
+    np.testing.assert_allclose(scale_of(x), [[1], [3], [np.sqrt(0.5)]])
+
+
+def test_the_best_particle_or_the_mean():
+    x = np.arange(18.0).reshape(3, 1, 6)
+    many = np.full(1, np.inf)
+    mean, best = (estimate(Particles(x, np.log([0.2, 0.5, 0.3])), many, best=best) for best in (False, True))
+    np.testing.assert_allclose(mean.state, 0.2 * x[0] + 0.5 * x[1] + 0.3 * x[2])
+    np.testing.assert_array_equal(best.state, x[1])
+    # the spread is about the mean in both
+    np.testing.assert_array_equal(best.cov, mean.cov)
+    np.testing.assert_allclose(mean.cov[0], 0.2 * 6.6**2 + 0.5 * 0.6**2 + 0.3 * 5.4**2)  # 0, 6 and 12 about 6.6
+    for log_w, first in ((np.log([0.4, 0.4, 0.2]), 0), (np.array([-np.inf, 0.0, -np.inf]), 1)):
+        np.testing.assert_array_equal(estimate(Particles(x, log_w), many, best=True).state, x[first])
+
+
+# --- motion --------------------------------------------------------------------------------------------------------
+
+
+@given(
+    st.integers(0, 10**6), STATES, st.floats(0, 4), st.sampled_from([None, 0.0, 0.5]), st.sampled_from([0.0, 0.3, 1.0]),
+    st.tuples(st.floats(0.01, 0.9), st.floats(1.1, 4)),
+)  # fmt: skip
+def test_the_walk_equals_the_plain_twin(seed, state, noise, turn, shear, bounds):
+    walk = affine_walk(3.0, 0.2, shear, bounds, turn)
+    shift = np.random.default_rng(seed + 1).normal(size=(1, 6))
+    x = np.tile(np.array(state), (5, 1, 1))
+    u = np.random.default_rng(seed).standard_normal(x.shape)
+    sigma = 3.0, 0.2, 0.2 if turn is None else turn, shear
+    for arguments, by, size in (((), np.zeros((1, 6)), 1.0), ((shift, noise), shift, noise)):
+        expected = [naive.diffused(state, row[0], sigma, by[0], size, *bounds) for row in u]
+        moved = walk.propagate(np.random.default_rng(seed), x, *arguments)[:, 0]
+        np.testing.assert_allclose(moved, expected, atol=1e-9, rtol=1e-9)
+
+
+@pytest.mark.parametrize("walk", [affine_walk(2.0, 0.04, 0.01, turn=0.03), affine_walk(2.0, 0.04)])
+def test_the_transition_is_the_density_of_the_samples(walk):
+    parent = np.array([[[10.0, 20, 1, 0.2, -0.1, 0.9]]])
+    drawn = walk.propagate(np.random.default_rng(0), np.repeat(parent, 20_000, axis=0))
+    off = (drawn - parent)[:, 0]
+    cov = np.cov(off.T)
+    expected = (
+        -0.5 * np.einsum("ni,ij,nj->n", off, np.linalg.inv(cov), off) - 0.5 * np.linalg.slogdet(2 * np.pi * cov)[1]
+    )
+    log_p = walk.log_transition(drawn, parent)
+    assert log_p.shape == (20_000, 1, 1)
+    assert np.abs(log_p[:, 0, 0] - expected).mean() < 0.04
+
+
+def test_the_scale_stays_within_its_bounds_however_far_it_is_shifted():
+    walk = affine_walk(2.0, 0.5, scale=(0.5, 2.0))
+    rng = np.random.default_rng(0)
+    x = np.repeat(np.array([[[0.0, 0, 1, 0, 0, 1]]]), 100, axis=0)
+    for deform in ((9.0, 0, 0, 9), (-1.0, 0, 0, -1), (0.0, 3, -3, 0)):
+        for _ in range(10):
+            x = walk.propagate(rng, x, np.array([[0.0, 0, *deform]]), 2.0)
+            assert scale_of(x).min() >= 0.5 - 1e-9 and scale_of(x).max() <= 2.0 + 1e-9
+    # it keeps its direction
+    wild = np.array([[[0.0, 0, 6, 2, -2, 6]], [[0.0, 0, 0.1, 0, 0, 0.2]], [[0.0, 0, 0, 0, 0, 0]]])
+    found = affine_walk(0.0, 0.0, scale=(0.5, 2.0)).propagate(rng, wild)[:, 0, 2:]
+    np.testing.assert_allclose(found[0], np.array([6, 2, -2, 6]) * 2 / math.sqrt(40), rtol=1e-12)
+    np.testing.assert_allclose(found[1], np.array([0.1, 0, 0, 0.2]) * 0.5 / math.sqrt(0.025), rtol=1e-12)
+    np.testing.assert_allclose(found[2], [0.5, 0, 0, 0.5], rtol=1e-12)
+
+
+# --- the filter: eq. 17, and one step ------------------------------------------------------------------------------
+
+STATE, SHIFT = np.array([[10.0, 20.0, 1.0, 0.1, -0.1, 0.9]]), np.array([[3.0, -2.0, 0.05, 0.0, 0.0, 0.05]])
+SPREAD = np.array([2.0, 2.0, 0.05, 0.05, 0.05, 0.05])
+
+
+def ahead(noise=1.0, fell=None):
+    return Prediction(STATE, SHIFT, noise, None, fell)
+
+
+@pytest.mark.parametrize(
+    ("noise", "fell", "number"),
+    [
+        (1.0, None, 100), (0.5, None, 50), (2.0, None, 200),  # nobody is recognised: J_0 eta
+        (1.0, True, 80), (1.0, False, 120),  # d = 0.2: less while the entropy falls, more when it rose
+        (0.5, True, 30), (2.0, False, 220), (0.774, True, 57), (0.776, False, 98), (0.1, True, 10),
+    ],
+)  # fmt: skip
+def test_the_number_of_particles(noise, fell, number):
+    there = ahead(noise, fell)
+    assert filters.number(adaptive(100, entropy=0.2), there) == number
+    assert filters.number(adaptive(100, entropy=0.2, least=60), there) == max(number, 60)
+    assert filters.number(adaptive(100, entropy=0.0), there) == round(100 * noise)
+    assert filters.number(adaptive(100, adapt=False, entropy=0.2), there) == 100
+
+
+@dataclass
+class Gaussian:
+    """The state is seen at y with the standard deviations `sigma`; moves by SPREAD around the place ahead."""
+
+    y: np.ndarray
+    sigma: np.ndarray
+    ahead: Prediction
+    blind: bool = False
+
+    def propagate(self, rng, x):
+        assert (x == self.ahead.state).all(), "only the point estimate is propagated"
+        return x + self.ahead.shift + self.ahead.noise * SPREAD * rng.standard_normal(x.shape)
+
+    def log_likelihood(self, x, parents):
+        assert x.shape == parents.shape and (parents == self.ahead.state).all()
+        if self.blind:
+            return np.full(x.shape[:2], -np.inf)
+        return -0.5 * np.sum(((x - self.y) / self.sigma) ** 2, axis=2)
+
+    def log_prior(self, x):
+        return np.zeros(len(x))
+
+
+def stepped(model, number, seed=0, **settings):
+    before = Particles(np.full((3, 1, 6), np.nan), uniform(3))  # what they were does not matter
+    return filters.adaptive(adaptive(number, **settings), np.random.default_rng(seed), before, model)
+
+
+@pytest.mark.parametrize("noise", [0.5, 2.0])
+def test_it_converges_to_the_exact_posterior(noise):
+    """Proposal N(theta + nu, (eta u)^2) times likelihood N(y): Kalman's gain, for each coordinate."""
+    sigma = np.array([1.5, 3.0, 0.03, 0.1, 0.05, 0.02])
+    y = STATE + SHIFT + np.array([[1.0, -2.0, 0.02, -0.05, 0.0, 0.02]])
+    model = Gaussian(y, sigma, ahead(noise))
+    variance = (noise * SPREAD) ** 2
+    k = variance / (variance + sigma**2)
+    mean, spread = STATE + SHIFT + k * (y - STATE - SHIFT), np.sqrt((1 - k) * variance)
+    off = []
+    for number in (250, 4000, 64_000):
+        runs = [stepped(model, number, seed, adapt=False) for seed in range(6)]
+        found = np.array([estimate(particles, info.ess).state for particles, info in runs])
+        off.append(float(np.sqrt(np.mean(((found - mean) / spread) ** 2))))
+    # a sixteenth of the variance each time, so a quarter of the error
+    assert off[0] > 2.5 * off[1] > 6 * off[2] and off[2] < 0.03, off
+    (x, log_w), info = runs[0]
+    np.testing.assert_allclose(np.sqrt(np.diag(estimate(runs[0][0], info.ess).cov[0])), spread[:2], rtol=0.04)
+    assert np.exp(log_w).sum() == pytest.approx(1)
+    assert info.ess == pytest.approx(1 / np.sum(np.exp(log_w) ** 2)) and len(x) == 64_000
+
+
+def test_the_centre_is_a_particle_where_that_is_asked_for():
+    model = Gaussian(STATE, SPREAD, ahead())
+    with_it, without = (stepped(model, 50, centre=centre)[0].x for centre in (True, False))
+    np.testing.assert_array_equal(with_it[0], STATE + SHIFT)
+    np.testing.assert_array_equal(with_it[1:], without[1:])
+    assert not (without == STATE + SHIFT).any()
+
+
+def test_as_many_as_eq_17_says_and_equal_weights_where_nothing_is_likely():
+    (x, log_w), info = stepped(Gaussian(STATE, SPREAD, ahead(0.7, False), blind=True), 100, entropy=0.1)
+    assert len(x) == 80 and info.ess == pytest.approx(80)
+    np.testing.assert_allclose(log_w, -math.log(80))
+
+
+# --- in the loop over frames ---------------------------------------------------------------------------------------
+
+ENTROPIES = (1.0, 1.2, 0.7, 0.7, 0.9, 0.1)  # after each frame
+POSTERIORS = ((0.5, 0.5), (0.5, 0.5), (0.2, 0.8), (0.9, 0.1), (0.5, 0.5), (1.0, 0.0))
+
+
+class Watching(Appearance):
+    """The appearance, which says that somebody is recognised with these entropies."""
+
+    diagnostics: ClassVar = (POSTERIOR, ENTROPY)
+
+    def learn(self, learned, frame, state, particles):
+        return replace(super().learn(learned, frame, state, particles), frames=learned.frames + 1)
+
+    def diagnose(self, learned):
+        posterior = dict(zip("ab", POSTERIORS[learned.frames], strict=True))
+        return {"posterior": posterior, "entropy": ENTROPIES[learned.frames]}
+
+
+BOX = (50.0, 56.0)
+WALK = affine_walk(2.0, 0.02)
+PICTURE, JUMP = smooth(5, 180, 240, 6.0), (3, -2)
+PLAIN = appearance(Patches(BOX))
+
+
+def target(**settings):
+    made = ParticleTarget(
+        name="face", parts=("box",), space=AffineSpace(BOX), x0=state(110, 95), particles=100,
+        motion=predicted(WALK, PLAIN.patches, VelocitySettings()), likelihood=Watching(PLAIN.settings, PLAIN.patches),
+        prior=None, step=partial(filters.adaptive, adaptive(100, entropy=0.2)), confidence=None,
+    )  # fmt: skip
+    return replace(made, **settings)
+
+
+def followed(made, frames=6):
+    """The states after each frame, and the results, of an image that moves by JUMP a frame."""
+    rng = np.random.default_rng(0)
+    images = [frame(np.roll(PICTURE, (t * JUMP[1], t * JUMP[0]), axis=(0, 1))) for t in range(frames)]
+    steps = [made.begin(rng, images[0])]
+    for image in images[1:]:
+        steps.append(made.advance(rng, steps[-1][0], image))
+    return list(zip(*steps, strict=True))
+
+
+def reported(result):
+    """The diagnostics of the one frame of a result."""
+    ((name, found),) = result.rows.diagnostics.items()
+    assert (name, found.frame.tolist()) == ("face", result.rows.frame.tolist())
+    (record,) = found.records()
+    return record
+
+
+def test_the_number_and_the_name_follow_the_posterior():
+    steps, results = followed(target())
+    assert [after.ahead.entropy_fell for after in steps[1:]] == [True, False, True, True, False]
+    # at the start and where it stays the same the entropy did not rise
+    assert [parts_of(result)[0].particles for result in results] == [100, 80, 120, 80, 80, 120]
+    # a name is said where one is likelier than all others
+    assert [parts_of(result)[0].identity for result in results] == ["", "", "b", "a", "", "a"]
+    assert [parts_of(result)[0].identity_prob for result in results] == [None, None, 0.8, 0.9, None, 1.0]
+    assert [reported(result)["entropy"] for result in results] == list(ENTROPIES)
+    assert [tuple(reported(result)["posterior"].values()) for result in results] == list(POSTERIORS)
+    assert all([name for name, _ in result.insets] == ["stable", "recent"] for result in results)
+    unknown = followed(target(likelihood=PLAIN))[0]
+    assert {after.ahead.entropy_fell for after in unknown[1:]} == {None}
+
+
+@pytest.mark.parametrize("best", [False, True])
+def test_what_is_predicted_is_where_the_picture_went(best):
+    noise = NoiseSettings(rate=4.0)
+    steps, results = followed(target(best=best, motion=predicted(WALK, PLAIN.patches, VelocitySettings(), noise)))
+    for before, after, result in zip(steps, steps[1:], results[1:], strict=False):
+        np.testing.assert_array_equal(after.ahead.state, before.estimated.state)
+        np.testing.assert_array_equal(after.flow.state, after.estimated.state)
+        x, log_w = after.particles
+        expected = x[np.argmax(log_w)] if best else np.einsum("n,nkd->kd", np.exp(log_w), x)
+        np.testing.assert_allclose(after.estimated.state, expected)
+        np.testing.assert_allclose(after.ahead.shift[0, :2], JUMP, atol=0.5)
+        # particles lie around the predicted place, with as much noise as is said
+        off = after.particles.x[:, 0] - (after.ahead.state + after.ahead.shift)
+        assert np.abs(off[:, :2].mean(axis=0)).max() < 4 * 2.0 * after.ahead.noise / math.sqrt(len(off))
+        assert off[:, :2].std() == pytest.approx(2.0 * after.ahead.noise, rel=0.35)
+        said = reported(result)
+        assert (said["error"], said["noise"]) == (after.ahead.error, eta(noise, after.ahead.error))
+        cx, cy, *a = after.estimated.state[0]
+        assert said["affine"] == [*a, cx, cy] and said["scale"] == pytest.approx(math.sqrt(np.square(a).sum() / 2))
+    middle = steps[-1].estimated.state[0, :2]
+    assert np.hypot(*(middle - (110, 95) - 5 * np.array(JUMP))) < 1.5
+    assert not {"error", "noise"} & reported(results[0]).keys()
+
+
+def test_without_a_motion_that_predicts_nothing_is_predicted():
+    still = target(motion=WALK, step=partial(filters.adaptive, adaptive(100, entropy=0.0)))
+    (first, second), results = followed(still, 2)
+    ahead = Bound(still, first, frame(PICTURE), (), still.motion).ahead
+    np.testing.assert_array_equal(ahead.state, first.estimated.state)
+    assert not ahead.shift.any() and ahead.noise == 1.0 and second.flow is None
+    assert parts_of(results[1])[0].particles == 100 and "error" not in reported(results[1])
