@@ -143,17 +143,6 @@ def test_what_is_there_is_not_replaced(facetrack):
     assert gallery.names == NAMES and gallery.shape == (15, 13)
 
 
-@pytest.mark.parametrize("place", ["start.gallery_images.find_faces", "core.files.publish"])
-def test_an_interrupt_leaves_nothing_behind(facetrack, monkeypatch, place):
-    def interrupted(*args, **kwargs):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(f"facetrack_cli.{place}", interrupted)
-    code, out, err = facetrack("gallery", "fit", "IN/people", "--jitter", "0")
-    assert (code, out) == (130, "") and err.splitlines()[-1] == "facetrack: interrupted"
-    assert names_here() == []
-
-
 # --- folders of faces -------------------------------------------------------------------------------------------------
 
 
@@ -320,7 +309,7 @@ def read(tmp_path_factory):
         (folder / name).write_bytes((folder / "collins" / "1.png").read_bytes())
     box = find_faces(face_of("hopper", 0))[0]
     (folder / "hopper" / "1.init.yaml").write_text(f"frame: 0\nanna: {{box: {[box[0] + 9, *box[1:]]}}}\n")
-    return *faces_of(folder, shape=(15, 13)), folder
+    return *faces_of(folder), folder
 
 
 def test_what_shows_no_face_or_one_again_is_skipped_with_a_warning_that_names_it(read):
@@ -344,7 +333,7 @@ def test_a_face_is_read_as_the_tracker_reads_one_that_begins_in_its_box(read):
     for index, name, right in ((0, "collins", 0), (2, "hopper", 9)):  # an init file moved the second
         picture = cv2.imread(str(folder / name / "1.png"))
         x, y, w, h = find_faces(picture)[0]
-        patches = Patches(size=(w, h), shape=(15, 13))
+        patches = Patches(size=(w, h))
         state = np.array([[[x + right + (w - 1) / 2, y + (h - 1) / 2, 1.0, 0.0, 0.0, 1.0]]])
         expected = patches.read(Frame(0, 0.0, picture), state, patches.factor(state[0]))[0]
         assert float(faces.patches[index] @ expected) / expected.size > 0.999

@@ -228,11 +228,6 @@ def test_a_file_that_is_no_gallery_of_the_recipe(facetrack, file, code, said):
         assert not list(Path().iterdir())
 
 
-def test_a_shape_prior_is_no_gallery(facetrack):
-    prior = FOLDER.parent / "configs" / "mouth_prior.npz"
-    assert "mouth_prior.npz: is not a gallery" in refused(run(facetrack, "--gallery", prior), 3)
-
-
 @pytest.mark.parametrize("how", ["run", "compare"])
 def test_who_is_to_be_recognised_must_be_said(facetrack, how):
     more = {"run": [], "compare": ["--truth", FOLDER / "zoom.truth.csv", "--config", "adaptive"]}[how]
@@ -382,13 +377,6 @@ def test_of_several_targets_those_recognise_that_are_meant_to(facetrack):
     assert {row[2]: bool(row[-2]) for row in rows} == {"left": True, "right": True}
     told = refused(run(facetrack, *start, "--gallery=IN/small.npz", "-o", "-", config="several.yaml", clip="pair"), 2)
     assert "small.npz" in told and "24 points high" in told
-
-
-def test_points_are_no_target_beside_an_affine_one(facetrack):
-    points = (FOLDER.parent / "configs" / "sir.yaml").read_text().partition("seed: 0\n")[2]
-    start = several(("left", RECOGNITION), ("right", points))
-    told = refused(run(facetrack, *start, "--gallery=IN/people.npz", config="several.yaml", clip="pair"), 2)
-    assert "several targets are regions, clouds or affine" in told
 
 
 @pytest.mark.parametrize("config", ["adaptive_recognition", "adaptive"])

@@ -69,15 +69,12 @@ def test_patches_equal_the_plain_twin(seed, factor, picture, shape, spread):
         np.testing.assert_allclose(y, expected, atol=2e-3)
 
 
-def test_a_patch_of_which_less_than_half_is_seen_is_blank():
+def test_what_is_flat_or_seen_by_less_than_half_is_blank():
     patches, f = Patches((20.0, 20.0), (10, 10)), frame(smooth(5))
     # columns at -9, -7, ..., 9 from the centre: five of ten lie right of x = -0.5 at 0, four at -1.6
     y = patches.read(f, states((0.0, 60), (-1.6, 60), (-300, 60)), 1)
     assert np.any(y, axis=1).tolist() == [True, False, False]
     assert [patches.inside(f, state(v, 60)) for v in (0.0, -1.6, -300, 60)] == [0.5, 0.4, 0.0, 1.0]
-
-
-def test_flat_is_below_half_a_grey_level():
     grey = np.full((60, 60), 100)
     grey[:, ::2] = 101
     # half of the points at 100, half at 101: the variance is exactly 0.25
@@ -210,31 +207,9 @@ def test_the_walk_equals_the_plain_twin(seed, state, noise, turn, shear, bounds)
         np.testing.assert_allclose(moved, expected, atol=1e-9, rtol=1e-9)
 
 
-@pytest.mark.parametrize("walk", [affine_walk(2.0, 0.04, 0.01, turn=0.03), affine_walk(2.0, 0.04)])
-def test_the_transition_is_the_density_of_the_samples(walk):
-    parent = np.array([[[10.0, 20, 1, 0.2, -0.1, 0.9]]])
-    drawn = walk.propagate(np.random.default_rng(0), np.repeat(parent, 20_000, axis=0))
-    off = (drawn - parent)[:, 0]
-    cov = np.cov(off.T)
-    expected = (
-        -0.5 * np.einsum("ni,ij,nj->n", off, np.linalg.inv(cov), off) - 0.5 * np.linalg.slogdet(2 * np.pi * cov)[1]
-    )
-    log_p = walk.log_transition(drawn, parent)
-    assert log_p.shape == (20_000, 1, 1)
-    assert np.abs(log_p[:, 0, 0] - expected).mean() < 0.04
-
-
-def test_the_scale_stays_within_its_bounds_however_far_it_is_shifted():
-    walk = affine_walk(2.0, 0.5, scale=(0.5, 2.0))
-    rng = np.random.default_rng(0)
-    x = np.repeat(np.array([[[0.0, 0, 1, 0, 0, 1]]]), 100, axis=0)
-    for deform in ((9.0, 0, 0, 9), (-1.0, 0, 0, -1), (0.0, 3, -3, 0)):
-        for _ in range(10):
-            x = walk.propagate(rng, x, np.array([[0.0, 0, *deform]]), 2.0)
-            assert scale_of(x).min() >= 0.5 - 1e-9 and scale_of(x).max() <= 2.0 + 1e-9
-    # it keeps its direction
+def test_the_scale_stops_at_its_bounds_and_the_deformation_keeps_its_direction():
     wild = np.array([[[0.0, 0, 6, 2, -2, 6]], [[0.0, 0, 0.1, 0, 0, 0.2]], [[0.0, 0, 0, 0, 0, 0]]])
-    found = affine_walk(0.0, 0.0, scale=(0.5, 2.0)).propagate(rng, wild)[:, 0, 2:]
+    found = affine_walk(0.0, 0.0, scale=(0.5, 2.0)).propagate(np.random.default_rng(0), wild)[:, 0, 2:]
     np.testing.assert_allclose(found[0], np.array([6, 2, -2, 6]) * 2 / math.sqrt(40), rtol=1e-12)
     np.testing.assert_allclose(found[1], np.array([0.1, 0, 0, 0.2]) * 0.5 / math.sqrt(0.025), rtol=1e-12)
     np.testing.assert_allclose(found[2], [0.5, 0, 0, 0.5], rtol=1e-12)

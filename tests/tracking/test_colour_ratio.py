@@ -30,12 +30,6 @@ def grid(reach=6, step=0.5):
     return np.stack([dx.ravel(), dy.ravel()], axis=1)
 
 
-def peak(likelihood, learned, picture):
-    offsets = grid()
-    score = likelihood.score(learned, frame(picture), X0 + offsets[:, None])
-    return offsets[np.argmax(score, axis=0)]
-
-
 @pytest.mark.parametrize("norm", ["channel", "pixel"])
 @pytest.mark.parametrize(("robust", "scale"), [("l1", None), ("tukey", 0.3)])
 def test_agrees_with_the_formula(norm, robust, scale):
@@ -59,15 +53,3 @@ def test_the_floor_bounds_from_below_and_leaves_good_matches_alone():
     assert a.min() < -12
     assert b.min() >= -10
     np.testing.assert_allclose(b, np.log(np.exp(a) + np.exp(-10.0)))
-
-
-@pytest.mark.parametrize("scale", [2, 4])
-def test_a_large_picture_read_reduced_peaks_at_the_truth(scale):
-    picture = texture(scale=scale)
-    likelihood = colour_ratio(WINDOWS * scale, max_samples=13)
-    x0 = X0 * scale + (scale - 1) / 2
-    learned = likelihood.init(frame(picture), x0)
-    assert max(group.sides.max() for group in learned.groups) <= 13
-    offsets = grid() * scale
-    score = likelihood.score(learned, frame(picture), x0 + offsets[:, None])
-    assert np.abs(offsets[np.argmax(score, axis=0)]).max() <= 0.5 * scale

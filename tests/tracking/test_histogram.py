@@ -151,21 +151,6 @@ def test_it_takes_the_cheaper_way(n, chosen, monkeypatch):
     assert used == [chosen]
 
 
-@pytest.mark.parametrize(("scale", "max_size"), [(0.8, None), (1.3, None), (1.0, 30)])
-def test_peak_is_at_the_truth(scale, max_size):
-    likelihood, learned = learned_at_truth(scene(), max_size=max_size)
-    moved = (130.4, 97.7)
-    now = frame(scene(moved, scale))
-    offsets = [(dx, dy, f) for dx in range(-24, 25, 3) for dy in range(-24, 25, 3) for f in (0.8, 0.9, 1, 1.12, 1.25)]
-    x = states([(moved[0] + dx, moved[1] + dy, scale * f) for dx, dy, f in offsets])
-    score = likelihood.score(learned, now, x)[:, 0]
-    assert offsets[int(np.argmax(score))] == (0, 0, 1)
-    d = likelihood.distances(learned, now, x)[:, 0]
-    # a reduced image mixes the colours along the edges
-    assert d.min() < (0.12 if max_size is None else 0.3)
-    assert likelihood.distances(learned, now, states([(40.0, 150.0)]))[0, 0] > 0.95
-
-
 def test_what_lies_outside_matches_nothing_and_the_reference_is_of_what_lies_inside():
     picture = colours(np.full((100, 100), 40))
     likelihood = histogram((20.0, 20.0), regions=(1, 1))
@@ -176,19 +161,6 @@ def test_what_lies_outside_matches_nothing_and_the_reference_is_of_what_lies_ins
     assert likelihood.distances(whole, frame(picture), half)[0, 0] ** 2 == pytest.approx(1 - np.sqrt(0.5), abs=1e-5)
     cut = likelihood.init(frame(picture), half[0])
     assert likelihood.distances(cut, frame(picture), inside)[0, 0] == pytest.approx(0, abs=1e-3)
-
-
-def test_pale_and_dark_pixels_have_no_hue_unless_as_printed():
-    picture = scene().copy()
-    picture[:70] = colours(np.full((70, picture.shape[1]), 10), 8, 200)
-    other = picture.copy()
-    other[:70] = colours(np.full((70, picture.shape[1]), 100), 8, 200)
-    d = {}
-    for value_bins in (0, 1, 8):
-        likelihood, learned = learned_at_truth(picture, value_bins=value_bins)
-        d[value_bins] = likelihood.distances(learned, frame(other), states([TRUTH]))[0, 0]
-    assert d[0] > 0.4
-    assert d[1] == d[8] == pytest.approx(0, abs=1e-3)
 
 
 def grey_scene(noise=0):

@@ -299,15 +299,6 @@ def test_ncc_is_equation_10_between_pixels(dense, monkeypatch):
         assert found[1][n] == pytest.approx(naive.ncc(template.first, seen, remove=True), abs=1e-5)
 
 
-@pytest.mark.parametrize(("factor", "place"), [(1, (101.3, 79.6)), (4, (101.3, 79.6)), (2, (100.0, 80.0))])
-def test_the_start_matches_itself_perfectly_at_any_place(factor, place):
-    template = matching.learn_template(frame(scene()), SIZE, states(place)[0], 48.0 / factor)
-    assert template.factor == factor
-    keep, remove = matching.correlate(template, frame(scene()), states(place))
-    assert keep[0] == pytest.approx(1, abs=1e-5)
-    assert remove[0] == pytest.approx(1, abs=1e-5)
-
-
 def test_template_adapts_only_while_it_knows_the_first_one():
     here, there = states(TRUTH)[0], states((200, 60))[0]
     light = np.clip(scene() * 0.6 + 30, 0, 255).astype(np.uint8)

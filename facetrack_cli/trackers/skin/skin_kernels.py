@@ -52,21 +52,6 @@ def skin_map(bgr: NDArray[np.uint8], table: NDArray[np.uint8]) -> NDArray[np.uin
     return np.asarray(_map(rows, np.ascontiguousarray(table).reshape(-1)), np.uint8)
 
 
-@part
-def _within(edge, count):
-    """An edge in pixels as a coordinate of the integral image, 0..count; nan is 0."""
-    u = edge + 0.5
-    return min(u, float(count)) if u > 0.0 else 0.0
-
-
-@part
-def _box_sum(integral, box):
-    height, width = integral.shape[0] - 1, integral.shape[1] - 1
-    x0, y0 = _within(box[0], width), _within(box[1], height)
-    x1, y1 = max(_within(box[2], width), x0), max(_within(box[3], height), y0)
-    return box_sum(integral, x0, y0, x1, y1)
-
-
 @exact
 def nested(x, width, height, factor, left, top):
     """Inner boxes, outer ones around them of twice the area, and inner areas (N,), at x (N, 1, D) = (cx, cy, s, ...).
@@ -99,11 +84,13 @@ def differences(integral, inner, outer):
     """Sums of a map over `inner` and over `outer` boxes, both (N, 4) = x0, y0, x1, y1 -> (N, 2) float64 (eq. 8).
 
     Edges are in pixels, pixel i covers [i - 0.5, i + 0.5], and parts of pixels count by their area. `integral`
-    (H + 1, W + 1) is cv2.integral of the map, which is 0 beyond its border; a box turned inside out is empty.
+    (H + 1, W + 1) is cv2.integral of the map, which is 0 beyond its border.
     """
     out = np.empty((inner.shape[0], 2))
     for n in range(inner.shape[0]):
-        out[n, 0], out[n, 1] = _box_sum(integral, inner[n]), _box_sum(integral, outer[n])
+        a, b = inner[n], outer[n]
+        out[n, 0] = box_sum(integral, a[0] + 0.5, a[1] + 0.5, a[2] + 0.5, a[3] + 0.5)
+        out[n, 1] = box_sum(integral, b[0] + 0.5, b[1] + 0.5, b[2] + 0.5, b[3] + 0.5)
     return out
 
 
