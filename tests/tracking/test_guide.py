@@ -93,7 +93,7 @@ def test_b_equals_the_plain_twin(seed, count, d, components, decay):
     found = gain(x, exact, components, RANK) @ rows
     expected = naive.shift_matrix(x, rows, components) if count else np.zeros((6, d))
     np.testing.assert_allclose(found, expected, atol=1e-6 * max(np.abs(expected).max(), 1e-9))
-    step = mapped(gain(x, exact, components, RANK), rows, patch, wanted)
+    step = mapped(gain(x, exact, components, RANK), rows, patch - wanted)
     np.testing.assert_allclose(step, expected @ (patch - wanted), atol=1e-3 * (1 + np.abs(expected).max() * d))
 
 

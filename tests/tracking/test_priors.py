@@ -70,7 +70,7 @@ def test_kernels_agree_with_their_plain_twins(parts, stable, shapes):
     rng = np.random.default_rng(shapes)
     h, flat, bias = kernel_arguments(rng, parts, stable, shapes)
     x, u = some_particles(25), rng.random(25)
-    sums, chosen = parzen(x, (np.array(parts), FACE, stable, 5.5, flat, bias), u)
+    sums, chosen = parzen(x, np.array(parts), FACE, stable, 5.5, flat, bias, u)
     plain = (parts, FACE, stable, 5.5, h)
     np.testing.assert_allclose(sums, naive_shape.log_parzen(x, *plain), rtol=1e-6, atol=1e-5)
     assert (chosen == naive_shape.pick_shape(x, *plain, u)).all()
@@ -82,7 +82,7 @@ def test_exponents_of_any_depth_add_up():
         h = np.zeros((2, LANES), np.float32)
         bias = np.full(LANES, PADDING)
         bias[:2] = 0.0, -difference
-        sums, _ = parzen(np.zeros((1, 2, 2)), (np.array([1]), np.zeros((2, 2)), 0, 1.0, h, bias))
+        sums, _ = parzen(np.zeros((1, 2, 2)), np.array([1]), np.zeros((2, 2)), 0, 1.0, h, bias, np.empty(0))
         assert sums[0] == pytest.approx(np.log1p(np.exp(-difference)), abs=1.5e-7)
 
 
@@ -92,7 +92,7 @@ def test_the_ends_of_the_uniform_pick_a_shape_that_exists(u):
         _, flat, bias = kernel_arguments(np.random.default_rng(3), [1, 2, 3, 4], 0, shapes)
         for scale in (1.0, 1e3, 1e6):  # far away all weights but one are nothing
             x = FACE + scale * np.random.default_rng(4).normal(size=(50, 5, 2))
-            chosen = parzen(x, (np.array([1, 2, 3, 4]), FACE, 0, 5.5, flat, bias), np.full(50, u))[1]
+            chosen = parzen(x, np.array([1, 2, 3, 4]), FACE, 0, 5.5, flat, bias, np.full(50, u))[1]
             assert (chosen >= 0).all() and (chosen < shapes).all()
 
 

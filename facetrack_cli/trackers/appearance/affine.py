@@ -266,7 +266,7 @@ class PredictedWalk(AffineWalk):
                 if now < least:
                     least, shift, best, patch = now, place, place, there
             for _ in range(velocity.iterations):
-                shift = shift - mapped(flow.gain, flow.rows, patch, wanted)
+                shift = shift - mapped(flow.gain, flow.rows, patch - wanted)
                 patch, now = look(shift)
                 settled = now >= least * (1 - velocity.settle)
                 if now < least:

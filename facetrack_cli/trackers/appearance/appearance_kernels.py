@@ -226,19 +226,13 @@ _WIDE = 8  # columns that are turned together: the six of a motion, filled up
 _SWEEPS = 60  # for one value at most; it takes two
 
 
-def differences(y: Rows, chosen: NDArray[np.int64], patch: Rows) -> tuple[Rows, Array]:
-    """y[chosen] - patch (J, d), and the products of its rows (J, J) float64; y (N, d), chosen (J,), patch (d,)."""
-    count = len(chosen)
-    even = count + count % 2  # by pairs, of which the last may be filled with nothing
-    rows, products = np.zeros((even, len(patch)), np.float32), np.empty((even, even))
-    _differences(y, chosen, patch, rows, products)
-    return rows[:count], np.ascontiguousarray(products[:count, :count])
-
-
 @fast
-def _differences(y, chosen, patch, rows, products):
-    d, even = len(patch), len(products)
-    for n in range(len(chosen)):
+def differences(y, chosen, patch):
+    """y[chosen] - patch (J, d), and the products of its rows (J, J) float64; y (N, d), chosen (J,), patch (d,)."""
+    count, d = len(chosen), len(patch)
+    even = count + count % 2  # by pairs, of which the last may be filled with nothing
+    rows, products = np.zeros((even, d), np.float32), np.empty((even, even))
+    for n in range(count):
         row, seen = rows[n], y[chosen[n]]
         for k in range(d):
             row[k] = seen[k] - patch[k]
@@ -255,23 +249,20 @@ def _differences(y, chosen, patch, rows, products):
                 be += b[k] * e[k]
             products[i, j], products[i, j + 1], products[i + 1, j], products[i + 1, j + 1] = ac, ae, bc, be
             products[j, i], products[j + 1, i], products[j, i + 1], products[j + 1, i + 1] = ac, ae, bc, be
-
-
-def mapped(gain: Array, rows: Rows, patch: Rows, wanted: Rows) -> Array:
-    """gain (6, J) times rows (J, d) times (patch - wanted) (d,) -> (6,)."""
-    out = np.zeros(len(gain))
-    _mapped(gain, rows, patch - wanted, out)
-    return out
+    return rows[:count], np.ascontiguousarray(products[:count, :count])
 
 
 @fast
-def _mapped(gain, rows, off, out):
+def mapped(gain, rows, off):
+    """gain (6, J) times rows (J, d) times off (d,) -> (6,)."""
+    out = np.zeros(len(gain))
     for n in range(len(rows)):
         row, total = rows[n], _ZERO
         for k in range(len(off)):
             total += row[k] * off[k]
         for i in range(len(gain)):
             out[i] += gain[i, n] * total
+    return out
 
 
 @fast
@@ -368,7 +359,8 @@ def _diagonal(d, e, w, turns, at):
     return count
 
 
-def gain(x: Array, products: Array, components: int, rank: float) -> Array:
+@fast
+def gain(x, products, components, rank):
     """X V_q S_q^-2 V_q^T (6, J), of motions x (J, 6) and Y^T Y = V S^2 V^T, `products` (J, J).
 
     q is `components`, less those whose singular value is below `rank` times the largest. V is never formed: what turns
@@ -376,20 +368,12 @@ def gain(x: Array, products: Array, components: int, rank: float) -> Array:
     """
     n = len(products)
     if n == 0:
-        return np.zeros((6, 0))
-    a, w, room = products.copy(), np.zeros((n, _WIDE)), 4 * n * n + 64
+        return np.zeros((6, n))
+    a, w, room, along = products.copy(), np.zeros((n, _WIDE)), 4 * n * n + 64, np.empty(_WIDE)
     w[:, :6] = x
     # about 1.7 sweeps a value, of half the length in the mean
     turns, at = np.empty((room, 2)), np.empty(room, np.int32)
-    d, e, betas, p = np.zeros((4, n))
-    _solve(a, w, d, e, betas, p, np.empty(_WIDE), turns, at, components, rank)
-    return np.ascontiguousarray(w[:, :6].T)
-
-
-@fast
-def _solve(a, w, d, e, betas, p, along, turns, at, components, rank):
-    """`gain` in place: a (n, n) are the products, w (n, 8) the motions and then the answer, the others scratch."""
-    n = len(a)
+    d, e, betas, p = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     _tridiagonal(a, d, e, betas, p)
     for k in range(n - 1, 0, -1):
         _reflect(w, a[k, :k], betas[k], along)
@@ -400,8 +384,7 @@ def _solve(a, w, d, e, betas, p, along, turns, at, components, rank):
         # not a number fails this too
         solved = solved and d[k] < np.inf
     if not solved:
-        w[:] = 0.0
-        return
+        return np.zeros((6, n))
     least = max(rank * rank * top, 1e-12)
     for i in range(n):
         larger = 0
@@ -417,3 +400,4 @@ def _solve(a, w, d, e, betas, p, along, turns, at, components, rank):
             w[i, j], w[i + 1, j] = c * lower + s * upper, c * upper - s * lower
     for k in range(1, n):
         _reflect(w, a[k, :k], betas[k], along)
+    return np.ascontiguousarray(w[:, :6].T)

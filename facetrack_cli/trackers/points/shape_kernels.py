@@ -13,21 +13,17 @@ No fastmath: the inner loops run over j without a reduction, so they vectorise a
 """
 
 import math
-from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facetrack_cli.engine.kernels.compiled import exact
 
-Array: TypeAlias = NDArray[np.float64]
 LANES = 16  # shapes are padded to a multiple of this, so that sums and maxima run in independent lanes
 PADDING = np.float32(-1e38)  # the bias of a shape that is none
 _FARTHEST = 1e30  # float32 holds 3e38
 _MIN_EXPONENT = np.float32(-80.0)  # exp of it is nothing beside the largest weight, 1
 _LOG2E, _LN2_HI, _LN2_LO = np.float32(1.4426950408889634), np.float32(0.693359375), np.float32(-2.12194440e-4)
 _ROUND = np.float32(12582912.0)  # 1.5 * 2**23: adding it leaves the nearest whole number in the low bits
-_NOTHING: Array = np.empty(0)
 _ONE, _HALF = np.float32(1.0), np.float32(0.5)
 _C3, _C4, _C5 = np.float32(1.6666665459e-1), np.float32(4.1665795894e-2), np.float32(8.3334519073e-3)
 _C6, _C7 = np.float32(1.3981999507e-3), np.float32(1.9875691500e-4)
@@ -96,9 +92,18 @@ def _weigh(x, parts, first, stable, width, h, bias, w, bits, scale):
 
 
 @exact
-def _parzen(x, parts, first, stable, width, h, bias, u, w, bits, scale, sums, chosen):
-    """`parzen`: `sums` (N,), and where there is `u` the indices `chosen` (N,). w, bits, scale: scratch."""
+def parzen(x, parts, first, stable, width, h, bias, u):
+    """log sum_j exp(-|q_n - h_j|^2 / 2), (N,), and the index j of a shape for each hypothesis if `u` is not empty.
+
+    The index is drawn by the uniform u[n] in [0, 1) with a probability proportional to exp(-|q_n - h_j|^2 / 2).
+    x (N, K, 2) in pixels; parts (P,) int64; first (K, 2) in pixels; stable: a part, or -1 for the mean of `parts`;
+    width: the kernel's standard deviation in pixels; h (2P, M) float32 in kernel widths; bias (M,) float32 =
+    -|h_j|^2 / 2, and PADDING behind the last; M a multiple of LANES.
+    """
     m = bias.shape[0]
+    sums, chosen = np.empty(x.shape[0]), np.empty(u.shape[0], np.int64)
+    w, bits = np.empty(m, np.float32), np.empty(m, np.int32)
+    scale = bits.view(np.float32)
     for s in range(x.shape[0]):
         top, total = _weigh(x[s], parts, first, stable, width, h, bias, w, bits, scale)
         sums[s] = top + math.log(total)
@@ -111,17 +116,4 @@ def _parzen(x, parts, first, stable, width, h, bias, u, w, bits, scale, sums, ch
         while bias[j] <= PADDING:  # a goal rounded up to the total would end in the padding
             j -= 1
         chosen[s] = j
-
-
-def parzen(x: Array, table: tuple[Any, ...], u: Array = _NOTHING) -> tuple[Array, NDArray[np.int64]]:
-    """log sum_j exp(-|q_n - h_j|^2 / 2), (N,), and the index j of a shape for each hypothesis that `u` is given for.
-
-    The index is drawn by the uniform u[n] in [0, 1) with a probability proportional to exp(-|q_n - h_j|^2 / 2).
-    x (N, K, 2) in pixels. `table`: parts (P,) int64; first (K, 2) in pixels; stable: a part, or -1 for the mean of
-    `parts`; width: the kernel's standard deviation in pixels; h (2P, M) float32 in kernel widths; bias (M,) float32 =
-    -|h_j|^2 / 2, and PADDING behind the last; M a multiple of LANES.
-    """
-    m = len(table[-1])
-    w, bits, sums, chosen = np.empty(m, np.float32), np.empty(m, np.int32), np.empty(len(x)), np.empty(len(u), np.int64)
-    _parzen(x, *table, u, w, bits, bits.view(np.float32), sums, chosen)
     return sums, chosen

@@ -159,7 +159,7 @@ class BoundPrior(Prior):
         return np.array(parts, np.int64), self.first, stable, self._width, padded, bias
 
     def _log_sum(self, table: tuple[Any, ...], x: Array) -> Array:
-        return parzen(np.ascontiguousarray(x, np.float64), table)[0]
+        return np.asarray(parzen(np.ascontiguousarray(x, np.float64), *table, np.empty(0))[0])
 
     def _spread(self, part: int) -> float:
         return self._width / math.sqrt(len(self.moving)) if part == self.stable else self._width
@@ -172,7 +172,7 @@ class BoundPrior(Prior):
         """(N, 2): part `part` drawn from the prior given the other parts of each particle; x[:, part] is not read."""
         x = np.ascontiguousarray(x, np.float64)
         u, noise = rng.random(len(x)), rng.standard_normal((len(x), 2))
-        chosen = parzen(x, self._without[part], u)[1]
+        chosen = parzen(x, *self._without[part], u)[1]
         if part == self.stable:
             centre = (x - self.first - self.length * self.shapes[chosen])[:, self.moving].mean(1)
         else:

@@ -2,15 +2,13 @@
 """Windows read from an image, and their colours compared (Patras & Pantic 2004, eq. 8 and 9)."""
 
 import math
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.engine.kernels.compiled import exact, fast, inline
 
-Array: TypeAlias = NDArray[np.float64]
-Whole: TypeAlias = NDArray[np.int64]
 L1, HUBER, TUKEY, GEMAN_MCCLURE = 0, 1, 2, 3
 ROBUST = {"l1": L1, "huber": HUBER, "tukey": TUKEY, "geman_mcclure": GEMAN_MCCLURE}
 
@@ -96,10 +94,10 @@ def _mean_rho(template, window, gain, robust, scale, n):
     return scale * d / n
 
 
+@fast
 def colour_ratio_distances(
-    image: NDArray[Any], ratios: NDArray[np.float32], offsets: Whole, sides: Whole, parts: Whole, x: Array,
-    origin_x: int, origin_y: int, factor: int, least_mean: float, robust: int, scale: float, out: Array,
-) -> None:  # fmt: skip
+    image, ratios, offsets, sides, parts, x, origin_x, origin_y, factor, least_mean, robust, scale, out
+):
     """Mean robust difference of mean-normalised colours between templates and the windows at x (eq. 8 and 9).
 
     Template g of part `parts[g]` is `ratios[offsets[g] : offsets[g + 1]]`, divided by its own mean and laid out as
@@ -107,16 +105,10 @@ def colour_ratio_distances(
     (H, W * 3) shows it from (origin_x, origin_y) on, reduced by `factor`. The distance goes to `out[n, parts[g]]`. A
     window darker than `least_mean` is divided by that instead of its mean.
     """
-    largest = 3 * max(((w + 1) * (h + 1) for w, h in sides.tolist()), default=0)  # NumPy takes ten times as long
-    scratch = np.zeros(largest + 3, np.float32), np.empty(largest, np.float32)
-    templates, place = (ratios, offsets, sides, parts), (x, origin_x, origin_y, factor)
-    _distances(image, *templates, *place, least_mean, robust, scale, *scratch, out)
-
-
-@fast
-def _distances(
-    image, ratios, offsets, sides, parts, x, origin_x, origin_y, factor, least_mean, robust, scale, pixels, buffer, out
-):
+    largest = 0
+    for g in range(len(parts)):
+        largest = max(largest, 3 * (sides[g, 0] + 1) * (sides[g, 1] + 1))
+    pixels, buffer = np.zeros(largest + 3, np.float32), np.empty(largest, np.float32)
     # far outside, every window shows the same border; the bound keeps the integers small
     reach = 4.0 * (image.shape[0] + image.shape[1])
     for g in range(len(parts)):
