@@ -399,7 +399,6 @@ def test_the_figure_has_everyone_in_it(count):
     other = some_gallery([*names[:-1], "zz"], pictures=2, shape=(15, 13))
     changed = np.argwhere((drawn(other) != picture).any(2))
     assert len(changed) and changed[:, 0].min() > 500
-    assert (drawn(gallery) == picture).all()
 
 
 def test_names_of_every_kind_are_drawn():

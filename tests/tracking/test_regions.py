@@ -266,7 +266,10 @@ def test_correlation_alone_cannot_fail_on_lost(facetrack):
 # --- points and boxes ------------------------------------------------------------------------------------------------
 
 
-def test_a_recipe_of_points_on_a_clip_of_boxes_says_what_follows_boxes(facetrack, clips):
+def test_a_recipe_of_points_on_a_clip_of_boxes_or_of_regions_on_one_of_points_says_what_follows_it(facetrack, clips):
+    said = refused(run(facetrack, name="points"), 3)
+    assert f"{clips}/points.init.yaml: head has no box, which the recipe follows; add one" in said
+    assert "or follow its points, by a recipe such as factorized" in said
     begin = Path("two.yaml")
     begin.write_text("frame: 0\na: {box: [100, 60, 40, 52]}\nb: {box: [20, 130, 40, 40]}\n")
     code, _, err = run(facetrack, "--init", "two.yaml", config="factorized")
