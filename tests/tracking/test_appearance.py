@@ -22,7 +22,6 @@ PATCHES = Patches((40.0, 50.0))
 MIXING, SIGMA = components(0.3, 0.3, 0.4), components(0.4, 0.5, 0.6)
 MODEL = appearance(PATCHES, 0.1, mixing=MIXING, sigma=SIGMA, least_sigma=0.05)
 FIXED = changed(MODEL, mixing=components(0, 0, 1))
-LAPLACE = changed(FIXED, density="laplace")
 TRUTH = state(80, 60)
 W, S, F = 0, 1, 2
 
@@ -139,39 +138,12 @@ def test_learning_is_blind_to_what_is_not_seen():
     f = frame(smooth(1))
     learned = MODEL.init(f, state(25, 60))
     # a third of the box leaves the image
-    after = MODEL.learn(learned, f, state(8, 60))
-    seen = PATCHES.read(f, state(8, 60), 1)[0] != 0
-    assert 0.5 < seen.mean() < 0.9
+    after, seen = MODEL.learn(learned, f, state(8, 60)), PATCHES.read(f, state(8, 60), 1)[0] != 0
     for now, before in ((after.m, learned.m), (after.mu, learned.mu), (after.sigma, learned.sigma)):
         np.testing.assert_array_equal(now[:, ~seen], before[:, ~seen])
     assert (after.mu[W, seen] != learned.mu[W, seen]).mean() > 0.99
     assert MODEL.learn(learned, f, state(-300, 60)) is learned
     assert MODEL.learn(learned, frame(np.full((120, 160), 40)), state(60, 60)) is learned
-
-
-def moved(rows):
-    """What is wrong with a hypothesis, in each of the ways that it can be."""
-    dx, dy, scale, angle, shear = rows
-    turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return (TRUTH[0, 0] + dx, TRUTH[0, 1] + dy, *(turn @ np.array([[1, shear], [0, 1]])).ravel())
-
-
-@pytest.mark.parametrize("model", [MODEL, LAPLACE, changed(MODEL, outlier=0.1)])
-@pytest.mark.parametrize(("axis", "reach"), [(0, 6), (2, 0.2), (3, 0.3), (4, 0.3)])
-def test_the_peak_is_at_the_truth_whatever_is_wrong(model, axis, reach):
-    offs = np.linspace(-reach, reach, 25)
-    wrong = np.repeat([[0, 0, 1, 0, 0]], 25, axis=0).astype(float)
-    wrong[:, axis] += offs
-    learned = model.init(frame(smooth(11)), TRUTH)
-    # another image than the one it was learned in: other light and noise
-    seen = 0.7 * smooth(11) + 20 + np.random.default_rng(0).normal(scale=4, size=(120, 160))
-    x = states(*map(moved, wrong))
-    score = model.score(learned, frame(seen), x)[:, 0]
-    assert abs(score.argmax() - 12) <= 1
-    assert score[[0, -1]].max() < score.max() - 50
-    # and it falls off on both sides
-    assert np.all(np.diff(score[:10]) > 0)
-    assert np.all(np.diff(score[15:]) < 0)
 
 
 @pytest.mark.parametrize(

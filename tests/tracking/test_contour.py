@@ -106,8 +106,7 @@ def test_the_normals_stand_at_equal_steps_of_arc(size, count):
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
 
 
-@pytest.mark.parametrize(("max_size", "factor"), [(None, 1), (30, 2)])
-@pytest.mark.parametrize("search", [4.0, 30.0])
+@pytest.mark.parametrize(("max_size", "factor", "search"), [(None, 1, 4.0), (None, 1, 30.0), (30, 2, 30.0)])
 def test_likelihood_and_distance_are_the_formulas(max_size, factor, search):
     """Eq. 11, on the means of 3x3 pixels: an edge that lies beyond `search` is none, wherever K takes over."""
     picture = grey(head(clutter=25.0))

@@ -274,13 +274,6 @@ def test_ncc_is_equation_10_at_whole_places():
         keep, remove = matching.correlate(template, grey(values), states((30.5 + dx, 25.0 + dy)))
         assert keep[0] == pytest.approx(naive.ncc(there, seen), abs=1e-5)
         assert remove[0] == pytest.approx(naive.ncc(there, seen, remove=True), abs=1e-5)
-    # scaled light changes neither; added light only the one that keeps the mean
-    half = matching.correlate(template, grey(values * 0.5), states((30.5, 25.0)))
-    added = matching.correlate(template, grey(values * 0.5 + 80), states((30.5, 25.0)))
-    assert half[0][0] > 0.999
-    assert half[1][0] > 0.999
-    assert added[1][0] > 0.999
-    assert added[0][0] < 0.999
 
 
 @pytest.mark.parametrize("dense", [False, True])
