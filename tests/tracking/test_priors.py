@@ -291,7 +291,7 @@ def test_fit_registers_as_published(tmp_path):
     frames = talking()
     fit = fit_prior([write_truth(tmp_path / "a.csv", frames)])
     assert fit.prior.parts == PARTS
-    assert (fit.files[0].frames, fit.files[0].used, fit.files[0].skipped) == (40, 40, 0)
+    assert fit.files == ((tmp_path / "a.csv", 40, 40),)
     length = np.hypot(40.0, 1.0)
     opening = 20.0 * np.sin(np.pi * np.arange(40) / 40) ** 2 / length
     assert fit.prior.shapes[:, 4, 1].max() == pytest.approx(opening.max(), abs=1e-3)
@@ -309,7 +309,7 @@ def test_fit_skips_frames_in_which_a_part_is_not_seen(tmp_path):
     hidden = {(0, "nose"): "hidden", (1, "lip_lower"): "absent", (2, "mouth_left"): "lost"}
     hidden[20, "lip_lower"] = "hidden"
     fit = fit_prior([write_truth(tmp_path / "a.csv", frames, hidden)])
-    assert (fit.files[0].used, fit.files[0].skipped) == (36, 4)
+    assert fit.files[0][1:] == (40, 36)
     assert np.abs(fit.prior.shapes[0]).max() == 0.0  # frame 3 is the neutral one
     assert np.abs(fit.prior.shapes[:, :4]).max() < 1e-4
 
@@ -320,7 +320,7 @@ def test_each_file_and_target_has_its_own_neutral_frame(tmp_path):
     twice = write_truth(tmp_path / "b.csv", talking(10) + 50.0, first_frame=7)
     one = fit_prior([write_truth(tmp_path / "c.csv", talking(10))])
     fit = fit_prior([path, twice])
-    assert [file.used for file in fit.files] == [20, 10]
+    assert [seen for _, _, seen in fit.files] == [20, 10]
     # the same movements in another size and place add (next to) nothing
     np.testing.assert_allclose(fit.prior.shapes, one.prior.shapes, atol=1e-3)
 

@@ -65,9 +65,9 @@ def fit(
     fitted.prior.save(out)
     if quiet:
         return
-    for file in fitted.files:
-        say(f"{file.path}: {file.used} of {file.frames} frames used, {file.skipped} skipped")
-    used = sum(file.used for file in fitted.files)
+    for path, frames, seen in fitted.files:
+        say(f"{path}: {seen} of {frames} frames used, {frames - seen} skipped")
+    used = sum(seen for _, _, seen in fitted.files)
     say(f"{out}: {len(fitted.prior.shapes)} shapes kept of {used}: {', '.join(fitted.prior.parts)}")
     say(f"suggested sigma: {fitted.sigma:.3f} ({' to '.join(scale)} is 1)")
 

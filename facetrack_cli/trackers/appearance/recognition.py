@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -39,22 +39,11 @@ _NEVER = -1e30  # in place of log 0, when a posterior has nothing left for an id
 
 @dataclass(frozen=True, eq=False)
 class Recognised:
-    """The appearance, log beta (N,) of the identities `names`, with logsumexp 0, and notes on the start."""
+    """The appearance, log beta (N,) of the identities, with logsumexp 0, and notes on the start."""
 
     appearance: Mixture
-    names: tuple[str, ...]
-    log_beta: Array = field(repr=False)
+    log_beta: Array
     notes: tuple[str, ...] = ()
-
-    @property
-    def posterior(self) -> Mapping[str, float]:
-        """p(n_t | z_0:t) of each identity."""
-        return dict(zip(self.names, np.exp(self.log_beta).tolist(), strict=True))
-
-    @property
-    def entropy(self) -> float:
-        """Of the posterior, in nats: log N at the start, 0 when there is no doubt."""
-        return max(-float(np.exp(self.log_beta) @ self.log_beta), 0.0)
 
 
 @dataclass(frozen=True)
@@ -85,7 +74,7 @@ class Recognition(Likelihood):
             box = f"the box of {w:.0f}x{h:.0f} pixels is {w / h:.2f} times as wide as high"
             remedy = "the name may be wrong; begin with a box of their proportions"
             notes = (f"{box}, and those of the gallery are {wanted:.2f} times: {remedy}",)
-        return Recognised(self.appearance.init(frame, x0), self.names, np.full(n, -math.log(n)), notes)
+        return Recognised(self.appearance.init(frame, x0), np.full(n, -math.log(n)), notes)
 
     def score(self, learned: Recognised, frame: Frame, x: Array, parents: Array | None = None) -> Array:
         """log p_a + log sum_l beta_l {p_f p_n + (1 - p_f) / N} of x (N, 1, 6) -> (N, 1)."""
@@ -115,7 +104,10 @@ class Recognition(Likelihood):
         return self.appearance.insets(learned.appearance)
 
     def diagnose(self, learned: Recognised) -> Mapping[str, Any]:
-        return {"posterior": learned.posterior, "entropy": learned.entropy}
+        """p(n_t | z_0:t) of each identity, and its entropy in nats: log N at the start, 0 when there is no doubt."""
+        beta = np.exp(learned.log_beta)
+        entropy = max(-float(beta @ learned.log_beta), 0.0)
+        return {"posterior": dict(zip(self.names, beta.tolist(), strict=True)), "entropy": entropy}
 
     def _log_joint(self, learned: Recognised, frame: Frame, x: Array) -> Array:
         """(N, L): log beta_l {p_f p_n + (1 - p_f) / N} of x (N, 1, 6)."""

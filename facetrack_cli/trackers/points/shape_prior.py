@@ -180,23 +180,14 @@ class BoundPrior(Prior):
         return np.asarray(self.first[part] + centre + self._spread(part) * noise, np.float64)
 
 
-class FileReport(NamedTuple):
-    """What a file gave: its frames, and the number of frames in which every part is seen."""
-
-    path: Path
-    frames: int
-    used: int
-
-    @property
-    def skipped(self) -> int:
-        return self.frames - self.used
-
-
 class Fit(NamedTuple):
-    """The prior, what each file gave to it, and the kernel's standard deviation that suits it, in mouth widths."""
+    """The prior, and the kernel's standard deviation that suits it, in mouth widths.
+
+    `files`: each with the number of its frames, and of those in which every part is seen.
+    """
 
     prior: ShapePrior
-    files: tuple[FileReport, ...]
+    files: tuple[tuple[Path, int, int], ...]
     sigma: float
 
 
@@ -222,14 +213,11 @@ def fit_prior(
         raise UsageError(
             f"there is no part {unknown[0]} {where} ({', '.join(names)}); name another with --stable or --scale"
         )
-    reports, shapes = [], []
-    for path, table in zip(paths, tables, strict=True):
-        frames, seen = _shapes_of(path, table, names, stable, scale)
-        reports.append(FileReport(path, frames, len(seen)))
-        shapes.append(seen)
-    every = np.concatenate(shapes)
+    read = [_shapes_of(path, table, names, stable, scale) for path, table in zip(paths, tables, strict=True)]
+    every = np.concatenate([shapes for _, shapes in read])
     prior = ShapePrior(names, every[_spread_out(every.reshape(len(every), -1), max_shapes)], stable, scale)
-    return Fit(prior, tuple(reports), suggested_sigma(prior))
+    files = tuple((path, frames, len(shapes)) for path, (frames, shapes) in zip(paths, read, strict=True))
+    return Fit(prior, files, suggested_sigma(prior))
 
 
 def suggested_sigma(prior: ShapePrior) -> float:
