@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from facetrack_cli.core.types import Array, Whole
-from facetrack_cli.engine.kernels.resampling import invert_cdf
+from facetrack_cli.engine.kernels.compiled import invert_cdf
 
 Resampling: TypeAlias = Callable[[np.random.Generator, Array, int], Whole]
 

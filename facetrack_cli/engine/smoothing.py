@@ -129,10 +129,11 @@ def smoothed(one: Chain) -> tuple[Array, Array]:
         if not one.linked[t].any():
             continue
         ahead, spread = _predicted(one, t, mean[t - 1], cov[t - 1])
-        gain = cov[t - 1] @ _turned(one.motion.matrix[t]) @ _inverse(spread)
+        gain = cov[t - 1] @ one.motion.matrix[t].mT @ _inverse(spread)
         gain[~one.linked[t]] = 0.0
         mean[t - 1] += np.einsum("kde,ke->kd", gain, mean[t] - ahead)
-        cov[t - 1] = _even(cov[t - 1] + gain @ (cov[t] - spread) @ _turned(gain))
+        new = cov[t - 1] + gain @ (cov[t] - spread) @ gain.mT
+        cov[t - 1] = (new + new.mT) / 2
     return mean, cov
 
 
@@ -140,7 +141,7 @@ def _predicted(one: Chain, t: int, mean: Array, cov: Array) -> tuple[Array, Arra
     """What the motion into frame t makes of mean (K, D) and covariance (K, D, D)."""
     matrix = one.motion.matrix[t]
     ahead = np.einsum("kde,ke->kd", matrix, mean) + one.motion.offset[t]
-    return ahead, matrix @ cov @ _turned(matrix) + one.motion.cov[t]
+    return ahead, matrix @ cov @ matrix.mT + one.motion.cov[t]
 
 
 def steadied(at: Array, shown: Mask) -> Array:
@@ -185,11 +186,3 @@ def _inverse(cov: Array) -> Array:
     scale = np.where(scale > 1e-12, scale, 1.0)
     both = scale[..., None] * scale[..., None, :]
     return np.asarray(np.linalg.pinv(cov / both, rcond=_MIN_VARIANCE, hermitian=True) / both)
-
-
-def _turned(matrix: Array) -> Array:
-    return np.swapaxes(matrix, -1, -2)
-
-
-def _even(cov: Array) -> Array:
-    return np.asarray((cov + _turned(cov)) / 2)

@@ -4,24 +4,25 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import size_of_points
-from facetrack_cli.core.types import Array, Frame, Info, Mask, Particles, TargetStart
+from facetrack_cli.core.types import BOX, Array, Frame, Info, Mask, Particles, Start, TargetStart
 from facetrack_cli.engine import confidence
-from facetrack_cli.engine.calibration import Calibration
+from facetrack_cli.engine.calibration import Calibration, load_calibration
 from facetrack_cli.engine.confidence import Judgement
 from facetrack_cli.engine.filters import Prediction, Step
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Likelihood, Motion, Names, PredictiveMotion, Prior
 from facetrack_cli.engine.resampling import uniform
 from facetrack_cli.engine.smoothing import Belief, belief
-from facetrack_cli.engine.spaces import Estimate, PointSpace, Space, evenly
-from facetrack_cli.recipe.model import ConfidenceSettings
+from facetrack_cli.engine.spaces import Context, Estimate, PointSpace, Space, evenly
+from facetrack_cli.recipe.load import resolve_file
+from facetrack_cli.recipe.model import ConfidenceSettings, ParticleFilterSettings, Recipe, above
 from facetrack_cli.trajectory.diagnostics import ENTROPY, ERROR, EVIDENCE, NOISE, POSTERIOR, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import PLACE, Status, TargetResult, of_frame
 
@@ -362,3 +363,44 @@ class Bound:
     def _of_present(self, log_p: Array) -> Array:
         """log_p (..., K), in which parts that are not to be seen say nothing."""
         return log_p if self.state.absent is None else np.where(self.state.absent, 0.0, log_p)
+
+
+T = TypeVar("T", bound=ParticleTarget)
+
+
+def particle_target(
+    recipe: Recipe,
+    key: str,
+    given: ParticleFilterSettings,
+    start: Start,
+    name: str,
+    kind: type[T],
+    exclusion: Exclusion | None = None,
+) -> T:
+    """The target `name` of a start, by the settings `given` below `key` of the recipe."""
+    placed = given.target.place(start, name)
+    context = Context(recipe, above(key), given, start, name, placed)
+    return kind(
+        name=name,
+        parts=given.points or (BOX,),
+        space=placed.space,
+        x0=placed.x0,
+        particles=given.filter.particles,
+        motion=given.motion.build(context),
+        likelihood=(given.recognition or given.likelihood).build(context),
+        prior=None if given.prior is None else given.prior.build(context),
+        step=given.filter.build(context),
+        confidence=given.confidence if given.likelihood.judges else None,
+        exclusion=exclusion,
+        scatter=placed.scatter,
+        best=given.target.best,
+        calibration=calibration_of(recipe, key, given),
+    )
+
+
+def calibration_of(recipe: Recipe, key: str, given: ParticleFilterSettings) -> Calibration | None:
+    """The calibration that settings name, if any."""
+    name = given.confidence.calibration
+    if name is None:
+        return None
+    return load_calibration(resolve_file(recipe, name, f"{above(key)}confidence.calibration"))

@@ -42,10 +42,9 @@ from facetrack_cli.run_folder.manifest import (
     recover_interrupted,
 )
 from facetrack_cli.runs.signals import never
-from facetrack_cli.start.assembly import tracker_for
+from facetrack_cli.start.assembly import name_targets, tracker_for
 from facetrack_cli.start.init_file import find_init, read_init
 from facetrack_cli.start.search import Faces, box_start, search_start
-from facetrack_cli.start.targets import name_targets
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.people.looks import load_people
 from facetrack_cli.trackers.skin.settings import CloudSettings

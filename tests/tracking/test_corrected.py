@@ -128,7 +128,7 @@ def test_a_part_of_a_run_tracked_anew_is_what_the_whole_run_has(config, which, l
     whole = run(config, clip, given(6, name, **said | {"absent": ()} if which != "absent" else said), correction)
     [target] = build_tracker(load_recipe(config), replace(clip.start, corrections=(correction,)))
     assert isinstance(target, CorrectedTarget)
-    part_of = list(track((target.resumed(clip.frames[0]),), iter(clip.frames[15:]), 0))
+    part_of = list(track((replace(target, first=clip.frames[0]),), iter(clip.frames[15:]), 0))
     assert lines(part_of) == lines(whole, 15)
 
 
@@ -148,7 +148,7 @@ def test_only_the_corrected_target_changes_and_it_keeps_its_own_numbers(face):
     )[1]
     again = list(
         track(
-            (build_tracker(load_recipe("factorized"), two)[0], target.resumed(face.frames[0])),
+            (build_tracker(load_recipe("factorized"), two)[0], replace(target, first=face.frames[0])),
             iter(face.frames[12:]),
             0,
         )

@@ -84,7 +84,7 @@ def test_a_single_point_is_learned_anew_by_the_length_of_the_first_frame(face, b
     x, y = face.point(25, "nose")
     assert np.hypot(part(put[25], "nose").x - x, part(put[25], "nose").y - y) < 4
     [target] = build_tracker(load_recipe("sir", ("target.parts=[nose]",)), replace(start, corrections=(again,)))
-    assert lines(track((target.resumed(face.frames[0]),), iter(face.frames[10:]), 0)) == lines(put, 10)
+    assert lines(track((replace(target, first=face.frames[0]),), iter(face.frames[10:]), 0)) == lines(put, 10)
 
 
 def test_a_box_cannot_place_parts_that_no_cascade_knows(face, box):

@@ -102,7 +102,7 @@ def test_what_follows_a_complete_correction_depends_on_nothing_before_it(config,
     assert one == other
     start = replace(CLIP.start, corrections=(last, *after))
     [target] = build_tracker(load_recipe(config, FEW), start)
-    assert lines(track((target.resumed(CLIP.frames[0]),), iter(CLIP.frames[at:]), 0)) == one
+    assert lines(track((replace(target, first=CLIP.frames[0]),), iter(CLIP.frames[at:]), 0)) == one
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
+from facetrack_cli.start.assembly import name_targets
 from facetrack_cli.start.init_file import read_init, write_init
-from facetrack_cli.start.targets import name_targets
 
 HEAD = "frame: 5\nface:\n  points: {nose: [1, 2], lip_upper: [3, 4], lip_lower: [5, 6]}\ncorrections:\n"
 BOXES = "frame: 5\nhead: {box: [1, 2, 30, 40]}\nleft_hand: {box: [5, 6, 30, 40]}\ncorrections:\n"

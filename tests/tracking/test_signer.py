@@ -16,7 +16,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import read_init
-from facetrack_cli.trackers.hands import evidence, joint, names
+from facetrack_cli.trackers.hands import evidence, joint
 from facetrack_cli.trackers.hands import target as hand_target
 from facetrack_cli.trackers.hands.settings import NAMES, HandsSettings
 from facetrack_cli.trackers.smoothed import renamed_hands
@@ -162,16 +162,16 @@ def test_the_lean_of_skin_is_that_of_a_plain_loop_and_of_a_line():
     for y in range(max(4 - 8, 0), 4 + 9):
         for x in range(9 - 8, 9 + 9):
             squared = (x - at[0]) ** 2 + (y - at[1]) ** 2
-            weight.append(float(e[y, x]) * math.exp(-0.5 * squared / (names.WINDOW * radius) ** 2))
+            weight.append(float(e[y, x]) * math.exp(-0.5 * squared / (joint.WINDOW * radius) ** 2))
             places.append((x, y))
     cov = np.cov(np.array(places, float).T, aweights=weight, ddof=0)
     expected = 2 * cov[0, 1] / np.trace(cov)
-    assert names._lean(e, at, radius) == pytest.approx(expected, abs=1e-4)
+    assert joint._lean(e, at, radius) == pytest.approx(expected, abs=1e-4)
     line = np.zeros((40, 40), np.float32)
     cv2.line(line, (10, 10), (30, 30), 1.0, 1)
-    assert names._lean(line, np.array([20.0, 20.0]), 5.0) == pytest.approx(1, abs=0.05)
-    assert names._lean(line[::-1].copy(), np.array([20.0, 19.0]), 5.0) == pytest.approx(-1, abs=0.05)
-    assert names._lean(line, np.array([200.0, 20.0]), 5.0) == 0
+    assert joint._lean(line, np.array([20.0, 20.0]), 5.0) == pytest.approx(1, abs=0.05)
+    assert joint._lean(line[::-1].copy(), np.array([20.0, 19.0]), 5.0) == pytest.approx(-1, abs=0.05)
+    assert joint._lean(line, np.array([200.0, 20.0]), 5.0) == 0
 
 
 def test_smoothing_exchanges_names_that_later_frames_deny():

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Frame
-from facetrack_cli.start.targets import hand_regions
+from facetrack_cli.start.assembly import hand_regions
 from facetrack_cli.trackers.skin.colour import learn_skin
 
 FACE = (130.0, 40.0, 50.0, 60.0)

@@ -14,6 +14,7 @@ from facetrack_cli.engine.checks import check_size, check_start
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
 from facetrack_cli.report.text import names as listed
+from facetrack_cli.start.assembly import name_targets
 from facetrack_cli.start.init_file import (
     KEYS,
     OF_CORRECTIONS,
@@ -23,7 +24,6 @@ from facetrack_cli.start.init_file import (
     write_init,
 )
 from facetrack_cli.start.preview import write_preview
-from facetrack_cli.start.targets import name_targets
 from facetrack_cli.trackers.face.detectors import PARTS, detector
 from facetrack_cli.trackers.skin.settings import SkinCloudSettings
 from facetrack_cli.video.seek import Frames

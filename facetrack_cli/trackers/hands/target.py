@@ -24,7 +24,7 @@ from facetrack_cli.core.types import BOX, Array, Box, Frame, TargetStart
 from facetrack_cli.engine import smoothing
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Linear, Names
-from facetrack_cli.trackers.hands import evidence, joint, names
+from facetrack_cli.trackers.hands import evidence, joint
 from facetrack_cli.trackers.hands.evidence import Scene
 from facetrack_cli.trackers.hands.settings import HandsSettings
 from facetrack_cli.trajectory.diagnostics import NAMED, PRESENT, Diagnostics
@@ -141,9 +141,9 @@ class HandTarget:
     ) -> HandState:
         scene, face, before = state.scene, _face(state.scene, state.face), state.belief
         cloud, belief = joint.step(rng, self.settings, state.cloud, seen, scene.side, face, first=first)
-        says = names.log_odds(self.settings, seen.evidence, belief, scene.side, face)
-        changed, last, inside = names.exchanged(belief, face), state.last, state.inside
-        named = names.update(state.named[0], changed, says)
+        says = joint.name_log_odds(self.settings, seen.evidence, belief, scene.side, face)
+        changed, last, inside = joint.exchanged(belief, face), state.last, state.inside
+        named = joint.update_names(state.named[0], changed, says)
         if named < 0.5:
             named, changed, last, inside = 1 - named, 1 - changed, last[::-1], inside[::-1]
             cloud, belief, before = cloud.exchanged(), belief.exchanged(), before.exchanged()
