@@ -9,33 +9,9 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Particles
 from facetrack_cli.engine import smoothing
-from facetrack_cli.engine.motion import FirstOrder, RandomWalk
+from facetrack_cli.engine.motion import RandomWalk
 from facetrack_cli.engine.smoothing import Belief
-from facetrack_cli.trackers.appearance.settings import AffineWalkSettings
-from facetrack_cli.trackers.appearance.velocity import AffineWalk
-from facetrack_cli.trackers.box.hidden_box import VisibleWalk
-from facetrack_cli.trackers.box.settings import VisibleWalkSettings
-from facetrack_cli.trackers.face.motion import JumpingWalk
-
-STAY = np.array([[1.0, 0.0], [0.0, 0.0]])
-PLACE = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[2.0], [1.0]])  # one source of noise for place and speed
-TWO_SOURCES = np.array([[1.0, 0.9], [0.0, 0.8]]), np.array([[2.0, 0.5], [0.3, 1.0]])
-SIZE = np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([[0.02], [0.0]])
-VISIBLE = VisibleWalk(
-    VisibleWalkSettings(type="visible_walk", sigma="2px", scale=0.02, hide=1e-6),
-    40.0,
-    (2.0, 4.0),
-    (0.2, 5.0),
-)
-MOTIONS = {
-    "random_walk": (RandomWalk(np.array([3.0, 1.0])), np.array([[10.0, 20.0], [30.0, 5.0]])),
-    "jumping_walk": (
-        JumpingWalk(np.array([1.0, 0.5]), np.array([6.0, 2.0]), 0.2, np.array([[12.0, 18.0], [31.0, 6.0]]), 0.9),
-        np.array([[10.0, 20.0], [30.0, 5.0]]),
-    ),
-    "first_order": (FirstOrder(PLACE, SIZE, 0.1, 10.0), np.array([[10.0, 20.0, 1.0, 1.0, -1.0, 0.0]])),
-    "visible_walk": (VISIBLE, np.array([[10.0, 20.0, 1.0, 1.0, -1.0, 1.0]])),
-}
+from tests.tracking.test_motion import MOTIONS
 
 
 def kalman(motion, x0, rng, t, hidden=(), noise=1.5):
@@ -162,36 +138,6 @@ def test_particles_come_to_the_exact_posterior():
         exact, spread = batch(motion.linear(x0), x0, seen, (), 1.5, k)
         assert np.abs(mean[1:, k] - exact).max() < 0.05
         assert np.abs(cov[1:, k] / spread[0, 0, 0] - spread / spread[0, 0, 0]).max() < 0.1
-
-
-WALK = AffineWalkSettings(type="affine_walk", sigma="3px", deform=0.02, turn=0.03, shear=0.01)
-
-
-@pytest.mark.parametrize(
-    ("motion", "state"),
-    [
-        *MOTIONS.values(),
-        (FirstOrder(TWO_SOURCES, SIZE, 0.01, 100.0), MOTIONS["first_order"][1]),
-        (AffineWalk(WALK, 3.0, (0.01, 100.0)), np.array([[10.0, 20.0, 1.0, 0.1, -0.1, 1.0]])),
-    ],
-)
-def test_draws_of_every_motion_are_those_of_its_linear_form_and_each_pair_is_scored(motion, state):
-    rng, pairs = np.random.default_rng(1), np.repeat(state[None], 7, axis=0)
-    x, parents = motion.propagate(rng, pairs[:4]), motion.propagate(rng, pairs)
-    parents.flags.writeable = False
-    table = motion.log_transition(x, parents)
-    assert table.shape == (4, 7, len(state)) and motion.propagate(rng, parents[:0]).shape == (0, *state.shape)
-    np.testing.assert_allclose(table[2, 5], motion.log_transition(x[2:3], parents[5:6])[0, 0])
-    assert motion.propagate(rng, parents).shape == parents.shape
-    linear = motion.linear(state)
-    d = linear.matrix.shape[-1]
-    drawn = motion.propagate(np.random.default_rng(6), np.repeat(state[None], 60_000, axis=0))[..., :d]
-    expected = np.einsum("kde,ke->kd", linear.matrix, state[:, :d]) + linear.offset
-    for k in range(len(state)):
-        std = np.sqrt(np.diagonal(linear.cov[k])) + 1e-12
-        assert np.abs((drawn[:, k].mean(axis=0) - expected[k]) / std).max() < 0.03
-        scatter = np.cov(drawn[:, k].T)
-        assert np.abs((scatter - linear.cov[k]) / np.outer(std, std)).max() < 0.05
 
 
 def test_points_at_rest_lose_their_jitter_and_what_jumps_stays_where_it_is():
