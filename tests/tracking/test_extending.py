@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from pydantic import Field
 
-from facetrack_cli.__main__ import main
-from facetrack_cli.core.errors import ExitCode, RecipeError
+from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe import FilterSettings, LikelihoodSettings, Refusal, Section, sections
@@ -313,11 +312,12 @@ def test_an_installed_package_brings_its_sections(folder, tmp_path):
         ("grey_difference:GreyWindows", "is no section: derive it from one of"),
     ],
 )
-def test_a_package_whose_section_fails_is_named(registry, monkeypatch, capsys, value, why):
+def test_a_package_whose_section_fails_is_named(folder, monkeypatch, value, why):
     monkeypatch.setattr(sections, "_types", {})
     point = metadata.EntryPoint("grey_difference", value, sections.GROUP)
     monkeypatch.setattr(sections.metadata, "entry_points", lambda group: [point])
-    assert main(["recipes", "check", "sir"]) == ExitCode.USAGE
-    said = "".join(capsys.readouterr())
+    with pytest.raises(RecipeError) as refused:
+        sections.registered(LikelihoodSettings)
+    said = str(refused.value)
     assert f"the entry point grey_difference = {value} of ? brings no section: " in said and why in said
-    assert "correct or uninstall that package" in said and "Traceback" not in said
+    assert "correct or uninstall that package" in said and "\n" not in said

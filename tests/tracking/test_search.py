@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 
-from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import BOX, Frame
 from facetrack_cli.engine.loop import track
@@ -356,28 +355,3 @@ def test_one_that_keeps_still_alone_is_waited_for_less():
     detector.find = lambda frame: detector.looks.append(frame.time_s) or [Found((110.0, 70.0, 100.0, 100.0), sure=True)]
     assert search_start(frames, detector=detector).frame == 0
     assert ALONE_S <= max(detector.looks) < ALONE_S + 0.3 and len(detector.looks) < 15
-
-
-@pytest.mark.nightly
-def test_two_real_faces_by_the_command_line(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    frames = []
-    for t in range(16):
-        picture = moving.paste(moving.ground(), Pose(90 + t, 120, 90), t)
-        frames.append(moving.frame(t, moving.paste(picture, Pose(235, 120, 60), (t + 7) % 40)))
-
-    folder = tmp_path / "clip"
-    folder.mkdir()
-    for one in frames:
-        cv2.imwrite(str(folder / f"{one.index:03d}.png"), one.bgr)
-    assert main(["run", "clip", "--init", "haar", "--no-video", "-o", "one"]) == 0
-    said = capsys.readouterr().err
-    assert "begins in frame 0 with a face" in said and "1 more face was found, --faces all follows each" in said
-    assert {line.split(",")[2] for line in (tmp_path / "one/trajectory.csv").read_text().splitlines()[1:]} == {"face"}
-    assert main(["run", "clip", "--init", "haar", "--faces", "all", "--no-video", "-o", "all"]) == 0
-    rows = [line.split(",") for line in (tmp_path / "all/trajectory.csv").read_text().splitlines()[1:]]
-    names = "person_1", "person_2"
-    assert {(row[2], row[3]) for row in rows} == {(name, p) for name in names for p in (*PARTS, "box")}
-    assert {row[10] for row in rows} == {"init", "tracked"}
-    last = {row[2]: float(row[4]) for row in rows if row[0] == "15" and row[3] == "box"}
-    assert last["person_1"] == pytest.approx(105, abs=8) and last["person_2"] == pytest.approx(235, abs=8)

@@ -148,17 +148,11 @@ def test_forearms_say_which_hand_is_which_after_a_crossing_and_after_a_touch(sid
 
 
 def test_the_lean_of_skin_is_that_of_a_plain_loop_and_of_a_line():
-    rng = np.random.default_rng(2)
-    e, at, radius = rng.random((20, 24)).astype(np.float32), np.array([9.3, 3.8]), 4.0
-    weight, places = [], []
-    for y in range(max(4 - 8, 0), 4 + 9):
-        for x in range(9 - 8, 9 + 9):
-            squared = (x - at[0]) ** 2 + (y - at[1]) ** 2
-            weight.append(float(e[y, x]) * math.exp(-0.5 * squared / (joint.WINDOW * radius) ** 2))
-            places.append((x, y))
-    cov = np.cov(np.array(places, float).T, aweights=weight, ddof=0)
-    expected = 2 * cov[0, 1] / np.trace(cov)
-    assert joint._lean(e, at, radius) == pytest.approx(expected, abs=1e-4)
+    e, at, radius = np.random.default_rng(2).random((20, 24)).astype(np.float32), np.array([9.3, 3.8]), 4.0
+    y, x = np.mgrid[0:13, 1:18]
+    weight = e[:13, 1:18] * np.exp(-0.5 * ((x - at[0]) ** 2 + (y - at[1]) ** 2) / (joint.WINDOW * radius) ** 2)
+    cov = np.cov(x.ravel(), y.ravel(), aweights=weight.ravel(), ddof=0)
+    assert joint._lean(e, at, radius) == pytest.approx(2 * cov[0, 1] / np.trace(cov), abs=1e-4)
     line = np.zeros((40, 40), np.float32)
     cv2.line(line, (10, 10), (30, 30), 1.0, 1)
     assert joint._lean(line, np.array([20.0, 20.0]), 5.0) == pytest.approx(1, abs=0.05)

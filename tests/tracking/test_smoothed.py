@@ -1,21 +1,16 @@
 """Rows from smoothed beliefs: of points, boxes and a face; a lag against the smoother of the frames up to then."""
 
-import gc
-import tracemalloc
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.engine.loop import track
-from facetrack_cli.engine.motion import RandomWalk
-from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.trackers.smoothed import lagged, smoothed_rows
-from facetrack_cli.trajectory.trajectory import UNSEEN, FrameResult, TargetResult, build, successive
+from facetrack_cli.trajectory.trajectory import UNSEEN, successive
 from facetrack_cli.trajectory.writers import csv_frames
 from tests.support.samples import TrackClip
 
@@ -95,34 +90,6 @@ def test_a_lag_is_the_smoother_of_the_frames_up_to_then(name, points):
             exact = smoothed_rows(rows_of(some), beliefs_of(some)).at(results[t].frame.index)
             for column in ("x", "y", "w", "std_x", "std_y", "cov_xy"):
                 np.testing.assert_allclose(getattr(after[t].rows, column), getattr(exact, column), atol=1e-6)
-
-
-@pytest.mark.nightly
-def test_a_lag_keeps_no_more_than_it_needs():
-    walk, cov = RandomWalk(np.array([2.0])), np.eye(2)[None]
-
-    def results(count):
-        for i in range(count):
-            x = np.array([[float(i), 5.0]])
-            rows = build([("a", "b")], [0], [i], x=x[:, 0], y=x[:, 1], status=["lost" if i % 200 > 20 else "tracked"])
-            given = (Belief(x, cov, walk.linear(x), np.zeros(1, bool)),)
-            yield FrameResult(SimpleNamespace(index=i), (TargetResult(rows, x, beliefs=lambda given=given: given),))
-
-    def kept(count):
-        """Bytes that are held at the end."""
-        gc.collect()
-        tracemalloc.start()
-        later = lagged(results(count), 5)
-        for _ in range(count - 6):
-            next(later)
-        gc.collect()
-        found = tracemalloc.get_traced_memory()[0]
-        tracemalloc.stop()
-        assert sum(1 for _ in later) == 6
-        return found
-
-    kept(30)
-    assert kept(240) < 1.5 * kept(60)
 
 
 def test_rows_that_were_given_stay_byte_for_byte():

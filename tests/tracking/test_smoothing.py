@@ -111,33 +111,16 @@ def test_a_hidden_part_moves_with_those_that_are_seen():
     np.testing.assert_allclose(mean[3:6, 1], x[3:6, 1], atol=0.1)
 
 
-def test_particles_come_to_the_exact_posterior():
-    """A bootstrap filter of many particles, smoothed by the moments of its particles."""
-    motion, x0 = MOTIONS["random_walk"]
+def test_the_belief_of_particles_is_their_mean_and_their_covariance_widened_as_the_estimates():
     rng = np.random.default_rng(5)
-    _, seen = kalman(motion, x0, rng, 15)
-    x, found = np.repeat(x0[None], 20_000, axis=0), []
-    for i in range(15):
-        each = []
-        for k in range(2):  # the parts are filtered apart
-            w = np.full(len(x), 1 / len(x))
-            if i:
-                x[:, k] += motion.sigma[k] * rng.standard_normal((len(x), 2))
-                w = np.exp(-0.5 * np.sum((x[:, k] - seen[i - 1, k]) ** 2, axis=1) / 1.5**2)
-                w /= w.sum()
-            one = Particles(x[:, k : k + 1].copy(), np.log(np.maximum(w, 1e-300)))
-            mean = w @ x[:, k]
-            cov = np.einsum("n,nd,ne->de", w, x[:, k] - mean, x[:, k] - mean)[None]
-            each.append(smoothing.belief(one, motion.linear(x0), cov, np.zeros(1, bool)))
-            x[:, k] = x[rng.choice(len(x), len(x), p=w), k]
-        mean, cov = (np.concatenate([getattr(one, name) for one in each]) for name in ("mean", "cov"))
-        found.append(Belief(mean, cov, motion.linear(x0), np.zeros(2, bool)))
-    lost = np.zeros((15, 2), bool)
-    mean, cov = smoothing.smoothed(smoothing.chain(found, lost, lost))
-    for k in range(2):
-        exact, spread = batch(motion.linear(x0), x0, seen, (), 1.5, k)
-        assert np.abs(mean[1:, k] - exact).max() < 0.05
-        assert np.abs(cov[1:, k] / spread[0, 0, 0] - spread / spread[0, 0, 0]).max() < 0.1
+    motion, x0 = MOTIONS["first_order"]
+    x, w = x0 + rng.standard_normal((50, 1, 6)), rng.dirichlet(np.ones(50))
+    plain = np.cov(x[:, 0].T, aweights=w, ddof=0)
+    found = smoothing.belief(Particles(x, np.log(w)), motion.linear(x0), 1.5 * plain[None, :2, :2], np.zeros(1, bool))
+    np.testing.assert_allclose(found.mean, np.average(x, axis=0, weights=w))
+    np.testing.assert_allclose(found.cov[0], 1.5 * plain)
+    one = smoothing.belief(Particles(x0[None], np.zeros(1)), motion.linear(x0), np.zeros((1, 2, 2)), np.zeros(1, bool))
+    assert not one.cov.any() and (one.mean == x0).all()
 
 
 def test_points_at_rest_lose_their_jitter_and_what_jumps_stays_where_it_is():
