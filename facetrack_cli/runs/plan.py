@@ -46,7 +46,7 @@ from facetrack_cli.start.assembly import name_targets, tracker_for
 from facetrack_cli.start.init_file import find_init, read_init
 from facetrack_cli.start.search import Faces, box_start, search_start
 from facetrack_cli.trackers.face.detectors import detector
-from facetrack_cli.trackers.people.looks import load_people
+from facetrack_cli.trackers.people.descriptor import load_people
 from facetrack_cli.trackers.skin.settings import CloudSettings
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory

@@ -64,7 +64,7 @@ class Track:
 
 
 @dataclass
-class Everyone:
+class FilmState:
     """The state after a frame: the tracks that go on, and how many have begun."""
 
     tracks: list[Track] = field(default_factory=list)
@@ -73,7 +73,7 @@ class Everyone:
 
 
 @dataclass(frozen=True)
-class Film:
+class MultiFaceTracker:
     """What is followed: faces by a recipe that has a head, in the `shots` of a film of this size and rate."""
 
     recipe: Recipe
@@ -84,8 +84,8 @@ class Film:
     seed: int
 
     def follow(self, frames: Iterable[Frame], at: TrackState) -> Iterator[FrameResult]:
-        """A result for each frame, of all faces that are in it. `at` holds an `Everyone` where it can be resumed."""
-        known: Everyone = at.states[0] if at.states else Everyone()
+        """A result for each frame, of all faces that are in it. `at` holds an `FilmState` where it can be resumed."""
+        known: FilmState = at.states[0] if at.states else FilmState()
         shots, waiting = iter(self.shots), list[Frame]()
         shot = next(shots)
         for frame in frames:
@@ -99,7 +99,7 @@ class Film:
                 yield from self._block(known, waiting, shot, at)
         yield from self._block(known, waiting, shot, at)
 
-    def _block(self, known: Everyone, frames: list[Frame], shot: Shot, at: TrackState) -> Iterator[FrameResult]:
+    def _block(self, known: FilmState, frames: list[Frame], shot: Shot, at: TrackState) -> Iterator[FrameResult]:
         """The results of successive frames of one shot, of which the detector looks at the last."""
         if frames:
             at.states = []  # what is between two blocks can be resumed
@@ -111,7 +111,7 @@ class Film:
             at.states = [known]
             yield results[-1]
 
-    def _tracked(self, known: Everyone, frames: list[Frame]) -> tuple[_Results, list[Track]]:
+    def _tracked(self, known: FilmState, frames: list[Frame]) -> tuple[_Results, list[Track]]:
         """The results of the tracks that go on, and the tracks that leave the picture."""
         each = [self._advance(track, frames) for track in known.tracks]
         found: _Results = {frame.index: {} for frame in frames}
@@ -141,7 +141,7 @@ class Film:
         assert isinstance(found, FaceTarget)
         return found
 
-    def _look(self, known: Everyone, frames: list[Frame], found: _Results, left: list[Track], shot: Shot) -> None:
+    def _look(self, known: FilmState, frames: list[Frame], found: _Results, left: list[Track], shot: Shot) -> None:
         """Look at the last frame: which tracks go on, and which faces are new."""
         frame = frames[-1]
         free, age = self.detector.find(frame), (frame.index - shot.clear) // LOOK_FRAMES
@@ -197,7 +197,7 @@ class Film:
             return near(self.detector, before, face.box, face.turn) is not None
         return _taken(face, self.detector.find(before))
 
-    def _begun(self, known: Everyone, face: Found, frame: Frame) -> tuple[Track, TargetResult] | None:
+    def _begun(self, known: FilmState, face: Found, frame: Frame) -> tuple[Track, TargetResult] | None:
         """A track that begins with a face; None where its points are not in the picture."""
         face = righted(self.detector, frame, face)
         points = named(face.placed(frame))

@@ -13,23 +13,23 @@ from facetrack_cli.core.types import Frame
 from facetrack_cli.trackers.face.detectors import Found
 from facetrack_cli.trackers.face.stabilized import Similarity
 from facetrack_cli.trackers.people import identity
-from facetrack_cli.trackers.people.identity import (
-    SENSES,
-    SURE,
-    UNKNOWN,
-    Seen,
-    cast_of,
-    clusters,
-    same_person,
-)
-from facetrack_cli.trackers.people.looks import (
+from facetrack_cli.trackers.people.descriptor import (
     VIEWS,
-    Looks,
-    Reader,
+    Describer,
+    FaceDescriptor,
     View,
     load_people,
     save_people,
     together,
+)
+from facetrack_cli.trackers.people.identity import (
+    SENSES,
+    SURE,
+    UNKNOWN,
+    TrackSummary,
+    cast_of,
+    clusters,
+    same_person,
 )
 
 
@@ -47,12 +47,12 @@ def looks(person, seed=0, views=VIEWS, spread=0.02, embedded=True, worth=1.0):
     worn = np.tile(np.roll([0.6, 0.4, *[0.0] * 34], 3 * person), (views, 1))
     embedding = np.array([0.6 * unit(person + 50, 128) + 0.02 * rng.normal(size=128) for _ in range(views)])
     embedding = embedding if embedded else np.zeros((views, 0))
-    return Looks(face, skin, skin - 60, worn, embedding, np.full((views, 1), worth))
+    return FaceDescriptor(face, skin, skin - 60, worn, embedding, np.full((views, 1), worth))
 
 
 def track(name, person, first, stop, at=(0.0, 0.0), shot=None, **more):
     box = (*at, 50.0, 50.0)
-    return Seen(name, first, stop, box, box, first if shot is None else shot, looks(person, first, **more))
+    return TrackSummary(name, first, stop, box, box, first if shot is None else shot, looks(person, first, **more))
 
 
 def slow_nearest(a, b):
@@ -182,8 +182,8 @@ def test_known_people_are_read_as_they_were_saved(tmp_path):
     save_people(tmp_path / "people.npz", people)
     with np.load(tmp_path / "people.npz") as held:
         np.savez(tmp_path / "old.npz", **{key: held[key] for key in held.files if key != "worth"})
-    for path, names in ((tmp_path / "people.npz", Looks._fields), (tmp_path / "old.npz", Looks._fields[:-1])):
-        found = load_people(path)
+    for file, names in (("people.npz", FaceDescriptor._fields), ("old.npz", FaceDescriptor._fields[:-1])):
+        found = load_people(tmp_path / file)
         assert list(found) == ["Ann", "Bob"] and (found["Ann"].worth == 1).all()
         for name, key in itertools.product(people, names):
             np.testing.assert_array_equal(getattr(people[name], key), getattr(found[name], key))
@@ -225,7 +225,7 @@ def reader_of(*scores, blur=0.0):
     large, fine = (cv2.resize(rng.random((n, n, 3)), (200, 200), interpolation=cv2.INTER_CUBIC) for n in (6, 60))
     image = np.clip(160 * large + 80 * fine, 0, 255).astype(np.uint8)
     image = cv2.GaussianBlur(image, (0, 0), blur) if blur else image
-    reader = Reader(Sees(*scores))
+    reader = Describer(Sees(*scores))
     for k in range(len(scores)):
         reader.see(Frame(k, k / 25, image), View(k, Similarity(np.array([100.0, 100.0]), 90.0), 1.0))
     return reader
