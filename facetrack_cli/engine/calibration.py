@@ -20,7 +20,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
@@ -171,12 +171,7 @@ class Calibration(_StoredPart):
 
 def boxes_of(rows: Trajectory) -> Mask:
     """(R,) which rows are of boxes."""
-    return _boxes(rows.names)[rows.which]
-
-
-@lru_cache  # of the same names in every frame
-def _boxes(names: tuple[tuple[str, str], ...]) -> Mask:
-    return np.array([part == BOX for _, part in names], np.bool_)
+    return np.array([part == BOX for _, part in rows.names], np.bool_)[rows.which]
 
 
 def features(rows: Trajectory, boxes: Mask, size: float) -> dict[Feature, Array]:

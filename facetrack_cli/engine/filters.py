@@ -86,8 +86,8 @@ def auxiliary(settings: AuxiliarySettings, rng: Generator, particles: Particles,
     log_first = particles.log_w + (log_lambda := _log_observation(model, mu, particles.x))
     chosen = SCHEMES[settings.resampling](rng, normalise(log_first), len(mu))
     parents = particles.x[chosen]
-    found, info = weighted(model, model.propagate(rng, parents), parents, -log_lambda[chosen])
-    return found, info._replace(evidence=info.evidence + float(logsumexp(log_first)))
+    moved, info = weighted(model, model.propagate(rng, parents), parents, -log_lambda[chosen])
+    return moved, info._replace(evidence=info.evidence + float(logsumexp(log_first)))
 
 
 def factorized(

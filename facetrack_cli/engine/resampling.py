@@ -41,8 +41,8 @@ def summed(log_w: Array) -> tuple[Array, Array]:
         total = np.log(np.exp(shifted).sum(axis=0))
         return shifted - total, total + top
     hopeless = ~np.isfinite(top)
-    known = np.where(hopeless, 0.0, log_w)
-    shifted = known - np.where(hopeless, 0.0, top)
+    usable = np.where(hopeless, 0.0, log_w)
+    shifted = usable - np.where(hopeless, 0.0, top)
     return np.asarray(shifted - np.log(np.exp(shifted).sum(axis=0))), logsumexp(log_w)
 
 
@@ -101,4 +101,4 @@ def residual(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
     return np.sort(np.concatenate([fixed, drawn]))
 
 
-SCHEMES: dict[str, Resampling] = {one.__name__: one for one in (systematic, stratified, multinomial, residual)}
+SCHEMES: dict[str, Resampling] = {scheme.__name__: scheme for scheme in (systematic, stratified, multinomial, residual)}

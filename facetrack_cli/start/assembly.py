@@ -115,13 +115,12 @@ def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
     absent: set[str] = set()
     for one in corrections:
         origin = f"{start.origin}: the correction of {one.target} at frame {one.frame}"
+        _check(one, target, start, origin, points=points)
         if one.confirmed:
-            _check(one, target, start, origin, points=points)
             continue
         # what a correction leaves open stays absent
         still = () if is_complete(one, target.parts) else absent - {*one.given.points, *one.kept}
         absent = {*one.hidden(target.parts), *still}
-        _check(one, target, start, origin, points=points)
         if absent >= set(correctable_parts(target.parts)):
             continue
         if one.learn and points and absent:

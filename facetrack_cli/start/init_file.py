@@ -37,7 +37,7 @@ from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems, parse, rea
 from facetrack_cli.recipe.messages import locate, problems
 from facetrack_cli.recipe.sections import suggest
 from facetrack_cli.trackers.hands.settings import NAMES as HANDS
-from facetrack_cli.trajectory.header import CorrectedTarget, TargetRecord, corrected, whole
+from facetrack_cli.trajectory.header import CorrectedTarget, TargetRecord, corrected, to_record, whole
 from facetrack_cli.trajectory.reader import MAX_FRAME
 
 SUFFIXES: Final = (".yaml", ".yml", ".json")
@@ -93,24 +93,21 @@ def write_init(to: Path | TextIO, start: Start, *, clip: str = "", overwrite: bo
 
     Raises OutputError if the file exists and `overwrite` is not set, or cannot be written.
     """
-    if not isinstance(to, Path):
-        to.write(as_yaml(start, clip))
-    else:
+    if isinstance(to, Path):
         text = as_json(start) if to.suffix.lower() == ".json" else as_yaml(start, clip)
         write_new(to, text.encode(), overwrite=overwrite)
+    else:
+        to.write(as_yaml(start, clip))
 
 
 def as_json(start: Start) -> str:
     """As JSON, with the keys of the YAML form."""
     by = start.placed_by
-    whole: dict[str, Any] = {"frame": start.frame, **({"placed_by": by} if by else {})}
-    for name, target in start.targets.items():
-        keys = {"box": target.box, "points": dict(target.points), "windows": dict(target.windows)}
-        whole[name] = {key: value for key, value in keys.items() if value}
+    record = {"frame": start.frame, **({"placed_by": by} if by else {}), **to_record(start)["targets"]}
     entries = groupby(start.corrections, key=lambda one: one.frame)
     if corrections := [{"frame": frame, **{one.target: corrected(one) for one in group}} for frame, group in entries]:
-        whole["corrections"] = corrections
-    return json.dumps(whole, indent=2) + "\n"
+        record["corrections"] = corrections
+    return json.dumps(record, indent=2) + "\n"
 
 
 def as_yaml(start: Start, clip: str = "") -> str:

@@ -197,18 +197,24 @@ def log_likelihood(
     fit, share, evidence = maps
     at, both = x[..., :2] * scale, seen.all(axis=1)
     each = _at(fit, at)
+    radius = settings.radius * face.size
+
+    def skin_at(off: Array) -> Array:
+        """Of skin at places (N, 2, ..., 2) off from each hand, what is not the other hand's."""
+        extra = tuple(range(2, off.ndim - 1))
+        at, other = np.expand_dims(x[..., :2], extra) + off, np.expand_dims(x[:, ::-1, :2], extra)
+        near = np.hypot(*np.moveaxis(at - other, -1, 0)) < 1.2 * settings.radius * face.size
+        hides = near & np.expand_dims(seen[:, ::-1], extra)
+        return np.where(hides, 0.0, np.maximum(_at(evidence, at * scale), 0.0))
+
     # a hand is the far end of a bare arm: beyond it, seen from the shoulder, is no skin but the other hand's
     way = x[..., :2] - (face.at + face.size * SHOULDERS)
     way = way / np.maximum(np.hypot(way[..., 0], way[..., 1]), 1e-6)[..., None]
-    beyond = x[..., None, :2] + (settings.radius * face.size * BEYOND_HAND)[:, None] * way[..., None, :]
-    others = np.hypot(*np.moveaxis(beyond - x[:, ::-1, None, :2], -1, 0)) < 1.2 * settings.radius * face.size
-    skin = np.where(others & seen[:, ::-1, None], 0.0, np.maximum(_at(evidence, beyond * scale), 0.0))
-    each = each - settings.evidence * FAR_END * skin.mean(axis=2)
+    beyond = skin_at((radius * BEYOND_HAND)[:, None] * way[..., None, :])
+    each = each - settings.evidence * FAR_END * beyond.mean(axis=2)
     # nor is it the middle of one, with skin on two opposite sides
-    sides = x[..., None, None, :2] + settings.radius * face.size * _OPPOSITE
-    others = np.hypot(*np.moveaxis(sides - x[:, ::-1, None, None, :2], -1, 0)) < 1.2 * settings.radius * face.size
-    skin = np.where(others & seen[:, ::-1, None, None], 0.0, np.maximum(_at(evidence, sides * scale), 0.0))
-    each = each - settings.evidence * MIDDLE * skin.min(axis=2).max(axis=2)
+    sides = skin_at((radius * _OPPOSITE)[None, None])
+    each = each - settings.evidence * MIDDLE * sides.min(axis=2).max(axis=2)
     total = np.sum(np.where(seen, each, 0.0), axis=1)
     if both.any():
         apart = np.hypot(*(x[:, 0, :2] - x[:, 1, :2]).T) / face.size

@@ -116,13 +116,13 @@ class HandTarget:
     def advance(
         self, rng: Generator, state: HandState, frame: Frame, footprints: Sequence[Footprint] = ()
     ) -> tuple[HandState, TargetResult]:
-        for one in footprints:
-            if one.target == self.person:
+        for footprint in footprints:
+            if footprint.target == self.person:
                 # hands before the face hide it: it is where it was
-                state = state._replace(face=state.face._replace(lost=True) if one.lost else one)
-            known = one.known
-            if isinstance(known, HandState) and known.begun == state.begun and known.now == frame.index:
-                return known, self._result(known, frame)
+                state = state._replace(face=state.face._replace(lost=True) if footprint.lost else footprint)
+            shared = footprint.state
+            if isinstance(shared, HandState) and shared.begun == state.begun and shared.now == frame.index:
+                return shared, self._result(shared, frame)
         if not state.face.lost:
             state = state._replace(shown=frame.time_s)
         if frame.time_s - state.shown > HOLDS:
