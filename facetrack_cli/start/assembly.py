@@ -18,14 +18,14 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import common_area
-from facetrack_cli.core.types import Array, Box, Correction, Frame, Start, TargetStart, factor_for
-from facetrack_cli.engine.checks import MIN_BOX_PX, box_of, check_size, check_start, check_windows
+from facetrack_cli.core.types import BOX, Array, Box, Correction, Frame, Start, TargetStart, factor_for
 from facetrack_cli.engine.corrected import CorrectedTarget, RestartPolicy, correctable_parts, is_complete
 from facetrack_cli.engine.loop import Target, Tracker
+from facetrack_cli.engine.spaces import MIN_BOX_PX, box_of, check_size
 from facetrack_cli.engine.target import ParticleTarget, particle_target
 from facetrack_cli.recipe.load import in_frames
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, ParticlesRecipe, Recipe, above
-from facetrack_cli.start.init_file import TARGET
+from facetrack_cli.start.init_file import TARGET, check_start
 from facetrack_cli.start.search import box_start
 from facetrack_cli.trackers import opencv
 from facetrack_cli.trackers.appearance.recognition import find_gallery
@@ -37,6 +37,7 @@ from facetrack_cli.trackers.skin.cloud import log_weights
 from facetrack_cli.trackers.skin.colour import SkinModel, learn_skin
 from facetrack_cli.trackers.skin.skin_kernels import skin_map
 
+MIN_WINDOW_PX: Final = 3.0  # pixels; windows are not made smaller
 MAX_SEARCHED_PX: Final = 400  # pixels of the longer side, at most, of the image that is searched for hands
 MIN_SKIN: Final = 0.2  # of a region's pixels, smoothed over a tenth of the face
 # no hand is sought there: the face's box, widened to ears, hair and chin, and the neck; in sizes of the box
@@ -100,6 +101,19 @@ def tracker_for(recipe: Recipe, start: Start, size: tuple[int, int], fps: float 
     tracker = build_tracker(recipe, start, fps)
     check_windows(recipe, tracker, size, start.origin)
     return tracker
+
+
+def check_windows(recipe: Recipe, tracker: Tracker, size: tuple[int, int], origin: str) -> None:
+    """Refuse windows and boxes, given by `origin`, larger than the frame (width, height): memory without bound."""
+    for target in tracker:
+        for part, (w, h) in target.windows.items():
+            if recipe.points and part == BOX:
+                continue  # a face may fill the frame
+            if max(w / size[0], h / size[1]) > 1 and max(w, h) > MIN_WINDOW_PX:
+                larger = f"larger than the frame of {size[0]}x{size[1]}; make it smaller"
+                if not recipe.points:
+                    raise InputError(f"{origin}: the box of {target.name}, {w:g}x{h:g} pixels, is {larger}")
+                raise recipe.error("target.windows", f"the window of {part} would be {w:.0f}x{h:.0f} pixels, {larger}")
 
 
 def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:

@@ -19,9 +19,9 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.types import Array, Box, Frame, Start
 from facetrack_cli.core.yaml_tree import printable
-from facetrack_cli.engine.checks import check_size, check_start
+from facetrack_cli.engine.spaces import check_size
 from facetrack_cli.start.init_file import SUFFIXES as INIT_SUFFIXES
-from facetrack_cli.start.init_file import default_path, find_init, read_init
+from facetrack_cli.start.init_file import check_start, default_path, find_init, read_init
 from facetrack_cli.trackers.appearance.gallery import name_problem
 from facetrack_cli.trackers.appearance.space import AffineSpace, Patches
 from facetrack_cli.trackers.appearance.subspaces import Rows

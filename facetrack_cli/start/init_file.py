@@ -32,6 +32,7 @@ from pydantic import BaseModel, ValidationError
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.files import write_new
+from facetrack_cli.core.geometry import centre, inside
 from facetrack_cli.core.types import BOX, Correction, Point, Start, TargetStart
 from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems, parse, read_source
 from facetrack_cli.recipe.messages import locate, problems
@@ -345,3 +346,43 @@ def _refuse(node: Node, message: str, *, at_key: bool = False) -> NoReturn:
     """Refuse the value of a node. An empty value has no place, so the error points at its key."""
     span = node.key if (at_key or node.value is None) and node.key is not None else node.span
     raise YamlProblems([Problem(span, message)])
+
+
+def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frames: int | None = None) -> None:
+    """InputError if the start does not fit the clip of that (width, height) in pixels, or lacks any of the `parts`.
+
+    `frames` is the clip's number of frames if it is known for certain.
+    """
+    origin, larger = start.origin, f"is larger than the frame of {size[0]}x{size[1]} pixels; make it smaller"
+    if frames is not None and start.frame >= frames:
+        more = f"the clip ends with frame {frames - 1}; choose one that it has"
+        raise InputError(f"{origin}: starts at frame {start.frame}, but {more}")
+    for name, target in start.targets.items():
+        if missing := ", ".join(part for part in parts if part not in target.points):
+            boxes = ", or follow its box by a recipe of regions, as contour_histogram" if target.box is not None else ""
+            remedy = f"add it, or have all points placed with --box X,Y,W,H{boxes}"
+            raise InputError(f"{origin}: no point for {missing} of {name}, which the recipe follows; {remedy}")
+        _check_places(origin, name, target, size)
+        for part, (w, h) in target.windows.items():
+            if w > size[0] or h > size[1]:
+                raise InputError(f"{origin}: the window of {part} of {name}, {w:g}x{h:g}, {larger}")
+    for one in start.corrections:
+        if one.frame <= start.frame:
+            begins = f"but the track begins at frame {start.frame}; remove that correction, or begin earlier"
+            raise InputError(f"{origin}: corrects {one.target} at frame {one.frame}, {begins}")
+        # kept points are where the tracker saw them, which may be beyond the border
+        name, box = f"{one.target} at frame {one.frame}", one.given.box
+        _check_places(origin, name, one.given, size)
+        if box is not None and (box[2] > size[0] or box[3] > size[1]):
+            raise InputError(f"{origin}: the box of {name}, {box[2]:g}x{box[3]:g} pixels, {larger}")
+
+
+def _check_places(origin: str, name: str, target: TargetStart, size: tuple[int, int]) -> None:
+    """InputError if the box's centre, or a point, is outside of a frame of that (width, height)."""
+    outside = f"is outside the frame of {size[0]}x{size[1]} pixels; correct it"
+    if target.box is not None and not inside(centre(target.box), size):
+        numbers = ", ".join(f"{value:g}" for value in target.box)
+        raise InputError(f"{origin}: the centre of the box [{numbers}] of {name} {outside}")
+    for part, (x, y) in target.points.items():
+        if not inside((x, y), size):
+            raise InputError(f"{origin}: {part} of {name} at [{x:g}, {y:g}] {outside}")

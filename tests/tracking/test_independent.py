@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Frame
-from facetrack_cli.engine.independent import MEMORY, averaged, effective_share
+from facetrack_cli.engine.resampling import MEMORY, averaged, effective_share
 from facetrack_cli.trackers.appearance.space import Patches
 from tests.support.parts import appearance, changed, contour, correlation
 

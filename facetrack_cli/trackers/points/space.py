@@ -5,8 +5,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import Start
-from facetrack_cli.engine.checks import size_of_box
-from facetrack_cli.engine.spaces import Placed, PointSpace
+from facetrack_cli.engine.spaces import Placed, PointSpace, size_of_box
 from facetrack_cli.trackers.points.settings import PointsSettings
 
 

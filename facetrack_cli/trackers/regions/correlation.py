@@ -34,8 +34,8 @@ import numpy as np
 
 from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.core.warp import remap
-from facetrack_cli.engine.independent import averaged, effective_share
 from facetrack_cli.engine.kernels.affine import boxes_extent
+from facetrack_cli.engine.resampling import averaged, effective_share
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.regions import patch_kernels as patches
 from facetrack_cli.trackers.regions.settings import CorrelationSettings
