@@ -1,7 +1,8 @@
-"""The filters and resampling, against a Kalman filter, exact posteriors, and laws at their edges."""
+"""The filters, resampling and effective sizes, against a Kalman filter, exact posteriors, and laws at their edges."""
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,7 +11,17 @@ from hypothesis.extra import numpy as hnp
 
 from facetrack_cli.core.types import Particles
 from facetrack_cli.engine.motion import RandomWalk
-from facetrack_cli.engine.resampling import SCHEMES, distinct, effective_sample_size, logsumexp, normalise, uniform
+from facetrack_cli.engine.resampling import (
+    MEMORY,
+    SCHEMES,
+    averaged,
+    distinct,
+    effective_sample_size,
+    effective_share,
+    logsumexp,
+    normalise,
+    uniform,
+)
 from facetrack_cli.engine.spaces import estimate
 from tests.support.parts import auxiliary, factorized, sir
 
@@ -417,3 +428,43 @@ def test_populations_side_by_side_are_each_resampled_by_their_own_weights(name):
 def test_a_population_that_says_nothing_does_not_touch_its_neighbours():
     log_w = normalise(np.array([[0.0, np.nan], [np.log(3.0), 1.0]]))
     np.testing.assert_allclose(np.exp(log_w), [[0.25, 0.5], [0.75, 0.5]])
+
+
+# --- how many terms of a sum are independent
+
+
+def field(rng, sigma):
+    noise = rng.standard_normal((80, 80))
+    return (cv2.GaussianBlur(noise, (0, 0), sigma) if sigma else noise)[20:60, 20:60]
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.8, 2.5])
+def test_the_share_is_the_variance_of_a_sum(sigma):
+    """n_e = n^2 var / var(sum), which many fields tell exactly, and one of them to a half or so."""
+    rng = np.random.default_rng(0)
+    fields = np.array([field(rng, sigma) for _ in range(150)])
+    n = fields[0].size
+    exact = n * fields.var() / fields.sum(axis=(1, 2)).var()
+    found = np.median([effective_share(one) for one in fields])
+    assert found == pytest.approx(exact, rel=0.5)
+
+
+def test_the_share_of_a_ring_goes_round():
+    angle = np.arange(64) * (2 * np.pi / 64)
+    rng = np.random.default_rng(1)
+    slow = sum(rng.normal() * np.cos(k * angle) + rng.normal() * np.sin(k * angle) for k in range(1, 4))
+    assert effective_share(slow, ring=True) == effective_share(np.roll(slow, 17), ring=True)
+    assert 1 / 64 <= effective_share(slow, ring=True) < 0.3 < effective_share(rng.normal(size=64), ring=True) <= 1
+
+
+@pytest.mark.parametrize("terms", [np.zeros((5, 5)), np.full(9, 3.5), np.ones((1, 2)), np.array([1.0])])
+def test_what_says_nothing_counts_in_full(terms):
+    assert effective_share(terms) == 1.0
+
+
+def test_the_mean_forgets():
+    share = 1.0
+    for frame in range(3):
+        share = averaged(share, frame, 0.2)
+    assert share == pytest.approx(0.2)  # of the first frames the plain mean
+    assert averaged(0.2, 1000, 0.7) == pytest.approx(0.2 + 0.5 / MEMORY)
