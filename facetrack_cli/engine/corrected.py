@@ -161,14 +161,12 @@ def restored(tracker: Tracker, states: Sequence[Any], frame: Callable[[int], Fra
 
 
 def with_confirmed(rows: Trajectory, corrections: Iterable[Correction]) -> Trajectory:
-    """The rows, of which those that are confirmed are tracked, certain and by hand, where they have a place."""
+    """The rows; confirmed rows that have a place become tracked, certain and by hand."""
     sure = np.zeros(len(rows), np.bool_)
-    for one in corrections:
-        if one.confirmed:
-            parts = [
-                name == one.target and (one.confirmed is True or part in one.confirmed) for name, part in rows.names
-            ]
-            sure |= (rows.frame == one.frame) & np.array(parts, np.bool_)[rows.which]
+    for correction in corrections:
+        if parts := correction.confirmed:
+            named = [name == correction.target and (parts is True or part in parts) for name, part in rows.names]
+            sure |= (rows.frame == correction.frame) & np.array(named, np.bool_)[rows.which]
     sure &= np.isfinite(rows.x) & (rows.status != "absent")
     if not sure.any():
         return rows
@@ -214,5 +212,5 @@ def completed(correction: Correction, rows: Trajectory) -> Correction:
 
 
 def all_or(absent: Sequence[str], parts: Sequence[str]) -> tuple[str, ...] | Literal[True]:
-    """The absent ones of `parts`, as a correction has them: True for all."""
+    """The absent parts as a correction stores them: True if all `parts` are absent."""
     return True if set(absent) >= set(correctable_parts(parts)) else tuple(absent)

@@ -197,25 +197,25 @@ def name_targets(
     """
     if not names:
         return start
-    given = {name: target for name, target in start.targets.items() if name not in left_out}
+    targets = {name: target for name, target in start.targets.items() if name not in left_out}
     corrections = [one for one in start.corrections if one.target not in left_out]
-    first, known = names[0], ", ".join(names)
-    head_as = next(iter(given)) if len(given) == 1 and not set(given) & set(names) else TARGET
-    if first not in given and head_as in given:
-        given[first] = given.pop(head_as)
+    first, followed = names[0], ", ".join(names)
+    head_as = next(iter(targets)) if len(targets) == 1 and not set(targets) & set(names) else TARGET
+    if first not in targets and head_as in targets:
+        targets[first] = targets.pop(head_as)
         corrections = [replace(one, target=first) if one.target == head_as else one for one in corrections]
-    if strangers := ", ".join(name for name in given if name not in names):
-        remedy = f"it follows {known}: rename them in the init file, or in the recipe"
+    if strangers := ", ".join(name for name in targets if name not in names):
+        remedy = f"it follows {followed}: rename them in the init file, or in the recipe"
         raise InputError(f"{start.origin}: has {strangers}, which the recipe does not know; {remedy}")
-    head = given[first].box if first in given else None
+    head = targets[first].box if first in targets else None
     if head is None:
         remedy = f"add one, as in {first}: {{box: [x, y, w, h]}}, or look for a face with --init haar"
-        what = f"has no box of {first}, which the recipe begins with; it follows {known}"
+        what = f"has no box of {first}, which the recipe begins with; it follows {followed}"
         raise InputError(f"{start.origin}: {what}: {remedy}")
     check_size(start.origin, first, head)
-    if missing := [name for name in names if name not in (*given, *later)]:
+    if missing := [name for name in names if name not in (*targets, *later)]:
         assert frame is not None
-        taken = [one.box for name, one in given.items() if name != first and one.box is not None]
+        taken = [one.box for name, one in targets.items() if name != first and one.box is not None]
         try:
             regions = hand_regions(frame, head, learn_skin(frame, head), len(missing), taken, MIN_BOX_PX)
         except InputError as e:
@@ -226,9 +226,9 @@ def name_targets(
             remedy = f"begin elsewhere with --init-frame, or follow fewer, as by --set targets.{missing[-1]}=null"
             message = f"frame {start.frame} shows {shown}; give their boxes in an init file, {remedy}"
             raise NotHereError(f"{clip}: {message}")
-        given |= {name: TargetStart(box=box) for name, box in zip(missing, regions, strict=True)}
-    found = {name: given[name] for name in names if name in given}
-    return replace(start, targets=found, corrections=tuple(corrections))
+        targets |= {name: TargetStart(box=box) for name, box in zip(missing, regions, strict=True)}
+    ordered = {name: targets[name] for name in names if name in targets}
+    return replace(start, targets=ordered, corrections=tuple(corrections))
 
 
 def hand_regions(

@@ -38,7 +38,7 @@ def recipe_of(name):
 
 @pytest.fixture(scope="module")
 def clip():
-    return TrackClip("expressions", 5)
+    return TrackClip("expressions", 8)
 
 
 def rows_of(name, clip, frames, seed=0):
@@ -67,9 +67,9 @@ def begun(rows):
 @pytest.mark.parametrize("name", RECIPES)
 @pytest.mark.parametrize("level", [0, 128])
 def test_flat_frames_are_survived_and_everything_is_lost(name, level, clip):
-    flat = [Frame(i, i / 25, np.full_like(clip.frames[0].bgr, level)) for i in range(1, 7)]
+    flat = [Frame(i, i / 25, np.full_like(clip.frames[0].bgr, level)) for i in range(1, 10)]
     rows = rows_of(name, clip, [clip.frames[0], *flat])
-    assert len(rows) == 7 and {*begun(rows[0])} == {"init"}
+    assert len(rows) == 10 and {*begun(rows[0])} == {"init"}
     assert all(np.isfinite([one.x, one.y])[:, ~one.vanished].all() for one in rows)
     for one in rows[1:]:
         known = one.confidence[np.isfinite(one.confidence)]
