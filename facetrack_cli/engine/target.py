@@ -106,10 +106,10 @@ class ParticleTarget:
         if self.confidence is not None:
             windows = self.space.windows(still)
             judgement = confidence.begin(self.confidence, self.likelihood, learned, frame, self.x0, windows)
-        state, result = self._begun(rng, frame, ParticleState(particles, still, learned, judgement), "init")
+        state, result = self._initial(rng, frame, ParticleState(particles, still, learned, judgement), "init")
         return state, result._replace(notes=getattr(learned, "notes", ()))
 
-    def _begun(
+    def _initial(
         self, rng: Generator, frame: Frame, state: ParticleState, status: Status
     ) -> tuple[ParticleState, TargetResult]:
         """The state with its diagnostics and its flow, where particles begin."""
@@ -151,7 +151,7 @@ class ParticleTarget:
                 judgement = confidence.resume(self.confidence, judgement, fresh, measure, learned, frame, x0, windows)
         learned = self.likelihood.learn(learned, frame, x0, particles)
         state = ParticleState(particles, still, learned, judgement, absent=hidden if hidden.any() else None)
-        return self._begun(rng, frame, state, "tracked")
+        return self._initial(rng, frame, state, "tracked")
 
     def follow(self, x: Array, hidden: Mask) -> Array:
         """x (N, K, 2) with the `hidden` parts (K,) where they are from the others at the start."""

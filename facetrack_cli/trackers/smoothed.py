@@ -192,8 +192,8 @@ class _SmoothedTarget:
         turn = np.stack([np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)], axis=1).reshape(-1, 2, 2)
         old, new = (each[:, None, None] * turn for each in (scale, scale * ratio))
         was = np.einsum("tde,tke->tkd", old, points.mean - MIDDLE) + place[:, None]
-        begun = np.einsum("tde,tke->tkd", np.linalg.inv(new), was - moved[:, None]) + MIDDLE
-        still, cov = smoothing.smoothed(points._replace(mean=begun, cov=points.cov / ratio[:, None, None, None] ** 2))
+        mean = np.einsum("tde,tke->tkd", np.linalg.inv(new), was - moved[:, None]) + MIDDLE
+        still, cov = smoothing.smoothed(points._replace(mean=mean, cov=points.cov / ratio[:, None, None, None] ** 2))
         now = np.einsum("tde,tke->tkd", new, still - MIDDLE) + moved[:, None]
         # what the rows have beside the filter's mean and covariance is kept
         at = np.stack([self.of["x"][:, those], self.of["y"][:, those]], axis=-1) + now - was

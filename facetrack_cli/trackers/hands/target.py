@@ -40,7 +40,7 @@ BORDER: Final = 0.6  # sizes of the face, nearer than which to the border a hand
 
 
 class HandState(NamedTuple):
-    """The posterior of both hands after a frame. `begun` is the frame in which it began, `now` this frame.
+    """The posterior of both hands after a frame. `began` is the frame in which it began, `now` this frame.
 
     `last` (2,) are the times when each hand was seen last, -inf if never; `inside` (2,), whether that was within the
     picture; `shown`, when the head was. `speed` (2,) is in sizes of the face a frame, `size` (2, 2) width and height of
@@ -52,7 +52,7 @@ class HandState(NamedTuple):
     cloud: joint.Cloud
     belief: joint.Belief
     face: Footprint
-    begun: int
+    began: int
     now: int
     speed: Array
     size: Array
@@ -86,7 +86,7 @@ class HandTarget:
     def begin(self, rng: Generator, frame: Frame) -> tuple[HandState, TargetResult]:
         face = Footprint(np.array(centre(self.head)), np.array(self.head[2:]) / 2)
         scene, seen = evidence.begin(frame, face, tuple(box for box in self.given if box is not None))
-        state = self._begun(rng, frame, scene, face, self.given)
+        state = self._initial(rng, frame, scene, face, self.given)
         if None in self.given:
             state = self._step(rng, state, frame, seen, first=True)
         return state, self._result(state, frame, given=self.given[self.hand] is not None)
@@ -96,10 +96,10 @@ class HandTarget:
     ) -> tuple[HandState, TargetResult]:
         """As `ParticleTarget.restart`; where the other hand is, is not known."""
         boxes = (given.box, None) if self.hand == 0 else (None, given.box)
-        state = self._begun(rng, frame, first.scene, first.face, boxes)
+        state = self._initial(rng, frame, first.scene, first.face, boxes)
         return state, self._result(state, frame, given=True)
 
-    def _begun(
+    def _initial(
         self, rng: Generator, frame: Frame, scene: Scene, face: Footprint, given: tuple[Box | None, Box | None]
     ) -> HandState:
         known = np.array([box is not None for box in given])
@@ -121,7 +121,7 @@ class HandTarget:
                 # hands before the face hide it: it is where it was
                 state = state._replace(face=state.face._replace(lost=True) if footprint.lost else footprint)
             shared = footprint.state
-            if isinstance(shared, HandState) and shared.begun == state.begun and shared.now == frame.index:
+            if isinstance(shared, HandState) and shared.began == state.began and shared.now == frame.index:
                 return shared, self._result(shared, frame)
         if not state.face.lost:
             state = state._replace(shown=frame.time_s)
