@@ -100,7 +100,7 @@ class Clip(TrackClip):
 
 @pytest.fixture(scope="module")
 def expressions():
-    return Clip("expressions", 40)
+    return Clip("expressions", 60)
 
 
 @pytest.fixture(scope="module")

@@ -303,7 +303,7 @@ MARGINALS = pytest.mark.parametrize(
 
 @MARGINALS
 def test_the_spread_is_the_variance_of_the_kalman_filter(step, parts):
-    found, _, _, exact = spreads(step, 3000, 0.5, parts, 3)
+    found, _, _, exact = spreads(step, 4000, 0.5, parts, 3)
     assert np.sqrt(np.mean((found / exact - 1) ** 2)) < 0.1
 
 

@@ -169,18 +169,18 @@ def compiled(monkeypatch):
 @pytest.mark.parametrize("broken", [(sys, "executable", "/nowhere/python"), (precompile, "_SECOND", "import no_such")])
 def test_this_process_compiles_what_the_second_one_does_not(compiled, monkeypatch, broken):
     monkeypatch.setattr(*broken)
-    with precompile.Precompiler({"sums": {}}, 2) as compiler:
-        compiler.finish()
+    with precompile.precompiling({"sums": {}}, 2) as compile_all:
+        compile_all()
     assert compiled == ["_add", "_less"]
 
 
 def test_nothing_is_compiled_that_the_settings_do_not_call_nor_after_a_stop(compiled):
     for settings, stopped in (({"head": {"others": {"type": "sums"}}}, False), ({"sums": {}}, True)):
-        with precompile.Precompiler(settings, 1) as compiler:
-            compiler.finish(lambda stopped=stopped: stopped)
+        with precompile.precompiling(settings, 1) as compile_all:
+            compile_all(lambda stopped=stopped: stopped)
     assert compiled == []
-    with precompile.Precompiler({"head": {"sums": None, "other": {"sums": {}}}}, 1) as compiler:
-        compiler.finish()
+    with precompile.precompiling({"head": {"sums": None, "other": {"sums": {}}}}, 1) as compile_all:
+        compile_all()
     assert compiled == ["_add", "_less"]
 
 

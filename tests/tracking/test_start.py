@@ -105,12 +105,12 @@ def test_points_are_found_in_a_box_that_says_neither_the_size_nor_the_tilt_of_a_
 @pytest.mark.parametrize("clip", ["expressions", "occlusion"])
 def test_points_are_close_to_the_truth(clip):
     errors = []
-    for count, (frame, truth) in enumerate(sample(clip, every=100)):
+    for count, (frame, truth) in enumerate(sample(clip, every=40)):
         found = errors_in_mouth_widths(search_start([frame]), truth)
         if count == 0:
             assert max(found) < 0.2
         errors += found
-    assert len(errors) > 5
+    assert len(errors) > 15
     assert np.mean(errors) < 0.1
 
 
