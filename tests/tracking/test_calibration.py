@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import InputError, RecipeError
-from facetrack_cli.engine.calibration import (
-    Calibration,
-    CrossChecked,
-    Isotonic,
-    Logistic,
-    features,
-    load_calibration,
-)
+from facetrack_cli.engine.calibration import Calibration, CrossChecked, Isotonic, Logistic, features, load_calibration
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.trajectory.trajectory import SPREAD, build
@@ -66,23 +59,24 @@ def test_a_file_is_read_as_it_was_written(file):
     assert found == BOTH and found.to_json().encode() == file.read_bytes()
 
 
+def isotonic(score, *knots):
+    return {"maps": {"box": {"method": "isotonic", "score": score, "knots": [*knots]}}}
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         ({"format": "facetrack-gallery"}, '"format" is not facetrack-calibration'),
         ({"version": 2}, "another version than 1"),
-        (
-            {"maps": {"points": {"method": "logistic", "intercept": "1", "coefficients": {}}}},
-            "maps.points.logistic.int",
-        ),
+        ({"maps": {"points": {"method": "logistic", "intercept": "1", "coefficients": {}}}}, "points.logistic.int"),
         ({"maps": {"points": {"method": "tree"}}}, "maps.points"),
-        ({"maps": {"box": {"method": "isotonic", "score": "confidence", "knots": []}}}, "knots"),
-        ({"maps": {"box": {"method": "isotonic", "score": "confidence", "knots": [[0, 0.5], [1, 0.4]]}}}, "knots"),
-        ({"maps": {"box": {"method": "isotonic", "score": "spread", "knots": [[0, 0.4], [1, 0.5]]}}}, "fall"),
-        ({"maps": {"box": {"method": "isotonic", "score": "confidence", "knots": [[0, 0.4], [1, 1.5]]}}}, "within"),
+        (isotonic("confidence"), "knots"),
+        (isotonic("confidence", [0, 0.5], [1, 0.4]), "knots"),
+        (isotonic("spread", [0, 0.4], [1, 0.5]), "fall"),
+        (isotonic("confidence", [0, 0.4], [1, 1.5]), "within"),
+        (isotonic("hue", [0.0, 0.5]), "isotonic.score: input"),
         ({"maps": {"nose": {"method": "logistic", "intercept": 1.0, "coefficients": {}}}}, "maps.nose"),
         ({"maps": {"box": {"method": "logistic", "intercept": 1.0, "coefficients": {"hue": 1.0}}}}, "hue"),
-        ({"maps": {"box": {"method": "isotonic", "score": "hue", "knots": [[0.0, 0.5]]}}}, "isotonic.score: input"),
         ({"colour": 1}, "colour"),
     ],
 )
@@ -168,19 +162,19 @@ COLUMNS = ("x", "y", "w", "h", "angle", "ess", "particles")
 
 
 @pytest.mark.parametrize(
-    ("recipe", "clip", "stop"),
+    ("recipe", "clip"),
     [
-        ("factorized_robust", "occlusion", 70),
-        ("correlation_filter", "passerby", 40),
-        ("adaptive_robust", "lamp", 15),
-        ("face", "occlusion", 25),
+        ("factorized_robust", "occlusion"),
+        ("correlation_filter", "passerby"),
+        ("adaptive_robust", "lamp"),
+        ("face", "occlusion"),
     ],
 )
-def test_a_calibration_changes_confidence_and_spread_alone(file, recipe, clip, stop):
-    path = FOLDER / f"{clip}.mp4"
-    raw = track_video(path, load_recipe(recipe, {"confidence.calibration": None}), stop=stop)
-    named = load_recipe(recipe, {"confidence.calibration": str(file)})
-    found = track_video(path, named, stop=stop)
+def test_a_calibration_changes_confidence_and_spread_alone(file, recipe, clip):
+    raw, found = (
+        track_video(FOLDER / f"{clip}.mp4", load_recipe(recipe, {"confidence.calibration": name}), stop=15)
+        for name in (None, str(file))
+    )
     for name in COLUMNS:
         assert getattr(found, name).tobytes() == getattr(raw, name).tobytes(), name
     assert found.header["recipe"]["confidence"]["calibration"] == str(file)
