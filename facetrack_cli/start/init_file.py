@@ -130,14 +130,14 @@ def as_yaml(start: Start, clip: str = "") -> str:
             "# points, box: by hand; kept: where its other points were; absent: not to be seen from there on;",
             "# learn: whether what it looks like is learned again there; if it is not said, what is given is.",
             *["# confirmed: it lies right there, whatever the tracker says."]
-            * any(one.confirmed for one in start.corrections),
+            * any(correction.confirmed for correction in start.corrections),
             "corrections:",
         ]
-    for frame, group in groupby(start.corrections, key=lambda one: one.frame):
+    for frame, group in groupby(start.corrections, key=lambda correction: correction.frame):
         lines.append(f"- frame: {frame}")
-        for one in group:
-            lines.append(f"  {_key(one.target)}:")
-            for key, value in corrected(one).items():
+        for correction in group:
+            lines.append(f"  {_key(correction.target)}:")
+            for key, value in corrected(correction).items():
                 line = f"    {key}: {_flow(value)}"
                 split = isinstance(value, dict) and len(line) > _WIDE
                 lines += [f"    {key}:", *_below(value, 6)] if split else [line]
@@ -236,19 +236,19 @@ def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
 def _corrections(node: Node, first: int, targets: Mapping[str, TargetStart]) -> tuple[Correction, ...]:
     if not isinstance(node.value, list):
         _refuse(node, "corrections is a list; write - frame: 31 and, below it, what is corrected, or remove the key")
-    found: dict[tuple[int, str], tuple[Correction, int]] = {}
+    corrections: dict[tuple[int, str], tuple[Correction, int]] = {}
     for entry in node.value:
         keys = _mapping(entry, "a correction", "- frame: 31 and, below it, what is corrected")
         at, frame = keys.get("frame", entry), _frame(keys, entry)
         if frame <= first:
             _refuse(at, f"corrects frame {frame}, but the track begins in frame {first}; corrections come after it")
         for name, below in _corrected(keys, entry, targets).items():
-            if (frame, name) in found:
-                known = f"{name} has a correction of frame {frame} in line {found[frame, name][1]} already"
+            if (frame, name) in corrections:
+                known = f"{name} has a correction of frame {frame} in line {corrections[frame, name][1]} already"
                 _refuse(below, f"{known}; join them", at_key=True)
             line = (below.key or below.span).line + 1
-            found[frame, name] = _correction(frame, name, below, targets.get(name, TargetStart())), line
-    return tuple(one for one, _ in sorted(found.values(), key=lambda pair: pair[0].frame))
+            corrections[frame, name] = _correction(frame, name, below, targets.get(name, TargetStart())), line
+    return tuple(correction for correction, _ in sorted(corrections.values(), key=lambda pair: pair[0].frame))
 
 
 def _corrected(keys: _KEYS, entry: Node, targets: Mapping[str, TargetStart]) -> _KEYS:
@@ -270,29 +270,29 @@ def _correction(frame: int, name: str, node: Node, start: TargetStart) -> Correc
     keys = _mapping(node, f"the correction of {name}", "points: or absent: below the name")
     if "windows" in keys:
         _refuse(keys["windows"], "windows stay as the start has them; remove them from the correction", at_key=True)
-    found = _read(CorrectedTarget, node, f"{name} in frame {frame}")
+    record = _read(CorrectedTarget, node, f"{name} in frame {frame}")
     if not keys.keys() & {"box", "points", "absent", "confirmed"}:
         _refuse(node, f"nothing of {name} is corrected; add points: or box: by hand, or absent: true, or remove it")
-    if found.absent is True and len(keys) > 1:
+    if record.absent is True and len(keys) > 1:
         other = next(key for key in keys if key != "absent")
         _refuse(keys[other], f"all of {name} is absent; remove {other}, or list the absent parts", at_key=True)
-    if found.confirmed and len(keys) > 1:
+    if record.confirmed and len(keys) > 1:
         other = next(key for key in keys if key != "confirmed")
         _refuse(keys[other], f"{name} is confirmed where the tracker has it; remove {other}, or confirmed", at_key=True)
-    if found.box is not None and found.kept:
+    if record.box is not None and record.kept:
         _refuse(keys["kept"], f"kept beside the box of {name}: a box has no other parts; remove kept", at_key=True)
     # a start of a box alone leaves the parts to the recipe
     parts = (*start.points, *((BOX,) if start.box is not None else ())) if start.points else ()
-    known = {BOX: "box"} if found.box is not None else {}
-    lists = {"absent": found.absent, "confirmed": found.confirmed}
-    for key, names in {"points": found.points, "kept": found.kept, **lists}.items():
+    placed = {BOX: "box"} if record.box is not None else {}
+    lists = {"absent": record.absent, "confirmed": record.confirmed}
+    for key, names in {"points": record.points, "kept": record.kept, **lists}.items():
         for at, part in enumerate(() if names is True else names):
             child, _, _ = locate(node, (key, at if key in lists else part))
-            if part in known:
-                _refuse(child, f"{part} is in {known[part]} already; leave it in one place", at_key=True)
+            if part in placed:
+                _refuse(child, f"{part} is in {placed[part]} already; leave it in one place", at_key=True)
             _check_part(child, key, part, parts)
-            known[part] = key
-    return found.correction(frame, name)
+            placed[part] = key
+    return record.correction(frame, name)
 
 
 def _check_part(node: Node, key: str, part: str, parts: Sequence[str]) -> None:
@@ -310,11 +310,12 @@ def _read(model: type[_Record], node: Node, whose: str) -> _Record:
     try:
         return model.model_validate(node.plain())
     except ValidationError as error:
-        found = []
-        for one in problems(error, model, node):
-            form = next((f"; write {key}: {_FORMS[key]}" for key in _FORMS if re.match(rf"{key}\b", one.message)), "")
-            found.append(Problem(one.span, f"{whose}: {one.message}{form}"))
-        raise YamlProblems(found) from None
+        refused = []
+        for problem in problems(error, model, node):
+            key = next((key for key in _FORMS if re.match(rf"{key}\b", problem.message)), "")
+            form = f"; write {key}: {_FORMS[key]}" if key else ""
+            refused.append(Problem(problem.span, f"{whose}: {problem.message}{form}"))
+        raise YamlProblems(refused) from None
 
 
 def _mapping(node: Node, what: str, example: str) -> _KEYS:
