@@ -1,6 +1,5 @@
 """Where the points of a face are placed, the preview of it, and facetrack init. The face is that of a sample clip."""
 
-import csv
 import os
 from pathlib import Path
 
@@ -16,37 +15,23 @@ from facetrack_cli.start.preview import draw_start
 from facetrack_cli.start.search import box_start, search_start
 from facetrack_cli.trackers.face.detectors import PARTS, find_faces
 from facetrack_cli.trackers.face.points import mean_eyes, place
+from tests.support.samples import TrackClip
 
-SAMPLES = Path(__file__).parents[2] / "sample_videos"
 CLIPS = Path(os.environ.get("FACETRACK_CLIPS", "clips"))
 NOBODY = np.random.default_rng(7).integers(0, 256, (120, 160, 3), dtype=np.uint8)
 
 
-def sample(clip, every=1000):
+def sample(name, stop=1, every=1):
     """Every so many frames of a sample clip, each with the true points of those parts that are visible."""
-    truth = {}
-    with (SAMPLES / f"{clip}.truth.csv").open() as file:
-        for row in csv.DictReader(file):
-            if row["status"] == "visible":
-                truth.setdefault(int(row["frame"]), {})[row["part"]] = (float(row["x"]), float(row["y"]))
-    capture = cv2.VideoCapture(str(SAMPLES / f"{clip}.mp4"))
-    index = 0
-    while (read := capture.read())[0]:
-        if index % every == 0:
-            yield Frame(index, index / 25, read[1]), truth.get(index, {})
-        index += 1
-    capture.release()
+    clip = TrackClip(name, stop)
+    for frame in clip.frames[::every]:
+        rows = (clip.truth.get((frame.index, part)) for part in PARTS)
+        yield frame, {row.part: (row.x, row.y) for row in rows if row is not None and row.status == "visible"}
 
 
 @pytest.fixture(scope="module")
 def face():
     return next(sample("expressions"))
-
-
-def write(tmp_path, text, name="clip.init.yaml"):
-    path = tmp_path / name
-    path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return path
 
 
 def errors_in_mouth_widths(start, truth):
@@ -105,7 +90,7 @@ def test_points_are_found_in_a_box_that_says_neither_the_size_nor_the_tilt_of_a_
 @pytest.mark.parametrize("clip", ["expressions", "occlusion"])
 def test_points_are_close_to_the_truth(clip):
     errors = []
-    for count, (frame, truth) in enumerate(sample(clip, every=40)):
+    for count, (frame, truth) in enumerate(sample(clip, None, 40)):
         found = errors_in_mouth_widths(search_start([frame]), truth)
         if count == 0:
             assert max(found) < 0.2
@@ -114,25 +99,19 @@ def test_points_are_close_to_the_truth(clip):
     assert np.mean(errors) < 0.1
 
 
-@pytest.mark.parametrize("change", ["grey", "dark", "tiny", "large", "tilted"])
+@pytest.mark.parametrize("change", ["grey", "dark", (0, 0.5), (0, 6.0), (-9, 1.0)])
 def test_finds_the_face_however_it_is_shown(face, change):
+    """Grey, dark, or turned by so many degrees and enlarged."""
     frame, truth = face
-    image, points = frame.bgr, truth
+    turn, zoom = (0, 1.0) if isinstance(change, str) else change
+    image, matrix = as_it_lies(frame.bgr, turn, zoom)
     if change == "grey":
         image = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
-    elif change == "dark":
+    if change == "dark":
         image = (image * 0.5).astype(np.uint8)
-    else:
-        height, width = image.shape[:2]
-        scale = {"tiny": 0.5, "large": 6.0, "tilted": 1.0}[change]
-        turn = {"tilted": 9.0}.get(change, 0.0)
-        matrix = cv2.getRotationMatrix2D((width / 2, height / 2), turn, scale)
-        matrix[:, 2] += (scale - 1) / 2 * np.array([width, height])
-        size = round(width * scale), round(height * scale)
-        image = cv2.warpAffine(image, matrix, size, flags=cv2.INTER_AREA, borderMode=cv2.BORDER_REPLICATE)
-        points = {part: tuple(matrix @ [*point, 1]) for part, point in truth.items()}
     start = search_start([Frame(5, 0.2, image)])
     assert start.frame == 5 and start.origin == "haar"
+    points = {part: tuple(matrix @ [*point, 1]) for part, point in truth.items()}
     assert np.mean(errors_in_mouth_widths(start, points)) < 0.12
     check_start(start, (image.shape[1], image.shape[0]), PARTS)
 
@@ -174,19 +153,15 @@ def test_only_five_parts_can_be_placed(face):
 
 
 @pytest.mark.parametrize("by", ["haar", None])
-def test_a_box_drawn_by_hand_need_not_be_exact(face, by):
+def test_a_box_drawn_by_hand_need_not_be_exact_and_stands_in_for_a_face_that_nobody_sees(face, by):
     frame, truth = face
     x, y, w, h = find_faces(frame.bgr)[0]
     drawn = (x + 0.08 * w, y - 0.1 * h, 0.9 * w, 1.2 * h)
     start = box_start(frame, drawn, by=by)
     assert start.targets["face"].box == drawn and start.origin == "--box"
     assert np.mean(errors_in_mouth_widths(start, truth)) < 0.12
-
-
-@pytest.mark.parametrize("by", ["haar", None])
-def test_a_box_stands_in_for_a_face_that_no_detector_sees(by):
-    frame = Frame(3, 0.1, np.full((200, 200, 3), 100, np.uint8))
-    points = box_start(frame, (40, 40, 100, 120), by=by).targets["face"].points
+    flat = Frame(3, 0.1, np.full((200, 200, 3), 100, np.uint8))
+    points = box_start(flat, (40, 40, 100, 120), by=by).targets["face"].points
     (left, _), (right, _) = mean_eyes((40, 40, 100, 120))
     assert points["mouth_left"][0] == pytest.approx((left + right) / 2 - 0.41 * (right - left), abs=2)
     assert 40 < points["nose"][1] < points["lip_upper"][1] < points["lip_lower"][1] < 160
@@ -244,36 +219,26 @@ def clip(tmp_path, face):
     return folder
 
 
-def test_init_writes_what_run_will_find(clip, capsys):
-    assert main(["init", str(clip)]) == 0
+def test_init_writes_what_run_will_find_and_replaces_nothing_unasked(clip, capsys):
     path = clip.parent / "frames.init.yaml"
-    assert find_init(clip) == path
-    start = read_init(path)
+    path.write_text("mine\n")
+    assert main(["init", str(clip)]) == 2
+    assert path.read_text() == "mine\n" and "--overwrite" in capsys.readouterr().err
+    assert main(["init", str(clip), "--overwrite"]) == 0
+    start = read_init(find_init(clip))
     assert start.frame == 2 and list(start.targets["face"].points) == list(PARTS)
     out, err = capsys.readouterr()
     assert out == "" and str(path) in err and "facetrack run" in err
 
 
-def test_init_refuses_to_overwrite(clip, capsys):
-    path = clip.parent / "frames.init.yaml"
-    path.write_text("mine\n")
-    assert main(["init", str(clip)]) == 2
-    assert path.read_text() == "mine\n"
-    assert "--overwrite" in capsys.readouterr().err
-    assert main(["init", str(clip), "--overwrite"]) == 0
-    assert read_init(path).frame == 2
-
-
 def test_init_to_stdout_with_box_frame_and_preview(clip, tmp_path, capsys, face):
-    preview = tmp_path / "look.png"
-    x, y, w, h = find_faces(face[0].bgr)[0]
-    box = f"{x},{y},{w},{h}"
-    assert main(["init", str(clip), "-o", "-", "--init-frame", "2", "--box", box, "--preview", str(preview)]) == 0
-    text = capsys.readouterr().out
-    start = read_init(write(tmp_path, text))
-    assert start.frame == 2 and start.targets["face"].box == (x, y, w, h)
-    assert cv2.imread(str(preview)) is not None
-    assert [file.name for file in clip.parent.glob("*.init.*")] == ["clip.init.yaml"]
+    preview, box = tmp_path / "look.png", find_faces(face[0].bgr)[0]
+    given = ["--init-frame", "2", "--box", ",".join(map(str, box)), "--preview", str(preview)]
+    assert main(["init", str(clip), "-o", "-", *given]) == 0
+    assert cv2.imread(str(preview)) is not None and not list(clip.parent.glob("*.init.*"))
+    (tmp_path / "clip.init.yaml").write_text(capsys.readouterr().out)
+    start = read_init(tmp_path / "clip.init.yaml")
+    assert start.frame == 2 and start.targets["face"].box == box
 
 
 @pytest.mark.parametrize(
