@@ -28,8 +28,6 @@ Resampling: TypeAlias = Callable[[np.random.Generator, Array, int], Whole]
 def logsumexp(a: Array, axis: int = 0) -> Array:
     """log(sum(exp(a))) along `axis`, without overflow; -inf for an empty sum of weights."""
     top = a.max(axis=axis, keepdims=True)
-    if np.isfinite(top).all():  # then a sum is 1 at least
-        return np.asarray((np.log(np.exp(a - top).sum(axis=axis, keepdims=True)) + top).squeeze(axis))
     top = np.where(np.isfinite(top), top, 0.0)
     with np.errstate(divide="ignore"):
         return np.asarray((np.log(np.exp(a - top).sum(axis=axis, keepdims=True)) + top).squeeze(axis))
@@ -77,8 +75,14 @@ def uniform(n: int) -> Array:
 
 
 def _invert(w: Array, points: Array) -> Whole:
-    """`invert_cdf` for one population (N,) or several (N, K)."""
-    return np.asarray(invert_cdf(w.reshape(len(w), -1), points.reshape(len(points), -1)).reshape(points.shape))
+    """The indices at which the cumulated weights first exceed each ascending point of [0, 1).
+
+    For one population of weights (N,) and points (M,), or several (N, K) and (M, K). Weights, not all zero, need not
+    sum to one. Never an index of weight zero, and never N, however the sums are rounded.
+    """
+    out = np.empty((len(points), w[:1].size), np.int64)
+    invert_cdf(w.reshape(len(w), -1), points.reshape(len(points), -1), out)
+    return out.reshape(points.shape)
 
 
 def systematic(rng: np.random.Generator, log_w: Array, m: int) -> Whole:

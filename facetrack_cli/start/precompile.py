@@ -78,7 +78,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.regions.histogram_kernels.code": ("u1:3 u2:2 u2:1 i8 i8", "histogram"),
     "trackers.regions.histogram_kernels.edges": ("f8:2 f8 f8 i8 i8 i8 i8 i8", "histogram"),
     "trackers.regions.histogram_kernels.crop": ("i8:2 i8:2", "histogram"),
-    "engine.kernels.compiled._invert_cdf": ("f8:2 f8:2 i8:2", _FILTERS),
+    "engine.kernels.compiled.invert_cdf": ("f8:2 f8:2 i8:2", _FILTERS),
     "engine.kernels.affine.boxes_extent": ("f8:2 f8 f8 i8 i8", "target=affine correlation skin"),
     "trackers.skin.ncc_kernels.bilinear": ("f4:2 f8:2 i8 i8", _NCC),
     "trackers.skin.skin_kernels.at_points": ("u1:3 u1:2 f8:2", "likelihood=skin"),

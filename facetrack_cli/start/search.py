@@ -208,7 +208,8 @@ class _Search:
         return self.faces(ended=True) if self.times and self.times[-1] - self.times[0] >= least else []
 
     def _open(self) -> list[_Candidate]:
-        return [candidate for candidate in self.candidates if len(self.frames) - self._place(candidate.last) <= MAX_GAP]
+        first = self.frames[-MAX_GAP:][0] if self.frames else 0
+        return [candidate for candidate in self.candidates if candidate.last >= first]
 
     def look(self, frame: Frame) -> None:
         self.frames.append(frame.index)
@@ -240,9 +241,6 @@ class _Search:
                         self.candidates.remove(candidate)
                 self._add(_Candidate(face), frame, face)
 
-    def _place(self, frame: int) -> int:
-        return self.frames.index(frame)
-
     def _add(self, candidate: _Candidate, frame: Frame, face: Found) -> None:
         placed = face.placed(frame)
         points = named(placed)
@@ -270,7 +268,8 @@ class _Search:
         able = [rival for rival in self.candidates if rival.begins and rival.features and len(rival.boxes) >= enough]
         lit = [candidate for candidate in able if max(candidate.contrast) >= MIN_CONTRAST]
         able = lit or (able if ended else [])
-        waited = max((self.times[-1] - self.times[self._place(candidate.first)] for candidate in able), default=0.0)
+        seen = [self.times[self.frames.index(candidate.first)] for candidate in able]
+        waited = self.times[-1] - min(seen, default=self.times[-1])
         if not able or (waited < WAIT_S and not ended):
             return []
         self.ready = self.frames[-1] if self.ready is None else self.ready

@@ -11,7 +11,6 @@ import numpy as np
 from numba import njit
 from numba.core import caching
 from numba.core.runtime.nrt import rtsys
-from numpy.typing import NDArray
 
 from facetrack_cli.core.log import warn
 from facetrack_cli.engine.kernels.cache import compiling
@@ -140,19 +139,9 @@ def box_sum(sums, x0, y0, x1, y1):
     return read_at(sums, x1, y1) + read_at(sums, x0, y0) - read_at(sums, x1, y0) - read_at(sums, x0, y1)
 
 
-def invert_cdf(weights: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """For each column, the indices at which the cumulated weights first exceed each ascending point of [0, 1).
-
-    `weights` (N, K), not all zero in a column, need not sum to one; `points` (M, K) -> (M, K) int64. Never an index of
-    weight zero, and never N, however the sums are rounded.
-    """
-    out = np.empty((len(points), weights.shape[1]), np.int64)
-    _invert_cdf(weights, points, out)
-    return out
-
-
 @exact
-def _invert_cdf(weights, points, out):
+def invert_cdf(weights, points, out):
+    """Indices `out` (M, K) by weights (N, K) and points (M, K), as `engine.resampling` says."""
     (n, columns), m = weights.shape, points.shape[0]
     for k in range(columns):
         total, last = 0.0, 0

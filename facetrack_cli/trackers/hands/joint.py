@@ -57,6 +57,9 @@ _ALONG: Final = np.array([0.2, 0.35, 0.5, 0.65, 0.8])
 _AROUND: Final = np.array([[math.cos(turn), math.sin(turn)] for turn in np.arange(6) * math.pi / 6])
 _OPPOSITE: Final = np.stack([2 * _AROUND, -2 * _AROUND])  # (2, 6, 2), radii
 
+_SPREAD: Final = 0.6  # pixels of the reduced frame, about a place of most skin
+_TINY: Final = 1e-12
+
 SIGNS: Final = (1.0, -1.0)  # of each hand, of the way to the other hand's side
 WEIGHTS: Final = np.array([0.4, -1.3, -7.0])  # of u, u v, and l sin 2a
 TEMPER: Final = 0.4
@@ -170,10 +173,6 @@ def step(
     other = seen.all(axis=1) & (off[1] < off[0])
     x[other] = x[other][:, ::-1]
     return Cloud(x, seen, parted), belief
-
-
-_SPREAD: Final = 0.6  # pixels of the reduced frame, about a place of most skin
-_TINY: Final = 1e-12
 
 
 def disc_means(evidence: Map, radius: float) -> Map:
