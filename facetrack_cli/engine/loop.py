@@ -68,11 +68,19 @@ def track(
 ) -> Iterator[FrameResult]:
     """Track over `frames`. The tracker's start belongs to the first frame.
 
-    Targets advance in their order. A target sees the covers of earlier targets in this frame, and the expected covers
-    of later targets. Equal input gives equal results, bit for bit. The results of a target without exclusion do not
-    depend on other targets. Raises InputError, which names the `clip`, if the first frame lacks what a target needs.
+    Targets advance in their order. A target sees the footprints of earlier targets in this frame, and the expected
+    footprints of later targets. Equal input gives equal results, bit for bit. The results of a target without exclusion
+    do not depend on other targets.
 
-    `at` is kept up to date. If it holds states already, tracking resumes from them with the next of the `frames`.
+    Parameters
+    ----------
+    at
+        Kept up to date. If it holds states already, tracking resumes from them with the next of the `frames`.
+
+    Raises
+    ------
+    InputError
+        The first frame lacks what a target needs; the message names the `clip`.
     """
     at = TrackState() if at is None else at
     at.rngs = at.rngs or [stream(seed, place) for place in range(len(tracker))]

@@ -51,8 +51,17 @@ MAX_REACH: Final = 5.0  # sizes of the face's box: hands are no farther from the
 def build_tracker(recipe: Recipe, start: Start, fps: float | Fraction = 25) -> Tracker:
     """The tracker of a recipe for a clip that begins at `start`, whose every point lies in the frame.
 
-    By `fps`, the frames per second of the clip, the recipe's times become frames.
-    Raises InputError where the start or a correction lacks what the recipe needs, RecipeError for parts that disagree.
+    Parameters
+    ----------
+    fps
+        Frames per second of the clip, by which the recipe's times become frames.
+
+    Raises
+    ------
+    InputError
+        The start or a correction lacks what the recipe needs.
+    RecipeError
+        Parts of the recipe disagree.
     """
     recipe = in_frames(recipe, fps)
     if isinstance(recipe, OpenCvRecipe):

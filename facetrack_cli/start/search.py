@@ -155,11 +155,22 @@ def search_start(
 ) -> Start:
     """The start at the first face that stays: its box, and the parts placed in it (pixels, to 0.01).
 
-    The frames of the first `SEARCHED_S` are searched. If they show nobody, and `whole`, the search goes on in steps
-    that grow to `MAX_STEP_S`; where a detector finds a face there, each of the next frames is searched again. With
-    `faces` "all", faces that are there at the same time are targets `face`, `face_2`, and so on, by their size.
-    `complete` adds what else the frame must show, or raises NotHereError.
-    InputError, naming the `clip`, if no frame shows all that.
+    The frames of the first `SEARCHED_S` are searched.
+
+    Parameters
+    ----------
+    faces
+        With "all", faces that are there at the same time are targets `face`, `face_2`, and so on, by their size.
+    whole
+        If the first frames show nobody, the search goes on in steps that grow to `MAX_STEP_S`. Where a detector finds a
+        face there, each of the next frames is searched again.
+    complete
+        Adds what else the frame must show, or raises NotHereError.
+
+    Raises
+    ------
+    InputError
+        No frame of the `clip` shows all that.
     """
     check_parts(parts)
     finder, coming = detector or Haar(), iter(frames)
