@@ -29,7 +29,8 @@ from facetrack_cli.core.types import Array
 from facetrack_cli.evaluation.identities import SAME, Seen, measure_people
 from facetrack_cli.trackers.face.detectors import Found, detector
 from facetrack_cli.trackers.face.stabilized import Similarity, slope
-from facetrack_cli.trackers.people import identity, looks
+from facetrack_cli.trackers.people import descriptor as looks
+from facetrack_cli.trackers.people import identity
 from facetrack_cli.video.source import open_source
 
 POINTS = ("nose", "mouth_left", "mouth_right")

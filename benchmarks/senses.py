@@ -41,7 +41,7 @@ from facetrack_cli.core.models import model_path
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.api import track_video
 from facetrack_cli.trackers.face import target
-from facetrack_cli.trackers.people import looks
+from facetrack_cli.trackers.people import descriptor as looks
 from facetrack_cli.video.shots import Passing
 
 KINDS = ("plain", "flash", "lens", "whip", "jump_cut", "jump_hat", "jumps")

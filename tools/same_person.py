@@ -27,8 +27,8 @@ from facetrack_cli.core.geometry import overlap
 from facetrack_cli.core.types import Array, Frame, Mask
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.face.stabilized import Similarity, slope
+from facetrack_cli.trackers.people.descriptor import VIEWS, Describer, FaceDescriptor, View, load_people, save_people
 from facetrack_cli.trackers.people.identity import distances, worth_of
-from facetrack_cli.trackers.people.looks import VIEWS, Looks, Reader, View, load_people, save_people
 from facetrack_cli.video.source import open_source
 
 FRAMES = (30, 70)  # of a track
@@ -77,7 +77,7 @@ class Change:
         return Frame(frame.index, frame.time_s, np.asarray(cv2.imdecode(packed, 1), np.uint8)), found
 
 
-def tracks(clip: Path, count: int, rng: np.random.Generator) -> Iterator[Looks]:
+def tracks(clip: Path, count: int, rng: np.random.Generator) -> Iterator[FaceDescriptor]:
     """The looks of tracks that are cut out of a clip of one person."""
     look = detector("yunet")
     with open_source(clip) as source:
@@ -88,7 +88,7 @@ def tracks(clip: Path, count: int, rng: np.random.Generator) -> Iterator[Looks]:
     with open_source(clip) as source:
         frames = {frame.index: frame for frame in source if frame.index in wanted}
     for those in views:
-        change, reader, last = Change(rng), Reader(look), None
+        change, reader, last = Change(rng), Describer(look), None
         for k in sorted(frames.keys() & those):
             faces = look.find(frames[k])
             face = max(faces, key=lambda one: one.box[2] if last is None else overlap(one.box, last), default=None)
@@ -137,7 +137,7 @@ def trusted(wrong: Mask, odds: Array, weight: Array) -> float:
     return 0.0
 
 
-def report(known: Mapping[str, Looks]) -> None:
+def report(known: Mapping[str, FaceDescriptor]) -> None:
     """Fit and print all senses."""
     names = np.array([name.rpartition("/")[0] for name in known])
     i, j = np.triu_indices(len(names), 1)
@@ -171,7 +171,7 @@ def main() -> None:
     parser.add_argument("--tracks", type=int, default=14)
     parser.add_argument("--keep", type=Path, help="file for what the tracks look like, from which it is fitted again")
     given = parser.parse_args()
-    found: dict[str, Looks] = {}
+    found: dict[str, FaceDescriptor] = {}
     for clip in given.clips:
         if clip.suffix == ".npz":
             found |= load_people(clip)

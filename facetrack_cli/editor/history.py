@@ -13,8 +13,8 @@ from facetrack_cli.engine.corrected import all_or, completed, is_complete, with_
 from facetrack_cli.run_folder.finished import Run, stamp
 from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stopped, never
+from facetrack_cli.start.assembly import name_targets
 from facetrack_cli.start.init_file import TARGET, read_init
-from facetrack_cli.start.targets import name_targets
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory
 

@@ -190,7 +190,7 @@ class _Live:
             self.target = among_others(self.target)
         if task.begin is not None:
             assert isinstance(self.target, CorrectedTarget)
-            self.target = self.target.resumed(first)
+            self.target = replace(self.target, first=first)
         self.begun = False
         self.state: Any = None
         self._collected = Collector()

@@ -20,7 +20,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
@@ -58,12 +58,12 @@ class Logistic(_StoredPart):
     coefficients: dict[Feature, float]
     least: Annotated[float, Field(ge=0, le=0.5)]
 
-    def __call__(self, known: Mapping[Feature, Array]) -> Array:
-        """p (R,) of rows with these features (R,); nan where one is."""
-        logit = sum((slope * known[name] for name, slope in self.coefficients.items()), self.intercept)
+    def __call__(self, values: Mapping[Feature, Array]) -> Array:
+        """p (R,) of rows whose features have these values (R,); nan where a value is nan."""
+        logit = sum((slope * values[name] for name, slope in self.coefficients.items()), self.intercept)
         p = 1 / (1 + np.exp(-np.minimum(np.maximum(logit, -700), 700)))
         p = np.minimum(np.maximum(p, self.least), 1 - self.least)
-        return np.asarray(p + np.zeros_like(known["confidence"]))
+        return np.asarray(p + np.zeros_like(values["confidence"]))
 
 
 class Isotonic(_StoredPart):
@@ -93,9 +93,9 @@ class Isotonic(_StoredPart):
         x, p = np.array(self.knots).T
         return x, p
 
-    def __call__(self, known: Mapping[Feature, Array]) -> Array:
+    def __call__(self, values: Mapping[Feature, Array]) -> Array:
         """As of `Logistic`."""
-        score = self.score(known) if isinstance(self.score, Logistic) else known[self.score]
+        score = self.score(values) if isinstance(self.score, Logistic) else values[self.score]
         return np.interp(score, *self._table)
 
 
@@ -138,32 +138,33 @@ class Calibration(_StoredPart):
     clips: list[str]
     seeds: int
 
-    def believed(self, parts: Sequence[str], one: Belief) -> Belief:
-        """What the filter knows of these parts, with the spread that their rows have."""
-        return one._replace(cov=one.cov * self.spread.get("box" if BOX in parts else "points", 1.0) ** 2)
+    def believed(self, parts: Sequence[str], belief: Belief) -> Belief:
+        """The filter's belief of these parts, with the spread that their rows have."""
+        return belief._replace(cov=belief.cov * self.spread.get("box" if BOX in parts else "points", 1.0) ** 2)
 
     def applied(self, rows: Trajectory, size: float) -> Trajectory:
-        """The rows of a target in a frame, p their confidence; `size`: the largest distance of points, in pixels.
+        """The rows of a target in a frame, with p as their confidence.
 
-        What was given to the tracker (status init), and what has no particles, keeps its own, the latter also its
-        spread; p is unknown where confidence is, or there is no map. A row is lost where p is below 1/2. Of the other
-        rows those that the tracker does not see are hidden: their target is seen, or their place is likely right.
+        `size` is the largest distance between points, in pixels. Rows of status init and rows without particles keep
+        their confidence; the latter also keep their spread. p is nan where the confidence is nan, or where there is no
+        map. A row is lost where p is below 1/2. Other rows that the tracker does not see are hidden: their target is
+        seen, or their place is likely right.
         """
         lost = rows.status == "lost"
-        boxes, p, by = boxes_of(rows), np.full(len(rows), np.nan), np.ones(len(rows))
-        known = features(rows, boxes, size)
-        for kind, of in self.maps.items():
-            mine = boxes if kind == "box" else ~boxes
-            if mine.any():
-                p, by = np.where(mine, of(known), p), np.where(mine, self.spread[kind], by)
+        boxes, p, factor = boxes_of(rows), np.full(len(rows), np.nan), np.ones(len(rows))
+        values = features(rows, boxes, size)
+        for kind, fitted in self.maps.items():
+            chosen = boxes if kind == "box" else ~boxes
+            if chosen.any():
+                p, factor = np.where(chosen, fitted(values), p), np.where(chosen, self.spread[kind], factor)
         if (lost & boxes).any():
             p = np.where(lost, np.minimum(p, self.lost), p)
-        by = np.where(np.isnan(rows.ess), 1.0, by)
-        given = (rows.status == "init") | np.isnan(rows.confidence) | np.isnan(rows.ess)
-        spread = {name: getattr(rows, name) * (by**2 if name == "cov_xy" else by) for name in SPREAD}
+        factor = np.where(np.isnan(rows.ess), 1.0, factor)
+        kept = (rows.status == "init") | np.isnan(rows.confidence) | np.isnan(rows.ess)
+        spread = {name: getattr(rows, name) * (factor**2 if name == "cov_xy" else factor) for name in SPREAD}
         judged = np.where(p < LIKELY, "lost", np.where(lost, "hidden", rows.status))
-        status = np.where(given | np.isnan(p), rows.status, judged)
-        return replace(rows, confidence=np.where(given, rows.confidence, p), status=status, **spread)
+        status = np.where(kept | np.isnan(p), rows.status, judged)
+        return replace(rows, confidence=np.where(kept, rows.confidence, p), status=status, **spread)
 
     def to_json(self) -> str:
         return json.dumps(self.model_dump(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
@@ -171,12 +172,7 @@ class Calibration(_StoredPart):
 
 def boxes_of(rows: Trajectory) -> Mask:
     """(R,) which rows are of boxes."""
-    return _boxes(rows.names)[rows.which]
-
-
-@lru_cache  # of the same names in every frame
-def _boxes(names: tuple[tuple[str, str], ...]) -> Mask:
-    return np.array([part == BOX for _, part in names], np.bool_)
+    return np.array([part == BOX for _, part in rows.names], np.bool_)[rows.which]
 
 
 def features(rows: Trajectory, boxes: Mask, size: float) -> dict[Feature, Array]:
@@ -187,9 +183,10 @@ def features(rows: Trajectory, boxes: Mask, size: float) -> dict[Feature, Array]
         spread = np.log(np.minimum(np.maximum(np.hypot(rows.std_x, rows.std_y) / sides, 1e-3), 10))
         ess = np.log10(np.minimum(np.maximum(rows.ess / rows.particles, 1e-3), 1))
     odds = np.log((c + 0.01) / (1.01 - c))
-    known: dict[Feature, Array] = {"confidence": c, "log_odds": odds, "spread": spread, "ess": ess}
     # what is small in the picture is placed less exactly, in terms of its size
-    return {**known, "lost": (rows.status == "lost") * 1.0, "size": np.log(np.clip(sides, 3.0, 1000.0)) + 0.0 * c}
+    logs = np.log(np.clip(sides, 3.0, 1000.0)) + 0.0 * c
+    lost = (rows.status == "lost") * 1.0
+    return {"confidence": c, "log_odds": odds, "spread": spread, "ess": ess, "lost": lost, "size": logs}
 
 
 def load_calibration(path: Path) -> Calibration:
@@ -210,5 +207,5 @@ def load_calibration(path: Path) -> Calibration:
     except ValidationError as e:
         first = e.errors()[0]
         place = ".".join(str(key) for key in first["loc"] if not str(key).startswith("literal["))
-        said = first["msg"].removeprefix("Value error, ")
-        raise InputError(f"{path}: {place}: {said[:1].lower()}{said[1:]}; {remedy}") from None
+        message = first["msg"].removeprefix("Value error, ")
+        raise InputError(f"{path}: {place}: {message[:1].lower()}{message[1:]}; {remedy}") from None

@@ -11,8 +11,10 @@ The window at the estimate is compared with the template, and the distance d is 
 A part is `lost` once its confidence has stayed under `lost_below` for `patience` frames, `tracked` once it is not.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, fields, replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,11 +22,8 @@ from facetrack_cli.core.types import Array, Frame, Mask, Whole
 from facetrack_cli.recipe.model import ConfidenceSettings
 from facetrack_cli.trajectory.trajectory import Status
 
-
-class ComparesParts(Protocol):
-    """A likelihood that says how badly parts x (N, K, D) match what the first frame showed: (N, K), 0 is perfect."""
-
-    def distances(self, learned: Any, frame: Frame, x: Array) -> Array: ...
+if TYPE_CHECKING:
+    from facetrack_cli.engine.protocols import Likelihood
 
 
 @dataclass(frozen=True)
@@ -39,17 +38,17 @@ class Judgement:
 
 
 def begin(
-    settings: ConfidenceSettings, measure: ComparesParts, learned: Any, frame: Frame, x0: Array, windows: Array
+    settings: ConfidenceSettings, likelihood: Likelihood, learned: Any, frame: Frame, x0: Array, windows: Array
 ) -> Judgement:
     """The judgement of the first frame, whose parts are at x0 (K, D) and `windows` (K, 2) pixels large."""
     k = len(x0)
     angles = np.arange(16) * (2 * np.pi / 16)
     ring = np.zeros((16, *x0.shape))
     ring[..., :2] = np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, None] * windows
-    near = np.median(measure.distances(learned, frame, x0 + ring / 13), axis=0)
-    beside = np.quantile(measure.distances(learned, frame, x0 + ring), settings.beside, axis=0)
+    near = np.median(likelihood.distances(learned, frame, x0 + ring / 13), axis=0)
+    beside = np.quantile(likelihood.distances(learned, frame, x0 + ring), settings.beside, axis=0)
     blank = Frame(frame.index, frame.time_s, np.full_like(frame.bgr, 128))
-    bad = np.minimum(beside, measure.distances(learned, blank, x0[None])[0])
+    bad = np.minimum(beside, likelihood.distances(learned, blank, x0[None])[0])
     return Judgement(near, bad, np.ones(k), np.zeros(k, np.int64), tuple(["init"] * k))
 
 
@@ -60,25 +59,21 @@ def judge(settings: ConfidenceSettings, last: Judgement, distance: Array) -> Jud
     confidence = np.where(span > 1e-6, share, 0.0)
     if settings.memory is not None:
         good = np.where(confidence < settings.lost_below, good, good + (distance - good) / settings.memory)
-    return _decided(settings, last, good, confidence)
+    return decide(settings, replace(last, good=good), confidence)
 
 
 def decide(settings: ConfidenceSettings, last: Judgement, confidence: Array) -> Judgement:
     """The judgement of the next frame, with this confidence (K,)."""
-    return _decided(settings, last, last.good, confidence)
-
-
-def _decided(settings: ConfidenceSettings, last: Judgement, good: Array, confidence: Array) -> Judgement:
     below = np.where(confidence < settings.lost_below, last.below + 1, 0)
     status: tuple[Status, ...] = tuple(["lost" if n >= settings.patience else "tracked" for n in below.tolist()])
-    return Judgement(good, last.bad, confidence, below, status)
+    return replace(last, confidence=confidence, below=below, status=status)
 
 
 def resume(
     settings: ConfidenceSettings,
     first: Judgement,
-    anew: Mask,
-    measure: ComparesParts,
+    relearned: Mask,
+    likelihood: Likelihood,
     learned: Any,
     frame: Frame,
     x0: Array,
@@ -86,12 +81,12 @@ def resume(
 ) -> Judgement:
     """The judgement where a target begins again at x0 (K, D), with `windows` (K, 2), knowing what `learned` says.
 
-    Parts learned `anew` (K,) are judged from here on, others by the `first` frame; one in doubt is `lost` at once.
+    Parts `relearned` (K,) are judged from here on, others by the `first` frame; one in doubt is `lost` at once.
     """
     impatient = np.full(len(first.below), settings.patience - 1, np.int64)
-    kept = judge(settings, replace(first, below=impatient), measure.distances(learned, frame, x0[None])[0])
-    if not anew.any():
+    kept = judge(settings, replace(first, below=impatient), likelihood.distances(learned, frame, x0[None])[0])
+    if not relearned.any():
         return kept
-    begun = begin(settings, measure, learned, frame, x0, windows)
-    mixed = {one.name: np.where(anew, getattr(begun, one.name), getattr(kept, one.name)) for one in fields(kept)}
+    new = begin(settings, likelihood, learned, frame, x0, windows)
+    mixed = {key.name: np.where(relearned, getattr(new, key.name), getattr(kept, key.name)) for key in fields(kept)}
     return Judgement(**{**mixed, "status": tuple(mixed["status"].tolist())})

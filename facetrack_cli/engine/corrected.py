@@ -3,7 +3,7 @@
 There its particles stand together, as in the first frame, and its random numbers come from a stream of their own,
 (seed, target, frame). A given part stands where the correction says; a part that is kept, or not named, stands where
 it was, rounded as in the CSV. The rows after it depend on the first frame, the correction, and the images from there
-on, and on nothing that was tracked before: `Resumed` tracks a part of a run and gives the rows of the whole run.
+on, and on nothing that was tracked before: a part of a run that is tracked alone has the rows of the whole run.
 
 A given box or point is learned again; the other points keep the appearance of the first frame. With `learn` false
 nothing is learned; with `learn` true all visible points and the size of the face are. An absent part has rows without a
@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.random import Generator
@@ -24,7 +24,6 @@ from numpy.random import Generator
 from facetrack_cli.core.snapshot import STORED
 from facetrack_cli.core.types import BOX, Correction, Frame, TargetStart
 from facetrack_cli.engine.loop import Footprint, Target, Tracker
-from facetrack_cli.engine.protocols import Restarts
 from facetrack_cli.trajectory.trajectory import DECIMALS, TargetResult, Trajectory, build
 
 STREAM: Final = 2**31  # keeps the streams of corrections apart from those of targets
@@ -60,11 +59,16 @@ class State:
 
 @dataclass(frozen=True)
 class CorrectedTarget:
-    """A target and its corrections by their frames, all after the one in which it begins."""
+    """A target and its corrections by their frames, all after the one in which it begins.
+
+    With `first`, the first frame of the whole run, it begins at one of its corrections, a complete one. Its rows equal
+    those of the whole run, provided that it keeps its index in the tracker: the index seeds its generator.
+    """
 
     target: Target
     corrections: Mapping[int, Correction]
     policy: RestartPolicy
+    first: Frame | None = None
 
     @property
     def name(self) -> str:
@@ -81,8 +85,9 @@ class CorrectedTarget:
     def begin(self, rng: Generator, frame: Frame) -> tuple[State, TargetResult]:
         streams = rng.bit_generator.seed_seq
         assert isinstance(streams, np.random.SeedSequence)
-        inner, result = self.target.begin(rng, frame)
-        return State(inner, streams, self.target, inner), result
+        inner, result = self.target.begin(rng, frame if self.first is None else self.first)
+        state = State(inner, streams, self.target, inner)
+        return (state, result) if self.first is None else self.correct(state, frame, self.corrections[frame.index])
 
     def advance(
         self, rng: Generator, state: State, frame: Frame, footprints: Sequence[Footprint]
@@ -99,17 +104,6 @@ class CorrectedTarget:
             inner, result = state.target.advance(state.rng or rng, state.inner, frame, footprints)
             after = replace(state, inner=inner)
         return (after, result) if correction is None else self.correct(state, frame, completed(correction, result.rows))
-
-    def complete(self, state: State, frame: Callable[[int], Frame]) -> State:
-        """A state that was stored, with its target again; `frame` gives a frame of the clip."""
-        if state.learned is None:
-            return replace(state, target=self.target)
-        index, given = state.learned
-        return replace(state, target=self.policy.build(frame(index), given))
-
-    def resumed(self, first: Frame) -> Resumed:
-        """The same from a correction on, of a run whose first frame is `first`."""
-        return Resumed(self.target, self.corrections, self.policy, first)
 
     def footprint(self, state: State, *, ahead: bool) -> Footprint | None:
         return None if state.inner is None else state.target.footprint(state.inner, ahead=ahead)
@@ -134,10 +128,9 @@ class CorrectedTarget:
             target, learned = self.policy.build(frame, given), (frame.index, given)
             inner, result = target.begin(rng, frame)
         else:
-            target, learned = self.target, None
-            assert isinstance(target, Restarts)
-            anew = by_hand if correction.learn is None and self.policy.points else ()
-            inner, result = target.restart(rng, frame, state.first, given, absent, anew)
+            target, learned, restarting = self.target, None, cast(Any, self.target)
+            relearned = by_hand if correction.learn is None and self.policy.points else ()
+            inner, result = restarting.restart(rng, frame, state.first, given, absent, relearned)
         rows, sure = result.rows, np.isin(self.parts, by_hand)
         # what is kept is where the tracker was, though it may be learned again
         others = np.where(target is not self.target, "tracked", rows.status)
@@ -155,20 +148,25 @@ class CorrectedTarget:
 
 
 def restored(tracker: Tracker, states: Sequence[Any], frame: Callable[[int], Frame]) -> list[Any]:
-    """The states of a tracker, which were stored, as it goes on from them; `frame` gives a frame of the clip."""
+    """The stored states of a tracker, with what corrected targets learned; `frame` gives a frame of the clip."""
+
+    def complete(corrected: CorrectedTarget, state: State) -> State:
+        if state.learned is None:
+            return replace(state, target=corrected.target)
+        index, start = state.learned
+        return replace(state, target=corrected.policy.build(frame(index), start))
+
     both = zip(tracker, states, strict=True) if states else ()
-    return [one.complete(state, frame) if isinstance(one, CorrectedTarget) else state for one, state in both]
+    return [complete(target, state) if isinstance(target, CorrectedTarget) else state for target, state in both]
 
 
 def with_confirmed(rows: Trajectory, corrections: Iterable[Correction]) -> Trajectory:
-    """The rows, of which those that are confirmed are tracked, certain and by hand, where they have a place."""
+    """The rows; confirmed rows that have a place become tracked, certain and by hand."""
     sure = np.zeros(len(rows), np.bool_)
-    for one in corrections:
-        if one.confirmed:
-            parts = [
-                name == one.target and (one.confirmed is True or part in one.confirmed) for name, part in rows.names
-            ]
-            sure |= (rows.frame == one.frame) & np.array(parts, np.bool_)[rows.which]
+    for correction in corrections:
+        if parts := correction.confirmed:
+            named = [name == correction.target and (parts is True or part in parts) for name, part in rows.names]
+            sure |= (rows.frame == correction.frame) & np.array(named, np.bool_)[rows.which]
     sure &= np.isfinite(rows.x) & (rows.status != "absent")
     if not sure.any():
         return rows
@@ -214,22 +212,5 @@ def completed(correction: Correction, rows: Trajectory) -> Correction:
 
 
 def all_or(absent: Sequence[str], parts: Sequence[str]) -> tuple[str, ...] | Literal[True]:
-    """The absent ones of `parts`, as a correction has them: True for all."""
+    """The absent parts as a correction stores them: True if all `parts` are absent."""
     return True if set(absent) >= set(correctable_parts(parts)) else tuple(absent)
-
-
-@dataclass(frozen=True)
-class Resumed(CorrectedTarget):
-    """A corrected target from one of its corrections on, a complete one; `first` is the first frame of the whole run.
-
-    It gives the rows of the whole run if it keeps its place among the targets, by which random numbers are drawn.
-    """
-
-    first: Frame
-
-    def begin(self, rng: Generator, frame: Frame) -> tuple[State, TargetResult]:
-        correction = self.corrections[frame.index]
-        if not is_complete(correction, self.parts):
-            raise ValueError(f"the correction of {self.name} at frame {frame.index} does not tell of all its parts")
-        state, _ = super().begin(rng, self.first)
-        return self.correct(state, frame, correction)

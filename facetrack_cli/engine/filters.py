@@ -43,6 +43,7 @@ class FrameModel(Protocol):
     """What a filter may ask. N particles, K parts, D coordinates a part; the parts of a particle move independently.
 
     `motion`, `likelihood`, what it has `learned`, and `prior` are for the filters of one tracker, which know them.
+    `ahead` is where the target is expected; `propagate` takes its shift and noise into account.
     """
 
     @property
@@ -55,9 +56,7 @@ class FrameModel(Protocol):
     def prior(self) -> Any: ...
 
     @property
-    def ahead(
-        self,
-    ) -> Prediction: ...  # where the target is expected; `propagate` takes its shift and noise into account
+    def ahead(self) -> Prediction: ...
     def propagate(self, rng: Generator, x: Array) -> Array: ...  # (N, K, D) drawn from p(x_t | x_{t-1} = x)
     def expect(self, x: Array) -> Array: ...  # (N, K, D): the mean of that
     def log_transition(self, x: Array, parents: Array) -> Array: ...  # (N, M, K): log p(x_t | x_{t-1}) of each part
@@ -73,7 +72,7 @@ Step: TypeAlias = Callable[[Generator, Particles, FrameModel], Stepped]
 
 def sir(settings: SirSettings, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
     """Sampling/importance resampling over the joint state (section 2), p(y|s)p(s) as the observation."""
-    parents = particles.x[_parents(settings, rng, particles, 1)[:, 0]]
+    parents = particles.x[SCHEMES[settings.resampling](rng, particles.log_w, len(particles.x))]
     return weighted(model, model.propagate(rng, parents), parents, 0.0)
 
 
@@ -86,8 +85,8 @@ def auxiliary(settings: AuxiliarySettings, rng: Generator, particles: Particles,
     log_first = particles.log_w + (log_lambda := _log_observation(model, mu, particles.x))
     chosen = SCHEMES[settings.resampling](rng, normalise(log_first), len(mu))
     parents = particles.x[chosen]
-    found, info = weighted(model, model.propagate(rng, parents), parents, -log_lambda[chosen])
-    return found, info._replace(evidence=info.evidence + float(logsumexp(log_first)))
+    moved, info = weighted(model, model.propagate(rng, parents), parents, -log_lambda[chosen])
+    return moved, info._replace(evidence=info.evidence + float(logsumexp(log_first)))
 
 
 def factorized(
@@ -118,7 +117,8 @@ def factorized(
     resample, columns = SCHEMES[settings.resampling], np.arange(k)
     jumps = rng.random((n, k)) < settings.from_prior if settings.from_prior > 0 else None
     if settings.look_ahead == "none":
-        chosen, base, evidence = _parents(settings, rng, particles, k), np.zeros((n, k)), 0.0
+        chosen = resample(rng, np.repeat(particles.log_w[:, None], k, axis=1), n)
+        base, evidence = np.zeros((n, k)), 0.0
     else:
         mean, all_ = settings.look_ahead == "mean", np.broadcast_to(np.arange(n)[:, None], (n, k))
         mu = _move(rng, particles.x, model, particles.x, jumps, all_, mean=mean)
@@ -141,17 +141,6 @@ def factorized(
     log_w = uniform(n) if settings.reweight == "none" else log_w
     evidence += float(each.sum()) - k * math.log(n) + float(log_sum) - math.log(n)
     return Particles(x, log_w), Info(distinct(picked, log_w), evidence)
-
-
-def _parents(
-    settings: SirSettings | FactorizedSettings | IndependentSettings,
-    rng: Generator,
-    particles: Particles,
-    columns: int,
-) -> Whole:
-    """Indices (N, C) of the parents of each column."""
-    log_w = np.repeat(particles.log_w[:, None], columns, axis=1)
-    return SCHEMES[settings.resampling](rng, log_w, len(particles.x))
 
 
 def _log_ratio(x: Array, previous: Particles, model: FrameModel) -> Array:

@@ -15,12 +15,12 @@ from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
 class Footprint(NamedTuple):
     """What a target explains: an upright ellipse of `centre` (2,) and `half` axes (2,), in pixels.
 
-    `target` is its name, `lost` whether it is lost; `known` is what it knows of other targets, if their state is one.
+    `target` is its name, `lost` whether it is lost; `state` is that of targets which share one, else None.
     """
 
     centre: Array
     half: Array
-    known: Any = None
+    state: Any = None
     target: str = ""
     lost: bool = False
 
@@ -68,11 +68,19 @@ def track(
 ) -> Iterator[FrameResult]:
     """Track over `frames`. The tracker's start belongs to the first frame.
 
-    Targets advance in their order. A target sees the covers of earlier targets in this frame, and the expected covers
-    of later targets. Equal input gives equal results, bit for bit. The results of a target without exclusion do not
-    depend on other targets. Raises InputError, which names the `clip`, if the first frame lacks what a target needs.
+    Targets advance in their order. A target sees the footprints of earlier targets in this frame, and the expected
+    footprints of later targets. Equal input gives equal results, bit for bit. The results of a target without exclusion
+    do not depend on other targets.
 
-    `at` is kept up to date. If it holds states already, tracking resumes from them with the next of the `frames`.
+    Parameters
+    ----------
+    at
+        Kept up to date. If it holds states already, tracking resumes from them with the next of the `frames`.
+
+    Raises
+    ------
+    InputError
+        The first frame lacks what a target needs; the message names the `clip`.
     """
     at = TrackState() if at is None else at
     at.rngs = at.rngs or [stream(seed, place) for place in range(len(tracker))]
@@ -81,16 +89,16 @@ def track(
         if at.states:
             for i, (target, rng) in enumerate(zip(tracker, at.rngs, strict=True)):
                 footprints = [
-                    one._replace(target=other.name)
+                    footprint._replace(target=other.name)
                     for j, other in enumerate(tracker)
-                    if j != i and (one := other.footprint(at.states[j], ahead=j > i)) is not None
+                    if j != i and (footprint := other.footprint(at.states[j], ahead=j > i)) is not None
                 ]
                 at.states[i], result = target.advance(rng, at.states[i], frame, footprints)
                 results.append(result)
         else:
             try:
-                begun = [target.begin(rng, frame) for target, rng in zip(tracker, at.rngs, strict=True)]
+                first = [target.begin(rng, frame) for target, rng in zip(tracker, at.rngs, strict=True)]
             except InputError as e:
                 raise InputError(f"{clip}: {e}" if clip else str(e)) from None
-            at.states, results = [state for state, _ in begun], [result for _, result in begun]
+            at.states, results = [state for state, _ in first], [result for _, result in first]
         yield FrameResult(frame, tuple(results))

@@ -8,11 +8,9 @@ from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias, runtime_check
 
 from numpy.random import Generator
 
-from facetrack_cli.core.types import Array, Frame, Image, Mask, Particles, TargetStart
-from facetrack_cli.engine.confidence import ComparesParts
+from facetrack_cli.core.types import Array, Frame, Image, Mask, Particles
 from facetrack_cli.engine.filters import Prediction
 from facetrack_cli.trajectory.diagnostics import Diagnostic
-from facetrack_cli.trajectory.trajectory import TargetResult
 
 Names: TypeAlias = Sequence[str]
 
@@ -28,11 +26,13 @@ class Linear(NamedTuple):
     cov: Array
 
 
-class Likelihood(ComparesParts, Protocol):
+class Likelihood(Protocol):
     """An observation model. What it learns of a clip is a value: it returns the value and is given it back.
 
     `init`: from the first frame with the parts at x0 (K, D); its `notes`, if any, are lines for the user. `score`:
     (N, K), log p(y | x) of each part, x and parents (N, K, D). `learn`: after a frame with the estimate (K, D).
+    `distances`: (N, K), how badly parts x match what the first frame showed; 0 is perfect. A likelihood with a
+    predictive motion also has `error` of patches (N, d) -> (N,) and `expected`, the mean patch (d,).
     """
 
     diagnostics: ClassVar[tuple[Diagnostic, ...]] = ()
@@ -41,6 +41,7 @@ class Likelihood(ComparesParts, Protocol):
     def init(self, frame: Frame, x0: Array) -> Any: ...
     def score(self, learned: Any, frame: Frame, x: Array, parents: Array) -> Array: ...
     def learn(self, learned: Any, frame: Frame, state: Array, particles: Particles) -> Any: ...
+    def distances(self, learned: Any, frame: Frame, x: Array) -> Array: ...
 
     def diagnose(self, learned: Any) -> Mapping[str, Any]:
         """In every frame the value of each diagnostic, by its name."""
@@ -98,13 +99,6 @@ class PredictiveMotion(Protocol):
     def propagate(self, rng: Generator, x: Array, shift: Array | None = None, noise: float = 1.0) -> Array: ...
 
 
-class PatchLikelihood(Likelihood, Protocol):
-    """A likelihood that compares patches, as a predictive motion wants."""
-
-    def error(self, learned: Any, patches: Any) -> Array: ...  # (N,): phi(y, a_t) of patches y (N, d)
-    def expected(self, learned: Any) -> Any: ...  # (d,): the mean patch
-
-
 class Prior(Protocol):
     """Which shapes are likely; x is (N, K, D)."""
 
@@ -113,12 +107,3 @@ class Prior(Protocol):
     def propose(self, rng: Generator, x: Array, part: int) -> Array:
         """(N, D): the place of a part, drawn given those of the others."""
         raise TypeError(f"{type(self).__name__} proposes no parts")
-
-
-@runtime_checkable
-class Restarts(Protocol):
-    """A target that can begin again with what it knows; see `ParticleTarget.restart`."""
-
-    def restart(
-        self, rng: Generator, frame: Frame, first: Any, given: TargetStart, absent: Names = (), anew: Names = ()
-    ) -> tuple[Any, TargetResult]: ...

@@ -1,25 +1,33 @@
-"""Resampling schemes, the effective sample size, and arithmetic on log weights.
+"""Resampling schemes, arithmetic on log weights, and effective sample sizes: of particles, and of pixels (ours).
 
 Every scheme takes the generator, normalised log weights (N,), or (N, K) for K populations side by side, and a number of
 draws M; it returns M indices (M,) or (M, K), in ascending order, never of weight zero. Expected counts are M * w.
+
+A likelihood that is a product over n pixels counts them as independent. Neighbours are not: what is wrong with one, a
+shift or a shadow, is wrong with the next. A sum of n terms with the autocorrelation rho has the variance of that of
+
+    n_e = n / sum over lags of rho(lag)
+
+independent ones, so the logarithm of the product counts n_e / n. rho is that of the terms, the logarithms themselves,
+at the estimate; lags count up to the distance at which its mean is what independent terms have by chance, n^(-1/2).
 """
 
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 
 from facetrack_cli.core.types import Array, Whole
-from facetrack_cli.engine.kernels.resampling import invert_cdf
+from facetrack_cli.engine.kernels.compiled import invert_cdf
 
+MEMORY: Final = 25  # frames over which shares are averaged: one alone is known to a quarter or so
+_MIN_ENERGY: Final = 1e-9
 Resampling: TypeAlias = Callable[[np.random.Generator, Array, int], Whole]
 
 
 def logsumexp(a: Array, axis: int = 0) -> Array:
     """log(sum(exp(a))) along `axis`, without overflow; -inf for an empty sum of weights."""
     top = a.max(axis=axis, keepdims=True)
-    if np.isfinite(top).all():  # then a sum is 1 at least
-        return np.asarray((np.log(np.exp(a - top).sum(axis=axis, keepdims=True)) + top).squeeze(axis))
     top = np.where(np.isfinite(top), top, 0.0)
     with np.errstate(divide="ignore"):
         return np.asarray((np.log(np.exp(a - top).sum(axis=axis, keepdims=True)) + top).squeeze(axis))
@@ -41,8 +49,8 @@ def summed(log_w: Array) -> tuple[Array, Array]:
         total = np.log(np.exp(shifted).sum(axis=0))
         return shifted - total, total + top
     hopeless = ~np.isfinite(top)
-    known = np.where(hopeless, 0.0, log_w)
-    shifted = known - np.where(hopeless, 0.0, top)
+    usable = np.where(hopeless, 0.0, log_w)
+    shifted = usable - np.where(hopeless, 0.0, top)
     return np.asarray(shifted - np.log(np.exp(shifted).sum(axis=0))), logsumexp(log_w)
 
 
@@ -67,8 +75,14 @@ def uniform(n: int) -> Array:
 
 
 def _invert(w: Array, points: Array) -> Whole:
-    """`invert_cdf` for one population (N,) or several (N, K)."""
-    return np.asarray(invert_cdf(w.reshape(len(w), -1), points.reshape(len(points), -1)).reshape(points.shape))
+    """The indices at which the cumulated weights first exceed each ascending point of [0, 1).
+
+    For one population of weights (N,) and points (M,), or several (N, K) and (M, K). Weights, not all zero, need not
+    sum to one. Never an index of weight zero, and never N, however the sums are rounded.
+    """
+    out = np.empty((len(points), w[:1].size), np.int64)
+    invert_cdf(w.reshape(len(w), -1), points.reshape(len(points), -1), out)
+    return out.reshape(points.shape)
 
 
 def systematic(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
@@ -101,4 +115,28 @@ def residual(rng: np.random.Generator, log_w: Array, m: int) -> Whole:
     return np.sort(np.concatenate([fixed, drawn]))
 
 
-SCHEMES: dict[str, Resampling] = {one.__name__: one for one in (systematic, stratified, multinomial, residual)}
+SCHEMES: dict[str, Resampling] = {scheme.__name__: scheme for scheme in (systematic, stratified, multinomial, residual)}
+
+
+def effective_share(terms: Array, *, ring: bool = False) -> float:
+    """n_e / n of terms (rows, columns) or (n,), 1 / n to 1; on a `ring` the last is the first one's neighbour."""
+    field = np.atleast_2d(np.asarray(terms, np.float64))
+    off = field - field.mean()
+    n, energy = off.size, float(np.sum(off * off))
+    if n < 4 or energy < _MIN_ENERGY * n:
+        return 1.0
+    shape = off.shape if ring else tuple(2 * side if side > 1 else 1 for side in off.shape)
+    power = np.abs(np.fft.rfft2(off, shape)) ** 2
+    # the biased estimate: lags weigh as many pairs as there are
+    rho = np.fft.irfft2(power, shape) / energy
+    lags = [np.minimum(np.arange(side), side - np.arange(side)) for side in shape]
+    far = np.maximum.outer(*lags).ravel()
+    sums, counts = np.bincount(far, rho.ravel()), np.bincount(far)
+    chance = np.flatnonzero(sums <= counts / np.sqrt(n))
+    total = float(np.sum(sums[: chance[0]] if chance.size else sums))
+    return float(np.clip(1 / max(total, _MIN_ENERGY), 1 / n, 1.0))
+
+
+def averaged(share: float, frames: int, new: float) -> float:
+    """The mean share after one more frame, of all so far, later of the last `MEMORY` or so."""
+    return share + (new - share) / min(frames + 1, MEMORY)

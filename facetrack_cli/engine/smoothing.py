@@ -111,36 +111,37 @@ def chain(beliefs: Sequence[Belief], lost: Mask, gone: Mask, given: Mask | None 
     return Chain(mean, cov, motion._replace(offset=offset), unseen, joined, joined & (~unseen | seen_later))
 
 
-def bridged(one: Chain) -> Chain:
+def bridged(beliefs: Chain) -> Chain:
     """With predictions in place of the beliefs of frames that did not show a part."""
-    mean, cov = one.mean.copy(), one.cov.copy()
-    for t in np.flatnonzero((one.unseen & one.joined).any(axis=1)).tolist():
-        those = one.unseen[t] & one.joined[t]
-        ahead, spread = _predicted(one, t, mean[t - 1], cov[t - 1])
-        mean[t, those], cov[t, those] = ahead[those], spread[those]
-    return one._replace(mean=mean, cov=cov)
+    mean, cov = beliefs.mean.copy(), beliefs.cov.copy()
+    for t in np.flatnonzero((beliefs.unseen & beliefs.joined).any(axis=1)).tolist():
+        hidden = beliefs.unseen[t] & beliefs.joined[t]
+        ahead, spread = _predicted(beliefs, t, mean[t - 1], cov[t - 1])
+        mean[t, hidden], cov[t, hidden] = ahead[hidden], spread[hidden]
+    return beliefs._replace(mean=mean, cov=cov)
 
 
-def smoothed(one: Chain) -> tuple[Array, Array]:
+def smoothed(beliefs: Chain) -> tuple[Array, Array]:
     """(T, K, D) means and (T, K, D, D) covariances given all T frames."""
-    one = bridged(one)
-    mean, cov = one.mean, one.cov
+    beliefs = bridged(beliefs)
+    mean, cov = beliefs.mean, beliefs.cov
     for t in range(len(mean) - 1, 0, -1):
-        if not one.linked[t].any():
+        if not beliefs.linked[t].any():
             continue
-        ahead, spread = _predicted(one, t, mean[t - 1], cov[t - 1])
-        gain = cov[t - 1] @ _turned(one.motion.matrix[t]) @ _inverse(spread)
-        gain[~one.linked[t]] = 0.0
+        ahead, spread = _predicted(beliefs, t, mean[t - 1], cov[t - 1])
+        gain = cov[t - 1] @ beliefs.motion.matrix[t].mT @ _inverse(spread)
+        gain[~beliefs.linked[t]] = 0.0
         mean[t - 1] += np.einsum("kde,ke->kd", gain, mean[t] - ahead)
-        cov[t - 1] = _even(cov[t - 1] + gain @ (cov[t] - spread) @ _turned(gain))
+        new = cov[t - 1] + gain @ (cov[t] - spread) @ gain.mT
+        cov[t - 1] = (new + new.mT) / 2
     return mean, cov
 
 
-def _predicted(one: Chain, t: int, mean: Array, cov: Array) -> tuple[Array, Array]:
+def _predicted(beliefs: Chain, t: int, mean: Array, cov: Array) -> tuple[Array, Array]:
     """What the motion into frame t makes of mean (K, D) and covariance (K, D, D)."""
-    matrix = one.motion.matrix[t]
-    ahead = np.einsum("kde,ke->kd", matrix, mean) + one.motion.offset[t]
-    return ahead, matrix @ cov @ _turned(matrix) + one.motion.cov[t]
+    matrix = beliefs.motion.matrix[t]
+    ahead = np.einsum("kde,ke->kd", matrix, mean) + beliefs.motion.offset[t]
+    return ahead, matrix @ cov @ matrix.mT + beliefs.motion.cov[t]
 
 
 def steadied(at: Array, shown: Mask) -> Array:
@@ -185,11 +186,3 @@ def _inverse(cov: Array) -> Array:
     scale = np.where(scale > 1e-12, scale, 1.0)
     both = scale[..., None] * scale[..., None, :]
     return np.asarray(np.linalg.pinv(cov / both, rcond=_MIN_VARIANCE, hermitian=True) / both)
-
-
-def _turned(matrix: Array) -> Array:
-    return np.swapaxes(matrix, -1, -2)
-
-
-def _even(cov: Array) -> Array:
-    return np.asarray((cov + _turned(cov)) / 2)

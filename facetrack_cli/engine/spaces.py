@@ -1,21 +1,48 @@
-"""State spaces: what the numbers of a particle mean, and how a posterior becomes image geometry."""
+"""State spaces: what the numbers of a particle mean, where a target begins, and how a posterior becomes geometry."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, Final, NamedTuple, Protocol
 
 import numpy as np
 
-from facetrack_cli.core.errors import RecipeError
+from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Particles, Start
-from facetrack_cli.engine.checks import box_of, check_size, size_of_box
 from facetrack_cli.recipe.model import ParticleFilterSettings, Recipe
 from facetrack_cli.recipe.shared import ScaledSettings
 from facetrack_cli.trajectory.diagnostics import Diagnostic
+
+MIN_BOX_PX: Final = 6  # pixels of a side; in less there is nothing to see
+
+
+def box_of(start: Start, name: str) -> Box:
+    """The target's box; InputError if it has none."""
+    box = start.targets[name].box
+    if box is None:
+        points = ", or follow its points, by a recipe such as factorized" if start.targets[name].points else ""
+        need = f"{name} has no box, which the recipe follows; add one, as in box: [x, y, w, h]"
+        raise InputError(f"{start.origin}: {need}{points}")
+    return box
+
+
+def check_size(origin: str, name: str, box: Box) -> Box:
+    """A target's box, which `origin` gave; InputError if it is too small to see anything in it."""
+    if min(box[2:]) < MIN_BOX_PX:
+        least = f"{MIN_BOX_PX}x{MIN_BOX_PX} pixels"
+        raise InputError(f"{origin}: the box of {name} is smaller than {least}; give a larger one")
+    return box
+
+
+def size_of_box(start: Start, name: str) -> float:
+    """The unit of length of a region or a single point: the mean side of its box, in pixels."""
+    box = start.targets[name].box
+    if box is None:
+        raise InputError(f"{start.origin}: {name} has a single point and no box to measure lengths by; add a box")
+    return float(np.sqrt(box[2] * box[3]))
 
 
 class Estimate(NamedTuple):

@@ -4,24 +4,25 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.random import Generator
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import size_of_points
-from facetrack_cli.core.types import Array, Frame, Info, Mask, Particles, TargetStart
+from facetrack_cli.core.types import BOX, Array, Frame, Info, Mask, Particles, Start, TargetStart
 from facetrack_cli.engine import confidence
-from facetrack_cli.engine.calibration import Calibration
+from facetrack_cli.engine.calibration import Calibration, load_calibration
 from facetrack_cli.engine.confidence import Judgement
 from facetrack_cli.engine.filters import Prediction, Step
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Likelihood, Motion, Names, PredictiveMotion, Prior
 from facetrack_cli.engine.resampling import uniform
 from facetrack_cli.engine.smoothing import Belief, belief
-from facetrack_cli.engine.spaces import Estimate, PointSpace, Space, evenly
-from facetrack_cli.recipe.model import ConfidenceSettings
+from facetrack_cli.engine.spaces import Context, Estimate, PointSpace, Space, evenly
+from facetrack_cli.recipe.load import resolve_file
+from facetrack_cli.recipe.model import ConfidenceSettings, ParticleFilterSettings, Recipe, above
 from facetrack_cli.trajectory.diagnostics import ENTROPY, ERROR, EVIDENCE, NOISE, POSTERIOR, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import PLACE, Status, TargetResult, of_frame
 
@@ -105,10 +106,10 @@ class ParticleTarget:
         if self.confidence is not None:
             windows = self.space.windows(still)
             judgement = confidence.begin(self.confidence, self.likelihood, learned, frame, self.x0, windows)
-        state, result = self._begun(rng, frame, ParticleState(particles, still, learned, judgement), "init")
+        state, result = self._initial(rng, frame, ParticleState(particles, still, learned, judgement), "init")
         return state, result._replace(notes=getattr(learned, "notes", ()))
 
-    def _begun(
+    def _initial(
         self, rng: Generator, frame: Frame, state: ParticleState, status: Status
     ) -> tuple[ParticleState, TargetResult]:
         """The state with its diagnostics and its flow, where particles begin."""
@@ -150,7 +151,7 @@ class ParticleTarget:
                 judgement = confidence.resume(self.confidence, judgement, fresh, measure, learned, frame, x0, windows)
         learned = self.likelihood.learn(learned, frame, x0, particles)
         state = ParticleState(particles, still, learned, judgement, absent=hidden if hidden.any() else None)
-        return self._begun(rng, frame, state, "tracked")
+        return self._initial(rng, frame, state, "tracked")
 
     def follow(self, x: Array, hidden: Mask) -> Array:
         """x (N, K, 2) with the `hidden` parts (K,) where they are from the others at the start."""
@@ -241,32 +242,32 @@ class ParticleTarget:
         k, judged, estimated = len(self.parts), state.judgement, state.estimated
         windows, outline = self.space.windows(estimated), self.space.outline(estimated)
         std = np.sqrt(np.maximum(estimated.cov.reshape(k, 4)[:, ::3], 0.0))
-        known: dict[str, Any] = {
+        columns: dict[str, Any] = {
             "x": estimated.state[:, 0], "y": estimated.state[:, 1], "w": windows[:, 0], "h": windows[:, 1],
             "std_x": std[:, 0], "std_y": std[:, 1], "cov_xy": estimated.cov[:, 0, 1],
             "particles": np.full(k, float(len(state.particles.x))), "ess": info.ess,
         }  # fmt: skip
         if estimated.side_std is not None:
-            known |= {"std_w": estimated.side_std[:1], "std_h": estimated.side_std[1:]}
+            columns |= {"std_w": estimated.side_std[:1], "std_h": estimated.side_std[1:]}
         if judged is None:
-            known["status"] = np.array([otherwise] * k)
+            columns["status"] = np.array([otherwise] * k)
         else:
-            known |= {"status": np.array(judged.status), "confidence": judged.confidence}
+            columns |= {"status": np.array(judged.status), "confidence": judged.confidence}
         if outline is not None:
-            known |= {"angle": [outline.angle], "corners": outline.corners[None]}
+            columns |= {"angle": [outline.angle], "corners": outline.corners[None]}
         if posterior := state.reported.get(POSTERIOR.name):
             best = max(posterior.values())
             likeliest = [name for name, probability in posterior.items() if probability == best]
             if len(likeliest) == 1:  # of equals, as in the first frame, nobody is named
-                known |= {"identity": likeliest * k, "identity_prob": [best] * k}
+                columns |= {"identity": likeliest * k, "identity_prob": [best] * k}
         if state.absent is not None:
-            known |= {name: np.where(state.absent, np.nan, known[name]) for name in PLACE if name in known}
-            known["status"] = np.where(state.absent, "absent", known["status"])
-        return Rows(known, frame.index, info.evidence)
+            columns |= {name: np.where(state.absent, np.nan, columns[name]) for name in PLACE if name in columns}
+            columns["status"] = np.where(state.absent, "absent", columns["status"])
+        return Rows(columns, frame.index, info.evidence)
 
     def _result(self, state: ParticleState, frame: Frame, info: Info, otherwise: Status) -> TargetResult:
-        found = self.rows(state, frame, info, otherwise)
-        rows = of_frame(self._names, frame, self._reported(state, frame, info), **found.columns)
+        columns = self.rows(state, frame, info, otherwise).columns
+        rows = of_frame(self._names, frame, self._reported(state, frame, info), **columns)
         if self.calibration is not None:
             rows = self.calibration.applied(rows, self.size)
         insets = self.likelihood.insets(state.learned)
@@ -283,8 +284,8 @@ class ParticleTarget:
             motion = motion._replace(cov=motion.cov * ahead.noise**2)
         doubt = np.zeros(len(self.parts), dtype=np.bool_) if judged is None else judged.below > 0
         counted = Particles(state.particles.x, self.space.counted(state.particles))
-        one = belief(counted, motion, estimated.cov, doubt)
-        return (one if self.calibration is None else self.calibration.believed(self.parts, one),)
+        known = belief(counted, motion, estimated.cov, doubt)
+        return (known if self.calibration is None else self.calibration.believed(self.parts, known),)
 
     @cached_property
     def size(self) -> float:
@@ -362,3 +363,44 @@ class Bound:
     def _of_present(self, log_p: Array) -> Array:
         """log_p (..., K), in which parts that are not to be seen say nothing."""
         return log_p if self.state.absent is None else np.where(self.state.absent, 0.0, log_p)
+
+
+T = TypeVar("T", bound=ParticleTarget)
+
+
+def particle_target(
+    recipe: Recipe,
+    key: str,
+    settings: ParticleFilterSettings,
+    start: Start,
+    name: str,
+    kind: type[T],
+    exclusion: Exclusion | None = None,
+) -> T:
+    """The target `name` of a start, by the settings below `key` of the recipe."""
+    placed = settings.target.place(start, name)
+    context = Context(recipe, above(key), settings, start, name, placed)
+    return kind(
+        name=name,
+        parts=settings.points or (BOX,),
+        space=placed.space,
+        x0=placed.x0,
+        particles=settings.filter.particles,
+        motion=settings.motion.build(context),
+        likelihood=(settings.recognition or settings.likelihood).build(context),
+        prior=None if settings.prior is None else settings.prior.build(context),
+        step=settings.filter.build(context),
+        confidence=settings.confidence if settings.likelihood.judges else None,
+        exclusion=exclusion,
+        scatter=placed.scatter,
+        best=settings.target.best,
+        calibration=calibration_of(recipe, key, settings),
+    )
+
+
+def calibration_of(recipe: Recipe, key: str, settings: ParticleFilterSettings) -> Calibration | None:
+    """The calibration that settings name, if any."""
+    name = settings.confidence.calibration
+    if name is None:
+        return None
+    return load_calibration(resolve_file(recipe, name, f"{above(key)}confidence.calibration"))

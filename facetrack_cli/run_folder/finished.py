@@ -15,10 +15,10 @@ from facetrack_cli.core.errors import FacetrackError, InputError, reading
 from facetrack_cli.core.files import BytesSink
 from facetrack_cli.core.models import shipped_folder, shipped_recipes
 from facetrack_cli.core.types import Correction, Start
-from facetrack_cli.engine.checks import check_start
 from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe
 from facetrack_cli.run_folder.manifest import VIDEO, check_belongs, other_clip, read_run, trajectory_of
 from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.start.init_file import check_start
 from facetrack_cli.trajectory.header import Header, corrections_record, is_there, read_header
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.trajectory import Status, Trajectory

@@ -33,7 +33,7 @@ from facetrack_cli.runs.plan import Job, Outcome, Report, note_failure, resolve,
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, cores, side_by_side
-from facetrack_cli.start.precompile import Precompiler
+from facetrack_cli.start.precompile import precompiling
 from facetrack_cli.trajectory.header import is_there
 from facetrack_cli.video import images
 from facetrack_cli.video.files import chapters, check_local, is_clip, is_image
@@ -146,8 +146,8 @@ def _turn(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> 
             yield job, attempt(job, stop, progress.update, progress.looked)
         return
     progress.begin(f"{len(jobs)} clips", "clips", len(jobs))
-    with Precompiler(to_dict(jobs[0].recipe), cores()) as compiler:  # or each of the workers would compile them
-        compiler.finish(stop, progress.looked)
+    with precompiling(to_dict(jobs[0].recipe), cores()) as compile_all:  # or each of the workers would compile them
+        compile_all(stop, progress.looked)
     began, finished = time.monotonic(), 0
 
     def report(frames: int) -> None:

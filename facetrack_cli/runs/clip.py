@@ -34,7 +34,7 @@ from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.smooth import PosteriorWriter
 from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.start.assembly import tracker_for
-from facetrack_cli.start.precompile import Precompiler
+from facetrack_cli.start.precompile import precompiling
 from facetrack_cli.trackers.smoothed import lagged
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 from facetrack_cli.video.files import brings_rate
@@ -186,12 +186,12 @@ def _find_start(plan: Plan, stop: Stop, looked: Report) -> tuple[Start, list[Sho
     """
     job = plan.job
     try:
-        with Precompiler(to_dict(job.recipe), job.threads) as compiler:
+        with precompiling(to_dict(job.recipe), job.threads) as compile_all:
             if plan.everyone:
                 start, shots = film_start(job.first), film_shots(job, job.first, stop, looked)
             else:
                 start, shots = job.find(job.recipe, stopped=stop, looked=looked), []
-            compiler.finish(stop, looked)
+            compile_all(stop, looked)
             return start, shots
     except InputError:
         if not stop():

@@ -15,10 +15,10 @@ from facetrack_cli.core.face_points import DetectorName
 from facetrack_cli.core.types import BOX, Frame
 from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.start.presence import LOOK_FRAMES, Film
+from facetrack_cli.start.presence import LOOK_FRAMES, MultiFaceTracker
 from facetrack_cli.trackers.face.detectors import detector
-from facetrack_cli.trackers.people.identity import UNKNOWN, Seen, cast_of
-from facetrack_cli.trackers.people.looks import VIEWS, Looks, Reader, together, views_of
+from facetrack_cli.trackers.people.descriptor import VIEWS, Describer, FaceDescriptor, together, views_of
+from facetrack_cli.trackers.people.identity import UNKNOWN, TrackSummary, cast_of
 from facetrack_cli.trajectory.people import new_name
 from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.video.shots import Shot, passing_shots
@@ -31,24 +31,24 @@ KEPT: Final = 500  # tracks, the last ones, that the cast at the end is made of
 class _Followed:
     """A track that goes on; the looks of `track` are those that `reader` has."""
 
-    reader: Reader
-    track: Seen
+    reader: Describer
+    track: TrackSummary
     looked: int  # the frame of the last view
 
     @property
-    def seen(self) -> Seen:
+    def seen(self) -> TrackSummary:
         return self.track._replace(looks=self.reader.looks())
 
 
 class LiveCast:
     """Who the tracks of a film are of, of `known` people and others; `names` has the last ones that are named."""
 
-    def __init__(self, by: DetectorName | None, fps: float, known: Mapping[str, Looks]) -> None:
+    def __init__(self, by: DetectorName | None, fps: float, known: Mapping[str, FaceDescriptor]) -> None:
         self.names: dict[str, str] = {}
         self._detector, self._fps = detector(by), fps
         self._given, self._looks = dict(known), dict(known)  # of each person
         self._now: dict[str, _Followed] = {}
-        self._past = deque[Seen](maxlen=KEPT)
+        self._past = deque[TrackSummary](maxlen=KEPT)
 
     def follow(self, frames: Iterator[Frame], recipe: Recipe) -> Iterator[FrameResult]:
         """A result for each frame, in which every face is a target; no track is carried over a cut."""
@@ -56,7 +56,7 @@ class LiveCast:
         for number, passed in groupby(passing_shots(frames), key=lambda one: one[0]):
             first = next(passed)[1]
             shot = Shot(first.index, None, first.index, None)
-            film = Film(recipe, [shot], self._detector, first.size, self._fps, recipe.seed)
+            film = MultiFaceTracker(recipe, [shot], self._detector, first.size, self._fps, recipe.seed)
             for result in film.follow(chain([first], (frame for _, frame in passed)), at):
                 self._see(result, number)
                 yield result
@@ -86,8 +86,8 @@ class LiveCast:
             place = tuple(box.boxes[0].tolist())
             one = self._now.get(rows.target)
             if one is None:
-                nothing = Seen(rows.target, at, at + 1, place, place, shot, Looks(*[box.x[:0]] * 6))
-                one = self._now[rows.target] = _Followed(Reader(self._detector), nothing, at - LOOK_FRAMES)
+                nothing = TrackSummary(rows.target, at, at + 1, place, place, shot, FaceDescriptor(*[box.x[:0]] * 6))
+                one = self._now[rows.target] = _Followed(Describer(self._detector), nothing, at - LOOK_FRAMES)
             one.track = one.track._replace(stop=at + 1, ends=place)
             if at >= one.looked + LOOK_FRAMES and len(one.reader.scores) < VIEWS:
                 one.looked = at
@@ -121,4 +121,4 @@ class LiveCast:
         self._past.append(ended.seen)
         if (name := self.names.get(track)) is not None:
             both = together([self._looks[name], ended.reader.looks()])
-            self._looks[name] = Looks(*(one[-4 * VIEWS :] for one in both))
+            self._looks[name] = FaceDescriptor(*(one[-4 * VIEWS :] for one in both))

@@ -23,10 +23,17 @@ from facetrack_cli.run_folder.manifest import VIDEO, check_run, read_manifest, r
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.runs.smooth import repaint, replace_files
-from facetrack_cli.start.presence import MAX_FACES, Film
+from facetrack_cli.start.presence import MAX_FACES, MultiFaceTracker
 from facetrack_cli.trackers.face.detectors import detector
-from facetrack_cli.trackers.people.identity import AT_ONCE_S, SURE, UNKNOWN, Cast, Seen, cast_of, places
-from facetrack_cli.trackers.people.looks import Looks, Reader, load_people, save_people, still, views_of
+from facetrack_cli.trackers.people.descriptor import (
+    Describer,
+    FaceDescriptor,
+    load_people,
+    save_people,
+    still,
+    views_of,
+)
+from facetrack_cli.trackers.people.identity import AT_ONCE_S, SURE, UNKNOWN, Cast, TrackSummary, cast_of, places
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import clip_of, said
 from facetrack_cli.trajectory.people import (
@@ -85,15 +92,15 @@ def film(
 ) -> Iterator[FrameResult]:
     """The results of everyone in a film."""
     by = next((name for name in DETECTORS if name == job.init), None)
-    faces = Film(job.recipe, shots, detector(by), source.size, float(source.fps), job.recipe.seed)
+    faces = MultiFaceTracker(job.recipe, shots, detector(by), source.size, float(source.fps), job.recipe.seed)
     yield from faces.follow(frames, at)
 
 
 def looks_in(
     boxes: Mapping[str, Trajectory], source: Source, report: Callable[[int], None], stop: Stopped
-) -> dict[str, Reader]:
+) -> dict[str, Describer]:
     """What the frames of `source` show of each of these boxes. Raises StoppedError once `stop` says so."""
-    readers, wanted = {name: Reader(detector()) for name in boxes}, defaultdict(list)
+    readers, wanted = {name: Describer(detector()) for name in boxes}, defaultdict(list)
     for name, box in boxes.items():
         for view in views_of(box):
             wanted[view.frame].append((name, view))
@@ -115,7 +122,7 @@ def cast(
     source: Source,
     report: Callable[[int], None],
     stop: Stopped,
-    known: Mapping[str, Looks] | None = None,
+    known: Mapping[str, FaceDescriptor] | None = None,
 ) -> Named:
     """Who the tracks of `rows` are of, by what the frames of `source` show. Raises StoppedError once `stop` says so."""
     boxes = _boxes(rows)
@@ -124,7 +131,7 @@ def cast(
     readers, known = looks_in(boxes, source, report, stop), known or {}
     begins = np.array([shot.first for shot in shots])
     tracks = [
-        Seen(
+        TrackSummary(
             name, int(box.frame[0]), int(box.frame[-1]) + 1, *_ends(box),
             int(np.searchsorted(begins, box.frame[0], "right")), readers[name].looks(),
         )
@@ -172,10 +179,10 @@ def _ends(box: Trajectory) -> tuple[Any, Any]:
 
 
 def _named(
-    tracks: Sequence[Seen],
+    tracks: Sequence[TrackSummary],
     found: Cast,
     called: Sequence[str],
-    readers: Mapping[str, Reader],
+    readers: Mapping[str, Describer],
     shots: Sequence[Shot],
     clock: Clock,
 ) -> Named:
@@ -208,7 +215,7 @@ def _named(
     return Named(people, tuple(records), {paths[of]: _jpeg(image) for of, (_, image) in pictures.items()})
 
 
-def _true(shots: Sequence[Shot], tracks: Sequence[Seen], names: Sequence[str], fps: float) -> list[Shot]:
+def _true(shots: Sequence[Shot], tracks: Sequence[TrackSummary], names: Sequence[str], fps: float) -> list[Shot]:
     """The shots without cuts after which the same faces go on in the same places, as after a flash."""
     found, goes_on = list(shots[:1]), places(tracks, fps)[1]
     for shot in shots[1:]:

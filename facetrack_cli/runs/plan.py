@@ -23,8 +23,8 @@ from facetrack_cli.core.face_points import DETECTORS, HANDS, DetectorName
 from facetrack_cli.core.files import check_folder, check_plain
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
-from facetrack_cli.engine.checks import box_of, check_start
 from facetrack_cli.engine.loop import track
+from facetrack_cli.engine.spaces import box_of
 from facetrack_cli.recipe.load import default_recipe
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.run_folder.finished import stamp
@@ -42,12 +42,11 @@ from facetrack_cli.run_folder.manifest import (
     recover_interrupted,
 )
 from facetrack_cli.runs.signals import never
-from facetrack_cli.start.assembly import tracker_for
-from facetrack_cli.start.init_file import find_init, read_init
+from facetrack_cli.start.assembly import name_targets, tracker_for
+from facetrack_cli.start.init_file import check_start, find_init, read_init
 from facetrack_cli.start.search import Faces, box_start, search_start
-from facetrack_cli.start.targets import name_targets
 from facetrack_cli.trackers.face.detectors import detector
-from facetrack_cli.trackers.people.looks import load_people
+from facetrack_cli.trackers.people.descriptor import load_people
 from facetrack_cli.trackers.skin.settings import CloudSettings
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory

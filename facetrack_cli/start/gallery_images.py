@@ -19,9 +19,9 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.types import Array, Box, Frame, Start
 from facetrack_cli.core.yaml_tree import printable
-from facetrack_cli.engine.checks import check_size, check_start
+from facetrack_cli.engine.spaces import check_size
 from facetrack_cli.start.init_file import SUFFIXES as INIT_SUFFIXES
-from facetrack_cli.start.init_file import default_path, find_init, read_init
+from facetrack_cli.start.init_file import check_start, default_path, find_init, read_init
 from facetrack_cli.trackers.appearance.affine import AffineSpace, Patches
 from facetrack_cli.trackers.appearance.gallery import Rows, name_problem
 from facetrack_cli.trackers.face.detectors import find_faces
@@ -69,8 +69,8 @@ class Reading(NamedTuple):
 def find_people(folder: Path, warn: Warn) -> list[Person]:
     """Everyone who has a folder in `folder`, in natural order. Raises InputError where it is no gallery."""
     entries = _entries(folder)
-    folders = [one for one in entries if one.is_dir()]
-    beside = [one for one in entries if not one.is_dir() and one.suffix.lower() not in PASSED_OVER]
+    folders = [entry for entry in entries if entry.is_dir()]
+    beside = [entry for entry in entries if not entry.is_dir() and entry.suffix.lower() not in PASSED_OVER]
     if not folders and beside:
         example = folder / "anna" / beside[0].name
         raise InputError(f"{folder}: has images but no folders; make one for each person, as in {example}")
@@ -79,16 +79,16 @@ def find_people(folder: Path, warn: Warn) -> list[Person]:
     if beside:
         more = f" and {len(beside) - 1} more" if len(beside) > 1 else ""
         warn(f"{beside[0]}{more}: in no person's folder; passed over")
-    people = [_person(one, warn) for one in folders]
+    people = [_person(entry, warn) for entry in folders]
     if len(people) < 2:
         raise InputError(f"{folder}: {people[0].name} is the only person in it; add another folder, to be told apart")
-    known: dict[str, Person] = {}
-    for one in people:
-        other = known.setdefault(one.name.casefold(), one)
-        both = f"{one.folder} and {other.folder}"
-        if other is not one and other.name == one.name:
-            raise InputError(f"{both}: are both called {one.name}; rename one, or put their images into one folder")
-        if other is not one:
+    by_name: dict[str, Person] = {}
+    for person in people:
+        other = by_name.setdefault(person.name.casefold(), person)
+        both = f"{person.folder} and {other.folder}"
+        if other is not person and other.name == person.name:
+            raise InputError(f"{both}: are both called {person.name}; rename one, or put their images into one folder")
+        if other is not person:
             warn(f"{both}: are two persons; if they are one, put their images into one folder")
     return people
 
@@ -105,10 +105,10 @@ def _entries(folder: Path) -> list[Path]:
         if not folder.is_dir():
             what = "is no folder" if folder.exists() else "no such folder"
             raise InputError(f"{folder}: {what}; name one that has a folder for each person")
-        found = [one for one in folder.iterdir() if not one.name.startswith(".")]
+        entries = [entry for entry in folder.iterdir() if not entry.name.startswith(".")]
     except OSError as e:
         raise InputError(f"{folder}: {reason(e)}; check the name and the permissions") from e
-    return sorted(found, key=lambda one: images.natural_key(one.name))
+    return sorted(entries, key=lambda entry: images.natural_key(entry.name))
 
 
 def _person(folder: Path, warn: Warn) -> Person:
@@ -117,12 +117,12 @@ def _person(folder: Path, warn: Warn) -> Person:
     if problem := name_problem(name):
         raise InputError(f"{printable(str(folder))}: {problem}; rename the folder")
     items = []
-    for one in _entries(folder):
-        suffix = one.suffix.lower()
-        if one.is_dir() and not images.listing(one):
-            warn(f"{one}: no images in this folder; skipped")
-        elif one.is_dir() or suffix not in PASSED_OVER:
-            items.append(Item(one, suffix in images.SUFFIXES and not one.is_dir(), find_init(one)))
+    for entry in _entries(folder):
+        suffix = entry.suffix.lower()
+        if entry.is_dir() and not images.listing(entry):
+            warn(f"{entry}: no images in this folder; skipped")
+        elif entry.is_dir() or suffix not in PASSED_OVER:
+            items.append(Item(entry, suffix in images.SUFFIXES and not entry.is_dir(), find_init(entry)))
     if not items:
         raise InputError(f"{folder}: no image or video in it; add one of {name}, or remove the folder")
     return Person(name, folder, tuple(items))
@@ -134,7 +134,7 @@ def faces_of(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
     if item.is_image:
         try:
             frame = Frame(0, 0.0, images.read(item.path))
-            yield frame, _in_image(item, frame, warn) if start is None else _given(start, frame)
+            yield frame, _in_image(item, frame, warn) if start is None else _box_in(start, frame)
         except images.UnreadableError as e:
             warn(f"{item.path}: {e.why}; skipped")
             yield None, None
@@ -144,22 +144,22 @@ def faces_of(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
         try:
             with open_source(item.path, start=start.frame, stop=start.frame + 1) as source:
                 for frame in source:
-                    yield frame, _given(start, frame)
+                    yield frame, _box_in(start, frame)
         except InputError as e:
             fits = str(e).startswith(start.origin)
             raise InputError(str(e) if fits else f"{start.origin}: does not fit: {e}") from None
 
 
 def _in_image(item: Item, frame: Frame, warn: Warn) -> Box | None:
-    found = find_faces(frame.bgr)
-    if not found:
+    faces = find_faces(frame.bgr)
+    if not faces:
         warn(f"{item.path}: no face found; skipped, or give its box in {default_path(item.path)}")
         return None
-    if len(found) > 1:
-        box = ", ".join(f"{value:g}" for value in found[0])
+    if len(faces) > 1:
+        box = ", ".join(f"{value:g}" for value in faces[0])
         other = f"for another give its box in {default_path(item.path)}"
-        warn(f"{item.path}: {len(found)} faces; the largest is taken, at [{box}], {other}")
-    return found[0]
+        warn(f"{item.path}: {len(faces)} faces; the largest is taken, at [{box}], {other}")
+    return faces[0]
 
 
 def _in_clip(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
@@ -170,10 +170,10 @@ def _in_clip(item: Item, reading: Reading, warn: Warn) -> Iterator[Look]:
             for frame in source:
                 if frame.index not in wanted:
                     continue
-                found, looked = find_faces(frame.bgr), looked + 1
-                if not found:
+                faces, looked = find_faces(frame.bgr), looked + 1
+                if not faces:
                     without.append(frame.index)
-                yield frame, found[0] if found else None
+                yield frame, faces[0] if faces else None
             for line in source.warnings:
                 warn(line)
     except InputError as e:
@@ -212,7 +212,7 @@ def _read_start(item: Item, path: Path, reading: Reading) -> Start:
     return replace(start, origin=str(path))
 
 
-def _given(start: Start, frame: Frame) -> Box:
+def _box_in(start: Start, frame: Frame) -> Box:
     check_start(start, frame.size, ())
     box = next(iter(start.targets.values())).box
     assert box is not None
@@ -247,7 +247,7 @@ def read_faces(
     used, skipped = ({person.name: 0 for person in people} for _ in range(2))
     persons: list[str] = []
     images: list[int] = []
-    found: list[tuple[Rows, Rows, float]] = []  # patches, negatives and proportion of each face
+    faces: list[tuple[Rows, Rows, float]] = []  # patches, negatives and proportion of each face
     seen: dict[bytes, tuple[str, str]] = {}
     looked = 0
     for person in people:
@@ -258,7 +258,7 @@ def read_faces(
                 if frame is None or box is None:
                     skipped[person.name] += 1
                     continue
-                number, at = len(found), item.place(frame)
+                number, at = len(faces), item.place(frame)
                 patches, negatives = _cut(frame, box, reading, number, around)
                 name, where = seen.setdefault(patches[0].tobytes(), (person.name, at))
                 why = "" if where == at else f"the same face as {where}"
@@ -271,11 +271,11 @@ def read_faces(
                 patches, negatives = (rows[rows.any(axis=1)] for rows in (patches, negatives))
                 persons += [person.name] * len(patches)
                 images += [number] * len(patches)
-                found.append((patches, negatives, box[2] / box[3]))
+                faces.append((patches, negatives, box[2] / box[3]))
         if not used[person.name]:
             remedy = "give its box in an init file beside an image, add another image, or remove the folder"
             raise InputError(f"{person.folder}: no face of {person.name} was found; {remedy}")
-    all_patches, all_negatives, proportions = zip(*found, strict=True)
+    all_patches, all_negatives, proportions = zip(*faces, strict=True)
     every, off_mark = np.concatenate(all_patches), np.concatenate(all_negatives)
     return Faces(every, tuple(persons), tuple(images), off_mark, used, skipped, float(np.median(proportions)))
 

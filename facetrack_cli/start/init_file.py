@@ -32,12 +32,13 @@ from pydantic import BaseModel, ValidationError
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.files import write_new
+from facetrack_cli.core.geometry import centre, inside
 from facetrack_cli.core.types import BOX, Correction, Point, Start, TargetStart
 from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems, parse, read_source
 from facetrack_cli.recipe.messages import locate, problems
 from facetrack_cli.recipe.sections import suggest
 from facetrack_cli.trackers.hands.settings import NAMES as HANDS
-from facetrack_cli.trajectory.header import CorrectedTarget, TargetRecord, corrected, whole
+from facetrack_cli.trajectory.header import CorrectedTarget, TargetRecord, corrected, to_record, whole
 from facetrack_cli.trajectory.reader import MAX_FRAME
 
 SUFFIXES: Final = (".yaml", ".yml", ".json")
@@ -93,24 +94,21 @@ def write_init(to: Path | TextIO, start: Start, *, clip: str = "", overwrite: bo
 
     Raises OutputError if the file exists and `overwrite` is not set, or cannot be written.
     """
-    if not isinstance(to, Path):
-        to.write(as_yaml(start, clip))
-    else:
+    if isinstance(to, Path):
         text = as_json(start) if to.suffix.lower() == ".json" else as_yaml(start, clip)
         write_new(to, text.encode(), overwrite=overwrite)
+    else:
+        to.write(as_yaml(start, clip))
 
 
 def as_json(start: Start) -> str:
     """As JSON, with the keys of the YAML form."""
     by = start.placed_by
-    whole: dict[str, Any] = {"frame": start.frame, **({"placed_by": by} if by else {})}
-    for name, target in start.targets.items():
-        keys = {"box": target.box, "points": dict(target.points), "windows": dict(target.windows)}
-        whole[name] = {key: value for key, value in keys.items() if value}
+    record = {"frame": start.frame, **({"placed_by": by} if by else {}), **to_record(start)["targets"]}
     entries = groupby(start.corrections, key=lambda one: one.frame)
     if corrections := [{"frame": frame, **{one.target: corrected(one) for one in group}} for frame, group in entries]:
-        whole["corrections"] = corrections
-    return json.dumps(whole, indent=2) + "\n"
+        record["corrections"] = corrections
+    return json.dumps(record, indent=2) + "\n"
 
 
 def as_yaml(start: Start, clip: str = "") -> str:
@@ -132,14 +130,14 @@ def as_yaml(start: Start, clip: str = "") -> str:
             "# points, box: by hand; kept: where its other points were; absent: not to be seen from there on;",
             "# learn: whether what it looks like is learned again there; if it is not said, what is given is.",
             *["# confirmed: it lies right there, whatever the tracker says."]
-            * any(one.confirmed for one in start.corrections),
+            * any(correction.confirmed for correction in start.corrections),
             "corrections:",
         ]
-    for frame, group in groupby(start.corrections, key=lambda one: one.frame):
+    for frame, group in groupby(start.corrections, key=lambda correction: correction.frame):
         lines.append(f"- frame: {frame}")
-        for one in group:
-            lines.append(f"  {_key(one.target)}:")
-            for key, value in corrected(one).items():
+        for correction in group:
+            lines.append(f"  {_key(correction.target)}:")
+            for key, value in corrected(correction).items():
                 line = f"    {key}: {_flow(value)}"
                 split = isinstance(value, dict) and len(line) > _WIDE
                 lines += [f"    {key}:", *_below(value, 6)] if split else [line]
@@ -238,19 +236,19 @@ def _targets(keys: _KEYS, root: Node) -> dict[str, TargetStart]:
 def _corrections(node: Node, first: int, targets: Mapping[str, TargetStart]) -> tuple[Correction, ...]:
     if not isinstance(node.value, list):
         _refuse(node, "corrections is a list; write - frame: 31 and, below it, what is corrected, or remove the key")
-    found: dict[tuple[int, str], tuple[Correction, int]] = {}
+    corrections: dict[tuple[int, str], tuple[Correction, int]] = {}
     for entry in node.value:
         keys = _mapping(entry, "a correction", "- frame: 31 and, below it, what is corrected")
         at, frame = keys.get("frame", entry), _frame(keys, entry)
         if frame <= first:
             _refuse(at, f"corrects frame {frame}, but the track begins in frame {first}; corrections come after it")
         for name, below in _corrected(keys, entry, targets).items():
-            if (frame, name) in found:
-                known = f"{name} has a correction of frame {frame} in line {found[frame, name][1]} already"
+            if (frame, name) in corrections:
+                known = f"{name} has a correction of frame {frame} in line {corrections[frame, name][1]} already"
                 _refuse(below, f"{known}; join them", at_key=True)
             line = (below.key or below.span).line + 1
-            found[frame, name] = _correction(frame, name, below, targets.get(name, TargetStart())), line
-    return tuple(one for one, _ in sorted(found.values(), key=lambda pair: pair[0].frame))
+            corrections[frame, name] = _correction(frame, name, below, targets.get(name, TargetStart())), line
+    return tuple(correction for correction, _ in sorted(corrections.values(), key=lambda pair: pair[0].frame))
 
 
 def _corrected(keys: _KEYS, entry: Node, targets: Mapping[str, TargetStart]) -> _KEYS:
@@ -272,29 +270,29 @@ def _correction(frame: int, name: str, node: Node, start: TargetStart) -> Correc
     keys = _mapping(node, f"the correction of {name}", "points: or absent: below the name")
     if "windows" in keys:
         _refuse(keys["windows"], "windows stay as the start has them; remove them from the correction", at_key=True)
-    found = _read(CorrectedTarget, node, f"{name} in frame {frame}")
+    record = _read(CorrectedTarget, node, f"{name} in frame {frame}")
     if not keys.keys() & {"box", "points", "absent", "confirmed"}:
         _refuse(node, f"nothing of {name} is corrected; add points: or box: by hand, or absent: true, or remove it")
-    if found.absent is True and len(keys) > 1:
+    if record.absent is True and len(keys) > 1:
         other = next(key for key in keys if key != "absent")
         _refuse(keys[other], f"all of {name} is absent; remove {other}, or list the absent parts", at_key=True)
-    if found.confirmed and len(keys) > 1:
+    if record.confirmed and len(keys) > 1:
         other = next(key for key in keys if key != "confirmed")
         _refuse(keys[other], f"{name} is confirmed where the tracker has it; remove {other}, or confirmed", at_key=True)
-    if found.box is not None and found.kept:
+    if record.box is not None and record.kept:
         _refuse(keys["kept"], f"kept beside the box of {name}: a box has no other parts; remove kept", at_key=True)
     # a start of a box alone leaves the parts to the recipe
     parts = (*start.points, *((BOX,) if start.box is not None else ())) if start.points else ()
-    known = {BOX: "box"} if found.box is not None else {}
-    lists = {"absent": found.absent, "confirmed": found.confirmed}
-    for key, names in {"points": found.points, "kept": found.kept, **lists}.items():
+    placed = {BOX: "box"} if record.box is not None else {}
+    lists = {"absent": record.absent, "confirmed": record.confirmed}
+    for key, names in {"points": record.points, "kept": record.kept, **lists}.items():
         for at, part in enumerate(() if names is True else names):
             child, _, _ = locate(node, (key, at if key in lists else part))
-            if part in known:
-                _refuse(child, f"{part} is in {known[part]} already; leave it in one place", at_key=True)
+            if part in placed:
+                _refuse(child, f"{part} is in {placed[part]} already; leave it in one place", at_key=True)
             _check_part(child, key, part, parts)
-            known[part] = key
-    return found.correction(frame, name)
+            placed[part] = key
+    return record.correction(frame, name)
 
 
 def _check_part(node: Node, key: str, part: str, parts: Sequence[str]) -> None:
@@ -312,11 +310,12 @@ def _read(model: type[_Record], node: Node, whose: str) -> _Record:
     try:
         return model.model_validate(node.plain())
     except ValidationError as error:
-        found = []
-        for one in problems(error, model, node):
-            form = next((f"; write {key}: {_FORMS[key]}" for key in _FORMS if re.match(rf"{key}\b", one.message)), "")
-            found.append(Problem(one.span, f"{whose}: {one.message}{form}"))
-        raise YamlProblems(found) from None
+        refused = []
+        for problem in problems(error, model, node):
+            key = next((key for key in _FORMS if re.match(rf"{key}\b", problem.message)), "")
+            form = f"; write {key}: {_FORMS[key]}" if key else ""
+            refused.append(Problem(problem.span, f"{whose}: {problem.message}{form}"))
+        raise YamlProblems(refused) from None
 
 
 def _mapping(node: Node, what: str, example: str) -> _KEYS:
@@ -348,3 +347,43 @@ def _refuse(node: Node, message: str, *, at_key: bool = False) -> NoReturn:
     """Refuse the value of a node. An empty value has no place, so the error points at its key."""
     span = node.key if (at_key or node.value is None) and node.key is not None else node.span
     raise YamlProblems([Problem(span, message)])
+
+
+def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frames: int | None = None) -> None:
+    """InputError if the start does not fit the clip of that (width, height) in pixels, or lacks any of the `parts`.
+
+    `frames` is the clip's number of frames if it is known for certain.
+    """
+    origin, larger = start.origin, f"is larger than the frame of {size[0]}x{size[1]} pixels; make it smaller"
+    if frames is not None and start.frame >= frames:
+        more = f"the clip ends with frame {frames - 1}; choose one that it has"
+        raise InputError(f"{origin}: starts at frame {start.frame}, but {more}")
+    for name, target in start.targets.items():
+        if missing := ", ".join(part for part in parts if part not in target.points):
+            boxes = ", or follow its box by a recipe of regions, as contour_histogram" if target.box is not None else ""
+            remedy = f"add it, or have all points placed with --box X,Y,W,H{boxes}"
+            raise InputError(f"{origin}: no point for {missing} of {name}, which the recipe follows; {remedy}")
+        _check_places(origin, name, target, size)
+        for part, (w, h) in target.windows.items():
+            if w > size[0] or h > size[1]:
+                raise InputError(f"{origin}: the window of {part} of {name}, {w:g}x{h:g}, {larger}")
+    for one in start.corrections:
+        if one.frame <= start.frame:
+            begins = f"but the track begins at frame {start.frame}; remove that correction, or begin earlier"
+            raise InputError(f"{origin}: corrects {one.target} at frame {one.frame}, {begins}")
+        # kept points are where the tracker saw them, which may be beyond the border
+        name, box = f"{one.target} at frame {one.frame}", one.given.box
+        _check_places(origin, name, one.given, size)
+        if box is not None and (box[2] > size[0] or box[3] > size[1]):
+            raise InputError(f"{origin}: the box of {name}, {box[2]:g}x{box[3]:g} pixels, {larger}")
+
+
+def _check_places(origin: str, name: str, target: TargetStart, size: tuple[int, int]) -> None:
+    """InputError if the box's centre, or a point, is outside of a frame of that (width, height)."""
+    outside = f"is outside the frame of {size[0]}x{size[1]} pixels; correct it"
+    if target.box is not None and not inside(centre(target.box), size):
+        numbers = ", ".join(f"{value:g}" for value in target.box)
+        raise InputError(f"{origin}: the centre of the box [{numbers}] of {name} {outside}")
+    for part, (x, y) in target.points.items():
+        if not inside((x, y), size):
+            raise InputError(f"{origin}: {part} of {name} at [{x:g}, {y:g}] {outside}")

@@ -7,10 +7,11 @@ missing.
 
 import contextlib
 import json
+import pkgutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from importlib import import_module
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +75,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.regions.region_kernels.code_colours": ("u1:3 u2:2 u2:1 i8 i8", "histogram"),
     "trackers.regions.region_kernels.box_edges": ("f8:2 f8 f8 i8 i8 i8 i8 i8", "histogram"),
     "trackers.regions.region_kernels.crop_boxes": ("i8:2 i8:2", "histogram"),
-    "engine.kernels.resampling._invert_cdf": ("f8:2 f8:2 i8:2", _FILTERS),
+    "engine.kernels.compiled.invert_cdf": ("f8:2 f8:2 i8:2", _FILTERS),
     "engine.kernels.affine.boxes_extent": ("f8:2 f8 f8 i8 i8", "target=affine correlation skin"),
     "trackers.skin.skin_kernels.bilinear": ("f4:2 f8:2 i8 i8", _NCC),
     "trackers.skin.skin_kernels.at_points": ("u1:3 u1:2 f8:2", "likelihood=skin"),
@@ -90,8 +91,7 @@ compile_kernels(names)"""
 
 
 def kernel(name: str) -> Any:
-    module, _, function = name.rpartition(".")
-    return getattr(import_module(f"facetrack_cli.{module}"), function)
+    return pkgutil.resolve_name(f"facetrack_cli.{name}")
 
 
 def signature(name: str) -> tuple[Any, ...]:
@@ -122,49 +122,39 @@ def _settings(key: str, settings: Any) -> Iterator[str]:
             yield from _settings(below, more)
 
 
-class Precompiler:
-    """Compiles the kernels of a recipe that the cache lacks, while the `with` block lasts.
+@contextlib.contextmanager
+def precompiling(settings: Mapping[str, Any], processes: int) -> Iterator[Callable[..., None]]:
+    """Compile the kernels of a recipe that the cache lacks, while the `with` block lasts.
 
-    `processes`: how many there may be, this one included. The second process begins at once, this one with `finish`.
+    `processes`: how many there may be, this one included. The second process begins at once. This one compiles or loads
+    all kernels when what the block is given is called, with the last two arguments of `compile_kernels`.
     """
-
-    def __init__(self, settings: Mapping[str, Any], processes: int) -> None:
-        missing = [name for name in of_recipe(settings) if not _is_cached(name)]
-        # each process begins with the dear half of its own, then helps the other one from the cheap end: they meet in
-        # the middle, and find in the cache what the other one has compiled
-        mine, others = missing[::2], missing[1::2]
-        self._names = [*mine, *reversed(others)]
-        self._process: subprocess.Popen[bytes] | None = None
-        if missing:
-            compiling()
-        # a program that embeds Python, or is frozen, has no interpreter to start
-        if others and processes > 1 and Path(sys.executable or "").stem.startswith("python"):
-            order = json.dumps([sys.path, [*others, *reversed(mine)]])
-            nowhere = subprocess.DEVNULL
-            with contextlib.suppress(OSError):
-                self._process = subprocess.Popen(
-                    [sys.executable, "-c", _SECOND.format(__name__), order],
-                    stdin=subprocess.PIPE,
-                    stdout=nowhere,
-                    stderr=nowhere,
-                )
-
-    def __enter__(self) -> "Precompiler":
-        return self
-
-    def finish(self, stopped: Callable[[], bool] = lambda: False, report: Callable[..., None] | None = None) -> None:
-        """Compile or load all kernels, until all are there or `stopped`; `report` takes how many, of how many."""
-        compile_kernels(self._names, stopped, report)
-
-    def __exit__(self, *_: object) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.communicate()
+    missing = [name for name in of_recipe(settings) if not _is_cached(name)]
+    # each process begins with the dear half of its own, then helps the other one from the cheap end: they meet in
+    # the middle, and find in the cache what the other one has compiled
+    mine, others = missing[::2], missing[1::2]
+    second: subprocess.Popen[bytes] | None = None
+    if missing:
+        compiling()
+    # a program that embeds Python, or is frozen, has no interpreter to start
+    if others and processes > 1 and Path(sys.executable or "").stem.startswith("python"):
+        order = json.dumps([sys.path, [*others, *reversed(mine)]])
+        command = [sys.executable, "-c", _SECOND.format(__name__), order]
+        nowhere = subprocess.DEVNULL
+        with contextlib.suppress(OSError):
+            second = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=nowhere, stderr=nowhere)
+    try:
+        yield partial(compile_kernels, [*mine, *reversed(others)])
+    finally:
+        if second is not None:
+            second.kill()
+            second.communicate()
 
 
 def compile_kernels(
     names: list[str], stopped: Callable[[], bool] = lambda: False, report: Callable[..., None] | None = None
 ) -> None:
+    """Compile or load kernels, until all are there or `stopped`; `report` takes how many, of how many."""
     for done, name in enumerate(names):
         if stopped():
             return

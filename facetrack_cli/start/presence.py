@@ -64,16 +64,16 @@ class Track:
 
 
 @dataclass
-class Everyone:
-    """The state after a frame: the tracks that go on, and how many have begun."""
+class FilmState:
+    """The state after a frame: the tracks that go on, and the `count` of all that began."""
 
     tracks: list[Track] = field(default_factory=list)
-    begun: int = 0
+    count: int = 0
     crowd: int | None = None  # the first frame with more than MAX_FACES
 
 
 @dataclass(frozen=True)
-class Film:
+class MultiFaceTracker:
     """What is followed: faces by a recipe that has a head, in the `shots` of a film of this size and rate."""
 
     recipe: Recipe
@@ -84,42 +84,42 @@ class Film:
     seed: int
 
     def follow(self, frames: Iterable[Frame], at: TrackState) -> Iterator[FrameResult]:
-        """A result for each frame, of all faces that are in it. `at` holds an `Everyone` where it can be resumed."""
-        known: Everyone = at.states[0] if at.states else Everyone()
+        """A result for each frame, of all faces that are in it. `at` holds an `FilmState` where it can be resumed."""
+        film: FilmState = at.states[0] if at.states else FilmState()
         shots, waiting = iter(self.shots), list[Frame]()
         shot = next(shots)
         for frame in frames:
             while shot.stop is not None and frame.index >= shot.stop:
-                yield from self._block(known, waiting, shot, at)
+                yield from self._block(film, waiting, shot, at)
                 shot = next(shots)
             if frame.index == shot.first:  # no track is carried over a cut
-                known.tracks = []
+                film.tracks = []
             waiting.append(frame)
             if len(waiting) >= LOOK_FRAMES and frame.index >= shot.clear + LOOK_FRAMES - 1:
-                yield from self._block(known, waiting, shot, at)
-        yield from self._block(known, waiting, shot, at)
+                yield from self._block(film, waiting, shot, at)
+        yield from self._block(film, waiting, shot, at)
 
-    def _block(self, known: Everyone, frames: list[Frame], shot: Shot, at: TrackState) -> Iterator[FrameResult]:
+    def _block(self, film: FilmState, frames: list[Frame], shot: Shot, at: TrackState) -> Iterator[FrameResult]:
         """The results of successive frames of one shot, of which the detector looks at the last."""
         if frames:
             at.states = []  # what is between two blocks can be resumed
-            found, left = self._tracked(known, frames)
-            self._look(known, frames, found, left, shot)
+            found, left = self._tracked(film, frames)
+            self._look(film, frames, found, left, shot)
             results = [FrameResult(frame, tuple(found[frame.index].values())) for frame in frames]
             frames.clear()
             yield from results[:-1]
-            at.states = [known]
+            at.states = [film]
             yield results[-1]
 
-    def _tracked(self, known: Everyone, frames: list[Frame]) -> tuple[_Results, list[Track]]:
+    def _tracked(self, film: FilmState, frames: list[Frame]) -> tuple[_Results, list[Track]]:
         """The results of the tracks that go on, and the tracks that leave the picture."""
-        each = [self._advance(track, frames) for track in known.tracks]
+        each = [self._advance(track, frames) for track in film.tracks]
         found: _Results = {frame.index: {} for frame in frames}
-        for track, results in zip(known.tracks, each, strict=True):
+        for track, results in zip(film.tracks, each, strict=True):
             for frame, result in zip(frames, results, strict=False):
                 found[frame.index][track.name] = result
-        left = [track for track, results in zip(known.tracks, each, strict=True) if len(results) < len(frames)]
-        known.tracks = [track for track in known.tracks if track not in left]
+        left = [track for track, results in zip(film.tracks, each, strict=True) if len(results) < len(frames)]
+        film.tracks = [track for track in film.tracks if track not in left]
         return found, left
 
     def _advance(self, track: Track, frames: Iterable[Frame], *, back: bool = False) -> list[TargetResult]:
@@ -141,14 +141,14 @@ class Film:
         assert isinstance(found, FaceTarget)
         return found
 
-    def _look(self, known: Everyone, frames: list[Frame], found: _Results, left: list[Track], shot: Shot) -> None:
+    def _look(self, film: FilmState, frames: list[Frame], found: _Results, left: list[Track], shot: Shot) -> None:
         """Look at the last frame: which tracks go on, and which faces are new."""
         frame = frames[-1]
         free, age = self.detector.find(frame), (frame.index - shot.clear) // LOOK_FRAMES
-        nobody = not free and not known.tracks
+        nobody = not free and not film.tracks
         if age == 0 or (nobody and age % CLOSER == 0):
             free += [one for one in everywhere(self.detector, frame) if not _taken(one, free)]
-        for track in sorted(known.tracks, key=lambda one: -one.odds):
+        for track in sorted(film.tracks, key=lambda one: -one.odds):
             mine = max(free, key=lambda one: 0 if track.box is None else overlap(track.box, one.box), default=None)
             if mine is not None and track.box is not None and overlap(track.box, mine.box) >= SAME_FACE:
                 free.remove(mine)
@@ -158,28 +158,28 @@ class Film:
             else:
                 track.odds += _LOST if track.box is None else _UNFOUND
         kept: list[Track] = []
-        for track in known.tracks:  # in the order of their age
+        for track in film.tracks:  # in the order of their age
             twice = any(track.box and one.box and overlap(track.box, one.box) >= ONE_FACE for one in kept)
             if track.odds > _ENDS and not twice:
                 kept.append(track)
-        known.tracks = kept
+        film.tracks = kept
         # a face that comes in when a shot ends is left out, and so is a face that another shot shows
         able = shot.is_clear(frame.index) and (len(frames) > TWICE_FRAMES or frames[0].index == shot.first)
         new = [one for one in free if able and self._is_new(one, [*kept, *left], frames, nobody=nobody)]
         room = MAX_FACES - len(kept)
-        if len(new) > room and known.crowd is None:
-            known.crowd = frame.index
-        begun = [one for face in new[:room] if (one := self._begun(known, face, frame)) is not None]
+        if len(new) > room and film.crowd is None:
+            film.crowd = frame.index
+        new_tracks = [one for face in new[:room] if (one := self._new_track(film, face, frame)) is not None]
         passed = frames[-2::-1]
-        each = [self._back(track, passed) for track, _ in begun]
-        for (track, first), back in zip(begun, each, strict=True):
+        each = [self._back(track, passed) for track, _ in new_tracks]
+        for (track, first), back in zip(new_tracks, each, strict=True):
             ordered = [*reversed(back), first]
             for at, result in zip(frames[len(frames) - len(ordered) :], ordered, strict=True):
                 rows, how = result.rows, "init" if result is ordered[0] else "tracked"
                 status = np.where(rows.unseen, rows.status, how)
                 found[at.index][track.name] = result._replace(rows=replace(rows, status=status))
             track.see(first)
-            known.tracks.append(track)
+            film.tracks.append(track)
 
     def _is_new(self, face: Found, kept: Sequence[Track], frames: Sequence[Frame], *, nobody: bool) -> bool:
         """Whether a face in the picture is of no track, and seen in an earlier frame, too, if there is one.
@@ -197,20 +197,20 @@ class Film:
             return near(self.detector, before, face.box, face.turn) is not None
         return _taken(face, self.detector.find(before))
 
-    def _begun(self, known: Everyone, face: Found, frame: Frame) -> tuple[Track, TargetResult] | None:
+    def _new_track(self, film: FilmState, face: Found, frame: Frame) -> tuple[Track, TargetResult] | None:
         """A track that begins with a face; None where its points are not in the picture."""
         face = righted(self.detector, frame, face)
         points = named(face.placed(frame))
         if not all(inside(points[part], self.size) for part in self.recipe.points):
             return None
-        name = f"{STREAM}{known.begun + 1}"
+        name = f"{STREAM}{film.count + 1}"
         start = Start(frame.index, {name: TargetStart(face.box, points)}, self.detector.name)
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, known.begun)))
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, film.count)))
         try:
             state, result = self._target(start).begin(rng, _own(frame))
         except InputError:  # too small, or beyond the border
             return None
-        known.begun += 1
+        film.count += 1
         return Track(name, start, rng, state, closer=face if face.closer else None), result
 
     def _back(self, track: Track, passed: Sequence[Frame]) -> list[TargetResult]:

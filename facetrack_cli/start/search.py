@@ -155,29 +155,40 @@ def search_start(
 ) -> Start:
     """The start at the first face that stays: its box, and the parts placed in it (pixels, to 0.01).
 
-    The frames of the first `SEARCHED_S` are searched. If they show nobody, and `whole`, the search goes on in steps
-    that grow to `MAX_STEP_S`; where a detector finds a face there, each of the next frames is searched again. With
-    `faces` "all", faces that are there at the same time are targets `face`, `face_2`, and so on, by their size.
-    `complete` adds what else the frame must show, or raises NotHereError.
-    InputError, naming the `clip`, if no frame shows all that.
+    The frames of the first `SEARCHED_S` are searched.
+
+    Parameters
+    ----------
+    faces
+        With "all", faces that are there at the same time are targets `face`, `face_2`, and so on, by their size.
+    whole
+        If the first frames show nobody, the search goes on in steps that grow to `MAX_STEP_S`. Where a detector finds a
+        face there, each of the next frames is searched again.
+    complete
+        Adds what else the frame must show, or raises NotHereError.
+
+    Raises
+    ------
+    InputError
+        No frame of the `clip` shows all that.
     """
     check_parts(parts)
     finder, coming = detector or Haar(), iter(frames)
     search = first = _Search(parts, finder, complete, 0.0)
-    found = search.through(coming if whole else islice(coming, SEARCHED_FRAMES), SEARCHED_S)
+    rivals = search.through(coming if whole else islice(coming, SEARCHED_FRAMES), SEARCHED_S)
     last, looked = (first.frames[-1], first.times[-1]) if first.frames else (0, 0.0)
-    for frame in coming if whole and not found else ():
+    for frame in coming if whole and not rivals else ():
         last = frame.index
         if frame.time_s - looked < min(max(STEP * frame.time_s, LOOK_S), MAX_STEP_S):
             continue
         search = _Search(parts, finder, complete, search.closer_from)
-        found = search.through(chain([frame], coming), WAIT_S + STILL_S, least=WAIT_S)
+        rivals = search.through(chain([frame], coming), WAIT_S + STILL_S, least=WAIT_S)
         first.lacking, last, looked = first.lacking or search.lacking, search.frames[-1], search.times[-1]
-        if found:
+        if rivals:
             break
-    if not found:
+    if not rivals:
         raise first.nobody(clip, last)
-    return search.start(found if faces == "all" else found[:1], found)
+    return search.start(rivals if faces == "all" else rivals[:1], rivals)
 
 
 class _Search:
@@ -208,20 +219,21 @@ class _Search:
         return self.faces(ended=True) if self.times and self.times[-1] - self.times[0] >= least else []
 
     def _open(self) -> list[_Candidate]:
-        return [one for one in self.candidates if len(self.frames) - self._place(one.last) <= MAX_GAP]
+        first = self.frames[-MAX_GAP:][0] if self.frames else 0
+        return [candidate for candidate in self.candidates if candidate.last >= first]
 
     def look(self, frame: Frame) -> None:
         self.frames.append(frame.index)
         self.times.append(frame.time_s)
-        open_, found = self._open(), self.detector.find(frame)
-        for one in open_:
-            if one.face.closer:
-                box = one.boxes[-1][1]
-                found = [face for face in found if overlap(face.box, box) < BESIDE]
-                again = near(self.detector, frame, box, one.face.turn)
-                found += [] if again is None else [again]
-        for face in found:
-            mine = max(open_, key=lambda one: overlap(one.boxes[-1][1], face.box), default=None)
+        open_, faces = self._open(), self.detector.find(frame)
+        for candidate in open_:
+            if candidate.face.closer:
+                box = candidate.boxes[-1][1]
+                faces = [face for face in faces if overlap(face.box, box) < BESIDE]
+                again = near(self.detector, frame, box, candidate.face.turn)
+                faces += [] if again is None else [again]
+        for face in faces:
+            mine = max(open_, key=lambda candidate: overlap(candidate.boxes[-1][1], face.box), default=None)
             if mine is None or overlap(mine.boxes[-1][1], face.box) < MIN_OVERLAP:
                 mine = None
             else:
@@ -232,16 +244,13 @@ class _Search:
                     self.candidates.remove(mine)
                 mine = _Candidate(face) if mine is None or face.turn else mine
             self._add(mine, frame, face)
-        if frame.time_s >= self.closer_from and not any(one.certain for one in self._open()):
+        if frame.time_s >= self.closer_from and not any(candidate.certain for candidate in self._open()):
             self.closer_from = frame.time_s + max(CLOSER_S, CLOSER_STEP * frame.time_s)
             for face in everywhere(self.detector, frame):
-                for one in self._open():
-                    if not one.certain and overlap(one.boxes[-1][1], face.box) > BESIDE:
-                        self.candidates.remove(one)
+                for candidate in self._open():
+                    if not candidate.certain and overlap(candidate.boxes[-1][1], face.box) > BESIDE:
+                        self.candidates.remove(candidate)
                 self._add(_Candidate(face), frame, face)
-
-    def _place(self, frame: int) -> int:
-        return self.frames.index(frame)
 
     def _add(self, candidate: _Candidate, frame: Frame, face: Found) -> None:
         placed = face.placed(frame)
@@ -267,45 +276,46 @@ class _Search:
     def faces(self, *, ended: bool = False) -> list[_Candidate]:
         """The candidates that are faces, the best first; none while it is too early to decide."""
         enough = min(MIN_LOOKS, 1 + len(self.frames) // 4) if ended else MIN_LOOKS
-        able = [one for one in self.candidates if one.begins and one.features and len(one.boxes) >= enough]
-        lit = [one for one in able if max(one.contrast) >= MIN_CONTRAST]
+        able = [rival for rival in self.candidates if rival.begins and rival.features and len(rival.boxes) >= enough]
+        lit = [candidate for candidate in able if max(candidate.contrast) >= MIN_CONTRAST]
         able = lit or (able if ended else [])
-        waited = max((self.times[-1] - self.times[self._place(one.first)] for one in able), default=0.0)
+        seen = [self.times[self.frames.index(candidate.first)] for candidate in able]
+        waited = self.times[-1] - min(seen, default=self.times[-1])
         if not able or (waited < WAIT_S and not ended):
             return []
         self.ready = self.frames[-1] if self.ready is None else self.ready
         if not ended and waited < self._wait(able):
             return []
-        moving = [one.lives for one in able]
+        moving = [candidate.lives for candidate in able]
         if not any(moving):  # one that changes ten times as much as another is the living one
-            moving = [one.change >= max(other.change for other in able) / 10 for one in able]
+            moving = [candidate.change >= max(other.change for other in able) / 10 for candidate in able]
         order = sorted(zip(moving, able, strict=True), key=lambda pair: (not pair[0], -pair[1].worth, pair[1].boxes[0]))
-        return [one for _, one in order]
+        return [candidate for _, candidate in order]
 
     def _wait(self, able: Sequence[_Candidate]) -> float:
         """For how long to wait for one of them to move, in s: the largest is taken if it does."""
         if len(able) == 1:
             return WAIT_S if able[0].change >= MIN_CHANGE else ALONE_S
-        if max(able, key=lambda one: one.worth).lives:
+        if max(able, key=lambda candidate: candidate.worth).lives:
             return WAIT_S
-        return ALONE_S if any(one.lives for one in able) else STILL_S
+        return ALONE_S if any(candidate.lives for candidate in able) else STILL_S
 
     def start(self, chosen: Sequence[_Candidate], rivals: Sequence[_Candidate]) -> Start:
         """The start of the chosen faces: the first frame in which the best face is well lit."""
         best = chosen[0]
         lit = {frame for (frame, _), value in zip(best.boxes, best.contrast, strict=True) if value >= MIN_CONTRAST}
         at = min(lit & set(best.begins) or set(best.begins))
-        start, others = best.begins[at], [one for one in chosen[1:] if at in one.begins]
+        start, others = best.begins[at], [candidate for candidate in chosen[1:] if at in candidate.begins]
         targets = {}
         for name, target in start.targets.items():
             targets[name] = self._settled(best, at) if name == next(iter(start.targets)) else target
-        for i, one in enumerate(others):
-            targets[f"face_{i + 2}"] = self._settled(one, at)
+        for i, candidate in enumerate(others):
+            targets[f"face_{i + 2}"] = self._settled(candidate, at)
         note = f"begins in frame {at} with a face {best.said()} by {self.detector.name}"
         note += f", turned by {round(degrees(best.face.roll)) % 360} degrees clockwise" if best.face.turn else ""
         note += "" if best.certain else ", which shows neither nose nor mouth clearly: see whether it is upright"
-        passed = [one for one in self.candidates if one not in rivals]
-        left = [one for one in rivals if one not in chosen]
+        passed = [candidate for candidate in self.candidates if candidate not in rivals]
+        left = [candidate for candidate in rivals if candidate not in chosen]
         if others:
             note += f", and {len(others)} more"
         if left:
@@ -313,17 +323,17 @@ class _Search:
         if left and not best.lives:
             note += "; none of them moves: if another one is meant, name it by --box X,Y,W,H"
         if passed:
-            shown = "; ".join(one.said() for one in sorted(passed, key=lambda one: -one.worth)[:3])
+            shown = "; ".join(face.said() for face in sorted(passed, key=lambda face: -face.worth)[:3])
             note += f"; passed over: {shown}"
         return replace(start, targets=targets, note=note)
 
-    def _settled(self, one: _Candidate, at: int) -> TargetStart:
+    def _settled(self, candidate: _Candidate, at: int) -> TargetStart:
         """The target in the frame `at`; its points are the means, in its box, of all frames that look alike."""
         until = max(at, at if self.ready is None else self.ready)
-        boxes = np.array([box for frame, box in one.boxes if frame <= until])
-        now = [frame for frame, _ in one.boxes].index(at)
+        boxes = np.array([box for frame, box in candidate.boxes if frame <= until])
+        now = [frame for frame, _ in candidate.boxes].index(at)
         # (T, K, 2); a recipe of boxes has no parts
-        at_parts = np.array([[p[part] for part in self.parts] for p in one.points[: len(boxes)]])
+        at_parts = np.array([[p[part] for part in self.parts] for p in candidate.points[: len(boxes)]])
         at_parts = at_parts.reshape(len(boxes), -1, 2)
         each = (at_parts - boxes[:, None, :2]) / boxes[:, None, 2:]
         weight = np.exp(-0.5 * np.sum((each - each[now]) ** 2, axis=2) / SAME_PLACE**2)
@@ -331,7 +341,7 @@ class _Search:
         # to 0.01 px, as in an init file: a run from that file begins in the same place
         placed = (boxes[now, :2] + mean * boxes[now, 2:]).round(2).tolist()
         points = {part: (x, y) for part, (x, y) in zip(self.parts, placed, strict=True)}
-        return TargetStart(one.boxes[now][1], points)
+        return TargetStart(candidate.boxes[now][1], points)
 
     def nobody(self, clip: str, last: int) -> InputError:
         if not self.frames:
@@ -341,7 +351,7 @@ class _Search:
             return InputError(f"{self.lacking}{'' if last == first else f'; no frame to {last} shows more'}")
         searched = f"frame {first}" if first == last else f"frames {first} to {last}"
         remedy = "give its box with --box X,Y,W,H, an init file with --init FILE, or a later frame with --init-frame N"
-        doubtful = max(self.candidates, key=lambda one: len(one.boxes), default=None)
+        doubtful = max(self.candidates, key=lambda candidate: len(candidate.boxes), default=None)
         but = "" if doubtful is None else f" (something {doubtful.said()}, which is no face)"
         return InputError(f"{clip}: no face found in {searched}{but}; {remedy}")
 

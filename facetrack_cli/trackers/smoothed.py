@@ -37,18 +37,18 @@ def renamed_hands(rows: Trajectory, beliefs: Mapping[str, Beliefs]) -> tuple[Tra
 
     Where one hand was corrected, both have a filter of their own; names are not exchanged across that frame.
     """
-    hands = [name for name, each in beliefs.items() if any(one and one[0].named is not None for one in each)]
+    hands = [name for name, each in beliefs.items() if any(belief and belief[0].named is not None for belief in each)]
     if len(hands) != 2:
         return rows, dict(beliefs)
     p, exchanged, held = (np.full(len(rows.frames), value) for value in (1.0, 0.0, 0.0))
     for t, pair in enumerate(zip(*(beliefs[name] for name in hands), strict=True)):
-        known = [one[0].named for one in pair if one and one[0].named is not None]
-        if not known:
+        named = [belief[0].named for belief in pair if belief and belief[0].named is not None]
+        if not named:
             p[t] = p[t - 1]
-        elif len(known) == 2 and (known[0] != known[1]).any():
+        elif len(named) == 2 and (named[0] != named[1]).any():
             held[t], exchanged[t] = 1.0, 0.5
         else:
-            p[t], exchanged[t] = known[0]
+            p[t], exchanged[t] = named[0]
     changed = (smoothing.names(p, exchanged) < 0.5) & (held == 0)
     first, second = (np.flatnonzero(rows.which == rows.names.index((name, BOX)))[changed] for name in hands)
     order = np.arange(len(rows))
@@ -88,12 +88,12 @@ def _next(
     at = 1 if before else 0
     now, targets, after = kept[at], [], []
     for i, target in enumerate(now.targets):
-        rows = successive([one.targets[i].rows for one in kept])
-        beliefs = [() if (given := one.targets[i].beliefs) is None else given() for one in kept]
-        found = _SmoothedTarget(rows, beliefs, before[i] if before else (), lag=True, aspect=now.frame.aspect)
+        rows = successive([result.targets[i].rows for result in kept])
+        beliefs = [() if (beliefs_of := result.targets[i].beliefs) is None else beliefs_of() for result in kept]
+        smoother = _SmoothedTarget(rows, beliefs, before[i] if before else (), lag=True, aspect=now.frame.aspect)
         frame = now.frame.index
-        targets.append(target._replace(rows=found.rows().between(frame, frame + 1)))
-        after.append(found.carried(at))
+        targets.append(target._replace(rows=smoother.rows().between(frame, frame + 1)))
+        after.append(smoother.carried(at))
     if before:
         kept.popleft()
     return FrameResult(now.frame, tuple(targets)), after
@@ -114,22 +114,22 @@ class _SmoothedTarget:
         self.of = table
         self.gone: Mask = np.isnan(table["x"])
         lost: Mask = np.isin(table["status"], UNSEEN)
-        given = (table["by_hand"] | (table["status"] == "init")).any(axis=1)
-        self.fixed: Mask = self.gone | given[:, None]
-        known = next((each for each in beliefs if each), ())
-        whole = [each or known for each in beliefs]
+        placed = (table["by_hand"] | (table["status"] == "init")).any(axis=1)
+        self.fixed: Mask = self.gone | placed[:, None]
+        first = next((each for each in beliefs if each), ())
+        whole = [each or first for each in beliefs]
         if carried:
-            whole[0], lost[0] = tuple(carried), np.concatenate([one.doubt for one in carried])
-            given[0] = False
-        self.sizes = [len(one.mean) for one in known]
+            whole[0], lost[0] = tuple(carried), np.concatenate([belief.doubt for belief in carried])
+            placed[0] = False
+        self.sizes = [len(belief.mean) for belief in first]
         ends = np.cumsum([0, *self.sizes])
         # a calibration may call a part lost that the filter sees: then nothing is in doubt
         self.chains = [
             smoothing.chain(
                 of := [each[i] for each in whole],
-                lost[:, a:b] & np.stack([one.doubt for one in of]),
+                lost[:, a:b] & np.stack([belief.doubt for belief in of]),
                 self.gone[:, a:b],
-                given,
+                placed,
             )
             for i, (a, b) in enumerate(pairwise(ends.tolist()))
         ]
@@ -143,32 +143,32 @@ class _SmoothedTarget:
         before, box = [head], BOX in [part for _, part in self.all.names]
         after = [smoothing.smoothed(head)]
         if len(self.chains) > 1:
-            points = _side_by_side([one for one in self.chains if one is not head])
+            points = _side_by_side([chain for chain in self.chains if chain is not head])
             before, after = [points, head], [self._face(columns, points, head, *after[0]), *after]
         elif box and before[0].mean.shape[-1] > 2:
             self._box(columns, before[0], *after[0])
         else:
             columns |= _places(*after[0])
-        unseen, linked = (np.concatenate([getattr(one, key) for one in self.chains], 1) for key in ("unseen", "linked"))
+        unseen, linked = (np.concatenate([getattr(x, key) for x in self.chains], 1) for key in ("unseen", "linked"))
         keep = self.fixed | (unseen & ~linked)
-        found = {name: np.where(keep, self.of[name], columns[name]).T.ravel() for name in _SMOOTHED}
+        smoothed = {name: np.where(keep, self.of[name], columns[name]).T.ravel() for name in _SMOOTHED}
         diagnostics = self._diagnostics(before, after, keep[:, self.sizes[0] if len(self.sizes) > 1 else -1])
-        rows = replace(self.all, **found, diagnostics=diagnostics, corners=None)
+        rows = replace(self.all, **smoothed, diagnostics=diagnostics, corners=None)
         return replace(rows, corners=outlines(rows))
 
     def _box(self, columns: dict[str, Array], before: Chain, mean: Array, cov: Array) -> None:
         columns |= _places(mean, cov)
         w, h = self.of["w"], self.of["h"]
-        found = self._reported
-        if found is None or AFFINE.name not in found.values:
+        reported = self._reported
+        if reported is None or AFFINE.name not in reported.values:
             ratio, relative = mean[..., 2] / before.mean[..., 2], np.sqrt(cov[..., 2, 2]) / before.mean[..., 2]
             columns |= {"w": w * ratio, "h": h * ratio, "std_w": w * relative, "std_h": h * relative}
             return
         # of the rows' state, which may be that of the best particle
-        told, half = np.full((*before.unseen.shape, 6), np.nan), []
-        told[np.searchsorted(self.all.frames, found.frame), 0] = found.values[AFFINE.name]
+        affine, half = np.full((*before.unseen.shape, 6), np.nan), []
+        affine[np.searchsorted(self.all.frames, reported.frame), 0] = reported.values[AFFINE.name]
         for side, std, size, at in (("w", "std_w", w, [2, 4]), ("h", "std_h", h, [3, 5])):
-            old, new = (np.linalg.norm(one, axis=-1) for one in (told[..., np.array(at) - 2], mean[..., at]))
+            old, new = (np.linalg.norm(one, axis=-1) for one in (affine[..., np.array(at) - 2], mean[..., at]))
             half.append(np.maximum(size / old - 1, 1) / 2)
             way = mean[..., at] / new[..., None]
             var = np.einsum("tki,tkij,tkj->tk", way, cov[..., at, :][..., at], way)
@@ -192,8 +192,8 @@ class _SmoothedTarget:
         turn = np.stack([np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)], axis=1).reshape(-1, 2, 2)
         old, new = (each[:, None, None] * turn for each in (scale, scale * ratio))
         was = np.einsum("tde,tke->tkd", old, points.mean - MIDDLE) + place[:, None]
-        begun = np.einsum("tde,tke->tkd", np.linalg.inv(new), was - moved[:, None]) + MIDDLE
-        still, cov = smoothing.smoothed(points._replace(mean=begun, cov=points.cov / ratio[:, None, None, None] ** 2))
+        mean = np.einsum("tde,tke->tkd", np.linalg.inv(new), was - moved[:, None]) + MIDDLE
+        still, cov = smoothing.smoothed(points._replace(mean=mean, cov=points.cov / ratio[:, None, None, None] ** 2))
         now = np.einsum("tde,tke->tkd", new, still - MIDDLE) + moved[:, None]
         # what the rows have beside the filter's mean and covariance is kept
         at = np.stack([self.of["x"][:, those], self.of["y"][:, those]], axis=-1) + now - was
@@ -224,11 +224,11 @@ class _SmoothedTarget:
 
     def _diagnostics(self, before: Sequence[Chain], after: Sequence[_Moments], keep: Mask) -> Mapping[str, Diagnostics]:
         """Those that tell of place and size as the rows do; all others are the filter's."""
-        found, (mean, _) = self._reported, after[-1]
-        if found is None or (len(after) == 1 and AFFINE.name not in found.values):
+        reported, (mean, _) = self._reported, after[-1]
+        if reported is None or (len(after) == 1 and AFFINE.name not in reported.values):
             return self.all.diagnostics
-        at = np.searchsorted(self.all.frames, found.frame)  # there are none of frames in which it is absent
-        values, mean, keep = dict(found.values), mean[at, 0], keep[at]
+        at = np.searchsorted(self.all.frames, reported.frame)  # there are none of frames in which it is absent
+        values, mean, keep = dict(reported.values), mean[at, 0], keep[at]
         if len(after) == 1:
             affine = np.concatenate([mean[:, 2:], mean[:, :2]], axis=1)
             values[AFFINE.name] = np.where(keep[:, None], values[AFFINE.name], affine)
@@ -236,25 +236,25 @@ class _SmoothedTarget:
         else:
             scale = values[SCALE.name] * mean[:, 2] / before[-1].mean[at, 0, 2]
         values[SCALE.name] = np.where(keep, values[SCALE.name], scale)
-        return {**self.all.diagnostics, self.all.target: replace(found, values=values)}
+        return {**self.all.diagnostics, self.all.target: replace(reported, values=values)}
 
     def carried(self, at: int) -> tuple[Belief, ...]:
         """The beliefs of a frame, with predictions of the parts that it did not show."""
-        found = []
-        for one in map(smoothing.bridged, self.chains):
-            motion = Linear(*(each[at] for each in one.motion))
-            found.append(Belief(one.mean[at], one.cov[at], motion, one.unseen[at]))
-        return tuple(found)
+        beliefs = []
+        for chain in map(smoothing.bridged, self.chains):
+            motion = Linear(*(each[at] for each in chain.motion))
+            beliefs.append(Belief(chain.mean[at], chain.cov[at], motion, chain.unseen[at]))
+        return tuple(beliefs)
 
 
 def _side_by_side(chains: Sequence[Chain]) -> Chain:
     """The chains of several sets of parts as one."""
     if len(chains) == 1:
         return chains[0]
-    motion = Linear(*(np.concatenate(each, axis=1) for each in zip(*(one.motion for one in chains), strict=True)))
+    motion = Linear(*(np.concatenate(each, axis=1) for each in zip(*(chain.motion for chain in chains), strict=True)))
     others = [name for name in Chain._fields if name != "motion"]
     return Chain(
-        motion=motion, **{name: np.concatenate([getattr(one, name) for one in chains], axis=1) for name in others}
+        motion=motion, **{name: np.concatenate([getattr(chain, name) for chain in chains], axis=1) for name in others}
     )
 
 
@@ -264,6 +264,5 @@ def _mapped(matrix: Array, cov: Array) -> Array:
 
 def _places(mean: Array, cov: Array) -> dict[str, Array]:
     """Columns of the places in `mean` (T, K, D) and `cov` (T, K, D, D)."""
-    std = np.sqrt(np.maximum(np.diagonal(cov, axis1=-2, axis2=-1), 0.0))
-    known = {"x": mean[..., 0], "y": mean[..., 1], "std_x": std[..., 0], "std_y": std[..., 1]}
-    return {**known, "cov_xy": cov[..., 0, 1]}
+    std_x, std_y = (np.sqrt(np.maximum(cov[..., i, i], 0.0)) for i in (0, 1))
+    return {"x": mean[..., 0], "y": mean[..., 1], "std_x": std_x, "std_y": std_y, "cov_xy": cov[..., 0, 1]}

@@ -27,8 +27,8 @@ from facetrack_cli.editor.web.pick_session import PickSession, start_of
 from facetrack_cli.editor.web.server import serving
 from facetrack_cli.editor.web.session import RefusedError
 from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.start.assembly import name_targets
 from facetrack_cli.start.init_file import read_init, write_init
-from facetrack_cli.start.targets import name_targets
 from facetrack_cli.trackers.face.detectors import PARTS, detector
 from facetrack_cli.video.seek import Frames
 from tests.support.media import write_pictures

@@ -33,7 +33,7 @@ def parsers() -> dict[str, Callable[[Path, bytes], object]]:
     from facetrack_cli.runs.live import piped
     from facetrack_cli.start.init_file import read_init
     from facetrack_cli.trackers.appearance.gallery import load_gallery
-    from facetrack_cli.trackers.people.looks import load_people
+    from facetrack_cli.trackers.people.descriptor import load_people
     from facetrack_cli.trackers.points.shape_prior import load_prior
     from facetrack_cli.trajectory.header import read_header
     from facetrack_cli.trajectory.people import read_people, read_still

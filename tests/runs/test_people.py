@@ -28,8 +28,8 @@ from facetrack_cli.runs.plan import Job
 from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.start import presence
-from facetrack_cli.trackers.people.identity import UNKNOWN, Cast, Doubt, Seen, cast_of
-from facetrack_cli.trackers.people.looks import Looks, load_people, save_people
+from facetrack_cli.trackers.people.descriptor import FaceDescriptor, load_people, save_people
+from facetrack_cli.trackers.people.identity import UNKNOWN, Cast, Doubt, TrackSummary, cast_of
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.people import read_people, read_still, rename, under_names
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -152,7 +152,7 @@ def test_names_that_are_none_are_refused_wherever_they_come_from(ran, tmp_path, 
 
 @pytest.mark.parametrize("name", [name for name in OUTSIDE if not name.endswith("\0") and name != "\ud800"])
 def test_a_gallery_has_names_that_are_some(tmp_path, name):
-    path, looks = tmp_path / "known.npz", Looks(*(np.zeros((1, n), "<f8") for n in (576, 3, 3, 36, 0, 1)))
+    path, looks = tmp_path / "known.npz", FaceDescriptor(*(np.zeros((1, n), "<f8") for n in (576, 3, 3, 36, 0, 1)))
     save_people(path, {name: looks})
     with pytest.raises(InputError, match=r"known.npz: is not a usable file of known people: .*name of a person"):
         load_people(path)
@@ -449,7 +449,7 @@ def test_threads_change_nothing(tmp_path):
 
 
 def seen(name, first, stop, x=100.0, side=50.0, shot=1):
-    return Seen(name, first, stop, (x, 40.0, side, side), (x, 40.0, side, side), shot, None)
+    return TrackSummary(name, first, stop, (x, 40.0, side, side), (x, 40.0, side, side), shot, None)
 
 
 SHOTS = [Shot(0, 40, 0, 40), Shot(40, 90, 40, 90)]

@@ -1,7 +1,9 @@
-"""Confidence and status from the distances of windows alone."""
+"""Confidence and status from distances alone; a calibration's file, and what it does to the rows of a recipe."""
 
+import json
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,9 +11,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.engine import confidence as judging
+from facetrack_cli.engine.calibration import Calibration, CrossChecked, Isotonic, Logistic, features, load_calibration
+from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.recipe.model import ConfidenceSettings
+from facetrack_cli.runs.api import track_video
+from facetrack_cli.trajectory.trajectory import SPREAD, build
+from tests.support.samples import FOLDER
 
 X0 = np.array([[50.0, 50.0], [80.0, 50.0]])
 WINDOWS = np.array([[10.0, 10.0], [20.0, 12.0]])
@@ -118,3 +126,204 @@ def test_without_a_memory_what_is_good_stays_what_the_first_frame_said():
     np.testing.assert_allclose(after(memory=None).good, 0.1)
     np.testing.assert_allclose(after(memory=5).good, [0.15, 0.12], rtol=1e-3)
     assert np.all(after(memory=None).confidence < after(memory=5).confidence)
+
+
+# --- calibration: the file
+
+
+POINTS = Logistic(
+    intercept=-1.0, coefficients={"confidence": 2.0, "spread": -0.5, "ess": 0.1, "lost": -1.0}, least=0.01
+)
+BOX = Isotonic(score="confidence", knots=[[0.0, 0.1], [0.5, 0.2], [1.0, 0.75]])
+NUMBERS = CrossChecked(
+    rows=10, right=0.5, ece=0.1, brier=0.2, ece_raw=0.3, brier_raw=0.4, within_50=0.5, within_90=0.9, within_90_raw=0.6
+)
+BY = {"points": 2.0, "box": 0.5}
+
+
+def calibration(**maps):
+    checked = dict.fromkeys(maps, NUMBERS)
+    spread = {kind: BY[kind] for kind in maps}
+    return Calibration(
+        recipe="sir", maps=maps, lost=0.3, spread=spread, checked=checked, clips=["a.mp4", "b.mp4"], seeds=2
+    )
+
+
+BOTH = calibration(points=POINTS, box=BOX)
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "both.json"
+    path.write_text(BOTH.to_json(), encoding="utf-8")
+    return path
+
+
+def rows(**columns):
+    """A point in three frames and a box in one."""
+    known = {"confidence": [1.0, 0.6, np.nan, 0.75], "status": ["init", "lost", "absent", "tracked"]}
+    known |= {"w": [8.0, 8.0, np.nan, 40.0], "h": [8.0, 8.0, np.nan, 10.0]}
+    known |= {"std_x": [0.0, 3.0, np.nan, 3.0], "std_y": [0.0, 4.0, np.nan, 4.0], "ess": [100.0, 10.0, np.nan, 1.0]}
+    known |= {"particles": [100.0] * 4, "cov_xy": [0.0, -2.0, np.nan, 1.0]} | columns
+    return build([("face", "nose"), ("face", "box")], [0, 0, 0, 1], [0, 1, 2, 1], **known)
+
+
+def test_a_file_is_read_as_it_was_written(file):
+    found = load_calibration(file)
+    assert found == BOTH and found.to_json().encode() == file.read_bytes()
+
+
+def isotonic(score, *knots):
+    return {"maps": {"box": {"method": "isotonic", "score": score, "knots": [*knots]}}}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"format": "facetrack-gallery"}, '"format" is not facetrack-calibration'),
+        ({"version": 2}, "another version than 1"),
+        ({"maps": {"points": {"method": "logistic", "intercept": "1", "coefficients": {}}}}, "points.logistic.int"),
+        ({"maps": {"points": {"method": "tree"}}}, "maps.points"),
+        (isotonic("confidence"), "knots"),
+        (isotonic("confidence", [0, 0.5], [1, 0.4]), "knots"),
+        (isotonic("spread", [0, 0.4], [1, 0.5]), "fall"),
+        (isotonic("confidence", [0, 0.4], [1, 1.5]), "within"),
+        (isotonic("hue", [0.0, 0.5]), "isotonic.score: input"),
+        ({"maps": {"nose": {"method": "logistic", "intercept": 1.0, "coefficients": {}}}}, "maps.nose"),
+        ({"maps": {"box": {"method": "logistic", "intercept": 1.0, "coefficients": {"hue": 1.0}}}}, "hue"),
+        ({"colour": 1}, "colour"),
+    ],
+)
+def test_a_damaged_file_is_refused_in_a_line_that_names_it(file, change, said):
+    stored = {**json.loads(file.read_text(encoding="utf-8")), **change}
+    file.write_text(json.dumps(stored), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        load_calibration(file)
+    line = str(refused.value)
+    assert line.startswith(f"{file}: ") and said in line and "\n" not in line and "tools/calibrations.py" in line
+
+
+def test_isotonic_of_a_logistic_regression(tmp_path):
+    both = Isotonic(score=POINTS, knots=[[0.0, 0.2], [1.0, 0.6]])
+    known = features(rows(), np.zeros(4, np.bool_), 50.0)
+    np.testing.assert_allclose(both(known), 0.2 + 0.4 * POINTS(known))
+    (tmp_path / "x.json").write_text(calibration(points=both).to_json(), encoding="utf-8")
+    assert load_calibration(tmp_path / "x.json").maps["points"] == both
+
+
+@pytest.mark.parametrize("data", [b"", b"{", b"[1, 2]", b"\xff\xfe", b'{"format": NaN}', b"[" * 100_000])
+def test_what_is_no_calibration_is_refused(tmp_path, data):
+    path = tmp_path / "x.json"
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="is no calibration"):
+        load_calibration(path)
+
+
+# --- rows -----------------------------------------------------------------------------------------------------------
+
+
+def test_features_by_hand():
+    given = rows()
+    known = features(given, np.array([False, False, False, True]), 50.0)
+    assert known["spread"][[0, 1, 3]].tolist() == pytest.approx([np.log(1e-3), np.log(5 / 50), np.log(5 / 20)])
+    assert known["ess"][[0, 1, 3]].tolist() == pytest.approx([0, -1, -2])
+    assert known["log_odds"][1] == pytest.approx(np.log(0.61 / 0.41)) and known["lost"].tolist() == [0, 1, 0, 0]
+    assert known["size"][[0, 1, 3]].tolist() == pytest.approx([np.log(50), np.log(50), np.log(20)])
+    # a single point has no distance to others, but a window
+    assert features(given, np.zeros(4, np.bool_), 0.0)["spread"][1] == pytest.approx(np.log(5 / 8))
+
+
+def test_points_and_boxes_have_maps_of_their_own():
+    given = rows()
+    found = BOTH.applied(given, 50.0)
+    point = 1 / (1 + np.exp(-(-1 + 2 * 0.6 - 0.5 * np.log(0.1) - 0.1 - 1)))
+    # what was given is certain; of what is absent nothing is known
+    np.testing.assert_allclose(found.confidence, [1.0, point, np.nan, 0.475])
+    assert replace(found, confidence=given.confidence).columns().keys() == given.columns().keys()
+    for name, values in given.columns().items():
+        if name not in ("confidence", "status", *SPREAD):
+            np.testing.assert_array_equal(found.columns()[name], values)
+    # of the point that is lost p is above 1/2, of the tracked box below
+    assert given.status.tolist() == ["init", "lost", "absent", "tracked"] and point > 0.5
+    assert found.status.tolist() == ["init", "hidden", "absent", "lost"]
+    np.testing.assert_allclose(found.std_x, given.std_x * [2, 2, 2, 0.5])
+    np.testing.assert_allclose(found.cov_xy, given.cov_xy * [4, 4, 4, 0.25])
+
+
+def test_of_a_lost_box_and_its_points_nothing_is_likely():
+    """Three points and a box, all in one frame: as long as the box is seen a point is hidden, and after that lost."""
+    names = [("face", part) for part in ("nose", "mouth_left", "box")]
+    columns = {"w": [8.0, 8.0, 40.0], "h": [8.0, 8.0, 10.0], "std_x": [0.1] * 3, "std_y": [0.1] * 3, "ess": [90.0] * 3}
+    columns |= {"particles": [100.0] * 3, "cov_xy": [0.0] * 3, "confidence": [0.9] * 3}
+    both = calibration(points=Logistic(intercept=2.0, coefficients={}, least=0.01), box=BOX)
+    for box, point, sure in (("tracked", "hidden", 1 / (1 + np.exp(-2))), ("lost", "lost", 0.3)):
+        given = build(names, [0, 1, 2], [4, 4, 4], status=["tracked", "lost", box], **columns)
+        found = both.applied(given, 50.0)
+        assert found.status.tolist() == ["tracked", point, box]
+        np.testing.assert_allclose(found.confidence[1], sure)
+        assert found.confidence[0] > 0.8 and (found.confidence[2] > 0.5) == (box == "tracked")
+
+
+def test_without_a_map_for_a_part_its_confidence_is_not_known():
+    found = calibration(points=POINTS).applied(rows(), 50.0)
+    assert np.isnan(found.confidence[3]) and np.isfinite(found.confidence[1])
+    assert calibration(box=BOX).applied(rows(), 50.0).confidence[0] == 1.0  # in the first frame
+
+
+# --- recipes --------------------------------------------------------------------------------------------------------
+
+COLUMNS = ("x", "y", "w", "h", "angle", "ess", "particles")
+
+
+@pytest.mark.parametrize(
+    ("recipe", "clip"),
+    [
+        ("factorized_robust", "occlusion"),
+        ("correlation_filter", "passerby"),
+        ("adaptive_robust", "lamp"),
+        ("face", "occlusion"),
+    ],
+)
+def test_a_calibration_changes_confidence_and_spread_alone(file, recipe, clip):
+    raw, found = (
+        track_video(FOLDER / f"{clip}.mp4", load_recipe(recipe, {"confidence.calibration": name}), stop=15)
+        for name in (None, str(file))
+    )
+    for name in COLUMNS:
+        assert getattr(found, name).tobytes() == getattr(raw, name).tobytes(), name
+    assert found.header["recipe"]["confidence"]["calibration"] == str(file)
+    later = raw.status != "init"
+    own = np.isnan(raw.ess)  # of points without particles
+    assert np.array_equal(found.confidence == raw.confidence, own | ~later) and np.all(found.confidence[~later] == 1.0)
+    of_box = np.array([part == "box" for _, part in raw.names])[raw.which]
+    np.testing.assert_allclose(found.std_y, raw.std_y * np.where(own, 1.0, np.where(of_box, 0.5, 2.0)))
+    boxes = of_box & later
+    np.testing.assert_allclose(found.confidence[boxes], BOX({"confidence": raw.confidence[boxes]}))
+
+
+def test_each_cloud_has_its_own(file):
+    path, key = FOLDER / "signing.mp4", "targets.left_hand.confidence.calibration"
+    few = {f"targets.{name}.filter.particles": 200 for name in ("head", "left_hand", "right_hand")}
+    raw, found = (
+        track_video(path, load_recipe("head_hands_cloud", {**few, **more}), stop=6) for more in ({}, {key: str(file)})
+    )
+    changed = {raw.names[i][0] for i in raw.which[raw.confidence != found.confidence]}
+    assert changed == {"left_hand"} and found.x.tobytes() == raw.x.tobytes()
+
+
+def test_a_file_stands_beside_its_recipe_or_is_refused(file, tmp_path):
+    text = (Path(__file__).parents[2] / "configs" / "sir.yaml").read_text(encoding="utf-8")
+    (tmp_path / "mine.yaml").write_text(f"{text}confidence: {{calibration: both.json}}\n", encoding="utf-8")
+    assert check_recipe(str(tmp_path / "mine.yaml")) == []
+    found = track_video(FOLDER / "occlusion.mp4", tmp_path / "mine.yaml", stop=3)
+    assert found.header["recipe"]["confidence"]["calibration"] == "both.json"
+    file.unlink()
+    [problem] = check_recipe(str(tmp_path / "mine.yaml"))
+    assert 'there is no file "both.json"' in str(problem)
+    with pytest.raises(RecipeError, match=r'there is no file "both\.json"'):
+        track_video(FOLDER / "occlusion.mp4", tmp_path / "mine.yaml", stop=3)
+
+
+def test_what_gives_no_confidence_has_none_to_calibrate():
+    with pytest.raises(RecipeError, match="gives no confidence; remove the calibration"):
+        load_recipe("contour_correlation", {"likelihood.contour": None, "confidence.calibration": "x.json"})

@@ -1,25 +1,39 @@
-"""Corrections along the clip: where a target begins again, what that depends on, and what is absent."""
+"""Corrections along the clip: what is said holds, what rows depend on, and what a target takes from the first frame."""
 
+import shutil
+import tempfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given as examples
+from hypothesis import settings
+from hypothesis import strategies as st
 
+from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Correction, Start, TargetStart
-from facetrack_cli.engine.corrected import CorrectedTarget
+from facetrack_cli.core.types import Correction, Frame, Start, TargetStart
+from facetrack_cli.editor.history import Fixer
+from facetrack_cli.editor.save import save
+from facetrack_cli.engine.corrected import CorrectedTarget, is_complete
 from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.spaces import BoxSpace, Estimate, PointSpace
+from facetrack_cli.engine.target import Bound
 from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.start.assembly import build_tracker
+from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.appearance.affine import AffineSpace
 from facetrack_cli.trackers.skin.cloud import CloudSpace
+from facetrack_cli.trajectory.header import CORRECTED
 from facetrack_cli.trajectory.trajectory import joined
 from facetrack_cli.trajectory.writers import csv_frames
 from tests.support.results import parts_of
-from tests.support.samples import TrackClip
+from tests.support.samples import FOLDER, TrackClip
 
 PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
+FEW = ("filter.particles=12",)
 
 
 class Clip(TrackClip):
@@ -35,9 +49,13 @@ class Clip(TrackClip):
         return row.x - (row.w - 1) / 2, row.y - (row.h - 1) / 2, row.w, row.h
 
 
+FACE = Clip("expressions", 32)
+NOSE = {"nose": (160.0, 138.0)}
+
+
 @pytest.fixture(scope="module")
-def face():
-    return Clip("expressions", 40)
+def box():
+    return FACE.start.targets["face"].box
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +68,9 @@ def zoom():
     return Clip("zoom", 24)
 
 
-def run(config, clip, *corrections, seed=0, overrides=(), start=None):
+def run(config, clip, *corrections, seed=0, overrides=(), start=None, stop=None):
     start = replace(start or clip.start, corrections=corrections)
-    return list(track(build_tracker(load_recipe(config, overrides), start), iter(clip.frames), seed))
+    return list(track(build_tracker(load_recipe(config, overrides), start), iter(clip.frames[:stop]), seed))
 
 
 def lines(results, first=0):
@@ -63,79 +81,144 @@ def part(result, name, target=0):
     return next(one for one in parts_of(result.targets[target]) if one.part == name)
 
 
+def statuses(result):
+    return [one.status for one in parts_of(result.targets[0])]
+
+
 def given(frame, target="face", **said):
     box, points = said.pop("box", None), said.pop("points", {})
     return Correction(frame, target, TargetStart(box=box, points=points), **said)
 
 
-def test_what_is_given_stands_where_it_says_and_the_others_where_they_were(face):
-    plain = run("factorized", face)
-    put = run("factorized", face, given(20, points={"mouth_left": (130.25, 150.5)}))
-    assert lines(put)[:20] == lines(plain)[:20]
-    assert lines(put, 21) != lines(plain, 21)
-    moved = part(put[20], "mouth_left")
-    assert (moved.x, moved.y, moved.status, moved.confidence, moved.by_hand) == (130.25, 150.5, "init", 1.0, True)
-    for name in PARTS:
-        if name != "mouth_left":
-            here, there = part(put[20], name), part(plain[20], name)
-            assert (here.x, here.y) == (round(there.x, 3), round(there.y, 3))
-            assert (here.status, here.by_hand) == ("tracked", False)
-    assert not any(one.by_hand for result in put for one in parts_of(result.targets[0]) if result.frame.index != 20)
+# --- laws, whatever is corrected and in whatever order --------------------------------------------------------------
+
+LAST = 13
+RECIPES = st.sampled_from(("sir", "auxiliary_prior", "factorized", "factorized_transition"))
+WAYS = ("given", "kept", "absent", "open")
 
 
-@pytest.mark.parametrize("config", ["sir", "auxiliary_prior", "factorized", "factorized_robust"])
-def test_what_follows_a_complete_correction_does_not_depend_on_what_was_before(config, face):
-    last = given(25, points=face.points(25, PARTS[:2]), kept=face.points(25, PARTS[2:]))
-    one = run(config, face, last)
-    other = run(config, face, given(10, points={"nose": (100.0, 90.0)}), last)
-    assert lines(one, 25) == lines(other, 25)
-    assert lines(one)[10:25] != lines(other)[10:25]
-    assert lines(run(config, face, last, seed=1), 26) != lines(one, 26)
+@st.composite
+def correction(draw, frame, ways=WAYS):
+    """Of the face at a frame: each part is given, kept, absent or not spoken of, and something is corrected."""
+    way = dict(zip(PARTS, draw(st.lists(st.sampled_from(ways), min_size=5, max_size=5)), strict=True))
+    if not {"given", "absent"} & {*way.values()}:
+        way[draw(st.sampled_from(PARTS))] = "given"
+    off = st.sampled_from((-6.0, -1.5, 0.0, 0.25, 3.0))
+    places = {name: tuple(round(v + draw(off), 3) for v in FACE.point(frame, name)) for name in PARTS}
+    absent = tuple(name for name in PARTS if way[name] == "absent")
+    whole = not {"absent", "open"} & {*way.values()}
+    return Correction(
+        frame,
+        "face",
+        TargetStart(points={name: places[name] for name in PARTS if way[name] == "given"}),
+        {name: places[name] for name in PARTS if way[name] == "kept"} if len(absent) < 5 else {},
+        True if len(absent) == 5 else absent,
+        draw(st.sampled_from((None, False, True) if whole else (None, False))),
+    )
+
+
+@st.composite
+def corrections(draw, first=1, last=LAST, most=3, ways=WAYS):
+    frames = draw(st.lists(st.integers(first, last), max_size=most, unique=True))
+    return tuple(draw(correction(frame, ways)) for frame in sorted(frames))
+
+
+def hidden(those):
+    """Of each frame, the parts without a place."""
+    found, now = [], set()
+    for frame in range(LAST + 1):
+        for one in those:
+            if one.frame == frame:
+                gone = set(PARTS) if one.absent is True else {*one.absent}
+                now = gone | (now - {*one.given.points, *one.kept} if not is_complete(one, PARTS) else set())
+        found.append(now)
+    return found
+
+
+@examples(RECIPES, corrections())
+def test_what_is_said_holds_and_what_comes_before_stays(config, those):
+    put = run(config, FACE, *those, overrides=FEW, stop=LAST + 1)
+    first = min((one.frame for one in those), default=LAST + 1)
+    assert lines(put)[:first] == lines(run(config, FACE, overrides=FEW, stop=first))
+    for result, gone in zip(put, hidden(those), strict=True):
+        [said] = [one for one in those if one.frame == result.frame.index] or [Correction(0, "face")]
+        by_hand = {*said.given.points, *(gone if said.frame else ())}  # also what is still absent
+        assert np.isfinite(result.targets[0].cloud).all()
+        for one in parts_of(result.targets[0]):
+            assert (one.status == "absent") == (one.x is None) == (one.part in gone)
+            assert (one.status == "init") == (result.frame.index == 0 or one.part in said.given.points)
+            assert one.by_hand == (one.part in by_hand)
+            for places in (said.given.points, said.kept):
+                assert (one.x, one.y) == places.get(one.part, (one.x, one.y))
+
+
+@examples(RECIPES, st.data())
+def test_what_follows_a_complete_correction_depends_on_nothing_before_it(config, data):
+    at = data.draw(st.integers(4, LAST - 1))
+    last = data.draw(correction(at, ("given", "kept", "absent")))
+    ways = [(*data.draw(corrections(1, at - 1)), last) for _ in range(2)]
+    after = data.draw(corrections(at + 1))
+    one, other = (lines(run(config, FACE, *way, *after, overrides=FEW, stop=LAST + 1), at) for way in ways)
+    assert one == other
+    [target] = build_tracker(load_recipe(config, FEW), replace(FACE.start, corrections=(last, *after)))
+    assert lines(track((replace(target, first=FACE.frames[0]),), iter(FACE.frames[at : LAST + 1]), 0)) == one
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made")
+    words = ["run", FOLDER / "expressions.mp4", "-o", folder, "--set", FEW[0], "--stop", LAST + 1, "--no-video", "-q"]
+    assert main([*map(str, words), "--overwrite", "--format", "json,csv"]) == 0
+    return folder
+
+
+@examples(those=corrections(most=4), order=st.randoms(use_true_random=False))
+@settings(max_examples=settings().max_examples // 5)
+def test_a_run_put_right_is_a_whole_run_from_the_init_file_that_is_written(made, those, order):
+    """Also that file, read, begins as it says; and of complete corrections the order of making does not matter."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(shutil.copytree(made, name, dirs_exist_ok=True))
+        fixer = Fixer(open_run(folder), lambda index: FACE.frames[index])
+        for one in order.sample(those, len(those)):
+            fixer.put([one])
+        assert fixer.corrections == those or not all(is_complete(one, PARTS) for one in those)
+        save(fixer)
+        fixer.close()
+        if not those:
+            return
+        start = read_init(folder / CORRECTED)
+        assert start.corrections == fixer.corrections == open_run(folder).start.corrections
+        # the recorded run has a detector, and that file has none
+        start = replace(start, detector=open_run(folder).start.detector)
+        again = run("face", FACE, *start.corrections, overrides=FEW, start=start, stop=LAST + 1)
+        assert (folder / "trajectory.csv").read_text().split("\n", 1)[1] == "".join(lines(again))
 
 
 RESUMED = [
-    ("sir", "face"), ("auxiliary_prior", "face"), ("independent", "face"), ("factorized", "face"), ("prior", "absent"),
-    ("histogram", "head"), ("contour_correlation", "head"), ("skin_ncc", "zoom"), ("mil", "head"),
-    ("adaptive", "zoom"), ("adaptive_robust", "zoom"),
+    ("histogram", None), ("histogram", True), ("histogram", False), ("contour_correlation", None), ("skin_ncc", None),
+    ("mil", None), ("adaptive", True), ("adaptive", False), ("adaptive_robust", None),
 ]  # fmt: skip
-BY_DAY = [("factorized", "face"), ("histogram", "head"), ("adaptive", "zoom")]  # tried with every `learn` by day
 
 
-@pytest.mark.parametrize(
-    ("config", "which", "learn"),
-    [
-        pytest.param(*one, learn, marks=[] if learn is None or one in BY_DAY else pytest.mark.nightly)
-        for one in RESUMED
-        for learn in (None, True, False)
-    ],
-)
-def test_a_part_of_a_run_tracked_anew_is_what_the_whole_run_has(config, which, learn, face, head, zoom):
-    name = "face"
-    if which in ("face", "absent"):
-        clip, config = face, "factorized" if which == "absent" else config
-        hidden = ("lip_lower",) if which == "absent" else ()
-        if hidden and learn:
-            pytest.skip("what is absent cannot be learned")
-        seen = [one for one in PARTS if one not in hidden]
-        said = {"points": face.points(15, seen[:1]), "kept": face.points(15, seen[1:]), "absent": hidden}
-    else:
-        clip = head if which == "head" else zoom
-        [name] = clip.start.targets
-        said = {"box": clip.box(15)}
-    if config == "mil" and learn is False:
-        pytest.skip("OpenCV's trackers begin again in any case")
-    correction = given(15, name, **said, learn=learn)
-    whole = run(config, clip, given(6, name, **said | {"absent": ()} if which != "absent" else said), correction)
-    [target] = build_tracker(load_recipe(config), replace(clip.start, corrections=(correction,)))
+@pytest.mark.parametrize(("config", "learn"), RESUMED)
+def test_a_part_of_a_run_tracked_anew_is_what_the_whole_run_has(config, learn, head, zoom):
+    clip = zoom if config in ("skin_ncc", "adaptive", "adaptive_robust") else head
+    [name] = clip.start.targets
+    last = given(12, name, box=clip.box(12), learn=learn)
+    whole = run(config, clip, given(6, name, box=clip.box(12), learn=learn), last, stop=16)
+    [target] = build_tracker(load_recipe(config), replace(clip.start, corrections=(last,)))
     assert isinstance(target, CorrectedTarget)
-    part_of = list(track((target.resumed(clip.frames[0]),), iter(clip.frames[15:]), 0))
-    assert lines(part_of) == lines(whole, 15)
+    part_of = track((replace(target, first=clip.frames[0]),), iter(clip.frames[12:16]), 0)
+    assert lines(part_of) == lines(whole, 12)
 
 
-def test_only_the_corrected_target_changes_and_it_keeps_its_own_numbers(face):
-    two = Start(0, {"anna": face.start.targets["face"], "ben": face.start.targets["face"]}, "two.yaml")
-    plain = run("factorized", face, start=two)
-    put = run("factorized", face, given(12, "ben", points=face.points(12)), start=two)
+# --- random numbers ------------------------------------------------------------------------------------------------
+
+
+def test_only_the_corrected_target_changes_and_it_keeps_its_own_numbers():
+    two = Start(0, dict.fromkeys(("anna", "ben"), FACE.start.targets["face"]), "two.yaml")
+    last = given(12, "ben", points=FACE.points(12))
+    plain, put = (run("factorized", FACE, *said, start=two, stop=16) for said in ((), (last,)))
 
     def of(results, target):
         return ["".join(csv_frames(joined(result.rows.of_target(target)))) for result in results]
@@ -143,111 +226,93 @@ def test_only_the_corrected_target_changes_and_it_keeps_its_own_numbers(face):
     assert of(put, "anna") == of(plain, "anna")
     assert of(put, "ben")[:12] == of(plain, "ben")[:12]
     assert all(a != b for a, b in zip(of(put, "ben")[12:], of(plain, "ben")[12:], strict=True))
-    target = build_tracker(
-        load_recipe("factorized"), replace(two, corrections=(given(12, "ben", points=face.points(12)),))
-    )[1]
-    again = list(
-        track(
-            (build_tracker(load_recipe("factorized"), two)[0], target.resumed(face.frames[0])),
-            iter(face.frames[12:]),
-            0,
-        )
-    )
+    anna, ben = build_tracker(load_recipe("factorized"), replace(two, corrections=(last,)))
+    again = list(track((anna, replace(ben, first=FACE.frames[0])), iter(FACE.frames[12:16]), 0))
     assert of(again, "ben") == of(put, "ben")[12:]
 
 
+def test_no_correction_draws_the_numbers_of_another_correction_or_target():
+    """On an image that stands still, where whoever draws the same goes the same way."""
+    start, at = Start(0, dict.fromkeys(("anna", "ben"), FACE.start.targets["face"]), "two.yaml"), FACE.points(0)
+
+    def ways(*places):
+        """Of each target and frame, the places of two targets that begin alike, and are corrected alike."""
+        said = tuple(given(frame, name, points=at) for frame, name in places)
+        tracker = build_tracker(load_recipe("factorized_transition", FEW), replace(start, corrections=said))
+        results = list(track(tracker, (Frame(i, i / 25, FACE.frames[0].bgr) for i in range(16)), 0))
+        return ([result.targets[k].rows.x.tolist() for result in results] for k in (0, 1))
+
+    def apart(one, other):
+        return all(a != b for a, b in zip(one, other, strict=True))
+
+    anna, ben = ways((4, "anna"), (4, "ben"))
+    assert anna[4] == ben[4] and apart(anna[5:], ben[5:])
+    anna, _ = ways((4, "anna"), (10, "anna"))
+    assert anna[4] == anna[10] and apart(anna[5:10], anna[11:])
+    for frame in (1, 2):  # the second target's stream is called by its place, 1, a correction's by its frame as well
+        anna, ben = ways((frame, "anna"))
+        assert anna[frame] == ben[0] and anna[frame + 1] != ben[1]
+
+
+# --- places --------------------------------------------------------------------------------------------------------
+
+
+def test_what_is_given_stands_where_it_says_and_the_others_where_they_were():
+    plain = run("factorized", FACE, stop=23)
+    put = run("factorized", FACE, given(20, points={"mouth_left": (130.25, 150.5)}), stop=23)
+    moved = part(put[20], "mouth_left")
+    assert (moved.x, moved.y, moved.status, moved.confidence, moved.by_hand) == (130.25, 150.5, "init", 1.0, True)
+    for name in {*PARTS} - {"mouth_left"}:
+        here, there = part(put[20], name), part(plain[20], name)
+        assert (here.x, here.y, here.status) == (round(there.x, 3), round(there.y, 3), "tracked")
+
+
+@pytest.mark.parametrize("learn", [None, True, False])
+def test_windows_stay_as_the_start_has_them(learn):
+    """Though the points, by which lengths are measured, are put further apart."""
+    left, top = FACE.point(0, "nose")
+    wide = {name: (left + 1.5 * (x - left), top + 1.5 * (y - top)) for name, (x, y) in FACE.points(0).items()}
+    put = run("sir", FACE, given(2, points=wide, learn=learn), overrides=FEW, stop=5)
+    sides = [[(part.w, part.h) for part in parts_of(result.targets[0])] for result in put]
+    assert all(one == sides[0] for one in sides) and len(sides[0]) == len(PARTS)
+
+
 def test_a_lost_box_that_is_put_right_is_followed_again(head):
-    [name] = head.start.targets
     left, top, w, h = head.box(10)
-    wrong = given(10, name, box=(left - 90, top - 20, w, h))
-    lost = run("histogram", head, wrong)
-    found = run("histogram", head, wrong, given(18, name, box=head.box(18)))
+    wrong = given(10, "head", box=(left - 90, top - 20, w, h))
+    lost, found = (run("histogram", head, wrong, *more) for more in ((), (given(18, "head", box=head.box(18)),)))
 
     def off(results):
-        true = np.array([(head.truth[i, "box"].x, head.truth[i, "box"].y) for i in range(18, 30)])
-        return np.hypot(*(np.array([(part(r, "box").x, part(r, "box").y) for r in results[18:30]]) - true).T)
+        each = [(part(one, "box"), head.truth[one.frame.index, "box"]) for one in results[18:]]
+        return np.array([np.hypot(box.x - true.x, box.y - true.y) for box, true in each])
 
-    assert off(lost).min() > 40
-    assert off(found).max() < 12
+    assert off(lost).min() > 40 and off(found).max() < 12
 
 
-def test_absent_parts_have_no_place_and_the_others_go_on(face):
-    hidden = run("factorized", face, given(10, absent=("nose",)), given(30, points={"nose": face.point(30, "nose")}))
-    nose = [part(result, "nose") for result in hidden]
-    assert [one.status for one in nose[9:11]] == ["tracked", "absent"]
-    assert {one.status for one in nose[10:30]} == {"absent"}
-    assert {(one.x, one.y, one.w, one.h, one.confidence) for one in nose[10:30]} == {(None,) * 5}
-    assert (nose[10].by_hand, nose[11].by_hand) == (True, False)
-    assert (nose[30].status, nose[31].status) == ("init", "tracked")
-    assert "10,0.4000,face,nose,,,,,,,absent,,,,,,100,,," in lines(hidden)[10]
+def test_absent_parts_have_no_place_and_the_others_go_on():
+    put = run("factorized", FACE, given(10, absent=("nose",)), given(25, points=FACE.points(25, ("nose",))))
+    nose = [part(result, "nose") for result in put]
+    assert {(one.status, one.x, one.w, one.confidence) for one in nose[10:25]} == {("absent", None, None, None)}
+    assert [one.status for one in (nose[9], nose[25], nose[26])] == ["tracked", "init", "tracked"]
+    assert "10,0.4000,face,nose,,,,,,,absent,,,,,,100,,," in lines(put)[10]
     for name in PARTS[1:]:
-        off = [np.hypot(part(r, name).x - face.point(r.frame.index, name)[0],
-                        part(r, name).y - face.point(r.frame.index, name)[1]) for r in hidden[10:]]  # fmt: skip
-        assert np.mean(off) < (6.0 if name == "lip_lower" else 2.0)  # the lower lip strays in any case
-    cloud = hidden[25].targets[0].cloud
-    first = face.start.targets["face"].points
-    shape = np.array(first["nose"]) - np.mean([first[one] for one in PARTS[1:]], axis=0)
-    np.testing.assert_allclose(cloud[:, 0], cloud[:, 1:].mean(axis=1) + shape, atol=1e-9)
+        off = [np.hypot(*np.subtract((part(r, name).x, part(r, name).y), FACE.point(r.frame.index, name))) for r in put]
+        assert np.mean(off[10:]) < (6.0 if name == "lip_lower" else 2.0)  # the lower lip strays in any case
 
 
-@pytest.mark.parametrize("config", ["sir", "auxiliary_prior", "independent", "factorized_transition"])
-def test_every_filter_leaves_out_what_is_absent(config, face):
-    results = run(config, face, given(5, absent=("lip_upper", "nose")))
-    for result in results[5:]:
-        assert [one.status == "absent" for one in parts_of(result.targets[0])] == [True, False, False, True, False]
-        assert np.isfinite(result.targets[0].cloud).all()
-
-
-def test_a_target_may_be_gone_and_come_back(face, head):
-    gone = run("factorized", face, given(8, absent=True), given(20, points=face.points(20, PARTS[:3])))
-    assert {one.status for result in gone[8:20] for one in parts_of(result.targets[0])} == {"absent"}
+def test_a_target_may_be_gone_and_come_back(head):
+    gone = run("factorized", FACE, given(8, absent=True), given(12, points=FACE.points(12, PARTS[:3])), stop=14)
     assert gone[10].targets[0].cloud.shape == (0, 5, 2)
     assert {one.particles for one in parts_of(gone[10].targets[0])} == {None}
-    assert [one.status for one in parts_of(gone[20].targets[0])] == ["init"] * 3 + ["absent"] * 2
-    [name] = head.start.targets
-    away = run("histogram", head, given(4, name, absent=("box",)), given(12, name, box=head.box(12)))
-    assert [part(r, "box").status for r in away[3:14]] == ["tracked"] + ["absent"] * 8 + ["init", "tracked"]
-
-
-def test_the_points_of_a_box_given_alone_are_placed_by_the_picture(face):
-    results = run("factorized", face, given(20, box=face.start.targets["face"].box))
-    for name in PARTS:
-        one = part(results[20], name)
-        x, y = face.point(20, name)
-        assert (one.status, one.by_hand) == ("init", True)
-        assert np.hypot(one.x - x, one.y - y) < 12
-
-
-def test_a_target_that_is_gone_covers_nothing():
-    [target] = build_tracker(
-        load_recipe("histogram"), Start(0, {"a": TargetStart(box=(5, 5, 20, 20))}, "a", (given(3, "a", absent=True),))
-    )
-    frame = Clip("textured", 1).frames[0]
-    state, _ = target.begin(np.random.default_rng(0), frame)
+    assert statuses(gone[12]) == ["init"] * 3 + ["absent"] * 2
+    away = run("histogram", head, given(4, "head", absent=("box",)), given(12, "head", box=head.box(12)), stop=14)
+    assert [statuses(r)[0] for r in away[3:]] == ["tracked"] + ["absent"] * 8 + ["init", "tracked"]
+    start = replace(head.start, corrections=(given(1, "head", absent=True),))
+    [target], rng = build_tracker(load_recipe("histogram"), start), np.random.default_rng(0)
+    state, _ = target.begin(rng, head.frames[0])
     assert target.footprint(state, ahead=False) is not None
-    state, _ = target.advance(np.random.default_rng(0), state, replace_index(frame, 3), ())
-    assert target.footprint(state, ahead=False) is None
-
-
-def replace_index(frame, index):
-    return type(frame)(index, index / 25, frame.bgr)
-
-
-REFUSED = [
-    ("factorized", given(5, points={"nase": (3, 3)}), "has nase, which is no part that is followed; these are nose"),
-    ("factorized", given(5, absent=("lip",)), "has lip"),
-    ("histogram", given(5, points={"nose": (3, 3)}), "has no box, which the recipe follows"),
-    ("histogram", given(5, box=(3, 3, 2, 2)), "the box of face at frame 5 is smaller than"),
-    ("factorized", given(5, points={"nose": (3, 3)}, absent=("lip_upper",), learn=True), "lip_upper cannot be learned"),
-    ("mil", given(5, box=(30, 30, 40, 40), learn=False), "begin again in any case"),
-]
-
-
-@pytest.mark.parametrize(("config", "correction", "says"), REFUSED)
-def test_corrections_that_the_recipe_cannot_follow_are_refused(config, correction, says, face):
-    with pytest.raises(InputError, match=says) as refused:
-        run(config, face, correction)
-    assert "expressions.init.yaml: " in str(refused.value)
+    state, _ = target.advance(rng, state, head.frames[1], ())
+    assert target.footprint(state, ahead=False) is None, "it covers nothing"
 
 
 @pytest.mark.parametrize("box", [(10.0, 20.0, 60.0, 80.0), (0.5, -3.0, 15.0, 20.0)])
@@ -261,51 +326,225 @@ def test_spaces_place_a_box_and_give_its_centre_and_size_again(box):
         PointSpace(np.ones((1, 2))).at(box)
 
 
-def test_a_part_that_is_kept_where_it_is_not_is_lost_at_once(face):
-    put = run(
-        "factorized", face, given(20, points={"mouth_left": face.point(20, "mouth_left")}, kept={"nose": (40.0, 40.0)})
-    )
+def test_a_part_that_is_kept_where_it_is_not_is_lost_at_once():
+    said = given(20, points=FACE.points(20, ("mouth_left",)), kept={"nose": (40.0, 40.0)})
+    put = run("factorized", FACE, said, stop=21)
     assert [part(put[i], "nose").status for i in (19, 20)] == ["tracked", "lost"]
-    assert part(put[20], "nose").confidence < 0.3
-    assert part(put[20], "lip_upper").status == "tracked"
+    assert part(put[20], "nose").confidence < 0.3 and part(put[20], "lip_upper").status == "tracked"
 
 
-def test_what_is_given_is_learned_anew_and_the_others_keep_what_the_first_frame_taught(face):
-    [target] = build_tracker(load_recipe("factorized"), face.start)
-    first, _ = target.begin(np.random.default_rng(0), face.frames[0])
-    x0 = np.array([face.point(30, name) for name in PARTS])
+# --- boxes that place points ---------------------------------------------------------------------------------------
+
+
+def test_a_box_places_what_is_there_and_leaves_out_what_is_absent(box):
+    whole = run("factorized", FACE, given(15, box=box), stop=17)
+    put = run("factorized", FACE, given(15, box=box, absent=("lip_upper",)), stop=17)
+    assert statuses(put[15]) == ["init", "init", "init", "absent", "init"] and statuses(put[16])[3] == "absent"
+    for name in PARTS:
+        one, two = part(whole[15], name), part(put[15], name)
+        assert one.by_hand and two.by_hand and np.hypot(*np.subtract((one.x, one.y), FACE.point(15, name))) < 12
+        assert (two.x, two.y) == ((None, None) if name == "lip_upper" else (one.x, one.y))
+    outside = given(15, box=(-42.0, 100.0, 130.0, 130.0), absent=("mouth_left",))
+    assert statuses(run("factorized", FACE, outside, stop=16)[15]) == ["init", "absent", "init", "init", "init"]
+
+
+def test_a_box_beside_points_says_nothing_of_the_others(box):
+    """They stay where the tracker sees them, as without the box."""
+    assert not is_complete(given(15, box=box, points=NOSE), PARTS)
+    assert is_complete(given(15, box=box), PARTS) and is_complete(given(15, box=box, points=NOSE), ("box",))
+    both, points = (run("factorized", FACE, given(9, points=NOSE, **more), stop=12) for more in ({"box": box}, {}))
+    assert lines(both) == lines(points)
+
+
+def test_what_a_box_brings_back_can_be_learned_later(box):
+    rest = given(15, points=FACE.points(15, PARTS[1:]), learn=True)
+    put = run("factorized", FACE, given(5, absent=("nose",)), given(10, box=box), rest, stop=16)
+    assert statuses(put[9])[0] == "absent" and "absent" not in statuses(put[10])
+
+
+def test_a_single_point_is_learned_anew_by_the_length_of_the_first_frame(box):
+    start = Start(0, {"face": TargetStart(box=box, points=FACE.points(0, ("nose",)))}, "one.yaml")
+    again, alone = given(10, points=FACE.points(10, ("nose",)), learn=True), ("target.parts=[nose]",)
+    put = run("sir", FACE, again, start=start, overrides=alone, stop=26)
+    assert np.hypot(*np.subtract((part(put[25], "nose").x, part(put[25], "nose").y), FACE.point(25, "nose"))) < 4
+
+
+def test_a_box_cannot_place_parts_that_no_cascade_knows(box):
+    points = {"nose": (160, 140), "chin": (160, 180)}
+    more = {
+        "start": Start(0, {"face": TargetStart(points=points)}, "own.yaml"),
+        "overrides": ("target.parts=[nose,chin]",),
+    }
+    with pytest.raises(InputError, match=r"own.yaml: the correction of face at frame 9: no cascade can place chin"):
+        run("factorized_transition", FACE, given(9, box=box), **more)
+    for fine in (given(9, box=box, absent=True), given(9, box=box, points=points)):
+        run("factorized_transition", FACE, fine, **more, stop=10)
+
+
+AT_ONCE = dict.fromkeys(PARTS, (160.0, 140.0))
+REFUSED = [
+    ("factorized", "has nase, which is no part that is followed; these are nose", given(5, points={"nase": (3, 3)})),
+    ("factorized", "has lip", given(5, absent=("lip",))),
+    ("histogram", "has no box, which the recipe follows", given(5, points={"nose": (3, 3)})),
+    ("histogram", "the box of face at frame 5 is smaller than", given(5, box=(3, 3, 2, 2))),
+    ("factorized", "lip_upper cannot be learned", given(5, points=NOSE, absent=("lip_upper",), learn=True)),
+    ("factorized", "absent; leave learn out", given(2, absent=("lip_upper",)), given(5, points=NOSE, learn=True)),
+    ("mil", "begin again in any case", given(5, box=(30, 30, 40, 40), learn=False)),
+    ("factorized", "would put mouth_left outside the frame", given(15, box=(-42.0, 100.0, 130.0, 130.0))),
+    ("sir", "all points of face are in one place; move them apart", given(2, points=AT_ONCE, learn=True)),
+]
+
+
+@pytest.mark.parametrize(("config", "says", "those"), [(config, says, those) for config, says, *those in REFUSED])
+def test_corrections_that_the_recipe_cannot_follow_are_refused(config, says, those):
+    with pytest.raises(InputError, match=says) as refused:
+        run(config, FACE, *those, stop=16)
+    assert "expressions.init.yaml: " in str(refused.value)
+
+
+def test_colours_are_not_learned_anew():
+    anew = given(5, "left_hand", box=(80.0, 120.0, 33.0, 71.0), learn=True)
+    with pytest.raises(InputError, match="left_hand at frame 5: colours are learned in the first frame alone"):
+        run("head_hands_cloud", Clip("signing", 1), anew)
+
+
+# --- what is learned, and what is taken from the first frame --------------------------------------------------------
+
+
+def begun(config, clip):
+    """A target, and its state after the first frame."""
+    [target] = build_tracker(load_recipe(config), clip.start)
+    state, _ = target.begin(np.random.default_rng(0), clip.frames[0])
+    return target, state
+
+
+def test_what_is_given_is_learned_anew_and_the_others_keep_what_the_first_frame_taught():
+    target, first = begun("factorized", FACE)
+    x0 = np.array([FACE.point(30, name) for name in PARTS])
     chosen = np.array([False, True, False, False, True])
-    likelihood, frame = target.likelihood, face.frames[30]
+    likelihood, frame = target.likelihood, FACE.frames[30]
     learned = likelihood.relearn(first.learned, frame, x0, chosen)
-    here = likelihood.distances(learned, frame, x0[None])[0]
-    before = likelihood.distances(first.learned, frame, x0[None])[0]
+    here, before = (likelihood.distances(each, frame, x0[None])[0] for each in (learned, first.learned))
     np.testing.assert_allclose(here[chosen], 0, atol=1e-6)
     np.testing.assert_array_equal(here[~chosen], before[~chosen])
     assert before[chosen].min() > 0.01
     whole = likelihood.init(frame, x0)
     np.testing.assert_array_equal(learned.sigma, np.where(chosen, whole.sigma, first.learned.sigma))
-    said = {
-        "points": face.points(30, ("mouth_left", "lip_lower")),
-        "kept": face.points(30, ("nose", "mouth_right", "lip_upper")),
-    }
-    ways = [lines(run("factorized", face, given(30, **said, learn=learn)), 31) for learn in (None, False, True)]
+    said = {"points": FACE.points(29, PARTS[1:3]), "kept": FACE.points(29, (PARTS[0], *PARTS[3:]))}
+    ways = [lines(run("factorized", FACE, given(29, **said, learn=learn)), 30) for learn in (None, False, True)]
     assert ways[0] != ways[1] != ways[2] != ways[0]
 
 
-def test_a_part_learned_anew_is_judged_by_what_it_looks_like_now(face):
+def test_a_part_learned_anew_is_judged_by_what_it_looks_like_now():
     """In frame 30 the light is another: at the ground truth, the new template is the better one."""
-    [target] = build_tracker(load_recipe("factorized"), face.start)
-    first, _ = target.begin(np.random.default_rng(0), face.frames[0])
-    place = TargetStart(points=face.points(30))
-    kept, _ = target.restart(np.random.default_rng(0), face.frames[30], first, place)
-    anew, _ = target.restart(np.random.default_rng(0), face.frames[30], first, place, anew=("lip_lower",))
-    np.testing.assert_array_equal(anew.judgement.good[:4], kept.judgement.good[:4])
-    assert anew.judgement.confidence[4] == 1.0
-    assert anew.judgement.bad[4] != kept.judgement.bad[4]
-    assert anew.judgement.status == (*kept.judgement.status[:4], "init")
+    target, first = begun("factorized", FACE)
+    kept, anew = (
+        target.restart(
+            np.random.default_rng(0), FACE.frames[30], first, TargetStart(points=FACE.points(30)), anew=parts
+        )[0].judgement
+        for parts in ((), ("lip_lower",))
+    )
+    np.testing.assert_array_equal(anew.good[:4], kept.good[:4])
+    assert anew.confidence[4] == 1.0 and anew.bad[4] != kept.bad[4]
+    assert anew.status == (*kept.status[:4], "init")
 
 
-def test_what_is_kept_and_learned_anew_is_still_where_the_tracker_was(face):
-    said = {"points": face.points(30, PARTS[:2]), "kept": face.points(30, PARTS[2:])}
-    put = run("factorized", face, given(30, **said, learn=True))
-    assert [one.status for one in parts_of(put[30].targets[0])] == ["init"] * 2 + ["tracked"] * 3
+def test_absent_parts_say_nothing_and_follow_the_others_in_the_shape_of_the_first_frame():
+    """They say neither what they look like, nor how they moved, nor what shape they make."""
+    away = np.array([name in ("nose", "lip_upper") for name in PARTS])
+    target, first = begun("factorized", FACE)
+    place = TargetStart(points=FACE.points(10, [name for name in PARTS if name not in ("nose", "lip_upper")]))
+    state, _ = target.restart(np.random.default_rng(1), FACE.frames[10], first, place, ("nose", "lip_upper"))
+    x = state.particles.x
+    shape = np.array([FACE.start.targets["face"].points[name] for name in PARTS])
+    following = x[:, ~away].mean(axis=1, keepdims=True) + shape[away] - shape[~away].mean(0)
+    np.testing.assert_allclose(x[:, away], following, atol=1e-9)
+    model = Bound(target, state, FACE.frames[11], (), target.motion)
+    x = x + np.random.default_rng(2).normal(0, 2, x.shape)
+    before, after = x.copy(), target.follow(x, away)
+    np.testing.assert_array_equal(x, before)
+    assert (after[:, ~away] == x[:, ~away]).all() and (after[:, away] != x[:, away]).all()
+    for said in (model.log_likelihood(x, x), model.log_transition(x, x + 1)):
+        assert not said[..., away].any() and said[..., ~away].any(axis=0).all()
+    elsewhere = x.copy()
+    elsewhere[:, away] += 30
+    np.testing.assert_array_equal(model.log_prior(elsewhere), model.log_prior(x))
+    elsewhere[:, ~away] += np.arange(6).reshape(3, 2)
+    assert (model.log_prior(elsewhere) != model.log_prior(x)).any()
+
+
+@pytest.mark.parametrize("config", ["contour_correlation", "skin_ncc"])
+def test_what_is_carried_from_frame_to_frame_is_carried_from_the_correction(config, head, zoom):
+    clip = head if config == "contour_correlation" else zoom
+    target, first = begun(config, clip)
+    asked = []
+
+    class Spy(type(target.likelihood)):
+        def learn(self, learned, frame, state, particles):
+            asked.append((learned, frame.index, state[0, :2].tolist(), particles))
+            return "learned"
+
+    target = replace(target, likelihood=Spy(**vars(target.likelihood)))
+    left, top, w, h = clip.box(10)
+    state, _ = target.restart(np.random.default_rng(1), clip.frames[10], first, TargetStart(box=(left, top, w, h)))
+    [(learned, frame, place, particles)] = asked
+    assert state.learned == "learned" and learned is first.learned and frame == 10
+    assert place == pytest.approx([left + (w - 1) / 2, top + (h - 1) / 2]) and particles is state.particles
+
+
+def scale_of(result):
+    (scale,) = result.rows.diagnostics["face"].get("scale")
+    return scale
+
+
+def test_a_prediction_and_the_insets_begin_in_the_frame_of_the_correction(zoom):
+    target, first = begun("adaptive_velocity", zoom)
+    place = TargetStart(box=zoom.box(10))
+    state, result = target.restart(np.random.default_rng(1), zoom.frames[10], first, place)
+    again = target.motion.begin(np.random.default_rng(9), zoom.frames[10], state.estimated.state)
+    np.testing.assert_array_equal(state.flow.patch, again.patch)
+    assert (state.flow.patch != first.flow.patch).any()
+    shown, wanted, before = (
+        dict(each) for each in (result.insets, *map(target.likelihood.insets, (state.learned, first.learned)))
+    )
+    assert all((shown[name] == wanted[name]).all() for name in shown) and shown.keys() == wanted.keys()
+    assert any((shown[name] != before[name]).any() for name in shown)
+    assert scale_of(result) == pytest.approx(np.sqrt(zoom.box(10)[2] * zoom.box(10)[3]) / zoom.box(0)[2], rel=1e-3)
+
+
+def test_a_cloud_fills_the_box_that_is_given():
+    few = [f"targets.{name}.filter.particles=60" for name in ("head", "left_hand", "right_hand")]
+    said = given(2, "left_hand", box=(80.0, 120.0, 33.0, 71.0))
+    put = run("head_hands_cloud", Clip("signing", 3), said, overrides=few)
+    [hand] = [one for one in put[2].targets if one.rows.target == "left_hand"]
+    assert (hand.rows.w[0], hand.rows.h[0]) == pytest.approx((33, 71))
+    assert np.ptp(hand.cloud[:, 0, 0]) <= 33 and np.ptp(hand.cloud[:, 0, 1]) > 50
+
+
+def test_a_box_of_another_shape_is_the_unit_from_there_on(head):
+    """What is learned again is followed as what it is, and not by the first frame's measures."""
+    left, top, w, h = head.box(5)
+    put = run("histogram", head, given(5, "head", box=(left, top, 2 * w, h)), stop=9)
+    assert [part(r, "box").w / part(r, "box").h for r in put[5:]] == pytest.approx([2 * w / h] * 4, rel=1e-6)
+
+
+@pytest.mark.parametrize(("learn", "scale"), [(None, 1.0), (True, 1.0), (False, 1.5)])
+def test_a_face_under_affine_maps_is_learned_anew_unless_it_is_said_otherwise(zoom, learn, scale):
+    left, top, w, h = zoom.box(0)
+    put = run("adaptive_velocity", zoom, given(2, box=(left, top, 1.5 * w, 1.5 * h), learn=learn), stop=3)
+    assert scale_of(put[2].targets[0]) == pytest.approx(scale, rel=1e-3)
+
+
+def test_what_is_given_is_certain_though_nothing_is_learned():
+    far = {name: (x + 25, y) for name, (x, y) in FACE.points(5).items()}
+    put = run("factorized", FACE, given(5, points=far, learn=False), stop=7)
+    assert {part(put[5], name).confidence for name in PARTS} == {1.0}
+    assert min(part(put[6], name).confidence for name in PARTS) < 0.9
+
+
+@pytest.mark.parametrize("learn", [None, False])
+def test_where_nothing_judges_nothing_is_certain(head, learn):
+    said, alone = given(5, "head", box=head.box(5), learn=learn), ("likelihood.contour=null",)
+    put = run("contour_correlation", head, said, overrides=alone, stop=7)
+    seen = [(part(r, "box").status, part(r, "box").confidence) for r in put[4:7]]
+    assert seen == [("tracked", None), ("init", None), ("tracked", None)]

@@ -94,9 +94,17 @@ def table(run):
 # --- tables ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("form", ["csv", "json", "jsonl"])
+def collected():
+    """The run in memory."""
+    log = Collector()
+    for index in range(13):
+        log.add(result(index))
+    return log.trajectory(path=Path("x"))
+
+
+@pytest.mark.parametrize("form", ["csv", "json", "jsonl", ""])
 def test_absent_rows_and_what_was_given_by_hand_are_read_back(run, form):
-    nose, lip = read_trajectory(run / f"trajectory.{form}").parts
+    nose, lip = (read_trajectory(run / f"trajectory.{form}") if form else collected()).parts
     absent = [5, 6, 7, 10, 11, 12]
     assert np.flatnonzero(lip.status == "absent").tolist() == absent
     for name in ("x", "y", "w", "h", "confidence", "std_x", "ess"):
@@ -121,14 +129,6 @@ def test_a_correction_in_the_first_row_is_told_by_json_alone():
     one = one_part("face", "nose", [4, 5], status=["init", "tracked"], by_hand=[True, False])
     assert one.corrected.tolist() == [True, False]
     assert not replace(one, by_hand=np.zeros(2, bool)).corrected.any(), "it is the start"
-
-
-def test_runs_side_by_side_keep_what_was_given_by_hand():
-    log = Collector()
-    for index in range(13):
-        log.add(result(index))
-    lip = log.trajectory(path=Path("x")).parts[1]
-    assert np.flatnonzero(lip.by_hand).tolist() == [5, 8, 10] and np.isnan(lip.x[5])
 
 
 def test_a_box_around_parts_leaves_out_what_is_absent(table):
@@ -172,19 +172,15 @@ def test_what_is_said_to_be_absent_is_not_what_the_tracker_says():
 
 @pytest.mark.parametrize("ours, delay", [("itttlltttt", 1), ("itttallttt", None), ("ittttllitt", 2)])
 def test_a_delay_is_measured_where_no_correction_came_before(ours, delay):
-    part = rows(np.zeros(10), "vvvhhhvvvv", ours=corrected(ours))
-    assert measure_lost([part]).delay_lost == delay
-    assert measure_lost([part]).delay_back == (0 if delay == 1 else None)
+    found = measure_lost([rows(np.zeros(10), "vvvhhhvvvv", ours=corrected(ours))])
+    assert (found.delay_lost, found.delay_back) == (delay, 0 if delay == 1 else None)
 
 
-@pytest.mark.parametrize("ours", ["tttttltttttt", "tttttlitttttt"[:12], "tttaattttttt"])
-def test_what_comes_back_by_a_correction_is_not_decided(ours):
-    part = rows([0, 0, 0, 9, 9, 9, 0, 0, 0, 0, 0, 0], "vvvhhhvvvvvv", ours=corrected(ours))
-    found = occlusions([part])
-    helped = "i" in ours or "a" in ours
-    assert [one.decided for one in found] == [not helped]
-    assert found[0].frames_to_return == 0
-    assert measure_recovery(found).recovered == (None if helped else 1.0)
+@pytest.mark.parametrize("ours, decided", [("tttttltttttt", True), ("tttttlittttt", False), ("tttaattttttt", False)])
+def test_what_comes_back_by_a_correction_is_not_decided(ours, decided):
+    [hidden] = found = occlusions([rows([0] * 3 + [9] * 3 + [0] * 6, "vvvhhhvvvvvv", ours=corrected(ours))])
+    assert (hidden.decided, hidden.frames_to_return) == (decided, 0)
+    assert measure_recovery(found).recovered == (1.0 if decided else None)
 
 
 def boxes(status, x, frames=6, **more):

@@ -1,6 +1,7 @@
 """A diagnostic that a likelihood declares, and that nothing else names: from the tracker to files, plots and editor."""
 
 import json
+import shutil
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -44,13 +45,18 @@ def run(folder, *options):
     return folder
 
 
-@pytest.fixture
-def done(tmp_path, monkeypatch):
-    monkeypatch.setattr(colour_ratio, "ColourRatio", Focused)
-    return run(tmp_path / "run")
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Folders of a run whose likelihood reports it, and of one whose likelihood does not. The former is used below."""
+    folder = tmp_path_factory.mktemp("runs")
+    plain = run(folder / "plain")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(colour_ratio, "ColourRatio", Focused)
+        yield run(folder / "run"), plain
 
 
-def test_it_goes_into_json_and_leaves_the_csv_alone(done, tmp_path, monkeypatch):
+def test_it_goes_into_json_and_leaves_the_csv_alone(runs):
+    done, other = runs
     whole = json.loads((done / "trajectory.json").read_text())
     assert whole["diagnostics"] == json.loads(json.dumps([one.record() for one in (COLOURS, FOCUS, SHARES)]))
     for frame in whole["frames"]:
@@ -61,17 +67,15 @@ def test_it_goes_into_json_and_leaves_the_csv_alone(done, tmp_path, monkeypatch)
         assert target["focus"] == pytest.approx(np.mean(target["colours"]), abs=1e-3)
     first = (done / "trajectory.json").read_text().split('"focus":')[1].split(",")[0]
     assert len(first.split(".")[1]) == 6
-    monkeypatch.undo()
-    other = run(tmp_path / "plain")
     assert (other / "trajectory.csv").read_bytes() == (done / "trajectory.csv").read_bytes()
     assert "diagnostics" not in json.loads((other / "trajectory.json").read_text())
-    rows = [plain(folder / f"trajectory.{form}") for folder in (done, other) for form in ("json", "jsonl")]
+    rows = [plain(folder / f"trajectory.{form}") for folder in runs for form in ("json", "jsonl")]
     assert rows[0] == rows[1] == rows[2] == rows[3]
 
 
 @pytest.mark.parametrize("form", ["json", "jsonl"])
-def test_it_is_read_with_its_meaning_and_has_a_panel(done, form):
-    table = read_trajectory(done / f"trajectory.{form}")
+def test_it_is_read_with_its_meaning_and_has_a_panel(runs, form):
+    table = read_trajectory(runs[0] / f"trajectory.{form}")
     found = table.diagnostics["face"]
     assert set(found.declared) == {COLOURS, FOCUS, SHARES, EVIDENCE}
     assert found.frame.tolist() == list(range(STOP)) and found.get("colours").shape == (STOP, 5)
@@ -88,7 +92,8 @@ def test_it_is_read_with_its_meaning_and_has_a_panel(done, form):
     assert len(words["colours (levels)"][1].lines) == 5 and "shares" in words
 
 
-def test_a_corrected_run_has_it_as_a_whole_run_has(done, tmp_path):
+def test_a_corrected_run_has_it_as_a_whole_run_has(runs, tmp_path):
+    done = shutil.copytree(runs[0], tmp_path / "run")
     with open_source(CLIP, stop=STOP) as source:
         frames = list(source)
     fixer = Fixer(open_run(done), lambda index: frames[index])

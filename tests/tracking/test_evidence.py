@@ -26,7 +26,7 @@ from facetrack_cli.trackers.face.evidence import (
     probabilities,
 )
 from facetrack_cli.trackers.face.stabilized import Similarity
-from facetrack_cli.trackers.people.looks import Picture
+from facetrack_cli.trackers.people.descriptor import Picture
 
 BOX = (40.0, 30.0, 60.0, 60.0)
 ELSEWHERE = (140.0, 60.0, 80.0, 80.0)

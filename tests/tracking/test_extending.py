@@ -5,13 +5,14 @@ import os
 import re
 import subprocess
 import sys
+from importlib import metadata
 from typing import ClassVar, Literal
 
 import numpy as np
 import pytest
 from pydantic import Field
 
-from facetrack_cli.core.errors import ExitCode, RecipeError
+from facetrack_cli.core.errors import RecipeError
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe import FilterSettings, LikelihoodSettings, Refusal, Section, sections
@@ -240,19 +241,21 @@ def test_a_class_that_is_run_again_takes_the_place_of_the_first(registry):
 
 
 def test_what_is_no_section_is_refused(registry):
-    for nothing in (int, Section, "text", likelihood(name="")):
-        with pytest.raises(TypeError, match="is no section: derive it from one of TargetSettings, MotionSettings"):
-            register(nothing)
-    with pytest.raises(TypeError, match=r'Another goes with no type of target: add goes_with = \("points",\)'):
-        register(likelihood(goes_with=()))
-    with pytest.raises(TypeError, match="Another builds nothing: give it a method build"):
-        register(nothing_built(LikelihoodSettings))
-    with pytest.raises(TypeError, match="Another builds nothing"):
-        register(nothing_built(FilterSettings))
+    for section, error, why in (
+        *(
+            (nothing, TypeError, "is no section: derive it from one of")
+            for nothing in (int, Section, likelihood(name=""))
+        ),
+        (likelihood(goes_with=()), TypeError, r'Another goes with no type of target: add goes_with = \("points",\)'),
+        (nothing_built(LikelihoodSettings), TypeError, "Another builds nothing: give it a method build"),
+        (nothing_built(FilterSettings), TypeError, "Another builds nothing"),
+        (likelihood(name="colour_ratio"), ValueError, 'type "colour_ratio" is taken by .*; choose another'),
+    ):
+        with pytest.raises(error, match=why):
+            register(section)
     register(Known)
-    for taken in ("known", "colour_ratio"):
-        with pytest.raises(ValueError, match=f'the likelihood type "{taken}" is taken by .*; choose another'):
-            register(likelihood(name=taken))
+    with pytest.raises(ValueError, match='the likelihood type "known" is taken by'):
+        register(likelihood(name="known"))
     assert 'unknown likelihood type "another"' in refused("likelihood.type=another")
 
 
@@ -283,44 +286,17 @@ def test_a_section_may_have_rules_of_its_own(registry):
 # --- packages that bring sections
 
 
-@pytest.fixture
-def installed(folder, tmp_path):
-    """A folder with a package that names an entry point; returns how facetrack is called beside it."""
-
-    def call(*arguments, value="grey_difference:GreyDifference"):
-        info = tmp_path / "site" / "grey-1.0.dist-info"
-        info.mkdir(parents=True, exist_ok=True)
-        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: grey\nVersion: 1.0\n")
-        (info / "entry_points.txt").write_text(f"[facetrack.sections]\ngrey_difference = {value}\n")
-        path = os.pathsep.join(map(str, (tmp_path / "site", folder, ROOT)))
-        return subprocess.run(
-            [sys.executable, "-m", "facetrack_cli", *map(str, arguments)], capture_output=True, text=True,
-            env={**os.environ, "PYTHONPATH": path}, cwd=tmp_path,
-        )  # fmt: skip
-
-    return call
-
-
-def test_an_installed_package_brings_its_sections(installed, tmp_path):
-    done = installed("recipes", "check", "sir", "--set", PLUGGED)
-    assert (done.returncode, done.stdout) == (0, "sir: good\n"), done.stderr
-    clip = FOLDER / "occlusion.mp4"
-    done = installed(
-        "run",
-        clip,
-        "--config",
-        "sir",
-        "--set",
-        PLUGGED,
-        "--stop",
-        3,
-        "--no-video",
-        "-q",
-        "-o",
-        "out",
-        "--format",
-        "csv,json",
-    )
+def test_an_installed_package_brings_its_sections(folder, tmp_path):
+    info = tmp_path / "site" / "grey-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: grey\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[facetrack.sections]\ngrey_difference = grey_difference:GreyDifference\n")
+    path = os.pathsep.join(map(str, (tmp_path / "site", folder, ROOT)))
+    options = ["--config", "sir", "--stop", "3", "--no-video", "-q", "-o", "out", "--format", "csv,json"]
+    done = subprocess.run(
+        [sys.executable, "-m", "facetrack_cli", "run", FOLDER / "occlusion.mp4", *options, "--set", PLUGGED],
+        capture_output=True, text=True, env={**os.environ, "PYTHONPATH": path}, cwd=tmp_path,
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "out" / "trajectory.csv").read_text().count("tracked") == 10
     whole = json.loads((tmp_path / "out" / "trajectory.json").read_text())
@@ -336,10 +312,12 @@ def test_an_installed_package_brings_its_sections(installed, tmp_path):
         ("grey_difference:GreyWindows", "is no section: derive it from one of"),
     ],
 )
-def test_a_package_whose_section_fails_is_named(installed, value, why):
-    done = installed("recipes", "check", "sir", value=value)
-    assert done.returncode == ExitCode.USAGE
-    said = done.stdout + done.stderr
-    assert f"the entry point grey_difference = {value} of grey brings no section: " in said and why in said
-    assert "correct or uninstall that package" in said and "Traceback" not in said
-    assert installed("--help", value=value).returncode == 0
+def test_a_package_whose_section_fails_is_named(folder, monkeypatch, value, why):
+    monkeypatch.setattr(sections, "_types", {})
+    point = metadata.EntryPoint("grey_difference", value, sections.GROUP)
+    monkeypatch.setattr(sections.metadata, "entry_points", lambda group: [point])
+    with pytest.raises(RecipeError) as refused:
+        sections.registered(LikelihoodSettings)
+    said = str(refused.value)
+    assert f"the entry point grey_difference = {value} of ? brings no section: " in said and why in said
+    assert "correct or uninstall that package" in said and "\n" not in said

@@ -25,7 +25,7 @@ import json, sys
 from facetrack_cli.__main__ import main
 from facetrack_cli.start import precompile as kernels
 for recipe, clip in json.loads(sys.argv[1]).items():
-    done = ["-o", f"{sys.argv[2]}/{recipe}", "--no-video", "--stop", "12", "--threads", "1", "-q"]
+    done = ["-o", f"{sys.argv[2]}/{recipe}", "--no-video", "--stop", "5", "--threads", "1", "-q"]
     assert main(["run", clip, "--config", recipe, *done]) == 0
 print(json.dumps({name: [list(map(str, one)) for one in kernels.kernel(name).signatures] for name in kernels.KERNELS}))
 """
@@ -127,18 +127,8 @@ def test_how_many_kernels_are_compiled_is_told():
     assert told == [(0, 2, "compiling", "kernels"), (1, 2, "compiling", "kernels")]
 
 
-@pytest.mark.one_in(6)
-@pytest.mark.parametrize(
-    ("suffix", "left"),
-    [
-        (".nbc", "half"),
-        (".nbi", "zeros"),
-        (".nbi", "nothing"),
-        (".nbi", "half"),
-        (".nbc", "nothing"),
-        (".nbc", "zeros"),
-    ],
-)
+@pytest.mark.one_in(3)
+@pytest.mark.parametrize(("suffix", "left"), [(".nbc", "half"), (".nbi", "zeros"), (".nbi", "nothing")])
 def test_files_that_power_loss_cuts_are_compiled_anew_with_one_warning(package, suffix, left):
     run, folder = package
     run()
@@ -176,43 +166,35 @@ def compiled(monkeypatch):
     return names
 
 
-@pytest.mark.parametrize("second", ["fails", "never begins"])
-def test_this_process_compiles_what_the_second_one_does_not(compiled, monkeypatch, second):
-    if second == "never begins":
-        monkeypatch.setattr(sys, "executable", "/nowhere/python")
-    else:
-        monkeypatch.setattr(precompile, "_SECOND", "import no_such")
-    with precompile.Precompiler({"sums": {}}, 2) as compiler:
-        compiler.finish()
+@pytest.mark.parametrize("broken", [(sys, "executable", "/nowhere/python"), (precompile, "_SECOND", "import no_such")])
+def test_this_process_compiles_what_the_second_one_does_not(compiled, monkeypatch, broken):
+    monkeypatch.setattr(*broken)
+    with precompile.precompiling({"sums": {}}, 2) as compile_all:
+        compile_all()
     assert compiled == ["_add", "_less"]
 
 
 def test_nothing_is_compiled_that_the_settings_do_not_call_nor_after_a_stop(compiled):
     for settings, stopped in (({"head": {"others": {"type": "sums"}}}, False), ({"sums": {}}, True)):
-        with precompile.Precompiler(settings, 1) as compiler:
-            compiler.finish(lambda stopped=stopped: stopped)
+        with precompile.precompiling(settings, 1) as compile_all:
+            compile_all(lambda stopped=stopped: stopped)
     assert compiled == []
-    with precompile.Precompiler({"head": {"sums": None, "other": {"sums": {}}}}, 1) as compiler:
-        compiler.finish()
+    with precompile.precompiling({"head": {"sums": None, "other": {"sums": {}}}}, 1) as compile_all:
+        compile_all()
     assert compiled == ["_add", "_less"]
 
 
-def test_the_second_process_leaves_kernels_for_the_first(tmp_path):
-    order = json.dumps([sys.path, ["trackers.regions.region_kernels.crop_boxes"]])
-    done = python(precompile._SECOND.format(precompile.__name__), order, NUMBA_CACHE_DIR=str(tmp_path))
+def test_the_second_process_leaves_kernels_for_the_first_and_ends_with_it(tmp_path):
+    names, second = (
+        [f"trackers.regions.region_kernels.{one}" for one in ("crop_boxes", "box_edges")],
+        precompile._SECOND,
+    )
+    order = json.dumps([sys.path, names[:1]])
+    done = python(second.format(precompile.__name__), order, NUMBA_CACHE_DIR=str(tmp_path))
     assert (done.stdout, done.stderr) == ("", "")
-    script = (
-        "from facetrack_cli.start import precompile\n"
-        "names = ('trackers.regions.region_kernels.crop_boxes', 'trackers.regions.region_kernels.box_edges')\n"
-        "print(*(precompile._is_cached(name) for name in names))"
-    )
+    script = f"from facetrack_cli.start import precompile; print(*map(precompile._is_cached, {names}))"
     assert python(script, NUMBA_CACHE_DIR=str(tmp_path)).stdout == "True False\n"
-
-
-def test_the_second_process_ends_with_the_one_that_began_it():
-    code = precompile._SECOND.format(precompile.__name__).replace(
-        "compile_kernels(names)", "import time; time.sleep(60)"
-    )
+    code = second.format(precompile.__name__).replace("compile_kernels(names)", "import time; time.sleep(60)")
     command = [sys.executable, "-c", code, json.dumps([sys.path, []])]
     with subprocess.Popen(command, stdin=subprocess.PIPE) as process:
         process.stdin.close()

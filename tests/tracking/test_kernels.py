@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame, planes_of
-from facetrack_cli.engine.kernels import resampling
+from facetrack_cli.engine import resampling
 from facetrack_cli.trackers.face.colour_kernels import coloured
 from facetrack_cli.trackers.face.stabilized import Similarity
 from facetrack_cli.trackers.points import window_kernels as windows
@@ -101,7 +101,7 @@ def naive_inverse(weights, points):
 )
 def test_inverse_agrees_with_exact_fractions(weights, points):
     points = np.sort(points)
-    seen = resampling.invert_cdf(np.array(weights)[:, None].repeat(2, axis=1), points[:, None].repeat(2, axis=1))
+    seen = resampling._invert(np.array(weights)[:, None].repeat(2, axis=1), points[:, None].repeat(2, axis=1))
     assert seen[:, 0].tolist() == seen[:, 1].tolist() == naive_inverse(weights, points)
 
 

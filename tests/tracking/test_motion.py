@@ -1,4 +1,4 @@
-"""The walks of points: their draws have the density that they state."""
+"""The contract of every motion, and the walk of a face's points: draws have the density that they state."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -7,9 +7,54 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.geometry import size_of_points
-from facetrack_cli.engine.motion import RandomWalk
+from facetrack_cli.engine.motion import FirstOrder, RandomWalk
+from facetrack_cli.trackers.appearance.affine import AffineWalk
+from facetrack_cli.trackers.appearance.settings import AffineWalkSettings
+from facetrack_cli.trackers.box.hidden_box import VisibleWalk
+from facetrack_cli.trackers.box.settings import VisibleWalkSettings
 from facetrack_cli.trackers.face.motion import JumpingWalk, SensorReading
 from facetrack_cli.trackers.face.window_ncc import WindowNcc, WindowState
+
+HIDES = VisibleWalkSettings(type="visible_walk", sigma="2px", scale=0.02, hide=1e-6)
+DEFORMS = AffineWalkSettings(type="affine_walk", sigma="3px", deform=0.02, turn=0.03, shear=0.01)
+PLACE = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[2.0], [1.0]])  # one source of noise for place and speed
+TWO_SOURCES = np.array([[1.0, 0.9], [0.0, 0.8]]), np.array([[2.0, 0.5], [0.3, 1.0]])
+SIZE = np.array([[1.0, 0.0], [0.0, 0.0]]), np.array([[0.02], [0.0]])
+POINTS, BOX = np.array([[10.0, 20.0], [30.0, 5.0]]), np.array([[10.0, 20.0, 1.0, 1.0, -1.0, 0.0]])
+MOTIONS = {  # each with a state
+    "random_walk": (RandomWalk(np.array([3.0, 1.0])), POINTS),
+    "jumping_walk": (
+        JumpingWalk(np.array([1.0, 0.5]), np.array([6.0, 2.0]), 0.2, np.array([[12.0, 18.0], [31.0, 6.0]]), 0.9),
+        POINTS,
+    ),
+    "first_order": (FirstOrder(PLACE, SIZE, 0.1, 10.0), BOX),
+    "visible_walk": (VisibleWalk(HIDES, 40.0, (2.0, 4.0), (0.2, 5.0)), np.array([[10.0, 20.0, 1.0, 1.0, -1.0, 1.0]])),
+}
+MORE = {
+    "two sources": (FirstOrder(TWO_SOURCES, SIZE, 0.01, 100.0), BOX),
+    "affine_walk": (AffineWalk(DEFORMS, 3.0, (0.01, 100.0)), np.array([[10.0, 20.0, 1.0, 0.1, -0.1, 1.0]])),
+}
+
+
+@pytest.mark.parametrize(("motion", "state"), [*MOTIONS.values(), *MORE.values()], ids=[*MOTIONS, *MORE])
+def test_draws_of_every_motion_are_those_of_its_linear_form_and_each_pair_is_scored(motion, state):
+    rng, pairs = np.random.default_rng(1), np.repeat(state[None], 7, axis=0)
+    x, parents = motion.propagate(rng, pairs[:4]), motion.propagate(rng, pairs)
+    parents.flags.writeable = False
+    table = motion.log_transition(x, parents)
+    assert table.shape == (4, 7, len(state)) and motion.propagate(rng, parents[:0]).shape == (0, *state.shape)
+    np.testing.assert_allclose(table[2, 5], motion.log_transition(x[2:3], parents[5:6])[0, 0])
+    assert motion.propagate(rng, parents).shape == parents.shape
+    linear = motion.linear(state)
+    d = linear.matrix.shape[-1]
+    drawn = motion.propagate(np.random.default_rng(6), np.repeat(state[None], 60_000, axis=0))[..., :d]
+    expected = np.einsum("kde,ke->kd", linear.matrix, state[:, :d]) + linear.offset
+    for k in range(len(state)):
+        std = np.sqrt(np.diagonal(linear.cov[k])) + 1e-12
+        assert np.abs((drawn[:, k].mean(axis=0) - expected[k]) / std).max() < 0.03
+        scatter = np.cov(drawn[:, k].T)
+        assert np.abs((scatter - linear.cov[k]) / np.outer(std, std)).max() < 0.05
+
 
 SIGMA = np.array([0.5, 2.0, 4.0])
 
@@ -37,7 +82,7 @@ def test_size_of_points_is_the_largest_distance():
 REST = np.array([[2.0, -1.0], [0.0, 0.0], [1.0, 1.0]])
 JUMPS = JumpingWalk(np.array([0.5, 1.0, 2.0]), np.array([3.0, 4.0, 6.0]), 0.3, REST, 0.9)
 PARENT = np.array([[3.0, -2.0], [1.0, 0.5], [-2.0, 2.0]])
-STEP = 0.1
+STEP = 0.2
 AXIS = np.arange(-40, 40, STEP)
 GRID = np.stack(np.meshgrid(AXIS, AXIS), axis=2).reshape(-1, 1, 2)
 
@@ -100,28 +145,26 @@ def test_the_density_of_a_jump_is_the_formula_and_integrates_to_one():
     np.testing.assert_allclose(table[2, 1], one[0, 0])
 
 
-@pytest.mark.parametrize("part", range(3))
 @pytest.mark.parametrize("measured", [[], [MEASURED], [MEASURED, OTHER], [OTHER, MEASURED, MEASURED]])
-def test_draws_given_sensors_are_of_the_posterior_by_their_weights_whose_mean_is_what_they_say_of_a_parent(
-    part, measured
-):
+def test_draws_given_sensors_are_of_the_posterior_by_their_weights(measured):
+    """The mean of the weights is what sensors say of a parent."""
     for parent in (PARENT, PARENT + 3):
-        p = jump_density(GRID[:, 0], parent[part], part) * all_sensed(measured, part)
         parents = parent[None].repeat(60_000, axis=0)
         x = JUMPS.propagate_given(np.random.default_rng(1), parents, measured)
-        log_w = JUMPS.log_measured(x, parents, measured)[:, part]
-        assert np.log(np.exp(log_w).mean()) == pytest.approx(np.log(p.sum() * STEP**2), abs=0.02)
-        draws, w, p = x[:, part], np.exp(log_w) / np.exp(log_w).sum(), p / p.sum()
-        assert 1 / (w**2).sum() > 0.5 * len(w), "few draws are wasted"
-        mean = p @ GRID[:, 0]
-        cov = (GRID[:, 0] - mean).T @ ((GRID[:, 0] - mean) * p[:, None])
-        np.testing.assert_allclose(w @ draws, mean, atol=0.08)
-        np.testing.assert_allclose(np.cov(draws.T, aweights=w), cov, atol=0.04 * np.trace(cov))
-        side = len(AXIS)
-        for axis in (0, 1):
-            below, order = p.reshape(side, side).sum(axis=axis).cumsum(), draws[:, axis].argsort()  # axis 0 is y
-            at = np.searchsorted(draws[order, axis], AXIS + STEP / 2)
-            assert np.abs(below - np.append(0, w[order].cumsum())[at]).max() < 0.015
+        weights = JUMPS.log_measured(x, parents, measured)
+        for part, (draws, log_w) in enumerate(zip(np.moveaxis(x, 1, 0), weights.T, strict=True)):
+            p = jump_density(GRID[:, 0], parent[part], part) * all_sensed(measured, part)
+            assert np.log(np.exp(log_w).mean()) == pytest.approx(np.log(p.sum() * STEP**2), abs=0.02)
+            w, p = np.exp(log_w) / np.exp(log_w).sum(), p / p.sum()
+            assert 1 / (w**2).sum() > 0.5 * len(w), "few draws are wasted"
+            mean = p @ GRID[:, 0]
+            cov = (GRID[:, 0] - mean).T @ ((GRID[:, 0] - mean) * p[:, None])
+            np.testing.assert_allclose(w @ draws, mean, atol=0.08)
+            np.testing.assert_allclose(np.cov(draws.T, aweights=w), cov, atol=0.04 * np.trace(cov))
+            for axis in (0, 1):
+                below, order = p.reshape(len(AXIS), -1).sum(axis=axis).cumsum(), draws[:, axis].argsort()  # 0 is y
+                at = np.searchsorted(draws[order, axis], AXIS + STEP / 2)
+                assert np.abs(below - np.append(0, w[order].cumsum())[at]).max() < 0.015
 
 
 def test_any_place_that_a_sensor_says_is_drawn_however_far_the_part_would_have_to_jump():

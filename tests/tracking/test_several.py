@@ -1,9 +1,11 @@
-"""Several targets in one run: whose turn it is, what each is told of the others, and what a recipe says of them."""
+"""Several targets in one run: whose turn it is, what each is told of the others, and what others explain."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from facetrack_cli.core.types import Frame, Info, Particles, Start, TargetStart
 from facetrack_cli.engine.loop import Footprint, track
@@ -13,7 +15,7 @@ from facetrack_cli.engine.spaces import BoxSpace, evenly
 from facetrack_cli.engine.target import ParticleState, ParticleTarget
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
-from facetrack_cli.trackers.skin.cloud import CloudSpace
+from facetrack_cli.trackers.skin.cloud import CloudSpace, log_weights
 from facetrack_cli.trackers.skin.settings import ExclusionSettings, SkinCloudSettings
 from tests.support.parts import sir
 from tests.support.results import target
@@ -174,3 +176,39 @@ def test_a_recipes_numbers_of_a_face_arrive():
     side = np.sqrt(40 * 50)
     np.testing.assert_allclose(moved[:, :3].std(axis=0), [0.1 * side, 0.1 * side, 0.2], rtol=0.05)
     assert (moved[:, 3:] == 0).all()
+
+
+# --- exclusion: what one target explains counts for less for another
+
+HEAD = Footprint(np.array([50.0, 40.0]), np.array([10.0, 20.0]))
+BESIDE, POINT = HEAD._replace(centre=np.array([58.0, 40.0])), Footprint(np.array([5.0, 5.0]), np.zeros(2))
+EDGE = 1 - 0.9 * np.exp(-0.5)
+LEFT = [  # strength, reach, footprints, a place, and what is left of its weight
+    (0.9, 1.0, (HEAD,), (50, 40), 0.1),
+    (0.9, 1.0, (HEAD,), (120, 40), 1.0),
+    (0.9, 1.0, (), (50, 40), 1.0),
+    *((0.9, 1.0, (HEAD,), place, EDGE) for place in ((60, 40), (50, 60))),
+    (0.9, 2.0, (HEAD,), (70, 40), EDGE),
+    (0.9, 1.0, (POINT,), (5, 5), 0.1),
+    (0.9, 1.0, (POINT,), (8, 5), 1.0),
+]
+
+
+def left(place, strength=0.9, reach=1.0, footprints=(HEAD,)):
+    settings = ExclusionSettings(strength=strength, reach=reach)
+    return np.exp(log_weights(settings, np.array([[place]], float), footprints)[0, 0])
+
+
+@pytest.mark.parametrize(("strength", "reach", "footprints", "place", "share"), LEFT)
+def test_the_outline_of_another_target_is_an_ellipse_that_reach_widens(strength, reach, footprints, place, share):
+    assert left(place, strength, reach, footprints) == pytest.approx(share)
+
+
+def test_what_is_inside_is_forbidden_nearly_evenly_and_several_targets_add_up():
+    assert left((55, 40), 1.0) < 0.04 and left((66, 40), 1.0) > 0.95
+    assert left((54, 40), 0.5, footprints=(HEAD, BESIDE)) == pytest.approx(left((54, 40), 0.5) ** 2)
+
+
+@given(strength=st.floats(0, 1), reach=st.floats(0.01, 10), place=st.tuples(*[st.floats(-1e7, 1e7)] * 2))
+def test_weights_are_finite_and_between_what_is_left_and_all(strength, reach, place):
+    assert max(1 - strength, 1e-12) * (1 - 1e-9) <= left(place, strength, reach) <= 1

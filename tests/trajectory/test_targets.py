@@ -7,9 +7,9 @@ import pytest
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame, Start, TargetStart
+from facetrack_cli.start.assembly import name_targets
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.start.search import search_start
-from facetrack_cli.start.targets import name_targets
 from facetrack_cli.trackers.face.detectors import NotHereError
 from facetrack_cli.video.source import open_source
 from tests.tracking.test_skin_cloud import HEAD, LEFT, RIGHT, box, picture

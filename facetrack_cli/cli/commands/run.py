@@ -256,7 +256,7 @@ def _live(
     from facetrack_cli.runs.live import follow, images_of
     from facetrack_cli.runs.live_people import LiveCast
     from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.trackers.people.looks import load_people
+    from facetrack_cli.trackers.people.descriptor import load_people
 
     [clip, *more] = inputs
     if not asked:

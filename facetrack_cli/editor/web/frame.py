@@ -14,9 +14,9 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import inside
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.start.assembly import name_targets
 from facetrack_cli.start.init_file import NAME, TARGET
 from facetrack_cli.start.search import box_start
-from facetrack_cli.start.targets import name_targets
 from facetrack_cli.trackers.face.closer import righted
 from facetrack_cli.trackers.face.detectors import PARTS, NotHereError, detector
 from facetrack_cli.trackers.face.points import named

@@ -10,20 +10,21 @@ from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Box, Start, TargetStart
 from facetrack_cli.editor.web.frame import MAX_POINTS, Draft, Json, Proposer, draft_of
 from facetrack_cli.editor.web.session import RefusedError, Session
-from facetrack_cli.engine.checks import check_size, check_start
+from facetrack_cli.engine.spaces import check_size
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
 from facetrack_cli.report.text import names as listed
+from facetrack_cli.start.assembly import name_targets
 from facetrack_cli.start.init_file import (
     KEYS,
     OF_CORRECTIONS,
     OF_FILES,
     TARGET,
     WHAT_PARTS_ARE,
+    check_start,
     write_init,
 )
 from facetrack_cli.start.preview import write_preview
-from facetrack_cli.start.targets import name_targets
 from facetrack_cli.trackers.face.detectors import PARTS, detector
 from facetrack_cli.trackers.skin.settings import SkinCloudSettings
 from facetrack_cli.video.seek import Frames
@@ -229,8 +230,7 @@ def _missing(target: TargetStart, required: Json) -> list[str]:
 
 def _check_build(start: Start, size: tuple[int, int], recipe: Recipe) -> None:
     """Raises what the run would: build_tracker, and check_windows. Recognition is left out: it needs a gallery."""
-    from facetrack_cli.engine.checks import check_windows
-    from facetrack_cli.start.assembly import build_tracker
+    from facetrack_cli.start.assembly import build_tracker, check_windows
 
     nobody = {"recognition": None}
     if isinstance(recipe, ParticleRecipe):

@@ -1,5 +1,8 @@
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
-"""How kernels are compiled and cached, a decorator for each kind of arithmetic, and the bilinear reading they share."""
+"""How kernels are compiled and cached, a decorator for each kind of arithmetic, and what several trackers share.
+
+That is bilinear reading, the sums of boxes, and drawing indices by weights.
+"""
 
 import contextlib
 from typing import Any
@@ -134,3 +137,21 @@ def read_at(values, x, y):
 def box_sum(sums, x0, y0, x1, y1):
     """The sum over a box by an integral image (H + 1, W + 1): pixel edges are whole numbers, parts count by area."""
     return read_at(sums, x1, y1) + read_at(sums, x0, y0) - read_at(sums, x1, y0) - read_at(sums, x0, y1)
+
+
+@exact
+def invert_cdf(weights, points, out):
+    """Indices `out` (M, K) by weights (N, K) and points (M, K), as `engine.resampling` says."""
+    (n, columns), m = weights.shape, points.shape[0]
+    for k in range(columns):
+        total, last = 0.0, 0
+        for i in range(n):
+            total += weights[i, k]
+            if weights[i, k] > 0.0:
+                last = i
+        i, cumulated = 0, weights[0, k]
+        for j in range(m):
+            while i < last and cumulated <= points[j, k] * total:
+                i += 1
+                cumulated += weights[i, k]
+            out[j, k] = i

@@ -34,8 +34,8 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Frame, Image, Particles
-from facetrack_cli.engine.independent import averaged, effective_share
 from facetrack_cli.engine.protocols import Likelihood
+from facetrack_cli.engine.resampling import averaged, effective_share
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.appearance import appearance_kernels as kernel
 from facetrack_cli.trackers.appearance.affine import Patches

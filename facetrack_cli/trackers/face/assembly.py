@@ -10,8 +10,7 @@ from facetrack_cli.core.face_points import GROUPS, IRISES, POINTS
 from facetrack_cli.core.geometry import centre, size_of_points
 from facetrack_cli.core.models import MODELS, model_path
 from facetrack_cli.core.types import Array, Box, Start, TargetStart
-from facetrack_cli.engine.assembly import calibration_of, particle_target
-from facetrack_cli.engine.target import ParticleTarget
+from facetrack_cli.engine.target import ParticleTarget, calibration_of, particle_target
 from facetrack_cli.recipe.load import resolve_file
 from facetrack_cli.recipe.model import ConfidenceSettings, ParticleFilterSettings, Recipe, above
 from facetrack_cli.trackers.box.hidden_box import BoxTarget

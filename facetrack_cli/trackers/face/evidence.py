@@ -31,8 +31,8 @@ from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Frame
 from facetrack_cli.trackers.face.detectors import Found
 from facetrack_cli.trackers.face.stabilized import BOX, FACE, Similarity
+from facetrack_cli.trackers.people.descriptor import Picture, together
 from facetrack_cli.trackers.people.identity import same_person
-from facetrack_cli.trackers.people.looks import Picture, together
 
 SHOT, CUT = 5.0, 2.3  # log odds that the one face of a frame is the target, in one shot and after a cut
 BOUND: Final = 4.0  # of the log odds by looks

@@ -19,7 +19,7 @@ from facetrack_cli.trackers.face.mesh_points import MeshPoints
 from facetrack_cli.trackers.face.motion import SensorReading
 from facetrack_cli.trackers.face.sensors import Facing, Sensor
 from facetrack_cli.trackers.face.stabilized import Similarity
-from facetrack_cli.trackers.people.looks import Picture
+from facetrack_cli.trackers.people.descriptor import Picture
 from facetrack_cli.video.shots import Passing
 
 _MAX_POSE: Final = np.array([math.inf, 0.7, 0.3, 0.3])  # a face may lie, and a head may turn over

@@ -67,7 +67,7 @@ from facetrack_cli.trackers.face.sensors import (
 from facetrack_cli.trackers.face.settings import HeadSettings
 from facetrack_cli.trackers.face.stabilized import EYES, FACE, Similarity
 from facetrack_cli.trackers.face.state import FaceState, View, shifted, sure_of, updated
-from facetrack_cli.trackers.people.looks import Picture
+from facetrack_cli.trackers.people.descriptor import Picture
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, NETWORK, ROLL, SCALE, Diagnostics
 from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
 from facetrack_cli.video.shots import Passing, small

@@ -13,6 +13,12 @@ A camera that sets its exposure or white balance anew colours all things anew. S
 light of the first one.
 
 All of it is on a frame reduced so that the face's box is 10 to 20 pixels large.
+
+The camera's motion is found by phase correlation (Kuglin & Hines, 1975). `cv2.phaseCorrelate` takes the middle of the
+correlation to be at half of the length to which it pads a side. Of an odd length that is half a pixel beside it: two
+equal images are then 0.5 apart, at a response of 1. So sides are padded here to an even length. The window keeps to its
+place where the image moves, which draws the peak to zero. So a shift of a pixel or more is measured again, on what both
+images show.
 """
 
 from __future__ import annotations
@@ -28,7 +34,6 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Array, Box, Frame, Image, factor_for
 from facetrack_cli.core.warp import warp_affine
 from facetrack_cli.engine.loop import Footprint
-from facetrack_cli.engine.shift import shift_between
 
 Map = NDArray[np.float32]
 MAX_FACE_PX: Final = 20  # of the face's box in the reduced frame
@@ -36,6 +41,7 @@ LEAST_COLOUR: Final = 3.0  # of Cb and Cr from grey, of the face's median colour
 PALE: Final = 1.25  # saturation of skin over that of the face
 ALONG, ACROSS, NOISE = 0.4, 0.12, 1.5  # standard deviations of skin: in saturations of the face, and in levels
 SKIN_SHARE: Final = 0.03  # of what is not the face
+PASSES: Final = 3  # of the phase correlation
 MOVES: Final = 0.6  # of the peak of the phase correlation, from which on it tells a motion of the camera
 RISES: Final = 0.002  # of the background's p in a frame
 # grey levels by which the face differs from before, where as much speaks for a hand as against it, and their width
@@ -254,3 +260,35 @@ def _soft(seen: Map) -> Map:
     """1 within the template, less at its border."""
     inner = cv2.copyMakeBorder(np.ones(np.array(seen.shape[:2]) - 2, np.float32), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
     return np.asarray(cv2.GaussianBlur(inner, (0, 0), 1.0, borderType=cv2.BORDER_CONSTANT), np.float32)
+
+
+def shift_between(before: Map, after: Map) -> tuple[Array, float]:
+    """The shift (2,) in pixels, x before y, from `before` to `after` (H, W), and the height of its peak, 0..1."""
+    height, width = before.shape
+    x = y = 0
+    for _ in range(PASSES):
+        ours = before[max(-y, 0) : height - max(y, 0), max(-x, 0) : width - max(x, 0)]
+        theirs = after[max(y, 0) : height + min(y, 0), max(x, 0) : width + min(x, 0)]
+        rest, sure = _peak(ours, theirs)
+        shift = np.array([x, y]) + rest
+        before_that, (x, y) = (x, y), np.rint(shift).astype(int).tolist()
+        if (x, y) == before_that or 2 * abs(x) > width or 2 * abs(y) > height:
+            break
+    return shift, sure
+
+
+def _peak(before: Map, after: Map) -> tuple[Array, float]:
+    height, width = before.shape
+    window = cv2.createHanningWindow((width, height), cv2.CV_32F)
+    bottom, right = _even(height) - height, _even(width) - width
+    padded = (cv2.copyMakeBorder(one * window, 0, bottom, 0, right, cv2.BORDER_CONSTANT) for one in (before, after))
+    shift, sure = cv2.phaseCorrelate(*padded)
+    return np.array(shift), sure
+
+
+def _even(length: int) -> int:
+    """The least even length from `length` on that a Fourier transform takes fast."""
+    found = cv2.getOptimalDFTSize(length)
+    while found % 2:
+        found = cv2.getOptimalDFTSize(found + 1)
+    return found

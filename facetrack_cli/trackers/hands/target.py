@@ -24,7 +24,7 @@ from facetrack_cli.core.types import BOX, Array, Box, Frame, TargetStart
 from facetrack_cli.engine import smoothing
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Linear, Names
-from facetrack_cli.trackers.hands import evidence, joint, names
+from facetrack_cli.trackers.hands import evidence, joint
 from facetrack_cli.trackers.hands.evidence import Scene
 from facetrack_cli.trackers.hands.settings import HandsSettings
 from facetrack_cli.trajectory.diagnostics import NAMED, PRESENT, Diagnostics
@@ -40,7 +40,7 @@ BORDER: Final = 0.6  # sizes of the face, nearer than which to the border a hand
 
 
 class HandState(NamedTuple):
-    """The posterior of both hands after a frame. `begun` is the frame in which it began, `now` this frame.
+    """The posterior of both hands after a frame. `began` is the frame in which it began, `now` this frame.
 
     `last` (2,) are the times when each hand was seen last, -inf if never; `inside` (2,), whether that was within the
     picture; `shown`, when the head was. `speed` (2,) is in sizes of the face a frame, `size` (2, 2) width and height of
@@ -52,7 +52,7 @@ class HandState(NamedTuple):
     cloud: joint.Cloud
     belief: joint.Belief
     face: Footprint
-    begun: int
+    began: int
     now: int
     speed: Array
     size: Array
@@ -86,7 +86,7 @@ class HandTarget:
     def begin(self, rng: Generator, frame: Frame) -> tuple[HandState, TargetResult]:
         face = Footprint(np.array(centre(self.head)), np.array(self.head[2:]) / 2)
         scene, seen = evidence.begin(frame, face, tuple(box for box in self.given if box is not None))
-        state = self._begun(rng, frame, scene, face, self.given)
+        state = self._initial(rng, frame, scene, face, self.given)
         if None in self.given:
             state = self._step(rng, state, frame, seen, first=True)
         return state, self._result(state, frame, given=self.given[self.hand] is not None)
@@ -96,10 +96,10 @@ class HandTarget:
     ) -> tuple[HandState, TargetResult]:
         """As `ParticleTarget.restart`; where the other hand is, is not known."""
         boxes = (given.box, None) if self.hand == 0 else (None, given.box)
-        state = self._begun(rng, frame, first.scene, first.face, boxes)
+        state = self._initial(rng, frame, first.scene, first.face, boxes)
         return state, self._result(state, frame, given=True)
 
-    def _begun(
+    def _initial(
         self, rng: Generator, frame: Frame, scene: Scene, face: Footprint, given: tuple[Box | None, Box | None]
     ) -> HandState:
         known = np.array([box is not None for box in given])
@@ -116,13 +116,13 @@ class HandTarget:
     def advance(
         self, rng: Generator, state: HandState, frame: Frame, footprints: Sequence[Footprint] = ()
     ) -> tuple[HandState, TargetResult]:
-        for one in footprints:
-            if one.target == self.person:
+        for footprint in footprints:
+            if footprint.target == self.person:
                 # hands before the face hide it: it is where it was
-                state = state._replace(face=state.face._replace(lost=True) if one.lost else one)
-            known = one.known
-            if isinstance(known, HandState) and known.begun == state.begun and known.now == frame.index:
-                return known, self._result(known, frame)
+                state = state._replace(face=state.face._replace(lost=True) if footprint.lost else footprint)
+            shared = footprint.state
+            if isinstance(shared, HandState) and shared.began == state.began and shared.now == frame.index:
+                return shared, self._result(shared, frame)
         if not state.face.lost:
             state = state._replace(shown=frame.time_s)
         if frame.time_s - state.shown > HOLDS:
@@ -141,9 +141,9 @@ class HandTarget:
     ) -> HandState:
         scene, face, before = state.scene, _face(state.scene, state.face), state.belief
         cloud, belief = joint.step(rng, self.settings, state.cloud, seen, scene.side, face, first=first)
-        says = names.log_odds(self.settings, seen.evidence, belief, scene.side, face)
-        changed, last, inside = names.exchanged(belief, face), state.last, state.inside
-        named = names.update(state.named[0], changed, says)
+        says = joint.name_log_odds(self.settings, seen.evidence, belief, scene.side, face)
+        changed, last, inside = joint.exchanged(belief, face), state.last, state.inside
+        named = joint.update_names(state.named[0], changed, says)
         if named < 0.5:
             named, changed, last, inside = 1 - named, 1 - changed, last[::-1], inside[::-1]
             cloud, belief, before = cloud.exchanged(), belief.exchanged(), before.exchanged()

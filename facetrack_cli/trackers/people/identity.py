@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from facetrack_cli.core.types import Array, Box, Mask, Whole
-from facetrack_cli.trackers.people.looks import VIEWS, Looks
+from facetrack_cli.trackers.people.descriptor import VIEWS, FaceDescriptor
 
 SURE: Final = 0.9  # probability of a person below which a track is a doubt
 _BOUND: Final = 8.0  # of the log odds that one pair of tracks gives
@@ -43,7 +43,7 @@ UNKNOWN: Final = -1
 _NEW: Final = 0.0  # log odds of somebody new, of which nothing is known
 
 
-class Seen(NamedTuple):
+class TrackSummary(NamedTuple):
     """A track: its name, the frames [first, stop) in which it is, its first and its last box, its shot, its looks."""
 
     name: str
@@ -52,7 +52,7 @@ class Seen(NamedTuple):
     begins: Box
     ends: Box
     shot: int
-    looks: Looks
+    looks: FaceDescriptor
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Cast:
     doubts: tuple[Doubt, ...]
 
 
-def cast_of(tracks: Sequence[Seen], known: Sequence[Looks] = (), fps: float = 25.0) -> Cast:
+def cast_of(tracks: Sequence[TrackSummary], known: Sequence[FaceDescriptor] = (), fps: float = 25.0) -> Cast:
     """Who each track is of, of `known` people and others; of a film of `fps` frames per second.
 
     A track of which no face can be told again is of the person in whose place it goes on, or of nobody (UNKNOWN).
@@ -105,29 +105,29 @@ def cast_of(tracks: Sequence[Seen], known: Sequence[Looks] = (), fps: float = 25
     return Cast(person[found.person[k:]], found.p[k:], told)
 
 
-def same_person(looks: Sequence[Looks]) -> Array:
+def same_person(looks: Sequence[FaceDescriptor]) -> Array:
     """(T, T) log odds, bounded, that two tracks show one person, by what is seen in them."""
     return np.asarray(_senses(looks).sum(axis=0))
 
 
-def _best(looks: Looks) -> Whole:
+def _best(looks: FaceDescriptor) -> Whole:
     """The views (VIEWS,) that are worth most; few stand for more."""
     worth = looks.worth[:, 0]
     return np.resize(np.flatnonzero(worth >= _AS_GOOD * worth.max()), VIEWS)
 
 
-def worth_of(looks: Looks) -> float:
+def worth_of(looks: FaceDescriptor) -> float:
     """How much of a face the best views of a track show, 0..1."""
     return float(np.mean(looks.worth[_best(looks)]))
 
 
-def _senses(looks: Sequence[Looks]) -> Array:
+def _senses(looks: Sequence[FaceDescriptor]) -> Array:
     """(S, T, T) the log odds by each sense."""
     each = [(*SENSES[name], far) for name, far in distances(looks).items()]
     return np.array([np.clip(np.tensordot(by, far, 1), -against, most) for by, against, most, far in each])
 
 
-def distances(looks: Sequence[Looks]) -> dict[str, Array]:
+def distances(looks: Sequence[FaceDescriptor]) -> dict[str, Array]:
     """(D, T, T) what SENSES weigh of each pair of tracks: its worth, and that times its worth and its distance.
 
     A face that is blurred, small, covered or turned away says less, whatever it looks like; its colours say as much.
@@ -169,7 +169,7 @@ def _nearest(x: Array) -> Array:
     return 0.5 * (found + found.T)
 
 
-def _apart(tracks: Sequence[Seen]) -> Mask:
+def _apart(tracks: Sequence[TrackSummary]) -> Mask:
     """(T, T) tracks that are seen in the same frames."""
     first, stop = (np.array([getattr(one, key) for one in tracks]) for key in ("first", "stop"))
     both = (first[:, None] < stop) & (first < stop[:, None])
@@ -177,7 +177,7 @@ def _apart(tracks: Sequence[Seen]) -> Mask:
     return np.asarray(both)
 
 
-def places(tracks: Sequence[Seen], fps: float) -> tuple[Mask, Mask]:
+def places(tracks: Sequence[TrackSummary], fps: float) -> tuple[Mask, Mask]:
     """(T, T) pairs of tracks of which one begins in the place where the other has ended: in one shot, or over a cut.
 
     Over a cut it begins within half a second, as large as it was.

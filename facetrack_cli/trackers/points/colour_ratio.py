@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import Array, Extent, Frame, Mask, Particles, Start, Whole, factor_for
-from facetrack_cli.engine.checks import size_of_box
 from facetrack_cli.engine.protocols import Likelihood
-from facetrack_cli.engine.spaces import Context, Placed, PointSpace
+from facetrack_cli.engine.spaces import Context, Placed, PointSpace, size_of_box
 from facetrack_cli.trackers.points import window_kernels as windows
 from facetrack_cli.trackers.points.settings import ColourRatioSettings, PointsSettings
 

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.types import Array, Frame, Particles, factor_for
-from facetrack_cli.engine.independent import averaged, effective_share
+from facetrack_cli.engine.resampling import averaged, effective_share
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.regions import region_kernels as kernel
 from facetrack_cli.trackers.regions.settings import ContourSettings

@@ -40,9 +40,9 @@ import numpy as np
 
 from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.core.warp import remap
-from facetrack_cli.engine.independent import averaged, effective_share
 from facetrack_cli.engine.kernels.affine import boxes_extent
 from facetrack_cli.engine.protocols import Likelihood
+from facetrack_cli.engine.resampling import averaged, effective_share
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.regions import region_kernels as kernel
 from facetrack_cli.trackers.regions.settings import CorrelationSettings, ProductSettings

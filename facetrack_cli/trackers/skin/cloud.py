@@ -20,10 +20,9 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Frame, Particles, Start, factor_for
-from facetrack_cli.engine.checks import box_of, check_size, size_of_box
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Likelihood
-from facetrack_cli.engine.spaces import Context, Estimate, Placed, Space, estimate
+from facetrack_cli.engine.spaces import Context, Estimate, Placed, Space, box_of, check_size, estimate, size_of_box
 from facetrack_cli.trackers.points.window_kernels import extent
 from facetrack_cli.trackers.skin import skin_kernels as kernel
 from facetrack_cli.trackers.skin.colour import SkinModel, learn_skin

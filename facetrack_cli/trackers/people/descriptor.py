@@ -40,7 +40,7 @@ _SCORE: Final = (0.75, 0.9)  # the same of the detector's score
 FACE_SCORE: Final = 0.65  # mean of the detector's score over the better half of the views of a face, at least
 
 
-class Looks(NamedTuple):
+class FaceDescriptor(NamedTuple):
     """What M views of a face show: `face` (M, 576), grey without mean and of unit norm; `skin`, `hair` (M, 3) in Lab.
 
     `worn` (M, 36), a histogram of colours; `embedding` (M, 128), or (M, 0) without dlib. `worth` (M, 1): how much of a
@@ -69,43 +69,44 @@ class Picture:
         return cls(_upright(frame, face, CHIP_SIDES, CHIP_PX), around)
 
     @cached_property
-    def looks(self) -> Looks:
+    def looks(self) -> FaceDescriptor:
         """Of this one view."""
         each = _face(self.chip), *_colours(self.wide), embedded(self.chip), np.array([_sharp(self.chip)])
-        return Looks(*(one[None] for one in each))
+        return FaceDescriptor(*(one[None] for one in each))
 
 
-def together(looks: Iterable[Looks]) -> Looks:
+def together(looks: Iterable[FaceDescriptor]) -> FaceDescriptor:
     """The looks of all views."""
-    return Looks(*map(np.concatenate, zip(*looks, strict=True)))
+    return FaceDescriptor(*map(np.concatenate, zip(*looks, strict=True)))
 
 
 KNOWN_PEOPLE: Final = Kind("facetrack-people", 1, "file of known people", "facetrack people RUN --save FILE")
 
 
-def save_people(path: Path, people: Mapping[str, Looks]) -> None:
+def save_people(path: Path, people: Mapping[str, FaceDescriptor]) -> None:
     """Write the looks of people by name. Raises OutputError."""
     which = np.repeat(np.arange(len(people)), [len(one.face) for one in people.values()])
     arrays = {"names": np.array(list(people)), "which": which.astype("<i8")}
     KNOWN_PEOPLE.write(path, {**arrays, **together(people.values())._asdict()})
 
 
-def load_people(path: Path) -> dict[str, Looks]:
+def load_people(path: Path) -> dict[str, FaceDescriptor]:
     """The people that `save_people` wrote. Raises InputError for anything else."""
     return KNOWN_PEOPLE.read(path, _people)
 
 
-def _people(stored: Stored) -> dict[str, Looks]:
+def _people(stored: Stored) -> dict[str, FaceDescriptor]:
     names, which = stored.texts("names"), np.array(stored.whole("which"))
-    *first, last = Looks._fields  # a file of an earlier version has no worth
+    *first, last = FaceDescriptor._fields  # a file of an earlier version has no worth
     ones = stored.reals(last, 2) if last in stored else np.ones((len(which), 1))
-    every = Looks._make([*(stored.reals(name, 2) for name in first), ones])
+    every = FaceDescriptor._make([*(stored.reals(name, 2) for name in first), ones])
     sizes = {len(values) for values in every} | {len(which)}
     if len(sizes) > 1 or set(which.tolist()) != set(range(len(names))) or len(set(names)) < len(names):
         raise ValueError("its arrays do not belong together")
     if [one.shape[1] for one in every[:4]] != [FACE_PX**2, 3, 3, _BINS**2] or every.embedding.shape[1] not in (0, 128):
         raise ValueError("its faces have another size than this facetrack reads")
-    return {checked_name(name): Looks(*(values[which == k] for values in every)) for k, name in enumerate(names)}
+    each = (FaceDescriptor(*(values[which == k] for values in every)) for k in range(len(names)))
+    return dict(zip(map(checked_name, names), each, strict=True))
 
 
 class View(NamedTuple):
@@ -136,13 +137,13 @@ def views_of(box: Trajectory) -> list[View]:
     return found
 
 
-class Reader:
+class Describer:
     """Looks at views of one track, in the order of their frames."""
 
     def __init__(self, detector: Detector) -> None:
         self._detector = detector
         self.scores: list[float] = []  # of the detector, in each view; 0 where it sees no face
-        self._seen: list[Looks] = []
+        self._seen: list[FaceDescriptor] = []
         self._places: list[Image] = []
         self._first: Similarity | None = None
         self.best: tuple[float, Image] | None = None  # the best still
@@ -164,7 +165,7 @@ class Reader:
         if self.best is None or sharp > self.best[0]:
             self.best = sharp, still(frame, view.face)
 
-    def looks(self) -> Looks:
+    def looks(self) -> FaceDescriptor:
         """What was seen; ValueError if that is nothing."""
         return together(self._seen)
 

@@ -1,0 +1,331 @@
+"""Init files: what is read, what is refused and where, and that what is written is read back."""
+
+import io
+import json
+import re
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.face_points import DETECTORS
+from facetrack_cli.core.types import Correction, Start, TargetStart
+from facetrack_cli.start.assembly import name_targets
+from facetrack_cli.start.init_file import check_start, find_init, read_init, write_init
+
+BOX = "frame: 0\nbox: [1, 2, 3, 4]\n"
+HEAD = "frame: 0\nface:\n  "
+POINTS = "frame: 5\nface:\n  points: {nose: [1, 2], lip_upper: [3, 4], lip_lower: [5, 6]}\ncorrections:\n"
+SIX = POINTS + "- frame: 6\n  "  # whose keys are in line 6 and below
+TWO = "frame: 5\nhead: {box: [1, 2, 30, 40]}\nleft_hand: {box: [5, 6, 30, 40]}\ncorrections:\n"
+NOSE = "points: {nose: [1, 2]}"
+
+
+def write(tmp_path, text, name="clip.init.yaml"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def test_reads_the_documented_file(tmp_path):
+    text = """
+frame: 3
+face:
+  box: [100, 60, 80, 80]          # left, top, width, height
+  points: {nose: [141.0, 112.5], mouth_left: [120, 140], lip_upper: [1, 2], lip_lower: [3, 4]}
+  windows: {nose: [25, 21]}
+corrections:
+- frame: 60
+  face: {absent: true}
+- frame: 31
+  face:
+    points: {nose: [137.2, 153.9]}     # by hand
+    kept: {lip_lower: [160, 138.4]}
+    absent: [lip_upper]
+    learn: true
+"""
+    points = {"nose": (141.0, 112.5), "mouth_left": (120, 140), "lip_upper": (1, 2), "lip_lower": (3, 4)}
+    moved, kept = TargetStart(None, {"nose": (137.2, 153.9)}), {"lip_lower": (160, 138.4)}
+    assert read_init(write(tmp_path, text)) == Start(
+        3,
+        {"face": TargetStart((100, 60, 80, 80), points, {"nose": (25, 21)})},
+        str(tmp_path / "clip.init.yaml"),
+        (Correction(31, "face", moved, kept, ("lip_upper",), learn=True), Correction(60, "face", absent=True)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "targets", "corrections"),
+    [
+        (BOX + "corrections: []\n", {"face": TargetStart((1, 2, 3, 4))}, ()),
+        (
+            "frame: 0\nleft_hand: {box: [1, 2, 3, 4]}\nhead: {points: {a: [1, 2]}}\n",
+            {"left_hand": TargetStart((1, 2, 3, 4)), "head": TargetStart(None, {"a": (1, 2)})},
+            (),
+        ),
+        (
+            "frame: 0\nanna: {box: [1, 2, 3, 4]}\ncorrections: [{frame: 3, box: [5, 6, 7, 8], learn: false}]\n",
+            {"anna": TargetStart((1, 2, 3, 4))},
+            (Correction(3, "anna", TargetStart((5, 6, 7, 8)), learn=False),),
+        ),
+        (
+            BOX + "corrections: [{frame: 3, face: {absent: [box]}}]\n",
+            {"face": TargetStart((1, 2, 3, 4))},
+            (Correction(3, "face", absent=("box",)),),
+        ),
+        *(
+            (
+                TWO + text,
+                {"head": TargetStart((1, 2, 30, 40)), "left_hand": TargetStart((5, 6, 30, 40))},
+                (Correction(9, "left_hand", absent=True), Correction(9, "head", TargetStart((1, 2, 3, 4)))),
+            )
+            for text in (
+                "- {frame: 9, left_hand: {absent: true}, head: {box: [1, 2, 3, 4]}}\n",
+                "- {frame: 9, left_hand: {absent: true}}\n- {frame: 9, head: {box: [1, 2, 3, 4]}}\n",
+            )
+        ),
+        (  # a start of a box alone leaves the parts to the recipe
+            BOX + "corrections:\n- {frame: 3, points: {nose: [5, 6]}, absent: [lip_upper]}\n",
+            {"face": TargetStart((1, 2, 3, 4))},
+            (Correction(3, "face", TargetStart(None, {"nose": (5, 6)}), absent=("lip_upper",)),),
+        ),
+    ],
+)
+def test_shorter_forms(tmp_path, text, targets, corrections):
+    start = read_init(write(tmp_path, text))
+    assert list(start.targets.items()) == list(targets.items()) and start.corrections == corrections
+
+
+def test_json_may_be_indented_by_tabs(tmp_path):
+    text = json.dumps({"frame": 2, "face": {"points": {"nose": [1.5, 2e1]}}}, indent="\t")
+    assert read_init(write(tmp_path, text, "clip.init.json")).targets["face"].points == {"nose": (1.5, 20.0)}
+
+
+MISTAKES = [
+    ("frame: 0\nbocks: [1, 2, 3, 4]\n", 2, 'unknown key "bocks"'),
+    ("frame: 0\nfarme: 0\nbox: [1, 2, 3, 4]\n", 2, 'did you mean "frame"'),
+    (HEAD + "box: [1, 2, 3, 4]\n  colour: red\n", 4, 'face: unknown key "colour"; the keys there are: box'),
+    ("face: {frame: 0, box: [1, 2, 3, 4]}\n", 1, '"frame" is missing'),
+    ("frame:\nbox: [1, 2, 3, 4]\n", 1, "frame must be a whole number"),
+    ("frame: 99999999999\nbox: [1, 2, 3, 4]\n", 1, "frame must be a whole number, from 0 to 1000000000"),
+    ("frame: 0\nplaced_by: hand\nbox: [1, 2, 3, 4]\n", 2, "placed_by names a detector, haar or yunet"),
+    ("frame: 0\n", 1, "neither a box nor points"),
+    (HEAD + "windows: {nose: [1, 2]}\n", 3, "neither a box nor points of face"),
+    ("frame: 0\nface:\n", 2, "a target holds box: and points:"),
+    (HEAD + "box: [1, 2, .nan, 4]\n", 3, "not a finite number"),
+    (HEAD + "points: {nose: [1, -1e7]}\n", 3, "face: points.nose[2] must be at least -1000000"),
+    (HEAD + "box: [1, 2, 3]\n", 3, "must have 4 items, not 3; write box: [left, top, width, height]"),
+    (HEAD + "points: {nose: [1, x]}\n", 3, 'face: points.nose[2] must be a number, not the text "x"'),
+    (HEAD + "box:\n  points: {nose: [1, 2]}\n", 3, "nothing is given here"),
+    (HEAD + "points: [[1, 2]]\n", 3, "must be a mapping of keys, not a list; write points: {nose: [x, y]}"),
+    (HEAD + 'points: {"the nose": [1, 2]}\n', 3, '"the nose" cannot name a part'),
+    (HEAD + "points: {nose: [1, 2]}\n  windows: {nase: [5, 5]}\n", 4, 'did you mean "nose"'),
+    ("- 1\n- 2\n", 1, "an init file is a mapping of keys; write frame: 0"),
+    ("", 1, "empty"),
+    (POINTS + "  frame: 31\n", 5, "corrections is a list; write - frame: 31"),
+    (POINTS, 4, "corrections is a list; write - frame: 31"),
+    ("frame: 0\nface: {box: [1, 2, 3, 4]}\ncorrection: []\n", 3, 'did you mean "corrections"?'),
+    (POINTS + "- 31\n", 5, "a correction is a mapping of keys; write - frame: 31"),
+    (POINTS + f"- face: {{{NOSE}}}\n", 5, 'the key "frame" is missing; add frame: N'),
+    (POINTS + f"- {{frame: 5, {NOSE}}}\n", 5, "the track begins in frame 5"),
+    (POINTS + "- frame: 6\n", 5, "nothing is corrected here; add points: or box:"),
+    (SIX + "face: {}\n", 6, "nothing of face is corrected"),
+    (SIX + "face: {kept: {nose: [1, 2]}}\n", 6, "nothing of face is corrected"),
+    (SIX + f"fase: {{{NOSE}}}\n", 6, 'did you mean "face"?'),
+    (SIX + "face:\n    learnt: true\n", 7, 'did you mean "learn"?'),
+    (SIX + "face: {colour: red}\n", 6, 'face in frame 6: unknown key "colour"; the keys there are: box, points, kept'),
+    (SIX + "face: [1, 2]\n", 6, "the correction of face is a mapping"),
+    (TWO + "- {frame: 6, absent: true}\n", 5, "below its name: head, left_hand"),
+    (POINTS + f"- {{frame: 6, {NOSE}}}\n- frame: 6\n  face: {{absent: true}}\n", 7, "in line 5 already"),
+    (SIX + f"{NOSE}\n  windows: {{nose: [5, 5]}}\n", 7, "windows stay as the start has them"),
+    (SIX + "points: {nose: [1, 1e7]}\n", 6, "face in frame 6: points.nose[2] must be at most 1000000"),
+    (SIX + "absent: [lip_uper]\n", 6, 'did you mean "lip_upper"?'),
+    (SIX + f"{NOSE}\n  kept: {{nose: [1, 2]}}\n", 7, "nose is in points already"),
+    (TWO + "- frame: 6\n  head: {box: [1, 2, 3, 4], absent: [box]}\n", 6, "box is in box already"),
+    (TWO + "- frame: 6\n  head: {box: [1, 2, 3, 4], kept: {a: [1, 2]}}\n", 6, "no other parts"),
+    (SIX + "absent: false\n", 6, "absent must be a list, not false; write absent: [nose], or absent: true"),
+    (SIX + "absent: []\n", 6, "nothing is given here"),
+    (SIX + "absent: [1]\n", 6, "absent[1] must be a text, not 1; write absent: [nose]"),
+    (SIX + "absent: [nose, nose]\n", 6, "nose is in absent already"),
+    (SIX + f"{NOSE}\n  confirmed: true\n", 6, "is confirmed where the tracker has it; remove points"),
+    (SIX + "confirmed: [ear]\n", 6, 'confirmed names "ear", which the start'),
+    (SIX + f"{NOSE}\n  absent: true\n", 6, "all of face is absent; remove"),
+    (SIX + "absent: true\n  learn: true\n", 7, "remove learn"),
+    (SIX + f"{NOSE}\n  learn: maybe\n", 7, 'learn must be true or false, not the text "maybe"'),
+    (BOX + "absent: true\n", 3, '"absent" is a key of corrections; move it'),
+]
+
+
+@pytest.mark.parametrize(("text", "line", "said"), MISTAKES)
+def test_a_mistake_is_one_line_with_its_place(tmp_path, text, line, said):
+    path = write(tmp_path, text)
+    with pytest.raises(InputError) as caught:
+        read_init(path)
+    message = str(caught.value)
+    assert "\n" not in message and said in message
+    assert re.match(rf"{re.escape(str(path))}:{line}[: ]", message), message
+
+
+@pytest.mark.parametrize("name, said", [("none.yaml", "no such init file"), (".", "is a folder")])
+def test_no_file_to_read(tmp_path, name, said):
+    with pytest.raises(InputError, match=said):
+        read_init(tmp_path / name)
+
+
+# --- written, and read back ----------------------------------------------------------------------------------------
+
+numbers = st.floats(-1e6, 1e6, allow_nan=False)
+sizes = st.floats(0.01, 1e6)
+boxes = st.tuples(numbers, numbers, sizes, sizes)
+PARTS = ("nose", "no", "_X", "mouth-left", "x1")
+
+
+@st.composite
+def corrections(draw, frame, name):
+    learn = draw(st.sampled_from([None, True, False]))
+    kind = draw(st.sampled_from(["gone", "confirmed", "box", "points"]))
+    if kind == "gone":
+        return Correction(frame, name, absent=True)
+    if kind == "confirmed":
+        sure = draw(st.lists(st.sampled_from(PARTS), max_size=3, unique=True))
+        return Correction(frame, name, confirmed=tuple(sure) or True)
+    if kind == "box":
+        return Correction(frame, name, TargetStart(draw(boxes)), learn=learn)
+    about = {part: draw(st.sampled_from(["given", "kept", "absent", ""])) for part in PARTS}
+    where = {part: draw(st.tuples(numbers, numbers)) for part in PARTS}
+    those = {said: [part for part in PARTS if about[part] == said] for said in ("given", "kept", "absent")}
+    if not those["given"] + those["absent"]:
+        those["absent"] = [part for part in PARTS if part not in those["kept"]][:1] or [those["kept"].pop()]
+    points, kept = ({part: where[part] for part in those[said]} for said in ("given", "kept"))
+    return Correction(frame, name, TargetStart(None, points), kept, tuple(those["absent"]), learn)
+
+
+@st.composite
+def starts(draw):
+    first, targets = draw(st.integers(0, 1000)), {}
+    for name in draw(st.lists(st.sampled_from(["face", "no", "hand"]), min_size=1, unique=True)):
+        points = {part: draw(st.tuples(numbers, numbers)) for part in PARTS}
+        windows = {part: draw(st.tuples(sizes, sizes)) for part in PARTS[:1]}
+        targets[name] = TargetStart(draw(st.one_of(st.none(), boxes)), points, windows)
+    places = st.tuples(st.integers(first + 1, 10**9), st.sampled_from(list(targets)))
+    those = sorted(draw(st.lists(places, max_size=5, unique=True)), key=lambda place: place[0])
+    corrected = tuple(draw(corrections(frame, name)) for frame, name in those)
+    if any(targets[one.target].box is None and one.given.box for one in corrected):
+        targets = {name: replace(one, box=(0.0, 1.0, 2.0, 3.0)) for name, one in targets.items()}
+    by = draw(st.sampled_from(["", *DETECTORS]))
+    return Start(first, targets, "", corrected, detector=by, placed=by != "")
+
+
+@given(starts(), st.sampled_from(["a.init.yaml", "a.init.json"]))
+def test_what_is_written_is_read_back(tmp_path_factory, start, name):
+    path = tmp_path_factory.mktemp("init") / name
+    write_init(path, start, clip="a # clip\n")
+    assert replace(read_init(path), origin="") == start
+    if name.endswith(".json"):
+        assert len(json.loads(path.read_text()).get("corrections", [])) == len({one.frame for one in start.corrections})
+
+
+def test_written_files_explain_themselves_and_are_not_replaced_unasked(tmp_path):
+    path = tmp_path / "clip.init.yaml"
+    start = Start(12, {"face": TargetStart((1, 2, 30, 40), {"nose": (10.25, 20)})}, "haar")
+    write_init(path, start, clip="clip.mp4")
+    text = path.read_text()
+    assert "\nplaced_by: haar  # remove this line once you have edited" in text and read_init(path).detector == "haar"
+    assert "clip.mp4" in text and "left, top, width, height" in text and "the tip of the nose" in text
+    with pytest.raises(OutputError, match="--overwrite"):
+        write_init(path, start)
+    write_init(path, Start(13, start.targets, ""), overwrite=True)
+    assert read_init(path).frame == 13 and "placed_by" not in path.read_text()
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_init(tmp_path / "none" / "a.yaml", start)
+    stream = io.StringIO()
+    write_init(stream, start)
+    assert "frame: 12" in stream.getvalue()
+
+
+def test_written_corrections_are_made_to_be_edited(tmp_path):
+    points = dict.fromkeys(("nose", "lip_upper", "lip_lower", "mouth_left", "mouth_right"), (1.5, 2.0))
+    kept = dict(list(points.items())[2:])
+    some = Correction(7, "face", TargetStart(None, {"nose": (3, 4)}), kept, ("lip_upper",))
+    start = Start(0, {"face": TargetStart(None, points)}, "", (some, Correction(9, "face", absent=True)))
+    path = tmp_path / "clip.init.yaml"
+    write_init(path, start)
+    head, _, tail = path.read_text().partition("corrections:\n")
+    assert "# points, box: by hand; kept: where its other points were" in head
+    assert tail.splitlines() == [
+        "- frame: 7",
+        "  face:",
+        "    points: {nose: [3, 4]}",
+        "    kept: {lip_lower: [1.5, 2], mouth_left: [1.5, 2], mouth_right: [1.5, 2]}",
+        "    absent: [lip_upper]",
+        "- frame: 9",
+        "  face:",
+        "    absent: true",
+    ]
+    many = replace(some, kept={f"point_{n:02}": (n + 0.25, 200.5) for n in range(20)}, absent=())
+    wide = Start(0, {"face": TargetStart(None, {"nose": (1, 2), **many.kept})}, "", (many,))
+    write_init(path, wide, overwrite=True)
+    assert max(map(len, path.read_text().splitlines())) <= 120, "more points than a line holds stand below each other"
+    assert read_init(path).corrections == (many,)
+
+
+def test_as_many_corrections_as_a_long_clip_wants(tmp_path):
+    box = TargetStart((100.25, 200.5, 30.75, 40.5))
+    start = Start(0, {"face": box}, "", tuple(Correction(n, "face", box) for n in range(1, 1001)))
+    write_init(tmp_path / "clip.init.yaml", start)
+    assert (tmp_path / "clip.init.yaml").stat().st_size > 50_000
+    assert len(read_init(tmp_path / "clip.init.yaml").corrections) == 1000
+
+
+def test_finds_the_file_beside_a_video_or_a_folder(tmp_path):
+    frames = tmp_path / "shots.d"
+    frames.mkdir()
+    assert find_init(tmp_path / "clip.a.mp4") is None and find_init(frames) is None
+    for suffix in ("json", "yml", "yaml"):
+        beside = write(tmp_path, "", f"clip.a.init.{suffix}")
+        assert find_init(tmp_path / "clip.a.mp4") == beside
+    (tmp_path / "shots.d.init.yaml").touch()
+    assert find_init(frames) == find_init(frames / ".") == tmp_path / "shots.d.init.yaml"
+
+
+# --- what the clip and the recipe say of it ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("target", "said"),
+    [
+        (TargetStart(None, {"nose": (320, 10), "mouth_left": (1, 2)}), r"nose of face at \[320, 10\] is outside"),
+        (TargetStart(None, {"nose": (1, 2), "mouth_left": (1, -0.6)}), "mouth_left of face"),
+        (TargetStart((310, 10, 40, 40), {"nose": (1, 2), "mouth_left": (1, 2)}), "the box .* is outside"),
+        (TargetStart((10, 10, 40, 40)), "no point for nose, mouth_left of face"),
+        (TargetStart(None, {"nose": (1, 2)}), "no point for mouth_left of face"),
+        (TargetStart(None, {"nose": (1, 2), "mouth_left": (1, 2)}, {"nose": (5, 241)}), "5x241, is larger than"),
+    ],
+)
+def test_what_the_clip_and_the_recipe_refuse(target, said):
+    with pytest.raises(InputError, match=rf"^here\.yaml: .*{said}"):
+        check_start(Start(0, {"face": target}, "here.yaml"), (320, 240), ("nose", "mouth_left"))
+
+
+def test_what_they_accept():
+    target = TargetStart((-10, -10, 40, 40), {"nose": (-0.5, 239.5), "chin": (319.5, 0)}, {"nose": (320, 240)})
+    check_start(Start(4, {"face": target}, ""), (320, 240), ["nose"], frames=5)
+    with pytest.raises(InputError, match="ends with frame 3"):
+        check_start(Start(4, {"face": target}, ""), (320, 240), ["nose"], frames=4)
+
+
+def test_corrections_go_with_their_targets_to_the_names_of_the_recipe():
+    hand, boxes = Correction(3, "hand", absent=True), ((1, 2, 30, 40), (5, 6, 30, 40))
+
+    def named(names, targets, *those, **more):
+        start = Start(0, {name: TargetStart(box) for name, box in zip(targets, boxes, strict=False)}, "x", those)
+        return name_targets(start, names, None, **more).corrections
+
+    for name in ("face", "somebody"):
+        assert named(("head",), (name,), replace(hand, target=name)) == (replace(hand, target="head"),)
+    face = Correction(4, "face", absent=True)
+    assert named(("head", "hand"), ("face", "hand"), hand, face) == (hand, replace(face, target="head"))
+    assert named(("head",), ("head", "hand"), hand, left_out=("hand",)) == ()
+    assert named((), ("head", "hand"), hand) == (hand,)
