@@ -24,8 +24,7 @@ from facetrack_cli.core.numbers import csv_text, document
 from facetrack_cli.core.types import Array, Start, Whole
 from facetrack_cli.evaluation import summary
 from facetrack_cli.evaluation.boxes import share_up_to
-from facetrack_cli.evaluation.measure import PERCENT, Measure
-from facetrack_cli.evaluation.rows import Pair, Rows, column, match
+from facetrack_cli.evaluation.rows import PERCENT, Measure, Pair, Rows, column, match
 from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet, clip_name, rounded
 from facetrack_cli.evaluation.summary import MEASURES, Evaluation, evaluate, scalars
 from facetrack_cli.recipe.model import Recipe, to_dict

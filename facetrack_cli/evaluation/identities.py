@@ -18,8 +18,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import BOX, Array, Mask, Whole
-from facetrack_cli.evaluation.measure import COUNT, PERCENT, Measure, Value
-from facetrack_cli.evaluation.rows import NEAR
+from facetrack_cli.evaluation.rows import COUNT, NEAR, PERCENT, Measure, Value
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 SAME: Final = 0.5  # similarity from which a target is on a person

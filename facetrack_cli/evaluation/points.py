@@ -11,8 +11,7 @@ import numpy as np
 
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array
-from facetrack_cli.evaluation.measure import COUNT, HALVES, PERCENT, PX, UNIT, Measure, Value, mean, median
-from facetrack_cli.evaluation.rows import Rows, column
+from facetrack_cli.evaluation.rows import COUNT, HALVES, PERCENT, PX, UNIT, Measure, Rows, Value, column, mean, median
 
 FAILURE = 0.1  # normalised error above which a row has failed, as in COFW and WFLW; 300-W takes 0.08
 HELD = 5  # a part is back once it is near for so many rows in a row

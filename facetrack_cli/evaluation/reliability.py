@@ -13,8 +13,7 @@ import numpy as np
 
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array, Mask
-from facetrack_cli.evaluation.measure import COUNT, HALVES, PERCENT, PX, UNIT, Measure, Value, mean, median, share
-from facetrack_cli.evaluation.rows import Rows, column
+from facetrack_cli.evaluation.rows import COUNT, HALVES, PERCENT, PX, UNIT, Measure, Rows, Value, column, mean, median
 
 BINS = 10
 # squared Mahalanobis distances within which 50 and 90 % of a two-dimensional normal distribution lie
@@ -135,6 +134,11 @@ def measure_jitter(parts: Sequence[Rows]) -> JitterMeasures | None:
     return JitterMeasures(len(ours), median(ours), median(truth)) if len(ours) else None
 
 
+def _share(rows: Mask, others: Mask) -> Value:
+    """The share of the first rows that are also among the others, 0 to 1; None if there are none."""
+    return mean(others[rows])
+
+
 def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
     """`lost` against the ground truth; None if no row has a status. Delays: of spans in which no correction helped."""
     by_hand = [part.frame[part.by_hand] for part in parts]
@@ -158,13 +162,13 @@ def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
         rows=len(lost),
         covered=int(np.sum(covered)),
         called=int(np.sum(lost)),
-        precision=share(lost, covered),
-        precision_gone=share(lost & known, gone),
-        recall=share(covered, lost),
-        recall_gone=share(gone, lost),
-        false_alarms=share(visible & judged & near, lost),
-        tracked_near=share(~lost & judged, near),
-        tracked_visible_near=share(~lost & judged & visible, near),
+        precision=_share(lost, covered),
+        precision_gone=_share(lost & known, gone),
+        recall=_share(covered, lost),
+        recall_gone=_share(gone, lost),
+        false_alarms=_share(visible & judged & near, lost),
+        tracked_near=_share(~lost & judged, near),
+        tracked_visible_near=_share(~lost & judged & visible, near),
         spans=len(stretches),
         spans_called=len(delays[0]),
         delay_lost=median(np.array(delays[0])),

@@ -17,7 +17,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.evaluation import goldens
-from facetrack_cli.evaluation.goldens import Checked, as_junit, find_goldens, read_golden
+from facetrack_cli.evaluation.goldens import Verdict, as_junit, find_goldens, read_golden
 from facetrack_cli.trackers.points.colour_ratio import ColourRatio
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
@@ -291,7 +291,7 @@ def test_an_interrupt_leaves_the_goldens_as_they_were(
 def test_junit_escapes_what_xml_cannot_hold(tmp_path: Path) -> None:
     nasty = 'a <b> & "c" \x00\x1b[31m ]]> \ud800'
     path = tmp_path / "r.xml"
-    fails = Checked(Path("golden"), nasty, nasty, "fails", nasty, (nasty,))
+    fails = Verdict(Path("golden"), nasty, nasty, "fails", nasty, (nasty,))
     path.write_text(as_junit([fails, replace(fails, status="skipped")]), encoding="utf-8")
     failure, clean = check_junit(path).find(".//failure"), 'a <b> & "c" \ufffd\ufffd[31m ]]> \ufffd'
     assert failure is not None and failure.text == f"{clean}\n{clean}"
@@ -303,10 +303,10 @@ FEW = ["occlusion.factorized", "expressions.sir"]
 ONE_BY_DAY = [FEW[0], *(pytest.param(stem, marks=pytest.mark.nightly) for stem in FEW[1:])]
 
 
-def verdict(stem: str, monkeypatch: pytest.MonkeyPatch, *overrides: str) -> Checked:
+def verdict(stem: str, monkeypatch: pytest.MonkeyPatch, *overrides: str) -> Verdict:
     """Of a shipped golden, as if its versions were others."""
     monkeypatch.setattr(goldens, "versions", lambda: {"numpy": "1.0"})
-    asked = [one for one in goldens.recorded(SAMPLES, {}) if one.path.stem == stem]
+    asked = [one for one in goldens.tasks(SAMPLES, {}) if one.path.stem == stem]
     (found,) = goldens.regress(SAMPLES, asked, overrides=overrides)
     return found
 
