@@ -10,7 +10,7 @@ from typing import BinaryIO, Final
 
 from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.video import images
-from facetrack_cli.video.archive import holds_images, is_archive
+from facetrack_cli.video.images import holds_images, is_archive
 
 AGAIN: Final = "copy or download it again"
 _KINDS: Final = (

@@ -4,11 +4,13 @@ import contextlib
 import io
 import re
 import warnings
+import zlib
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, Final, NamedTuple, TypeVar
+from zipfile import BadZipFile, ZipFile, ZipInfo, is_zipfile
 
 import cv2
 import imageio.v3 as iio
@@ -16,6 +18,7 @@ import numpy as np
 from PIL import Image as Pictures
 
 from facetrack_cli.core.errors import InputError, reason
+from facetrack_cli.core.npz import check_directory
 from facetrack_cli.core.types import Image
 
 # of damaged metadata Pillow says much, and without the file's name
@@ -153,18 +156,19 @@ def numbers(path: Path, data: bytes | None = None, page: int = 0, held: dict[Pat
     A stack stays open in `held`, whose pages are found one after the other.
     """
     try:
-        if page and held is not None and path not in held:
-            let_go(held)
-            held[path] = iio.imopen(path if data is None else data, "r", plugin="pillow")
         with contextlib.ExitStack() as opened:
-            file = (held or {}).get(path)
-            if file is None:
-                file = opened.enter_context(iio.imopen(path if data is None else data, "r", plugin="pillow"))
+            if (file := (held or {}).get(path)) is None:
+                file = iio.imopen(path if data is None else data, "r", plugin="pillow")
+                if page and held is not None:
+                    let_go(held)
+                    held[path] = file
+                else:
+                    opened.enter_context(file)
             about = file.metadata(index=page, exclude_applied=False)
             mode, (width, height) = str(about["mode"]), about["shape"]
             if mode in ("I", "F") and path.suffix.lower() != ".png":
-                why = "is a 32-bit image, which has no agreed range"
-                raise UnreadableError(path, why, "convert it to 8 or 16 bits")
+                why, remedy = "is a 32-bit image, which has no agreed range", "convert it to 8 or 16 bits"
+                raise UnreadableError(path, why, remedy)
             check_pixels(path, width, height)
             options: dict[str, Any] = {"index": page, "rotate": True, "mode": _READ_AS.get(mode)}
             pixels: Any = np.asarray(file.read(**options))
@@ -188,9 +192,9 @@ def _sixteen(path: Path, data: bytes | None) -> Any:
     with Pictures.open(path if data is None else io.BytesIO(data)) as image:
         if ";16" not in str(image.tile):  # how its pixels are stored
             return None
-    given = np.fromfile(path, np.uint8) if data is None else np.frombuffer(data, np.uint8)
-    found = cv2.imdecode(given, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-    return None if found is None else found[..., ::-1]
+    encoded = np.fromfile(path, np.uint8) if data is None else np.frombuffer(data, np.uint8)
+    pixels = cv2.imdecode(encoded, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    return None if pixels is None else pixels[..., ::-1]
 
 
 def levels(samples: Iterable[Any]) -> Levels:
@@ -198,10 +202,12 @@ def levels(samples: Iterable[Any]) -> Levels:
 
     A camera of 12 bits writes 0 to 4095, a thermal one 27000 to 31000.
     """
-    ends = [(int(one.min()), int(one.max())) for one in samples if one.dtype.itemsize > 1]
-    low, high = min((one[0] for one in ends), default=0), max((one[1] for one in ends), default=0)
+    ends = [(int(image.min()), int(image.max())) for image in samples if image.dtype.itemsize > 1]
+    if not ends:
+        return Levels()
+    low, high = min(ends)[0], max(high for _, high in ends)
     white = 2 ** max(high.bit_length(), 8) - 1
-    return Levels(low, high) if high > 0xFF and low > white // 4 else Levels(0, white if ends else 0xFFFF)
+    return Levels(low, high) if high > 0xFF and low > white // 4 else Levels(0, white)
 
 
 def pages(path: Path, data: Callable[[Path], bytes | None] = lambda file: None) -> int:
@@ -259,3 +265,66 @@ def is_animated(path: Path) -> bool:
             head += file.read(1 << 16)
         return b"acTL" in head[: head.find(b"IDAT") + 1]
     return False
+
+
+# Images in a .zip archive
+
+MOST_BYTES: Final = 256 << 20  # bytes of an image, unpacked
+_BROKEN: Final = (BadZipFile, EOFError, OSError, RuntimeError, NotImplementedError, ValueError, zlib.error)
+
+
+def is_archive(path: Path) -> bool:
+    """Whether a file is a .zip archive by its name and its end. Raises OSError."""
+    return path.suffix.lower() == ".zip" and path.is_file() and is_zipfile(path)
+
+
+def holds_images(path: Path) -> bool:
+    """Whether an archive has an image, or cannot be read, of which more is said once it is opened."""
+    try:
+        with path.open("rb") as raw:
+            check_directory(path, raw)
+            return any(_is_frame(PurePosixPath(name)) for name in ZipFile(raw).namelist())
+    except (*_BROKEN, InputError):
+        return True
+
+
+class Archive:
+    """The images of one folder of an archive; `files` are their paths, as if the archive were a folder.
+
+    Raises InputError for an archive that is damaged, locked, has no images, or has them in several folders.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            with path.open("rb") as raw:
+                check_directory(path, raw)
+            self._zip = ZipFile(path)
+        except _BROKEN as e:
+            raise InputError(f"{path}: cannot be read as an archive ({reason(e)}); copy or download it again") from e
+        names = {PurePosixPath(one.filename): one for one in self._zip.infolist() if not one.is_dir()}
+        shown = {name: one for name, one in names.items() if _is_frame(name)}
+        if not shown:
+            raise InputError(f"{path}: no images in this archive; {', '.join(sorted(SUFFIXES))} are read")
+        if len(folders := {name.parent for name in shown}) > 1:
+            two = " and ".join(sorted(map(str, folders))[:2])
+            raise InputError(f"{path}: has images in several folders, as {two}; one clip has them in one")
+        files = ordered(shown, lambda name: name.name)
+        self._entries: dict[Path, ZipInfo] = {path / name: shown[name] for name in files}
+        self.files = list(self._entries)
+
+    def read(self, file: Path) -> bytes:
+        """The bytes of one image. Raises UnreadableError; no more is unpacked than an image may have."""
+        entry = self._entries[file]
+        if entry.file_size > MOST_BYTES:
+            raise UnreadableError(file, f"is too large for a frame: {entry.file_size / 1e6:.0f} MB unpacked")
+        try:
+            with self._zip.open(entry) as opened:
+                data = opened.read(entry.file_size + 1)
+        except _BROKEN as e:
+            raise UnreadableError(file, f"cannot be unpacked ({reason(e)})", "make the archive again") from e
+        return data
+
+
+def _is_frame(name: PurePosixPath) -> bool:
+    hidden = any(part.startswith((".", "__MACOSX")) for part in name.parts)
+    return name.suffix.lower() in SUFFIXES and not hidden

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from facetrack_cli.core.face_points import GROUPS, LINES, POINTS
 from facetrack_cli.core.types import Frame, Image
 from facetrack_cli.trajectory.trajectory import FrameResult, Status, TargetResult, recorded
+from facetrack_cli.video.overlay.labels import StatusBar, summary
 from facetrack_cli.video.overlay.marks import PALETTE, Font, Sprite, plain, readable, stamp
 from facetrack_cli.video.overlay.overlay import Overlay
-from facetrack_cli.video.overlay.status_bar import StatusBar, summary
 from tests.support import results
 from tests.support.face_shape import SHAPE, moving_face
 from tests.support.results import target
@@ -270,7 +270,7 @@ def test_names_of_targets_do_not_lie_on_each_other() -> None:
         shapes = [overlay._shape(each, i, alone=False) for i, each in enumerate((one, two))]
         image = np.zeros((240, 320, 3), np.uint8)
         for shape in shapes:
-            seen += overlay._labels._tag(image, shape, True, seen)
+            seen += overlay._labels._tag(image, shape, True, seen, overlay._labels.memory[1])
         (a, b) = seen
         assert a[2] <= b[0] or b[1] >= a[3] or a[1] >= b[3], f"{apart} apart"
         assert [box[1] < 100 for box in seen] == [True, apart == 120], "above, where there is room"

@@ -9,10 +9,9 @@ import pytest
 
 from facetrack_cli.core.types import Array, Frame, Image
 from facetrack_cli.trajectory.trajectory import FrameResult
-from facetrack_cli.video.overlay.labels import Insets, Rect, Shown
+from facetrack_cli.video.overlay.labels import Insets, Rect, Shown, adaptation
 from facetrack_cli.video.overlay.marks import Font
 from facetrack_cli.video.overlay.overlay import Overlay
-from facetrack_cli.video.overlay.status_bar import adaptation
 from tests.support import results
 from tests.support.results import target
 from tests.video.test_draw import around, part, result, touched

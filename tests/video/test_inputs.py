@@ -11,7 +11,7 @@ from PIL import Image
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.video import archive
+from facetrack_cli.video import images
 from facetrack_cli.video.seek import Frames
 from facetrack_cli.video.source import open_source
 
@@ -63,7 +63,7 @@ def test_archives_that_are_no_clips(tmp_path, monkeypatch):
     (tmp_path / "half.zip").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InputError, match=r"half\.zip"):
         open_source(tmp_path / "half.zip")
-    monkeypatch.setattr(archive, "MOST", 1000)
+    monkeypatch.setattr(images, "MOST_BYTES", 1000)
     with pytest.raises(InputError, match="too large for a frame"):
         open_source(packed(tmp_path / "bomb.zip", {"0.png": bytes(5000)}))
 

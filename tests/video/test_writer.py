@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.video import ffmpeg as ours
+from facetrack_cli.video import writer as ours
 from facetrack_cli.video.decode import sound_of
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import Planes, VideoWriter
@@ -64,7 +64,7 @@ def test_constant_rate_stays_strictly_constant(tmp_path: Path, fps: Fraction) ->
     pictures = media.read_timed(path)
     assert [media.number(picture) for _, picture in pictures] == list(range(30))
     np.testing.assert_allclose([t for t, _ in pictures], [float(k / fps) for k in range(30)], atol=1e-9)
-    head = ours.run(["-i", str(path)])[1]
+    head = ours.run_ffmpeg(["-i", str(path)])[1]
     assert "h264" in head and "yuv420p" in head and "mp4" in head
     assert left_behind(tmp_path) == ["out.mp4"]
 
@@ -213,19 +213,19 @@ def test_no_sound_no_fuss(tmp_path: Path) -> None:
     for source in (silent, folder, tmp_path / "missing.mp4"):
         writer = write(tmp_path / "out.mp4", audio_from=source)
         assert writer.warnings == []
-        assert "Audio" not in ours.run(["-i", str(tmp_path / "out.mp4")])[1]
+        assert "Audio" not in ours.run_ffmpeg(["-i", str(tmp_path / "out.mp4")])[1]
 
 
 def test_sound_that_fails_leaves_the_video_and_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = media.write_video(tmp_path / "clip.mp4", frames=20, sound=BEEP)
-    real = ours.run
+    real = ours.run_ffmpeg
 
     def failing(arguments: list[str]) -> tuple[int, str]:
         if "-itsoffset" in arguments:
             return 1, "[aist#0:1 @ 0x1] Error: no such codec\n"
         return real(arguments)
 
-    monkeypatch.setattr(ours, "run", failing)
+    monkeypatch.setattr(ours, "run_ffmpeg", failing)
     writer = write(tmp_path / "out.mp4", audio_from=source)
     (warning,) = writer.warnings
     assert "without sound" in warning and "no such codec" in warning and "\n" not in warning and "0x1" not in warning

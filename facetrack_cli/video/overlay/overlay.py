@@ -20,9 +20,8 @@ from facetrack_cli.core.geometry import shown_angle
 from facetrack_cli.core.types import BOX, Array, Image, Mask
 from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
 from facetrack_cli.video.overlay import marks
-from facetrack_cli.video.overlay.labels import Insets, Labels, Shape, Shown
+from facetrack_cli.video.overlay.labels import Insets, Labels, Shape, Shown, StatusBar
 from facetrack_cli.video.overlay.marks import GREY, LOST, PALETTE, WHITE, Colour, Font, Points
-from facetrack_cli.video.overlay.status_bar import StatusBar
 
 _FADES = 4  # steps of opacity along a trail
 _MAX_SAMPLES = 32  # earlier places along a trail
