@@ -56,15 +56,11 @@ CLIPS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "middle.ts": ((*B_FRAMES, "-g", "24", "-x264-params", "open-gop=1:scenecut=0"), {"frames": 150}),
     "damaged.mp4": ((*X264, "-g", "30"), {"frames": 120}),
 }
-IN_ORDER = {
-    "no_stamps.avi",
-    "mpeg1.mpg",
-    "no_stamps.mpg",
-    "damaged.mp4",
-}  # their packets do not tell which frame is which
+# their packets do not tell which frame is which
+IN_ORDER = {"no_stamps.avi", "mpeg1.mpg", "no_stamps.mpg", "damaged.mp4"}
 BY_DAY = [
-    "b_frames.mp4", "open_gop.ts", "variable.mkv", "plain.avi", "no_stamps.avi", "vp8.webm", "edit_list.mp4", "middle.ts",
-    "truncated.mp4", "damaged.mp4",
+    "b_frames.mp4", "open_gop.ts", "variable.mkv", "plain.avi", "no_stamps.avi", "vp8.webm", "edit_list.mp4",
+    "middle.ts", "truncated.mp4", "damaged.mp4",
 ]  # fmt: skip
 EACH = [*BY_DAY, *(pytest.param(name, marks=pytest.mark.nightly) for name in CLIPS if name not in BY_DAY)]
 
