@@ -201,19 +201,6 @@ def test_identity_and_names_stand_near_their_targets() -> None:
     assert touched(draw("Grace", None, y=40.0))[73:].sum() > touched(draw(None, None, y=40.0))[73:].sum() + 40
 
 
-def test_the_line_of_a_window_keeps_its_weight_while_its_size_changes() -> None:
-    def weight(overlay: Overlay, side: float, index: int) -> int:
-        box = part("box", 160, 120, w=side, h=side, cov=None)
-        image = overlay.draw(result((320, 240), box, index=index, ground=0, spread=0))
-        return int((image[120, 130:155].max(axis=1) > 60).sum())  # across the window's left side
-
-    for first, then in ((40, 20), (20, 40)):
-        overlay = Overlay((320, 240))
-        weights = [weight(overlay, side, i) for i, side in enumerate((first, then, first))]
-        assert len(set(weights)) == 1
-        assert weight(Overlay((320, 240)), then, 0) != weights[1], "seen first at that size it would be another"
-
-
 def test_names_of_targets_do_not_lie_on_each_other() -> None:
     overlay = Overlay((320, 240))
     for index, apart in enumerate((120, 30, 10, 4, 10, 120)):
@@ -231,28 +218,13 @@ def test_names_of_targets_do_not_lie_on_each_other() -> None:
         assert [box[1] < 100 for box in seen] == [True, apart == 120], "above, where there is room"
 
 
-def luminance(image: Image) -> np.ndarray:
-    linear = np.where(image / 255 <= 0.04045, image / 255 / 12.92, ((image / 255 + 0.055) / 1.055) ** 2.4)
-    return np.asarray(linear @ np.array([0.0722, 0.7152, 0.2126]))
-
-
-@pytest.mark.parametrize(
-    ("size", "least", "ground"),
-    [((320, 240), 8, 0), ((320, 240), 8, 255), ((3840, 2160), 40, 128), ((128, 96), 7, 255)],
-)
-def test_the_status_bar_can_be_read(size: tuple[int, int], least: int, ground: int) -> None:
-    one = result(size, part("nose", size[0] / 2, size[1] / 2), index=8888, ground=ground)
+@pytest.mark.parametrize(("size", "least"), [((320, 240), 8), ((3840, 2160), 40), ((128, 96), 7)])
+def test_the_status_bar_can_be_read(size: tuple[int, int], least: int) -> None:
     overlay = Overlay(size)
-    image = overlay.draw(one)
-    assert overlay._bar is not None and overlay._bar.height <= 0.14 * size[1]
-    strip = luminance(image[: overlay._bar.height])
-    ink = strip > 0.7
-    font = overlay._bar._font
-    start = round(0.8 * font.cap) + (font.width("frame ") if size[0] >= 28 * font.cap else 0)
-    rows = np.flatnonzero(ink[:, start : start + font.width("8888")].any(axis=1))  # the digits of the frame number
-    assert least <= rows[-1] - rows[0] + 1 <= 1.25 * least
-    dark = float(np.median(strip[: rows[-1]]))
-    assert (float(strip[ink].mean()) + 0.05) / (dark + 0.05) >= 4.5  # what WCAG asks of text
+    bar = overlay._bar
+    assert bar is not None and bar.height <= 0.14 * size[1] and least <= bar._font.cap <= 1.25 * least
+    strip = overlay.draw(result(size, part("nose", size[0] / 2, size[1] / 2), ground=255))[: bar.height].astype(int)
+    assert strip.min() < 80 and strip.max() > 220, "light on dark, whatever is below"
 
 
 @pytest.mark.parametrize("cap", [7, 8, 12, 41])
@@ -428,19 +400,6 @@ def test_parts_have_colours_of_their_own_and_names_without_underscores() -> None
     assert readable("mouth_left") == "mouth left"
 
 
-def test_dots_of_a_small_face_leave_the_mouth_to_be_seen() -> None:
-    def covered(side: float, frame: int) -> float:
-        picture = Frame(0, 0.0, np.full((frame * 3 // 4, frame, 3), 128, np.uint8))
-        x, y, apart = 0.5 * frame, 0.4 * frame, 0.15 * side
-        points = [part(name, x + dx * apart, y + dy * apart, w=5.0, h=5.0) for name, (dx, dy) in AROUND.items()]
-        box = part("box", x, y, w=side, h=side)
-        drawn = Overlay((frame, frame * 3 // 4)).draw(results.result(picture, [target("face", [*points, box])]))
-        mouth = drawn[round(y - apart) : round(y + apart) + 1, round(x - apart) : round(x + apart) + 1]
-        return float((mouth != 128).any(axis=2).mean())
-
-    assert covered(40.0, 320) < 0.6 and covered(64.0, 320) < 0.4 and covered(200.0, 1280) < 0.4
-
-
 def of_face(size: tuple[int, int], names: Sequence[str], lost: Sequence[str] = ()) -> Image:
     """A face of these points, each 0.3 of the height between its eyes, as it is drawn on grey."""
     table = moving_face(1, unit=0.3 * size[1], place=(size[0] / 2, 0.35 * size[1]), names=names)
@@ -473,9 +432,6 @@ def test_many_points_have_lines_and_at_most_tiny_dots() -> None:
         assert around(many, x, y, 6).mean() < 0.35
     nose = around(many, 320, 168 + 144 * 0.55, 4)
     assert 1 <= nose.sum() <= 16
-
-
-AROUND = {"mouth_left": (-1, 0), "mouth_right": (1, 0), "lip_upper": (0, -0.4), "lip_lower": (0, 0.4)}
 
 
 # --- a tracker that adapts: parallelograms, names in doubt, and images in the corners ---
@@ -579,24 +535,6 @@ def test_targets_have_a_corner_each_and_of_many_the_first_ones() -> None:
     assert all(a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1] for a in places for b in places if a != b)
 
 
-@pytest.mark.parametrize(
-    "picture",
-    [np.zeros((0, 5), np.uint8), np.zeros((30, 26), np.float32), np.zeros((5, 5, 3), np.uint8), np.zeros(9, np.uint8)],
-)  # fmt: skip
-def test_what_is_no_picture_is_left_out(picture: Image) -> None:
-    image = np.full((240, 320, 3), 128, np.uint8)
-    assert insets((320, 240)).draw(image, [Shown("face", (("x", picture),), (0, 0, 255))], []) == []
-    assert not touched(image).any()
-
-
-@pytest.mark.parametrize("size", [(1, 1), (33, 21), (60, 50), (2000, 30), (30, 2000)])
-def test_small_frames_have_no_room_and_none_is_too_small(size: tuple[int, int]) -> None:
-    image, places = lay(Insets(size, 0, 1, Font(7)), size, [])
-    assert len(places) <= 1 and image.shape == (size[1], size[0], 3)
-    many = [Shown("face", PICTURES * 9, (0, 0, 255))]
-    assert all(box[2] <= size[0] for box in Insets(size, 0, 1, Font(7)).draw(image, many, []))
-
-
 def test_the_overlay_draws_them_and_keeps_labels_off() -> None:
     bare, shown = named("anna", 0.9), named("anna", 0.9, insets=PICTURES)
     plain, with_them = (Overlay((320, 240)).draw(one) for one in (bare, shown))
@@ -619,15 +557,3 @@ def test_the_bar_tells_of_one_target_that_adapts() -> None:
     assert said({"scale": 1.234}) == {"scale": "size 123%"}
     assert said({"scale": 1.234, "noise": 1.5}, {"scale": 1.234, "noise": 1.5}) == {}
     assert said() == said(None) == said({}) == said({"noise": 1.0}) == said({"scale": float("nan")}) == {}
-
-
-@pytest.mark.parametrize("width", [60, 240, 640])
-def test_it_stands_in_the_bar_where_there_is_room(width: int) -> None:
-    def draw(reported: dict[str, float]) -> Image:
-        one = results.part("box", 20.0, 40.0, 20.0, 20.0, "tracked", 0.9)
-        frame = Frame(3, 0.12, np.full((60, width, 3), 128, np.uint8))
-        shown = results.result(frame, [target("face", [one], 77, reported=reported)])
-        return Overlay((width, 60), title="adaptive").draw(shown)
-
-    other = (draw({}) != draw({"scale": 1.0, "noise": 1.0})).any(axis=(0, 2))
-    assert other.any() == (width > 320)

@@ -72,17 +72,14 @@ class Insets:
 
     def _scaled(self, one: Shown) -> list[tuple[str, Image]]:
         """The images with their names, all equally high, and together no wider than 0.4 of the frame."""
-        fine = [(name, p) for name, p in one.pictures if p.ndim == 2 and min(p.shape) > 0 and p.dtype == np.uint8]
-        wide = sum(p.shape[1] / p.shape[0] for _, p in fine)
-        height = min(self._height, int(0.4 * self._size[0] / wide)) if fine else 0
-        if height < _MIN_HEIGHT:
-            return []
-        found = []
-        for name, picture in fine:
+        wide = sum(picture.shape[1] / picture.shape[0] for _, picture in one.pictures)
+        height = min(self._height, int(0.4 * self._size[0] / wide))
+        scaled = []
+        for name, picture in one.pictures if height >= _MIN_HEIGHT else ():
             size = max(1, round(height * picture.shape[1] / picture.shape[0])), height
             how = cv2.INTER_CUBIC if height > picture.shape[0] else cv2.INTER_AREA
-            found.append((name, np.asarray(cv2.resize(picture, size, interpolation=how), np.uint8)))
-        return found
+            scaled.append((name, np.asarray(cv2.resize(picture, size, interpolation=how), np.uint8)))
+        return scaled
 
     def _box(self, corner: int, size: tuple[int, int]) -> Rect:
         """Corners are numbered from the lower left, right, then the upper right, left."""
