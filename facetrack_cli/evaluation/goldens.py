@@ -360,7 +360,7 @@ def _recipe(task: Task, overrides: Sequence[str], people: Path | None) -> Recipe
 
 
 def _to_record(task: Task, recipe: Recipe, seeds: int, stop: int | None, stopped: Stop) -> SeedPlan:
-    clip = ClipRequest(task.clip, stop=stop or (task.golden and task.golden.stop))
+    clip = ClipRequest(task.clip, stop=stop or (task.golden.stop if task.golden else None))
     start = replace(clip.find(recipe, stopped=stopped), detector="", placed=False)  # cascades are there on any machine
     with clip.open() as source:
         try:

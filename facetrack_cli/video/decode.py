@@ -353,7 +353,8 @@ def _to_bt601(matrix: int) -> Array:
 def _levels(path: Path, stream: int | None) -> Levels:
     """The range that the first frames of a video of 16-bit grey use."""
     with open_container(path) as container:
-        frames = container.decode(video_stream(container, stream))
+        video = video_stream(container, stream)
+        frames = container.decode(video) if video else ()
         return levels(raw.to_ndarray(format="gray16le") for raw in islice(frames, _LEVEL_FRAMES))
 
 

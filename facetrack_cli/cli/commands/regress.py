@@ -93,9 +93,9 @@ def command(
     many = counts(verdicts)
     if update:
         return ExitCode.BATCH if many["fails"] else ExitCode.DONE
-    for file, text in ((junit, as_junit), (json, as_json)):
+    for file, as_text in ((junit, as_junit), (json, as_json)):
         if file is not None:
-            write_new(file, text(verdicts).encode(), overwrite=overwrite)
+            write_new(file, as_text(verdicts).encode(), overwrite=overwrite)
     took = f"{len(verdicts)} golden{'s' * (len(verdicts) != 1)} in {time.monotonic() - start:.0f} s"
     skipped = f", {many['skipped']} skipped" if many["skipped"] else ""
     click.echo(f"{took}: {many['ok']} ok, {many['fails']} FAIL{'S' * (many['fails'] == 1)}{skipped}")
