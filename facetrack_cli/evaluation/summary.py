@@ -128,8 +128,7 @@ def evaluate(
     """
     options = options or Options()
     # the rows that the ground truth itself calls lost, as a trajectory does that serves as ground truth, are unknown
-    known = [pair.truth.status != "lost" for pair in pairs]
-    pairs = [Pair(*(one.take(rows) for one in pair)) for pair, rows in zip(pairs, known, strict=True)]
+    pairs = [Pair(*(table.take(pair.truth.status != "lost") for table in pair)) for pair in pairs]
     if not any(len(pair.ours) for pair in pairs):
         raise InputError("there is no row that both the trajectory and the ground truth have; nothing can be measured")
     units = units_of(pairs, options.normalise, reference)
@@ -273,35 +272,35 @@ def to_json(evaluation: Evaluation, about: About) -> str:
         "rows": evaluation.counts,
         "units": dict(evaluation.units),
         "all": _groups(evaluation.all),
-        "parts": [{"target": one.target, "part": one.part, **_groups(one)} for one in evaluation.parts],
-        "occlusions": [asdict(one) for one in evaluation.occlusions],
+        "parts": [{"target": part.target, "part": part.part, **_groups(part)} for part in evaluation.parts],
+        "occlusions": [asdict(occlusion) for occlusion in evaluation.occlusions],
         "notes": list(evaluation.notes),
     }
     return document("facetrack-evaluation", fields, indent=1)
 
 
-def _groups(one: PartMeasures) -> dict[str, Any]:
+def _groups(part: PartMeasures) -> dict[str, Any]:
     """The figures by group and name; a group that was not measured is left out."""
-    out: dict[str, Any] = {}
-    for name, value in one.figures.items():
+    groups: dict[str, Any] = {}
+    for name, value in part.figures.items():
         group, _, figure = name.partition(".")
-        if getattr(one, group) is not None:
-            out.setdefault(group, {})[figure] = value
-    if one.boxes is not None:
-        curves = [(name, getattr(one.boxes, name).tolist()) for name in CURVES]
-        out["boxes"]["curves"] = {name: [v if math.isfinite(v) else None for v in each] for name, each in curves}
-    if one.confidence is not None:
-        out["confidence"]["bins"] = [asdict(each) for each in one.confidence.bins]
-    return out
+        if getattr(part, group) is not None:
+            groups.setdefault(group, {})[figure] = value
+    if part.boxes is not None:
+        curves = [(name, getattr(part.boxes, name).tolist()) for name in CURVES]
+        groups["boxes"]["curves"] = {name: [v if math.isfinite(v) else None for v in each] for name, each in curves}
+    if part.confidence is not None:
+        groups["confidence"]["bins"] = [asdict(each) for each in part.confidence.bins]
+    return groups
 
 
 def to_csv(evaluation: Evaluation, about: About) -> str:
     """A header with all MEASURES, a row for each part, then a row for all parts together, whose target is "all"."""
-    rows = (
-        [about.trajectory, about.truth, one.target, one.part]
-        + ["" if value is None else repr(value) for value in one.figures.values()]
-        for one in (*evaluation.parts, evaluation.all)
-    )
+    rows = [
+        [about.trajectory, about.truth, part.target, part.part]
+        + ["" if value is None else repr(value) for value in part.figures.values()]
+        for part in (*evaluation.parts, evaluation.all)
+    ]
     return csv_text(["trajectory", "truth", "target", "part", *MEASURES], rows)
 
 
@@ -376,20 +375,19 @@ def sheets(evaluation: Evaluation) -> Iterator[Sheet]:
         if group == "lost" and evaluation.all.occlusions is not None:
             yield _occlusions(evaluation, name)
         few = group in ("points", "boxes") or len(evaluation.parts) <= MAX_PARTS
-        rows = [one for one in (every if few else every[-1:]) if getattr(one, group) is not None]
-        if rows:
-            values = [one.figures for one in rows]
+        parts = [part for part in (every if few else every[-1:]) if getattr(part, group) is not None]
+        if parts:
+            values = [part.figures for part in parts]
             shown = {
                 key: measure
                 for key, measure in MEASURES.items()
                 if key.startswith(f"{group}.") and measure.title and (not measure.rare or any(v[key] for v in values))
             }
-            cells = [
-                tuple(NO_FIGURE if (v := each[key]) is None else measure.write(v) for key, measure in shown.items())
-                for each in values
-            ]
-            named = [(name(one.target, one.part), *own) for one, own in zip(rows, cells, strict=True)]
-            yield Sheet(": ".join(title), ("part", *(one.title for one in shown.values())), tuple(named))
+            rows = []
+            for part, own in zip(parts, values, strict=True):
+                cells = [NO_FIGURE if (v := own[key]) is None else measure.write(v) for key, measure in shown.items()]
+                rows.append((name(part.target, part.part), *cells))
+            yield Sheet(": ".join(title), ("part", *(measure.title for measure in shown.values())), tuple(rows))
         if group == "confidence" and evaluation.all.confidence is not None and evaluation.all.confidence.bins:
             yield _reliability(evaluation.all.confidence.bins)
 
@@ -400,13 +398,14 @@ def _occlusions(evaluation: Evaluation, name: Callable[[str, str], str]) -> Shee
     back = f"{whole.returned} of {whole.decided} come back" if whole.decided else "none can be decided"
     median = "" if whole.frames_median is None else f", the median after {HALVES(whole.frames_median)}"
     rows = []
-    for one in evaluation.occlusions[:MAX_OCCLUSIONS]:
-        known = one.frames_to_return is not None
-        after = (str(one.frames_to_return) if known else "never") if one.decided else "cannot be decided"
-        if known and not one.decided:
-            after = "by hand"
-        parts = [name(one.target, part) for part in one.parts[:MAX_PARTS]] + ["..."] * (len(one.parts) > MAX_PARTS)
-        rows.append((f"{one.first}-{one.last}", ", ".join(parts), after))
+    for span in evaluation.occlusions[:MAX_OCCLUSIONS]:
+        never = span.frames_to_return is None
+        if span.decided:
+            after = "never" if never else str(span.frames_to_return)
+        else:
+            after = "cannot be decided" if never else "by hand"
+        parts = [name(span.target, part) for part in span.parts[:MAX_PARTS]] + ["..."] * (len(span.parts) > MAX_PARTS)
+        rows.append((f"{span.first}-{span.last}", ", ".join(parts), after))
     more = len(evaluation.occlusions) - MAX_OCCLUSIONS
     return Sheet(
         f"Occlusions: frames until all covered parts are near for {errors.HELD} rows in a row; {back}{median}",
@@ -418,7 +417,9 @@ def _occlusions(evaluation: Evaluation, name: Callable[[str, str], str]) -> Shee
 
 
 def _reliability(bins: Sequence[reliability.ReliabilityBin]) -> Sheet:
-    rows = [("rows", *(f"{one.rows:,.0f}" for one in bins))]
-    for title, shares in (("right, %", [one.right for one in bins]), ("visible, %", [one.visible for one in bins])):
-        rows.append((title, *(NO_FIGURE if share is None else PERCENT(share) for share in shares)))
-    return Sheet("Rows by confidence", ("confidence", *(f"{one.low:.1f}-{one.high:.1f}" for one in bins)), tuple(rows))
+    rows = [("rows", *(f"{each.rows:,.0f}" for each in bins))]
+    for name in ("right", "visible"):
+        shares = [getattr(each, name) for each in bins]
+        rows.append((f"{name}, %", *(NO_FIGURE if share is None else PERCENT(share) for share in shares)))
+    heads = ("confidence", *(f"{each.low:.1f}-{each.high:.1f}" for each in bins))
+    return Sheet("Rows by confidence", heads, tuple(rows))
