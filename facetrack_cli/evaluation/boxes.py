@@ -125,12 +125,8 @@ def measure_boxes(
     of the unsupervised experiments of VOT-ST2020 to 2022).
     our_corners, true_corners: (T, 4, 2) polygons, which VOT takes in place of the boxes where they are not nan.
     size: (width, height) of the frames, for GOT-10k and VOT, which both clip to it; without it nothing is clipped.
-
-    Raises ValueError when shapes do not fit.
     """
     ours, truth = np.asarray(ours, dtype=np.float64), np.asarray(truth, dtype=np.float64)
-    if ours.shape != truth.shape or ours.ndim != 2 or ours.shape[1] != 4:
-        raise ValueError(f"boxes are (T, 4) and as many as the ground truth's, not {ours.shape} and {truth.shape}")
     known = np.isfinite(truth).all(axis=1)
     counts = known if visible is None else known & visible
     start: Mask = np.asarray(np.arange(len(ours)) == 0 if init is None else init)
@@ -141,12 +137,12 @@ def measure_boxes(
     otb = np.where(start[:, None], truth, ours)
     overlap = np.where(counts, np.nan_to_num(iou(otb, truth)), np.nan)
     errors = centre_errors(otb, truth), normalised_errors(otb, truth)
-    distance, normalised = (np.where(np.isnan(one), np.inf, one) for one in errors)
+    distance, normalised = (np.where(np.isnan(error), np.inf, error) for error in errors)
     success = share_above(overlap[counts], SUCCESS_THRESHOLDS)
     precision = share_up_to(distance[counts], PRECISION_THRESHOLDS)
     normalised_precision = share_up_to(normalised[counts], NORMALISED_THRESHOLDS)
     clipped = np.nan_to_num(iou(ours[later], truth[later], size))
-    our_corners, true_corners = (None if one is None else one[later] for one in (our_corners, true_corners))
+    our_corners, true_corners = (None if each is None else each[later] for each in (our_corners, true_corners))
     some = bool(counts.any())
     return BoxMeasures(
         rows=int(counts.sum()),
@@ -222,7 +218,7 @@ def vot_overlaps(
         p, q = (_runs(region, bool(is_polygon), low[t], high[t]) for region, is_polygon in regions)
         both = np.minimum(p[:, :, None, 1], q[:, None, :, 1]) - np.maximum(p[:, :, None, 0], q[:, None, :, 0]) + 1
         shared[t] = np.maximum(both, 0).sum()
-        union[t] = sum((one[..., 1] - one[..., 0] + 1).sum() for one in (p, q)) - shared[t]
+        union[t] = sum((runs[..., 1] - runs[..., 0] + 1).sum() for runs in (p, q)) - shared[t]
     overlap = np.divide(shared, union, out=np.zeros_like(shared), where=union > 0.0)
     overlap[(low >= high).any(axis=1)] = 0.0
     overlap[degenerate] = 1.0

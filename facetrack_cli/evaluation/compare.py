@@ -235,7 +235,7 @@ def cumulative(rows: Sequence[Rows]) -> Array | None:
 def aligned(entries: Sequence[Entry]) -> tuple[Whole, dict[str, Array]]:
     """All frames (T,) that any run has an error for, and by label the errors (S, T), nan where there is none."""
     frame = np.unique(np.concatenate([score.frame for entry in entries for score in entry.scores]))
-    of_all = {entry.label: [at(frame, one.frame, one.error) for one in entry.scores] for entry in entries}
+    of_all = {entry.label: [at(frame, score.frame, score.error) for score in entry.scores] for entry in entries}
     return frame, {label: np.array(errors) for label, errors in of_all.items() if errors}
 
 
@@ -288,10 +288,10 @@ def run_recipes(
                     entry.scores.append(score_run(run, truth, options, notes.append))
             except FacetrackError as e:
                 entry.error = e
-                if alike and ended.error is None and not any(one.scores for one in entries.values()):
+                if alike and ended.error is None and not any(entry.scores for entry in entries.values()):
                     break  # what is wrong with the ground truth is wrong for every other run too
     failed = {entry.label: entry.error for entry in entries.values() if entry.error is not None}
-    if failed and not any(one.scores for one in entries.values()) and stop.code is None:
+    if failed and not any(entry.scores for entry in entries.values()) and stop.code is None:
         first = next(iter(failed.values()))
         for label, error in failed.items():
             if str(error) != str(first):
@@ -426,9 +426,9 @@ class Comparison:
             "mean": {n: rounded(m, 6) for n in MEASURES if (m := entry.mean(n)) is not None},
             "std": {n: rounded(s, 6) for n in MEASURES if (s := entry.spread(n)) is not None},
             "runs": [
-                {"seed": one.seed, "failed": one.failed, "frames_per_s": rounded(one.frames_per_s, 2)}
-                | {name: rounded(value, 6) for name, value in one.figures.items()}
-                for one in entry.scores
+                {"seed": score.seed, "failed": score.failed, "frames_per_s": rounded(score.frames_per_s, 2)}
+                | {name: rounded(value, 6) for name, value in score.figures.items()}
+                for score in entry.scores
             ],
             "recipe": to_dict(entry.recipe) if entry.recipe is not None else None,
         }

@@ -313,7 +313,8 @@ def regress(
     """
     stopped = stopped or Stop()
     prepared: list[SeedPlan | FacetrackError] = []
-    people = [gallery or (folder / one.golden.gallery if one.golden and one.golden.gallery else None) for one in asked]
+    own = [task.golden.gallery if task.golden else "" for task in asked]
+    people = [gallery or (folder / name if name else None) for name in own]
     for task, who in zip(asked, people, strict=True):
         try:
             recipe = _recipe(task, overrides, who)

@@ -123,14 +123,14 @@ class JitterMeasures:
 
 def measure_jitter(parts: Sequence[Rows]) -> JitterMeasures | None:
     """None if no part has three visible rows in a row."""
-    found: list[Array] = []
+    jitter: list[Array] = []
     for part in parts:
         known = part.visible & part.placed & np.isfinite(part.at).all(axis=1) & ~part.by_hand
         three = known[:-2] & known[1:-1] & known[2:] & (part.frame[2:] - part.frame[:-2] == 2)
         both = np.stack([part.at, part.at - part.offset])
         off = both[:, :-2] - 2 * both[:, 1:-1] + both[:, 2:]
-        found.append(np.hypot(off[..., 0], off[..., 1])[:, three] / math.sqrt(6))
-    ours, truth = np.concatenate(found, axis=1)
+        jitter.append(np.hypot(off[..., 0], off[..., 1])[:, three] / math.sqrt(6))
+    ours, truth = np.concatenate(jitter, axis=1)
     return JitterMeasures(len(ours), median(ours), median(truth)) if len(ours) else None
 
 
@@ -274,5 +274,5 @@ def reliability_bins(
 
 def calibration_error(bins: Sequence[ReliabilityBin]) -> float:
     """The expected calibration error: the mean over rows of |share right - mean confidence| of their bin."""
-    gaps = [one.rows * abs((one.right or 0.0) - (one.mean_confidence or 0.0)) for one in bins]
-    return sum(gaps) / sum(one.rows for one in bins)
+    gaps = [each.rows * abs((each.right or 0.0) - (each.mean_confidence or 0.0)) for each in bins]
+    return sum(gaps) / sum(each.rows for each in bins)

@@ -346,7 +346,7 @@ def _in_bt601(planes: Image, matrix: int) -> Image:
 @lru_cache
 def _to_bt601(matrix: int) -> Array:
     """(3, 3) Y, Cb and Cr by those of another matrix."""
-    ours, theirs = (weights(*_LUMA[one])[:, :3] for one in (_BT601, matrix))
+    ours, theirs = (weights(*_LUMA[number])[:, :3] for number in (_BT601, matrix))
     return np.asarray(ours @ np.linalg.inv(theirs))
 
 

@@ -499,8 +499,9 @@ def test_a_sigma_that_is_off_by_30_percent_fails(stem: str, change: str, monkeyp
     assert found.status == "fails" and (found.farthest or 0) > 1
 
 
-@pytest.mark.parametrize("stem", [*ONE_BY_DAY, pytest.param("map.skin_ncc_robust", marks=pytest.mark.nightly)])
-@pytest.mark.parametrize("first_seed", [300, *(pytest.param(n, marks=pytest.mark.nightly) for n in (400, 500))])
+@pytest.mark.nightly
+@pytest.mark.parametrize("stem", [*FEW, "map.skin_ncc_robust"])
+@pytest.mark.parametrize("first_seed", [300, 400, 500])
 def test_unseen_seeds_pass(stem: str, first_seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(goldens, "UNSEEN", first_seed)
     found = verdict(stem, monkeypatch)

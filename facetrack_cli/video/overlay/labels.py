@@ -55,27 +55,27 @@ class Insets:
         """Draw the images that have room on `image` (H, W, 3) in place, away from `windows`; the places taken."""
         (before, count), taken = self.memory, list[Rect]()
         places: dict[str, tuple[int, int]] = {}
-        for one in shown:
-            scaled = self._scaled(one) if len(taken) < _MAX_TARGETS else []
+        for template in shown:
+            scaled = self._scaled(template.pictures) if len(taken) < _MAX_TARGETS else []
             if not scaled:
                 continue
             size = sum(p.shape[1] + self._line for _, p in scaled) + self._line, scaled[0][1].shape[0] + 2 * self._line
             free = [corner for corner in range(4) if corner not in {taken for taken, _ in places.values()}]
-            now, since = before.get(one.target, (-1, 0))
+            now, since = before.get(template.target, (-1, 0))
             corner = self._corner(now, count + 1 - since, size, windows, free)
-            places[one.target] = corner, since if corner == now else count + 1
+            places[template.target] = corner, since if corner == now else count + 1
             box = self._box(corner, size)
-            self._lay(image, scaled, one.colour, round(box[0]), round(box[1]))
+            self._lay(image, scaled, template.colour, round(box[0]), round(box[1]))
             taken.append(box)
         self.memory = places, count + 1
         return taken
 
-    def _scaled(self, one: Shown) -> list[tuple[str, Image]]:
+    def _scaled(self, pictures: Sequence[tuple[str, Image]]) -> list[tuple[str, Image]]:
         """The images with their names, all equally high, and together no wider than 0.4 of the frame."""
-        wide = sum(picture.shape[1] / picture.shape[0] for _, picture in one.pictures)
+        wide = sum(picture.shape[1] / picture.shape[0] for _, picture in pictures)
         height = min(self._height, int(0.4 * self._size[0] / wide))
         scaled = []
-        for name, picture in one.pictures if height >= _MIN_HEIGHT else ():
+        for name, picture in pictures if height >= _MIN_HEIGHT else ():
             size = max(1, round(height * picture.shape[1] / picture.shape[0])), height
             how = cv2.INTER_CUBIC if height > picture.shape[0] else cv2.INTER_AREA
             scaled.append((name, np.asarray(cv2.resize(picture, size, interpolation=how), np.uint8)))
@@ -329,8 +329,8 @@ class StatusBar:
 
 def adaptation(rows: Trajectory) -> dict[str, str]:
     """The size against that of the start, of a single target that adapts; else nothing."""
-    found = rows.diagnostics.get(rows.target) if len(rows.targets) == 1 else None
-    scale = math.nan if found is None else float(found.get("scale")[0])
+    reported = rows.diagnostics.get(rows.target) if len(rows.targets) == 1 else None
+    scale = math.nan if reported is None else float(reported.get("scale")[0])
     return {"scale": f"size {min(scale, 99.0):.0%}"} if math.isfinite(scale) else {}
 
 
@@ -360,14 +360,15 @@ def summary(rows: Trajectory) -> tuple[Status, list[str]]:
     return status, [*both, *sayings]
 
 
-def _named(rows: Trajectory, those: Mask) -> list[str]:
-    """The names of `those` rows (R,): the name of the target alone where all of its parts are among them."""
-    pairs = [rows.names[i] for i in rows.which.tolist()]
-    chosen = [pair for pair, is_one in zip(pairs, those.tolist(), strict=True) if is_one]
-    names = []
+def _named(rows: Trajectory, chosen: Mask) -> list[str]:
+    """The names of the `chosen` rows (R,): the name of the target alone where all of its parts are among them."""
+    pairs, names = [rows.names[i] for i in rows.which.tolist()], []
     for target in rows.targets:
-        parts = [part for name, part in chosen if name == target]
-        if parts and len(parts) == sum(name == target for name, _ in pairs):
+        own = [
+            (part, is_chosen) for (name, part), is_chosen in zip(pairs, chosen.tolist(), strict=True) if name == target
+        ]
+        parts = [part for part, is_chosen in own if is_chosen]
+        if parts and len(parts) == len(own):
             names.append(readable(target))
         else:
             names += [readable(f"{target}/{part}" if len(rows.targets) > 1 else part) for part in parts]

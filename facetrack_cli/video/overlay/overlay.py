@@ -94,10 +94,10 @@ class Overlay:
         if frame.size != tuple(self.size):
             raise ValueError(f"frame {frame.index} is {frame.size}, the overlay {self.size}")
         image: Image = frame.bgr.copy()
-        places = [self._order.get(one.rows.target, i) for i, one in enumerate(result.targets)]
         alone = len(result.targets) == 1 and not self._order
+        places = [self._order.get(target.rows.target, i) for i, target in enumerate(result.targets)]
         pairs = zip(result.targets, places, strict=True)
-        shapes = [self._shape(one, i, frame.aspect, alone=alone) for one, i in pairs]
+        shapes = [self._shape(target, place, frame.aspect, alone=alone) for target, place in pairs]
         shown = [Shown(s.target, s.insets, s.colour if len(shapes) > 1 else WHITE) for s in shapes if s.insets]
         windows = [(b[0], b[1], b[2], b[3]) for s in shapes for b in s.bounds.tolist()]
         taken = self._insets.draw(image, shown, windows) if shown else []  # below the lines, where they have to cross
