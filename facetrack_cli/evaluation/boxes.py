@@ -23,7 +23,7 @@ import numpy as np
 
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Array, Mask
-from facetrack_cli.evaluation.measure import COUNT, PERCENT, UNIT, Measure, Value, mean
+from facetrack_cli.evaluation.rows import COUNT, PERCENT, UNIT, Measure, Value, mean
 
 SUCCESS_THRESHOLDS: Array = np.linspace(0.0, 1.0, 21)  # overlap; OTB
 PRECISION_THRESHOLDS: Array = np.arange(51.0)  # pixels
@@ -125,28 +125,24 @@ def measure_boxes(
     of the unsupervised experiments of VOT-ST2020 to 2022).
     our_corners, true_corners: (T, 4, 2) polygons, which VOT takes in place of the boxes where they are not nan.
     size: (width, height) of the frames, for GOT-10k and VOT, which both clip to it; without it nothing is clipped.
-
-    Raises ValueError when shapes do not fit.
     """
     ours, truth = np.asarray(ours, dtype=np.float64), np.asarray(truth, dtype=np.float64)
-    if ours.shape != truth.shape or ours.ndim != 2 or ours.shape[1] != 4:
-        raise ValueError(f"boxes are (T, 4) and as many as the ground truth's, not {ours.shape} and {truth.shape}")
     known = np.isfinite(truth).all(axis=1)
     counts = known if visible is None else known & visible
-    given: Mask = np.asarray(np.arange(len(ours)) == 0 if init is None else init)
+    start: Mask = np.asarray(np.arange(len(ours)) == 0 if init is None else init)
     covered = np.zeros_like(known) if hidden is None else known & hidden
-    later = counts & ~given
+    later = counts & ~start
     # nan all over, so that no half of a box is compared with anything
     ours = np.where(np.isfinite(ours).all(axis=1, keepdims=True), ours, np.nan)
-    otb = np.where(given[:, None], truth, ours)
+    otb = np.where(start[:, None], truth, ours)
     overlap = np.where(counts, np.nan_to_num(iou(otb, truth)), np.nan)
     errors = centre_errors(otb, truth), normalised_errors(otb, truth)
-    distance, normalised = (np.where(np.isnan(one), np.inf, one) for one in errors)
+    distance, normalised = (np.where(np.isnan(error), np.inf, error) for error in errors)
     success = share_above(overlap[counts], SUCCESS_THRESHOLDS)
     precision = share_up_to(distance[counts], PRECISION_THRESHOLDS)
     normalised_precision = share_up_to(normalised[counts], NORMALISED_THRESHOLDS)
     clipped = np.nan_to_num(iou(ours[later], truth[later], size))
-    our_corners, true_corners = (None if one is None else one[later] for one in (our_corners, true_corners))
+    our_corners, true_corners = (None if each is None else each[later] for each in (our_corners, true_corners))
     some = bool(counts.any())
     return BoxMeasures(
         rows=int(counts.sum()),
@@ -217,20 +213,18 @@ def vot_overlaps(
     shared = count(np.maximum(a_low, b_low), np.minimum(a_high, b_high))
     union = count(a_low, a_high) + count(b_low, b_high) - shared
     missing, unknown = np.isnan(a).any(axis=(1, 2)), np.isnan(b).any(axis=(1, 2))
-    if (other := (a_polygon | b_polygon) & ~missing & ~unknown).any():
-        # numba takes a quarter of a second to load, and most ground truth is of rectangles
-        from facetrack_cli.evaluation.polygon_kernels import count_pixels
-
-        pixels = np.empty((int(other.sum()), 2))
-        around = np.concatenate([low, high], axis=1)[other]
-        count_pixels(a[other], a_polygon[other], b[other], b_polygon[other], around, pixels)
-        shared[other], union[other] = pixels.T
-    found = np.divide(shared, union, out=np.zeros_like(shared), where=union > 0.0)
-    found[(low >= high).any(axis=1)] = 0.0
-    found[degenerate] = 1.0
-    found[missing] = 0.0
-    found[unknown] = np.nan
-    return found
+    for t in np.flatnonzero((a_polygon | b_polygon) & ~missing & ~unknown & (low <= high).all(axis=1)).tolist():
+        regions = (a[t], a_polygon[t]), (b[t], b_polygon[t])
+        p, q = (_runs(region, bool(is_polygon), low[t], high[t]) for region, is_polygon in regions)
+        both = np.minimum(p[:, :, None, 1], q[:, None, :, 1]) - np.maximum(p[:, :, None, 0], q[:, None, :, 0]) + 1
+        shared[t] = np.maximum(both, 0).sum()
+        union[t] = sum((runs[..., 1] - runs[..., 0] + 1).sum() for runs in (p, q)) - shared[t]
+    overlap = np.divide(shared, union, out=np.zeros_like(shared), where=union > 0.0)
+    overlap[(low >= high).any(axis=1)] = 0.0
+    overlap[degenerate] = 1.0
+    overlap[missing] = 0.0
+    overlap[unknown] = np.nan
+    return overlap
 
 
 def _regions(boxes: Array, corners: Array | None) -> tuple[Array, Array, Array, Mask]:
@@ -249,3 +243,32 @@ def _regions(boxes: Array, corners: Array | None) -> tuple[Array, Array, Array, 
     low = np.where(there[:, None], polygons.min(axis=1), region[:, 0])
     high = np.where(there[:, None], polygons.max(axis=1), region[:, 2])
     return np.where(there[:, None, None], polygons, region), low, high, there
+
+
+def _runs(region: Array, is_polygon: bool, low: Array, high: Array) -> Array:
+    """(H, 3, 2) first and last columns of the runs of pixels of a region (4, 2) in each row; empty ones are 0, -1.
+
+    Columns and rows are counted from `low`, up to `high`, which matters: where an edge meets a row is cut towards zero.
+    """
+    (x, y), (width, height) = (region - low).T, (high - low + 1).astype(int).tolist()
+    row, runs = np.arange(height)[:, None], np.tile([0.0, -1.0], (height, 3, 1))
+    if not is_polygon:
+        first, last = max(x[0], 0.0), min(x[2], width - 1.0)
+        runs[((row >= y[0]) & (row <= y[2]))[:, 0] & (first <= last), 0] = first, last
+        return runs
+    x0, y0 = np.roll(x, 1), np.roll(y, 1)
+    # both ends of an edge count, so that a corner is met twice; of a level edge each end comes by itself
+    met = (np.minimum(y, y0) <= row) & (row <= np.maximum(y, y0))
+    nodes = np.where(y0 == y, x, np.trunc(x + (row - y) / np.where(y0 == y, 1, y0 - y) * (x0 - x)))
+    nodes, count = np.sort(np.where(met, nodes, np.inf), axis=1), met.sum(axis=1)
+    at, covered = np.zeros(height), np.full(height, -1.0)
+    for i in range(3):
+        begins = (at == i) & (i < count - 1)
+        # a corner met twice begins no run, unless it is the last
+        twice = begins & (nodes[:, i] == nodes[:, i + 1]) & (i < count - 2)
+        at += np.where(begins, 2 - twice, 0)
+        first, last = np.maximum(nodes[:, i], covered + 1), np.minimum(nodes[:, i + 1], width - 1)
+        drawn = begins & ~twice & (first <= last)
+        runs[drawn, i] = np.stack([first, last], axis=1)[drawn]
+        covered[drawn] = last[drawn]
+    return runs

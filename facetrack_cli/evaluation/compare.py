@@ -24,8 +24,7 @@ from facetrack_cli.core.numbers import csv_text, document
 from facetrack_cli.core.types import Array, Start, Whole
 from facetrack_cli.evaluation import summary
 from facetrack_cli.evaluation.boxes import share_up_to
-from facetrack_cli.evaluation.measure import PERCENT, Measure
-from facetrack_cli.evaluation.rows import Pair, Rows, column, match
+from facetrack_cli.evaluation.rows import PERCENT, Measure, Rows, at, column, match
 from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet, clip_name, rounded
 from facetrack_cli.evaluation.summary import MEASURES, Evaluation, evaluate, scalars
 from facetrack_cli.recipe.model import Recipe, to_dict
@@ -144,13 +143,12 @@ def less_is_better(measure: str) -> bool:
     return MEASURES[measure].better == "less"
 
 
-def check_measure(measure: str) -> str:
-    """`measure`, if it can rank recipes; UsageError that lists the measures that can."""
-    able = [name for name, one in MEASURES.items() if one.better is not None]
+def check_measure(measure: str) -> None:
+    """UsageError for a measure that cannot rank recipes; it lists those that can."""
+    able = [name for name, declared in MEASURES.items() if declared.better is not None]
     if measure not in able:
         near = [name for name in able if measure.rpartition(".")[2] in name] or able
         raise UsageError(f"--rank-by {measure}: is nothing to rank by; there are {', '.join(near)}")
-    return measure
 
 
 def rank(entries: Sequence[Entry], measure: str) -> list[Place]:
@@ -169,28 +167,26 @@ def rank(entries: Sequence[Entry], measure: str) -> list[Place]:
 
 def score_run(run: SeedRun, truth: Trajectory, options: Scoring, note: Callable[[str], None] = lambda _: None) -> Score:
     """Measure a run; `note` gets the notes of `match`. InputError if the truth does not fit the run."""
-    pairs = _pairs(run.trajectory, truth, options, note=note)
+    ours, known = run.trajectory, within(truth, run.trajectory, options)
+    pairs = match(ours, known, partial=options.partial, select=options.select, note=note)
     evaluation = evaluate(pairs, options=summary.Options(size=options.size), reference=truth.parts)
-    rows = evaluation.rows
-    frame, error = error_by_frame(rows)
-    boxes = evaluation.all.boxes
+    rows, boxes = evaluation.rows, evaluation.all.boxes
+    frame, place = np.unique(column(rows, "frame"), return_inverse=True)
+    error = column(rows, "error")
+    finite = np.isfinite(error)
+    count, total = (np.bincount(place[finite], weights, len(frame)) for weights in (None, error[finite]))
     return Score(
         seed=run.seed,
         figures=scalars(evaluation),
         failed=has_failed(evaluation),
         frames_per_s=run.frames_per_s,
         frame=frame,
-        error=error,
+        error=np.where(count > 0, total / np.maximum(count, 1), np.nan),
         hidden=np.unique(np.concatenate([part.frame[part.covered] for part in rows])),
         success=None if boxes is None else boxes.success,
         precision=None if boxes is None else boxes.precision,
         cumulative=None if evaluation.all.points is None else cumulative(rows),
     )
-
-
-def _pairs(ours: Trajectory, truth: Trajectory, options: Scoring, **more: Any) -> list[Pair]:
-    known = within(truth, ours, options)
-    return match(ours, known, **{"partial": options.partial, "select": options.select, **more})
 
 
 def kinds_of(plan: SeedPlan, truth: Trajectory, options: Scoring) -> set[str]:
@@ -201,13 +197,14 @@ def kinds_of(plan: SeedPlan, truth: Trajectory, options: Scoring) -> set[str]:
     frames = truth.frames[truth.frames > plan.start.frame]
     assert options.size is not None
     table = outline(plan, np.array([plan.start.frame, *frames]), options.size)
-    return {"boxes" if pair.is_box else "points" for pair in _pairs(table, truth, options, partial=True)}
+    pairs = match(table, within(truth, table, options), partial=True, select=options.select)
+    return {"boxes" if pair.is_box else "points" for pair in pairs}
 
 
 def within(truth: Trajectory, trajectory: Trajectory, options: Scoring) -> Trajectory:
     """The ground truth of the frames that were asked for: from the run's first one to before --stop."""
     first, stop = int(trajectory.frames[0]), MAX_FRAME if options.stop is None else options.stop
-    kept = [one for part in truth.parts if len(one := part.between(first, stop))]
+    kept = [rows for part in truth.parts if len(rows := part.between(first, stop))]
     if not kept:
         asked = f"from frame {first} on" if options.stop is None else f"from frame {first} to {stop - 1}"
         raise InputError(f"{truth.path}: has no row {asked}; correct it, or give frames that it knows")
@@ -218,24 +215,14 @@ def has_failed(evaluation: Evaluation) -> bool:
     """Whether a run ends lost: a part lost for good, or a box off its target over the last tenth."""
     if evaluation.all.points is not None and evaluation.all.points.lost_for_good:
         return True
-    boxes = [part.boxes for part in evaluation.parts if part.boxes is not None]
-    return any(tail < TAIL_IOU for one in boxes if (tail := tail_overlap(one.overlap)) is not None)
+    tails = [tail_overlap(part.boxes.overlap) for part in evaluation.parts if part.boxes is not None]
+    return any(tail is not None and tail < TAIL_IOU for tail in tails)
 
 
 def tail_overlap(overlap: Array) -> float | None:
     """Median IoU over the last tenth, at least one, of the rows (T,) with a true box; None where all are nan."""
     known = overlap[np.isfinite(overlap)]
     return float(np.median(known[-math.ceil(TAIL * known.size) :])) if known.size else None
-
-
-def error_by_frame(rows: Sequence[Rows]) -> tuple[Whole, Array]:
-    """(T,) frames and the mean error in pixels over the parts with one."""
-    frame, place = np.unique(column(rows, "frame"), return_inverse=True)
-    error = column(rows, "error")
-    known = np.isfinite(error)
-    count = np.bincount(place[known], minlength=len(frame))
-    total = np.bincount(place[known], weights=error[known], minlength=len(frame))
-    return frame, np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def cumulative(rows: Sequence[Rows]) -> Array | None:
@@ -247,18 +234,14 @@ def cumulative(rows: Sequence[Rows]) -> Array | None:
 
 def aligned(entries: Sequence[Entry]) -> tuple[Whole, dict[str, Array]]:
     """All frames (T,) that any run has an error for, and by label the errors (S, T), nan where there is none."""
-    scores = [score for entry in entries for score in entry.scores]
-    frame = np.unique(np.concatenate([score.frame for score in scores]))
-    found = {entry.label: np.full((len(entry.scores), len(frame)), np.nan) for entry in entries if entry.scores}
-    for entry in entries:
-        for s, score in enumerate(entry.scores):
-            found[entry.label][s, np.searchsorted(frame, score.frame)] = score.error
-    return frame, found
+    frame = np.unique(np.concatenate([score.frame for entry in entries for score in entry.scores]))
+    of_all = {entry.label: [at(frame, score.frame, score.error) for score in entry.scores] for entry in entries}
+    return frame, {label: np.array(errors) for label, errors in of_all.items() if errors}
 
 
 def run_recipes(
     recipes: Mapping[str, Recipe],
-    begin: ClipRequest,
+    request: ClipRequest,
     truth: Trajectory,
     seeds: int,
     options: Scoring,
@@ -277,15 +260,13 @@ def run_recipes(
     plans = []
     for label, recipe in recipes.items():
         try:
-            start = begin.find(recipe, truth, stop)
+            start = request.find(recipe, truth, stop)
             own = range(seeds if recipe.random else 1)  # what draws no random numbers has one run to show
-            plan = SeedPlan(label, begin.clip, recipe, start, tuple(own), begin.stop, begin.fps)
+            plan = SeedPlan(label, request.clip, recipe, start, tuple(own), request.stop, request.fps)
             kinds = kinds_of(plan, truth, options)
             if family in ("boxes", "points") and family not in kinds:
-                measured = " and ".join(sorted(kinds))
-                raise UsageError(
-                    f"--rank-by {rank_by}: this ground truth measures {measured} of {label}; rank by these"
-                )
+                measured = f"this ground truth measures {' and '.join(sorted(kinds))} of {label}"
+                raise UsageError(f"--rank-by {rank_by}: {measured}; rank by these")
             plans.append(plan)
             entries[label].start = start
             entries[label].warnings += filter(None, [far_from_truth(start, truth)])
@@ -295,9 +276,9 @@ def run_recipes(
             entries[label].error = e
     alike = len({(plan.start.frame, plan.recipe.points) for plan in plans}) == 1
     notes: list[str] = []
-    shown.begin(clip_name(begin.clip))
-    with contextlib.closing(run_plans(plans, workers, stop, shown.update)) as found:
-        for ended in found:
+    shown.begin(clip_name(request.clip))
+    with contextlib.closing(run_plans(plans, workers, stop, shown.update)) as ends:
+        for ended in ends:
             entry = entries[ended.plan.label]
             try:
                 if ended.error is not None:
@@ -307,19 +288,19 @@ def run_recipes(
                     entry.scores.append(score_run(run, truth, options, notes.append))
             except FacetrackError as e:
                 entry.error = e
-                if alike and ended.error is None and not any(one.scores for one in entries.values()):
+                if alike and ended.error is None and not any(entry.scores for entry in entries.values()):
                     break  # what is wrong with the ground truth is wrong for every other run too
     failed = {entry.label: entry.error for entry in entries.values() if entry.error is not None}
-    if failed and not any(one.scores for one in entries.values()) and stop.code is None:
+    if failed and not any(entry.scores for entry in entries.values()) and stop.code is None:
         first = next(iter(failed.values()))
         for label, error in failed.items():
             if str(error) != str(first):
                 shown.error(f"facetrack: error: {label}: {error}")
         raise first
-    for line in dict.fromkeys(line for entry in entries.values() for line in entry.warnings):
-        shown.say(f"facetrack: warning: {line}")
-    for line in dict.fromkeys(notes):
-        shown.say(f"facetrack: note: {line}")
+    warnings = [line for entry in entries.values() for line in entry.warnings]
+    for kind, lines in (("warning", warnings), ("note", notes)):
+        for line in dict.fromkeys(lines):
+            shown.say(f"facetrack: {kind}: {line}")
     return list(entries.values())
 
 
@@ -328,13 +309,13 @@ def default_truth(clip: Path) -> Path:
     beside = clip.resolve().parent if clip.is_dir() else clip.parent
     stem = clip.resolve().name if clip.is_dir() else clip.stem
     folders = [clip, beside] if clip.is_dir() else [beside]
-    sought = [beside / f"{stem}.truth.csv", *(folder / name for folder in folders for name in TRUTH_NAMES)]
-    found = next((path for path in sought if path.is_file()), None)
-    if found is None:
-        raise InputError(
-            f"{clip}: there is neither {sought[0].name} nor groundtruth.csv beside it; name it with --truth"
-        )
-    return found
+    candidates = [beside / f"{stem}.truth.csv", *(folder / name for folder in folders for name in TRUTH_NAMES)]
+    for path in candidates:
+        if path.is_file():
+            return path
+    raise InputError(
+        f"{clip}: there is neither {candidates[0].name} nor groundtruth.csv beside it; name it with --truth"
+    )
 
 
 @dataclass(frozen=True)
@@ -372,45 +353,33 @@ class Comparison:
         entry, rate = place.entry, place.entry.frames_per_s
         if not entry.scores:
             return (place.text, entry.label, "not run", *(NO_FIGURE,) * (len(self.measures) + 2))
-        speed = (NO_FIGURE, NO_FIGURE)
+        figures = [figure(MEASURES[name], entry.values(name), spread=not entry.deterministic) for name in self.measures]
+        speed = [NO_FIGURE, NO_FIGURE]
         if rate is not None:
             times = fastest / rate
-            speed = (
-                f"{rate:,.{0 if rate >= 10 else 1}f}",
-                f"\N{MULTIPLICATION SIGN}{times:,.{0 if times >= 10 else 2}f}",
-            )
-        return (
-            place.text,
-            entry.label,
-            *(figure(MEASURES[name], entry.values(name), spread=not entry.deterministic) for name in self.measures),
-            f"{entry.failures} of {len(entry.scores)}",
-            *speed,
-        )
+            speed = [f"{rate:,.{0 if rate >= 10 else 1}f}", f"×{times:,.{0 if times >= 10 else 2}f}"]
+        return (place.text, entry.label, *figures, f"{entry.failures} of {len(entry.scores)}", *speed)
 
     def notes(self) -> list[str]:
         """Notes below the table: how to read it, and why recipes did not run."""
         several = any(len(entry.scores) > 1 for entry in self.entries)
-        once = [entry.label for entry in self.entries if entry.deterministic and entry.scores]
         lines = [f"One run each; ranked by {self.measure}."]
         if several:
             better = "less" if less_is_better(self.measure) else "more"
             over = f"Mean ± standard deviation over {self.seeds} seeds"
             lines = [f"{over}; ranked by {self.measure}, {better} is better."]
         if any(place.first != place.last for place in self.places):
-            lines.append(
-                "A rank such as 1\N{EN DASH}2: not distinguishable, the means ± 2 standard errors overlap"
-                + ("." if several else "; one seed tells nothing of a difference, give --seeds.")
-            )
+            more = "." if several else "; one seed tells nothing of a difference, give --seeds."
+            overlap = "not distinguishable, the means ± 2 standard errors overlap"
+            lines.append(f"A rank such as 1\N{EN DASH}2: {overlap}{more}")
         failed = "a part's median error over its last 25 visible frames exceeds a quarter of the target's size"
         if kind_of(self.entries) == "boxes":
             failed = "the median IoU over the last tenth of the frames is below 0.1"
         lines.append(f"Failed: runs at whose end {failed}.")
         shared = f" by {self.workers} processes, which slow each other down" if self.workers > 1 else ""
-        lines.append(
-            f"Frames/s: the tracker alone, decoding apart, all timed in the same run{shared}; only ratios between rows "
-            "mean anything. Time a frame: over that of the fastest."
-        )
-        if once:
+        rate = f"Frames/s: the tracker alone, decoding apart, all timed in the same run{shared}"
+        lines.append(f"{rate}; only ratios between rows mean anything. Time a frame: over that of the fastest.")
+        if once := [entry.label for entry in self.entries if entry.deterministic and entry.scores]:
             lines.append(f"Deterministic, run once: {', '.join(once)}.")
         if not self.complete:
             lines.append("Interrupted: these are the runs that were complete.")
@@ -457,9 +426,9 @@ class Comparison:
             "mean": {n: rounded(m, 6) for n in MEASURES if (m := entry.mean(n)) is not None},
             "std": {n: rounded(s, 6) for n in MEASURES if (s := entry.spread(n)) is not None},
             "runs": [
-                {"seed": one.seed, "failed": one.failed, "frames_per_s": rounded(one.frames_per_s, 2)}
-                | {name: rounded(value, 6) for name, value in one.figures.items()}
-                for one in entry.scores
+                {"seed": score.seed, "failed": score.failed, "frames_per_s": rounded(score.frames_per_s, 2)}
+                | {name: rounded(value, 6) for name, value in score.figures.items()}
+                for score in entry.scores
             ],
             "recipe": to_dict(entry.recipe) if entry.recipe is not None else None,
         }
@@ -478,6 +447,4 @@ def figure(measure: Measure, values: Array, *, spread: bool) -> str:
 
     if not values.size:
         return NO_FIGURE
-    return (
-        f"{write(values.mean())} ± {write(values.std(ddof=1))}" if spread and values.size > 1 else write(values.mean())
-    )
+    return write(values.mean()) + (f" ± {write(values.std(ddof=1))}" if spread and values.size > 1 else "")

@@ -92,12 +92,20 @@ class Golden(BaseModel):
     rows: list[tuple[int, str, float, float, float]]
 
 
-@dataclass(frozen=True)
-class Checked:
-    """The result of checking or recording a golden: `message` is a line, `details` are further lines.
+class Task(NamedTuple):
+    """A golden to check, or to record in place of `golden`; the recipe is a name or a file."""
 
-    "skipped": the clip lacks what the recipe follows. `seconds` are those of the trackers alone. `farthest`: above 1
-    outside of the spread.
+    path: Path
+    clip: Path
+    recipe: str
+    golden: Golden | None
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What came of a task: `message` is a line, `details` are further lines, `seconds` are those of the trackers alone.
+
+    "skipped": the clip lacks what the recipe follows. `farthest`: above 1 outside of the spread.
     """
 
     golden: Path
@@ -111,15 +119,6 @@ class Checked:
     farthest: float | None = None
 
 
-class Asked(NamedTuple):
-    """A golden to check, or to record in place of `known`; the recipe is a name or a file."""
-
-    path: Path
-    clip: Path
-    recipe: str
-    known: Golden | None
-
-
 class _SkippedError(FacetrackError):
     """The clip lacks what the recipe follows, or this installation has no such tracker."""
 
@@ -131,23 +130,23 @@ def means(run: Trajectory, names: Mapping[str, str]) -> dict[str, dict[str, floa
     """
     after = run.take(run.frame > run.frames[0])
     series = {part.name: part for part in after.parts} | ({"": after} if len(after.parts) > 1 else {})
-    found: dict[str, dict[str, float]] = {part: {} for part in series}
+    result: dict[str, dict[str, float]] = {part: {} for part in series}
     for (part, rows), (quantity, (_, offset)) in product(series.items(), QUANTITIES.items()):
         values: Any = getattr(rows, quantity)
         if quantity == "identity":
             named = np.array([names.get(target, "") for target, _ in rows.names])[rows.which]
             values = np.where(values == "", np.nan, np.where(values == named, rows.identity_prob, 0.0))
-        if (known := values[np.isfinite(values)]).size:
-            logs = None if offset is None else np.log(np.maximum(known + offset, 1e-9))
-            found[part][quantity] = float(known.mean() if logs is None else np.exp(logs.mean()) - offset)
-    return found
+        if (finite := values[np.isfinite(values)]).size:
+            logs = None if offset is None else np.log(np.maximum(finite + offset, 1e-9))
+            result[part][quantity] = float(finite.mean() if logs is None else np.exp(logs.mean()) - offset)
+    return result
 
 
 def distances(run: Trajectory, rows: Sequence[tuple[int, str, float, float, float]]) -> Array:
     """(R,): how far the run is from these rows, in px; infinite where it has no place."""
     parts = {part.name: part for part in run.parts}
     own = [(parts[part].at(frame), x, y) for frame, part, x, y, _ in rows]
-    return np.nan_to_num([math.hypot(one.x[0] - x, one.y[0] - y) for one, x, y in own], nan=math.inf)
+    return np.nan_to_num([math.hypot(row.x[0] - x, row.y[0] - y) for row, x, y in own], nan=math.inf)
 
 
 def record(
@@ -162,18 +161,18 @@ def record(
         settings["recognition"]["gallery"] = gallery = _beside(folder, people)
     if names is None:
         ends = {target: [*filter(None, first.of_target(target)[0].identity.tolist())] for target in first.targets}
-        names = {target: found[-1] for target, found in ends.items() if found}
+        names = {target: identities[-1] for target, identities in ends.items() if identities}
     measured = [means(run, names) for run in runs]
     spread: dict[str, dict[str, tuple[float, float]]] = {part: {} for part in measured[0]}
     for part, quantity in product(spread, QUANTITIES):
-        if values := [one[part][quantity] for one in measured if quantity in one[part]]:
+        if values := [of_run[part][quantity] for of_run in measured if quantity in of_run[part]]:
             spread[part][quantity] = (round(min(values), 4), round(max(values), 4))
     frames = first.frames.tolist()
     kept = sorted({frames[round(i * (len(frames) - 1) / ROWS)] for i in range(1, ROWS + 1)})
     places = [(frame, part.name, *part.at(frame).x, *part.at(frame).y, 0.0) for frame in kept for part in first.parts]
-    places = [one for one in places if math.isfinite(one[2])]
+    places = [row for row in places if math.isfinite(row[2])]
     reach = np.max([np.zeros(len(places)), *(distances(run, places) for run in others)], axis=0)
-    rows = [(*one[:2], *np.round(one[2:4], 3), min(round(far, 2), 1e4)) for one, far in zip(places, reach, strict=True)]
+    rows = [(*row[:2], *np.round(row[2:4], 3), min(round(far, 2), 1e4)) for row, far in zip(places, reach, strict=True)]
     shipped = recipe.path.resolve().parent == shipped_folder().resolve()
     return Golden(
         schema="facetrack-golden", version=3, clip=plan.clip.name, sha256=clip_digest(plan.clip), settings=settings,
@@ -182,28 +181,6 @@ def record(
         versions=versions(), seeds=len(runs), frames=(frames[0], frames[-1]), spread=spread, rows=rows,
         checksums="".join(map(_digits, csv_frames(first))),
     )  # fmt: skip
-
-
-def judge(golden: Golden, now: Golden, runs: Sequence[Trajectory]) -> list[tuple[float, str]]:
-    """How far the nearest run is from each row, then from each spread, above 1 outside; with a line of each.
-
-    `now` is recorded of the runs.
-    """
-    found, away = [], np.stack([distances(run, golden.rows) for run in runs])
-    loose = 1 if any(reach for *_, reach in golden.rows) else 10  # of a tracker without chance no spread is known
-    for (frame, part, *_, reach), each in zip(golden.rows, away.T, strict=True):
-        text = f"{part}: {_ends(each)} px from its golden row of frame {frame}, recorded seeds up to {reach:.4g} px"
-        found.append((float(each.min()) / (reach * (1 + MARGIN) + LEAST_PX * loose), text))
-    for part, quantity in product(golden.spread, QUANTITIES):
-        if (band := golden.spread[part].get(quantity)) is not None:
-            least, offset = QUANTITIES[quantity]
-            least *= 1 if offset is None else abs(band[1]) + offset + 1e-3
-            half = (band[1] - band[0]) * (0.5 + MARGIN) + loose * least
-            ends = now.spread[part].get(quantity, (math.inf, math.inf))
-            far = max(ends[0] - sum(band) / 2, sum(band) / 2 - ends[1], 0.0) / half
-            name = f"{part or 'all parts'}: mean {quantity}"
-            found.append((far, f"{name} {_ends(ends)}, of recorded seeds {_ends(band)}"))
-    return found
 
 
 def _ends(values: Sequence[float] | Array) -> str:
@@ -231,11 +208,11 @@ def versions() -> dict[str, str]:
     """What the bytes of rows depend on: versions of software, and the processor that it is compiled for."""
     cpu = os.environ.get("NUMBA_CPU_NAME") or binding.get_host_cpu_name()
     cpu += "-" + _digits(binding.get_host_cpu_features().flatten())
-    found = {"facetrack": __version__, "machine": f"{platform.system()} {platform.machine()} {cpu}"}
+    result = {"facetrack": __version__, "machine": f"{platform.system()} {platform.machine()} {cpu}"}
     for name in ("numpy", "numba", "opencv-python-headless", "opencv-contrib-python-headless", "av"):
         with contextlib.suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
+            result[name] = metadata.version(name)
+    return result
 
 
 def differences(golden: Golden, recipe: Recipe) -> list[str]:
@@ -255,12 +232,12 @@ def differences(golden: Golden, recipe: Recipe) -> list[str]:
 
 def write_golden(path: Path, golden: Golden) -> None:
     """Write the golden whole or not at all, a line for each part's spread and each row; it replaces the one before."""
-    texts = {key: json.dumps(one) for key, one in golden.model_dump(by_alias=True, exclude_defaults=True).items()}
-    spread = [f"{json.dumps(part)}: {json.dumps(one)}" for part, one in golden.spread.items()]
+    texts = {key: json.dumps(value) for key, value in golden.model_dump(by_alias=True, exclude_defaults=True).items()}
+    spread = [f"{json.dumps(part)}: {json.dumps(bands)}" for part, bands in golden.spread.items()]
     for key, lines, ends in (("spread", spread, "{}"), ("rows", map(json.dumps, golden.rows), "[]")):
         texts[key] = ends[0] + "\n    " + ",\n    ".join(lines) + "\n  " + ends[1]
     path.parent.mkdir(parents=True, exist_ok=True)
-    text = ",\n".join(f'  "{key}": {one}' for key, one in texts.items())
+    text = ",\n".join(f'  "{key}": {value}' for key, value in texts.items())
     write_new(path, f"{{\n{text}\n}}\n".encode(), overwrite=True)
 
 
@@ -272,7 +249,7 @@ def read_golden(path: Path) -> Golden:
             golden = Golden.model_validate_json(read_bounded(path, what="golden"))
     except ValidationError as e:
         first = e.errors(include_url=False)[0]
-        place = ".".join(str(step) for step in first["loc"])
+        place = "".join(f"{step}." for step in first["loc"])[:-1]
         raise InputError(f"{path}: is no golden: {place + ': ' if place else ''}{first['msg']}; {again}") from None
     for frame, part, *_ in golden.rows:
         if not part or part not in golden.spread or not golden.frames[0] <= frame <= golden.frames[1]:
@@ -288,42 +265,47 @@ def find_goldens(folder: Path) -> list[Path]:
     return sorted((folder / "goldens").glob("*.json"))
 
 
-def recorded(folder: Path, given: Mapping[str, str]) -> list[Asked]:
-    """The goldens of a folder, only those of the `given` recipes if there are any: names or files, by their names."""
-    goldens = [(path, read_golden(path)) for path in find_goldens(folder)]
-    known = {Path(one.recipe).stem: one.recipe for _, one in goldens}
+def tasks(folder: Path, recipes: Mapping[str, str], *, update: bool = False) -> list[Task]:
+    """The goldens of a folder, only of these `recipes` if there are any: names or files, by their names.
+
+    To `update` those of some recipes, one for each clip with an init file and each recipe, whether recorded or not.
+    InputError where there is none.
+    """
+    paths = find_goldens(folder)
+    if update and recipes:
+        return _new(folder, recipes)
+    goldens = [(path, golden, Path(golden.recipe).stem) for path in paths for golden in [read_golden(path)]]
+    recorded = {name: golden.recipe for _, golden, name in goldens}
     if not goldens:
         remedy = f"record some with facetrack regress {folder} --config RECIPE --update"
         raise InputError(f"{folder}: has no goldens; {remedy}")
-    if absent := [name for name in given if name not in known]:
-        there = f"has no golden of {absent[0]}, only of {', '.join(sorted(known))}"
+    if absent := [name for name in recipes if name not in recorded]:
+        there = f"has no golden of {absent[0]}, only of {', '.join(sorted(recorded))}"
         raise InputError(f"{folder}: {there}; record it with --update")
-    own = {name: str(folder / file) if file.endswith(".yaml") else file for name, file in known.items()}
-    names = [(path, one, Path(one.recipe).stem) for path, one in goldens]
-    return [Asked(path, folder / one.clip, (given or own)[n], one) for path, one, n in names if n in (given or own)]
+    own = {name: str(folder / file) if file.endswith(".yaml") else file for name, file in recorded.items()}
+    use = recipes or own
+    return [Task(path, folder / golden.clip, use[name], golden) for path, golden, name in goldens if name in use]
 
 
-def recordable(folder: Path, given: Mapping[str, str]) -> list[Asked]:
-    """A golden to record of every clip with an init file and each recipe; InputError where there is no such clip."""
-    find_goldens(folder)
+def _new(folder: Path, recipes: Mapping[str, str]) -> list[Task]:
     clips = [path for path in sorted(folder.iterdir()) if path.suffix.lower() not in NO_CLIPS and find_init(path)]
     if not clips:
         raise InputError(f"{folder}: has no clip with an init file beside it; make one with facetrack init CLIP")
-    found = {}
-    for clip, (name, recipe) in product(clips, given.items()):
-        path, known = folder / "goldens" / f"{clip.stem}.{name}.json", None
-        if path in found:
+    result = {}
+    for clip, (name, recipe) in product(clips, recipes.items()):
+        path, golden = folder / "goldens" / f"{clip.stem}.{name}.json", None
+        if path in result:
             raise UsageError(f"{folder}: two clips are called {clip.stem}; rename one, goldens are kept by that name")
         with contextlib.suppress(InputError):  # it may be that there is none yet, or none that can be read
-            known = read_golden(path)
-        found[path] = Asked(path, clip, recipe, known)
-    return [*found.values()]
+            golden = read_golden(path)
+        result[path] = Task(path, clip, recipe, golden)
+    return [*result.values()]
 
 
 def regress(
-    folder: Path, asked: Sequence[Asked], *, update: bool = False, overrides: Sequence[str] = (), seeds: int = SEEDS,
+    folder: Path, asked: Sequence[Task], *, update: bool = False, overrides: Sequence[str] = (), seeds: int = SEEDS,
     stop: int | None = None, gallery: Path | None = None, stopped: Stop | None = None, **how: Any,
-) -> Iterator[Checked]:  # fmt: skip
+) -> Iterator[Verdict]:  # fmt: skip
     """Check goldens, or `update` them, in their order; fewer once `stopped` says so. `how` is told to `run_plans`.
 
     `overrides` are set in all recipes. Those that recognise know the people of `gallery`, else of the golden's, else
@@ -331,40 +313,43 @@ def regress(
     """
     stopped = stopped or Stop()
     prepared: list[SeedPlan | FacetrackError] = []
-    people = [gallery or (folder / one.known.gallery if one.known and one.known.gallery else None) for one in asked]
-    for one, who in zip(asked, people, strict=True):
+    own = [task.golden.gallery if task.golden else "" for task in asked]
+    people = [gallery or (folder / name if name else None) for name in own]
+    for task, who in zip(asked, people, strict=True):
         try:
-            recipe = _recipe(one, overrides, who)
-            last = stop or (one.known.stop if one.known else None)
-            prepared.append(_to_record(one, recipe, seeds, last, stopped) if update else _to_check(one, recipe))
+            recipe = _recipe(task, overrides, who)
+            prepared.append(_to_record(task, recipe, seeds, stop, stopped) if update else _to_check(task, recipe))
         except FacetrackError as e:
+            if str(e).startswith("--set"):  # a mistake in the option is no regression
+                raise
             prepared.append(e)
         if stopped():
             return
-    plans = [one for one in prepared if isinstance(one, SeedPlan)]
+    plans = [plan for plan in prepared if isinstance(plan, SeedPlan)]
     with contextlib.closing(run_plans(plans, stopped=stopped, **how)) as ends:
-        for one, who, plan in zip(asked, people, prepared, strict=True):
+        for task, who, plan in zip(asked, people, prepared, strict=True):
             ended = next(ends, None) if isinstance(plan, SeedPlan) else None
             if stopped():
                 return
             error = plan if ended is None else ended.error
-            result = Checked(one.path, one.clip.name, one.path.stem[len(one.clip.stem) + 1 :])
+            verdict = Verdict(task.path, task.clip.name, task.path.stem[len(task.clip.stem) + 1 :])
             if isinstance(error, FacetrackError):
                 status: Any = "skipped" if isinstance(error, _SkippedError) else "fails"
-                yield replace(result, status=status, message=str(error))
+                yield replace(verdict, status=status, message=str(error))
             elif ended is not None:
-                runs, known = [run.trajectory for run in ended.runs], None if update else one.known
-                now = record(folder, ended.plan, runs, who, known.names if known else None)
-                if known is None:
-                    write_golden(one.path, now)
-                    yield replace(result, message=f"wrote {one.path} ({len(runs)} seeds)")
+                runs, golden = [run.trajectory for run in ended.runs], None if update else task.golden
+                now = record(folder, ended.plan, runs, who, golden.names if golden else None)
+                if golden is None:
+                    write_golden(task.path, now)
+                    yield replace(verdict, message=f"wrote {task.path} ({len(runs)} seeds)")
                 else:
-                    spent = sum(len(run.trajectory.frames) / run.frames_per_s for run in ended.runs)
-                    yield _compared(replace(result, seconds=spent, seeds=len(runs)), known, now, ended.plan, runs)
+                    seconds = sum(len(run.trajectory.frames) / run.frames_per_s for run in ended.runs)
+                    verdict = replace(verdict, seconds=seconds, seeds=len(runs))
+                    yield compared(verdict, golden, now, differences(golden, ended.plan.recipe), runs)
 
 
-def _recipe(one: Asked, overrides: Sequence[str], people: Path | None) -> Recipe:
-    recipe = load_recipe(one.recipe, overrides, installed=False)
+def _recipe(task: Task, overrides: Sequence[str], people: Path | None) -> Recipe:
+    recipe = load_recipe(task.recipe, overrides, installed=False)
     if isinstance(recipe, OpenCvRecipe) and find_opencv(recipe.tracker) is None:
         there = f"the installed OpenCV has no {recipe.tracker.upper()} tracker"
         raise _SkippedError(f"{there}; opencv-contrib-python-headless has")
@@ -375,74 +360,89 @@ def _recipe(one: Asked, overrides: Sequence[str], people: Path | None) -> Recipe
     return put(recipe, str(people))
 
 
-def _to_record(one: Asked, recipe: Recipe, seeds: int, stop: int | None, stopped: Stop) -> SeedPlan:
-    begin = ClipRequest(one.clip, stop=stop)
-    start = replace(begin.find(recipe, stopped=stopped), detector="", placed=False)  # cascades are there on any machine
-    with begin.open() as source:
-        size, fps = source.size, source.fps
-    try:
-        tracker_for(recipe, start, size, fps)
-    except InputError as e:
-        raise _SkippedError(str(e)) from None
-    return SeedPlan(one.path.stem, one.clip, recipe, start, tuple(range(seeds if recipe.random else 1)), stop)
+def _to_record(task: Task, recipe: Recipe, seeds: int, stop: int | None, stopped: Stop) -> SeedPlan:
+    clip = ClipRequest(task.clip, stop=stop or (task.golden.stop if task.golden else None))
+    start = replace(clip.find(recipe, stopped=stopped), detector="", placed=False)  # cascades are there on any machine
+    with clip.open() as source:
+        try:
+            tracker_for(recipe, start, source.size, source.fps)
+        except InputError as e:
+            raise _SkippedError(str(e)) from None
+    return SeedPlan(task.path.stem, task.clip, recipe, start, tuple(range(seeds if recipe.random else 1)), clip.stop)
 
 
-def _to_check(one: Asked, recipe: Recipe) -> SeedPlan:
-    golden = one.known
+def _to_check(task: Task, recipe: Recipe) -> SeedPlan:
+    golden = task.golden
     assert golden is not None
-    if not one.clip.exists():
-        raise InputError(f"the clip {one.clip} is not there; put it back, or remove {one.path}")
-    if clip_digest(one.clip) != golden.sha256:
-        raise InputError(f"the clip {one.clip} is not the one recorded; restore it, or {UPDATE}")
+    if not task.clip.exists():
+        raise InputError(f"the clip {task.clip} is not there; put it back, or remove {task.path}")
+    if clip_digest(task.clip) != golden.sha256:
+        raise InputError(f"the clip {task.clip} is not the one recorded; restore it, or {UPDATE}")
     other = recipe.random and differences(golden, recipe)
     seeds = tuple(range(UNSEEN, UNSEEN + RUNS)) if other else (0,)
-    return SeedPlan(one.path.stem, one.clip, recipe, golden.start.start_from(str(one.path)), seeds, golden.stop)
+    return SeedPlan(task.path.stem, task.clip, recipe, golden.start.start_from(str(task.path)), seeds, golden.stop)
 
 
-def _compared(result: Checked, golden: Golden, now: Golden, plan: SeedPlan, runs: Sequence[Trajectory]) -> Checked:
-    parts, own = ([part for part in one.spread if part] for one in (golden, now))
+def compared(verdict: Verdict, golden: Golden, now: Golden, changed: list[str], runs: Sequence[Trajectory]) -> Verdict:
+    """The verdict on runs, of which `now` is recorded; `changed` are the `differences` of recipe and versions."""
+    parts, own = ([part for part in each.spread if part] for each in (golden, now))
     if parts != own or golden.frames != now.frames:
         texts = (f"{', '.join(p)} in frames {f[0]}-{f[1]}" for p, f in ((own, now.frames), (parts, golden.frames)))
-        return replace(result, status="fails", message=f"tracks {'; recorded were '.join(texts)}; {UPDATE}")
-    found, changed = judge(golden, now, runs), differences(golden, plan.recipe)
-    rows, spreads = found[: len(golden.rows)], sorted(found[len(golden.rows) :], reverse=True)
-    off = [text for one, most in ((rows, 1), (spreads, 3)) for text in [text for far, text in one if far > 1][:most]]
+        return replace(verdict, status="fails", message=f"tracks {'; recorded were '.join(texts)}; {UPDATE}")
+    rows, spreads, away = [], [], np.stack([distances(run, golden.rows) for run in runs])
+    loose = 1 if any(reach for *_, reach in golden.rows) else 10  # of a tracker without chance no spread is known
+    for (frame, part, *_, reach), each in zip(golden.rows, away.T, strict=True):
+        text = f"{part}: {_ends(each)} px from its golden row of frame {frame}, recorded seeds up to {reach:.4g} px"
+        rows.append((float(each.min()) / (reach * (1 + MARGIN) + LEAST_PX * loose), text))
+    for part, (quantity, (least, offset)) in product(golden.spread, QUANTITIES.items()):
+        if (band := golden.spread[part].get(quantity)) is not None:
+            least *= 1 if offset is None else abs(band[1]) + offset + 1e-3
+            half = (band[1] - band[0]) * (0.5 + MARGIN) + loose * least
+            ends = now.spread[part].get(quantity, (math.inf, math.inf))
+            far = max(ends[0] - sum(band) / 2, sum(band) / 2 - ends[1], 0.0) / half
+            text = f"{part or 'all parts'}: mean {quantity} {_ends(ends)}, of recorded seeds {_ends(band)}"
+            spreads.append((far, text))
+    spreads.sort(reverse=True)
+    off = [text for far, text in rows if far > 1][:1] + [text for far, text in spreads if far > 1][:3]
     notes = [f"not as recorded: {', '.join(changed)}"] if changed else []
-    result = replace(result, farthest=min(max(far for far, _ in found), 1e6), details=tuple(notes))
+    farthest = min(max(far for far, _ in rows + spreads), 1e6)
+    verdict = replace(verdict, farthest=farthest, details=tuple(notes))
     if not changed:
-        sums = zip(*(re.findall("....", one.checksums) for one in (golden, now)), strict=False)
+        sums = zip(*(re.findall("....", each.checksums) for each in (golden, now)), strict=False)
         others = [golden.frames[0] + i for i, (was, own) in enumerate(sums) if was != own]
         others += [was[0] for was, own in zip(golden.rows, now.rows, strict=False) if was[:4] != own[:4]]
         if not others:
-            return replace(result, message="the same rows")
+            return replace(verdict, message="the same rows")
         first = f"other rows than recorded from frame {min(others)} on, by the same recipe and versions"
         off = [first, *(off or ["they are within the spread of seeds"])]
     if not off:
-        return replace(result, message=f"at {100 * (result.farthest or 0):.0f} % of the spread of {golden.seeds} seeds")
-    return replace(result, status="fails", message=off[0], details=(*off[1:], *(f"{one}; {UPDATE}" for one in notes)))
+        return replace(verdict, message=f"at {100 * farthest:.0f} % of the spread of {golden.seeds} seeds")
+    return replace(
+        verdict, status="fails", message=off[0], details=(*off[1:], *(f"{note}; {UPDATE}" for note in notes))
+    )
 
 
-def counts(found: Sequence[Checked]) -> dict[str, int]:
-    return {status: sum(one.status == status for one in found) for status in ("ok", "fails", "skipped")}
+def counts(verdicts: Sequence[Verdict]) -> dict[str, int]:
+    return {status: sum(verdict.status == status for verdict in verdicts) for status in ("ok", "fails", "skipped")}
 
 
-def as_json(found: Sequence[Checked]) -> str:
-    results = [{**asdict(one), "golden": str(one.golden)} for one in found]
-    whole = {"schema": "facetrack-regress", "version": 3, **counts(found), "results": results}
+def as_json(verdicts: Sequence[Verdict]) -> str:
+    results = [{**asdict(verdict), "golden": str(verdict.golden)} for verdict in verdicts]
+    whole = {"schema": "facetrack-regress", "version": 3, **counts(verdicts), "results": results}
     return json.dumps(whole, indent=2) + "\n"
 
 
-def as_junit(found: Sequence[Checked]) -> str:
+def as_junit(verdicts: Sequence[Verdict]) -> str:
     """JUnit XML: a test case for each golden, the clip is its class, the recipe its name."""
-    many, root = counts(found), ElementTree.Element("testsuites")
-    about = {"tests": str(len(found)), "failures": str(many["fails"]), "skipped": str(many["skipped"]), "errors": "0"}
-    suite = ElementTree.SubElement(root, "testsuite", {"name": "facetrack regress", **about})
-    for one in found:
-        texts = (one.clip, one.recipe, one.message, *one.details)
+    many, root = counts(verdicts), ElementTree.Element("testsuites")
+    about = {"tests": str(len(verdicts)), "failures": str(many["fails"]), "skipped": str(many["skipped"])}
+    suite = ElementTree.SubElement(root, "testsuite", {"name": "facetrack regress", **about, "errors": "0"})
+    for verdict in verdicts:
+        texts = (verdict.clip, verdict.recipe, verdict.message, *verdict.details)
         clip, recipe, message, *details = (_NOT_XML.sub("\ufffd", text) for text in texts)
-        about = {"classname": clip, "name": recipe, "time": f"{one.seconds:.3f}"}
+        about = {"classname": clip, "name": recipe, "time": f"{verdict.seconds:.3f}"}
         case = ElementTree.SubElement(suite, "testcase", about)
-        if kind := {"fails": "failure", "skipped": "skipped"}.get(one.status):
+        if kind := {"fails": "failure", "skipped": "skipped"}.get(verdict.status):
             ElementTree.SubElement(case, kind, {"message": message}).text = "\n".join([message, *details])
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"

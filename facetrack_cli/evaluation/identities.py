@@ -18,8 +18,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import BOX, Array, Mask, Whole
-from facetrack_cli.evaluation.measure import COUNT, PERCENT, Measure, Value
-from facetrack_cli.evaluation.rows import NEAR
+from facetrack_cli.evaluation.rows import COUNT, NEAR, PERCENT, Measure, Value
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 SAME: Final = 0.5  # similarity from which a target is on a person
@@ -69,17 +68,13 @@ def identified(ours: Trajectory, truth: Trajectory) -> tuple[Trajectory, PeopleM
     """
     frames = seen_in(ours, truth)
     together = np.zeros((len(truth.targets), len(ours.targets)))
-    for one in frames:
-        together[np.ix_(one.people, one.targets)] += one.similar >= SAME
+    for frame in frames:
+        together[np.ix_(frame.people, frame.targets)] += frame.similar >= SAME
     names = {ours.targets[j]: truth.targets[i] for i, j in assigned(together)}
-    taken = set(names.values())
-    free = {name: f"{name} (nobody)" if name in taken else name for name in ours.targets}
+    notes = [f"{name} is {theirs} of the ground truth" for name, theirs in names.items()]
+    free = {name: f"{name} (nobody)" if name in names.values() else name for name in ours.targets}
     renamed = replace(ours, names=tuple(({**free, **names}[target], part) for target, part in ours.names))
-    return (
-        renamed,
-        measure_people(frames),
-        [f"{name} is {theirs} of the ground truth" for name, theirs in names.items()],
-    )
+    return renamed, measure_people(frames), notes
 
 
 def seen_in(ours: Trajectory, truth: Trajectory) -> list[Seen]:
@@ -87,25 +82,24 @@ def seen_in(ours: Trajectory, truth: Trajectory) -> list[Seen]:
 
     Targets on a person whom the ground truth calls hidden do not count.
     """
-    both = {one.part for one in ours.parts if np.isfinite(one.x).any()} & {one.part for one in truth.parts}
+    both = {rows.part for rows in ours.parts if np.isfinite(rows.x).any()} & {rows.part for rows in truth.parts}
     parts = [BOX] if BOX in both else sorted(both)
     if parts != [BOX] and len(parts) < 2:
-        raise InputError(
-            f"{truth.path}: has neither boxes nor two points in common with {ours.path}; people are told by these"
-        )
+        what = f"has neither boxes nor two points in common with {ours.path}"
+        raise InputError(f"{truth.path}: {what}; people are told by these")
     frames = truth.frames
     if len(frames) > 1 and np.median(np.diff(frames)) == 1:
         frames = np.arange(frames[0], frames[-1] + 1)
     mine, _ = _places(ours, parts, frames)
     true, hidden = _places(truth, parts, frames)
-    found = []
+    seen = []
     for t in range(len(frames)):
-        people, targets = (np.flatnonzero(np.isfinite(one[t]).any(axis=(1, 2))) for one in (true, mine))
+        people, targets = (np.flatnonzero(np.isfinite(places[t]).any(axis=(1, 2))) for places in (true, mine))
         similar = _similarity(true[t, people], mine[t, targets], boxes=parts == [BOX])
         shown = ~hidden[t, people]
         counted = (similar[shown] >= SAME).any(axis=0) | ~(similar[~shown] >= SAME).any(axis=0)
-        found.append(Seen(people[shown], targets[counted], similar[np.ix_(shown, counted)]))
-    return found
+        seen.append(Seen(people[shown], targets[counted], similar[np.ix_(shown, counted)]))
+    return seen
 
 
 def _places(table: Trajectory, parts: Sequence[str], frames: Whole) -> tuple[Array, Mask]:
@@ -115,11 +109,11 @@ def _places(table: Trajectory, parts: Sequence[str], frames: Whole) -> tuple[Arr
     hidden = np.zeros(places.shape[:2], np.bool_)
     for n, target in enumerate(table.targets):
         for k, part in enumerate(parts):
-            if (one := table.find(target, part)) is not None:
-                one = one.take(np.isin(one.frame, frames) & ~np.isin(one.status, ("lost", "absent")))
-                rows = np.searchsorted(frames, one.frame)
-                places[rows, n, k] = one.boxes if columns == 4 else np.stack([one.x, one.y], axis=1)
-                hidden[rows, n] |= one.status == "hidden"
+            if (rows := table.find(target, part)) is not None:
+                rows = rows.take(np.isin(rows.frame, frames) & ~np.isin(rows.status, ("lost", "absent")))
+                at = np.searchsorted(frames, rows.frame)
+                places[at, n, k] = rows.boxes if columns == 4 else np.stack([rows.x, rows.y], axis=1)
+                hidden[at, n] |= rows.status == "hidden"
     return places, hidden
 
 
@@ -142,8 +136,8 @@ def _similarity(true: Array, mine: Array, *, boxes: bool) -> Array:
 
 def measure_people(frames: Sequence[Seen]) -> PeopleMeasures:
     """The measures, as TrackEval has them."""
-    each = [one.people for one in frames], [one.targets for one in frames]
-    counts = [1 + max((int(one.max()) for one in numbers if one.size), default=-1) for numbers in each]
+    numbers = [frame.people for frame in frames], [frame.targets for frame in frames]
+    counts = [1 + max((int(each.max()) for each in column if each.size), default=-1) for column in numbers]
     there, given = (np.zeros(n) for n in counts)
     close, together = np.zeros(counts), np.zeros(counts)
     for people, targets, similar in frames:

@@ -11,8 +11,7 @@ import numpy as np
 
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array
-from facetrack_cli.evaluation.measure import COUNT, HALVES, PERCENT, PX, UNIT, Measure, Value, mean, median
-from facetrack_cli.evaluation.rows import Rows, column
+from facetrack_cli.evaluation.rows import COUNT, HALVES, PERCENT, PX, UNIT, Measure, Rows, Value, column, mean, median
 
 FAILURE = 0.1  # normalised error above which a row has failed, as in COFW and WFLW; 300-W takes 0.08
 HELD = 5  # a part is back once it is near for so many rows in a row
@@ -121,7 +120,7 @@ def lost_for_good(part: Rows) -> bool | None:
 def occlusions(parts: Sequence[Rows]) -> tuple[Occlusion, ...]:
     """The occlusions of every target, in the order of targets and frames."""
     targets = dict.fromkeys(part.target for part in parts)
-    return tuple(one for name in targets for one in _of_target([part for part in parts if part.target == name]))
+    return tuple(span for name in targets for span in _of_target([part for part in parts if part.target == name]))
 
 
 def _of_target(parts: Sequence[Rows]) -> Iterator[Occlusion]:
@@ -134,23 +133,23 @@ def _of_target(parts: Sequence[Rows]) -> Iterator[Occlusion]:
     stretches = spans(np.any(covered, axis=1))
     nexts = [*[first for first, _ in stretches], len(frames)][1:]
     for (first, end), until in zip(stretches, nexts, strict=True):
-        those = np.flatnonzero(covered[first:end].any(axis=0))
-        back = next((end + a for a, b in spans(np.all(near[end:until, those], axis=1)) if b - a >= HELD), None)
-        helped = by_hand[first : until if back is None else back + 1, those].any()
+        hit = np.flatnonzero(covered[first:end].any(axis=0))
+        back = next((end + a for a, b in spans(np.all(near[end:until, hit], axis=1)) if b - a >= HELD), None)
+        helped = by_hand[first : until if back is None else back + 1, hit].any()
         after = None if back is None else int(frames[back] - frames[end])
-        decided = int(judged[end:until, those].all(axis=1).sum()) >= HELD and not bool(helped)
-        names = tuple(parts[k].part for k in those.tolist())
+        decided = int(judged[end:until, hit].all(axis=1).sum()) >= HELD and not bool(helped)
+        names = tuple(parts[k].part for k in hit.tolist())
         yield Occlusion(parts[0].target, names, int(frames[first]), int(frames[end - 1]), after, decided)
 
 
-def measure_recovery(found: Sequence[Occlusion]) -> RecoveryMeasures | None:
+def measure_recovery(spans: Sequence[Occlusion]) -> RecoveryMeasures | None:
     """Over occlusions; None if there is none."""
-    if not found:
+    if not spans:
         return None
-    decided = [one for one in found if one.decided]
-    frames = [one.frames_to_return for one in decided if one.frames_to_return is not None]
+    decided = [span for span in spans if span.decided]
+    frames = [span.frames_to_return for span in decided if span.frames_to_return is not None]
     return RecoveryMeasures(
-        occlusions=len(found),
+        occlusions=len(spans),
         decided=len(decided),
         returned=len(frames),
         recovered=len(frames) / len(decided) if decided else None,

@@ -13,8 +13,7 @@ import numpy as np
 
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array, Mask
-from facetrack_cli.evaluation.measure import COUNT, HALVES, PERCENT, PX, UNIT, Measure, Value, mean, median, share
-from facetrack_cli.evaluation.rows import Rows, column
+from facetrack_cli.evaluation.rows import COUNT, HALVES, PERCENT, PX, UNIT, Measure, Rows, Value, column, mean, median
 
 BINS = 10
 # squared Mahalanobis distances within which 50 and 90 % of a two-dimensional normal distribution lie
@@ -124,15 +123,20 @@ class JitterMeasures:
 
 def measure_jitter(parts: Sequence[Rows]) -> JitterMeasures | None:
     """None if no part has three visible rows in a row."""
-    found: list[Array] = []
+    jitter: list[Array] = []
     for part in parts:
         known = part.visible & part.placed & np.isfinite(part.at).all(axis=1) & ~part.by_hand
         three = known[:-2] & known[1:-1] & known[2:] & (part.frame[2:] - part.frame[:-2] == 2)
         both = np.stack([part.at, part.at - part.offset])
         off = both[:, :-2] - 2 * both[:, 1:-1] + both[:, 2:]
-        found.append(np.hypot(off[..., 0], off[..., 1])[:, three] / math.sqrt(6))
-    ours, truth = np.concatenate(found, axis=1)
+        jitter.append(np.hypot(off[..., 0], off[..., 1])[:, three] / math.sqrt(6))
+    ours, truth = np.concatenate(jitter, axis=1)
     return JitterMeasures(len(ours), median(ours), median(truth)) if len(ours) else None
+
+
+def _share(rows: Mask, others: Mask) -> Value:
+    """The share of the first rows that are also among the others, 0 to 1; None if there are none."""
+    return mean(others[rows])
 
 
 def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
@@ -158,13 +162,13 @@ def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
         rows=len(lost),
         covered=int(np.sum(covered)),
         called=int(np.sum(lost)),
-        precision=share(lost, covered),
-        precision_gone=share(lost & known, gone),
-        recall=share(covered, lost),
-        recall_gone=share(gone, lost),
-        false_alarms=share(visible & judged & near, lost),
-        tracked_near=share(~lost & judged, near),
-        tracked_visible_near=share(~lost & judged & visible, near),
+        precision=_share(lost, covered),
+        precision_gone=_share(lost & known, gone),
+        recall=_share(covered, lost),
+        recall_gone=_share(gone, lost),
+        false_alarms=_share(visible & judged & near, lost),
+        tracked_near=_share(~lost & judged, near),
+        tracked_visible_near=_share(~lost & judged & visible, near),
         spans=len(stretches),
         spans_called=len(delays[0]),
         delay_lost=median(np.array(delays[0])),
@@ -270,5 +274,5 @@ def reliability_bins(
 
 def calibration_error(bins: Sequence[ReliabilityBin]) -> float:
     """The expected calibration error: the mean over rows of |share right - mean confidence| of their bin."""
-    gaps = [one.rows * abs((one.right or 0.0) - (one.mean_confidence or 0.0)) for one in bins]
-    return sum(gaps) / sum(one.rows for one in bins)
+    gaps = [each.rows * abs((each.right or 0.0) - (each.mean_confidence or 0.0)) for each in bins]
+    return sum(gaps) / sum(each.rows for each in bins)

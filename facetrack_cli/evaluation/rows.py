@@ -4,6 +4,14 @@
 
 Parts are paired by names and frames. Ground truth that is empty, shorter, counted from another frame or of another clip
 gives an error that says so.
+
+A measure is declared once, with the field of the dataclass that holds its value:
+
+    @dataclass(frozen=True)
+    class PointMeasures:
+        mean_px: Annotated[Value, Measure("mean\\npx", PX, "less")]
+
+From the declarations follow the names (`points.mean_px`), the columns of tables, and the order of recipes by a measure.
 """
 
 from __future__ import annotations
@@ -11,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, Final, Literal, NamedTuple, TypeAlias, get_type_hints
 
 import numpy as np
 
@@ -22,11 +30,53 @@ from facetrack_cli.trajectory.header import frame_size_of
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory
 
+Value: TypeAlias = float | int | None
+"""A measured value; None where the measure is not defined, as the precision without any row called lost."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """`title`: the head of its column, in two lines, without one it has none; `write`: a value as text; `better`: None
+    where neither is. One that is `rare` has a column only where one of its values is not 0.
+    """
+
+    title: str
+    write: Callable[[float], str]
+    better: Literal["more", "less"] | None = None
+    rare: bool = False
+
+
+def measures_of(kind: type) -> dict[str, Measure]:
+    """The measures that a dataclass declares, by the names of its fields."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: hint.__metadata__[0] for name, hint in hints.items() if hasattr(hint, "__metadata__")}
+
+
+COUNT: Final = "{:,.0f}".format
+HALVES: Final = "{:g}".format  # the median of whole frames
+PX: Final = "{:.2f}".format
+UNIT: Final = "{:.3f}".format
+
+
+def PERCENT(value: float) -> str:  # noqa: N802 -- a constant like the others
+    """A share of 0 to 1 as a percentage."""
+    return f"{100 * value:.1f}"
+
+
+def mean(values: Array | Mask) -> Value:
+    return float(np.mean(values)) if len(values) else None
+
+
+def median(values: Array) -> Value:
+    return float(np.median(values)) if len(values) else None
+
+
 NOT_SEEN = ("hidden", "absent")
 OF_TRUTH = ("visible", *NOT_SEEN)
 OF_TRACK = ("init", "tracked", "lost")
 NEAR = 1 / 6  # of the normalising length: a point is near if its error is less
 RIGHT = 1 / 4  # of the size: a row is right, as calibration has it, if the error of its centre is less
+NAMES = ("target", "part")
 NEAR_IOU = 0.5  # a box is near if its overlap with the ground truth (intersection over union) is more
 
 
@@ -86,7 +136,7 @@ class Rows:
 
     def take(self, rows: Mask) -> Rows:
         """These rows alone."""
-        arrays: dict[str, Any] = {key: one[rows] for key, one in vars(self).items() if isinstance(one, np.ndarray)}
+        arrays: dict[str, Any] = {key: column[rows] for key, column in vars(self).items() if key not in NAMES}
         return replace(self, **arrays)
 
 
@@ -129,7 +179,7 @@ def rows_of(pair: Pair, unit: Array) -> Rows:
     )
 
 
-def column(parts: Iterable[Rows], name: str) -> Any:
+def column(parts: Iterable[Rows | Trajectory], name: str) -> Any:
     """One column of all parts, end to end."""
     return np.concatenate([getattr(part, name) for part in parts])
 
@@ -142,7 +192,7 @@ class Pair(NamedTuple):
 
     @property
     def declared_box(self) -> bool:
-        """Whether ours or the truth is declared a box; a window of a point has a size too and is no box."""
+        """Whether ours or the truth is declared a box; a window of a point has a size too, and is none."""
         return "box" in (self.ours.part, self.truth.part) or self.truth.corners is not None
 
     @property
@@ -155,8 +205,7 @@ class Pair(NamedTuple):
 NAMED = {"mouth": (("mouth_left", "mouth_right"),), "eyes": (("eye_left", "eye_right"), ("point_37", "point_46"))}
 
 
-@dataclass(frozen=True, eq=False)
-class Unit:
+class Unit(NamedTuple):
     """The length of one target: (F,) pixels, nan where unknown, for increasing frames (F,); `text` explains it."""
 
     frame: Whole
@@ -170,16 +219,10 @@ class Unit:
 
 def at(frames: Whole, known: Whole, values: Array) -> Array:
     """(R, ...) values (F, ...) of the increasing frames `known` (F,) at `frames` (R,); nan for frames not there."""
-    found = np.full((len(frames), *values.shape[1:]), np.nan)
+    result = np.full((len(frames), *values.shape[1:]), np.nan)
     there = np.isin(frames, known)
-    found[there] = values[np.searchsorted(known, frames[there])]
-    return found
-
-
-def places(truth: Trajectory, frames: Whole) -> Array:
-    """(R, 2) true centres in these frames; nan where they are not known, or the part is absent."""
-    centres = np.stack([truth.x, truth.y], axis=1)
-    return at(frames, truth.frame, np.where(truth.status[:, None] == "absent", np.nan, centres))
+    result[there] = values[np.searchsorted(known, frames[there])]
+    return result
 
 
 def check_normalise(how: str) -> str:
@@ -207,13 +250,13 @@ def check_normalise(how: str) -> str:
 
 def unit_of(how: str, truth: Sequence[Trajectory], *, box: bool, frames: Whole) -> Unit:
     """The length of a target with ground truth `truth`, for increasing `frames` (F,); UsageError for another `how`."""
-    one = truth[0]
     if how in NAMED or ":" in how:
-        one, other = _pair(how, truth)
-        ends = [np.stack([at(frames, s.frame, s.x), at(frames, s.frame, s.y)]) for s in (one, other)]
-        length, what = np.hypot(*(ends[0] - ends[1])), f"{one.part} to {other.part}"
+        ends = _pair(how, truth)
+        a, b = (np.stack([at(frames, part.frame, part.x), at(frames, part.frame, part.y)]) for part in ends)
+        length, what = np.hypot(*(a - b)), f"{ends[0].part} to {ends[1].part}"
     elif how == "size" and box:
-        length, what = at(frames, one.frame, np.sqrt(np.maximum(one.w * one.h, 0))), "size, sqrt(width * height)"
+        sides = np.sqrt(np.maximum(truth[0].w * truth[0].h, 0))
+        length, what = at(frames, truth[0].frame, sides), "size, sqrt(width * height)"
     else:
         size, text = _size(truth, frames) if how == "size" else (float(how), f"{float(how):g} px")
         return Unit(frames, np.full(len(frames), size), text)
@@ -225,10 +268,10 @@ def unit_of(how: str, truth: Sequence[Trajectory], *, box: bool, frames: Whole) 
 
 def _pair(how: str, truth: Sequence[Trajectory]) -> tuple[Trajectory, Trajectory]:
     wanted = NAMED.get(how) or (tuple(how.split(":")),)
-    there = {s.part: s for s in truth}
-    for one, other in wanted:
-        if one in there and other in there:
-            return there[one], there[other]
+    there = {part.part: part for part in truth}
+    for first, second in wanted:
+        if first in there and second in there:
+            return there[first], there[second]
     missing = " or ".join(" and ".join(part for part in names if part not in there) for names in wanted)
     names = ", ".join(list(there)[:8]) + (", ..." if len(there) > 8 else "")
     raise UsageError(f"--normalise {how}: the ground truth has no {missing}; it has {names}")
@@ -238,7 +281,10 @@ def _size(truth: Sequence[Trajectory], frames: Whole) -> tuple[float, str]:
     """The unit of recipes and what it is; nan if there is none."""
     if len(truth) < 2:
         return math.nan, "size: one point has none"
-    points = np.stack([places(one, frames) for one in truth])  # (K, F, 2)
+    centres = [np.where(part.status == "absent", np.nan, [part.x, part.y]).T for part in truth]
+    points = np.stack(
+        [at(frames, part.frame, centre) for part, centre in zip(truth, centres, strict=True)]
+    )  # (K, F, 2)
     together = np.flatnonzero(np.isfinite(points).all(axis=(0, 2)))
     if not together.size:
         return math.nan, "size: no frame of the ground truth has all points"
@@ -285,98 +331,87 @@ def _pair_names(ours: Trajectory, truth: Trajectory, select: str | None, note: C
     theirs = truth.parts
     if truth.targets == ("",):
         return [_nameless(ours, truth, note)]
-    found = [Pair(one, other) for one in ours.parts if (other := truth.find(one.target, one.part))]
-    if not found and len(ours.targets) == len(truth.targets) == 1:
-        renamed = {one.part: one.renamed(ours.target, one.part) for one in theirs}
-        found = [Pair(one, renamed[one.part]) for one in ours.parts if one.part in renamed]
-        if found and ours.target:
+    pairs = [Pair(part, other) for part in ours.parts if (other := truth.find(part.target, part.part))]
+    if not pairs and len(ours.targets) == len(truth.targets) == 1:
+        renamed = {part.part: part.renamed(ours.target, part.part) for part in theirs}
+        pairs = [Pair(part, renamed[part.part]) for part in ours.parts if part.part in renamed]
+        if pairs and ours.target:
             note(f"{truth.target} of the ground truth is taken for {ours.target}: both have one target")
             theirs = tuple(renamed.values())
-    if not found:
-        raise InputError(
-            f"{truth.path}: no part in common with {ours.path}; it has {_names(theirs)}, the trajectory "
-            f"{_names(ours.parts)}: {_remedy(theirs, ours.parts)}"
-        )
-    paired = {one.ours.name for one in found}
-    alone = [one for one in theirs if one.name not in paired]
+    if not pairs:
+        both = f"it has {_names(theirs)}, the trajectory {_names(ours.parts)}"
+        raise InputError(f"{truth.path}: no part in common with {ours.path}; {both}: {_remedy(theirs, ours.parts)}")
+    paired = {pair.ours.name for pair in pairs}
+    alone = [part for part in theirs if part.name not in paired]
     if alone and select is None:
         note(f"{truth.path}: {_names(alone)} {'are' if len(alone) > 1 else 'is'} not in the trajectory, and left out")
-    unknown = [one for one in ours.parts if one.name not in paired]
-    if unknown:
+    if unknown := [part for part in ours.parts if part.name not in paired]:
         note(f"{truth.path}: says nothing of {_names(unknown)}")
-    return found
+    return pairs
 
 
 def _remedy(theirs: Sequence[Trajectory], ours: Sequence[Trajectory]) -> str:
     """How two tables come to have parts in common."""
-    true, tracked = ({one.part == BOX for one in those} for those in (theirs, ours))
+    true, tracked = ({part.part == BOX for part in parts} for parts in (theirs, ours))
     if (true, tracked) == ({False}, {True}):
         return "boxes are not measured by points; give ground truth of boxes, or track with a recipe of points"
     if (true, tracked) == ({True}, {False}):
         remedy = "give ground truth of points, or track by a recipe of regions, as contour_histogram"
         return f"points are not measured by boxes; {remedy}"
-    if {one.part for one in theirs} & {one.part for one in ours}:
+    if {part.part for part in theirs} & {part.part for part in ours}:
         return "name targets alike, or let --people find which target is whom"
     return "name targets and parts alike"
 
 
 def _nameless(ours: Trajectory, truth: Trajectory, note: Callable[[str], None]) -> Pair:
     """The boxes of ground truth without names, paired with the only part that has a size."""
-    boxed = [one for one in ours.parts if np.any(np.isfinite(one.w) & np.isfinite(one.h))]
+    boxed = [part for part in ours.parts if np.any(np.isfinite(part.w) & np.isfinite(part.h))]
+    why = ""
     if not boxed:
-        raise InputError(
-            f"{truth.path}: holds boxes, no part of {ours.path} has w and h; give ground truth of its points"
-        )
-    if len(boxed) > 1 and len({one.target for one in boxed}) == 1:
-        raise InputError(
-            f"{truth.path}: holds boxes, and {ours.path} points, {_names(boxed)}; give ground truth of these points "
-            "(--target NAME/PART would measure the window around one of them)"
-        )
-    if len(boxed) > 1:
-        raise InputError(
-            f"{truth.path}: its boxes have no names, and {ours.path} has {_names(boxed)}; "
-            "choose the one that they belong to with --target NAME/PART"
-        )
+        why = f"holds boxes, no part of {ours.path} has w and h; give ground truth of its points"
+    elif len(boxed) > 1 and len({part.target for part in boxed}) == 1:
+        remedy = "give ground truth of these points (--target NAME/PART would measure the window around one of them)"
+        why = f"holds boxes, and {ours.path} points, {_names(boxed)}; {remedy}"
+    elif len(boxed) > 1:
+        remedy = "choose the one that they belong to with --target NAME/PART"
+        why = f"its boxes have no names, and {ours.path} has {_names(boxed)}; {remedy}"
+    if why:
+        raise InputError(f"{truth.path}: {why}")
     if boxed[0].part != BOX:
         note(f"{truth.path}: its boxes are taken for {boxed[0].name}, the only part with a size")
     return Pair(boxed[0], truth.parts[0])
 
 
-def _names(those: Sequence[Trajectory]) -> str:
-    names = [one.name if one.target else f"{one.part} without a name" for one in those]
+def _names(parts: Sequence[Trajectory]) -> str:
+    names = [part.name if part.target else f"{part.part} without a name" for part in parts]
     return ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
 
 
 def _check_status(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair]) -> None:
-    for one in (pair.truth for pair in named):
-        strange = np.flatnonzero(~np.isin(one.status, ("", *OF_TRUTH, *OF_TRACK)))
-        if strange.size:
-            row = int(strange[0])
-            raise InputError(
-                f"{truth.path}: frame {one.frame[row]}, {one.name}: status {str(one.status[row])!r} is none of "
-                f"{', '.join(OF_TRUTH)}; correct it"
-            )
-    ours, theirs = (np.unique(np.concatenate([one.status for one in those])) for those in zip(*named, strict=True))
+    for _, part in named:
+        for row in np.flatnonzero(~np.isin(part.status, ("", *OF_TRUTH, *OF_TRACK)))[:1]:
+            place = f"{truth.path}: frame {part.frame[row]}, {part.name}"
+            what = f"status {str(part.status[row])!r} is none of {', '.join(OF_TRUTH)}"
+            raise InputError(f"{place}: {what}; correct it")
+    ours, theirs = (np.unique(column(parts, "status")) for parts in zip(*named, strict=True))
     # absent rows of ours are those of corrections, unless nothing was tracked
     if np.isin(theirs, OF_TRACK).any() and np.isin(ours, OF_TRUTH).any() and not np.isin(ours, OF_TRACK).any():
-        raise InputError(
-            f"{truth.path}: is a trajectory, and {trajectory.path} is ground truth, as their status says: "
-            "name them the other way round"
-        )
+        both = f"is a trajectory, and {trajectory.path} is ground truth, as their status says"
+        raise InputError(f"{truth.path}: {both}: name them the other way round")
     if set(theirs.tolist()) <= {"lost"}:
         raise InputError(f"{truth.path}: calls every row lost, so nothing can be measured; name a ground truth file")
 
 
 def _check_frames(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pair], partial: bool) -> None:
-    ours, theirs = (np.unique(np.concatenate([one.frame for one in those])) for those in zip(*named, strict=True))
+    ours, theirs = (np.unique(column(parts, "frame")) for parts in zip(*named, strict=True))
     both = len(np.intersect1d(ours, theirs))
     first, last = int(theirs[0] - ours[0]), int(theirs[-1] - ours[-1])
     spans = f"the ground truth has frames {_span(theirs)}, the trajectory {_span(ours)}"
-    moved = f"--shift {_shift(truth, -first)}" if first == last != 0 else ""
+    # the file may have been moved already
+    moved = f"--shift {int(truth.header.get('shift', 0)) - first}" if first == last != 0 else ""
     if not both:
-        remedy = (
-            f"if it counts from another frame, {moved}" if moved else "move ground truth by --shift N, or name its own"
-        )
+        remedy = "move ground truth by --shift N, or name its own"
+        remedy = f"if it counts from another frame, {moved}" if moved else remedy
         raise InputError(f"{truth.path}: {spans}: no frame in common; {remedy}")
     if partial:
         return
@@ -390,19 +425,12 @@ def _check_frames(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pai
         if 0 <= first < stride:
             uneven = f"ends at frame {theirs[-1]}, the trajectory {'goes on to' if last < 0 else 'ends at'} {ours[-1]}"
         raise InputError(f"{truth.path}: {uneven}: {rest}, --shift N moves the truth")
-    for one in named:
-        missing = np.setdiff1d(one.truth.frame, one.ours.frame)
+    for part, true in named:
+        missing = np.setdiff1d(true.frame, part.frame)
         if missing.size:
-            more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-            raise InputError(
-                f"{trajectory.path}: no row of {one.ours.name} in frame {missing[0]}{more}, where ground truth does; "
-                f"was it cut? {rest}"
-            )
-
-
-def _shift(truth: Trajectory, more: int) -> int:
-    """The --shift that moves the ground truth by `more` frames than it was moved already."""
-    return int(truth.header.get("shift", 0)) + more
+            place = f"frame {missing[0]}" + (f" and {len(missing) - 1} more" if len(missing) > 1 else "")
+            what = f"no row of {part.name} in {place}, where ground truth does"
+            raise InputError(f"{trajectory.path}: {what}; was it cut? {rest}")
 
 
 def _span(frames: Whole) -> str:
@@ -414,11 +442,10 @@ def _check_places(trajectory: Trajectory, truth: Trajectory, named: Sequence[Pai
     size = frame_size_of(trajectory)
     if size is None:
         return
-    x, y, status = (np.concatenate([getattr(one.truth, name) for one in named]) for name in ("x", "y", "status"))
+    x, y, status = (column((pair.truth for pair in named), name) for name in ("x", "y", "status"))
     outside = (x < -0.5) | (y < -0.5) | (x > size[0] - 0.5) | (y > size[1] - 0.5)
     where = outside[np.isfinite(x) & ~np.isin(status, NOT_SEEN)]
     if where.size and where.mean() > 0.5:
-        raise InputError(
-            f"{truth.path}: {where.sum()} of its {where.size} places are outside of the image of {size[0]}x{size[1]} "
-            f"pixels that {trajectory.path} was made from; it is of another clip or size: name the right one"
-        )
+        image = f"the image of {size[0]}x{size[1]} pixels that {trajectory.path} was made from"
+        what = f"{where.sum()} of its {where.size} places are outside of {image}"
+        raise InputError(f"{truth.path}: {what}; it is of another clip or size: name the right one")

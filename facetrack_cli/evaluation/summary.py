@@ -1,4 +1,4 @@
-"""All measures of a trajectory against the ground truth as one value, and its figures by name.
+"""All measures of a trajectory against the ground truth as one value: its figures by name, as JSON, CSV and tables.
 
 evaluation = evaluate(match(trajectory, truth, ...))
 evaluation.all.points.mean_px
@@ -6,20 +6,38 @@ scalars(evaluation)["lost.precision"]
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Final, get_args, get_type_hints
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Final, get_args, get_type_hints
 
 import numpy as np
+from rich.console import Console
+from rich.text import Text
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, flat
+from facetrack_cli.core.numbers import csv_text, document
 from facetrack_cli.core.types import Whole
 from facetrack_cli.evaluation import points as errors
 from facetrack_cli.evaluation import reliability
 from facetrack_cli.evaluation.boxes import BoxMeasures, measure_boxes
 from facetrack_cli.evaluation.identities import PeopleMeasures
-from facetrack_cli.evaluation.measure import Measure, Value, measures_of
-from facetrack_cli.evaluation.rows import Pair, Rows, Unit, check_normalise, column, rows_of, unit_of
+from facetrack_cli.evaluation.rows import (
+    HALVES,
+    NEAR_IOU,
+    PERCENT,
+    Measure,
+    Pair,
+    Rows,
+    Unit,
+    Value,
+    check_normalise,
+    column,
+    measures_of,
+    rows_of,
+    unit_of,
+)
+from facetrack_cli.evaluation.sheet import MAX_WIDTH, NO_FIGURE, Sheet, trimmed
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
 
 
@@ -59,19 +77,19 @@ class PartMeasures:
     @property
     def figures(self) -> dict[str, Value]:
         """The value of each of MEASURES, None where it is not defined or was not measured."""
-        found = {}
+        values = {}
         for name in MEASURES:
             group, _, figure = name.partition(".")
             value = getattr(getattr(self, group), figure, None)
-            found[name] = None if value is None or not math.isfinite(value) else value
-        return found
+            values[name] = None if value is None or not math.isfinite(value) else value
+        return values
 
 
-# the first words of the names of measures, and the dataclass whose fields are the second ones
-GROUPS: Final = {name: get_args(hint)[0] for name, hint in get_type_hints(PartMeasures).items() if get_args(hint)}
 # all measures by name, whatever was measured: `points.rows`, `points.missing`, ..., `coverage.unknown_std`
 MEASURES: Final[Mapping[str, Measure]] = {
-    f"{group}.{name}": one for group, kind in GROUPS.items() for name, one in measures_of(kind).items()
+    f"{group}.{name}": measure
+    for group, hint in get_type_hints(PartMeasures).items()
+    for name, measure in measures_of((get_args(hint) or (object,))[0]).items()
 }
 
 
@@ -110,26 +128,26 @@ def evaluate(
     """
     options = options or Options()
     # the rows that the ground truth itself calls lost, as a trajectory does that serves as ground truth, are unknown
-    known = [pair.truth.status != "lost" for pair in pairs]
-    pairs = [Pair(*(one.take(rows) for one in pair)) for pair, rows in zip(pairs, known, strict=True)]
+    pairs = [Pair(*(table.take(pair.truth.status != "lost") for table in pair)) for pair in pairs]
     if not any(len(pair.ours) for pair in pairs):
         raise InputError("there is no row that both the trajectory and the ground truth have; nothing can be measured")
     units = units_of(pairs, options.normalise, reference)
-    every = [(pair, rows_of(pair, units[pair.ours.target].at(pair.ours.frame))) for pair in pairs]
-    rows = tuple(one for _, one in every)
-    found = errors.occlusions(rows)
-    whole = _measured("all", "", every, options)
-    whole = replace(whole, occlusions=errors.measure_recovery(found), people=people)
-    parts = tuple(_measured(one.target, one.part, [(pair, one)], options) for pair, one in every)
+    rows = tuple(rows_of(pair, units[pair.ours.target].at(pair.ours.frame)) for pair in pairs)
+    occlusions = errors.occlusions(rows)
+    whole = _measured("all", "", pairs, rows, options)
+    whole = replace(whole, occlusions=errors.measure_recovery(occlusions), people=people)
+    parts = tuple(
+        _measured(part.target, part.part, [pair], [part], options) for pair, part in zip(pairs, rows, strict=True)
+    )
     texts = {target: unit.text for target, unit in units.items()}
-    evaluation = Evaluation(options, rows, texts, parts, whole, found, ())
+    evaluation = Evaluation(options, rows, texts, parts, whole, occlusions, ())
     return replace(evaluation, notes=(*notes, *_strange_start(rows), *_why_undefined(evaluation)))
 
 
 def units_of(pairs: Sequence[Pair], normalise: str, reference: Sequence[Trajectory]) -> dict[str, Unit]:
     """By target, the length that normalises its errors."""
     check_normalise(normalise)
-    found = {}
+    units = {}
     for target in dict.fromkeys(pair.ours.target for pair in pairs):
         own = [pair for pair in pairs if pair.ours.target == target]
         truth = {pair.truth.part: pair.truth for pair in own}
@@ -142,24 +160,28 @@ def units_of(pairs: Sequence[Pair], normalise: str, reference: Sequence[Trajecto
         frames = np.unique(np.concatenate([pair.ours.frame for pair in own]))
         box = own[0].declared_box and bool(np.any(own[0].truth.w > 0))
         series = [own[0].truth] if box and normalise == "size" else list(truth.values())
-        found[target] = unit_of(normalise, series, box=box, frames=frames)
-    return found
+        units[target] = unit_of(normalise, series, box=box, frames=frames)
+    return units
 
 
-def _measured(target: str, part: str, every: Sequence[tuple[Pair, Rows]], options: Options) -> PartMeasures:
-    rows = [one for _, one in every]
-    points = [one for pair, one in every if not pair.is_box]
-    boxed = [(pair, one) for pair, one in every if pair.is_box]
-    of_points = errors.measure_points(points, options.failure) if points else None
-    of_boxes = _boxes(boxed, options.size) if boxed else None
-    trusted = reliability.measure_lost(rows), reliability.measure_confidence(rows), reliability.measure_coverage(rows)
-    jitter = reliability.measure_jitter(rows)
-    return PartMeasures(target, part, of_points, of_boxes, None, *trusted, jitter)
+def _measured(target: str, part: str, pairs: Sequence[Pair], rows: Sequence[Rows], options: Options) -> PartMeasures:
+    points = [part for pair, part in zip(pairs, rows, strict=True) if not pair.is_box]
+    return PartMeasures(
+        target,
+        part,
+        points=errors.measure_points(points, options.failure) if points else None,
+        boxes=_boxes(pairs, rows, options.size) if len(points) < len(rows) else None,
+        occlusions=None,
+        lost=reliability.measure_lost(rows),
+        confidence=reliability.measure_confidence(rows),
+        coverage=reliability.measure_coverage(rows),
+        jitter=reliability.measure_jitter(rows),
+    )
 
 
-def _boxes(those: Sequence[tuple[Pair, Rows]], size: tuple[int, int] | None) -> BoxMeasures:
-    """The rows of all pairs as if they were one target's; rows that a correction gave do not count."""
-    pairs, rows = zip(*those, strict=True)
+def _boxes(pairs: Sequence[Pair], parts: Sequence[Rows], size: tuple[int, int] | None) -> BoxMeasures:
+    """The rows of all pairs of boxes as if they were one target's; rows that a correction gave do not count."""
+    pairs, rows = zip(*(both for both in zip(pairs, parts, strict=True) if both[0].is_box), strict=True)
     ours, truth = (joined([s.renamed(str(i), "box") for i, s in enumerate(each)]) for each in zip(*pairs, strict=True))
     later = column(rows, "later")
     return measure_boxes(
@@ -199,8 +221,8 @@ _WHY: Final = (  # a figure that is not defined although the other is, and why
 
 def _strange_start(rows: Sequence[Rows]) -> list[str]:
     """A note where the rows that the tracker was given at its start are far from the ground truth."""
-    given = [part.take(part.init & ~part.later & part.placed) for part in rows]
-    error, unit = column(given, "error"), column(given, "unit")
+    start = [part.take(part.init & ~part.later & part.placed) for part in rows]
+    error, unit = column(start, "error"), column(start, "unit")
     known = np.isfinite(error) & np.isfinite(unit)
     if not known.any() or np.median(error[known] / unit[known]) <= 1:
         return []
@@ -209,9 +231,9 @@ def _strange_start(rows: Sequence[Rows]) -> list[str]:
 
 
 def _why_undefined(evaluation: Evaluation) -> list[str]:
-    found = evaluation.all.figures
-    why = [text for name, other, text in _WHY if found[name] is None and found[other] is not None]
-    if found["points.mean_px"] is not None and found["points.auc"] is None:
+    figures = evaluation.all.figures
+    why = [text for name, other, text in _WHY if figures[name] is None and figures[other] is not None]
+    if figures["points.mean_px"] is not None and figures["points.auc"] is None:
         texts = "; ".join(dict.fromkeys(evaluation.units.values()))
         why.append(f"errors are not normalised and nothing is near ({texts}): give --normalise PIXELS")
     if column(evaluation.rows, "init").all():
@@ -220,3 +242,184 @@ def _why_undefined(evaluation: Evaluation) -> list[str]:
         if getattr(evaluation.all, group) is None:
             why.append(f"the trajectory has no {name}, so {group} is not measured")
     return why
+
+
+CURVES: Final = ("success", "precision", "normalised_precision")
+MAX_PARTS: Final = 12  # in tables of status, confidence, spread and jitter
+MAX_OCCLUSIONS: Final = 20  # in their table
+
+
+@dataclass(frozen=True)
+class About:
+    """What was compared: the files, how they were read (the trajectory: if not facetrack's own), and the shift."""
+
+    trajectory: Path
+    truth: Path
+    read_as: str
+    shift: int = 0
+    results_read_as: str | None = None
+
+
+def to_json(evaluation: Evaluation, about: About) -> str:
+    """Figures stand below the groups of their names, as `all.points.mean_px`; an undefined figure is null."""
+    options, frames = evaluation.options, evaluation.frames
+    fields = {
+        "trajectory": str(about.trajectory),
+        **({"trajectory_read_as": about.results_read_as} if about.results_read_as else {}),
+        "truth": {"path": str(about.truth), "read_as": about.read_as, "shift": about.shift},
+        "options": {"normalise": options.normalise, "failure": options.failure},
+        "frames": {"count": len(frames), "first": int(frames[0]), "last": int(frames[-1])},
+        "rows": evaluation.counts,
+        "units": dict(evaluation.units),
+        "all": _groups(evaluation.all),
+        "parts": [{"target": part.target, "part": part.part, **_groups(part)} for part in evaluation.parts],
+        "occlusions": [asdict(occlusion) for occlusion in evaluation.occlusions],
+        "notes": list(evaluation.notes),
+    }
+    return document("facetrack-evaluation", fields, indent=1)
+
+
+def _groups(part: PartMeasures) -> dict[str, Any]:
+    """The figures by group and name; a group that was not measured is left out."""
+    groups: dict[str, Any] = {}
+    for name, value in part.figures.items():
+        group, _, figure = name.partition(".")
+        if getattr(part, group) is not None:
+            groups.setdefault(group, {})[figure] = value
+    if part.boxes is not None:
+        curves = [(name, getattr(part.boxes, name).tolist()) for name in CURVES]
+        groups["boxes"]["curves"] = {name: [v if math.isfinite(v) else None for v in each] for name, each in curves}
+    if part.confidence is not None:
+        groups["confidence"]["bins"] = [asdict(each) for each in part.confidence.bins]
+    return groups
+
+
+def to_csv(evaluation: Evaluation, about: About) -> str:
+    """A header with all MEASURES, a row for each part, then a row for all parts together, whose target is "all"."""
+    rows = [
+        [about.trajectory, about.truth, part.target, part.part]
+        + ["" if value is None else repr(value) for value in part.figures.values()]
+        for part in (*evaluation.parts, evaluation.all)
+    ]
+    return csv_text(["trajectory", "truth", "target", "part", *MEASURES], rows)
+
+
+_TABLES: Final = {
+    "people": ("People", "targets against people, whatever their names; on a person where boxes overlap by half"),
+    "points": ("Points", "distance to the ground truth"),
+    "boxes": ("Boxes", "overlap with the ground truth"),
+    "lost": ("Lost", "status against the ground truth; covered: hidden or absent; gone: covered or not near"),
+    "confidence": (
+        "Confidence",
+        "how well it tells near rows from others (AUROC: 0.5 not at all, 1 always), and right ones by its value",
+    ),
+    "coverage": ("Spread", "std_x, std_y against the error of visible rows"),
+    "jitter": ("Jitter", "how far visible rows are from the middle of those before and after"),
+}
+
+
+def to_text(evaluation: Evaluation, about: About, *, colour: bool = False) -> str:
+    """All tables; with `colour`, with the escapes of a terminal."""
+    console = Console(
+        width=MAX_WIDTH, force_terminal=colour, color_system="standard" if colour else None, markup=False, emoji=False
+    )
+    with console.capture() as captured:
+        ours = f"{about.trajectory}" + (f" (read as {about.results_read_as})" if about.results_read_as else "")
+        shift = f", shifted by {about.shift:+d} frames" if about.shift else ""
+        title = f"{ours} against {about.truth} (read as {about.read_as}{shift})"
+        console.print(Text(flat(title), "bold"))
+        for line in facts(evaluation):
+            console.print(Text(flat(line)))
+        for sheet in sheets(evaluation):
+            name, _, what = sheet.title.partition(": ")
+            console.print(Text.assemble("\n", (name.upper(), "bold"), ("  " + what, "dim")) if what else "")
+            console.print(sheet.table(ruled=False))
+            for note in sheet.notes:
+                console.print(note)
+        if evaluation.notes:
+            console.print(Text("\nNOTES", "bold"))
+            for note in evaluation.notes:
+                console.print(Text(flat(note)))
+    return trimmed(captured.get())
+
+
+def facts(evaluation: Evaluation) -> Iterator[str]:
+    """Lines on what was compared, by which length errors are normalised, and what is near and right."""
+    frames = evaluation.frames
+    rows = ", ".join(f"{n:,} {name}" for name, n in evaluation.counts.items() if n or name == "visible")
+    count = f"{len(frames):,} frame{'s' if len(frames) != 1 else ''}"
+    yield f"{count}, {frames[0]} to {frames[-1]}; rows, one a frame and part: {rows}"
+    for target, text in evaluation.units.items():
+        yield f"length{f' of {target}' if len(evaluation.units) > 1 else ''}: {text}"
+    if evaluation.all.points:
+        failed = f"it has failed above {100 * evaluation.options.failure:g} % of it"
+        yield f"a point is near if its error is less than 1/6 of the length; {failed}"
+    if evaluation.all.boxes:
+        yield f"a box is near if its IoU with the ground truth is more than {NEAR_IOU:g}"
+    if evaluation.all.confidence:
+        yield "a row is right if its centre is off by less than 1/4 of the length, of a box 1/4 of its size"
+
+
+def sheets(evaluation: Evaluation) -> Iterator[Sheet]:
+    """All tables. A title is a name and, of all but the second table of confidence, what the table shows.
+
+    Of more than MAX_PARTS parts the tables of status, confidence, spread and jitter show all parts together alone.
+    """
+    several = len({part.target for part in evaluation.parts}) > 1
+
+    def name(target: str, part: str) -> str:
+        return flat(f"{target}/{part}" if several and part else part or target)
+
+    every = [*evaluation.parts, *([evaluation.all] if len(evaluation.parts) > 1 else [])]
+    for group, title in _TABLES.items():
+        if group == "lost" and evaluation.all.occlusions is not None:
+            yield _occlusions(evaluation, name)
+        few = group in ("points", "boxes") or len(evaluation.parts) <= MAX_PARTS
+        parts = [part for part in (every if few else every[-1:]) if getattr(part, group) is not None]
+        if parts:
+            values = [part.figures for part in parts]
+            shown = {
+                key: measure
+                for key, measure in MEASURES.items()
+                if key.startswith(f"{group}.") and measure.title and (not measure.rare or any(v[key] for v in values))
+            }
+            rows = []
+            for part, own in zip(parts, values, strict=True):
+                cells = [NO_FIGURE if (v := own[key]) is None else measure.write(v) for key, measure in shown.items()]
+                rows.append((name(part.target, part.part), *cells))
+            yield Sheet(": ".join(title), ("part", *(measure.title for measure in shown.values())), tuple(rows))
+        if group == "confidence" and evaluation.all.confidence is not None and evaluation.all.confidence.bins:
+            yield _reliability(evaluation.all.confidence.bins)
+
+
+def _occlusions(evaluation: Evaluation, name: Callable[[str, str], str]) -> Sheet:
+    whole = evaluation.all.occlusions
+    assert whole is not None
+    back = f"{whole.returned} of {whole.decided} come back" if whole.decided else "none can be decided"
+    median = "" if whole.frames_median is None else f", the median after {HALVES(whole.frames_median)}"
+    rows = []
+    for span in evaluation.occlusions[:MAX_OCCLUSIONS]:
+        never = span.frames_to_return is None
+        if span.decided:
+            after = "never" if never else str(span.frames_to_return)
+        else:
+            after = "cannot be decided" if never else "by hand"
+        parts = [name(span.target, part) for part in span.parts[:MAX_PARTS]] + ["..."] * (len(span.parts) > MAX_PARTS)
+        rows.append((f"{span.first}-{span.last}", ", ".join(parts), after))
+    more = len(evaluation.occlusions) - MAX_OCCLUSIONS
+    return Sheet(
+        f"Occlusions: frames until all covered parts are near for {errors.HELD} rows in a row; {back}{median}",
+        ("frames", "parts", "back after"),
+        tuple(rows),
+        (f"... and {more} more; --json has them all",) if more > 0 else (),
+        left=(0, 1),
+    )
+
+
+def _reliability(bins: Sequence[reliability.ReliabilityBin]) -> Sheet:
+    rows = [("rows", *(f"{each.rows:,.0f}" for each in bins))]
+    for name in ("right", "visible"):
+        shares = [getattr(each, name) for each in bins]
+        rows.append((f"{name}, %", *(NO_FIGURE if share is None else PERCENT(share) for share in shares)))
+    heads = ("confidence", *(f"{each.low:.1f}-{each.high:.1f}" for each in bins))
+    return Sheet("Rows by confidence", heads, tuple(rows))

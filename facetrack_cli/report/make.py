@@ -14,9 +14,8 @@ from facetrack_cli.core.errors import needed
 from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.core.types import BOX
 from facetrack_cli.core.version import __version__
-from facetrack_cli.evaluation.output import facts, sheets
 from facetrack_cli.evaluation.rows import Pair, match
-from facetrack_cli.evaluation.summary import Options, evaluate
+from facetrack_cli.evaluation.summary import Options, evaluate, facts, sheets
 from facetrack_cli.recipe.calibrated import calibrated
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report import text

@@ -113,14 +113,13 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
         self._begin_s = 0.0 if matroska else (self._container.start_time or 0) / 1e6
         self._tick = float(video.time_base or 1)
         self._origin = 0  # ticks of the first frame
-        self._index: Index | None = None  # by which it jumped
+        self.index: Index | None = None  # by which it jumped: its frames are numbered by their packets, not by counting
         self.damage: set[int] = set()
         self.complaint = ""
         self.resized: tuple[int, tuple[int, int]] | None = None
         self.next, self.time_s, self.end_s = 0, 0.0, 0.0
         decoded = self._decoded()
-        first = next(decoded, None)
-        if first is None:
+        if (first := next(decoded, None)) is None:
             self.close()
             raise ValueError("no frame")
         self._frames: Iterator[VideoFrame] = chain([first], decoded)
@@ -133,14 +132,13 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
 
     def read(self) -> VideoFrame | None:
         """The next frame; None at the end. Raises LostError."""
-        raw = next(self._frames, None)
-        if raw is None:
+        if (raw := next(self._frames, None)) is None:
             return None
-        if self._index is not None:
-            if self.next >= len(self._index.pts) or raw.pts != self._index.pts[self.next]:
+        if self.index is not None:
+            if self.next >= len(self.index.pts) or raw.pts != self.index.pts[self.next]:
                 what = f"{self.path}: frame {self.next} is not there at the time that its packet says"
                 raise LostError(f"{what}; convert the clip, or track it in one piece")
-            self.time_s = self.begins_s + float(self._index.times[self.next])
+            self.time_s = self.begins_s + float(self.index.times[self.next])
         else:
             stamp = raw.dts if self._by_dts else raw.pts
             if self.next == 0:
@@ -153,8 +151,7 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
 
     def picture(self, raw: VideoFrame) -> Frame:
         """The frame that was read last, as players show it."""
-        image = pixels(raw) if self._levels is None else _grey(raw, self._levels)
-        frame = Frame(self.next - 1, self.time_s, image, aspect=float(self.aspect))
+        frame = Frame(self.next - 1, self.time_s, pixels(raw, self._levels), aspect=float(self.aspect))
         if frame.size == self.size:
             return frame
         self.resized = self.resized or (frame.index, frame.size)
@@ -172,15 +169,10 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
                     break
                 if index.pts[at] == raw.pts and at in index.keys:
                     self._frames = chain([raw], self._frames)
-                    self._index, self.next = index, at
+                    self.index, self.next = index, at
                     self.damage.clear()  # of frames that lack those that they are predicted from
                     return True
         return False
-
-    @property
-    def jumped(self) -> bool:
-        """Whether its frames are numbered by their packets, and not by counting."""
-        return self._index is not None
 
     def close(self) -> None:
         """Free the file; closing again does nothing."""
@@ -216,18 +208,18 @@ class Decoder(contextlib.AbstractContextManager["Decoder"]):
         """The next packet; None at the end. FFmpeg tells some errors of a file in its log only."""
         import av
 
-        (before, _), said = av.logging.get_last_error(), ""
+        (before, _), complaint = av.logging.get_last_error(), ""
         try:
             packet = next(packets, None)
         except av.FFmpegError as error:
-            said, packet = reason(error), av.Packet()  # an empty packet brings the frames that the decoder still holds
+            complaint, packet = reason(error), av.Packet()  # which brings the frames that the decoder still holds
             packet.stream = self._video
         errors, last = av.logging.get_last_error()
         if errors > before and last is not None and last[1] == self._container.format.name:
-            said = last[2].strip(" .\n")
-        if said:
+            complaint = last[2].strip(" .\n")
+        if complaint:
             self.damage.add(at)
-            self.complaint = self.complaint or said
+            self.complaint = self.complaint or complaint
         return packet
 
 
@@ -257,9 +249,9 @@ def open_container(path: Path) -> InputContainer:
         container = av.open(str(path.absolute()), options=options, metadata_errors="replace")
     except EOFError as error:  # PyAV's is Python's, which Click takes for Ctrl-C
         raise ValueError(reason(error)) from error
-    for one in container.streams.video:
-        if one.codec_context:
-            one.codec_context.options = {"max_pixels": str(MOST_PIXELS)}  # also of frames whose size is another one
+    for video in container.streams.video:
+        if video.codec_context:
+            video.codec_context.options = {"max_pixels": str(MOST_PIXELS)}  # also of frames whose size is another one
     return container
 
 
@@ -272,26 +264,26 @@ def recordings(container: InputContainer) -> list[VideoStream]:
     from av.stream import Disposition
 
     no_clip = Disposition.attached_pic | Disposition.timed_thumbnails | Disposition.still_image
-    streams = [one for one in container.streams.video if not one.disposition & no_clip and one.codec_context]
+    streams = [video for video in container.streams.video if not video.disposition & no_clip and video.codec_context]
     if len(streams) < 2:
         return streams
-    count = dict.fromkeys((one.index for one in streams), 0)
+    count = dict.fromkeys((video.index for video in streams), 0)
     with open_container(Path(container.name)) as same, contextlib.suppress(OSError, ValueError):
         for packet in islice(same.demux([same.streams[at] for at in count]), _LOOKED_PACKETS):
             count[packet.stream.index] += packet.size > 0
 
-    def size(one: VideoStream) -> int:
-        more = _DEFAULT_PIXELS if Disposition.default in one.disposition else 0
-        return -one.codec_context.width * one.codec_context.height - more
+    def size(video: VideoStream) -> int:
+        more = _DEFAULT_PIXELS if Disposition.default in video.disposition else 0
+        return -video.codec_context.width * video.codec_context.height - more
 
-    return sorted((one for one in streams if count[one.index] * 10 >= max(count.values())), key=size)
+    return sorted((video for video in streams if count[video.index] * 10 >= max(count.values())), key=size)
 
 
 def video_stream(container: InputContainer, number: int | None = None) -> VideoStream | None:
     """The video stream of that number in the file, else the first of `recordings`. InputError without such a number."""
     if number is None:
         return next(iter(recordings(container)), None)
-    there = {one.index: one for one in container.streams.video if one.codec_context}
+    there = {video.index: video for video in container.streams.video if video.codec_context}
     if number not in there:
         numbers = ", ".join(map(str, there)) or "none"
         raise InputError(f"{container.name}: has no video stream {number}; those there are {numbers}")
@@ -320,10 +312,12 @@ def _shown_at(first: VideoFrame, container: InputContainer) -> tuple[float, floa
     return (at_s, 0.0) if late else (0.0, at_s)
 
 
-def pixels(raw: VideoFrame) -> Image:
-    """A decoded frame as `Frame.pixels`, turned and mirrored as players show it."""
-    way = _orientation(raw)
-    sides = raw.width, raw.height
+def pixels(raw: VideoFrame, range_: Levels | None = None) -> Image:
+    """A decoded frame as `Frame.pixels`, turned and mirrored as players show it; `range_` is that of 16-bit grey."""
+    way, sides = _orientation(raw), (raw.width, raw.height)
+    if range_ is not None:
+        grey = range_.grey(raw.to_ndarray(format="gray16le"))
+        return np.ascontiguousarray(_oriented(np.repeat(grey[..., None], 3, axis=2), way))
     matrix = int(raw.colorspace) if int(raw.colorspace) in _LUMA else _BT601
     if raw.format.name != "yuv420p" or raw.color_range == _FULL_RANGE or sides[0] % 2 or sides[1] % 2:
         image = np.asarray(raw.to_ndarray(format="bgr24", src_colorspace=matrix, dst_colorspace=_BT601), np.uint8)
@@ -352,7 +346,7 @@ def _in_bt601(planes: Image, matrix: int) -> Image:
 @lru_cache
 def _to_bt601(matrix: int) -> Array:
     """(3, 3) Y, Cb and Cr by those of another matrix."""
-    ours, theirs = (weights(*_LUMA[one])[:, :3] for one in (_BT601, matrix))
+    ours, theirs = (weights(*_LUMA[number])[:, :3] for number in (_BT601, matrix))
     return np.asarray(ours @ np.linalg.inv(theirs))
 
 
@@ -360,29 +354,23 @@ def _levels(path: Path, stream: int | None) -> Levels:
     """The range that the first frames of a video of 16-bit grey use."""
     with open_container(path) as container:
         video = video_stream(container, stream)
-        return levels(
-            raw.to_ndarray(format="gray16le") for raw in islice(container.decode(video) if video else (), _LEVEL_FRAMES)
-        )
-
-
-def _grey(raw: VideoFrame, range_: Levels) -> Image:
-    image = range_.grey(raw.to_ndarray(format="gray16le"))
-    return np.ascontiguousarray(_oriented(np.repeat(image[..., None], 3, axis=2), _orientation(raw)))
+        frames = container.decode(video) if video else ()
+        return levels(raw.to_ndarray(format="gray16le") for raw in islice(frames, _LEVEL_FRAMES))
 
 
 def _orientation(raw: VideoFrame) -> tuple[bool, bool, bool]:
     """Whether a frame is shown with rows for columns, then mirrored, then upside down, by its display matrix."""
     try:
-        found = raw.side_data.get("DISPLAYMATRIX")
+        matrix = raw.side_data.get("DISPLAYMATRIX")
     except ValueError:  # PyAV has no name for what FFmpeg tells beside it, as EXIF
         from av.sidedata.sidedata import Type
 
         Type._missing_ = classmethod(lambda kind, value: kind.SEI_UNREGISTERED)  # type: ignore[method-assign, assignment]
-        found = raw.side_data.get("DISPLAYMATRIX")
-    if found is None:
+        matrix = raw.side_data.get("DISPLAYMATRIX")
+    if matrix is None:
         return False, False, False
     # of a place (x, y) in the file, (x a + y c, x b + y d) is shown; what is no quarter turn is rounded to one
-    a, b, _, c, d = np.frombuffer(cast(bytes, found), np.int32)[:5].tolist()
+    a, b, _, c, d = np.frombuffer(cast(bytes, matrix), np.int32)[:5].tolist()
     if abs(a) + abs(d) >= abs(b) + abs(c):
         return False, a < 0, d < 0
     return True, c < 0, b < 0

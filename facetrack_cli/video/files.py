@@ -10,7 +10,7 @@ from typing import BinaryIO, Final
 
 from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.video import images
-from facetrack_cli.video.archive import holds_images, is_archive
+from facetrack_cli.video.images import holds_images, is_archive
 
 AGAIN: Final = "copy or download it again"
 _KINDS: Final = (
@@ -34,19 +34,19 @@ def is_clip(path: Path) -> bool:
 
 def chapters(clips: Sequence[Path]) -> list[Path]:
     """Those of some clips that may be chapters of one recording: numbered on, or as cameras name them; else none."""
-    found = defaultdict[tuple[str, str], list[Path]](list)
+    recordings = defaultdict[tuple[str, str], list[Path]](list)
     for clip in clips:
         if clip.suffix.lower() not in _VIDEOS:
             continue
         if camera := _GOPRO.fullmatch(clip.stem):
-            found[str(clip.parent), camera[3] or camera[4]].append(clip)
+            recordings[str(clip.parent), camera[3] or camera[4]].append(clip)
         elif numbered := re.fullmatch(r"(.*?)([0-9]{4,})", clip.stem):  # as cameras number
-            found[str(clip.parent / f"{numbered[1]}_"), clip.suffix].append(clip)
-    for those in found.values():
-        numbers = [int((re.findall("[0-9]+", one.stem) or ["0"])[-1]) for one in those]
+            recordings[str(clip.parent / f"{numbered[1]}_"), clip.suffix].append(clip)
+    for parts in recordings.values():
+        numbers = [int((re.findall("[0-9]+", part.stem) or ["0"])[-1]) for part in parts]
         on = numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-        if len(those) > 1 and (_GOPRO.fullmatch(those[0].stem) or on):
-            return those
+        if len(parts) > 1 and (_GOPRO.fullmatch(parts[0].stem) or on):
+            return parts
     return []
 
 
@@ -68,8 +68,8 @@ def given_rate(clip: Path, fps: float) -> Fraction | None:
 
 def address_of(path: Path) -> str | None:
     """The address on the network of which a path has lost a slash; None for a path."""
-    found = _ADDRESS.match(str(path))
-    return found and f"{found[1]}://{str(path)[found.end() :]}"
+    scheme = _ADDRESS.match(str(path))
+    return scheme and f"{scheme[1]}://{str(path)[scheme.end() :]}"
 
 
 def check_local(path: Path) -> None:

@@ -4,11 +4,13 @@ import contextlib
 import io
 import re
 import warnings
+import zlib
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, Final, NamedTuple, TypeVar
+from zipfile import BadZipFile, ZipFile, ZipInfo, is_zipfile
 
 import cv2
 import imageio.v3 as iio
@@ -16,6 +18,7 @@ import numpy as np
 from PIL import Image as Pictures
 
 from facetrack_cli.core.errors import InputError, reason
+from facetrack_cli.core.npz import check_directory
 from facetrack_cli.core.types import Image
 
 # of damaged metadata Pillow says much, and without the file's name
@@ -65,13 +68,11 @@ class UnreadableError(InputError):
 def listing(path: Path) -> list[Path] | None:
     """The images of a folder or a glob in natural order; None when the path is neither."""
     try:
-        if path.is_dir():
-            found = path.iterdir()
-        elif re.search(r"[*?\[]", path.name) and not path.exists():
-            found = path.parent.glob(path.name)
-        else:
+        is_glob = re.search(r"[*?\[]", path.name) and not path.exists()
+        if not (is_glob or path.is_dir()):
             return None
-        files = [f for f in found if f.suffix.lower() in SUFFIXES and not f.name.startswith(".") and f.is_file()]
+        paths = path.parent.glob(path.name) if is_glob else path.iterdir()
+        files = [f for f in paths if f.suffix.lower() in SUFFIXES and not f.name.startswith(".") and f.is_file()]
     except OSError as error:
         raise InputError(f"{path}: {reason(error)}; check the name and the permissions") from error
     return ordered(files, lambda file: file.name)
@@ -84,20 +85,19 @@ def ordered(files: Iterable[_Name], name: Callable[[_Name], str]) -> list[_Name]
     1-02-03.45, if all do, or if the zeros at the ends of fractions are left out; or is a hexadecimal number, if all are
     of one length. Else each run of digits is a number.
     """
-    every = list(files)
-    stems = {id(one): re.sub(r"\.[^.]*$", "", name(one)) for one in every}
-    told = stems.values()
-    if all(map(_NUMBER.fullmatch, told)):
-        return sorted(every, key=lambda one: (Fraction(stems[id(one)]), name(one)))
-    if all(re.fullmatch("[0-9a-fA-F]{2,}", stem) for stem in told) and len({*map(len, told)}) == 1:
-        return sorted(every, key=lambda one: (int(stems[id(one)], 16), name(one)))
-    fractions = [stem.rpartition(".")[2] for stem in told if re.search(r"[0-9]\.[0-9]+$", stem)]
-    padded = max((len(one) for one in fractions if one[0] == "0" and len(one) > 1), default=0)
+    stems = {file: re.sub(r"\.[^.]*$", "", name(file)) for file in files}
+    texts = stems.values()
+    if all(map(_NUMBER.fullmatch, texts)):
+        return sorted(stems, key=lambda file: (Fraction(stems[file]), name(file)))
+    if all(re.fullmatch("[0-9a-fA-F]{2,}", stem) for stem in texts) and len({*map(len, texts)}) == 1:
+        return sorted(stems, key=lambda file: (int(stems[file], 16), name(file)))
+    fractions = [stem.rpartition(".")[2] for stem in texts if re.search(r"[0-9]\.[0-9]+$", stem)]
+    padded = max((len(digits) for digits in fractions if digits[0] == "0" and len(digits) > 1), default=0)
     # a counter that is padded with zeros is never shorter than those that have them
-    cut = min(map(len, fractions), default=0) < padded and all(stem[-1:].isdecimal() for stem in told)
-    if fractions and (cut or all(map(_CLOCK.fullmatch, told))):
-        return sorted(every, key=lambda one: _fraction_key(stems[id(one)], name(one)))
-    return sorted(every, key=lambda one: natural_key(name(one)))
+    cut = min(map(len, fractions), default=0) < padded and all(stem[-1:].isdecimal() for stem in texts)
+    if fractions and (cut or all(map(_CLOCK.fullmatch, texts))):
+        return sorted(stems, key=lambda file: _fraction_key(stems[file], name(file)))
+    return sorted(stems, key=lambda file: natural_key(name(file)))
 
 
 def _fraction_key(stem: str, name: str) -> tuple[Any, ...]:
@@ -107,17 +107,16 @@ def _fraction_key(stem: str, name: str) -> tuple[Any, ...]:
 
 def sequences(files: Sequence[Path]) -> list[str]:
     """Several sequences that count alike, as of two cameras in one folder, each as a glob of their names."""
-    found = defaultdict[tuple[str, str], set[str]](set)
+    counted = defaultdict[str, set[str]](set)
     for file in files:
-        if end := re.fullmatch(r"(.*?)([0-9]+)([^0-9]*)", file.name):
-            found[end[1], end[3]].add(end[2])
-    several = {begin + "*" + end: own for (begin, end), own in found.items() if len(own) > 1}
+        if parts := re.fullmatch(r"(.*?)([0-9]+)([^0-9]*)", file.name):
+            counted[f"{parts[1]}*{parts[3]}"].add(parts[2])
+    several = {pattern: numbers for pattern, numbers in counted.items() if len(numbers) > 1}
     # minutes and hours are no names of cameras: those have a letter before the number
-    named = [re.sub(r"(?<=[a-zA-Z])[0-9]+", "", one) for one in several]
+    named, words = ({re.sub(digits, "", p) for p in several} for digits in (r"(?<=[a-zA-Z])[0-9]+", "[0-9]+"))
     first = next(iter(several.values()), set())
-    alike = all(len(own & first) * 2 > len(own) for own in several.values())
-    words = [re.sub("[0-9]+", "", one) for one in several]
-    return list(several) if len(several) > 1 and alike and (len({*named}) == 1 or len({*words}) > 1) else []
+    alike = all(len(numbers & first) * 2 > len(numbers) for numbers in several.values())
+    return list(several) if len(several) > 1 and alike and (len(named) == 1 or len(words) > 1) else []
 
 
 def natural_key(name: str) -> tuple[list[tuple[int, int | str]], str]:
@@ -153,18 +152,19 @@ def numbers(path: Path, data: bytes | None = None, page: int = 0, held: dict[Pat
     A stack stays open in `held`, whose pages are found one after the other.
     """
     try:
-        if page and held is not None and path not in held:
-            let_go(held)
-            held[path] = iio.imopen(path if data is None else data, "r", plugin="pillow")
         with contextlib.ExitStack() as opened:
-            file = (held or {}).get(path)
-            if file is None:
-                file = opened.enter_context(iio.imopen(path if data is None else data, "r", plugin="pillow"))
+            if (file := (held or {}).get(path)) is None:
+                file = iio.imopen(path if data is None else data, "r", plugin="pillow")
+                if page and held is not None:
+                    let_go(held)
+                    held[path] = file
+                else:
+                    opened.enter_context(file)
             about = file.metadata(index=page, exclude_applied=False)
             mode, (width, height) = str(about["mode"]), about["shape"]
             if mode in ("I", "F") and path.suffix.lower() != ".png":
-                why = "is a 32-bit image, which has no agreed range"
-                raise UnreadableError(path, why, "convert it to 8 or 16 bits")
+                why, remedy = "is a 32-bit image, which has no agreed range", "convert it to 8 or 16 bits"
+                raise UnreadableError(path, why, remedy)
             check_pixels(path, width, height)
             options: dict[str, Any] = {"index": page, "rotate": True, "mode": _READ_AS.get(mode)}
             pixels: Any = np.asarray(file.read(**options))
@@ -188,9 +188,9 @@ def _sixteen(path: Path, data: bytes | None) -> Any:
     with Pictures.open(path if data is None else io.BytesIO(data)) as image:
         if ";16" not in str(image.tile):  # how its pixels are stored
             return None
-    given = np.fromfile(path, np.uint8) if data is None else np.frombuffer(data, np.uint8)
-    found = cv2.imdecode(given, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-    return None if found is None else found[..., ::-1]
+    encoded = np.fromfile(path, np.uint8) if data is None else np.frombuffer(data, np.uint8)
+    pixels = cv2.imdecode(encoded, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+    return None if pixels is None else pixels[..., ::-1]
 
 
 def levels(samples: Iterable[Any]) -> Levels:
@@ -198,10 +198,12 @@ def levels(samples: Iterable[Any]) -> Levels:
 
     A camera of 12 bits writes 0 to 4095, a thermal one 27000 to 31000.
     """
-    ends = [(int(one.min()), int(one.max())) for one in samples if one.dtype.itemsize > 1]
-    low, high = min((one[0] for one in ends), default=0), max((one[1] for one in ends), default=0)
+    ends = [(int(image.min()), int(image.max())) for image in samples if image.dtype.itemsize > 1]
+    if not ends:
+        return Levels()
+    low, high = min(ends)[0], max(high for _, high in ends)
     white = 2 ** max(high.bit_length(), 8) - 1
-    return Levels(low, high) if high > 0xFF and low > white // 4 else Levels(0, white if ends else 0xFFFF)
+    return Levels(low, high) if high > 0xFF and low > white // 4 else Levels(0, white)
 
 
 def pages(path: Path, data: Callable[[Path], bytes | None] = lambda file: None) -> int:
@@ -212,15 +214,15 @@ def pages(path: Path, data: Callable[[Path], bytes | None] = lambda file: None) 
     if path.suffix.lower() not in _STACKS:
         return 1
     try:
-        with Pictures.open(path if (given := data(path)) is None else io.BytesIO(given)) as image:
+        with Pictures.open(path if (encoded := data(path)) is None else io.BytesIO(encoded)) as image:
             count, size = int(getattr(image, "n_frames", 1)), image.size
-            told = str(getattr(image, "tag_v2", {}).get(270, ""))  # how microscopes describe a stack
+            description = str(getattr(image, "tag_v2", {}).get(270, ""))  # of a microscope's stack
             if count > 1:
                 image.seek(1)
             count = count if image.size == size else 1
     except Exception:  # what is wrong with the file is said when it is read
         return 1
-    axes = {int(n) for n in re.findall(r"(?:\bSize[CZ]=\"|^(?:channels|slices)=)([0-9]+)", told, re.MULTILINE)}
+    axes = {int(n) for n in re.findall(r"(?:\bSize[CZ]=\"|^(?:channels|slices)=)([0-9]+)", description, re.M)}
     if count > 1 and max(axes, default=1) > 1:
         why = f"is a stack of {count} pages, of which {max(axes)} are channels or slices of one time"
         raise UnreadableError(path, why, "save one of them as a stack of its own")
@@ -229,15 +231,15 @@ def pages(path: Path, data: Callable[[Path], bytes | None] = lambda file: None) 
 
 def durations(path: Path) -> list[float]:
     """How long each picture of an animated WebP is shown, in s; empty of what says nothing."""
-    found: list[float] = []
+    shown_s: list[float] = []
     if path.suffix.lower() == ".webp":
         with contextlib.suppress(*_DAMAGED), Pictures.open(path) as image:
             check_pixels(path, *image.size)
             for page in range(int(getattr(image, "n_frames", 1))):
                 image.seek(page)
                 image.load()
-                found.append(image.info.get("duration", 0) / 1000)
-    return found if found and min(found) > 0 else []
+                shown_s.append(image.info.get("duration", 0) / 1000)
+    return shown_s if shown_s and min(shown_s) > 0 else []
 
 
 def check_pixels(path: Path, width: int, height: int) -> None:
@@ -251,11 +253,72 @@ def is_animated(path: Path) -> bool:
     """Whether a PNG (APNG) or WebP holds several frames: its animation is announced before its pixels."""
     if path.suffix.lower() not in (".png", ".webp"):
         return False
+    head = b""
     with contextlib.suppress(OSError), path.open("rb") as file:  # which is said when it is read
         head = file.read(1 << 12)
-        if path.suffix.lower() == ".webp":
-            return head[12:16] == b"VP8X" and b"ANIM" in head
-        if b"IDAT" not in head:  # after a colour profile
+        if path.suffix.lower() == ".png" and b"IDAT" not in head:  # after a colour profile
             head += file.read(1 << 16)
-        return b"acTL" in head[: head.find(b"IDAT") + 1]
-    return False
+    if path.suffix.lower() == ".webp":
+        return head[12:16] == b"VP8X" and b"ANIM" in head
+    return b"acTL" in head[: head.find(b"IDAT") + 1]
+
+
+# Images in a .zip archive
+
+MOST_BYTES: Final = 256 << 20  # bytes of an image, unpacked
+_BROKEN: Final = (BadZipFile, EOFError, OSError, RuntimeError, NotImplementedError, ValueError, zlib.error)
+
+
+def is_archive(path: Path) -> bool:
+    """Whether a file is a .zip archive by its name and its end. Raises OSError."""
+    return path.suffix.lower() == ".zip" and path.is_file() and is_zipfile(path)
+
+
+def holds_images(path: Path) -> bool:
+    """Whether an archive has an image, or cannot be read, of which more is said once it is opened."""
+    try:
+        with path.open("rb") as raw:
+            check_directory(path, raw)
+            return any(_is_frame(PurePosixPath(name)) for name in ZipFile(raw).namelist())
+    except (*_BROKEN, InputError):
+        return True
+
+
+class Archive:
+    """The images of one folder of an archive; `files` are their paths, as if the archive were a folder.
+
+    Raises InputError for an archive that is damaged, locked, has no images, or has them in several folders.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            with path.open("rb") as raw:
+                check_directory(path, raw)
+            self._zip = ZipFile(path)
+        except _BROKEN as e:
+            raise InputError(f"{path}: cannot be read as an archive ({reason(e)}); copy or download it again") from e
+        names = {PurePosixPath(entry.filename): entry for entry in self._zip.infolist() if not entry.is_dir()}
+        shown = [name for name in names if _is_frame(name)]
+        if not shown:
+            raise InputError(f"{path}: no images in this archive; {', '.join(sorted(SUFFIXES))} are read")
+        if len(folders := {name.parent for name in shown}) > 1:
+            two = " and ".join(sorted(map(str, folders))[:2])
+            raise InputError(f"{path}: has images in several folders, as {two}; one clip has them in one")
+        self._entries: dict[Path, ZipInfo] = {path / name: names[name] for name in ordered(shown, lambda n: n.name)}
+        self.files = list(self._entries)
+
+    def read(self, file: Path) -> bytes:
+        """The bytes of one image. Raises UnreadableError; no more is unpacked than an image may have."""
+        entry = self._entries[file]
+        if entry.file_size > MOST_BYTES:
+            raise UnreadableError(file, f"is too large for a frame: {entry.file_size / 1e6:.0f} MB unpacked")
+        try:
+            with self._zip.open(entry) as opened:
+                return opened.read(entry.file_size + 1)
+        except _BROKEN as e:
+            raise UnreadableError(file, f"cannot be unpacked ({reason(e)})", "make the archive again") from e
+
+
+def _is_frame(name: PurePosixPath) -> bool:
+    hidden = any(part.startswith((".", "__MACOSX")) for part in name.parts)
+    return name.suffix.lower() in SUFFIXES and not hidden

@@ -9,10 +9,9 @@ import itertools
 import math
 import threading
 from collections import OrderedDict
-from collections.abc import Hashable, Iterator
+from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -24,36 +23,39 @@ from facetrack_cli.video.source import FolderSource, open_source
 
 CACHE_BYTES = 256 << 20  # of decoded frames, the neighbours of those that were asked for
 BEHIND = 8, 250  # so many frames before a wanted one are kept, after a jump and when going backwards
-_Key = TypeVar("_Key", bound=Hashable)
-_Value = TypeVar("_Value")
 
 
-class Cache(Generic[_Key, _Value]):
-    """A byte-bounded LRU cache: the least recently used is forgotten when all take over `most_bytes`. Thread-safe."""
+class Cache:
+    """Frames by their numbers, the least recently used forgotten where all take over `most_bytes`. Thread-safe."""
 
     def __init__(self, most_bytes: int):
-        self.most_bytes = most_bytes
-        self.bytes = 0
-        self._known: OrderedDict[_Key, tuple[_Value, int]] = OrderedDict()
+        self.most_bytes, self.bytes = most_bytes, 0
+        self._kept: OrderedDict[int, tuple[float, Image]] = OrderedDict()
         self._lock = threading.Lock()
 
-    def get(self, key: _Key) -> _Value | None:
-        with self._lock:
-            if found := self._known.get(key):
-                self._known.move_to_end(key)
-            return found[0] if found else None
+    def __len__(self) -> int:
+        return len(self._kept)
 
-    def put(self, key: _Key, value: _Value, size: int) -> None:
-        """Keep a value of so many bytes; the last one is kept however large it is."""
+    def get(self, number: int) -> tuple[float, Image] | None:
+        """The time and the pixels of a frame."""
         with self._lock:
-            self.bytes += size - self._known.pop(key, (None, 0))[1]
-            self._known[key] = value, size
-            while self.bytes > self.most_bytes and len(self._known) > 1:
-                self.bytes -= self._known.popitem(last=False)[1][1]
+            if number in self._kept:
+                self._kept.move_to_end(number)
+            return self._kept.get(number)
+
+    def put(self, number: int, time_s: float, pixels: Image) -> None:
+        """Keep a frame; the last one is kept however large it is."""
+        with self._lock:
+            if number not in self._kept:
+                self.bytes += pixels.nbytes
+                self._kept[number] = time_s, pixels
+            self._kept.move_to_end(number)
+            while self.bytes > self.most_bytes and len(self._kept) > 1:
+                self.bytes -= self._kept.popitem(last=False)[1][1].nbytes
 
     def clear(self) -> None:
         with self._lock:
-            self._known.clear()
+            self._kept.clear()
             self.bytes = 0
 
 
@@ -103,7 +105,7 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         self.path, self._stream = path, stream
         self.decoded = self.jumps = self._last = self._reached = self._claimed = 0
         self._end: int | None = None  # the number of frames, once it is certain
-        self._recent: Cache[int, tuple[float, Image]] = Cache(CACHE_BYTES)
+        self._recent = Cache(CACHE_BYTES)
         self._turns = Turns()
         self._closed = threading.Event()
         self._index: Index | None = None  # once the thread has read it
@@ -125,8 +127,8 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         """How many frames can be read, as far as is known."""
         if self._end is not None:
             return self._end
-        index = self._index
-        return max(len(index.pts) if index is not None else self._claimed, self._reached)
+        index = self._index  # once: the thread may set it
+        return max(self._claimed if index is None else len(index.pts), self._reached)
 
     @property
     def exact(self) -> bool:
@@ -145,10 +147,9 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
             if index < 0 or (self._end is not None and index >= self._end):
                 there = f"the clip has {self.count} frames (0 to {self.count - 1}); choose one of them"
                 raise InputError(f"{self.path}: there is no frame {index}, {there}")
-            found = self._recent.get(index)
-            if found is not None:
+            if (kept := self._recent.get(index)) is not None:
                 self._last = index
-                return Frame(index, *found, aspect=self.aspect)
+                return Frame(index, *kept, aspect=self.aspect)
             with self._turns.turn(ticket):
                 # while waiting, another call may have decoded it
                 if not self._closed.is_set() and self._recent.get(index) is None:
@@ -183,7 +184,7 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
                 self._end = index  # a source ends before an image that cannot be read
                 raise
             self.decoded += 1
-            self._recent.put(index, (frame.time_s, frame.pixels), frame.pixels.nbytes)
+            self._recent.put(index, frame.time_s, frame.pixels)
             return
         backwards = 0 < self._last - index <= BEHIND[1]
         before = min(BEHIND[1], self._back) if backwards else min(BEHIND[0], self._back // 8)
@@ -203,16 +204,16 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
     def _jump(self, index: int) -> None:
         """Go to the keyframe before a frame, if decoding onward does not lead there sooner."""
         self._thread.join()
-        known, onward = self._index, self._decoder.next <= index
-        if known is not None:
-            key = known.keys[max(int(np.searchsorted(known.keys, index, side="right")) - 1, 0)]
+        packets, onward = self._index, self._decoder.next <= index
+        if packets is not None:
+            key = packets.keys[max(int(np.searchsorted(packets.keys, index, side="right")) - 1, 0)]
             if onward and key <= self._decoder.next + MIN_JUMP_FRAMES:
                 return
             self.jumps += 1
-            if not self._decoder.seek(index, known):
-                self._index = None
-                self._restart()
-        elif not onward:
+            if self._decoder.seek(index, packets):
+                return
+            self._index = None
+        if packets is not None or not onward:
             self._restart()
 
     def _decode(self, wanted: int) -> bool:
@@ -223,15 +224,14 @@ class Frames(contextlib.AbstractContextManager["Frames"]):
         at, raw = self._decoder.next, self._decoder.read()
         self.decoded += 1
         self._reached = max(self._reached, self._decoder.next)
-        frame = self._decoder.picture(raw) if raw is not None and at >= wanted else None
-        if raw is None and self._decoder.jumped and self._index is not None and at != len(self._index.pts):
-            raise LostError(f"{self.path}: ends at frame {at}")
         if raw is None:
+            if self._decoder.index is not None and self._index is not None and at != len(self._index.pts):
+                raise LostError(f"{self.path}: ends at frame {at}")
             self._end = at
-            return False
-        if frame is not None:
-            self._recent.put(at, (frame.time_s, frame.pixels), frame.pixels.nbytes)
-        return True
+        elif at >= wanted:
+            frame = self._decoder.picture(raw)
+            self._recent.put(at, frame.time_s, frame.pixels)
+        return raw is not None
 
     def _restart(self) -> None:
         self._decoder.close()

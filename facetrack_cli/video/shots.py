@@ -97,7 +97,7 @@ class Passing(NamedTuple):
         """With the next frame, and what is known with it."""
         images = (*self.images[-_KEPT:], small(frame))
         passing = Passing(images, self.frames + 1, max(self.waits - 1, 0))
-        before, now = (one.astype(np.float32).ravel() for one in images[-2:])
+        before, now = (image.astype(np.float32).ravel() for image in images[-2:])
         step = float(np.abs(now - before).mean())
         earlier = float(np.abs(before - images[-3].astype(np.float32).ravel()).mean()) if len(images) > 2 else 0.0
         if step >= MIN_STEP and earlier <= BESIDE * step and float(_alike(before, now)) < SAME_STRUCTURE:
@@ -107,7 +107,7 @@ class Passing(NamedTuple):
             return passing, "cut" if len(last) - _AFTER in _hard(_flat(last), _AFTER) else "none"
         if passing.frames % _LATE == 0 and len(images) > SPANS[0] and _alike(_flat(images[:1])[0], now) < SAME_SCENE:
             ends = [last - len(images) for _, _, last in _dissolves(_flat(images))]
-            return passing, "cut" if any(-1.5 * _LATE <= one < -0.5 * _LATE for one in ends) else ""
+            return passing, "cut" if any(-1.5 * _LATE <= end < -0.5 * _LATE for end in ends) else ""
         return passing, ""
 
 
@@ -148,12 +148,9 @@ def find_cuts(
 def shots_of(cuts: Iterable[Cut], first: int, stop: int | None) -> list[Shot]:
     """The shots between cuts of the frames from `first` to before `stop`."""
     cuts = [cut for cut in cuts if cut.frame > first]
-    begins = [Cut(first, first, first - 1), *cuts]
     ends = [*((cut.frame, min(cut.first, cut.frame)) for cut in cuts), (stop, stop)]
-    return [
-        Shot(one.frame, end, max(one.frame, one.last + 1), until)
-        for one, (end, until) in zip(begins, ends, strict=True)
-    ]
+    shots = zip([Cut(first, first, first - 1), *cuts], ends, strict=True)
+    return [Shot(cut.frame, end, max(cut.frame, cut.last + 1), until) for cut, (end, until) in shots]
 
 
 def small(frame: Frame) -> Image:
@@ -162,7 +159,7 @@ def small(frame: Frame) -> Image:
         return np.asarray(cv2.cvtColor(_shrunk(frame.pixels), cv2.COLOR_BGR2YUV), np.uint8)
     (width, height), planes = frame.size, frame.pixels
     colours = planes[height:].reshape(2, height // 2, width // 2)
-    return np.stack([_shrunk(one) for one in (planes[:height], *colours)], axis=2)
+    return np.stack([_shrunk(plane) for plane in (planes[:height], *colours)], axis=2)
 
 
 def _flat(images: Sequence[Image]) -> NDArray[np.float32]:
@@ -181,14 +178,14 @@ def _cuts(images: NDArray[np.float32], first: int, flash: int) -> list[Cut]:
     """The cuts of successive images (T, P), of which the first is frame `first`."""
     hard = [Cut(first + at, first + at, first + at - 1) for at in _hard(images, flash)]
     soft = [Cut(first + at, first + a, first + b) for at, a, b in _dissolves(images)]
-    soft = [one for one in soft if not any(one.first - 1 <= cut.frame <= one.last + 1 for cut in hard)]
+    soft = [blend for blend in soft if not any(blend.first - 1 <= cut.frame <= blend.last + 1 for cut in hard)]
     return sorted([*hard, *soft])
 
 
 def _hard(images: NDArray[np.float32], flash: int) -> list[int]:
     """The first frames after cuts; what is followed by what was before, within `flash` frames, was none."""
     steps = np.abs(np.diff(images, axis=0)).mean(axis=1)  # [t]: from t to t + 1
-    found = []
+    cuts = []
     for before in np.flatnonzero(steps >= MIN_STEP).tolist():
         step = steps[before]
         beside = np.concatenate([steps[max(before - 2, 0) : before], steps[before + 1 : before + 3]])
@@ -198,35 +195,29 @@ def _hard(images: NDArray[np.float32], flash: int) -> list[int]:
         later = images[before + 1 : before + 1 + flash]
         apart = np.abs(earlier[:, None] - later[None]).mean(axis=2)
         if apart.min() >= BESIDE * step and _alike(earlier[:, None], later[None]).max() < SAME_STRUCTURE:
-            found.append(before + 1)
-    return found
+            cuts.append(before + 1)
+    return cuts
 
 
 def _alike(a: NDArray[np.float32], b: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Correlation of images along the last axis; 0 of an image without structure."""
-    a, b = (one - one.mean(axis=-1, keepdims=True) for one in (_brightness(a), _brightness(b)))
+    """Correlation of the brightness of images along the last axis; 0 of an image without structure."""
+    a, b = (lit - lit.mean(axis=-1, keepdims=True) for lit in (a[..., ::3], b[..., ::3]))
     norm = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
     return np.asarray(np.sum(a * b, axis=-1) / np.maximum(norm, a.shape[-1]), np.float32)
-
-
-def _brightness(images: NDArray[np.float32]) -> NDArray[np.float32]:
-    return images[..., ::3]
 
 
 def _dissolves(images: NDArray[np.float32]) -> list[tuple[int, int, int]]:
     """The frame at the middle, the first and the last of each dissolve."""
     lit = images.reshape(-1, SIDE[1], SIDE[0], 3)[..., 0]
     texture = sum(np.abs(np.diff(lit, axis=axis)).mean(axis=(1, 2)) for axis in (1, 2)) + 1e-6
-    found: list[tuple[float, int, int]] = []
-    for span in SPANS:
+    candidates: list[tuple[float, int, int]] = []
+    for span in (span for span in SPANS if span < len(images)):
         a, b = images[:-span], images[span:]
-        if not len(a):
-            break
         line = b - a
         step, alike = np.abs(line).mean(axis=1), np.maximum(_alike(a, b), 0)
         blended = 2 * texture[span // 2 :][: len(a)] / (texture[:-span] + texture[span:])
-        known = _ODDS.at + _ODDS.blended * blended + _ODDS.alike * alike + _ODDS.step * np.log(np.maximum(step, 1))
-        for at in np.flatnonzero((step >= MIN_STEP) & (known > SURE)).tolist():
+        odds = _ODDS.at + _ODDS.blended * blended + _ODDS.alike * alike + _ODDS.step * np.log(np.maximum(step, 1))
+        for at in np.flatnonzero((step >= MIN_STEP) & (odds > SURE)).tolist():
             length = float(np.linalg.norm(line[at]))
             between = images[at + 1 : at + span] - images[at]
             share = between @ line[at] / length**2
@@ -235,11 +226,10 @@ def _dissolves(images: NDArray[np.float32]) -> list[tuple[int, int, int]]:
             off = float(np.linalg.norm(between - share[:, None] * line[at], axis=1).mean()) / length
             ends = images[max(at - span // 2 - 1, 0)], images[min(at + span + span // 2 + 1, len(images) - 1)]
             moves = min(float(np.linalg.norm(x - y)) for x, y in zip(ends, (a[at], b[at]), strict=True)) / length
-            odds = known[at] + _ODDS.off * off + _ODDS.moves * moves
-            if odds > SURE:
-                found.append((-float(odds), at + 1, at + span - 1))
+            if (whole_odds := odds[at] + _ODDS.off * off + _ODDS.moves * moves) > SURE:
+                candidates.append((-float(whole_odds), at + 1, at + span - 1))
     best: list[tuple[int, int]] = []
-    for _, first, last in sorted(found):
+    for _, first, last in sorted(candidates):
         if not any(first <= other[1] and other[0] <= last for other in best):
             best.append((first, last))
     whole: list[tuple[int, int]] = []

@@ -23,7 +23,6 @@ from typing import Any
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.video import images
-from facetrack_cli.video.archive import Archive, is_archive
 from facetrack_cli.video.decode import (
     MIN_JUMP_FRAMES,
     Decoder,
@@ -34,6 +33,7 @@ from facetrack_cli.video.decode import (
     video_stream,
 )
 from facetrack_cli.video.files import AGAIN, check_file, check_local, is_image, missing_part
+from facetrack_cli.video.images import Archive, is_archive
 
 FOLDER_FPS = Fraction(25)
 _LEVEL_IMAGES = 16  # by which the range of 16-bit images is measured
@@ -57,13 +57,13 @@ class Source(AbstractContextManager["Source"], ABC):
         self.warnings: list[str] = []  # one line each
         self.complete = True  # False once it is known that frames are missing or wrong
         self._start, self._stop = start, stop
-        self._begun = self._closed = False
+        self._iterated = self._closed = False
 
     def __iter__(self) -> Iterator[Frame]:
         """The frames. Raises InputError when the clip ends before the first, RuntimeError when iterated before."""
-        if self._begun:
+        if self._iterated:
             raise RuntimeError("a source is read only once; open it again")
-        self._begun = True
+        self._iterated = True
         return self._frames()
 
     @abstractmethod
@@ -101,12 +101,11 @@ class VideoSource(Source):
         super().__init__(path, self._decoder.size, self._decoder.fps, start, stop)
         self.is_video, self.stream = True, stream
         self.aspect, self.begins_s = self._decoder.aspect, self._decoder.begins_s
-        if len(several := self._decoder.streams) > 1:
-            each = [f"{one.index} ({one.codec_context.width}x{one.codec_context.height})" for one in several]
+        if len(streams := self._decoder.streams) > 1:
+            each = [f"{video.index} ({video.codec_context.width}x{video.codec_context.height})" for video in streams]
             what = f"has {len(each)} video streams, {' and '.join(sorted(each))}; {each[0]} is read"
             self.warnings.append(f"{path}: {what}, --stream N takes another")
-        claimed = self._decoder.claimed
-        if claimed is not None:
+        if (claimed := self._decoder.claimed) is not None:
             self.frames_hint = max(min(claimed, stop or claimed) - start, 0)
         self._lock = threading.Lock()
 
@@ -301,17 +300,17 @@ def open_source(
     if fps is not None and fps <= 0:
         raise UsageError(f"{path}: {fps} is no frame rate; give frames per second greater than 0")
     check_local(path)
-    files = images.listing(path)
-    if files is not None:
+    rate = fps or FOLDER_FPS
+    if (files := images.listing(path)) is not None:
         if not files:
             raise InputError(f"{path}: no images in this folder; {', '.join(sorted(images.SUFFIXES))} are read")
-        return FolderSource(path, files, fps or FOLDER_FPS, start, stop)
+        return FolderSource(path, files, rate, start, stop)
     check_file(path)
     if is_archive(path):
-        packed = Archive(path)
-        return FolderSource(path, packed.files, fps or FOLDER_FPS, start, stop, packed.read)
+        archive = Archive(path)
+        return FolderSource(path, archive.files, rate, start, stop, archive.read)
     if is_image(path):
-        return FolderSource(path, [path], fps or FOLDER_FPS, start, stop)
+        return FolderSource(path, [path], rate, start, stop)
     if fps is not None:
         raise UsageError(f"{path}: a video keeps its own frame rate; give --fps for images only")
     if each := images.durations(path):

@@ -9,24 +9,84 @@ where it is whatever ends the program, and the video goes on from there.
 """
 
 import contextlib
+import re
 import subprocess
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import IO, NamedTuple
 
 import cv2
+import imageio_ffmpeg
 import numpy as np
 
 from facetrack_cli.core.errors import OutputError, reason
 from facetrack_cli.core.files import discard, publish, sync, temporary_path
 from facetrack_cli.core.types import Image
-from facetrack_cli.video import ffmpeg
 from facetrack_cli.video.decode import FORMATS, sound_of, weights
 
 _TICK_S = 1e-6  # of the pipe to the encoder
 _LARGE = 3_000_000  # pixels of a frame of which the encoder holds few others, each of which takes it 60 MB
 _STRIP = 1 << 18  # pixels that are converted at a time, which bounds memory
+
+
+_CAUSE = re.compile(
+    "No space left on device|Disk quota exceeded|File too large|Read-only file system|Input/output error|"
+    "Permission denied"
+)
+_PREFIX = re.compile(r"^(?:\[[^\]]*\] )+")
+
+
+def cause(text: str) -> str:
+    """The cause of a failure in ffmpeg's messages: the error of the system if there is one, else their last line."""
+    if system := _CAUSE.search(text):
+        return system.group()
+    lines = [_PREFIX.sub("", line).strip() for line in text.splitlines()]
+    lines = [line for line in lines if line and not line.startswith(("Last message repeated", "Conversion failed"))]
+    return "".join(lines[-1:])
+
+
+class Program(contextlib.AbstractContextManager["Program"]):
+    """A running ffmpeg, which the terminal's Ctrl-C does not reach. OSError or RuntimeError if it cannot be started."""
+
+    def __init__(self, arguments: Sequence[str], *, stdin: int = subprocess.DEVNULL):
+        words = [imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-hide_banner", *arguments]
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - a file and not a pipe, which somebody would have to empty
+        try:
+            self.child = subprocess.Popen(
+                words, stdin=stdin, stdout=subprocess.DEVNULL, stderr=self._stderr, start_new_session=True
+            )
+        except BaseException:
+            self._stderr.close()
+            raise
+
+    def messages(self) -> str:
+        """What it has printed to stderr, once it has ended."""
+        self.child.wait()
+        self._stderr.seek(0)
+        return self._stderr.read().decode("utf-8", "replace")
+
+    def __exit__(self, *_: object) -> None:
+        self.child.kill()  # harmless where it has ended
+        with contextlib.suppress(OSError):  # what a pipe still held is lost
+            self.child.__exit__(None, None, None)  # closes the pipes and waits
+        self._stderr.close()
+
+
+def run_ffmpeg(arguments: Sequence[str]) -> tuple[int, str]:
+    """Run ffmpeg to its end: exit code and messages."""
+    with Program(arguments) as program:
+        return program.child.wait(), program.messages()
+
+
+@contextlib.contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """OutputError, in its one line, where the system refuses to write the video."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:
+        raise OutputError(f"{path}: {reason(error)}; choose another output folder") from error
 
 
 class Encoder:
@@ -40,13 +100,11 @@ class Encoder:
     ) -> None:
         self.target, self._path, self._fps, self._timescale = target, path, fps, timescale
         self._aspect = aspect.limit_denominator(255)
-        self._planes, self._begun = Planes(size), False
-        try:
+        self._planes, self._head = Planes(size), False
+        with _writing(path):
             target.open("wb").close()
-        except OSError as error:
-            raise OutputError(f"{path}: {reason(error)}; choose another output folder") from error
         try:
-            self.program = ffmpeg.Program(self._command(), stdin=subprocess.PIPE)
+            self.program = Program(self._command(), stdin=subprocess.PIPE)
         except (OSError, RuntimeError) as error:
             target.unlink(missing_ok=True)
             raise OutputError(f"{path}: ffmpeg cannot be started ({reason(error)})") from error
@@ -58,8 +116,8 @@ class Encoder:
     def write(self, image: Image, elapsed_s: float) -> None:
         """Append one frame, shown so long after the first one."""
         try:
-            if not self._begun:
-                self._begun = True
+            if not self._head:
+                self._head = True
                 self.pipe.write(_matroska_head(*self._planes.size, self._fps))
             data = self._planes.of(image).data
             self.pipe.write(_matroska_block(round(elapsed_s / _TICK_S), data.nbytes))
@@ -76,17 +134,13 @@ class Encoder:
         if self.program.child.wait() != 0:
             raise self._failure(None)
 
-    def drop(self) -> None:
-        """End the program; a file that is not finished is removed."""
-        whole = self.whole
+    def drop(self) -> bool:
+        """End the program; whether the file is finished, or else it is removed."""
+        whole = self.program.child.poll() == 0
         self.program.__exit__()
         if not whole and self.target.is_file():
             self.target.unlink(missing_ok=True)
-
-    @property
-    def whole(self) -> bool:
-        """Whether the file is finished."""
-        return self.program.child.poll() == 0
+        return whole
 
     @property
     def pipe(self) -> IO[bytes]:
@@ -111,20 +165,22 @@ class Encoder:
         """What to raise once the encoder has failed: its own words, where it left any."""
         with contextlib.suppress(OSError):
             self.pipe.close()
-        code, said = self.program.child.wait(), ffmpeg.cause(self.program.messages())
+        code, why, remedy = self.program.child.wait(), cause(self.program.messages()), "free some space"
         self.drop()
-        remedy = "free some space"
-        if not said and code:
-            said = f"ffmpeg was killed by signal {-code}" if code < 0 else f"ffmpeg ended with code {code}"
+        if not why and code:
+            why = f"ffmpeg was killed by signal {-code}" if code < 0 else f"ffmpeg ended with code {code}"
             remedy = "run it again"
-        said = said or (reason(error) if error else "ffmpeg ended early")
-        return OutputError(f"{self._path}: the video cannot be written ({said}); {remedy} or use --no-video")
+        why = why or (reason(error) if error else "ffmpeg ended early")
+        return OutputError(f"{self._path}: the video cannot be written ({why}); {remedy} or use --no-video")
 
 
 def as_mp4(path: Path, timescale: int) -> list[str]:
-    """ffmpeg's arguments for an MP4 at `path` whose clock has so many ticks a second."""
+    """ffmpeg's arguments for an MP4 at `path` whose clock has so many ticks a second.
+
+    Paths are absolute, so that no name reads as an option or a protocol.
+    """
     options = ["-video_track_timescale", str(timescale), "-movflags", "+faststart", "-f", "mp4"]
-    return [*options, ffmpeg.source_argument(path)]
+    return [*options, str(path.absolute())]
 
 
 class Planes:
@@ -197,7 +253,10 @@ _SLOW_S = 60  # frames that are shown for longer have a coarser clock
 
 
 class Cut(NamedTuple):
-    """Where a video stands after some frames: what it goes on from. `pieces` are the ticks at which they begin."""
+    """Where a video stands after some frames: what it goes on from. `pieces` are the ticks at which they begin.
+
+    `first_s` is the time of the first frame, `left_out_s` what is left out of gaps that no MP4 can hold.
+    """
 
     frames: int = 0
     first_s: float = 0.0
@@ -235,12 +294,12 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
         # ticks of the file's clock: a frame lasts a whole number of them, and a tick at most 0.1 ms
         finest = 10_000 if fps * _SLOW_S > 1 else 1000
         self._timescale = fps.numerator * -(-finest // fps.numerator)
-        self._frames, self._first_s, self._left_out_s, self._last_tick = after[:4]
-        self._pieces, self._number = list(after.pieces), 0  # where they begin, and which one is written
+        self._at = after
+        self._number = 0  # of the piece that is written
         self._encoder: Encoder | None = None
         self._failed: OutputError | None = None
         self.published = self._closed = False
-        if not self._pieces:
+        if not after.pieces:
             self._start()
 
     def write(self, image: Image, time_s: float) -> None:
@@ -252,65 +311,59 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             raise ValueError(f"frame is {image.dtype} {image.shape}, the video takes uint8 {(height, width, 3)}")
         if self._failed is not None:
             raise self._failed
-        if self._frames == 0:
-            self._first_s = time_s
-        time_s -= self._left_out_s
-        elapsed_s = time_s - self._first_s
+        frames, first_s, left_out_s, last_tick, pieces, _ = self._at
+        first_s = first_s if frames else time_s
+        time_s -= left_out_s
+        elapsed_s = time_s - first_s
         nearest = round(elapsed_s * self._fps) / self._fps
         on_grid = abs(float(nearest) - elapsed_s) <= min(_SNAP_S, 0.25 / float(self._fps))
         tick = int(nearest * self._timescale) if on_grid else round(elapsed_s * self._timescale)
-        if self._frames:
-            tick = max(tick, self._last_tick + 1)
-            if (beyond := tick - self._last_tick - _LONGEST) > 0:
+        if frames:
+            tick = max(tick, last_tick + 1)
+            if (beyond := tick - last_tick - _LONGEST) > 0:
                 tick -= beyond
-                self._left_out_s += beyond / self._timescale
+                left_out_s += beyond / self._timescale
                 if not self.warnings:
                     gap = f"{(beyond + _LONGEST) / self._timescale / 3600:.1f} hours at {time_s:.0f} s"
                     shown = f"{_LONGEST / self._timescale / 3600:.1f}, which is the longest in an MP4"
                     self.warnings.append(f"{self.path}: a gap of {gap} is shown as {shown}")
         if self._encoder is None:
             self._start()
-        if len(self._pieces) == self._number:
-            self._pieces.append(tick)
+        if len(pieces) == self._number:
+            pieces = (*pieces, tick)
         assert self._encoder is not None
+        self._at = Cut(frames, first_s, left_out_s, last_tick, pieces)
         try:
-            self._encoder.write(image, (tick - self._pieces[-1]) / self._timescale)
+            self._encoder.write(image, (tick - pieces[-1]) / self._timescale)
         except OutputError:
             self._closed = True
             raise
-        self._last_tick = tick
-        self._frames += 1
+        self._at = Cut(frames + 1, first_s, left_out_s, tick, pieces)
 
     def cut(self) -> tuple[Cut, Callable[[], None]]:
         """End a piece: where the video stands then, and what finishes the piece, in any thread, before `close`."""
-        ended, number = self._encoder, self._number
-        assert ended is not None and self._folder is not None
-        folder = self._folder
+        encoder, number, folder = self._encoder, self._number, self._folder
+        assert encoder is not None and folder is not None
 
         def finish() -> None:
             try:
-                ended.end()
-                ended.drop()
-                folder.mkdir(exist_ok=True)
-                sync(ended.target)
-                ended.target.replace(_piece(folder, number))
-                sync(folder)
+                with _writing(self.path):
+                    encoder.end()
+                    encoder.drop()
+                    folder.mkdir(exist_ok=True)
+                    sync(encoder.target)
+                    encoder.target.replace(_piece(folder, number))
+                    sync(folder)
             except OutputError as e:
                 self._failed = e
                 raise
-            except OSError as e:
-                self._failed = OutputError(f"{self.path}: {reason(e)}; choose another output folder")
-                raise self._failed from e
 
         self._encoder, self._number = None, number + 1
-        place = Cut(
-            self._frames, self._first_s, self._left_out_s, self._last_tick, tuple(self._pieces), tuple(self.warnings)
-        )
-        return place, finish
+        return self._at._replace(warnings=tuple(self.warnings)), finish
 
     def close(self) -> None:
         """Finish the file and put it at `path`; closing again does nothing. Without any frame there is no file."""
-        if self._frames == 0:
+        if self._at.frames == 0:
             self.discard()
         if self._closed:
             return
@@ -327,9 +380,9 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
                 except BaseException:  # it needs only a moment more; a second interruption drops the video
                     with contextlib.suppress(OutputError):
                         self._encoder.end()
-                    whole = self._encoder.whole and len(self._pieces) == 1
+                    whole = self._encoder.drop() and len(self._at.pieces) == 1
                     raise
-            if len(self._pieces) > 1 or self._encoder is None:
+            if len(self._at.pieces) > 1 or self._encoder is None:
                 self._join()
             whole = True
             self._add_audio()
@@ -337,11 +390,11 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             self._drop(keep=whole)
             if whole and self._replace:
                 try:
-                    publish(self.path)
+                    with _writing(self.path):
+                        publish(self.path)
                     self.published = True
-                except OSError as error:
-                    discard(self.path)
-                    raise OutputError(f"{self.path}: {reason(error)}; choose another output folder") from error
+                finally:
+                    discard(self.path)  # which is gone once it is published
 
     def discard(self) -> None:
         """Stop the encoder and leave no file, whatever stood at `path` before stays; does nothing once closed."""
@@ -358,34 +411,32 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
 
     def _start(self) -> None:
         """Start the encoder of the next piece; that of the first one writes what may be the whole video."""
-        self._number = len(self._pieces)
+        self._number = len(self._at.pieces)
         target = self._target if self._number == 0 else self._target.with_suffix(f".{self._number}.mp4")
         self._encoder = Encoder(self.path, target, self.size, self._fps, self._timescale, self._aspect)
 
     def _join(self) -> None:
         """Put the pieces together, each at its time."""
         assert self._folder is not None
-        files = [_piece(self._folder, number) for number in range(len(self._pieces))]
-        names = self._target.with_suffix(".pieces.txt")
+        pieces, names = self._at.pieces, self._target.with_suffix(".pieces.txt")
+        files = [_piece(self._folder, number) for number in range(len(pieces))]
         try:
-            if self._encoder is not None:
-                self._encoder.target.replace(files[-1])
-            lines = ["ffconcat version 1.0"]
-            for file, begin, end in zip(files, self._pieces, [*self._pieces[1:], None], strict=True):
-                lines.append("file '" + ffmpeg.source_argument(file).replace("'", r"'\''") + "'")
-                if end is not None:
-                    lines.append(f"duration {(end - begin) / self._timescale:.6f}")
-            names.write_text("\n".join(lines) + "\n", encoding="utf-8")
-            command = ["-v", "error", "-y", "-f", "concat", "-safe", "0", *_KNOWN, f"concat,{FORMATS}"]
-            command += ["-i", ffmpeg.source_argument(names)]
-            command += ["-map", "0:v:0", "-c", "copy", *as_mp4(self._target, self._timescale)]
-            code, said = ffmpeg.run(command)
-        except (OSError, RuntimeError) as error:
-            raise OutputError(f"{self.path}: {reason(error)}; choose another output folder") from error
+            with _writing(self.path):
+                if self._encoder is not None:
+                    self._encoder.target.replace(files[-1])
+                lines = ["ffconcat version 1.0"]
+                for file, start, end in zip(files, pieces, [*pieces[1:], None], strict=True):
+                    lines.append("file '" + str(file.absolute()).replace("'", r"'\''") + "'")
+                    if end is not None:
+                        lines.append(f"duration {(end - start) / self._timescale:.6f}")
+                names.write_text("\n".join(lines) + "\n", encoding="utf-8")
+                command = ["-v", "error", "-y", "-f", "concat", "-safe", "0", *_KNOWN, f"concat,{FORMATS}"]
+                command += ["-i", str(names.absolute()), "-map", "0:v:0", "-c", "copy"]
+                code, messages = run_ffmpeg([*command, *as_mp4(self._target, self._timescale)])
         finally:
             names.unlink(missing_ok=True)
         if code:
-            why = ffmpeg.cause(said) or f"ffmpeg ended with code {code}"
+            why = cause(messages) or f"ffmpeg ended with code {code}"
             raise OutputError(f"{self.path}: the video cannot be put together ({why}); free some space or run it again")
 
     def _add_audio(self) -> None:
@@ -398,21 +449,22 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             codec, late_s = sound_of(source)
             if not codec:
                 return
-            start = self._first_s + late_s
-            length = float((self._last_tick - self._pieces[0]) / Fraction(self._timescale) + 1 / self._fps)
-            command = ["-v", "error", "-y", "-i", ffmpeg.source_argument(silent)]
-            command += ["-itsoffset", f"{-start:.6f}", *_KNOWN, FORMATS, "-i", ffmpeg.source_argument(source)]
+            start = self._at.first_s + late_s
+            ticks = self._at.last_tick - self._at.pieces[0]
+            length = float(ticks / Fraction(self._timescale) + 1 / self._fps)
+            command = ["-v", "error", "-y", "-i", str(silent.absolute())]
+            command += ["-itsoffset", f"{-start:.6f}", *_KNOWN, FORMATS, "-i", str(source.absolute())]
             command += ["-map", "0:v:0", "-map", "1:a:0", "-map_metadata", "-1", "-c:v", "copy"]
             # copying drops what comes before time 0 by itself
             recode = ["-af", "atrim=start=0", "-c:a", "aac", "-b:a", "160k"]
             command += ["-c:a", "copy"] if codec in _COPIED_AUDIO else recode
-            code, said = ffmpeg.run([*command, "-t", f"{length:.6f}", *as_mp4(mixed, self._timescale)])
+            code, messages = run_ffmpeg([*command, "-t", f"{length:.6f}", *as_mp4(mixed, self._timescale)])
             if code:
-                raise RuntimeError(ffmpeg.cause(said))
+                raise RuntimeError(cause(messages))
             mixed.replace(silent)
         except (OSError, RuntimeError, ValueError) as error:
-            why = reason(error)
-            self.warnings.append(f"{self.path}: written without sound, that of {source} cannot be used ({why})")
+            what = f"that of {source} cannot be used ({reason(error)})"
+            self.warnings.append(f"{self.path}: written without sound, {what}")
         finally:
             mixed.unlink(missing_ok=True)
 

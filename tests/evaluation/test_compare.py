@@ -1,9 +1,12 @@
-"""facetrack compare: the order of recipes, what a failure is, and the command as its users meet it."""
+"""facetrack compare: the order of recipes, what a failure is, and tables, narrow and in any encoding."""
 
 import csv
 import io
 import json
 import math
+import os
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.evaluation import sheet
 from facetrack_cli.evaluation.compare import (
     CUMULATIVE_AT,
     Comparison,
@@ -22,11 +26,11 @@ from facetrack_cli.evaluation.compare import (
     aligned,
     check_measure,
     default_truth,
-    less_is_better,
     rank,
     score_run,
     tail_overlap,
 )
+from facetrack_cli.evaluation.sheet import Sheet
 from facetrack_cli.runs.seeds import labels, variant
 from facetrack_cli.trajectory.trajectory import joined, one_part
 
@@ -58,10 +62,8 @@ def test_clear_differences_are_ranked():
 
 
 def test_more_is_better_for_shares():
-    low = entry("low", [0.2, 0.21], measure="boxes.success_auc")
-    high = entry("high", [0.8, 0.81], measure="boxes.success_auc")
+    low, high = (entry(n, [v, v + 0.01], measure="boxes.success_auc") for n, v in (("low", 0.2), ("high", 0.8)))
     assert list(places(low, high, measure="boxes.success_auc")) == ["high", "low"]
-    assert less_is_better("points.mean_normalised") and not less_is_better("boxes.success_auc")
 
 
 def test_what_overlaps_shares_its_rank():
@@ -98,18 +100,17 @@ def test_ranks_are_ranges_around_the_order(values):
 
 
 def test_spread_and_rate():
-    one = Entry("one", [score(0, 1.0, rate=100), score(1, 3.0, rate=300)])
-    assert one.mean(MEASURE) == 2 and one.spread(MEASURE) == pytest.approx(math.sqrt(2))
-    assert one.frames_per_s == pytest.approx(150), "two clips of n frames take n / 100 + n / 300 seconds"
+    two = Entry("two", [score(0, 1.0, rate=100), score(1, 3.0, rate=300)])
+    assert two.mean(MEASURE) == 2 and two.spread(MEASURE) == pytest.approx(math.sqrt(2))
+    assert two.frames_per_s == pytest.approx(150), "two clips of n frames take n / 100 + n / 300 seconds"
     assert entry("single", [1.0]).spread(MEASURE) is None
 
 
 def test_ranking_by_what_cannot_rank_is_refused():
-    assert check_measure("points.median_px") == "points.median_px"
-    with pytest.raises(UsageError, match=r"points\.median_px"):
-        check_measure("median_px")
-    with pytest.raises(UsageError, match="nothing to rank by"):
-        check_measure("points.rows")
+    check_measure("points.median_px")
+    for measure, message in (("median_px", r"points\.median_px"), ("points.rows", "nothing to rank by")):
+        with pytest.raises(UsageError, match=message):
+            check_measure(measure)
 
 
 def test_errors_are_aligned_by_frame():
@@ -279,3 +280,72 @@ def test_the_data(comparison):
     assert found["recipes"][1]["runs"][1] == {
         "seed": 1, "failed": True, "frames_per_s": 10.0, "points.mean_normalised": 0.07,
     }  # fmt: skip
+
+
+# --- tables ---
+
+GIVEN = Sheet(
+    "a title",
+    ("rank", "recipe", "mean\nerror, px ↓", "failed"),
+    (("1", "sir", "12.34 ± 0.56", "0 of 10"),),
+    ("A note. " * 9,),
+    left=(1,),
+)
+
+
+@pytest.mark.parametrize("width", [20, 45, 100])
+def test_a_table_loses_no_column_where_there_is_little_room(capsys, monkeypatch, width):
+    monkeypatch.setattr(sheet, "WIDTH", width)
+    GIVEN.show()
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[3].split() == ["rank", "recipe", "error,", "px", "↓", "failed"]
+    [row] = [line for line in lines if "sir" in line]
+    assert row.split() == ["1", "sir", "12.34", "±", "0.56", "0", "of", "10"]
+    notes = lines[lines.index(row) + 2 :]
+    assert max(map(len, notes)) <= width and all(line == line.rstrip() for line in lines)
+
+
+SHEET = f"from facetrack_cli.evaluation.sheet import Sheet\nGIVEN = {GIVEN!r}\n"
+SHOW = f"""{SHEET}
+import click
+import facetrack_cli.cli.app as app
+from facetrack_cli.__main__ import main
+
+@click.command("table")
+def table():
+    for _ in range(2000):
+        GIVEN.show()
+
+app.cli.get_command = lambda ctx, name: table
+app.COMMANDS["table"] = ""
+raise SystemExit(main(["table"]))
+"""
+
+
+def test_a_reader_who_leaves_is_no_fault_of_ours():
+    done = subprocess.run(
+        ["bash", "-c", f'"{sys.executable}" -c "$SHOW" | head -1; exit ${{PIPESTATUS[0]}}'],
+        env={**os.environ, "SHOW": SHOW},
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (141, "a title\n", "")
+
+
+def as_seen(code, encoding):
+    """What a process prints in this encoding."""
+    env = {**os.environ, "PYTHONIOENCODING": encoding}
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.decode(encoding)
+
+
+def test_letters_that_an_encoding_lacks():
+    text = as_seen(f"{SHEET}GIVEN.show()", "cp1252")
+    assert "error, px ?" in text and len({len(line) for line in text.splitlines()[3:5]}) == 1
+
+
+@pytest.mark.parametrize(("encoding", "arrow"), [("utf-8", "↓"), ("cp1252", "\\u2193")])
+def test_names_that_are_no_text_are_printed_escaped(encoding, arrow):
+    code = "import click\nfrom facetrack_cli import __main__ as m\nm._open_streams()\nclick.echo('caf\\udce9 \\u2193')"
+    assert as_seen(code, encoding) == f"caf\\udce9 {arrow}\n"

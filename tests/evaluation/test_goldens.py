@@ -1,22 +1,31 @@
-"""Golden files: what is written is read back, what is no golden is refused in a line, and how runs are judged."""
+"""Goldens, and facetrack regress as its users meet it: what passes, what fails and how it is told, what is recorded."""
 
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import signal
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import ExitCode, InputError
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import Start, TargetStart
+from facetrack_cli.evaluation import goldens
 from facetrack_cli.evaluation.goldens import (
     Golden,
+    Verdict,
+    as_junit,
+    compared,
     differences,
     find_goldens,
-    judge,
     means,
     read_golden,
     record,
@@ -25,6 +34,7 @@ from facetrack_cli.evaluation.goldens import (
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, completed, to_dict
 from facetrack_cli.runs.seeds import SeedPlan
+from facetrack_cli.trackers.points.colour_ratio import ColourRatio
 from facetrack_cli.trajectory.trajectory import Trajectory, joined, one_part
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
@@ -65,10 +75,15 @@ def golden(tmp_path: Path) -> Golden:
     return golden_in(tmp_path)
 
 
-def judged(golden: Golden, first: int, tmp_path: Path, **change: float) -> list[str]:
-    """The lines of what is off in four runs."""
-    runs = [run(seed, **change) for seed in range(first, first + 4)]
-    return [text for far, text in judge(golden, golden_in(tmp_path, runs=runs), runs) if far > 1]
+def judged(golden: Golden, runs: list[Trajectory], tmp_path: Path) -> list[str]:
+    """The lines of what is off in runs of other versions."""
+    verdict = compared(Verdict(tmp_path, "clip", "sir"), golden, golden_in(tmp_path, runs=runs), ["numpy"], runs)
+    assert verdict.details[-1].startswith("not as recorded: numpy")
+    return [] if verdict.status == "ok" else [verdict.message, *verdict.details[:-1]]
+
+
+def four(first: int, **change: float) -> list[Trajectory]:
+    return [run(seed, **change) for seed in range(first, first + 4)]
 
 
 def test_a_golden_is_read_as_it_was_written(golden: Golden, tmp_path: Path) -> None:
@@ -112,9 +127,12 @@ def test_identity_is_the_probability_of_the_recorded_name() -> None:
     assert means(rows, {"face": "anna"})["face/head"]["identity"] == pytest.approx((0.8 + 0 + 0.6) / 3)
 
 
-@pytest.mark.parametrize("first", [100, 200, 300, 400])
-def test_unseen_seeds_are_within_the_spread(first: int, golden: Golden, tmp_path: Path) -> None:
-    assert judged(golden, first, tmp_path) == []
+def test_unseen_seeds_are_within_the_spread_and_one_that_goes_astray_fails_nothing(
+    golden: Golden, tmp_path: Path
+) -> None:
+    for first in (100, 200, 300, 400):
+        assert judged(golden, four(first), tmp_path) == []
+    assert judged(golden, [run(100, x=50.0), *four(101)[:3]], tmp_path) == []
 
 
 @pytest.mark.parametrize(
@@ -128,36 +146,22 @@ def test_unseen_seeds_are_within_the_spread(first: int, golden: Golden, tmp_path
     ],
 )
 def test_a_change_is_seen(change: dict[str, float], said: str, golden: Golden, tmp_path: Path) -> None:
-    assert any(said in text for text in judged(golden, 100, tmp_path, **change))
-
-
-def test_one_seed_that_goes_astray_fails_nothing(golden: Golden, tmp_path: Path) -> None:
-    runs = [run(100, x=50.0), *(run(seed) for seed in (101, 102, 103))]
-    assert [text for far, text in judge(golden, golden_in(tmp_path, runs=runs), runs) if far > 1] == []
-
-
-def spoil(text: str, how: str) -> str:
-    data = json.loads(text)
-    if how == "cut":
-        return text[:-200]
-    if how == "version":
-        data["version"] = 2
-    elif how == "row":
-        data["rows"][0].pop()
-    elif how == "part":
-        data["rows"][0][1] = "face/chin"
-    elif how == "frame":
-        data["rows"][0][0] = 101
-    elif how == "clip":
-        data["clip"] = "../../etc/passwd"
-    return json.dumps(data)
+    assert any(said in text for text in judged(golden, four(100, **change), tmp_path))
 
 
 @pytest.mark.parametrize("how", ["cut", "version", "row", "part", "frame", "clip"])
 def test_what_is_no_golden_is_refused_in_a_line(how: str, golden: Golden, tmp_path: Path) -> None:
     path = tmp_path / "goldens" / "a.json"
     write_golden(path, golden)
-    path.write_text(spoil(path.read_text(encoding="utf-8"), how), encoding="utf-8")
+    text = path.read_text(encoding="utf-8")
+    data = json.loads(text)
+    (frame, part, *place), *rows = data["rows"]
+    spoilt = {
+        "cut": None, "version": {"version": 2}, "row": {"rows": [[frame, part, *place[:-1]], *rows]},
+        "part": {"rows": [[frame, "face/chin", *place], *rows]}, "frame": {"rows": [[101, part, *place], *rows]},
+        "clip": {"clip": "../../etc/passwd"},
+    }[how]  # fmt: skip
+    path.write_text(text[:-200] if spoilt is None else json.dumps({**data, **spoilt}), encoding="utf-8")
     with pytest.raises(InputError) as refused:
         read_golden(path)
     message = str(refused.value)
@@ -176,9 +180,6 @@ def test_what_differs_is_told(tmp_path: Path, golden: Golden) -> None:
     assert line == f"prior.npz {'0' * 40} -> nothing"
 
 
-# --- shipped goldens -----------------------------------------------------------------------------------------------
-
-
 def test_every_recipe_has_a_golden_of_each_clip_that_it_is_made_for() -> None:
     wanted = set()
     for recipe in (load_recipe(str(path)) for path in shipped_recipes()):
@@ -194,17 +195,314 @@ def test_every_recipe_has_a_golden_of_each_clip_that_it_is_made_for() -> None:
     assert len(wanted) > 50 and wanted <= {path.name for path in find_goldens(SAMPLES)}
 
 
-def test_a_folder_without_goldens_has_none_and_no_folder_is_refused(tmp_path: Path) -> None:
-    shutil.copy(SAMPLES / "occlusion.init.yaml", tmp_path)
-    assert find_goldens(tmp_path) == []
-    with pytest.raises(InputError, match="there is no such folder"):
-        find_goldens(tmp_path / "none")
-    with pytest.raises(InputError, match="is no folder"):
-        find_goldens(tmp_path / "occlusion.init.yaml")
-
-
 def test_a_key_that_a_later_version_brought_changes_no_older_golden() -> None:
     now = to_dict(load_recipe("factorized"))
     older = {**now, "confidence": {key: value for key, value in now["confidence"].items() if key != "memory"}}
     assert completed(older) == now
     assert completed({**older, "filter": {"type": "no such"}})["filter"] == {"type": "no such"}
+
+
+# --- the command ---
+
+Runner = Callable[..., tuple[int, str, str]]
+# elements, their attributes and what they may hold, as in the xunit plugin of Jenkins, junit-10.xsd
+SCHEMA = {
+    "testsuites": (set(), {"testsuite"}),
+    "testsuite": ({"name", "tests", "failures", "errors", "skipped"}, {"testcase"}),
+    "testcase": ({"name", "time", "classname"}, {"skipped", "failure"}),
+    "failure": ({"message"}, set()),
+    "skipped": ({"message"}, set()),
+}
+
+
+@pytest.fixture
+def facetrack(capfd: pytest.CaptureFixture[str]) -> Runner:
+    def run(*arguments: object) -> tuple[int, str, str]:
+        code = main([str(a) for a in arguments])
+        out, err = capfd.readouterr()
+        return code, out, err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the start of a clip and a golden of it."""
+    folder = tmp_path_factory.mktemp("clips")
+    for name in ("occlusion.mp4", "occlusion.init.yaml", "occlusion.truth.csv"):
+        shutil.copy(SAMPLES / name, folder)
+    assert main(["regress", str(folder), "--config", "factorized", "--update", "--stop", "26", "-q"]) == 0
+    return folder
+
+
+@pytest.fixture
+def clips(recorded: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(recorded, tmp_path / "clips"))
+
+
+def golden_of(folder: Path) -> Path:
+    (path,) = find_goldens(folder)
+    return path
+
+
+def edit(path: Path, **changes: object) -> None:
+    data = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps({**data, **changes}), encoding="utf-8")
+
+
+def elsewhere(path: Path) -> None:
+    """As if the golden had been recorded with another numpy."""
+    edit(path, versions={**read_golden(path).versions, "numpy": "1.0"})
+
+
+def check_junit(path: Path) -> ElementTree.Element:
+    root = ElementTree.parse(path).getroot()
+    assert root.tag == "testsuites"
+    for element in root.iter():
+        attributes, children = SCHEMA[element.tag]
+        assert set(element.attrib) <= attributes and {child.tag for child in element} <= children
+    for suite in root.iter("testsuite"):
+        cases = suite.findall("testcase")
+        assert suite.get("tests") == str(len(cases)) and all(case.get("name") for case in cases)
+        for kind, tag in (("failures", "failure"), ("skipped", "skipped")):
+            assert suite.get(kind) == str(len(suite.findall(f"testcase/{tag}")))
+    return root
+
+
+@pytest.fixture
+def shifted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A likelihood that looks a pixel and a half beside the particle."""
+    asked = ColourRatio.distances
+    monkeypatch.setattr(ColourRatio, "distances", lambda s, a, f, x: asked(s, a, f, x + np.array([1.5, 0.0])))
+
+
+def test_an_unchanged_tracker_passes_and_the_reports_say_so(facetrack: Runner, clips: Path, tmp_path: Path) -> None:
+    xml, data = tmp_path / "r.xml", tmp_path / "r.json"
+    code, out, err = facetrack("regress", clips, "--junit", xml, "--json", data)
+    assert code == ExitCode.DONE and err == ""
+    assert out.splitlines()[0].startswith("occlusion.mp4 factorized: ok (the same rows; ")
+    assert out.splitlines()[1].startswith("1 golden in ") and out.endswith(": 1 ok, 0 FAIL\n")
+    case = check_junit(xml).find("testsuite/testcase")
+    assert case is not None and (case.get("classname"), case.get("name")) == ("occlusion.mp4", "factorized")
+    assert float(case.get("time", "0")) > 0 and len(case) == 0
+    found = json.loads(data.read_text())
+    assert (found["ok"], found["fails"], found["skipped"]) == (1, 0, 0)
+    assert found["results"][0]["farthest"] < 1 and found["results"][0]["seeds"] == 1
+    again, out, err = facetrack("regress", clips, "--junit", xml)
+    assert again == ExitCode.USAGE and "--overwrite" in err and out == "", "refused before anything runs"
+    assert facetrack("regress", clips, "--junit", xml, "--overwrite")[0] == ExitCode.DONE
+
+
+@pytest.mark.parametrize("other_versions", [False, True])
+def test_a_likelihood_that_is_off_fails_and_is_told(
+    other_versions: bool, facetrack: Runner, clips: Path, tmp_path: Path, shifted: None
+) -> None:
+    if other_versions:
+        elsewhere(golden_of(clips))
+    xml, data = tmp_path / "r.xml", tmp_path / "r.json"
+    code, out, _ = facetrack("regress", clips, "--junit", xml, "--json", data)
+    assert code == ExitCode.REGRESSION
+    first, *more = out.splitlines()
+    assert first.startswith("occlusion.mp4 factorized: FAILS: ") and more[-1].endswith("0 ok, 1 FAILS")
+    assert ("FAILS: other rows than recorded from frame 1 on" in first) is not other_versions
+    assert ": mean x " in out and ", of recorded seeds " in out and ("numpy 1.0" in out) is other_versions
+    failure = check_junit(xml).find(".//failure")
+    assert failure is not None and failure.get("message") == first.split("FAILS: ")[1]
+    assert "mean x" in (failure.text or "")
+    result = json.loads(data.read_text())["results"][0]
+    assert result["status"] == "fails" and result["farthest"] > 1
+
+
+def test_a_row_that_was_changed_fails(facetrack: Runner, clips: Path) -> None:
+    path = golden_of(clips)
+    (frame, part, x, y, reach), *rows = read_golden(path).rows
+    edit(path, rows=[[frame, part, x + 2 * reach + 2, y, reach], *rows])
+    for _ in ("the same versions", "others"):
+        code, out, _ = facetrack("regress", clips)
+        far = f" px from its golden row of frame {frame}, recorded seeds up to {reach:.4g} px"
+        assert code == ExitCode.REGRESSION and f"{part}: " in out and far in out
+        elsewhere(path)
+
+
+def test_a_change_within_the_spread_fails_with_the_same_versions(
+    facetrack: Runner, clips: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked, rng = ColourRatio.distances, np.random.default_rng()
+    monkeypatch.setattr(ColourRatio, "distances", lambda s, a, f, x: asked(s, a, f, x) + rng.normal(0, 1e-6))
+    code, out, _ = facetrack("regress", clips)
+    assert code == ExitCode.REGRESSION and "other rows than recorded from frame " in out
+    assert "    they are within the spread of seeds" in out
+    elsewhere(golden_of(clips))
+    code, out, _ = facetrack("regress", clips)
+    assert code == ExitCode.DONE and " % of the spread of 10 seeds; " in out
+    assert "    not as recorded: numpy 1.0 -> " in out
+
+
+def test_a_changed_recipe_is_told_and_compared_all_the_same(facetrack: Runner, clips: Path) -> None:
+    code, out, _ = facetrack("regress", clips, "--set", "motion.sigma=0.25")
+    assert code == ExitCode.REGRESSION
+    assert "not as recorded: motion.sigma 0.1 -> 0.25; record again with --update" in out
+    code, _, err = facetrack("regress", clips, "--set", "motion.sigm=0.25")
+    assert code == ExitCode.USAGE and 'unknown key "sigm"' in err  # a mistake in the option is no regression
+    code, out, _ = facetrack("regress", clips, "--set", "confidence.patience=4")
+    assert code == ExitCode.DONE and "confidence.patience 3 -> 4" in out and ": ok (" in out
+
+
+def test_a_clip_that_changed_is_not_compared(facetrack: Runner, clips: Path) -> None:
+    with (clips / "occlusion.mp4").open("ab") as file:
+        file.write(b"\0")
+    code, out, _ = facetrack("regress", clips)
+    assert code == ExitCode.REGRESSION and "is not the one recorded; restore it, or record again" in out
+    (clips / "occlusion.mp4").unlink()
+    code, out, _ = facetrack("regress", clips)
+    assert code == ExitCode.REGRESSION and "is not there; put it back, or remove" in out
+
+
+def test_what_cannot_run_here_is_skipped_and_what_is_gone_fails(
+    facetrack: Runner, clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = golden_of(clips)
+    edit(path, recipe="kcf")
+    monkeypatch.setattr(goldens, "find_opencv", lambda tracker: None)
+    xml = tmp_path / "r.xml"
+    code, out, _ = facetrack("regress", clips, "--junit", xml)
+    assert code == ExitCode.DONE and "skipped: the installed OpenCV has no KCF tracker" in out
+    assert "0 ok, 0 FAIL, 1 skipped" in out
+    skipped = check_junit(xml).find(".//skipped")
+    assert skipped is not None and "KCF" in skipped.get("message", "")
+    edit(path, recipe="no_such_recipe")
+    code, out, _ = facetrack("regress", clips)
+    assert code == ExitCode.REGRESSION and 'FAILS: "no_such_recipe" is neither a file nor a shipped recipe' in out
+
+
+def test_a_golden_with_other_parts_or_frames_is_told(facetrack: Runner, clips: Path) -> None:
+    path = golden_of(clips)
+    text = path.read_text(encoding="utf-8")
+    first, last = read_golden(path).frames
+    path.write_text(text.replace("face/nose", "face/chin"), encoding="utf-8")
+    code, out, _ = facetrack("regress", clips)
+    assert code == ExitCode.REGRESSION and "tracks face/nose, face/mouth_left" in out
+    assert "recorded were face/chin, " in out
+    path.write_text(text, encoding="utf-8")
+    edit(path, frames=[first, last + 1])
+    code, out, _ = facetrack("regress", clips)
+    assert code == ExitCode.REGRESSION and f"in frames {first}-{last}; recorded were face/nose" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        ((), ExitCode.INPUT, "has no goldens; record some with facetrack regress"),
+        (("--update",), ExitCode.INPUT, "has no goldens; record some with facetrack regress"),
+        (("--update", "--config", "sir"), ExitCode.INPUT, "has no clip with an init file beside it"),
+        (("--update", "--config", "nonsense"), ExitCode.USAGE, '"nonsense" is neither a file nor a shipped recipe'),
+        (("--update", "--set", "seed=1"), ExitCode.USAGE, "--update records recipes as they are"),
+        (("--seeds", "30"), ExitCode.USAGE, "go with --update"),
+        (("--junit", "a", "--json", "a"), ExitCode.USAGE, "name the same file"),
+        (("none",), ExitCode.INPUT, "there is no such folder; name the folder that holds the clips"),
+        (("clip.csv",), ExitCode.INPUT, "is no folder; name the folder that holds the clips"),
+    ],
+)
+def test_what_there_is_nothing_to_do_with_is_told_in_a_line(
+    arguments: tuple[str, ...], code: int, said: str, facetrack: Runner, tmp_path: Path
+) -> None:
+    (tmp_path / "clip.csv").write_text("")
+    folder, *more = arguments if arguments and not arguments[0].startswith("-") else ("", *arguments)
+    found, out, err = facetrack("regress", tmp_path / folder, *more)
+    assert found == code and said in err and out == "" and err.count("\n") <= 2
+    assert [p.name for p in tmp_path.iterdir()] == ["clip.csv"]
+
+
+def test_a_recipe_without_golden_and_a_broken_golden_are_refused(facetrack: Runner, clips: Path) -> None:
+    code, _, err = facetrack("regress", clips, "--config", "sir")
+    assert code == ExitCode.INPUT and "has no golden of sir, only of factorized" in err
+    golden_of(clips).write_text("{", encoding="utf-8")
+    code, _, err = facetrack("regress", clips)
+    assert code == ExitCode.INPUT and "is no golden" in err
+
+
+def test_a_recipe_of_the_user_is_found_from_the_folder_of_clips(facetrack: Runner, clips: Path) -> None:
+    shutil.rmtree(clips / "goldens")
+    text = (SAMPLES.parent / "configs" / "factorized.yaml").read_text(encoding="utf-8")
+    (clips / "mine.yaml").write_text(text.replace("particles: 100", "particles: 30"), encoding="utf-8")
+    code, out, _ = facetrack("regress", clips, "--config", clips / "mine.yaml", "--update", "--stop", 12)
+    assert code == 0 and out == f"occlusion.mp4 mine: wrote {golden_of(clips)} (10 seeds)\n"
+    assert read_golden(golden_of(clips)).recipe == "mine.yaml"
+    assert facetrack("regress", clips)[0] == ExitCode.DONE
+    before = golden_of(clips).read_bytes()
+    assert facetrack("regress", clips, "--update")[0] == ExitCode.DONE
+    assert golden_of(clips).read_bytes() == before, "the same seeds and frames, the same golden"
+
+
+def test_what_cannot_be_recorded_does_not_stop_the_others(facetrack: Runner, clips: Path) -> None:
+    (clips / "broken.mp4").write_bytes(b"nothing")
+    shutil.copy(clips / "occlusion.init.yaml", clips / "broken.init.yaml")
+    code, out, _ = facetrack("regress", clips, "--config", "factorized", "--update", "--stop", 6)
+    assert code == ExitCode.BATCH
+    assert "broken.mp4 factorized: not recorded: " in out and "occlusion.mp4 factorized: wrote " in out
+
+
+@pytest.mark.parametrize("update", [True, False])
+def test_an_interrupt_leaves_the_goldens_as_they_were(
+    update: bool, facetrack: Runner, clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = goldens.run_plans
+    elsewhere(golden_of(clips))
+    before = golden_of(clips).read_bytes()
+
+    def interrupted(plans, stopped, workers, report):
+        def tell(done: int, total: int) -> None:
+            if done > 40:
+                os.kill(os.getpid(), signal.SIGINT)
+            report(done, total)
+
+        yield from run(plans, workers, stopped, tell)
+
+    monkeypatch.setattr(goldens, "run_plans", interrupted)
+    arguments = ["--update"] if update else ["--junit", tmp_path / "r.xml"]
+    code, out, err = facetrack("regress", clips, *arguments)
+    assert code == ExitCode.INTERRUPTED and out == "" and "interrupted" in err
+    assert golden_of(clips).read_bytes() == before and not (tmp_path / "r.xml").exists()
+    assert [p.name for p in (clips / "goldens").iterdir()] == ["occlusion.factorized.json"]
+
+
+def test_junit_escapes_what_xml_cannot_hold(tmp_path: Path) -> None:
+    nasty = 'a <b> & "c" \x00\x1b[31m ]]> \ud800'
+    path = tmp_path / "r.xml"
+    fails = Verdict(Path("golden"), nasty, nasty, "fails", nasty, (nasty,))
+    path.write_text(as_junit([fails, replace(fails, status="skipped")]), encoding="utf-8")
+    failure, clean = check_junit(path).find(".//failure"), 'a <b> & "c" \ufffd\ufffd[31m ]]> \ufffd'
+    assert failure is not None and failure.text == f"{clean}\n{clean}"
+
+
+# --- the shipped goldens ---
+
+FEW = ["occlusion.factorized", "expressions.sir"]
+ONE_BY_DAY = [FEW[0], *(pytest.param(stem, marks=pytest.mark.nightly) for stem in FEW[1:])]
+
+
+def verdict(stem: str, monkeypatch: pytest.MonkeyPatch, *overrides: str) -> Verdict:
+    """Of a shipped golden, as if its versions were others."""
+    monkeypatch.setattr(goldens, "versions", lambda: {"numpy": "1.0"})
+    asked = [one for one in goldens.tasks(SAMPLES, {}) if one.path.stem == stem]
+    (found,) = goldens.regress(SAMPLES, asked, overrides=overrides)
+    return found
+
+
+SIGMAS = ("motion.sigma=0.07", "likelihood.sigma=1.95", "motion.sigma=0.13", "likelihood.sigma=1.05")
+
+
+@pytest.mark.parametrize("stem", ONE_BY_DAY)
+@pytest.mark.parametrize("change", [SIGMAS[0], *(pytest.param(one, marks=pytest.mark.nightly) for one in SIGMAS[1:])])
+def test_a_sigma_that_is_off_by_30_percent_fails(stem: str, change: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = verdict(stem, monkeypatch, change)
+    assert found.status == "fails" and (found.farthest or 0) > 1
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("stem", [*FEW, "map.skin_ncc_robust"])
+@pytest.mark.parametrize("first_seed", [300, 400, 500])
+def test_unseen_seeds_pass(stem: str, first_seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(goldens, "UNSEEN", first_seed)
+    found = verdict(stem, monkeypatch)
+    assert found.status == "ok" and found.seeds == 4

@@ -18,7 +18,6 @@ from facetrack_cli.trajectory.formats.boxes import read_mot
 from facetrack_cli.trajectory.trajectory import build
 
 PEERS = Path(__file__).parents[1] / "peers"
-RECORDED = PEERS / "people.json"  # of clips(0)
 
 
 def clips(seed):
@@ -43,14 +42,6 @@ def clips(seed):
     return found
 
 
-def said(python, of):
-    held = [[{key: value.tolist() for key, value in one._asdict().items()} for one in clip] for clip in of]
-    done = subprocess.run(
-        [python, PEERS / "people.py"], input=json.dumps(held), capture_output=True, text=True, check=True
-    )
-    return json.loads(done.stdout)
-
-
 def check(of, measures):
     for clip, theirs in zip(of, measures, strict=True):
         ours = vars(measure_people(clip))
@@ -59,10 +50,8 @@ def check(of, measures):
 
 
 def test_the_measures_are_those_recorded_from_the_toolkits():
-    recorded = json.loads(RECORDED.read_text(encoding="utf-8"))["measures"]
-    assert any(one["trackeval"]["switches"] for one in recorded) and any(
-        one["trackeval"]["fragments"] for one in recorded
-    )
+    recorded = json.loads((PEERS / "people.json").read_text(encoding="utf-8"))["measures"]  # of clips(0)
+    assert all(any(clip["trackeval"][name] for clip in recorded) for name in ("switches", "fragments"))
     check(clips(0), recorded)
 
 
@@ -71,7 +60,10 @@ def test_the_measures_are_those_of_the_toolkits_now():
     if not python:
         pytest.skip("FACETRACK_PEERS names no Python that has the packages of tests/peers/requirements.txt")
     every = [clip for seed in range(10) for clip in clips(seed)]
-    check(every, said(python, every)["measures"])
+    frames = [[{key: value.tolist() for key, value in frame._asdict().items()} for frame in clip] for clip in every]
+    command = [python, PEERS / "people.py"]
+    done = subprocess.run(command, input=json.dumps(frames), capture_output=True, text=True, check=True)
+    check(every, json.loads(done.stdout)["measures"])
 
 
 @given(st.integers(0, 5), st.integers(0, 5), st.integers(0, 2**32 - 1))
@@ -142,18 +134,14 @@ def test_tables_without_a_box_or_two_points_in_common_are_refused():
 
 def test_the_option_measures_people_whatever_their_names(tmp_path, capsys):
     truth, ours = tmp_path / "truth.csv", tmp_path / "ours.csv"
-    head = "frame,target,part,x,y,w,h\n"
-    truth.write_text(
-        head + "".join(f"{t},{n},box,{x},50,20,20\n" for t in range(9) for n, x in (("Ann", 10), ("Bob", 99)))
-    )
-    ours.write_text(
-        head + "".join(f"{t},{n},box,{x},50,20,20\n" for t in range(9) for n, x in (("p1", 99), ("p2", 10)))
-    )
+    for path, names in ((truth, ("Ann", "Bob")), (ours, ("p2", "p1"))):
+        rows = [f"{t},{name},box,{x},50,20,20\n" for t in range(9) for name, x in zip(names, (10, 99), strict=True)]
+        path.write_text("frame,target,part,x,y,w,h\n" + "".join(rows))
     assert main(["eval", str(ours), "--truth", str(truth)]) == 3
     assert "--people" in capsys.readouterr().err
     assert main(["eval", str(ours), "--truth", str(truth), "--people", "--json", "-"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["all"]["people"]["idf1"] == found["all"]["people"]["hota"] == 1.0
-    assert [one["target"] for one in found["parts"]] == ["Bob", "Ann"]
+    assert [one["target"] for one in found["parts"]] == ["Ann", "Bob"]
     assert main(["eval", str(ours), "--truth", str(truth), "--people"]) == 0
     assert "IDF1" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""Errors of points, the lengths that normalise them, and the way back after occlusions."""
+"""Measures of rows, counted by hand: errors, lengths, recovery; what `lost`, `confidence` and spread are worth."""
 
 import itertools
 import math
@@ -7,9 +7,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
 
 from facetrack_cli.core.errors import UsageError
+from facetrack_cli.evaluation import reliability
 from facetrack_cli.evaluation.points import auc, lost_for_good, measure_points, measure_recovery, occlusions
+from facetrack_cli.evaluation.reliability import (
+    ELLIPSE_50,
+    ELLIPSE_90,
+    mahalanobis_squared,
+    measure_confidence,
+    measure_coverage,
+    measure_jitter,
+    measure_lost,
+)
 from facetrack_cli.evaluation.rows import Pair, check_normalise, rows_of, unit_of
 from facetrack_cli.trajectory.trajectory import one_part
 
@@ -29,6 +40,13 @@ def rows(errors, status="", *, frame=None, target="face", part="nose", unit=UNIT
     return rows_of(Pair(mine, truth), np.full(count, float(unit)))
 
 
+def statuses(letters):
+    return [{"i": "init", "t": "tracked", "l": "lost", "-": ""}[letter] for letter in letters]
+
+
+# --- errors ---
+
+
 def test_errors_in_pixels_and_normalised():
     found = measure_points([rows([0, 3, 1, 2, 9], "vvvvh", unit=20)], failure=0.1)
     assert (found.rows, found.missing, found.hidden_rows) == (4, 0, 1)
@@ -39,21 +57,15 @@ def test_errors_in_pixels_and_normalised():
     assert found.failure_rate == 0.25  # 3 / 20 is above 0.1, 2 / 20 is not
     assert found.auc == pytest.approx((1 + 0 + 0.5 + 0) / 4)
     assert found.hidden_mean_px == found.hidden_median_px == 9
-
-
-def test_all_parts_together_count_every_row_once():
-    found = measure_points([rows([1, 1, 1], part="a"), rows([5], part="b")])
+    found = measure_points([rows([1, 1, 1], part="a"), rows([5], part="b")])  # every row counts once
     assert found.rows == 4 and found.mean_px == 2
 
 
-def test_a_row_without_a_position_fails_and_does_not_blur_the_mean():
+def test_rows_without_a_position_fail_and_those_without_truth_or_length_have_no_error():
     found = measure_points([rows([0, math.nan, 0, math.nan], "vvvh")])
     assert (found.rows, found.missing, found.hidden_rows) == (2, 1, 0)
     assert found.mean_px == 0 and found.mean_normalised == 0
     assert found.failure_rate == pytest.approx(1 / 3) and found.auc == pytest.approx(2 / 3)
-
-
-def test_absent_rows_and_unknown_lengths_have_no_error():
     found = measure_points([rows([1, 2], "aa")])
     assert found.rows == found.hidden_rows == 0
     assert found.mean_px is found.std_px is found.p95_px is found.auc is found.failure_rate is None
@@ -62,10 +74,7 @@ def test_absent_rows_and_unknown_lengths_have_no_error():
     assert found.mean_px == 2 and found.failure_rate is found.auc is found.mean_normalised is None
 
 
-@given(
-    st.lists(st.floats(0, 1) | st.just(math.inf), min_size=1, max_size=30),
-    st.floats(0.01, 0.5),
-)
+@given(st.lists(st.floats(0, 1) | st.just(math.inf), min_size=1, max_size=30), st.floats(0.01, 0.5))
 def test_auc_is_the_integral_of_the_step_function(errors, limit):
     # piece by piece between the steps: the share of errors at or below the left end, times the width
     edges = [0.0, *sorted(e for e in errors if 0 < e < limit), limit]
@@ -73,16 +82,26 @@ def test_auc_is_the_integral_of_the_step_function(errors, limit):
     assert auc(np.array(errors), limit) == pytest.approx(area / limit, abs=1e-12)
 
 
-def test_lost_for_good_looks_at_the_last_visible_rows():
-    assert lost_for_good(rows([9] * 30 + [1] * 25)) is False
-    assert lost_for_good(rows([1] * 30 + [9] * 13 + [1] * 12)) is True  # the median of the last 25
-    assert lost_for_good(rows([1] * 30 + [9] * 12 + [1] * 13)) is False
-    assert lost_for_good(rows([9] * 30 + [1] * 25 + [9] * 30, "v" * 55 + "h" * 30)) is False
-    assert lost_for_good(rows([3.0] * 5)) is False and lost_for_good(rows([3.01] * 5)) is True
-    assert lost_for_good(rows([math.nan] * 5)) is True
-    assert lost_for_good(rows([1] * 5, "hhhhh")) is None
-    both = measure_points([rows([9] * 5), rows([1] * 5), rows([9] * 5)])
-    assert both.lost_for_good == 2
+@pytest.mark.parametrize(
+    ("errors", "status", "lost"),
+    [
+        ([9] * 30 + [1] * 25, "", False),
+        ([1] * 30 + [9] * 13 + [1] * 12, "", True),  # the median of the last 25
+        ([1] * 30 + [9] * 12 + [1] * 13, "", False),
+        ([9] * 30 + [1] * 25 + [9] * 30, "v" * 55 + "h" * 30, False),
+        ([3.0] * 5, "", False),
+        ([3.01] * 5, "", True),
+        ([math.nan] * 5, "", True),
+        ([1] * 5, "hhhhh", None),
+    ],
+)
+def test_lost_for_good_looks_at_the_last_visible_rows(errors, status, lost):
+    part = rows(errors, status)
+    assert lost_for_good(part) is lost
+    assert measure_points([part, part]).lost_for_good == (None if lost is None else 2 * lost)
+
+
+# --- recovery ---
 
 
 def test_recovery_is_the_first_of_five_near_rows_of_all_that_was_covered():
@@ -95,9 +114,9 @@ def test_recovery_is_the_first_of_five_near_rows_of_all_that_was_covered():
     # 5-8 are only four in a row, and 10-13 too
     assert one.frames_to_return is None and one.decided
     assert (one.target, one.parts, one.first, one.last) == ("face", ("left", "right"), 2, 3)
-    left = rows([0, 0, 9, 9, 9, 2.0, 0, 0, 0, 0, 0, 0, 0, 0], status, part="left")  # 2.0 is not less than a sixth
+    left = rows([0, 0, 9, 9, 9, 2.0, 0, 0, 0, 0, 0, 9, 9, 9], status, part="left")  # 2.0 is not less than a sixth
     (one,) = occlusions([left, right, nose])
-    assert one.frames_to_return == 2
+    assert one.frames_to_return == 2, "five are enough"
 
 
 def test_recovery_ends_at_the_next_occlusion_and_knows_when_it_cannot_tell():
@@ -109,17 +128,12 @@ def test_recovery_ends_at_the_next_occlusion_and_knows_when_it_cannot_tell():
     over = measure_recovery(found)
     assert (over.occlusions, over.decided, over.returned, over.recovered) == (3, 1, 1, 1.0)
     assert (over.frames_median, over.frames_worst) == (0.0, 0.0)
-    assert occlusions([rows([0, 0])]) == ()
-    assert measure_recovery(()) is None
+    assert occlusions([rows([0, 0])]) == () and measure_recovery(()) is None
     assert measure_recovery(occlusions([rows([9] * 12, "vhh" + "v" * 9)])).recovered == 0.0
-    assert measure_recovery(occlusions([rows([9] * 3, "vhh")])).recovered is None
-
-
-def test_recovery_is_not_known_where_the_truth_is_not():
     unknown = rows([0, 9, *[0] * 8], "vhvvvvvvvv", unit=math.nan)
-    (one,) = occlusions([unknown])
-    assert (one.frames_to_return, one.decided) == (None, False)
-    assert measure_recovery([one]).recovered is None
+    for part in (rows([9] * 3, "vhh"), unknown):
+        (one,) = occlusions([part])
+        assert (one.frames_to_return, one.decided) == (None, False) and measure_recovery([one]).recovered is None
 
 
 def test_targets_recover_apart_and_frames_are_counted_not_rows():
@@ -128,9 +142,12 @@ def test_targets_recover_apart_and_frames_are_counted_not_rows():
     assert [(one.target, one.frames_to_return) for one in occlusions([anna, ben])] == [("anna", 0), ("ben", 10)]
 
 
-def points(part, xy, frame=(0, 1), status=None, **columns):
+# --- lengths ---
+
+
+def points(part, xy, frame=(0, 1), **columns):
     x, y = zip(*xy, strict=True)
-    return one_part("face", part, frame, x=x, y=y, status=status or ["visible"] * len(xy), **columns)
+    return one_part("face", part, frame, x=x, y=y, status=["visible"] * len(xy), **columns)
 
 
 TRUTH = [
@@ -138,53 +155,175 @@ TRUTH = [
     points("mouth_left", [(0, 0), (0, 3)]),
     points("mouth_right", [(6, 8), (4, 0)]),
 ]
-FRAMES = np.array([0, 1])
+EYES = [points("point_37", [(0, 0)], [3]), points("point_46", [(3, 4)], [3])]
+BOX = [points("box", [(0, 0), (1, 1), (2, 2)], (0, 1, 2), w=[4, 9, 0], h=[9, 16, 2])]
+SHUT = [points("a", [(1, 1)], [0]), points("b", [(1, 1)], [0])]
 
 
 @pytest.mark.parametrize(
-    ("how", "lengths"),
+    ("how", "truth", "frames", "lengths"),
     [
-        ("size", [5, 5]),  # frame 1 is the first with all points
-        ("mouth", [10, 5]),
-        ("nose:mouth_right", [math.nan, 4]),
-        ("7.5", [7.5, 7.5]),
+        ("size", TRUTH, [0, 1], [5, 5]),  # frame 1 is the first with all points
+        ("mouth", TRUTH, [0, 1], [10, 5]),
+        ("nose:mouth_right", TRUTH, [0, 1], [math.nan, 4]),
+        ("7.5", TRUTH, [0, 1], [7.5, 7.5]),
+        ("eyes", EYES, [3], [5]),
+        ("size", BOX, [0, 1, 2], [6, 12, math.nan]),
+        ("a:b", SHUT, [0], [math.nan]),  # 0 divides nothing
+        ("size", SHUT, [0], [math.nan]),
+        ("size", TRUTH[:1], [0, 1], [math.nan] * 2),
     ],
 )
-def test_lengths(how, lengths):
-    unit = unit_of(check_normalise(how), TRUTH, box=False, frames=FRAMES)
-    np.testing.assert_allclose(unit.at(FRAMES), lengths)
-    assert math.isnan(unit.at(np.array([5]))[0]) and " px" in unit.text
-
-
-def test_lengths_of_eyes_and_boxes():
-    eyes = [points("point_37", [(0, 0)], [3]), points("point_46", [(3, 4)], [3])]
-    assert unit_of("eyes", eyes, box=False, frames=np.array([3])).at(np.array([3]))[0] == 5
-    box = points("box", [(0, 0), (1, 1), (2, 2)], (0, 1, 2), w=[4, 9, 0], h=[9, 16, 2])
-    found = unit_of("size", [box], box=True, frames=np.array([0, 1, 2])).at(np.array([1, 0, 2]))
-    np.testing.assert_allclose(found, [12, 6, math.nan])
+def test_lengths(how, truth, frames, lengths):
+    check_normalise(how)
+    unit = unit_of(how, truth, box=truth is BOX, frames=np.array(frames))
+    np.testing.assert_allclose(unit.at(np.array(frames)[::-1]), lengths[::-1])
+    assert math.isnan(unit.at(np.array([50]))[0]) and unit.text
 
 
 def test_lengths_that_are_not_there():
-    shut = [points("a", [(1, 1)], [0]), points("b", [(1, 1)], [0])]
-    for how in ("a:b", "size"):
-        assert math.isnan(unit_of(how, shut, box=False, frames=np.array([0])).length[0]), "0 divides nothing"
-    assert math.isnan(unit_of("size", TRUTH[:1], box=False, frames=FRAMES).length[0])
     assert "no frame" in unit_of("size", TRUTH, box=False, frames=np.array([0])).text
     for how in ("eyes", "mouth_left:chin"):
         with pytest.raises(UsageError, match=r"the ground truth has no .*; it has nose, mouth_left, mouth_right"):
-            unit_of(how, TRUTH, box=False, frames=FRAMES)
-
-
-@pytest.mark.parametrize("how", ["", "width", "a:", ":b", "a:b:c", "a:a", "0", "-3", "nan", "inf", "3px"])
-def test_ways_to_normalise_that_are_none(how):
-    with pytest.raises(UsageError, match="--normalise"):
-        check_normalise(how)
+            unit_of(how, TRUTH, box=False, frames=np.array([0, 1]))
+    for how in ("", "width", "a:", ":b", "a:b:c", "a:a", "0", "-3", "nan", "inf", "3px"):
+        with pytest.raises(UsageError, match="--normalise"):
+            check_normalise(how)
 
 
 def test_what_is_measured_as_a_box():
     size = {"w": [5.0], "h": [5.0]}
-    box, window = one_part("a", "box", [0], **size), one_part("a", "nose", [0], **size)
-    assert Pair(box, one_part("", "box", [0], **size)).is_box
-    assert not Pair(window, window).is_box, "the window of a point is no box to be measured"
-    assert not Pair(box, one_part("a", "box", [0], x=[1.0])).is_box
-    assert not Pair(one_part("a", "box", [0]), box).is_box
+    box, window, bare = one_part("a", "box", [0], **size), one_part("a", "nose", [0], **size), one_part("a", "box", [0])
+    assert Pair(box, box).is_box
+    assert not any(pair.is_box for pair in (Pair(window, window), Pair(box, bare), Pair(bare, box)))
+
+
+# --- lost ---
+
+
+def test_lost_against_the_truth():
+    # a unit of 12: near is less than 2 off
+    part = rows([0, 0, 0, 9, 9, 9, 9, 0, 9, 0], "vvvhhhvvvv", ours=statuses("tltttllltl"))
+    found = measure_lost([part])
+    assert (found.rows, found.covered, found.called) == (10, 3, 5)
+    # lost are rows 1, 5, 6, 7, 9; hidden 3, 4, 5; gone 3, 4, 5, 6, 8
+    assert found.precision == 1 / 5 and found.recall == 1 / 3
+    assert found.precision_gone == 2 / 5 and found.recall_gone == 2 / 5
+    assert found.false_alarms == 3 / 5  # of 0, 1, 2, 7, 9: rows 1, 7, 9
+    assert found.tracked_near == 2 / 5  # of 0, 2, 3, 4, 8: rows 0, 2
+    assert found.tracked_visible_near == 2 / 3  # of 0, 2, 8
+    assert (found.spans, found.spans_called) == (1, 1)
+    assert found.delay_lost == 2  # hidden from 3, called in 5
+    assert found.delay_back is None  # from 6 on: lost and off, lost and near, tracked and off, lost and near
+    one = rows([0] * 10, "vhhvvvhhvv", ours=statuses("ttltltttll"), frame=np.arange(10) * 2, part="one")
+    other = rows([0] * 4, "hvva", ours=statuses("lttl"), part="other")
+    found = measure_lost([one, other])  # medians over the spans of all parts, in frames
+    assert (found.spans, found.spans_called) == (4, 3)
+    assert found.delay_lost == 0  # of 2 frames (one row), 0 and 0
+    assert found.delay_back == 0  # of 0 and 0; after the second nothing came back
+
+
+def test_nothing_to_count_is_not_zero_and_a_row_of_unknown_place_counts_by_its_visibility():
+    found = measure_lost([rows([0, 0], ours=statuses("tt"))])
+    assert found.precision is found.precision_gone is found.recall is found.recall_gone is None
+    assert found.delay_lost is found.delay_back is None
+    assert found.false_alarms == 0.0 and found.tracked_near == 1.0
+    assert measure_lost([rows([0, 0], ours="")]) is None
+    far = measure_lost([rows([9, 9], ours=statuses("tt"))])
+    assert far.false_alarms is None and far.recall_gone == 0.0
+    found = measure_lost([rows([0, 0, 9], "vhv", ours=statuses("lll"), unit=math.nan)])
+    assert found.precision == 1 / 3 and found.precision_gone == 1.0  # of the one row of which it is known
+    assert found.false_alarms is None
+
+
+def test_the_given_row_is_left_out():
+    given_row = {"ours": statuses("itl"), "confidence": [1.0, 0.5, 0.5], "std_x": [0.0, 1, 1], "std_y": [0.0, 1, 1]}
+    part, measures = rows([0, 0, 0], **given_row), (measure_lost, measure_confidence, measure_coverage)
+    assert [measure([part]).rows for measure in measures] == [2, 2, 2] and measure_coverage([part]).zero_std == 0
+    silent = [rows([0, 0, 0], ours="", confidence=[1.0, 0.5, 0.5])]  # without any status
+    assert measure_lost(silent) is measure_coverage(silent) is None and measure_confidence(silent).rows == 2
+
+
+# --- confidence ---
+
+
+def test_confidence_in_bins():
+    errors = [0, 0, 9, 0, 9, 9, 0]
+    found = measure_confidence([rows(errors, "vvvhvva", confidence=[1.0, 0.9, 0.95, 0.2, 0.1, 0.0, 0.05])])
+    # the absent row is not near, whatever its offset
+    assert found.rows == 7 and found.near == 3 / 7
+    filled = [(b.low, b.high, b.rows, b.right) for b in found.bins if b.rows]
+    assert filled == [(0.0, 0.1, 2, 0.0), (0.1, 0.2, 1, 0.0), (0.2, 0.3, 1, 1.0), (0.9, 1.0, 3, 2 / 3)]
+    assert len(found.bins) == 10 and found.bins[5].right is found.bins[5].mean_confidence is None
+    gaps = 2 * 0.025 + 1 * 0.1 + 1 * 0.8 + 3 * (0.95 - 2 / 3)
+    assert found.ece == pytest.approx(gaps / 7)
+    assert found.brier == pytest.approx((0 + 0.1**2 + 0.95**2 + 0.8**2 + 0.1**2 + 0 + 0.05**2) / 7)
+    # near: 1.0, 0.9, 0.2; not near: 0.95, 0.1, 0.0, 0.05; two of the twelve pairs are the wrong way
+    assert found.auroc_near == pytest.approx((4 + 3 + 3) / 12)
+    assert found.auroc_visible == pytest.approx((2 + 2 + 2 + 1 + 0) / 10)
+    found = measure_confidence([rows([0, 9], confidence=[7.5, -2.0])])  # which is no confidence, and ranks rows
+    assert found.auroc_near == 1.0 and found.ece is found.brier is None and found.bins == ()
+    assert measure_confidence([rows([0, 9])]) is None
+    alike = measure_confidence([rows([0, 0], confidence=[1.0, 0.0])])
+    assert alike.auroc_near is alike.auroc_visible is None and alike.near == 1.0
+
+
+@given(st.lists(st.tuples(st.integers(0, 4), st.booleans()), max_size=25))
+def test_auroc_counts_pairs(pairs):
+    score, positive = np.array([p[0] for p in pairs], dtype=float), np.array([p[1] for p in pairs], dtype=bool)
+    above = [(a > b) + 0.5 * (a == b) for a in score[positive] for b in score[~positive]]
+    assert reliability.auroc(score, positive) == (pytest.approx(np.mean(above)) if above else None)
+
+
+@given(arrays.arrays(float, st.integers(1, 40), elements=st.floats(0, 1)))
+def test_every_confidence_is_in_the_bin_that_says_so(confidence):
+    for i, one in enumerate(reliability.reliability_bins(confidence, confidence > 0.5, confidence < 0.3)):
+        inside = confidence[(confidence >= one.low) & ((confidence < one.high) | (i == 9))]
+        assert one.rows == len(inside)
+        if len(inside):
+            means = [inside.mean(), (inside > 0.5).mean(), (inside < 0.3).mean()]
+            assert [one.mean_confidence, one.right, one.visible] == pytest.approx(means)
+
+
+# --- spread and jitter ---
+
+
+def test_coverage_of_ellipses_and_rows_without_a_spread():
+    # along x alone, in std: the 50 % ellipse reaches 1.1774 and the 90 % one 2.1460
+    found = measure_coverage([rows([1.17, 1.18, 2.14, 2.15, 0, 5], "vvvvvh", std_x=[1.0] * 6, std_y=[2.0] * 6)])
+    assert (found.rows, found.zero_std, found.unknown_std) == (5, 0, 0)
+    assert found.within_50 == 2 / 5 and found.within_90 == 4 / 5
+    assert found.factor == pytest.approx(1.18 / math.sqrt(ELLIPSE_50))
+    std = {"std_x": [0.0, 0.0, 1.0, math.nan, 1.0], "std_y": [0.0, 1.0, 0.0, 1.0, 1.0]}
+    found = measure_coverage([rows([0, 1, 1, 1, math.nan], **std)])
+    # exactly right; no spread where it is off; none where it is not; unknown; no position
+    assert (found.rows, found.zero_std, found.unknown_std) == (3, 3, 1)
+    assert found.within_50 == found.within_90 == 2 / 3
+    assert measure_coverage([rows([0, 1])]) is None
+    nowhere = measure_coverage([rows([1], "h", std_x=[1.0], std_y=[1.0])])
+    assert nowhere.rows == 0 and nowhere.within_50 is nowhere.factor is None
+    assert measure_coverage([rows([1], std_x=[0.0], std_y=[1.0])]).factor is None
+
+
+def test_the_ellipses_hold_what_they_are_named_for_and_lie_along_the_covariance():
+    rng = np.random.default_rng(0)
+    cov = np.array([[4.0, 2.5], [2.5, 2.0]])
+    offset = rng.multivariate_normal(np.zeros(2), cov, 40_000)
+    std = np.broadcast_to(np.sqrt(np.diag(cov)), offset.shape)
+    squared = mahalanobis_squared(offset, std, np.full(len(offset), 2.5))
+    np.testing.assert_allclose(squared, np.einsum("ni,ij,nj->n", offset, np.linalg.inv(cov), offset), rtol=1e-9)
+    assert np.mean(squared <= ELLIPSE_50) == pytest.approx(0.5, abs=0.01)
+    assert np.mean(squared <= ELLIPSE_90) == pytest.approx(0.9, abs=0.006)
+    # a tiny spread is infinitely far, and no warning
+    assert mahalanobis_squared(np.array([[1.0, 0.0]]), np.array([[1e-320, 1.0]])).tolist() == [math.inf]
+
+
+def test_jitter_is_the_deviation_of_noise_and_nothing_of_an_even_motion():
+    noise = measure_jitter([rows(np.random.default_rng(0).normal(0, 2, 20_000))])  # along x alone
+    assert noise.rows == 19_998 and noise.truth_px == 0
+    assert noise.median_px == pytest.approx(2 * 0.6745, rel=0.03)  # the median of a normal deviate
+    assert measure_jitter([rows(np.arange(9.0))]).median_px == pytest.approx(0)
+    # it needs three visible rows in a row
+    found = measure_jitter([rows([0, 6, 0, 1, 9, 9], "vvvhvv"), rows([0, 0, 6, 0], part="b", frame=[0, 1, 3, 4])])
+    assert found.rows == 1 and found.median_px == pytest.approx(12 / math.sqrt(6))
+    assert measure_jitter([rows([0, 1])]) is None

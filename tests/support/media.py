@@ -5,6 +5,7 @@ Frames carry their number in eight vertical bars, one bit each, which survives a
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import subprocess
 from collections.abc import Callable, Iterable, Sequence
@@ -25,11 +26,14 @@ CODECS = {
     ".mp4": ("-c:v", "libx264", "-preset", "ultrafast", "-c:a", "aac", "-movflags", "+faststart"),
     ".mov": ("-c:v", "mjpeg", "-q:v", "3", "-c:a", "pcm_s16le"),
     ".mkv": ("-c:v", "libx264", "-preset", "ultrafast", "-c:a", "aac"),
-    ".webm": ("-c:v", "libvpx", "-deadline", "realtime", "-b:v", "1M", "-c:a", "libopus"),
+    ".webm": ("-c:v", "libvpx", "-deadline", "realtime", "-cpu-used", "8", "-b:v", "1M", "-c:a", "libopus"),
     ".avi": ("-c:v", "mpeg4", "-q:v", "3", "-c:a", "mp3"),
     ".mpg": ("-c:v", "mpeg1video", "-q:v", "3", "-c:a", "mp2"),
     ".ts": ("-c:v", "libx264", "-preset", "ultrafast", "-c:a", "aac"),
 }
+
+
+_WRITTEN: dict[tuple[object, ...], bytes] = {}  # clips by all that they are made of
 
 
 def ffmpeg(*arguments: str | Path, stdin: bytes | None = None) -> bytes:
@@ -71,9 +75,24 @@ def write_video(
     """Write a clip in the container that the suffix names; `frames` is how many numbered ones, or the images.
 
     `times` (s) makes the rate variable. `sound` is an expression of `t` for ffmpeg's aevalsrc, as long as the images;
-    it starts `sound_delay_s` after them, or before them if negative. `options` go last, before the output.
+    it starts `sound_delay_s` after them, or before them if negative. `options` go last, before the output. A small clip
+    that was written before in this process is written again without an encoder.
     """
     pictures = [numbered(index, size) for index in range(frames)] if isinstance(frames, int) else list(frames)
+    raw = b"".join(picture.tobytes() for picture in pictures)
+    key = (
+        path.suffix,
+        hashlib.sha256(raw).digest(),
+        pictures[0].shape,
+        fps,
+        str(times),
+        sound,
+        sound_delay_s,
+        (*options,),
+    )
+    if key in _WRITTEN:
+        path.write_bytes(_WRITTEN[key])
+        return path
     height, width = pictures[0].shape[:2]
     rate = Fraction(fps) if times is None else Fraction(1000)
     command: list[str | Path] = ["-f", "rawvideo", "-pix_fmt", "bgr24", "-s", f"{width}x{height}"]
@@ -86,7 +105,9 @@ def write_video(
     if times is not None:
         steps = "+".join(f"{b - a:.6f}*gte(N,{k + 1})" for k, (a, b) in enumerate(itertools.pairwise(times)))
         command += ["-vf", f"setpts='({times[0]}+{steps})/TB'", "-fps_mode", "passthrough", "-enc_time_base", "1/1000"]
-    ffmpeg(*command, *options, path, stdin=b"".join(picture.tobytes() for picture in pictures))
+    ffmpeg(*command, *options, path, stdin=raw)
+    if path.is_file() and path.stat().st_size < 1 << 20:
+        _WRITTEN[key] = path.read_bytes()
     return path
 
 

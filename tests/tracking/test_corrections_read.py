@@ -34,8 +34,7 @@ from facetrack_cli.trajectory.select import enclose
 from facetrack_cli.trajectory.trajectory import Collector, joined, one_part
 from facetrack_cli.trajectory.writers import WRITERS, RunSummary
 from tests.evaluation.test_goldens import golden_in
-from tests.evaluation.test_points import rows
-from tests.evaluation.test_reliability import statuses
+from tests.evaluation.test_points import rows, statuses
 from tests.support import results
 from tests.support.sinks import Alone
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.video import ffmpeg as ours
+from facetrack_cli.video import writer as ours
 from facetrack_cli.video.decode import sound_of
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import Planes, VideoWriter
@@ -55,7 +55,7 @@ def left_behind(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-@pytest.mark.parametrize("fps", [Fraction(25), Fraction(30000, 1001), Fraction(24000, 1001), Fraction(359, 12)])
+@pytest.mark.parametrize("fps", [Fraction(30000, 1001), Fraction(359, 12)])
 def test_constant_rate_stays_strictly_constant(tmp_path: Path, fps: Fraction) -> None:
     path = tmp_path / "out.mp4"
     with VideoWriter(path, media.SIZE, fps) as writer:
@@ -64,7 +64,7 @@ def test_constant_rate_stays_strictly_constant(tmp_path: Path, fps: Fraction) ->
     pictures = media.read_timed(path)
     assert [media.number(picture) for _, picture in pictures] == list(range(30))
     np.testing.assert_allclose([t for t, _ in pictures], [float(k / fps) for k in range(30)], atol=1e-9)
-    head = ours.run(["-i", str(path)])[1]
+    head = ours.run_ffmpeg(["-i", str(path)])[1]
     assert "h264" in head and "yuv420p" in head and "mp4" in head
     assert left_behind(tmp_path) == ["out.mp4"]
 
@@ -93,14 +93,6 @@ def test_a_variable_rate_is_sought_by_number_in_opencv(tmp_path: Path) -> None:
         assert media.number(capture.read()[1]) == index
 
 
-def test_every_source_gives_as_many_frames_as_it_has(tmp_path: Path) -> None:
-    for suffix in (".mkv", ".webm", ".avi", ".ts"):
-        source = media.write_video(tmp_path / f"clip{suffix}", frames=40, sound=BEEP)
-        out = tmp_path / f"{suffix[1:]}.mp4"
-        assert copy(source, out).warnings == []
-        assert [media.number(frame.bgr) for frame in open_source(out)] == list(range(40)), suffix
-
-
 def test_times_never_fall(tmp_path: Path) -> None:
     with VideoWriter(tmp_path / "out.mp4", media.SIZE, FPS) as writer:
         for index, moment in enumerate([3.0, 4.0, 4.0, 4.5]):
@@ -122,7 +114,7 @@ def test_a_gap_of_many_hours(tmp_path: Path, gap: int, shown: float) -> None:
     np.testing.assert_allclose(np.diff([t for t, _ in pictures]), steps, atol=0.05)
 
 
-@pytest.mark.parametrize("period", [60, 3600, 40_000])
+@pytest.mark.parametrize("period", [60, 40_000])
 def test_time_lapses(tmp_path: Path, period: int) -> None:
     with VideoWriter(tmp_path / "out.mp4", media.SIZE, Fraction(1, period)) as writer:
         for index in range(5):
@@ -139,20 +131,6 @@ def test_odd_sizes_are_padded_by_one_line(tmp_path: Path) -> None:
     pictures = media.read_timed(path)
     assert pictures[0][1].shape == (48, 64, 3)
     assert [media.number(picture[:47, :63]) for _, picture in pictures] == list(range(5))
-
-
-@pytest.mark.parametrize("size", [(320, 240), (1280, 720)])
-def test_colours_come_back(tmp_path: Path, size: tuple[int, int]) -> None:
-    width, height = size
-    colours = np.array([[40, 40, 200], [40, 200, 40], [200, 40, 40], [30, 200, 220], [128, 128, 128]], np.uint8)
-    picture = np.ascontiguousarray(np.repeat(colours[None], height, 0).repeat(width // 5, 1))
-    with VideoWriter(tmp_path / "out.mp4", size, FPS) as writer:
-        for index in range(3):
-            writer.write(picture, index / 25)
-    decoded = media.read_timed(tmp_path / "out.mp4")[1][1]
-    for k, colour in enumerate(colours):
-        middle = decoded[height // 2, width // 5 * k + width // 10]
-        assert np.abs(middle.astype(int) - colour).max() <= 3, (colour, middle)
 
 
 @pytest.mark.parametrize(("size", "weight"), [((6, 4), 0.587), ((5, 3), 0.587), ((2, 720), 0.7152)])
@@ -183,21 +161,22 @@ def test_wrong_frames_are_refused(tmp_path: Path) -> None:
 # sound
 
 
-@pytest.mark.one_in(4)
-@pytest.mark.parametrize("suffix", [".mp4", ".mkv", ".webm", ".avi", ".mpg", ".ts", ".mov"])
-@pytest.mark.parametrize("start", [0, 7])
-def test_sound_stays_in_step(tmp_path: Path, suffix: str, start: int) -> None:
+STEPS = {".mp4": 0, ".avi": 0, ".mpg": 0, ".mkv": 7, ".ts": 7}
+
+
+@pytest.mark.parametrize("suffix", [*STEPS, *(pytest.param(s, marks=pytest.mark.nightly) for s in (".webm", ".mov"))])
+def test_sound_stays_in_step(tmp_path: Path, suffix: str) -> None:
+    start = STEPS.get(suffix, 7)
     source = media.write_video(tmp_path / f"clip{suffix}", frames=60, sound=BEEP)
-    assert onset(source) == pytest.approx(0.5, abs=0.04)
     out = tmp_path / "out.mp4"
     writer = copy(source, out, start=start, stop=45)
     assert writer.warnings == []
     # lossy codecs start a packet early or late; a frame lasts 0.04 s
-    assert onset(out) == pytest.approx(0.5 - start / 25, abs=0.04)
-    length = len(media.read_sound(out)) / 44100
-    assert length == pytest.approx((45 - start) / 25, abs=0.06)
+    sound = np.abs(media.read_sound(out))
+    assert np.argmax(sound > 0.2) / 44100 == pytest.approx(0.5 - start / 25, abs=0.04)
+    assert len(sound) / 44100 == pytest.approx((45 - start) / 25, abs=0.06)
     assert [media.number(picture) for _, picture in media.read_timed(out)] == list(range(start, 45))
-    assert left_behind(tmp_path) == [f"clip{suffix}", "out.mp4"] if suffix != ".mp4" else ["clip.mp4", "out.mp4"]
+    assert left_behind(tmp_path) == [f"clip{suffix}", "out.mp4"]
 
 
 @pytest.mark.parametrize("delay", [-0.2, 0.24])
@@ -209,23 +188,22 @@ def test_sound_that_starts_before_or_after_the_pictures(tmp_path: Path, delay: f
 
 def test_no_sound_no_fuss(tmp_path: Path) -> None:
     silent = media.write_video(tmp_path / "silent.mp4", frames=20)
-    folder = media.write_pictures(tmp_path / "frames", 3)
-    for source in (silent, folder, tmp_path / "missing.mp4"):
-        writer = write(tmp_path / "out.mp4", audio_from=source)
+    for source in (silent, tmp_path, tmp_path / "missing.mp4"):
+        writer = write(tmp_path / "out.mp4", 3, audio_from=source)
         assert writer.warnings == []
-        assert "Audio" not in ours.run(["-i", str(tmp_path / "out.mp4")])[1]
+        assert "Audio" not in ours.run_ffmpeg(["-i", str(tmp_path / "out.mp4")])[1]
 
 
 def test_sound_that_fails_leaves_the_video_and_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = media.write_video(tmp_path / "clip.mp4", frames=20, sound=BEEP)
-    real = ours.run
+    real = ours.run_ffmpeg
 
     def failing(arguments: list[str]) -> tuple[int, str]:
         if "-itsoffset" in arguments:
             return 1, "[aist#0:1 @ 0x1] Error: no such codec\n"
         return real(arguments)
 
-    monkeypatch.setattr(ours, "run", failing)
+    monkeypatch.setattr(ours, "run_ffmpeg", failing)
     writer = write(tmp_path / "out.mp4", audio_from=source)
     (warning,) = writer.warnings
     assert "without sound" in warning and "no such codec" in warning and "\n" not in warning and "0x1" not in warning
@@ -275,22 +253,14 @@ def test_without_frames_there_is_no_file(tmp_path: Path) -> None:
     assert left_behind(tmp_path) == []
 
 
-def test_what_was_written_until_an_error_is_kept(tmp_path: Path) -> None:
+@pytest.mark.parametrize("half", [b"", b"\x1f\x43\xb6\x75\x01\x00\x00"])
+def test_what_was_written_until_an_interruption_is_kept(tmp_path: Path, half: bytes) -> None:
     with pytest.raises(KeyboardInterrupt), VideoWriter(tmp_path / "out.mp4", media.SIZE, FPS) as writer:
         for index in range(12):
             writer.write(media.numbered(index), index / 25)
+        writer._encoder.pipe.write(half)  # a part of a frame
         raise KeyboardInterrupt
-    assert len(media.read_timed(tmp_path / "out.mp4")) == 12
-
-
-def test_interrupted_within_a_frame(tmp_path: Path) -> None:
-    path = tmp_path / "out.mp4"
-    writer = VideoWriter(path, media.SIZE, FPS)
-    for index in range(12):
-        writer.write(media.numbered(index), index / 25)
-    writer._encoder.pipe.write(b"\x1f\x43\xb6\x75\x01\x00\x00")
-    writer.close()
-    assert [media.number(picture) for _, picture in media.read_timed(path)] == list(range(12))
+    assert [media.number(picture) for _, picture in media.read_timed(tmp_path / "out.mp4")] == list(range(12))
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals to a process group")
@@ -301,16 +271,12 @@ def test_ctrl_c_of_the_terminal_does_not_reach_the_encoder(tmp_path: Path) -> No
         "with VideoWriter(Path(sys.argv[1]), media.SIZE, Fraction(25)) as writer:\n"
         "    for index in range(200):\n"
         "        writer.write(media.numbered(index), index / 25)\n"
-        "        if index == 30: print('go', flush=True)\n"
-        "        if index > 30: time.sleep(0.05)\n"
+        "        if index == 9: print('go', flush=True)\n"
+        "        if index > 9: time.sleep(0.05)\n"
     )
-    root = Path(__file__).parents[2]
+    command, pipes = [sys.executable, "-c", script, tmp_path / "out.mp4"], (subprocess.PIPE, subprocess.DEVNULL)
     child = subprocess.Popen(
-        [sys.executable, "-c", script, tmp_path / "out.mp4"],
-        cwd=root,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
+        command, cwd=Path(__file__).parents[2], stdout=pipes[0], stderr=pipes[1], start_new_session=True
     )
     assert child.stdout is not None and child.stdout.readline()
     time.sleep(0.2)
@@ -318,7 +284,7 @@ def test_ctrl_c_of_the_terminal_does_not_reach_the_encoder(tmp_path: Path) -> No
     assert child.wait(timeout=30) != 0
     child.stdout.close()
     numbers = [media.number(picture) for _, picture in media.read_timed(tmp_path / "out.mp4")]
-    assert numbers == list(range(len(numbers))) and 31 <= len(numbers) < 200
+    assert numbers == list(range(len(numbers))) and 10 <= len(numbers) < 200
     assert left_behind(tmp_path) == ["out.mp4"]
 
 

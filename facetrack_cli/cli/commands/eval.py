@@ -85,9 +85,8 @@ def command(
     """
     from facetrack_cli.core.files import check_new, write_new
     from facetrack_cli.evaluation.identities import identified
-    from facetrack_cli.evaluation.output import About, to_csv, to_json, to_text
     from facetrack_cli.evaluation.rows import check_normalise
-    from facetrack_cli.evaluation.summary import Options, evaluate
+    from facetrack_cli.evaluation.summary import About, Options, evaluate, to_csv, to_json, to_text
     from facetrack_cli.report.figures.style import need_matplotlib
     from facetrack_cli.run_folder.manifest import check_run, other_clip
     from facetrack_cli.trajectory.formats.read import read_results

@@ -8,7 +8,7 @@ import click
 from facetrack_cli.cli import options
 from facetrack_cli.cli.options import flag, option
 from facetrack_cli.cli.types import FILE, FOLDER, RECIPE, Whole
-from facetrack_cli.core.errors import ExitCode, RecipeError, UsageError
+from facetrack_cli.core.errors import ExitCode, UsageError
 
 
 @click.command()
@@ -53,7 +53,7 @@ def command(
     """
     from facetrack_cli.core.errors import flat
     from facetrack_cli.core.files import check_new, write_new
-    from facetrack_cli.evaluation.goldens import SEEDS, as_json, as_junit, counts, recordable, recorded, regress
+    from facetrack_cli.evaluation.goldens import SEEDS, as_json, as_junit, counts, regress, tasks
     from facetrack_cli.recipe.gallery_option import check_file
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.runs.progress import progress
@@ -71,37 +71,32 @@ def command(
     if gallery is not None:  # a mistake in the option is no regression
         check_file(str(gallery))
         load_gallery(gallery)
-    given = {load_recipe(name, overrides, installed=False).name: name for name in config}
-    asked = recordable(folder, given) if update and given else recorded(folder, given)
-    for each in asked if overrides else ():
-        try:
-            load_recipe(each.recipe, overrides, installed=False)
-        except RecipeError as e:  # what is wrong with the recipe fails its golden
-            if str(e).startswith("--set"):
-                raise
-    fails, began, found = "not recorded" if update else "FAILS", time.monotonic(), []
+    recipes = {load_recipe(name, overrides, installed=False).name: name for name in config}
+    asked = tasks(folder, recipes, update=update)
+    fails, start, verdicts = "not recorded" if update else "FAILS", time.monotonic(), []
     with Stop().listening() as stopped, progress(quiet) as shown:
         shown.begin(str(folder))
         results = regress(
             folder, asked, update=update, overrides=overrides, seeds=seeds or SEEDS, stop=stop, gallery=gallery,
             stopped=stopped, workers=jobs, report=shown.update,
         )  # fmt: skip
-        for one in results:
-            found.append(one)
-            ok = one.message if update else f"ok ({one.message}; {one.seconds:.1f} s)"
-            said = {"ok": ok, "fails": f"{fails}: {one.message}", "skipped": f"skipped: {one.message}"}[one.status]
-            for line in (f"{one.clip} {one.recipe}: {said}", *(f"    {more}" for more in one.details)):
+        for verdict in results:
+            verdicts.append(verdict)
+            text = f"{fails if verdict.status == 'fails' else 'skipped'}: {verdict.message}"
+            if verdict.status == "ok":
+                text = verdict.message if update else f"ok ({verdict.message}; {verdict.seconds:.1f} s)"
+            for line in (f"{verdict.clip} {verdict.recipe}: {text}", *(f"    {more}" for more in verdict.details)):
                 click.echo(flat(line))
         if stopped.code is not None:
-            shown.say(f"{stopped.reason} after {len(found)} of {len(asked)} goldens")
+            shown.say(f"{stopped.reason} after {len(verdicts)} of {len(asked)} goldens")
             return stopped.code
-    many = counts(found)
+    many = counts(verdicts)
     if update:
         return ExitCode.BATCH if many["fails"] else ExitCode.DONE
-    for file, text in ((junit, as_junit), (json, as_json)):
+    for file, as_text in ((junit, as_junit), (json, as_json)):
         if file is not None:
-            write_new(file, text(found).encode(), overwrite=overwrite)
-    took = f"{len(found)} golden{'s' * (len(found) != 1)} in {time.monotonic() - began:.0f} s"
+            write_new(file, as_text(verdicts).encode(), overwrite=overwrite)
+    took = f"{len(verdicts)} golden{'s' * (len(verdicts) != 1)} in {time.monotonic() - start:.0f} s"
     skipped = f", {many['skipped']} skipped" if many["skipped"] else ""
     click.echo(f"{took}: {many['ok']} ok, {many['fails']} FAIL{'S' * (many['fails'] == 1)}{skipped}")
     return ExitCode.REGRESSION if many["fails"] else ExitCode.DONE

@@ -1,15 +1,19 @@
-"""Names beside the targets of a frame, and images of the templates in its corners (Zhou et al. 2003, fig. 3)."""
+"""What is written on a frame: names beside targets, the status bar, and templates in the corners.
+
+The templates are shown as in Zhou et al. 2003, fig. 3.
+"""
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from facetrack_cli.core.numbers import clock
 from facetrack_cli.core.types import BOX, Array, Image, Mask
-from facetrack_cli.trajectory.trajectory import Trajectory
-from facetrack_cli.video.overlay.marks import LOST, WHITE, Colour, Font, readable, stamp
+from facetrack_cli.trajectory.trajectory import FrameResult, Status, Trajectory
+from facetrack_cli.video.overlay.marks import LOST, PALETTE, WHITE, Colour, Font, mark, readable, stamp
 
 Rect = tuple[float, float, float, float]  # x0, y0, x1, y1
 _MIN_STAY = 12  # frames that images stay in a corner
@@ -17,8 +21,13 @@ _MIN_HEIGHT = 12  # pixels of an image; in a smaller image nothing can be seen
 _MAX_TARGETS = 4  # targets with images: one in each corner
 _MAX_BOXES = 60  # boxes in the frame; with more there is no room for names of parts
 _DECIDED = 0.5  # an identity less probable than that is doubtful
-_DOUBTFUL: Colour = (190, 190, 190)
+_QUIET: Colour = (190, 190, 190)  # of names in doubt, and what is written beside the status
 _PLATE = 0.65  # opacity of the dark ground below the name of a target
+_TROUGH: Colour = (130, 130, 130)
+LOST_TEXT: Colour = (110, 165, 255)  # vermilion itself is too dark to read on the strip
+_WORDY = 28  # heights of capitals: where a bar is as wide, the number of the frame is said to be one
+# items in the bar beside the status; in a narrow bar the last items are left out first
+_ITEMS = ("frame", "gauge", "clock", "title", "percent", "scale")
 
 
 class Shown(NamedTuple):
@@ -39,49 +48,38 @@ class Insets:
     def __init__(self, size: tuple[int, int], top: int, line: int, font: Font) -> None:
         self._size, self._top, self._line, self._font = size, top, line, font
         self._height = round(0.2 * min(size[1], 0.75 * size[0]))
-        self._places: dict[str, tuple[int, int]] = {}  # the corner of a target, and since when
-        self._count = 0
-
-    @property
-    def memory(self) -> Any:
-        return self._places, self._count
-
-    @memory.setter
-    def memory(self, memory: Any) -> None:
-        self._places, self._count = memory
+        # the corner of each target, and since when; how many frames there were
+        self.memory: tuple[dict[str, tuple[int, int]], int] = {}, 0
 
     def draw(self, image: Image, shown: Iterable[Shown], windows: Sequence[Rect]) -> list[Rect]:
         """Draw the images that have room on `image` (H, W, 3) in place, away from `windows`; the places taken."""
-        self._count += 1
-        taken: list[Rect] = []
+        (before, count), taken = self.memory, list[Rect]()
         places: dict[str, tuple[int, int]] = {}
-        for one in shown:
-            scaled = self._scaled(one) if len(taken) < _MAX_TARGETS else []
+        for template in shown:
+            scaled = self._scaled(template.pictures) if len(taken) < _MAX_TARGETS else []
             if not scaled:
                 continue
             size = sum(p.shape[1] + self._line for _, p in scaled) + self._line, scaled[0][1].shape[0] + 2 * self._line
-            corner = self._corner(one.target, size, windows, {corner for corner, _ in places.values()})
-            known = self._places.get(one.target)
-            places[one.target] = known if known and known[0] == corner else (corner, self._count)
+            free = [corner for corner in range(4) if corner not in {taken for taken, _ in places.values()}]
+            now, since = before.get(template.target, (-1, 0))
+            corner = self._corner(now, count + 1 - since, size, windows, free)
+            places[template.target] = corner, since if corner == now else count + 1
             box = self._box(corner, size)
-            self._lay(image, scaled, one.colour, round(box[0]), round(box[1]))
+            self._lay(image, scaled, template.colour, round(box[0]), round(box[1]))
             taken.append(box)
-        self._places = places
+        self.memory = places, count + 1
         return taken
 
-    def _scaled(self, one: Shown) -> list[tuple[str, Image]]:
+    def _scaled(self, pictures: Sequence[tuple[str, Image]]) -> list[tuple[str, Image]]:
         """The images with their names, all equally high, and together no wider than 0.4 of the frame."""
-        fine = [(name, p) for name, p in one.pictures if p.ndim == 2 and min(p.shape) > 0 and p.dtype == np.uint8]
-        wide = sum(p.shape[1] / p.shape[0] for _, p in fine)
-        height = min(self._height, int(0.4 * self._size[0] / wide)) if fine else 0
-        if height < _MIN_HEIGHT:
-            return []
-        found = []
-        for name, picture in fine:
+        wide = sum(picture.shape[1] / picture.shape[0] for _, picture in pictures)
+        height = min(self._height, int(0.4 * self._size[0] / wide))
+        scaled = []
+        for name, picture in pictures if height >= _MIN_HEIGHT else ():
             size = max(1, round(height * picture.shape[1] / picture.shape[0])), height
             how = cv2.INTER_CUBIC if height > picture.shape[0] else cv2.INTER_AREA
-            found.append((name, np.asarray(cv2.resize(picture, size, interpolation=how), np.uint8)))
-        return found
+            scaled.append((name, np.asarray(cv2.resize(picture, size, interpolation=how), np.uint8)))
+        return scaled
 
     def _box(self, corner: int, size: tuple[int, int]) -> Rect:
         """Corners are numbered from the lower left, right, then the upper right, left."""
@@ -90,14 +88,13 @@ class Insets:
         top = self._size[1] - height - gap if corner < 2 else self._top + gap
         return left, top, left + width, top + height
 
-    def _corner(self, target: str, size: tuple[int, int], windows: Sequence[Rect], used: set[int]) -> int:
-        free = [corner for corner in range(4) if corner not in used]
+    def _corner(self, now: int, stays: int, size: tuple[int, int], windows: Sequence[Rect], free: Sequence[int]) -> int:
+        """A free corner for a target that has stood in `now`, -1 for none, for so many frames."""
         covered = {corner: _covered(self._box(corner, size), windows) for corner in free}
-        now, since = self._places.get(target, (-1, 0))
         if now not in free:
             return min(free, key=lambda corner: (covered[corner], corner))
         hardly_better = min(covered.values()) > 0.5 * covered[now]
-        if not covered[now] or self._count - since < _MIN_STAY or hardly_better:
+        if not covered[now] or stays < _MIN_STAY or hardly_better:
             return now
         return min(free, key=lambda corner: (covered[corner], -_room(self._box(corner, size), windows)))
 
@@ -163,37 +160,32 @@ class Labels:
 
     def __init__(self, size: tuple[int, int], top: int, line: int, font: Font) -> None:
         self._size, self._top, self._line, self._font = size, top, line, font
-        self._sides: dict[tuple[str, str], int] = {}
-        self._low: set[str] = set()  # targets whose names stand below them
-
-    @property
-    def memory(self) -> Any:
-        return self._sides, self._low
-
-    @memory.setter
-    def memory(self, memory: Any) -> None:
-        self._sides, self._low = memory
+        # the side of each part on which its name stands; the targets whose names stand below them
+        self.memory: tuple[dict[tuple[str, str], int], set[str]] = {}, set()
 
     def draw(self, image: Image, shapes: Sequence[Shape], taken: Sequence[Rect], *, named: bool = False) -> None:
         """Names on `image` in place, each where it covers nothing of `taken`, or nowhere.
 
         A single target has a name only if it is `named`.
         """
-        self._low &= {shape.target for shape in shapes}
+        before, low = self.memory
+        low &= {shape.target for shape in shapes}
         tags = list(taken)
         for shape in shapes:
-            tags += self._tag(image, shape, named or len(shapes) > 1, tags)
+            tags += self._tag(image, shape, named or len(shapes) > 1, tags, low)
         boxes = [(b[0], b[1], b[2], b[3]) for shape in shapes for b in shape.bounds.tolist()]
         full = [(0, 0, self._size[0], self._top), *boxes, *tags]
         sides: dict[tuple[str, str], int] = {}
         for shape in shapes:
             if shape.parts and len(full) <= _MAX_BOXES:
-                self._parts(image, shape, full, sides)
-        self._sides = sides
+                sides |= self._parts(image, shape, full, before)
+        self.memory = sides, low
 
-    def _parts(self, image: Image, shape: Shape, taken: list[Rect], sides: dict[tuple[str, str], int]) -> None:
+    def _parts(
+        self, image: Image, shape: Shape, taken: list[Rect], before: Mapping[tuple[str, str], int]
+    ) -> dict[tuple[str, str], int]:
         """The names of parts whose windows are large enough, first at the sides that face away from the middle."""
-        middle = shape.centres.mean(axis=0).tolist()
+        middle, sides = shape.centres.mean(axis=0).tolist(), dict[tuple[str, str], int]()
         columns = (shape.parts, shape.bounds.tolist(), shape.centres.tolist(), shape.lost.tolist(), shape.colours)
         for part, bound, centre, lost, colour in zip(*columns, strict=True):
             small = shape.is_face or min(bound[2] - bound[0], bound[3] - bound[1]) < 2.4 * self._font.cap
@@ -204,7 +196,7 @@ class Labels:
             key = (shape.target, part)
             x, y = centre[0] - middle[0], centre[1] - middle[1]
             order = sorted(range(4), key=(x, y, -x, -y).__getitem__, reverse=True)
-            for side in [self._sides[key], *order] if key in self._sides else order:
+            for side in [before[key], *order] if key in before else order:
                 left, top = places[side]
                 box = (left, top, left + sprite.size[0], top + sprite.size[1])
                 if self._free(box, taken):
@@ -212,6 +204,7 @@ class Labels:
                     taken.append(box)
                     sides[key] = side
                     break
+        return sides
 
     def _free(self, box: Rect, taken: Sequence[Rect], spare: int = 0) -> bool:
         """Whether a box is in the frame, and `spare` pixels or more away from what is taken."""
@@ -221,8 +214,11 @@ class Labels:
         x0, y0, x1, y1 = x0 - spare, y0 - spare, x1 + spare, y1 + spare
         return not any(x0 < t[2] and t[0] < x1 and y0 < t[3] and t[1] < y1 for t in taken)
 
-    def _tag(self, image: Image, shape: Shape, named: bool, tags: Sequence[Rect]) -> list[Rect]:
-        """Name a target above it, or below where `tags` or the border are in the way; the place taken, if any."""
+    def _tag(self, image: Image, shape: Shape, named: bool, tags: Sequence[Rect], under: set[str]) -> list[Rect]:
+        """Name a target above it, or below where `tags` or the border are in the way; the place taken, if any.
+
+        `under` are the targets that are named below.
+        """
         text, colour = _name(shape, named) if shape.parts else ("", shape.colour)
         low, high = shape.bounds[:, :2].min(axis=0, initial=np.inf), shape.bounds[:, 2:].max(axis=0, initial=-np.inf)
         if not text or (high < 0).any() or (low > self._size).any():
@@ -235,11 +231,11 @@ class Labels:
         tops = [above, below] if above >= self._top else [below]
         boxes = [(left, top, left + width, top + height) for top in tops]
         # back above only once there is room to spare, or it would flicker
-        spare = height if shape.target in self._low else 0
+        spare = height if shape.target in under else 0
         clear = [self._free(box, tags, spare if i == 0 else 0) for i, box in enumerate(boxes)]
         chosen = boxes[clear.index(True)] if any(clear) else boxes[0]
         top = chosen[1]
-        (self._low.add if len(tops) > 1 and top == below else self._low.discard)(shape.target)
+        (under.add if len(tops) > 1 and top == below else under.discard)(shape.target)
         plate = image[max(top, 0) : max(top + height, 0), max(left - self._line, 0) : max(left + width + self._line, 0)]
         if plate.size:
             cv2.convertScaleAbs(plate, plate, 1 - _PLATE)
@@ -255,7 +251,7 @@ def _name(shape: Shape, named: bool) -> tuple[str, Colour]:
     if not math.isfinite(sure):
         return who, shape.colour
     percent = " >99%" if sure >= 0.995 else f" {sure:.0%}"  # no posterior is certain
-    return (f"{who}?{percent}", _DOUBTFUL) if sure < _DECIDED else (f"{who}{percent}", shape.colour)
+    return (f"{who}?{percent}", _QUIET) if sure < _DECIDED else (f"{who}{percent}", shape.colour)
 
 
 def _beside(bound: Sequence[float], size: tuple[int, int], gap: int) -> list[tuple[int, int]]:
@@ -265,3 +261,115 @@ def _beside(bound: Sequence[float], size: tuple[int, int], gap: int) -> list[tup
     right, below = math.ceil(x1) + 1 + gap, math.ceil(y1) + 1 + gap
     left, above = math.floor(x0) - gap - width, math.floor(y0) - gap - height
     return [(right, down), (across, below), (left, down), (across, above)]
+
+
+class StatusBar:
+    """Writes a summary of each result over the top of images `width` pixels wide, in capitals `cap` pixels high."""
+
+    def __init__(self, width: int, cap: int, line: int, title: str = "") -> None:
+        self.height = round(1.9 * cap)
+        self._width, self._line, self._title, self._font = width, line, title, Font(cap)
+
+    def draw(self, image: Image, result: FrameResult) -> None:
+        """Darken the top `height` rows of `image` (H, W, 3) and write on them, in place."""
+        font, cap = self._font, self._font.cap
+        strip = image[: self.height]
+        cv2.convertScaleAbs(strip, strip, 0.28)
+        rows = result.rows
+        status, sayings = summary(rows)
+        sure = rows.confidence[np.isfinite(rows.confidence)].tolist()
+        mean = min(max(sum(sure) / len(sure), 0.0), 1.0) if sure else 0.0
+        adapted, title = adaptation(rows), self._title
+        word = "frame " if self._width >= _WORDY * cap else ""
+        texts = {"frame": f"{word}{result.frame.index}", "clock": clock(result.frame.time_s), "title": title}
+        texts |= {"percent": "100%", **adapted}
+        gap, gauge, icon = round(0.8 * cap), round(3.5 * cap), round(1.5 * cap)
+        room = {item: font.width(text) + gap if text else 0 for item, text in texts.items()} | {"gauge": gauge + gap}
+        shown, saying, spare = self._fit(sayings, room, self._width - 2 * gap - icon)
+        if not sure:  # 0 % would be a lie of a tracker that does not say
+            shown = tuple(item for item in shown if item not in ("gauge", "percent"))
+        if "title" not in shown:  # its beginning, as far as it says something
+            length = next((n for n in range(len(title), 7, -1) if font.width(title[:n] + "..") <= spare - gap), 0)
+            title = title[:length] + ".." if length else ""
+        row, middle = (self.height - cap) // 2 - font.top, (self.height - cap) // 2 + (cap - 1) / 2
+        left, right = gap, self._width - gap
+        for item in ("frame", "clock"):
+            if item in shown:
+                stamp(strip, font.passing(texts[item]), left, row)
+                left += room[item]
+        sign = LOST_TEXT if status == "lost" else _QUIET if status == "absent" else PALETTE[0]
+        by_hand = bool(rows.by_hand.any())
+        mark(strip, (left + 0.4 * cap, middle), status, sign, 0.37 * cap, self._line, by_hand)
+        stamp(strip, font.sprite(saying, LOST_TEXT if status == "lost" else WHITE), left + icon, row)
+        if "gauge" in shown:
+            top, bottom = (self.height - cap) // 2, (self.height - cap) // 2 + cap - 1
+            full, end = right - gauge, right - gauge + round(mean * gauge)
+            cv2.rectangle(strip, (full, top), (right - 1, bottom), _TROUGH, -1)
+            if end > full:
+                cv2.rectangle(strip, (full, top), (end - 1, bottom), PALETTE[0], -1)
+            right = full - gap
+        room["title"] = font.width(title) + gap
+        for item, text in {"percent": f"{mean:.0%}", "title": title, **adapted}.items():
+            if text and (item in shown or item == "title"):
+                colour = WHITE if item == "percent" else _QUIET
+                stamp(strip, font.sprite(text, colour), right - font.width(text), row)
+                right -= room[item]
+
+    def _fit(self, sayings: Sequence[str], room: dict[str, int], width: int) -> tuple[tuple[str, ...], str, int]:
+        """The items and the wording of the status that fit, and the room left: rather fewer items than fewer words."""
+        items = tuple(item for item in _ITEMS if item in room)
+        for counts in ((6, 5, 4, 3), (2, 1, 0)):
+            for saying in sayings:
+                for n in counts:
+                    left = width - self._font.width(saying) - sum(room[k] for k in items[:n])
+                    if left >= 0:
+                        return items[:n], saying, left
+        return (), "", 0
+
+
+def adaptation(rows: Trajectory) -> dict[str, str]:
+    """The size against that of the start, of a single target that adapts; else nothing."""
+    reported = rows.diagnostics.get(rows.target) if len(rows.targets) == 1 else None
+    scale = math.nan if reported is None else float(reported.get("scale")[0])
+    return {"scale": f"size {min(scale, 99.0):.0%}"} if math.isfinite(scale) else {}
+
+
+def summary(rows: Trajectory) -> tuple[Status, list[str]]:
+    """The status of all that is not absent, and ways to say it, from the longest to the shortest."""
+    if not len(rows):
+        return "lost", ["no target", "none"]
+    absent, lost, hidden = (int(np.sum(rows.status == status)) for status in ("absent", "lost", "hidden"))
+    if absent == len(rows):
+        return "absent", ["absent"]
+    missing = f"{', '.join(_named(rows, rows.status == 'absent'))} absent" if absent else ""
+    unseen: Status
+    for unseen, count in (("lost", lost), ("hidden", hidden)):
+        if count:
+            names = _named(rows, rows.status == unseen)
+            whole = f"{unseen}: {', '.join(names)}"
+            several = [f"{unseen}: {names[0]} +{len(names) - 1}"] if len(names) > 1 else []
+            both = [f"{whole}; {missing}"] if missing else []
+            return unseen, [*both, whole, *several, f"{unseen} {count}/{len(rows)}", unseen]
+    init = rows.status == "init"
+    status: Status = "init" if (init | (rows.status == "absent")).all() else "tracked"
+    given = rows.by_hand & init
+    sayings: list[str] = [status]
+    if given.any():
+        status, sayings = "init", [f"{', '.join(_named(rows, given))} by hand", "by hand"]
+    both = [f"{sayings[0]}; {missing}", missing, f"absent {absent}/{len(rows)}"] if missing else []
+    return status, [*both, *sayings]
+
+
+def _named(rows: Trajectory, chosen: Mask) -> list[str]:
+    """The names of the `chosen` rows (R,): the name of the target alone where all of its parts are among them."""
+    pairs, names = [rows.names[i] for i in rows.which.tolist()], []
+    for target in rows.targets:
+        own = [
+            (part, is_chosen) for (name, part), is_chosen in zip(pairs, chosen.tolist(), strict=True) if name == target
+        ]
+        parts = [part for part, is_chosen in own if is_chosen]
+        if parts and len(parts) == len(own):
+            names.append(readable(target))
+        else:
+            names += [readable(f"{target}/{part}" if len(rows.targets) > 1 else part) for part in parts]
+    return names

@@ -20,9 +20,8 @@ from facetrack_cli.core.geometry import shown_angle
 from facetrack_cli.core.types import BOX, Array, Image, Mask
 from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
 from facetrack_cli.video.overlay import marks
-from facetrack_cli.video.overlay.labels import Insets, Labels, Shape, Shown
+from facetrack_cli.video.overlay.labels import Insets, Labels, Shape, Shown, StatusBar
 from facetrack_cli.video.overlay.marks import GREY, LOST, PALETTE, WHITE, Colour, Font, Points
-from facetrack_cli.video.overlay.status_bar import StatusBar
 
 _FADES = 4  # steps of opacity along a trail
 _MAX_SAMPLES = 32  # earlier places along a trail
@@ -95,10 +94,10 @@ class Overlay:
         if frame.size != tuple(self.size):
             raise ValueError(f"frame {frame.index} is {frame.size}, the overlay {self.size}")
         image: Image = frame.bgr.copy()
-        places = [self._order.get(one.rows.target, i) for i, one in enumerate(result.targets)]
         alone = len(result.targets) == 1 and not self._order
+        places = [self._order.get(target.rows.target, i) for i, target in enumerate(result.targets)]
         pairs = zip(result.targets, places, strict=True)
-        shapes = [self._shape(one, i, frame.aspect, alone=alone) for one, i in pairs]
+        shapes = [self._shape(target, place, frame.aspect, alone=alone) for target, place in pairs]
         shown = [Shown(s.target, s.insets, s.colour if len(shapes) > 1 else WHITE) for s in shapes if s.insets]
         windows = [(b[0], b[1], b[2], b[3]) for s in shapes for b in s.bounds.tolist()]
         taken = self._insets.draw(image, shown, windows) if shown else []  # below the lines, where they have to cross

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -15,23 +15,19 @@ from hypothesis import strategies as st
 from facetrack_cli.core.face_points import GROUPS, LINES, POINTS
 from facetrack_cli.core.types import Frame, Image
 from facetrack_cli.trajectory.trajectory import FrameResult, Status, TargetResult, recorded
+from facetrack_cli.video.overlay.labels import Insets, Rect, Shown, StatusBar, adaptation, summary
 from facetrack_cli.video.overlay.marks import PALETTE, Font, Sprite, plain, readable, stamp
 from facetrack_cli.video.overlay.overlay import Overlay
-from facetrack_cli.video.overlay.status_bar import StatusBar, summary
 from tests.support import results
 from tests.support.face_shape import SHAPE, moving_face
 from tests.support.results import target
 
 Part = dict[str, Any]  # as tests.support.results has it
-SIZES = [(128, 96), (320, 240), (640, 480), (1280, 720), (240, 320), (33, 21)]
-NAMES = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
+SIZES = [(128, 96), (320, 240), (1280, 720), (240, 320), (33, 21)]
 AT = {
-    "nose": (0.5, 0.4),
-    "mouth_left": (0.4, 0.6),
-    "mouth_right": (0.6, 0.6),
-    "lip_upper": (0.5, 0.55),
+    "nose": (0.5, 0.4), "mouth_left": (0.4, 0.6), "mouth_right": (0.6, 0.6), "lip_upper": (0.5, 0.55),
     "lip_lower": (0.5, 0.7),
-}
+}  # fmt: skip
 
 
 def part(name: str = "nose", x: float = 50, y: float = 50, **other: object) -> Part:
@@ -40,12 +36,7 @@ def part(name: str = "nose", x: float = 50, y: float = 50, **other: object) -> P
 
 
 def result(
-    size: tuple[int, int],
-    *parts: Part,
-    index: int = 0,
-    ground: int = 128,
-    name: str = "face",
-    spread: float = 1.0,
+    size: tuple[int, int], *parts: Part, index: int = 0, ground: int = 128, name: str = "face", spread: float = 1.0
 ) -> FrameResult:
     picture = np.full((size[1], size[0], 3), ground, np.uint8)
     centres = np.array([(p["x"], p["y"]) for p in parts]).reshape(1, -1, 2)
@@ -54,18 +45,10 @@ def result(
 
 
 def face(size: tuple[int, int], index: int = 0, lost: tuple[str, ...] = (), ground: int = 128) -> FrameResult:
-    unit = min(size) / 240
-    parts = [
-        part(
-            name,
-            x * size[0] + 0.5 * index,
-            y * size[1],
-            w=13 * unit,
-            h=13 * unit,
-            status="lost" if name in lost else "tracked",
-        )
-        for name, (x, y) in AT.items()
-    ]
+    window = {side: 13 * min(size) / 240 for side in "wh"}
+    status = {name: "lost" if name in lost else "tracked" for name in AT}
+    places = {name: (x * size[0] + 0.5 * index, y * size[1]) for name, (x, y) in AT.items()}
+    parts = [part(name, *at, **window, status=status[name]) for name, at in places.items()]
     return result(size, *parts, index=index, ground=ground)
 
 
@@ -73,50 +56,46 @@ def touched(image: Image, ground: int = 128) -> np.ndarray:
     return (image != ground).any(axis=2)
 
 
+def drawn(size: tuple[int, int], *parts: Part, **more: Any) -> Image:
+    """These parts, without the spread of particles unless it is asked for."""
+    return Overlay(size).draw(result(size, *parts, **{"spread": 0.0, **more}))
+
+
 def around(mask: np.ndarray, x: float, y: float, reach: float) -> np.ndarray:
     return mask[max(0, int(y - reach)) : int(y + reach) + 2, max(0, int(x - reach)) : int(x + reach) + 2]
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_a_new_picture_of_the_same_size_and_the_frame_untouched(size: tuple[int, int]) -> None:
+def test_each_part_is_drawn_on_a_new_picture_and_nothing_far_from_them(size: tuple[int, int]) -> None:
     overlay = Overlay(size, title="factorized")
     for index in range(3):
-        given_result = face(size, index)
-        before, cloud = given_result.frame.bgr.copy(), given_result.targets[0].cloud.copy()
-        image = overlay.draw(given_result)
+        shown = face(size, index)
+        before, cloud = shown.frame.bgr.copy(), shown.targets[0].cloud.copy()
+        image = overlay.draw(shown)
         assert image.shape == before.shape and image.dtype == np.uint8
-        assert not np.shares_memory(image, given_result.frame.bgr)
-        assert np.array_equal(given_result.frame.bgr, before)
-        assert np.array_equal(given_result.targets[0].cloud, cloud)
+        assert not np.shares_memory(image, shown.frame.bgr)
+        assert np.array_equal(shown.frame.bgr, before)
+        assert np.array_equal(shown.targets[0].cloud, cloud)
         assert (image != before).any()
-
-
-@pytest.mark.parametrize("size", SIZES[:5])
-def test_each_part_is_drawn_and_nothing_far_from_them(size: tuple[int, int]) -> None:
-    drawn = touched(Overlay(size).draw(face(size)))
-    for x, y in AT.values():
-        assert around(drawn, x * size[0], y * size[1], 4).any()
-    assert not drawn[int(0.85 * size[1]) :].any()
-    assert not drawn[int(0.3 * size[1]) :, : int(0.2 * size[0])].any()
+    mask = touched(Overlay(size).draw(face(size)))
+    if size[0] > 33:
+        assert all(around(mask, x * size[0], y * size[1], 4).any() for x, y in AT.values())
+        assert not mask[int(0.85 * size[1]) :].any()
+        assert not mask[int(0.3 * size[1]) :, : int(0.2 * size[0])].any()
 
 
 def test_the_window_stands_where_the_part_says_to_a_fraction_of_a_pixel() -> None:
-    def middle(x: float) -> float:
-        one = result((200, 200), part("nose", x, 100.0, w=41.0, h=41.0, cov=(0, 0, 0)), spread=0.0)
-        difference = np.abs(Overlay((200, 200)).draw(one).astype(float) - 128).sum(axis=2)
-        row = difference[112, :]  # crosses both sides, clear of mark and label
-        return float((row * np.arange(200)).sum() / row.sum())
-
-    assert middle(100.0) == pytest.approx(100.0, abs=0.15)
-    assert middle(100.5) == pytest.approx(100.5, abs=0.15)
+    for x in (100.0, 100.5):
+        image = drawn((200, 200), part("nose", x, 100.0, w=41.0, h=41.0, cov=(0, 0, 0)))
+        row = np.abs(image[112].astype(float) - 128).sum(axis=1)  # crosses both sides, clear of mark and label
+        assert float((row * np.arange(200)).sum() / row.sum()) == pytest.approx(x, abs=0.15)
 
 
 def test_a_turned_window_reaches_further_along_its_diagonal() -> None:
-    def drawn(angle: float) -> np.ndarray:
-        one = result((200, 200), part("nose", 100.0, 100.0, w=61.0, h=61.0, angle=angle), name="nose")
-        return touched(Overlay((200, 200)).draw(one))
-
-    straight, turned = drawn(0.0), drawn(45.0)
+    straight, turned = (
+        touched(drawn((200, 200), part("nose", 100.0, 100.0, w=61.0, h=61.0, angle=angle), name="nose"))
+        for angle in (0.0, 45.0)
+    )
     assert not straight[100, 137:].any() and turned[100, 137:148].any()
     assert straight[129:133, 129:133].any() and not turned[129:133, 129:133].any()
 
@@ -124,20 +103,14 @@ def test_a_turned_window_reaches_further_along_its_diagonal() -> None:
 @pytest.mark.parametrize("width", [7, 13, 26, 60])
 def test_lost_differs_from_tracked_in_form_not_in_colour_alone(width: int) -> None:
     def ink(status: Status) -> np.ndarray:
-        one = result((200, 200), part("n", 100.0, 100.0, w=width, h=width, status=status, cov=(0, 0, 0)), spread=0.0)
-        difference = np.abs(Overlay((200, 200)).draw(one).astype(int) - 128).max(axis=2)[50:150, 50:150]
-        return difference > 60  # what is coloured, without regard to the colour
+        image = drawn((200, 200), part("n", 100.0, 100.0, w=width, h=width, status=status, cov=(0, 0, 0)))
+        return np.abs(image.astype(int) - 128).max(axis=2)[50:150, 50:150] > 60  # coloured, in whatever colour
 
     tracked, lost, init = ink("tracked"), ink("lost"), ink("init")
     for a, b in ((tracked, lost), (init, lost), (tracked, init)):
         share = (a != b).sum() / max(a.sum(), b.sum())
         # seven pixels have no room for a mark, but for the cross of what is lost
         assert share >= (0.15 if width > 7 or b is lost else 0.05), share
-
-
-def bright(image: Image, x: float, y: float) -> int:
-    """Of the nine pixels around (x, y), the largest distance of a channel from the grey ground."""
-    return int(np.abs(around(image, x, y, 1).astype(int) - 128).max())
 
 
 def test_trails_follow_and_fade_and_are_forgotten() -> None:
@@ -166,60 +139,42 @@ def test_a_part_that_was_lost_leaves_a_broken_trail_in_another_colour() -> None:
     assert touched(tracked).any(axis=0).all() and not touched(lost).any(axis=0).all()
 
 
-def held(overlay: Overlay) -> int:
-    return sum(
-        sys.getsizeof(p.centres) + p.centres.nbytes + sys.getsizeof(p) for past in overlay._past.values() for p in past
-    )
-
-
-@pytest.mark.one_in(4)
-@pytest.mark.parametrize("fps", [1.0, 25.0, 240.0, 10_000.0])
+@pytest.mark.parametrize("fps", [1.0, 240.0])
 def test_memory_is_bounded_for_any_rate_and_changing_targets(fps: float) -> None:
     overlay = Overlay((160, 120), fps=fps)
-    most = 0
-    for index in range(300):
+    for index in range(200):
         step = result((160, 120), part("a", 50.0, 60.0), index=index, name=f"target{index // 50}")
         step.frame.time_s = index / fps
         overlay.draw(step)
-        most = max(most, held(overlay))
-    assert len(overlay._past) == 1 and len(overlay._past["target5"]) <= 40
-    assert 0 < most < 40_000
+        assert len(overlay._past) == 1 and sum(map(len, overlay._past.values())) <= 40
 
 
 def test_the_ellipse_shows_the_covariance() -> None:
-    def drawn(cov: tuple[float, float, float], spread: float = 0.0) -> np.ndarray:
-        return touched(Overlay((200, 200)).draw(result((200, 200), part("n", 100.0, 100.0, cov=cov), spread=spread)))
+    def ellipse(cov: tuple[float, float, float], spread: float = 0.0) -> np.ndarray:
+        return touched(drawn((200, 200), part("n", 100.0, 100.0, cov=cov), spread=spread))
 
-    wide, tall, leaning = drawn((400.0, 0.0, 25.0)), drawn((25.0, 0.0, 400.0)), drawn((300.0, 280.0, 300.0))
+    wide, tall, leaning = (ellipse(cov) for cov in ((400.0, 0.0, 25.0), (25.0, 0.0, 400.0), (300.0, 280.0, 300.0)))
     assert wide[100, 138:143].any() and not wide[138:143, 100].any()
     assert tall[138:143, 100].any() and not tall[100, 138:143].any()
     assert leaning[120:, 120:].sum() > 5 and not leaning[120:, :80].any()
-    assert not drawn((0.0, 0.0, 0.0))[100, 120:].any()
-    dots = drawn((0.0, 0.0, 0.0), spread=20.0)
+    assert not ellipse((0.0, 0.0, 0.0))[100, 120:].any()
+    dots = ellipse((0.0, 0.0, 0.0), spread=20.0)
     assert dots[60:140, 60:90].sum() + dots[60:140, 110:140].sum() >= 10
-
-
-def test_a_frame_of_another_size_is_refused() -> None:
-    with pytest.raises(ValueError, match="overlay"):
-        Overlay((100, 100)).draw(result((101, 100), part()))
 
 
 def test_labels_stand_beside_large_windows_and_not_beside_small_ones() -> None:
     def outside(width: float) -> int:
-        one = result((640, 480), part("nose", 320.0, 240.0, w=width, h=width, cov=(0, 0, 0)), spread=0.0)
-        drawn = touched(Overlay((640, 480)).draw(one))
+        mask = touched(drawn((640, 480), part("nose", 320.0, 240.0, w=width, h=width, cov=(0, 0, 0))))
         reach = int(width / 2) + 3
-        drawn[240 - reach : 241 + reach, 320 - reach : 321 + reach] = False
-        return int(drawn[30:].sum())
+        mask[240 - reach : 241 + reach, 320 - reach : 321 + reach] = False
+        return int(mask[30:].sum())
 
     assert outside(13.0) == 0 and outside(41.0) > 50
 
 
 def test_labels_never_lie_on_one_another_or_on_a_window() -> None:
     size = (640, 480)
-    close = [
-        part(n, 300.0 + 45 * (i % 3), 200.0 + 45 * (i // 3), w=41, h=41, cov=(0, 0, 0)) for i, n in enumerate(NAMES)
-    ]
+    close = [part(n, 300.0 + 45 * (i % 3), 200.0 + 45 * (i // 3), w=41, h=41, cov=(0, 0, 0)) for i, n in enumerate(AT)]
     crowded = result(size, *close, spread=0.0)
     # a part named like its target has no label of its own
     (one,) = crowded.targets
@@ -246,19 +201,6 @@ def test_identity_and_names_stand_near_their_targets() -> None:
     assert touched(draw("Grace", None, y=40.0))[73:].sum() > touched(draw(None, None, y=40.0))[73:].sum() + 40
 
 
-def test_the_line_of_a_window_keeps_its_weight_while_its_size_changes() -> None:
-    def weight(overlay: Overlay, side: float, index: int) -> int:
-        box = part("box", 160, 120, w=side, h=side, cov=None)
-        image = overlay.draw(result((320, 240), box, index=index, ground=0, spread=0))
-        return int((image[120, 130:155].max(axis=1) > 60).sum())  # across the window's left side
-
-    for first, then in ((40, 20), (20, 40)):
-        overlay = Overlay((320, 240))
-        weights = [weight(overlay, side, i) for i, side in enumerate((first, then, first))]
-        assert len(set(weights)) == 1
-        assert weight(Overlay((320, 240)), then, 0) != weights[1], "seen first at that size it would be another"
-
-
 def test_names_of_targets_do_not_lie_on_each_other() -> None:
     overlay = Overlay((320, 240))
     for index, apart in enumerate((120, 30, 10, 4, 10, 120)):
@@ -270,32 +212,19 @@ def test_names_of_targets_do_not_lie_on_each_other() -> None:
         shapes = [overlay._shape(each, i, alone=False) for i, each in enumerate((one, two))]
         image = np.zeros((240, 320, 3), np.uint8)
         for shape in shapes:
-            seen += overlay._labels._tag(image, shape, True, seen)
+            seen += overlay._labels._tag(image, shape, True, seen, overlay._labels.memory[1])
         (a, b) = seen
         assert a[2] <= b[0] or b[1] >= a[3] or a[1] >= b[3], f"{apart} apart"
         assert [box[1] < 100 for box in seen] == [True, apart == 120], "above, where there is room"
 
 
-def luminance(image: Image) -> np.ndarray:
-    linear = np.where(image / 255 <= 0.04045, image / 255 / 12.92, ((image / 255 + 0.055) / 1.055) ** 2.4)
-    return np.asarray(linear @ np.array([0.0722, 0.7152, 0.2126]))
-
-
-@pytest.mark.parametrize("ground", [0, 128, 255])
 @pytest.mark.parametrize(("size", "least"), [((320, 240), 8), ((3840, 2160), 40), ((128, 96), 7)])
-def test_the_status_bar_can_be_read(size: tuple[int, int], least: int, ground: int) -> None:
-    one = result(size, part("nose", size[0] / 2, size[1] / 2), index=8888, ground=ground)
+def test_the_status_bar_can_be_read(size: tuple[int, int], least: int) -> None:
     overlay = Overlay(size)
-    image = overlay.draw(one)
-    assert overlay._bar is not None and overlay._bar.height <= 0.14 * size[1]
-    strip = luminance(image[: overlay._bar.height])
-    ink = strip > 0.7
-    font = overlay._bar._font
-    start = round(0.8 * font.cap) + (font.width("frame ") if size[0] >= 28 * font.cap else 0)
-    rows = np.flatnonzero(ink[:, start : start + font.width("8888")].any(axis=1))  # the digits of the frame number
-    assert least <= rows[-1] - rows[0] + 1 <= 1.25 * least
-    dark = float(np.median(strip[: rows[-1]]))
-    assert (float(strip[ink].mean()) + 0.05) / (dark + 0.05) >= 4.5  # what WCAG asks of text
+    bar = overlay._bar
+    assert bar is not None and bar.height <= 0.14 * size[1] and least <= bar._font.cap <= 1.25 * least
+    strip = overlay.draw(result(size, part("nose", size[0] / 2, size[1] / 2), ground=255))[: bar.height].astype(int)
+    assert strip.min() < 80 and strip.max() > 220, "light on dark, whatever is below"
 
 
 @pytest.mark.parametrize("cap", [7, 8, 12, 41])
@@ -342,8 +271,8 @@ def test_what_the_bar_says() -> None:
     assert in_the_bar() == ("lost", ["no target", "none"])
 
 
-@pytest.mark.parametrize("width", [48, 128, 240, 320, 1000])
-@pytest.mark.parametrize("lost", [(), ("nose",), NAMES[:3]])
+@pytest.mark.parametrize("width", [48, 128, 320, 1000])
+@pytest.mark.parametrize("lost", [(), ("nose",), tuple(AT)[:3]])
 def test_nothing_in_the_bar_overlaps_or_is_cut_off(width: int, lost: tuple[str, ...]) -> None:
     bar = StatusBar(width, 8, 1, "factorized_transition")
     room = {"frame": 40, "gauge": 34, "clock": 60, "title": 150, "percent": 34}
@@ -440,8 +369,8 @@ def test_what_a_correction_gave_has_a_filled_diamond() -> None:
     size = (320, 240)
 
     def middle(**other: object) -> np.ndarray:
-        one = part(x=160.0, y=120.0, w=61.0, h=61.0, cov=None, status="init", **other)
-        return Overlay(size).draw(result(size, one, spread=1e4))[120, 160]  # no dot of the cloud is near
+        given = part(x=160.0, y=120.0, w=61.0, h=61.0, cov=None, status="init", **other)
+        return drawn(size, given, spread=1e4)[120, 160]  # no dot of the cloud is near
 
     assert (middle() == 128).all() and not (middle(by_hand=True) == 128).all()
 
@@ -469,19 +398,6 @@ def test_parts_have_colours_of_their_own_and_names_without_underscores() -> None
     assert shape.colours == PALETTE[:3] and shape.colour == PALETTE[2]
     assert overlay._shape(target("hand", face), 1, alone=False).colours == (PALETTE[1],) * 3
     assert readable("mouth_left") == "mouth left"
-
-
-def test_dots_of_a_small_face_leave_the_mouth_to_be_seen() -> None:
-    def covered(side: float, frame: int) -> float:
-        picture = Frame(0, 0.0, np.full((frame * 3 // 4, frame, 3), 128, np.uint8))
-        x, y, apart = 0.5 * frame, 0.4 * frame, 0.15 * side
-        points = [part(name, x + dx * apart, y + dy * apart, w=5.0, h=5.0) for name, (dx, dy) in AROUND.items()]
-        box = part("box", x, y, w=side, h=side)
-        drawn = Overlay((frame, frame * 3 // 4)).draw(results.result(picture, [target("face", [*points, box])]))
-        mouth = drawn[round(y - apart) : round(y + apart) + 1, round(x - apart) : round(x + apart) + 1]
-        return float((mouth != 128).any(axis=2).mean())
-
-    assert covered(40.0, 320) < 0.6 and covered(64.0, 320) < 0.4 and covered(200.0, 1280) < 0.4
 
 
 def of_face(size: tuple[int, int], names: Sequence[str], lost: Sequence[str] = ()) -> Image:
@@ -518,4 +434,126 @@ def test_many_points_have_lines_and_at_most_tiny_dots() -> None:
     assert 1 <= nose.sum() <= 16
 
 
-AROUND = {"mouth_left": (-1, 0), "mouth_right": (1, 0), "lip_upper": (0, -0.4), "lip_lower": (0, 0.4)}
+# --- a tracker that adapts: parallelograms, names in doubt, and images in the corners ---
+
+Pictures = tuple[tuple[str, Image], ...]
+# two halves, so that up and down, left and right can be told
+S: Image = np.repeat(np.array([[40, 250]], np.uint8), 30, axis=0).repeat(13, axis=1)
+PICTURES = (("S", S), ("W", np.full((30, 26), 90, np.uint8)))
+
+
+def named(who: str | None, sure: float | None, insets: Pictures = (), at: tuple[int, int] = (200, 150)) -> FrameResult:
+    one = target("face", [part("box", *at, w=60, h=60, cov=None)], 77, None, who, sure, insets=insets)
+    return results.result(Frame(0, 0.0, np.full((240, 320, 3), 128, np.uint8)), [one])
+
+
+# --- windows ---
+
+
+def test_a_part_with_corners_is_drawn_as_its_parallelogram() -> None:
+    corners = np.array([(60, 60), (140, 90), (150, 150), (70, 120)], np.float64)
+    one = part("box", 105, 105, w=85, h=61, cov=(0, 0, 0), corners=corners)
+    mask = touched(drawn((200, 200), one))
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        for share in (0.1, 0.5, 0.9):
+            assert around(mask, *(a + share * (b - a)), 1).any()
+    assert not around(mask, 147, 75, 2).any(), "nothing is left of the box around it"
+    assert not around(mask, 105 - 42, 105 + 30, 3).any()
+
+
+# --- names ---
+
+
+def above(shown: FrameResult) -> Image:
+    """What is drawn above the window at (200, 150)."""
+    return Overlay((320, 240)).draw(shown)[90:118, 130:270]
+
+
+def test_a_name_that_is_in_doubt_is_pale_and_has_a_question_mark() -> None:
+    sure, unsure, plain = (above(named("anna", p)) for p in (0.93, 0.43, None))
+    assert (touched(sure).any(axis=0).sum()) < touched(unsure).any(axis=0).sum(), "one sign more"
+    colours = [int(np.ptp(image.astype(int), axis=2).max()) for image in (sure, unsure, plain)]
+    assert colours[0] > 100 and colours[2] > 100, "in the target's colour"
+    assert colours[1] < 40, "grey"
+    assert not touched(above(named(None, None))).any()
+
+
+# --- images in the corners ---
+
+
+def insets(size: tuple[int, int]) -> Insets:
+    return Insets(size, 20, 1, Font(8))
+
+
+def lay(them: Insets, size: tuple[int, int], windows: list[Rect], *names: str) -> tuple[Image, list[Rect]]:
+    image = np.full((size[1], size[0], 3), 128, np.uint8)
+    return image, them.draw(image, [Shown(name, PICTURES, (255, 0, 0)) for name in names or ("face",)], windows)
+
+
+@pytest.mark.parametrize("size", [(320, 240), (1280, 720), (240, 320)])
+def test_pictures_stand_in_a_corner_legibly_and_in_their_order(size: tuple[int, int]) -> None:
+    image, (box,) = lay(insets(size), size, [])
+    x0, y0, x1, y1 = map(int, box)
+    assert x0 >= 0 and y1 <= size[1] and not touched(image[: y0 - 1]).any() and not touched(image[:, x1 + 1 :]).any()
+    assert y1 - y0 >= 36 and 0.1 * size[1] <= y1 - y0 <= 0.3 * size[1] and x1 - x0 <= 0.45 * size[0]
+    row = image[(3 * y0 + 5 * y1) // 8, x0:x1, 0].astype(int)  # below the names
+    quarter = (x1 - x0) // 8
+    assert abs(row[quarter] - 40) < 12 and abs(row[3 * quarter] - 250) < 12, "S"
+    assert abs(row[6 * quarter] - 90) < 3, "W"
+
+
+def test_they_go_where_no_window_is_and_stay_there() -> None:
+    size = (320, 240)
+    them = insets(size)
+    _, (first,) = lay(them, size, [])
+    assert first[0] < 10 and first[3] > 230, "lower left, if all is free"
+    left = (0.0, 150.0, 100.0, 240.0)
+    places = [lay(them, size, [left])[1][0] for _ in range(40)]
+    moves = [i for i, (a, b) in enumerate(itertools.pairwise(places)) if a != b]
+    assert len(moves) == 1, "it moves once"
+    assert not (places[-1][0] < left[2] and places[-1][3] > left[1])
+    assert all(lay(them, size, [])[1] == [places[-1]] for _ in range(40)), "and not back for nothing"
+
+
+def test_a_window_that_shakes_at_a_border_does_not_chase_them() -> None:
+    size = (320, 240)
+    them = insets(size)
+    places = []
+    for i in range(200):
+        reach = 88.0 if i % 2 else 80.0
+        places.append(lay(them, size, [(0.0, 150.0, reach, 240.0), (230.0, 150.0, 320.0, 240.0)])[1][0])
+    assert sum(a != b for a, b in itertools.pairwise(places)) <= 1
+    full = [tuple(np.array((0, 0, 320, 240)) + np.tile(np.random.default_rng(i).normal(size=2), 2)) for i in range(50)]
+    assert len({lay(them, size, [window])[1][0] for window in full}) == 1, "where no corner is free it stays"
+
+
+def test_targets_have_a_corner_each_and_of_many_the_first_ones() -> None:
+    image, places = lay(insets((640, 480)), (640, 480), [], "a", "b", "c", "d", "e")
+    assert len(set(places)) == 4
+    quarters = touched(image).reshape(2, 240, 2, 320)  # each has some
+    assert quarters.any(axis=(1, 3)).all()
+    assert all(a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1] for a in places for b in places if a != b)
+
+
+def test_the_overlay_draws_them_and_keeps_labels_off() -> None:
+    bare, shown = named("anna", 0.9), named("anna", 0.9, insets=PICTURES)
+    plain, with_them = (Overlay((320, 240)).draw(one) for one in (bare, shown))
+    changed = (plain != with_them).any(axis=2)
+    assert changed[200:, :100].any() and not changed[:180].any() and not changed[:, 120:].any()
+    Overlay((320, 240)).draw(named("anna", 0.9, insets=PICTURES, at=(40, 236)))
+
+
+# --- the bar ---
+
+
+def test_the_bar_tells_of_one_target_that_adapts() -> None:
+    def said(*reported: dict[str, float] | None) -> dict[str, str]:
+        parts = [part("box", 200, 150)]
+        return adaptation(
+            results.result(3, [target(f"t{i}", parts, 77, reported=one) for i, one in enumerate(reported)]).rows
+        )
+
+    assert said({"scale": 1.234, "noise": 1.5}) == {"scale": "size 123%"}
+    assert said({"scale": 1.234}) == {"scale": "size 123%"}
+    assert said({"scale": 1.234, "noise": 1.5}, {"scale": 1.234, "noise": 1.5}) == {}
+    assert said() == said(None) == said({}) == said({"noise": 1.0}) == said({"scale": float("nan")}) == {}

@@ -1,0 +1,311 @@
+"""Images as clips: folders, globs, archives, stacks, animations; the order of their names, and 16 bits."""
+
+from __future__ import annotations
+
+import shutil
+import zipfile
+from collections.abc import Mapping
+from fractions import Fraction
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image as Pictures
+
+from facetrack_cli.runs.batch import expand
+from facetrack_cli.video import images
+from facetrack_cli.video.images import ordered
+from facetrack_cli.video.seek import Frames
+from tests.support import media
+from tests.video.test_source import numbers, read, refusal
+
+
+def put(folder: Path, files: Mapping[str, np.ndarray]) -> Path:
+    folder.mkdir(exist_ok=True)
+    for name, image in files.items():
+        assert cv2.imwrite(str(folder / name), image)
+    return folder
+
+
+# folders
+
+
+def test_folder_in_natural_order_among_other_files(tmp_path: Path) -> None:
+    folder = media.write_pictures(tmp_path / "clip.mp4", 12)  # named like a video
+    for other in ("notes.txt", "Thumbs.db", ".DS_Store", "._1.png", ".hidden.png"):
+        (folder / other).write_text("x")
+    (folder / "more.png").mkdir()
+    source, frames = read(folder)
+    assert numbers(frames) == list(range(12))
+    assert (source.fps, source.variable, source.is_video) == (25, False, False)
+    assert source.frames_hint == 12 and source.complete
+    assert [frame.time_s for frame in frames] == [index / 25 for index in range(12)]
+    source, frames = read(folder, fps=Fraction(30000, 1001), start=9)
+    assert [frame.index for frame in frames] == [9, 10, 11]
+    assert frames[0].time_s == pytest.approx(9 * 1001 / 30000, abs=1e-12)
+    assert numbers(read(folder / "1*.png")[1]) == [1, 10, 11]
+    assert "no images" in refusal(folder / "x*.png")
+    assert "12 frames (0 to 11)" in refusal(folder, start=12)
+    (tmp_path / "empty").mkdir()
+    assert "no images" in refusal(tmp_path / "empty")
+
+
+def test_folder_equals_the_video_of_the_same_frames(tmp_path: Path) -> None:
+    frames = read(media.write_video(tmp_path / "clip.mp4", frames=10))[1]
+    folder = media.write_pictures(tmp_path / "frames", [frame.bgr for frame in frames])
+    for a, b in zip(frames, read(folder)[1], strict=True):
+        np.testing.assert_array_equal(a.bgr, b.bgr)
+        assert (a.index, round(a.time_s, 9)) == (b.index, round(b.time_s, 9))
+
+
+def test_kinds_of_pictures_become_bgr(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    bgr = rng.integers(0, 256, (20, 30, 3), dtype=np.uint8)
+    grey, alpha = bgr[..., 0], rng.integers(0, 256, (20, 30), dtype=np.uint8)
+    cases = {
+        "bgr.png": (bgr, bgr),
+        "bgr.bmp": (bgr, bgr),
+        "bgr.tif": (bgr, bgr),
+        "grey.png": (grey, np.dstack([grey] * 3)),
+        "grey16.png": (grey.astype(np.uint16) * 257, np.dstack([grey] * 3)),
+        "grey16.tif": (grey.astype(np.uint16) * 257, np.dstack([grey] * 3)),
+        "bgr16.png": (bgr.astype(np.uint16) * 257, bgr),
+        "opaque.png": (np.dstack([bgr, np.full_like(alpha, 255)]), bgr),
+        "alpha.png": (np.dstack([bgr, alpha]), np.round(bgr * (alpha[..., None] / 255.0)).astype(np.uint8)),
+    }
+    for name, (written, expected) in cases.items():
+        put(tmp_path, {name: written})
+        (frame,) = read(tmp_path / name)[1]
+        assert frame.bgr.dtype == np.uint8 and frame.bgr.flags.c_contiguous
+        np.testing.assert_array_equal(frame.bgr, expected, err_msg=name)
+
+
+def test_images_of_another_size_are_scaled_to_the_first_and_not_squeezed(tmp_path: Path) -> None:
+    folder = media.write_pictures(tmp_path / "frames", 12)
+    put(folder, {f"{i}.png": np.full((*size[::-1], 3), 200, np.uint8) for i, size in ((9, (128, 96)), (10, (48, 64)))})
+    source, frames = read(folder)
+    assert {frame.size for frame in frames} == {(64, 48)} and source.complete
+    (warning,) = source.warnings
+    assert warning == f"{folder / '9.png'} is 128x96, the first is 64x48; all are scaled to the first"
+    assert (frames[9].bgr == 200).all()
+    seen = frames[10].bgr[:, :, 0] > 100  # upright, between black borders
+    assert seen[:, 14:50].all() and not seen[:, :13].any() and not seen[:, 51:].any()
+
+
+@pytest.mark.parametrize("kind", ["garbage", "half"])
+def test_broken_picture_in_the_middle(tmp_path: Path, kind: str) -> None:
+    folder = media.write_pictures(tmp_path / "frames", 12, size=(128, 96), name="{}.jpg".format)
+    broken = folder / "7.jpg"
+    broken.write_bytes(b"nothing" if kind == "garbage" else broken.read_bytes()[:-300])
+    source, frames = read(folder)
+    assert numbers(frames) == list(range(7))
+    assert source.complete is False
+    (warning,) = source.warnings
+    assert warning.startswith(str(broken)) and "7 of 12" in warning and "\n" not in warning
+    assert str(broken) in refusal(folder, start=7)
+
+
+def test_what_to_do_about_a_picture(tmp_path: Path) -> None:
+    (tmp_path / "text.png").write_text("no image")
+    remedy = "is not an image, or of an unknown kind; repair the image or remove it"
+    assert refusal(tmp_path / "text.png").endswith(remedy)
+    put(tmp_path, {"deep.tif": np.zeros((4, 4), np.float32)})
+    assert refusal(tmp_path / "deep.tif").endswith("which has no agreed range; convert it to 8 or 16 bits")
+
+
+# archives, animations, stacks
+
+
+def packed(path: Path, entries: Mapping[str, bytes]) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, data in entries.items():
+            file.writestr(name, data)
+    return path
+
+
+def png(number: int) -> bytes:
+    return cv2.imencode(".png", media.numbered(number))[1].tobytes()
+
+
+def test_an_archive_of_images_is_a_clip(tmp_path: Path) -> None:
+    entries = {f"frames/{i}.png": png(i) for i in (30, 20, 10, 0)}
+    path = packed(tmp_path / "a.zip", {**entries, "frames/notes.txt": b"x", "__MACOSX/._0.png": b""})
+    assert numbers(read(path)[1]) == [0, 10, 20, 30] and numbers(read(path, start=1, stop=3)[1]) == [10, 20]
+    with Frames(path) as frames:
+        assert frames.count == 4 and media.number(frames.read(2).bgr) == 20
+    assert [frame.time_s for frame in read(path, fps=10)[1]] == pytest.approx([0, 0.1, 0.2, 0.3])
+
+
+def test_archives_that_are_no_clips(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "several folders, as a and b" in refusal(packed(tmp_path / "a.zip", {"a/1.png": png(1), "b/1.png": png(1)}))
+    assert "no images in this archive" in refusal(packed(tmp_path / "none.zip", {"a.txt": b"x"}))
+    whole = packed(tmp_path / "cut.zip", {f"{i}.png": png(i) for i in range(3)}).read_bytes()
+    (tmp_path / "cut.zip").write_bytes(whole[:40] + bytes(20) + whole[60:])
+    assert "cut.zip/0.png" in refusal(tmp_path / "cut.zip")
+    (tmp_path / "half.zip").write_bytes(whole[: len(whole) // 2])
+    assert "not a video" in refusal(tmp_path / "half.zip")
+    monkeypatch.setattr(images, "MOST_BYTES", 1000)
+    assert "too large for a frame" in refusal(packed(tmp_path / "bomb.zip", {"0.png": bytes(5000)}))
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".png"])
+def test_an_animation_is_a_clip(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    first, *others = [Pictures.fromarray(media.numbered(i)) for i in range(4)]
+    first.save(path, save_all=True, append_images=others, duration=100, loop=0)
+    assert numbers(read(path)[1]) == [0, 1, 2, 3]
+
+
+def test_an_animated_webp_keeps_its_clock(tmp_path: Path) -> None:
+    first, *others = [Pictures.fromarray(media.numbered(i)) for i in range(6)]
+    path = tmp_path / "clip.webp"
+    first.save(path, save_all=True, append_images=others, duration=[40, 40, 120, 40, 40, 40], lossless=True)
+    source, frames = read(path)
+    assert numbers(frames) == list(range(6))
+    assert source.fps == 25 and source.variable
+    np.testing.assert_allclose([frame.time_s for frame in frames], [0, 0.04, 0.08, 0.2, 0.24, 0.28])
+    assert "its own frame rate" in refusal(path, fps=10)
+    assert expand([tmp_path]).clips == [path]
+
+
+def stack(path: Path, numbers: range, deep: bool = False, **options: object) -> Path:
+    pages = [media.numbered(i)[..., 0] for i in numbers]
+    first, *others = [Pictures.fromarray(page.astype(np.uint16) * 257 if deep else page) for page in pages]
+    first.save(path, save_all=True, append_images=others, **options)
+    return path
+
+
+@pytest.mark.parametrize("options", [{}, {"deep": True}, {"big_tiff": True}])
+def test_every_page_of_a_stack_is_a_frame(tmp_path: Path, options: dict[str, bool]) -> None:
+    path = stack(tmp_path / "stack.tif", range(20), **options)
+    source, frames = read(path)
+    assert numbers(frames) == list(range(20)) and source.complete and not source.warnings
+    assert numbers(read(path, start=7, stop=9)[1]) == [7, 8]
+    with Frames(path) as pages:
+        assert pages.count == 20 and media.number(pages.read(13).bgr) == 13
+    assert "has 20 frames" in refusal(path, start=20)
+
+
+def test_stacks_of_a_folder_and_of_an_archive_follow_each_other(tmp_path: Path) -> None:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    stack(folder / "2.tif", range(10)), stack(folder / "10.tif", range(10, 15))
+    for clip in (folder, Path(shutil.make_archive(str(folder), "zip", folder))):
+        assert numbers(read(clip)[1]) == list(range(15))
+    assert expand([folder / "2.tif", folder / "10.tif"]).clips == [folder / "2.tif", folder / "10.tif"]
+
+
+def test_pages_that_are_channels_are_refused_and_a_thumbnail_is_no_frame(tmp_path: Path) -> None:
+    channels = stack(tmp_path / "two.ome.tif", range(6), description='<Image SizeC="2" SizeT="3" SizeZ="1">')
+    assert "6 pages, of which 2 are channels" in refusal(channels)
+    large, small = (Pictures.fromarray(media.numbered(3, size)[..., 0]) for size in ((64, 48), (32, 24)))
+    large.save(tmp_path / "photo.tif", save_all=True, append_images=[small])
+    assert numbers(read(tmp_path / "photo.tif")[1]) == [3]
+
+
+# 16 bits
+
+
+def deep(folder: Path, scale: float, low: int = 0, colour: bool = False, suffix: str = ".png") -> Path:
+    ramp = np.tile(np.linspace(0, 1, 64), (48, 1))
+    pictures = [(low + ramp * scale * (i + 1) / 4).astype(np.uint16) for i in range(4)]
+    return put(folder, {f"{i}{suffix}": np.dstack([p] * 3) if colour else p for i, p in enumerate(pictures)})
+
+
+@pytest.mark.parametrize(("suffix", "colour"), [(".png", True), (".tif", False)])
+@pytest.mark.parametrize(("white", "low"), [(1023, 0), (4095, 0), (4000, 27000)])
+def test_pictures_of_few_bits_use_all_levels(tmp_path: Path, white: int, low: int, colour: bool, suffix: str) -> None:
+    path = deep(tmp_path / "frames", white, low, colour, suffix)
+    source, frames = read(path)
+    first, last = frames[0].bgr, frames[-1].bgr
+    assert last.min() == 0 and last.max() == 255 and len(np.unique(last)) >= 60
+    assert 60 <= first.max() <= 66  # one range for all frames
+    (warning,) = source.warnings
+    assert f"use the numbers {low} to {low + white}" in warning
+    np.testing.assert_array_equal(read(path, start=2)[1][-1].bgr, last)
+
+
+def test_pictures_of_all_16_bits_are_as_they_were(tmp_path: Path) -> None:
+    source, frames = read(deep(tmp_path / "frames", 65535))
+    last = frames[-1].bgr
+    assert not source.warnings and last.max() == 255 and last[0, 10, 0] == int(65535 * 10 / 63) >> 8
+
+
+# names
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "1632012345.12 1632012345.5 1632012345.9 1632012346",
+        "-12 -3 -1.5 0 2 10",
+        "2 10 100",
+        "frame_2 frame_10 frame_100",
+        "t0 t0.04 t0.08 t0.1 t0.12 t1 t10",
+        "cam1.2 cam1.9 cam1.10",
+        "shot1.08 shot1.09 shot1.100",
+        "10-00-01.45 10-00-01.5 10-00-02.05 10-01-00.1",
+        "1-2-3.45 1-2-3.5 1-2-10.1",
+        "0a 0f 10 1a 1b ff",
+        "a2 a10 b1",
+        "v1.2_2 v1.2_10 v1.10_1",
+    ],
+)
+def test_names_are_in_the_order_of_what_they_say(names: str) -> None:
+    right = [f"{name}.jpg" for name in names.split()]
+    assert ordered(sorted(right, reverse=True), str) == right
+    assert ordered(right, str) == right
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (("cam0_{:04}", "cam1_{:04}"), "cam0_*.png and cam1_*.png"),
+        (("left{}", "right{}"), "left*.png and right*.png"),
+        (("{}", "{}_mask"), "*.png and *_mask.png"),
+        (("10-00-{:02}", "10-01-{:02}"), ""),
+        (("2024_{}", "2025_{}"), ""),
+        (("frame_{:03}",), ""),
+    ],
+)
+def test_two_cameras_in_one_folder_are_told(tmp_path: Path, names: tuple[str, ...], told: str) -> None:
+    put(tmp_path, {f"{name.format(i)}.png": media.numbered(i) for name in names for i in range(5)})
+    source, frames = read(tmp_path)
+    assert len(frames) == 5 * len(names)
+    assert [told in line and "one after the other" in line for line in source.warnings] == [True] * bool(told)
+
+
+# more pixels than are read
+
+
+def test_a_later_page_that_claims_more_pixels_than_are_read(tmp_path: Path) -> None:
+    first, second = [Pictures.new("L", (16, 16), n) for n in range(2)]
+    path = tmp_path / "stack.tif"
+    pages = [second, Pictures.new("1", (12_000, 12_000))]
+    first.save(path, save_all=True, append_images=pages, compression="tiff_deflate")
+    source, frames = read(path)
+    assert len(frames) == 2 and not source.complete
+    assert "is too large for a frame: 12000x12000" in source.warnings[0]
+
+
+@pytest.mark.filterwarnings("ignore::PIL.Image.DecompressionBombWarning")
+def test_a_canvas_of_webp_that_claims_more_pixels_than_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "canvas.webp"
+    first, second = [Pictures.new("RGB", (16, 16), (n, 0, 0)) for n in (0, 99)]
+    first.save(path, save_all=True, append_images=[second])
+    data = bytearray(path.read_bytes())
+    at = data.index(b"VP8X") + 12
+    for side in (11_000, 16_384):  # more than we read, and more than Pillow does
+        data[at : at + 6] = (side - 1).to_bytes(3, "little") * 2
+        path.write_bytes(data)
+        assert "canvas.webp" in refusal(path)
+
+
+def test_a_frame_of_gif_that_claims_more_pixels_than_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "canvas.gif"
+    first, *others = [Pictures.new("P", (16, 16), n) for n in range(3)]
+    first.save(path, save_all=True, append_images=others)
+    data = path.read_bytes()
+    path.write_bytes(data[:6] + (16_000).to_bytes(2, "little") * 2 + data[10:])
+    assert "is too large for a frame: 16000x16000, and at most 100 megapixels are read" in refusal(path)
