@@ -108,7 +108,7 @@ class Diagnostics:
             if one.shape is None:
                 labels[one.name] = tuple(dict.fromkeys(key for v in given if isinstance(v, Mapping) for key in v))
             names = labels.get(one.name, ())
-            unknown = math.nan if one.shape == () else [math.nan] * (len(names) if one.shape is None else one.shape[0])
+            unknown = np.full(len(names) if one.shape is None else one.shape, math.nan)
             each = [unknown if v is None else _checked(one, at, v, names) for at, v in enumerate(given)]
             values[one.name] = np.array(each, np.float64)
         return cls(tuple(declared), np.asarray(frame, np.int64), values, labels)
@@ -168,15 +168,11 @@ def _checked(one: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> A
 
 
 def _expected(one: Diagnostic) -> str:
-    bounds = one.least, one.most
     known = {(0, 1): "probability", (0, math.inf): "number from 0 up", (-math.inf, math.inf): "finite number"}
-    return known.get(bounds) or "number from {:g} to {:g}".format(*bounds)
+    return known.get((one.least, one.most), f"number from {one.least:g} to {one.most:g}")
 
 
 def _fits(one: Diagnostic, value: Any) -> bool:
-    if type(value) is float:  # as nearly all are
-        return math.isnan(value) or (abs(value) <= 1e300 and one.least <= value <= one.most)
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         return False
-    number = float(value) if not isinstance(value, int) or abs(value) < 10**300 else math.inf
-    return math.isnan(number) or (abs(number) <= 1e300 and one.least <= number <= one.most)
+    return value != value or (abs(value) <= 1e300 and bool(one.least <= value <= one.most))  # nan is not itself

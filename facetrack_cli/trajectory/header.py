@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field
 
 from facetrack_cli.core.types import Correction, Start, TargetStart, checked_name
 from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS, not_as_written
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory, header_value
 
 CORRECTED: Final = "corrected.init.yaml"
 UNSAVED: Final = "unsaved.init.yaml"
@@ -182,15 +182,9 @@ def read_header(table: Trajectory) -> Header:
         raise not_as_written(table.path, e) from None
 
 
-def said(table: Trajectory, group: str, key: str) -> Any:
-    """The value below `group`, as of "recipe" and "name"; None where there is none."""
-    found = table.header.get(group)
-    return found.get(key) if isinstance(found, dict) else None
-
-
 def clip_of(table: Trajectory) -> Path | None:
     """The clip, looked for where the run was started and beside the trajectory; it need not be there."""
-    named = said(table, "source", "path")
+    named = header_value(table, "source", "path")
     if not isinstance(named, str) or not named:
         return None
     beside = table.path.absolute().parent
@@ -199,7 +193,7 @@ def clip_of(table: Trajectory) -> Path | None:
 
 def frame_size_of(table: Trajectory) -> tuple[int, int] | None:
     """Width and height of its images in pixels."""
-    size = said(table, "source", "size")
+    size = header_value(table, "source", "size")
     if isinstance(size, list) and len(size) == 2 and all(type(side) is int and side > 0 for side in size):
         return size[0], size[1]
     return None

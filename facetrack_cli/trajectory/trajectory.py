@@ -220,9 +220,8 @@ class Trajectory:
     @property
     def pixel_aspect(self) -> float:
         """The width of a pixel over its height, by the header."""
-        source = self.header.get("source")
-        found = source.get("pixel_aspect") if isinstance(source, dict) else None
-        return float(found) if isinstance(found, int | float) and 0.01 < found <= 100 else 1.0
+        aspect = header_value(self, "source", "pixel_aspect")
+        return float(aspect) if isinstance(aspect, int | float) and 0.01 < aspect <= 100 else 1.0
 
     @property
     def squared(self) -> Trajectory:
@@ -237,8 +236,7 @@ class Trajectory:
     @cached_property
     def measures(self) -> Mapping[str, Mapping[str, Measured]]:
         """Of each target what its face does, or the hand, by the measure's name."""
-        from facetrack_cli.trajectory.analysis.hands import hand_measures
-        from facetrack_cli.trajectory.analysis.measures import measures_of
+        from facetrack_cli.trajectory.analysis.measures import hand_measures, measures_of
 
         return {target: measures_of(self.of_target(target)) for target in self.targets} | hand_measures(self)
 
@@ -281,7 +279,7 @@ class Trajectory:
         return {name: (own[name] if name in own else getattr(self, name))[order] for name in COLUMNS}
 
     def _repr_html_(self) -> str:
-        from facetrack_cli.trajectory.notebook import html
+        from facetrack_cli.trajectory.frames import html
 
         return html(self)
 
@@ -332,6 +330,12 @@ class Trajectory:
         return data_frame(self, what, measures=measures)
 
 
+def header_value(table: Trajectory, group: str, key: str) -> Any:
+    """The value of the header below `group`, as of "recipe" and "name"; None where there is none."""
+    members = table.header.get(group)
+    return members.get(key) if isinstance(members, dict) else None
+
+
 _ARRAYS = tuple(f.name for f in fields(Trajectory) if str(f.type).startswith(("Whole", "Array", "Texts", "Mask")))
 
 
@@ -380,24 +384,14 @@ def of_frame(
 
 
 _TYPES: Final[Mapping[str, Any]] = {**dict.fromkeys(TEXTS, np.str_), "by_hand": np.bool_}
-_UNKNOWN: Final[Mapping[str, tuple[Any, ...]]] = {**dict.fromkeys(TEXTS, ("", "<U8")), "by_hand": (False,)}
-
-
-def _unknown(rows: int) -> dict[str, Any]:
-    """Columns of which nothing is known; those of few rows are shared by all frames, and read-only."""
-    return _unknown_of_few(rows) if rows <= 16 else _blank(rows)
-
-
-def _blank(rows: int) -> dict[str, Any]:
-    return {name: np.full(rows, *_UNKNOWN.get(name, (np.nan,))) for name in _ARRAYS[2:] if name != "corners"}
+_UNKNOWN: Final[Mapping[str, Any]] = {**dict.fromkeys(TEXTS, np.array("", "<U8")), "by_hand": np.array(False)}
 
 
 @lru_cache
-def _unknown_of_few(rows: int) -> dict[str, Any]:
-    columns = _blank(rows)
-    for column in columns.values():
-        column.flags.writeable = False
-    return columns
+def _unknown(rows: int) -> dict[str, Any]:
+    """Columns of which nothing is known: read-only, and one value each in memory."""
+    values = {name: _UNKNOWN.get(name, np.array(np.nan)) for name in _ARRAYS[2:] if name != "corners"}
+    return {name: np.broadcast_to(value, rows) for name, value in values.items()}
 
 
 def one_part(target: str, part: str, frame: Any, **columns: Any) -> Trajectory:
@@ -433,7 +427,7 @@ def aligned(parts: Sequence[Trajectory], *columns: str, frame: Whole | None = No
         frame = np.unique(np.concatenate([part.frame for part in parts]))
     found = {}
     for name in columns:
-        found[name] = np.full((len(frame), len(parts)), *_UNKNOWN.get(name, (np.nan,)))
+        found[name] = np.full((len(frame), len(parts)), _UNKNOWN.get(name, np.nan))
         for k, part in enumerate(parts):
             found[name][np.searchsorted(frame, part.frame), k] = getattr(part, name)
     return frame, found
@@ -442,37 +436,6 @@ def aligned(parts: Sequence[Trajectory], *columns: str, frame: Whole | None = No
 def mean_confidence(known: Array) -> float:
     """The mean of a frame's confidences, of the digits that a file has: it is the same from rows and from a file."""
     return round(float(np.round(known, DECIMALS["confidence"]).mean()), 12)
-
-
-def every_frame(table: Trajectory) -> tuple[Whole, Array]:
-    """The frames from 0 to the table's last one, (T,), and when each is shown, in seconds; nan if no row says when.
-
-    Files round times, and readers ask for a constant rate: times of one are computed anew from it. Otherwise frames
-    without a row lie evenly between their neighbours. InputError for a table of more than MAX_ROWS frames.
-    """
-    if (last := int(table.frames[-1])) >= MAX_ROWS:
-        raise InputError(f"frame {last} is too far on for a row a frame; correct the column frame")
-    frames, known = np.arange(last + 1), np.isfinite(table.times)
-    at, time_s = table.frames[known], table.times[known]
-    source = table.header.get("source")
-    told = source.get("fps") if isinstance(source, dict) else None
-    periods = [1 / told] if isinstance(told, int | float) and told > 0 else []
-    steps = np.diff(time_s) / np.diff(at)
-    step = float(np.median(steps)) if steps.size else 0.0
-    if step > 0 and (line := float(np.polyfit(at, time_s, 1)[0])) > 0:
-        usual = [n / round(n / line) for n in (1, 1.001) if round(n / line)]  # 24, 25, 30, 30 / 1.001, ...
-        periods += [*usual, line]
-    # containers may keep whole milliseconds
-    rounded = 1.1e-3 if table.header.get("variable_fps") is False else 1.1 * 10.0 ** -DECIMALS["time_s"]
-    for period in periods if len(at) else ():
-        begins = time_s - at * period
-        if np.ptp(begins) <= rounded:
-            begin = (begins.min() + begins.max()) / 2
-            return frames, frames * period + (begin if abs(begin) > rounded else 0.0)
-    found = np.interp(frames, at, time_s) if len(at) else np.full(len(frames), np.nan)
-    if step > 0:
-        found += step * (np.minimum(frames - at[0], 0) + np.maximum(frames - at[-1], 0))
-    return frames, found
 
 
 class TargetResult(NamedTuple):

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import chain, groupby, islice
-from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
 
@@ -24,14 +24,6 @@ VERSION = 1
 Format: TypeAlias = Literal["csv", "json", "jsonl"]
 FORMATS: tuple[Format, ...] = ("csv", "json", "jsonl")
 Header: TypeAlias = Mapping[str, Any]  # JSON-ready: source, recipe, seed, init
-_Form: TypeAlias = Callable[[list[Any]], list[str]]  # values to texts, "" for what is not known
-
-
-class _Style(NamedTuple):
-    """How rows are written: the columns, what stands before each value, and how a text is quoted."""
-
-    prefixes: Mapping[str, str]
-    quoted: Callable[[str], str]
 
 
 @dataclass
@@ -146,15 +138,15 @@ def _members(values: Mapping[str, Any]) -> list[str]:
 
 def csv_frames(rows: Trajectory) -> Iterator[str]:
     """The lines of each frame, without the header."""
-    for _, _, cells in _frames(rows, _CSV):
+    for _, _, cells in _frames(rows, COLUMNS):
         yield "".join([",".join(line) + "\n" for line in cells])
 
 
 def json_frames(rows: Trajectory) -> Iterator[str]:
     """The members of each frame's object; numbers have the digits of the CSV."""
-    for frame, which, cells in _frames(rows, _JSON):
+    for frame, which, cells in _frames(rows, (*_OF_TARGET, *_OF_PART, "time_s"), named=True):
         targets = []
-        for target, group in groupby(zip(which, cells, strict=True), key=lambda one: rows.names[one[0]][0]):
+        for target, group in groupby(zip(which, cells, strict=True), key=lambda row: rows.names[row[0]][0]):
             lines = [line for _, line in group]
             head = list(filter(None, lines[0][: len(_OF_TARGET)]))
             if target in rows.diagnostics:
@@ -194,36 +186,35 @@ def by_frame(rows: Trajectory) -> Iterator[tuple[int, list[int]]]:
         yield frame, list(at)
 
 
-def _frames(rows: Trajectory, style: _Style) -> Iterator[tuple[int, list[int], list[tuple[str, ...]]]]:
+def _frames(
+    rows: Trajectory, columns: tuple[str, ...], *, named: bool = False
+) -> Iterator[tuple[int, list[int], list[tuple[str, ...]]]]:
     """Each frame with its rows by part: the indices of their names, and their columns as text, "" if not known."""
     if len(rows) and (rows.frame == rows.frame[0]).all():  # as a run writes them; no order is looked for
-        yield int(rows.frame[0]), rows.which.tolist(), _lines(rows, style)
+        yield int(rows.frame[0]), rows.which.tolist(), _lines(rows, columns, named)
         return
     frames = by_frame(rows)
     while block := list(islice(frames, _BLOCK)):
         some = rows.take(np.array([i for _, at in block for i in at], np.int64))
-        which, lines, first = some.which.tolist(), _lines(some, style), 0
+        lines = zip(some.which.tolist(), _lines(some, columns, named), strict=True)
         for frame, at in block:
-            rows_ = slice(first, first + len(at))
-            yield frame, which[rows_], lines[rows_]
-            first += len(at)
+            which, cells = zip(*islice(lines, len(at)), strict=True)
+            yield frame, list(which), list(cells)
 
 
-def _lines(rows: Trajectory, style: _Style) -> list[tuple[str, ...]]:
-    """The columns of each row as text, "" if not known."""
-    digits, columns = _digits(rows), []
-    for name, prefix in style.prefixes.items():
-        if name in digits:
-            known = digits[name]
-            columns.append([prefix + text if text else "" for text in known] if prefix else known)
-            continue
-        if name in ("target", "part"):
-            pairs, at = rows.names, ("target", "part").index(name)
-            values = [pairs[i][at] for i in rows.which.tolist()]
-        else:
-            values = getattr(rows, name).tolist()
-        columns.append([prefix + style.quoted(value) if value else "" for value in values])
-    return list(zip(*columns, strict=True))
+def _lines(rows: Trajectory, columns: tuple[str, ...], named: bool) -> list[tuple[str, ...]]:
+    """The columns of each row as text, `named` as members of JSON, "" if not known."""
+    digits, texts = _digits(rows), []
+    quoted = _key if named else _quoted
+    for name in columns:
+        if (text := digits.get(name)) is None:
+            if name in ("target", "part"):
+                values = [rows.names[i][name == "part"] for i in rows.which.tolist()]
+            else:
+                values = getattr(rows, name).tolist()
+            text = [quoted(value) if value else "" for value in values]
+        texts.append([f'"{name}":{value}' if value else "" for value in text] if named else text)
+    return list(zip(*texts, strict=True))
 
 
 @lru_cache(1)  # of the rows of one frame CSV and JSON ask, one after the other
@@ -258,7 +249,7 @@ def _reported(found: Diagnostics, frame: int) -> list[str]:
 
 
 @lru_cache
-def _numbers(spec: str) -> _Form:
+def _numbers(spec: str) -> Callable[[list[Any]], list[str]]:
     """Writes numbers as `_digits` does."""
     whole, odd = f"%{spec}\n", {**_ODD, format(-0.0, spec): format(0.0, spec)}
     return lambda values: [odd.get(text, text) for text in (whole * len(values) % tuple(values)).split("\n")[:-1]]
@@ -276,7 +267,4 @@ _SPECS = {"frame": "d", "particles": ".0f", **{name: f".{decimals}f" for name, d
 _ROW = "".join(f"%{spec}\n" for spec in _SPECS.values())
 _ODD = {"nan": "", "inf": "", "-inf": "", **{f"-{zero}": zero for zero in ("0", *(f"{0:.{n}f}" for n in range(1, 5)))}}
 
-
-_CSV = _Style(dict.fromkeys(COLUMNS, ""), _quoted)
-_JSON = _Style({name: f'"{name}":' for name in (*_OF_TARGET, *_OF_PART, "time_s")}, _key)
 _BLOCK = 1_000  # frames that become text at a time

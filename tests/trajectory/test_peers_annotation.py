@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from facetrack_cli.trajectory.formats.annotation import write_cvat, write_labelstudio
 from facetrack_cli.trajectory.formats.boxes import write_mot
-from facetrack_cli.trajectory.formats.cvat import write_cvat
-from facetrack_cli.trajectory.formats.labelstudio import write_labelstudio
 from facetrack_cli.trajectory.trajectory import one_part
 from tests.trajectory.test_annotation_tools import SIZE, table
 

@@ -2,7 +2,9 @@
 
 import csv
 import io
+import re
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
@@ -13,7 +15,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.numbers import csv_text
 from facetrack_cli.trajectory.formats.keypoints import write_dlc
-from facetrack_cli.trajectory.formats.tables import write_measures, write_pose, write_wide
+from facetrack_cli.trajectory.formats.tables import Clip, write_csv_wide, write_measures, write_pose
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.support.face_shape import moving_face
 
@@ -33,7 +35,7 @@ def read(text):
 
 def test_a_row_a_frame_with_the_parts_side_by_side():
     table = joined([part("face", "nose", [3, 4, 6], lost=[4]), part("head", "box", [4, 5])])
-    found = read(write_wide(table))
+    found = read(write_csv_wide(table))
     assert [row["frame"] for row in found] == [*"0123456"], "readers count rows"
     assert list(found[0]) == [
         "frame", "time_s", *(f"face_nose_{c}" for c in ("x", "y", "w", "h", "confidence", "status")),
@@ -41,13 +43,16 @@ def test_a_row_a_frame_with_the_parts_side_by_side():
     ]  # fmt: skip
     assert [row["face_nose_status"] for row in found] == ["", "", "", "tracked", "lost", "", "tracked"]
     assert found[3]["head_x"] == "" and found[5]["face_nose_x"] == "" and found[4]["time_s"] == "0.1600000"
+    assert write_csv_wide(table).startswith("frame,"), "a mark of the byte order is for other alphabets"
+    text = write_csv_wide(joined([part("Fräulein", "nose", [0]), part("a,b", 'c"d', [0])]))
+    assert text.startswith("\ufeff") and {"Fräulein_nose_x", 'a,b_c"d_x'} <= set(read(text)[0])
 
 
 @settings(max_examples=30)
 @given(st.integers(1, 4), st.integers(1, 9), st.integers(0, 2**32))
 def test_every_number_of_a_wide_table_comes_back(parts, frames, seed):
     made = [part("face", f"p{k}", range(k, k + frames), seed=seed + k) for k in range(parts)]
-    found = pd.read_csv(io.StringIO(write_wide(joined(made))), index_col="frame")
+    found = pd.read_csv(io.StringIO(write_csv_wide(joined(made))), index_col="frame")
     for one in made:
         rows = found.loc[one.frame]
         for name in ("x", "y", "w", "h", "confidence", "status"):
@@ -58,7 +63,7 @@ def test_no_table_has_a_text_that_a_spreadsheet_takes_for_a_formula():
     names = ["=1+1", "+1+1", "-1+1", "@SUM(A1)", " =1+1", '=HYPERLINK("x","y")']
     for name in names:
         rows = joined([part(name, one, [0, 1]) for one in ("nose", name)])
-        for text in (write_wide(rows), write_dlc(rows), write_dlc(rows, scorer=name), csv_text([name], [[name]])):
+        for text in (write_csv_wide(rows), write_dlc(rows), write_dlc(rows, scorer=name), csv_text([name], [[name]])):
             cells = [cell for line in csv.reader(io.StringIO(text.removeprefix("\ufeff"))) for cell in line]
             assert f"_{name}" in "".join(cells) and not any(cell.strip()[:1] in {*"=+@"} for cell in cells)
     assert csv_text(["a", "b", "c"], [["-1.5", -2, "-"], ["+1e3", None, "-nan"]]) == "a,b,c\n-1.5,-2,_-\n+1e3,,-nan\n"
@@ -68,7 +73,7 @@ def timed(time_s, frames=None, **header):
     """The times of a table with these rounded times."""
     frames = np.arange(len(time_s)) if frames is None else frames
     one = one_part("face", "nose", frames, time_s=np.round(time_s, 4), x=np.ones(len(time_s)), y=np.ones(len(time_s)))
-    found = read(write_wide(replace(one, header=header)))
+    found = read(write_csv_wide(replace(one, header=header)))
     assert [row["frame"] for row in found] == [str(n) for n in range(frames[-1] + 1)]
     return np.array([float(row["time_s"]) for row in found])
 
@@ -100,26 +105,40 @@ def test_a_variable_rate_is_kept_and_frames_without_rows_lie_between():
 def test_times_that_few_rows_or_none_tell():
     np.testing.assert_allclose(timed([0.12], np.array([3]), source={"fps": 25.0}), [0, 0.04, 0.08, 0.12])
     one = one_part("face", "nose", [0, 2], x=[1.0, 2.0], y=[1.0, 2.0])
-    assert [row["time_s"] for row in read(write_wide(one))] == ["", "", ""]
+    assert [row["time_s"] for row in read(write_csv_wide(one))] == ["", "", ""]
     with pytest.raises(InputError, match="frame 10000000 is too far on for a row a frame"):
-        write_wide(one_part("face", "nose", [0, 10**7], x=[1.0, 2.0], y=[1.0, 2.0]))
+        write_csv_wide(one_part("face", "nose", [0, 10**7], x=[1.0, 2.0], y=[1.0, 2.0]))
 
 
 def test_pose_and_measures_have_a_row_a_frame_too():
     face = moving_face(12, noise=0.3, std=0.3)
     late = replace(face, frame=face.frame + 4, time_s=face.time_s + 4 / 25)
     late = late.take(late.frame != 9)
-    for write in (write_pose, write_measures):
-        found = read(write(late))
+    for write, rows in ((write_pose, late), (write_measures, [Clip("", late)])):
+        found = read(write(rows))
         assert [row["frame"] for row in found] == [str(n) for n in range(16)]
         assert [row["time_s"] for row in found] == [f"{n / 25:.7f}" for n in range(16)]
         name = "pitch" if write is write_pose else "mouth_opening"
         assert [n for n, row in enumerate(found) if not row[name]] == [0, 1, 2, 3, 9]
 
 
-def test_spreadsheets_see_other_alphabets_and_no_formulas():
-    plain = write_wide(part("face", "nose", [0]))
-    assert plain.startswith("frame,")
-    text = write_wide(joined([part("Fräulein", "nose", [0]), part("=1+1", "box", [0]), part("a,b", 'c"d', [0])]))
-    assert text.startswith("\ufeff")
-    assert {"Fräulein_nose_x", "_=1+1_x", 'a,b_c"d_x'} <= set(read(text)[0])
+# --- as a notebook shows it ---
+
+
+def seen(name, n, seen):
+    x, confidence = np.full(n, 5.0), np.linspace(0, 1, n)
+    status = np.where(np.arange(n) < seen, "tracked", "lost")
+    return one_part(name, "nose", np.arange(n), x=x, y=x, confidence=confidence, status=status)
+
+
+def test_a_row_for_each_target_with_what_is_seen_and_its_confidence():
+    page = joined([seen("Ann", 40, 30), seen("<b>&", 20, 20)])._repr_html_()
+    assert re.findall(r"<td>([^<]*)</td><td>(\d+)</td><td>(\d+)</td><td>(\d+%)</td>", page) == [
+        ("Ann", "1", "40", "75%"), ("&lt;b&gt;&amp;", "1", "20", "100%"),
+    ]  # fmt: skip
+    for line in re.findall(r"<svg.*?</svg>", page):
+        points = ElementTree.fromstring(line)[0].attrib["points"].split()
+        assert len(points) in (40, 20) and points[0].endswith(",23.0") and points[-1].endswith(",1.0")
+    many = joined([seen(f"p{i}", 2, 2) for i in range(30)])._repr_html_()
+    assert many.count("<svg") == 20 and "and 10 more" in many, "the first are shown"
+    assert "<td>1</td><td>100%" in one_part("face", "box", [3], x=[1.0], y=[2.0])._repr_html_()

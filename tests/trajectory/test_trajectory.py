@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostics
+from facetrack_cli.trajectory.select import enclose
 from facetrack_cli.trajectory.trajectory import (
     COLUMNS,
     FLOATS,
@@ -66,19 +67,13 @@ def same(one: Trajectory, other: Trajectory) -> None:
 # --- building ---
 
 
-def test_rows_come_in_any_order_and_stand_by_part_and_frame() -> None:
-    rows = build([NOSE, LIP], [1, 0, 1, 0], [7, 9, 3, 4], x=[1, 2, 3, 4], status=["a", "b", "c", "d"])
-    assert rows.names == (NOSE, LIP)
-    assert (rows.which.tolist(), rows.frame.tolist()) == ([0, 0, 1, 1], [4, 9, 3, 7])
-    assert (rows.x.tolist(), rows.status.tolist()) == ([4, 2, 3, 1], ["d", "b", "c", "a"])
-    assert len(rows) == 4
-
-
-def test_what_is_not_given_is_not_known() -> None:
-    rows = one_part("face", "nose", [1, 2], x=None)
-    for name in (*FLOATS, "cov_xy"):
+def test_rows_come_in_any_order_and_what_is_not_given_is_not_known() -> None:
+    rows = build([NOSE, LIP], [1, 0, 1, 0], [7, 9, 3, 4], x=[1, 2, 3, 4], status=["a", "b", "c", "d"], y=None)
+    assert (rows.names, rows.which.tolist(), rows.frame.tolist()) == ((NOSE, LIP), [0, 0, 1, 1], [4, 9, 3, 7])
+    assert (rows.x.tolist(), rows.status.tolist(), len(rows)) == ([4, 2, 3, 1], ["d", "b", "c", "a"], 4)
+    for name in {*FLOATS} - {"x"}:
         assert np.isnan(getattr(rows, name)).all() and getattr(rows, name).dtype == np.float64, name
-    assert rows.status.tolist() == rows.identity.tolist() == ["", ""] and rows.by_hand.tolist() == [False] * 2
+    assert not rows.by_hand.any() and not (rows.identity != "").any()
     assert rows.corners is None and rows.header == rows.diagnostics == {} and rows.path == Path()
 
 
@@ -87,11 +82,6 @@ def test_two_rows_of_a_frame_target_and_part_are_refused(frames: list[int]) -> N
     with pytest.raises(InputError, match=r"t\.csv: frame 4 has two rows of face/lip; keep one row a frame, target and"):
         build([NOSE, LIP], [1] * len(frames), frames, path=Path("t.csv"))
     assert len(build([NOSE, LIP], [0, 1], [4, 4])) == 2
-
-
-def test_a_column_that_there_is_not_is_no_column() -> None:
-    with pytest.raises(TypeError, match="unexpected keyword argument 'colour'"):
-        one_part("face", "nose", [1], colour=[1], z=[2])
 
 
 # --- names, parts and rows ---
@@ -108,23 +98,15 @@ def test_names_are_those_of_targets_and_parts() -> None:
     assert lip is not None and lip.frame.tolist() == [2, 5] and lip.which.tolist() == [0, 0]
     assert lip.parts == (lip,) and lip.header == {"seed": 3} and lip.path == Path("run")
     same(lip.renamed("a", "b"), replace(lip, names=(("a", "b"),)))
+    assert [len(part) for part in rows.take(rows.which == 1).parts] == [0, 2, 0], "a part without rows is a part"
+    some_frames = rows.between(3, 5)
+    assert (some_frames.which.tolist(), some_frames.frame.tolist()) == ([0, 2, 2], [3, 3, 4])
+    assert known(some_frames.diagnostics["hand"]) == {3: {"scale": 1.0}, 4: {"scale": 1.5}}
+    assert known(rows.between(4, 9).diagnostics["hand"]) == {4: {"scale": 1.5}}
+    assert (some_frames.names, some_frames.header, some_frames.path) == (rows.names, {"seed": 3}, Path("run"))
 
 
-def test_a_part_without_rows_is_a_part() -> None:
-    rows = some().take(some().which == 1)
-    assert [len(one) for one in rows.parts] == [0, 2, 0] and rows.targets == ("face", "hand")
-    assert rows.find("hand", "box").frame.tolist() == []  # type: ignore[union-attr]
-
-
-def test_between_keeps_names_and_what_is_reported_of_its_frames() -> None:
-    rows = some().between(3, 5)
-    assert rows.names == (NOSE, LIP, HAND)
-    assert (rows.which.tolist(), rows.frame.tolist()) == ([0, 2, 2], [3, 3, 4])
-    assert known(rows.diagnostics["hand"]) == {3: {"scale": 1.0}, 4: {"scale": 1.5}}
-    assert known(some().between(4, 9).diagnostics["hand"]) == {4: {"scale": 1.5}}
-    assert (rows.header, rows.path) == ({"seed": 3}, Path("run"))
-
-
+@settings(max_examples=10)
 @given(rows=trajectories(), data=st.data())
 def test_parts_frames_and_stretches_hold_every_row_once(rows: Trajectory, data: st.DataObject) -> None:
     rows = replace(rows, corners=np.arange(8.0 * len(rows)).reshape(-1, 4, 2))
@@ -190,17 +172,14 @@ def test_intervals_are_spans_of_frames_without_a_gap() -> None:
     assert some().visible_intervals() == {"face/nose": [(2, 4)], "face/lip": [(2, 3)], "hand/box": [(3, 5)]}
 
 
-def test_without_pandas_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(UsageError, match=r"facetrack\[pandas\]"):
-        some().to_pandas()
-
-
-def test_a_data_frame_of_pandas_itself() -> None:
+def test_a_data_frame_of_pandas_and_what_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     pandas = pytest.importorskip("pandas")
     table = some().to_pandas()
     assert list(table.columns) == list(COLUMNS) and len(table) == 7
     assert table[table.part == "lip"].x.tolist() == [21, 51] and pandas.isna(table.y).all()
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(UsageError, match=r"facetrack\[pandas\]"):
+        some().to_pandas()
 
 
 # --- put together ---
@@ -218,12 +197,20 @@ def test_parts_are_joined_in_their_order_and_one_stays_as_it_is() -> None:
     with pytest.raises(InputError, match="frame 1 has two rows of face/nose"):
         joined([nose, hand, nose])
 
-
-def test_corners_of_some_are_not_known_of_others() -> None:
     square = np.array([[(0, 0), (1, 0), (1, 1), (0, 1)]], float)
-    whole = joined([one_part(*NOSE, [1]), one_part(*HAND, [1], corners=square)])
-    assert whole.corners is not None and np.isnan(whole.corners[0]).all()
-    np.testing.assert_array_equal(whole.corners[1], square[0])
+    corners = joined([one_part(*NOSE, [1]), one_part(*HAND, [1], corners=square)]).corners
+    assert corners is not None and np.isnan(corners[0]).all()
+    np.testing.assert_array_equal(corners[1], square[0])
+
+
+def test_points_without_windows_are_left_out_of_the_box_where_others_have_some() -> None:
+    places = {"nose": (50.0, 40.0, 11.0), "mouth_left": (40.0, 60.0, 11.0), "eye": (10.0, 10.0, None)}
+    nose, mouth, eye = (
+        one_part("face", name, [3], x=[x], y=[y], w=side and [side], h=side and [side])
+        for name, (x, y, side) in places.items()
+    )
+    assert enclose([nose, eye, mouth]).boxes.tolist() == enclose([nose, mouth]).boxes.tolist()
+    assert enclose([nose, eye], "points").boxes.tolist() != enclose([nose], "points").boxes.tolist()
 
 
 def frame(index: int) -> Trajectory:
@@ -234,7 +221,7 @@ def frame(index: int) -> Trajectory:
     return results.result(index, [face, hand] if index % 2 else [face]).rows
 
 
-@pytest.mark.parametrize("count", [1, 500, 1001])
+@pytest.mark.parametrize("count", [1, 501])
 def test_a_collector_gives_what_it_was_given(count: int) -> None:
     log = Collector()
     for index in range(1, count + 1):

@@ -8,41 +8,30 @@ modifier of both; rows stand in the order of time. A subject that is not declare
 import html
 from collections.abc import Sequence
 from datetime import datetime
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.numbers import csv_text, dumps
 from facetrack_cli.trajectory.analysis.face_events import events_of
-from facetrack_cli.trajectory.formats.eaf import times_of
-from facetrack_cli.trajectory.header import clip_of, said
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.clock import frame_milliseconds
+from facetrack_cli.trajectory.formats.tables import Clip
+from facetrack_cli.trajectory.header import clip_of
+from facetrack_cli.trajectory.trajectory import Trajectory, header_value
 
 COLUMNS = (
     "clip", "person", "tier", "value", "begin_s", "peak_s", "end_s", "first_frame", "last_frame", "probability",
 )  # fmt: skip
 
 
-class Clip(NamedTuple):
-    """A clip's name, and its trajectory."""
-
-    name: str
-    table: Trajectory
-
-
 def write_events(clips: Sequence[Clip]) -> str:
-    """The table, in the order of clips and times."""
-    return csv_text(COLUMNS, rows_of(clips))
-
-
-def rows_of(clips: Sequence[Clip]) -> list[list[Any]]:
-    """The rows of the table; times and probabilities are rounded to 4 decimals."""
-    rows = []
+    """The table, in the order of clips and times, which are rounded to 4 decimals, as the probabilities are."""
+    rows: list[list[Any]] = []
     for name, table in clips:
         for e in table.events:
             times = [round(t, 4) for t in (e.begin_s, e.peak_s, e.end_s)]
-            frames = [e.first_frame, e.last_frame]
-            rows.append([name, e.target, e.tier, e.value, *times, *frames, round(e.probability, 4)])
-    return rows
+            rows.append([name, e.target, e.tier, e.value, *times, e.first_frame, e.last_frame, round(e.probability, 4)])
+    return csv_text(COLUMNS, rows)
 
 
 def write_subtitles(table: Trajectory, form: str) -> str:
@@ -62,6 +51,9 @@ def _clock(ms: int, form: str) -> str:
     return f"{ms // 3600000:02d}:{ms // 60000 % 60:02d}:{ms // 1000 % 60:02d}{point}{ms % 1000:03d}"
 
 
+write_srt, write_vtt = partial(write_subtitles, form="srt"), partial(write_subtitles, form="vtt")
+
+
 def write_textgrid(table: Trajectory) -> str:
     """The events in Praat's long text format: a tier of intervals for each kind that could be told, "" between them.
 
@@ -74,7 +66,9 @@ def write_textgrid(table: Trajectory) -> str:
     ]
     if not kinds:
         raise InputError("has no points or hands that tell an event; a TextGrid needs a tier")
-    end = max([times_of(table)[1][int(table.frames[-1])] / 1000, *(e.end_s for _, found in kinds for e in found)])
+    end = max(
+        [frame_milliseconds(table)[1][int(table.frames[-1])] / 1000, *(e.end_s for _, found in kinds for e in found)]
+    )
     lines = ['File type = "ooTextFile"', 'Object class = "TextGrid"', "", "xmin = 0", f"xmax = {end:.6f}"]
     lines += ["tiers? <exists>", f"size = {len(kinds)}", "item []:"]
     for n, (name, found) in enumerate(kinds, 1):
@@ -93,13 +87,13 @@ def write_textgrid(table: Trajectory) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_boris(clips: Sequence[Clip], *, written: datetime) -> str:
+def write_boris(clips: Sequence[Clip], written: datetime) -> str:
     """A project with an observation for each clip; several of one name are numbered."""
     date, subjects = written.isoformat(timespec="seconds"), dict[str, None]()
     observations: dict[str, Any] = {}
     values: dict[str, dict[str, None]] = {}
     for name, table in clips:
-        path, fps = str(clip_of(table) or name), said(table, "source", "fps")
+        path, fps = str(clip_of(table) or name), header_value(table, "source", "fps")
         rows: list[list[Any]] = []
         for e in table.events:
             subjects[e.target] = values.setdefault(e.tier, {})[e.value] = None

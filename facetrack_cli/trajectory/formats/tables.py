@@ -6,7 +6,7 @@ Where a row is a frame there is one for each of `every_frame`, since readers cou
 
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,17 +14,24 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import POINTS
 from facetrack_cli.core.numbers import csv_text
 from facetrack_cli.core.types import BOX, Whole
-from facetrack_cli.trajectory.analysis.hands import HAND_MEASURES
 from facetrack_cli.trajectory.analysis.head_pose import SHAPE, head_pose
-from facetrack_cli.trajectory.analysis.measures import MEASURES, Measured
-from facetrack_cli.trajectory.trajectory import DECIMALS, Trajectory, aligned, every_frame
+from facetrack_cli.trajectory.analysis.measures import HAND_MEASURES, MEASURES, Measured
+from facetrack_cli.trajectory.clock import every_frame
+from facetrack_cli.trajectory.trajectory import DECIMALS, Trajectory, aligned
 
 WIDE = ("x", "y", "w", "h", "confidence", "status")
 STD = ("", "_std", "_noise")
 POSE = ("frame", "time_s", "target", "pitch", "yaw", "roll", "std_pitch", "std_yaw", "std_roll", "ambiguous")
 
 
-def write_wide(table: Trajectory) -> str:
+class Clip(NamedTuple):
+    """A clip's name, and its trajectory."""
+
+    name: str
+    table: Trajectory
+
+
+def write_csv_wide(table: Trajectory) -> str:
     """A CSV with one row a frame: frame, time_s, of each part `target_part_x`, y, w, h, confidence, status, and of each
     measure (measures.py) `target_mouth_opening`, `target_mouth_opening_std`, ...
 
@@ -66,24 +73,25 @@ def write_pose(table: Trajectory) -> str:
     return csv_text(POSE, sorted(rows, key=itemgetter(0)))
 
 
-def write_measures(*tables: Trajectory, clips: Sequence[str] = ()) -> str:
+def write_measures(clips: Sequence[Clip], many: bool = False) -> str:
     """A CSV with a row for each frame and target: those measures that any target has, and of each `_std` and `_noise`.
 
-    Of several tables, `clips` are their names, the first column.
+    Of `many` clips the first column has their names.
     """
-    has = [{target: found for target, found in table.measures.items() if found} for table in tables]
-    known = {name for those in has for found in those.values() for name in found}
-    names = [one.name for one in (*MEASURES, *HAND_MEASURES) if one.name in known]
+    measures = [{target: found for target, found in clip.table.measures.items() if found} for clip in clips]
+    known = {name for targets in measures for found in targets.values() for name in found}
+    names = [measure.name for measure in (*MEASURES, *HAND_MEASURES) if measure.name in known]
     if not names:
         face = f"a measure needs parts of a face, among {', '.join(POINTS)}, and its box or its eyes"
         raise InputError(f"{face}, or hands beside the box of a head")
     lines: list[list[Any]] = []
-    for n, (table, those) in enumerate(zip(tables, has, strict=True)):
-        frames, times = timed(table)
-        each = [_measured(found, names, frames).tolist() for found in those.values()]
-        for frame, time, *cells in zip(frames.tolist(), times.tolist(), *each, strict=True):
-            lines += ([*clips[n : n + 1], frame, time, target, *of] for target, of in zip(those, cells, strict=True))
-    first = [*(["clip"] if clips else []), "frame", "time_s", "target"]
+    for clip, targets in zip(clips, measures, strict=True):
+        frames, times = timed(clip.table)
+        cells = [_measured(found, names, frames).tolist() for found in targets.values()]
+        for frame, time, *rows in zip(frames.tolist(), times.tolist(), *cells, strict=True):
+            begin = [*([clip.name] if many else []), frame, time]
+            lines += ([*begin, target, *row] for target, row in zip(targets, rows, strict=True))
+    first = [*(["clip"] if many else []), "frame", "time_s", "target"]
     return csv_text([*first, *(name + end for name in names for end in STD)], lines)
 
 
