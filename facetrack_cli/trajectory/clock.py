@@ -27,10 +27,6 @@ class Clock:
         beyond = frame - min(max(frame, int(self.frames[0])), int(self.frames[-1]))
         return float(np.interp(frame, self.frames, self.times)) + beyond * self._period
 
-    def after(self, frame: int) -> float:
-        """When a frame ends and the next one begins."""
-        return self.at(frame + 1)
-
     def frame(self, seconds: float) -> int:
         """The frame that is shown nearest to a time."""
         beyond = seconds - min(max(seconds, float(self.times[0])), float(self.times[-1]))
@@ -39,7 +35,7 @@ class Clock:
     @property
     def duration(self) -> float:
         """Seconds from the run's first frame to the end of its last."""
-        return self.after(int(self.frames[-1])) - float(self.times[0])
+        return self.at(int(self.frames[-1]) + 1) - float(self.times[0])
 
     def points(self, most: int = 500) -> list[tuple[int, float]]:
         """Some frames with their times, between which others lie about in proportion."""

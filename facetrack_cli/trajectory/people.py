@@ -12,7 +12,7 @@ from typing import Annotated, Final, Literal, TypeAlias
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.errors import InputError, UsageError, reading
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import checked_name
@@ -90,15 +90,12 @@ class People(_Record):
 
     @model_validator(mode="after")
     def _whole(self) -> People:
-        spans = [
-            *((one.first, one.stop) for one in self.tracks),
-            *(span for one in self.people for span in one.intervals),
-        ]
-        if any(first >= stop for first, stop in spans):
+        spans = [span for person in self.people for span in person.intervals]
+        if any(first >= stop for first, stop in [*spans, *((track.first, track.stop) for track in self.tracks)]):
             raise ValueError("a track or an interval has no frame")
-        if any(one.times and len(one.times) != len(one.intervals) for one in self.people):
+        if any(person.times and len(person.times) != len(person.intervals) for person in self.people):
             raise ValueError("its times are not those of its intervals")
-        if len({*self.names}) < len(self.names) or {*self.names} != {one.person for one in self.tracks}:
+        if sorted(self.names) != sorted({track.person for track in self.tracks}):
             raise ValueError("its people are not those of its tracks, each once")
         return self
 
@@ -132,13 +129,11 @@ def read_people(path: Path) -> People | None:
     """The people.json of a run's folder; None without. InputError for a file that is not as we write it."""
     file = path if path.name == PEOPLE else path / PEOPLE
     try:
-        return People.model_validate_json(read_bounded(file))
-    except FileNotFoundError:
-        return None
-    except OSError as e:
-        raise InputError(f"{file}: cannot be read: {e.strerror or e}; make it readable") from None
+        with reading(file), suppress(FileNotFoundError):
+            return People.model_validate_json(read_bounded(file))
     except ValidationError as e:
         raise not_as_written(file, e) from None
+    return None
 
 
 def read_still(run: Path, still: str) -> bytes:
@@ -158,28 +153,19 @@ def people_of(
     corrections: Sequence[str] = (),
 ) -> People:
     """The people of these tracks, in the order of their first frames."""
-    ordered = sorted(tracks, key=lambda one: (one.first, one.stop))
-    found: dict[str, list[TrackRecord]] = {}
-    for one in ordered:
-        found.setdefault(one.person, []).append(one)
+    ordered = tuple(sorted(tracks, key=lambda track: (track.first, track.stop)))
     people: list[PersonRecord] = []
-    for name, theirs in found.items():
-        spans = tuple(union((one.first, one.stop) for one in theirs))
-        frames = [one.stop - one.first for one in theirs]
-        times = tuple((round(clock.at(first), 4), round(clock.after(stop - 1), 4)) for first, stop in spans)
-        p = float(np.average([one.p for one in theirs], weights=frames))
-        person = PersonRecord(
-            name=name,
-            seconds=round(sum(stop - first for first, stop in times), 3),
-            p=round(p, 4),
-            intervals=spans,
-            times=times,
-            still=stills.get(name, ""),
-            photograph=name in photographs,
-        )
-        people.append(person)
+    for name in dict.fromkeys(track.person for track in ordered):
+        theirs = [track for track in ordered if track.person == name]
+        spans = tuple(union((track.first, track.stop) for track in theirs))
+        times = tuple((round(clock.at(first), 4), round(clock.at(stop), 4)) for first, stop in spans)
+        seconds = round(sum(stop - first for first, stop in times), 3)
+        p = round(float(np.average([one.p for one in theirs], weights=[one.stop - one.first for one in theirs])), 4)
+        person = PersonRecord(name=name, seconds=seconds, p=p, intervals=spans, times=times)
+        picture = {"still": stills.get(name, ""), "photograph": name in photographs}
+        people.append(person.model_copy(update=picture))
     return People(
-        fps=clock.fps, shots=tuple(shots), people=tuple(people), tracks=tuple(ordered), corrections=tuple(corrections)
+        fps=clock.fps, shots=tuple(shots), people=tuple(people), tracks=ordered, corrections=tuple(corrections)
     )
 
 
@@ -193,8 +179,7 @@ def tracks_of(people: People) -> Tracks:
 
 def merge(tracks: Tracks, name: str, into: str) -> Tracks:
     """With the tracks of the person `name` given to another. UsageError where both are seen in one frame."""
-    theirs, others = _of(tracks, name), _of(tracks, into)
-    both = [max(x.first, y.first) for _, x in theirs for _, y in others if x.first < y.stop and y.first < x.stop]
+    both = _shared([track for _, track in _of(tracks, name)], _of(tracks, into))
     if name == into or both:
         why = f"{name} and {into} are both seen in frame {both[0]}" if name != into else "that is one person already"
         raise UsageError(f"--merge {name}={into}: {why}; give two people that are never seen together")
@@ -220,16 +205,15 @@ def split(tracks: Tracks, name: str, frame: int) -> Tracks:
         spans = ", ".join(f"{one.first} to {one.stop - 1}" for _, one in theirs[:4])
         remedy = f"{name} is seen in frames {spans}; give a frame between the first and the last"
         raise UsageError(f"--split {name}@{frame}f: {remedy}")
-    new = new_name({one.person for _, one in tracks})
-    found: Tracks = []
-    for of, one in tracks:
-        if one.person != name or one.stop <= frame:
-            found.append((of, one))
-            continue
-        if one.first < frame:
-            found.append((of, one.model_copy(update={"stop": frame})))
-        found.append((of, _given(one, new).model_copy(update={"first": max(one.first, frame)})))
-    return found
+    new = new_name({track.person for _, track in tracks})
+    changed: Tracks = []
+    for target, track in tracks:
+        later = track.person == name and track.stop > frame
+        if track.first < frame or not later:
+            changed.append((target, track.model_copy(update={"stop": frame}) if later else track))
+        if later:
+            changed.append((target, _given(track, new).model_copy(update={"first": max(track.first, frame)})))
+    return changed
 
 
 def give(tracks: Tracks, name: str, frame: int, to: str | None) -> Tracks:
@@ -237,18 +221,14 @@ def give(tracks: Tracks, name: str, frame: int, to: str | None) -> Tracks:
 
     `to` the person itself settles a doubt. UsageError without such a track, and where the other one is seen as well.
     """
-    found = [pair for pair in _of(tracks, name) if pair[1].first <= frame < pair[1].stop]
-    if not found:
+    own = next((track for _, track in _of(tracks, name) if track.first <= frame < track.stop), None)
+    if own is None:
         raise UsageError(f"--give {name}@{frame}f: {name} is not seen in frame {frame}; name one in which {name} is")
-    own = found[0]
-    rest = [pair for pair in tracks if pair is not own]
-    if to is not None and to != name:
-        busy = [one for _, one in _of(rest, to) if one.first < own[1].stop and own[1].first < one.stop]
-        if busy:
-            at = max(busy[0].first, own[1].first)
-            raise UsageError(f"--give {name}@{frame}f={to}: {to} is seen in frame {at}, too; give somebody else")
-    person = new_name({one.person for _, one in tracks}) if to is None else to
-    return [pair if pair is not own else (pair[0], _given(pair[1], person)) for pair in tracks]
+    others = [] if to in (None, name) else _of([pair for pair in tracks if pair[1] is not own], str(to))
+    if at := _shared([own], others):
+        raise UsageError(f"--give {name}@{frame}f={to}: {to} is seen in frame {at[0]}, too; give somebody else")
+    person = new_name({track.person for _, track in tracks}) if to is None else to
+    return [(target, _given(track, person) if track is own else track) for target, track in tracks]
 
 
 def photographs(before: People, tracks: Tracks) -> list[str]:
@@ -261,6 +241,11 @@ def photographs(before: People, tracks: Tracks) -> list[str]:
 def new_name(taken: Collection[str]) -> str:
     """A name that nobody has."""
     return next(f"{PERSON}{k}" for k in range(1, len(taken) + 2) if f"{PERSON}{k}" not in taken)
+
+
+def _shared(tracks: Iterable[TrackRecord], others: Tracks) -> list[int]:
+    """The frames in which a track and another one begin to be seen together."""
+    return [max(a.first, b.first) for a in tracks for _, b in others if a.first < b.stop and b.first < a.stop]
 
 
 def _given(one: TrackRecord, person: str) -> TrackRecord:

@@ -14,6 +14,7 @@ from matplotlib.patches import Rectangle
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.face_points import GROUPS
 from facetrack_cli.report import figures as plots
 from facetrack_cli.trajectory.analysis.face_events import FaceEvent
 from facetrack_cli.trajectory.formats.events import COLUMNS, write_boris, write_events, write_subtitles, write_textgrid
@@ -23,13 +24,15 @@ from tests.support.face_shape import moving_face
 
 T = np.arange(250)
 WRITTEN = datetime(2024, 1, 1, tzinfo=UTC)
+NAMES = ("nose", *GROUPS["eyes"], "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 OPEN, SHUT = 0.3 * ((T >= 100) & (T < 140)), (T % 80 >= 40) & (T % 80 < 44)
 
 
 @cache
 def face(name="face"):
     """A mouth that is open from 4 to 5.6 s, and three blinks."""
-    return joined([part.renamed(name, part.part) for part in moving_face(250, noise=0.3, open=OPEN, shut=SHUT).parts])
+    table = moving_face(250, noise=0.3, names=NAMES, open=OPEN, shut=SHUT)
+    return joined([part.renamed(name, part.part) for part in table.parts])
 
 
 def test_the_table_has_a_row_for_each_event():

@@ -10,16 +10,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.trajectory.formats import TRUTH_FORMATS
-from facetrack_cli.trajectory.formats.boxes import (
-    read_got10k,
-    read_mot,
-    read_otb,
-    read_vot,
-    write_got10k,
-    write_mot,
-    write_otb,
-    write_vot,
-)
+from facetrack_cli.trajectory.formats.boxes import read_mot, read_vot, write_got10k, write_mot, write_otb, write_vot
 from facetrack_cli.trajectory.formats.read import read_results, read_truth, recognise
 from facetrack_cli.trajectory.trajectory import COLUMNS, one_part
 
@@ -74,33 +65,39 @@ def test_a_file_is_known_by_its_shape(tmp_path, text, form, before, after):
         assert recognise(path) == (path, form)
 
 
+TEXTS = {
+    "facetrack": "frame,target,part,x,y\n3,a,b,1,2\n",
+    "boxes": "frame,x,y,w,h\n3,1,2,3,4\n",
+    "otb": "1,2,3,4\n" * 4,
+    "got10k": "1,2,3,4\n" * 4,
+    "mot": "4,1,1,2,3,4,1,1,1\n",
+    "vot": "1,2,3,4,5,6,7,8\n" * 4,
+    "pts": PTS,
+    "cvat": "<annotations><track label='a'><points frame='3' points='1,2'/></track></annotations>",
+}
+"""Of each format a file of frame 3."""
+
+
 @pytest.mark.parametrize(
-    ("inside", "text", "form"),
+    ("inside", "form"),
     [
-        ("gt/gt.txt", MOT_GT, "mot"),
-        ("groundtruth_rect.txt", "1,2,3,4\n", "otb"),
-        ("groundtruth.txt", "1,2,3,4,5,6,7,8\n", "vot"),
-        ("groundtruth.csv", "frame,x,y,w,h\n0,1,2,3,4\n", "boxes"),
-        ("annot/000001.pts", PTS, "pts"),
-        ("000001.pts", PTS, "pts"),
-        ("trajectory.csv", "frame,target,part,x,y\n0,a,b,1,2\n", "facetrack"),
+        ("gt/gt.txt", "mot"),
+        ("groundtruth_rect.txt", "otb"),
+        ("groundtruth.txt", "vot"),
+        ("groundtruth.csv", "boxes"),
+        ("annot/000001.pts", "pts"),
+        ("000001.pts", "pts"),
+        ("trajectory.csv", "facetrack"),
     ],
 )
-def test_a_folder_is_looked_into(tmp_path, inside, text, form):
-    write(tmp_path, text, inside)
+def test_a_folder_is_looked_into(tmp_path, inside, form):
+    write(tmp_path, TEXTS[form], inside)
     assert recognise(tmp_path)[1] == form and read_truth(tmp_path).parts
 
 
 @pytest.mark.parametrize("form", TRUTH_FORMATS[1:])
 def test_shift_is_added_to_every_frame(tmp_path, form):
-    texts = {
-        "facetrack": "frame,target,part,x,y\n3,a,b,1,2\n",
-        "boxes": "frame,x,y,w,h\n3,1,2,3,4\n",
-        "mot": "4,1,1,2,3,4,1,1,1\n",
-        "pts": PTS,
-        "cvat": "<annotations><track label='a'><points frame='3' points='1,2'/></track></annotations>",
-    }
-    path = write(tmp_path, texts.get(form, "1,2,3,4\n" * 4), "000004.pts" if form == "pts" else "gt.txt")
+    path = write(tmp_path, TEXTS[form], "000004.pts" if form == "pts" else "gt.txt")
     plain, moved = (read_truth(path, form, shift=shift) for shift in (0, -5))
     assert (plain.parts[0].frame[-1], moved.parts[0].frame[-1], moved.header["shift"]) == (3, -2, -5)
     assert moved.header["read_as"]
@@ -241,6 +238,7 @@ def test_otb_and_got10k_there_and_back(tmp_path, rows, first, form):
     back = read_truth(write(tmp_path, text), form, shift=first)
     agree(back, part)
     assert (back.status == "absent").tolist() == [row is None for row in rows]
+    assert write_got10k(part) == text.replace("nan", "0"), "where nothing is known"
     if all(row is not None for row in rows):  # as the toolkits load it
         np.testing.assert_allclose(np.loadtxt(tmp_path / "gt.txt", delimiter=",", ndmin=2)[:, 2:], part.boxes[:, 2:])
 
@@ -273,47 +271,23 @@ def test_mot_there_and_back(tmp_path, rows, others):
 # --- what each means ---
 
 
-@pytest.mark.parametrize(
-    ("form", "text", "frames", "first", "status"),
-    [
-        (
-            "boxes",
-            "w,frame,h,x,y,who\n10,5,20,0,1,ann\n,7,,,,ann\n10,6,20,2,1,ann\n",
-            [5, 6, 7],
-            [0, 1, 10, 20],
-            ["visible", "visible", "absent"],
-        ),
-        (
-            "otb",
-            "1\t1\t11\t21\n0\t0\t0\t0\nNaN\tNaN\tNaN\tNaN\n",
-            [0, 1, 2],
-            [0, 0, 11, 21],
-            ["visible", "absent", "absent"],
-        ),
-        ("got10k", "1,1,11,21\n-1,-1,-1,-1\n5,5,0,9\n", [0, 1, 2], [0, 0, 11, 21], ["visible", "absent", "absent"]),
-        # a flag of 0 is left out, a visibility of 0 is hidden
-        (
-            "mot",
-            MOT_GT + "3,3,13,21,30,40,0,1,1\n1,9,1,1,5,5,0,1,1\n",
-            [0, 1],
-            [10, 20, 30, 40],
-            ["visible", "hidden"],
-        ),
-        ("mot", "1,1,9,9,8,8,1,-13.07,2.5,0\n", [0], [8, 8, 8, 8], ["visible"]),  # a place in the world, no class
-        (
-            "vot",
-            "10,20,30,40\nnan,nan,nan,nan\n0\n2,0,6,2,4,8,0,6\n",
-            [0, 1, 2, 3],
-            [10, 20, 30, 40],
-            ["visible", "absent", "absent", "visible"],
-        ),
-    ],
-)
+MEANINGS = [  # the first box, from pixel 0, and what is visible, hidden or absent
+    ("boxes", "w,frame,h,x,y,who\n10,5,20,0,1,ann\n,7,,,,ann\n10,6,20,2,1,ann\n", [5, 6, 7], [0, 1, 10, 20], "vva"),
+    ("otb", "1\t1\t11\t21\n0\t0\t0\t0\nNaN\tNaN\tNaN\tNaN\n", [0, 1, 2], [0, 0, 11, 21], "vaa"),
+    ("got10k", "1,1,11,21\n-1,-1,-1,-1\n5,5,0,9\n", [0, 1, 2], [0, 0, 11, 21], "vaa"),
+    ("mot", MOT_GT + "3,3,13,21,30,40,0,1,1\n1,9,1,1,5,5,0,1,1\n", [0, 1], [10, 20, 30, 40], "vh"),  # flags 0
+    ("mot", "1,3,9,9,8,8,1,-13.07,2.5,0\n", [0], [8, 8, 8, 8], "v"),  # a place in the world, no class
+    ("vot", "10,20,30,40\nnan,nan,nan,nan\n0\n2,0,6,2,4,8,0,6\n", [0, 1, 2, 3], [10, 20, 30, 40], "vaav"),
+]
+
+
+@pytest.mark.parametrize(("form", "text", "frames", "first", "status"), MEANINGS)
 def test_frames_pixels_and_what_is_absent(tmp_path, form, text, frames, first, status):
     table = read_truth(write(tmp_path, text), form)
-    assert (table.frame.tolist(), table.boxes[0].tolist(), table.status.tolist()) == (frames, first, status)
+    assert (table.frame.tolist(), table.boxes[0].tolist()) == (frames, first)
+    assert [name[0] for name in table.status.tolist()] == [*status]
     assert (table.x[0], table.y[0]) == (first[0] + (first[2] - 1) / 2, first[1] + (first[3] - 1) / 2)
-    assert table.part == "box" and table.target == ("3" if form == "mot" and len(frames) > 1 else table.target)
+    assert table.part == "box" and table.target == ("3" if form == "mot" else "")
     assert (np.isnan(table.x) == (table.status == "absent")).all() and np.isnan(table.angle).all()
 
 
@@ -328,14 +302,7 @@ def test_got10k_has_labels_beside_it(tmp_path):
     write(tmp_path, "0\n1\n", "absence.label")
     with pytest.raises(InputError, match=r"absence.label: has 2 lines, groundtruth.txt beside it 3"):
         read_truth(tmp_path)
-    with pytest.raises(InputError, match=":1: the box has a negative size"):
-        read_otb(write(tmp_path, "-1,-1,-1,-1\n"))
-
-
-def test_got10k_is_written_with_zeros_where_nothing_is_known(tmp_path):
-    part = track([0, 1], [(5.0, 5.0, 3.0, 3.0, None), None])
-    assert write_got10k(part) == "5,5,3,3\n0,0,0,0\n" and write_otb(part) == "5,5,3,3\nnan,nan,nan,nan\n"
-    assert read_got10k(write(tmp_path, write_got10k(part))).status.tolist() == ["visible", "absent"]
+    refused(write(tmp_path, "-1,-1,-1,-1\n"), "otb", ":1: the box has a negative size")
 
 
 def test_what_has_no_room_in_a_format():
