@@ -67,10 +67,10 @@ def every_frame(table: Trajectory) -> tuple[Whole, Array]:
         if np.ptp(begins) <= rounded:
             begin = (begins.min() + begins.max()) / 2
             return frames, frames * period + (begin if abs(begin) > rounded else 0.0)
-    found = np.interp(frames, at, time_s) if len(at) else np.full(len(frames), np.nan)
+    times = np.interp(frames, at, time_s) if len(at) else np.full(len(frames), np.nan)
     if step > 0:
-        found += step * (np.minimum(frames - at[0], 0) + np.maximum(frames - at[-1], 0))
-    return frames, found
+        times += step * (np.minimum(frames - at[0], 0) + np.maximum(frames - at[-1], 0))
+    return frames, times
 
 
 def frame_milliseconds(table: Trajectory) -> list[dict[int, int]]:
@@ -79,11 +79,11 @@ def frame_milliseconds(table: Trajectory) -> list[dict[int, int]]:
     if (unknown := frames[~np.isfinite(time_s)]).size:
         raise InputError(f"frame {unknown[0]} has no time_s, and annotations need times; fill that column")
     if (back := np.flatnonzero(np.diff(time_s) <= 0)).size:
-        (one, other), (first, second) = frames[back[0] :][:2], time_s[back[0] :][:2]
-        raise InputError(f"frame {other} is at {second:g} s, not after frame {one} at {first:g} s; correct time_s")
+        (earlier, later), (first, second) = frames[back[0] :][:2], time_s[back[0] :][:2]
+        raise InputError(f"frame {later} is at {second:g} s, not after frame {earlier} at {first:g} s; correct time_s")
     steps = np.diff(time_s) / np.diff(frames)
     usual = float(np.median(steps)) if steps.size else FRAME_S
     after = np.append(time_s[1:], time_s[-1] + usual)
     after = np.where(np.append(np.diff(frames) > 1, False), np.minimum(after, time_s + usual), after)
     milliseconds = [np.rint(np.maximum(t, 0) * 1000).astype(np.int64).tolist() for t in (time_s, after)]
-    return [dict(zip(frames.tolist(), those, strict=True)) for those in milliseconds]
+    return [dict(zip(frames.tolist(), times, strict=True)) for times in milliseconds]

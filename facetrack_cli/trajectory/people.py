@@ -101,24 +101,25 @@ class People(_Record):
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(one.name for one in self.people)
+        return tuple(person.name for person in self.people)
 
     @property
     def doubts(self) -> tuple[TrackRecord, ...]:
         """Tracks whose person is in doubt, the least sure first."""
-        return tuple(sorted((one for one in self.tracks if one.doubt and not one.given), key=lambda one: one.p))
+        tracks = (track for track in self.tracks if track.doubt and not track.given)
+        return tuple(sorted(tracks, key=lambda track: track.p))
 
     def text(self) -> bytes:
         return self.model_dump_json(indent=1).encode() + b"\n"
 
     def seconds_together(self) -> Mapping[tuple[str, str], float]:
         """How long two people are on the screen at the same time, where they ever are."""
-        found: dict[tuple[str, str], float] = {}
+        together: dict[tuple[str, str], float] = {}
         for a, b in combinations(self.people, 2):
             seconds = sum(max(min(x[1], y[1]) - max(x[0], y[0]), 0) for x in self.times_of(a) for y in self.times_of(b))
             if seconds:
-                found[a.name, b.name] = round(seconds, 3)
-        return found
+                together[a.name, b.name] = round(seconds, 3)
+        return together
 
     def times_of(self, person: PersonRecord) -> tuple[tuple[float, float], ...]:
         """The intervals of a person in s."""
@@ -174,7 +175,7 @@ Tracks: TypeAlias = "list[tuple[str, TrackRecord]]"  # each with the target whos
 
 def tracks_of(people: People) -> Tracks:
     """The tracks of a run whose rows are under the names of these people."""
-    return [(one.person, one) for one in people.tracks]
+    return [(track.person, track) for track in people.tracks]
 
 
 def merge(tracks: Tracks, name: str, into: str) -> Tracks:
@@ -193,9 +194,9 @@ def rename(tracks: Tracks, name: str, to: str) -> Tracks:
         checked_name(to)
     except ValueError as e:
         raise UsageError(f"--rename {name}={to}: {e}") from None
-    if any(one.person == to for _, one in tracks):
+    if any(track.person == to for _, track in tracks):
         raise UsageError(f"--rename {name}={to}: {to} is there; --merge {name}={to} makes them one person")
-    return [(of, one.model_copy(update={"person": to}) if one.person == name else one) for of, one in tracks]
+    return [(of, track.model_copy(update={"person": to}) if track.person == name else track) for of, track in tracks]
 
 
 def split(tracks: Tracks, name: str, frame: int) -> Tracks:
@@ -233,8 +234,8 @@ def give(tracks: Tracks, name: str, frame: int, to: str | None) -> Tracks:
 
 def photographs(before: People, tracks: Tracks) -> list[str]:
     """Those whose first track is of a photograph."""
-    still = {one.name for one in before.people if one.photograph}
-    first = dict(reversed([(one.person, of) for of, one in tracks]))
+    still = {person.name for person in before.people if person.photograph}
+    first = dict(reversed([(track.person, of) for of, track in tracks]))
     return [name for name, of in first.items() if of in still]
 
 
@@ -248,18 +249,18 @@ def _shared(tracks: Iterable[TrackRecord], others: Tracks) -> list[int]:
     return [max(a.first, b.first) for a in tracks for _, b in others if a.first < b.stop and b.first < a.stop]
 
 
-def _given(one: TrackRecord, person: str) -> TrackRecord:
+def _given(track: TrackRecord, person: str) -> TrackRecord:
     """The track, which somebody has said to be of a person."""
-    return TrackRecord(person=person, first=one.first, stop=one.stop, p=1.0, given=True)
+    return TrackRecord(person=person, first=track.first, stop=track.stop, p=1.0, given=True)
 
 
 def _of(tracks: Tracks, name: str) -> Tracks:
     """The tracks of a person. UsageError for a name that nobody has."""
-    found = [pair for pair in tracks if pair[1].person == name]
-    if not found:
+    own = [pair for pair in tracks if pair[1].person == name]
+    if not own:
         names = ", ".join(dict.fromkeys(one.person for _, one in tracks))
         raise UsageError(f"there is no {name}; there are {names}")
-    return found
+    return own
 
 
 def under_names(rows: Trajectory, tracks: Sequence[tuple[str, TrackRecord]]) -> Trajectory:
@@ -267,14 +268,14 @@ def under_names(rows: Trajectory, tracks: Sequence[tuple[str, TrackRecord]]) -> 
 
     People come in the order of their first rows. Nothing was given to the tracker but a person's first row.
     """
-    order = {name: k for k, name in enumerate(dict.fromkeys(one.person for _, one in tracks))}
+    order = {name: k for k, name in enumerate(dict.fromkeys(track.person for _, track in tracks))}
     pieces: list[Trajectory] = []
-    for target, one in sorted(tracks, key=lambda pair: (order[pair[1].person], pair[1].first)):
-        part = choose(rows, target).between(one.first, one.stop)
-        names = tuple((one.person, name) for _, name in part.names)
-        if pieces and pieces[-1].target == one.person:
+    for target, track in sorted(tracks, key=lambda pair: (order[pair[1].person], pair[1].first)):
+        part = choose(rows, target).between(track.first, track.stop)
+        names = tuple((track.person, name) for _, name in part.names)
+        if pieces and pieces[-1].target == track.person:
             first = (part.status == "init") & ~part.by_hand
             part = replace(part, status=np.where(first, "tracked", part.status))
-        said = dict.fromkeys([one.person], part.diagnostics[target]) if target in part.diagnostics else {}
-        pieces.append(replace(part, names=names, diagnostics=said))
+        diagnostics = dict.fromkeys([track.person], part.diagnostics[target]) if target in part.diagnostics else {}
+        pieces.append(replace(part, names=names, diagnostics=diagnostics))
     return replace(successive(pieces), header=rows.header, path=rows.path)

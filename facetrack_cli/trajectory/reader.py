@@ -64,8 +64,8 @@ def not_as_written(path: Path, error: Any, *above: str) -> InputError:
     """The first error of a pydantic.ValidationError, in the key that is `above` what was validated."""
     first = error.errors()[0]
     key = ".".join(map(str, (*above, *first["loc"])))
-    said = " ".join(filter(None, (key, "is not as facetrack run writes it")))
-    return InputError(f"{path}: {said} ({first['msg'].lower()}); make the run again")
+    problem = " ".join(filter(None, (key, "is not as facetrack run writes it")))
+    return InputError(f"{path}: {problem} ({first['msg'].lower()}); make the run again")
 
 
 def _build(path: Path, targets: list[str], parts: list[str], columns: dict[str, Any], **others: Any) -> Trajectory:
@@ -139,12 +139,12 @@ def _rows(path: Path, lines: Any, width: int) -> Iterator[tuple[int, list[str]]]
 
 def _hidden(path: Path, cells: Sequence[str], status: Sequence[str], numbers: Sequence[int]) -> list[str]:
     """The `status`, and where it is empty what a column of 0 and 1, or false and true, says of it."""
-    known = {"": "", "0": "", "false": "", "1": "hidden", "true": "hidden"}
+    statuses = {"": "", "0": "", "false": "", "1": "hidden", "true": "hidden"}
     for number, cell in zip(numbers, cells, strict=True):
-        if cell.strip().lower() not in known:
+        if cell.strip().lower() not in statuses:
             why = "is none of 0, 1, true and false; correct it or leave it empty"
             raise InputError(f"{path}:{number}: column hidden: {cell.strip()!r} {why}")
-    return [text or known[cell.strip().lower()] for text, cell in zip(status, cells, strict=True)]
+    return [text or statuses[cell.strip().lower()] for text, cell in zip(status, cells, strict=True)]
 
 
 def _column(path: Path, name: str, cells: Sequence[str], numbers: Sequence[int]) -> NDArray[Any]:
@@ -243,7 +243,7 @@ def _declared(path: Path, header: Mapping[str, Any]) -> dict[str, Diagnostic]:
         listed = TypeAdapter(list[Diagnostic]).validate_python(header["diagnostics"])
     except ValidationError as e:
         raise not_as_written(path, e, "diagnostics") from None
-    return {**KNOWN, **{one.name: one for one in listed if one.name not in KNOWN}}
+    return {**KNOWN, **{diagnostic.name: diagnostic for diagnostic in listed if diagnostic.name not in KNOWN}}
 
 
 def _records(path: Path) -> tuple[dict[str, Any], list[Any]]:

@@ -69,9 +69,9 @@ FOOTER = ("complete", "stopped", "variable_fps", "lost_frames", "warnings", "evi
 
 def summary_of(rows: Trajectory, **ended: Any) -> RunSummary:
     """The ending of a run with these rows."""
-    found = RunSummary(**ended)
-    found.count(rows)
-    return found
+    summary = RunSummary(**ended)
+    summary.count(rows)
+    return summary
 
 
 class Sink(Protocol):
@@ -164,15 +164,15 @@ def as_written(rows: Trajectory) -> Trajectory:
         texts = _numbers(f".{decimals}f")(values.ravel().tolist())
         return np.array([float(text or "nan") for text in texts]).reshape(values.shape)
 
-    def reported(found: Diagnostics) -> Diagnostics:
+    def reported(diagnostics: Diagnostics) -> Diagnostics:
         values = {}
-        for one in found.declared:
-            if (value := found.values.get(one.name)) is not None:
-                if isinstance(one.decimals, tuple):
-                    values[one.name] = np.stack([rounded(value[:, i], d) for i, d in enumerate(one.decimals)], axis=1)
+        for item in diagnostics.declared:
+            if (value := diagnostics.values.get(item.name)) is not None:
+                if isinstance(item.decimals, tuple):
+                    values[item.name] = np.stack([rounded(value[:, i], d) for i, d in enumerate(item.decimals)], axis=1)
                 else:
-                    values[one.name] = rounded(value, one.decimals)
-        return replace(found, values=values)
+                    values[item.name] = rounded(value, item.decimals)
+        return replace(diagnostics, values=values)
 
     columns: dict[str, Any] = {name: rounded(getattr(rows, name), decimals) for name, decimals in DECIMALS.items()}
     diagnostics = {target: reported(found) for target, found in rows.diagnostics.items()}
@@ -226,25 +226,26 @@ def _digits(rows: Trajectory) -> dict[str, list[str]]:
     return {name: texts[i :: len(_SPECS)] for i, name in enumerate(_SPECS)}
 
 
-def _reported(found: Diagnostics, frame: int) -> list[str]:
+def _reported(reported: Diagnostics, frame: int) -> list[str]:
     """`"name":value` of the diagnostics of one frame: those of some names, then numbers, then lists; known ones first.
 
     What is not finite is left out: of several names one, of a list all of it.
     """
-    at = found.row(frame)
+    at = reported.row(frame)
     members = []
     ranks = {name: rank for rank, name in enumerate(KNOWN)}
-    declared = [one for one in found.declared if at is not None and one.name in found.values]
-    for one in sorted(declared, key=lambda d: (d.shape is not None, bool(d.shape), ranks.get(d.name, len(ranks)))):
-        value = found.values[one.name][at].tolist()
-        numbers = [value] if one.shape == () else value
-        decimals = one.decimals if isinstance(one.decimals, tuple) else (one.decimals,) * len(numbers)
+    declared = [item for item in reported.declared if at is not None and item.name in reported.values]
+    for item in sorted(declared, key=lambda d: (d.shape is not None, bool(d.shape), ranks.get(d.name, len(ranks)))):
+        value = reported.values[item.name][at].tolist()
+        numbers = [value] if item.shape == () else value
+        decimals = item.decimals if isinstance(item.decimals, tuple) else (item.decimals,) * len(numbers)
         texts = [_numbers(f".{d}f")([number])[0] for d, number in zip(decimals, numbers, strict=True)]
-        if one.shape is None:
-            texts = [f"{_key(name)}:{text}" for name, text in zip(found.labels[one.name], texts, strict=True) if text]
+        if item.shape is None:
+            labels = reported.labels[item.name]
+            texts = [f"{_key(name)}:{text}" for name, text in zip(labels, texts, strict=True) if text]
         if texts and all(texts):
-            brackets = "{}" if one.shape is None else "[]" if one.shape else ""
-            members.append(f"{_key(one.name)}:{brackets[:1]}{','.join(texts)}{brackets[1:]}")
+            brackets = "{}" if item.shape is None else "[]" if item.shape else ""
+            members.append(f"{_key(item.name)}:{brackets[:1]}{','.join(texts)}{brackets[1:]}")
     return members
 
 

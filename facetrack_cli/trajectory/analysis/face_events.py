@@ -98,30 +98,30 @@ class FaceEvent(NamedTuple):
 
 def events_of(target: str, measures: Mapping[str, Measured]) -> dict[str, list[FaceEvent]]:
     """The events of one target by the kinds that its measures tell, each in the order of time."""
-    found = {}
+    events = {}
     for tier, kind in KINDS.items():
-        best = next((measures[one] for one in kind.measures if one in measures), None)
+        best = next((measures[name] for name in kind.measures if name in measures), None)
         if best is not None and (not kind.needs or kind.needs in measures):
             shots = [best.between(*ends) for ends in stretches(best.time_s)] if kind.step else [best]
-            found[tier] = sorted(event for shot in shots for event in _events(target, tier, kind, shot))
-    return found
+            events[tier] = sorted(event for shot in shots for event in _events(target, tier, kind, shot))
+    return events
 
 
-def _events(target: str, tier: str, kind: Kind, one: Measured) -> Iterator[FaceEvent]:
-    rows = settled(one) if kind.step else np.flatnonzero(np.isfinite(one.value + one.time_s))
+def _events(target: str, tier: str, kind: Kind, measure: Measured) -> Iterator[FaceEvent]:
+    rows = settled(measure) if kind.step else np.flatnonzero(np.isfinite(measure.value + measure.time_s))
     if len(rows) < 2:
         return
-    time_s, frame = one.time_s[rows], one.frame[rows]
+    time_s, frame = measure.time_s[rows], measure.frame[rows]
     pause, usual = np.diff(time_s) > GAP_S, float(np.median(np.diff(time_s)))
     until = np.append(np.where(pause, time_s[:-1] + usual, time_s[1:]), time_s[-1] + usual)
-    z, log_p = _log_likelihoods(kind, one, rows)
+    z, log_p = _log_likelihoods(kind, measure, rows)
     rest_s, away_s = kind.lasts
     lasts = (rest_s, *([HALFWAY_S if kind.sign else away_s] if kind.step else []), away_s)
     passes = [(kind.value, log_p, z)] + ([(kind.other, log_p[:, ::-1], -z)] if kind.other else [])
-    for value, each, height in passes:
-        chain = Chain.of(kind.counts * each, time_s, lasts)
+    for value, log_odds, height in passes:
+        chain = Chain.of(kind.counts * log_odds, time_s, lasts)
         for a, b in spans(chain.posterior[:, 0] < 0.5, pause):
-            chance = chain.visits(a, b, (1, 2) if kind.step and not kind.sign else (each.shape[1] - 1,))
+            chance = chain.visits(a, b, (1, 2) if kind.step and not kind.sign else (log_odds.shape[1] - 1,))
             lasts_s = until[b - 1] - time_s[a]
             name = value if lasts_s <= kind.longest_s else kind.longer
             if chance >= kind.told and name and lasts_s >= kind.least_s:
@@ -130,12 +130,12 @@ def _events(target: str, tier: str, kind: Kind, one: Measured) -> Iterator[FaceE
                 yield FaceEvent(float(time_s[a]), target, tier, name, *times, int(frame[a]), int(frame[b - 1]), chance)
 
 
-def _log_likelihoods(kind: Kind, one: Measured, rows: Whole) -> tuple[Array, Array]:
+def _log_likelihoods(kind: Kind, measure: Measured, rows: Whole) -> tuple[Array, Array]:
     """(T,) how far a measure is away from rest in these rows, and (T, S) log likelihoods of the states."""
-    value, time_s = one.value[rows], one.time_s[rows]
+    value, time_s = measure.value[rows], measure.time_s[rows]
     if not kind.step:
         return value, np.log(np.clip(np.stack([1 - value, value], axis=1), LEAST, 1))
-    std, doubt = (np.nan_to_num(spread[rows]) for spread in (one.std, one.doubt))
+    std, doubt = (np.nan_to_num(spread[rows]) for spread in (measure.std, measure.doubt))
     if kind.reach_s:
         reach = round(kind.reach_s / max(float(np.median(np.diff(time_s))), kind.reach_s / 500))
         padded = np.pad(value, reach, mode="symmetric")
@@ -212,7 +212,7 @@ class Chain(NamedTuple):
     def visits(self, first: int, stop: int, states: Sequence[int]) -> float:
         """The probability, given all rows, that each of `states` is visited in rows `first` to before `stop`."""
         chance, whole = 0.0, np.logaddexp.reduce(self.forward[-1])
-        for none in (list(one) for n in range(len(states) + 1) for one in combinations(states, n)):
+        for none in (list(chosen) for n in range(len(states) + 1) for chosen in combinations(states, n)):
             at = self.forward[max(first - 1, 0)]
             for t in range(first, stop):
                 at = np.logaddexp.reduce(at[:, None] + self.move[t - 1], axis=0) if t else self.share

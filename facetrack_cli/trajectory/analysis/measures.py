@@ -192,11 +192,11 @@ class Measured(NamedTuple):
     @property
     def noise(self) -> Array:
         """(T,) the standard deviation without the offset that the clip shares, at most the spread."""
-        known = self.value[np.isfinite(self.value)]
-        if len(known) < 3:
+        values = self.value[np.isfinite(self.value)]
+        if len(values) < 3:
             return self.std
-        varies = VARIES * np.median(np.abs(known - np.median(known))) / NORMAL
-        noise = np.sqrt(noise_of(known, 0.0) ** 2 + varies**2 + np.nan_to_num(self.doubt) ** 2)
+        varies = VARIES * np.median(np.abs(values - np.median(values))) / NORMAL
+        noise = np.sqrt(noise_of(values, 0.0) ** 2 + varies**2 + np.nan_to_num(self.doubt) ** 2)
         at_most = np.where(self.std > 0, self.std, np.inf)
         return np.asarray(np.where(np.isfinite(self.value), np.fmin(noise, at_most), np.nan))
 
@@ -212,44 +212,44 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
     sized = [replace(p, x=p.w, y=p.h, std_x=p.std_w, std_y=p.std_h) if p.part == BOX else p for p in parts]
     frame, columns = aligned(sized, "status", "x", "y", "angle", "std_x", "std_y", "cov_xy")
     seen = np.isin(columns.pop("status"), SEEN)
-    x, y, angle, *spreads = (np.where(seen, values, np.nan).T for values in columns.values())
+    x, y, angle, *spreads = (np.where(seen, columns_, np.nan).T for columns_ in columns.values())
     spread = dict(zip(names, np.stack(spreads, axis=1), strict=True))  # (3, T) each
-    known = {name: np.full((2, len(frame)), np.nan) for name in ("pitch", "yaw", "roll")}  # values and spreads
+    values = {name: np.full((2, len(frame)), np.nan) for name in ("pitch", "yaw", "roll")}  # values and spreads
     if pose is not None:
         std = np.sqrt(np.diagonal(pose.of_points, axis1=1, axis2=2))
-        for i, one in enumerate(known.values()):
+        for i, one in enumerate(values.values()):
             one[:, np.searchsorted(frame, pose.frame)] = pose.angles[:, i], std[:, i]
     for name in {*EYES} & {*names}:
         spread[name] = np.nan_to_num(spread[name])  # where they are hidden they are not the unit
     if BOX in names:
         spread[BOX] = np.nan_to_num(spread[BOX])  # of trackers that do not say it
-        known["roll"][0] = np.where(np.isfinite(known["roll"][0]), known["roll"][0], angle[names.index(BOX)])
-    turned = rotation_of(np.radians(np.nan_to_num([known[name][0] for name in ("pitch", "yaw", "roll")])).T)
+        values["roll"][0] = np.where(np.isfinite(values["roll"][0]), values["roll"][0], angle[names.index(BOX)])
+    turned = rotation_of(np.radians(np.nan_to_num([values[name][0] for name in ("pitch", "yaw", "roll")])).T)
     axis = turned[:, 0, 0] + 1j * turned[:, 1, 0]
     face = Face(dict(zip(names, x + 1j * y, strict=True)), np.maximum(abs(axis), 0.5), axis / abs(axis))
-    away = [(known["yaw"][0] / TURNED, 0.0)]
+    away = [(values["yaw"][0] / TURNED, 0.0)]
     if BOX in names:
         size = np.sqrt(np.prod([one[names.index(BOX)] for one in (x, y)], axis=0))
         of_size = np.hypot(*(spread[BOX][i] / one[names.index(BOX)] for i, one in enumerate((x, y)))) / 2
-        known["thrust"] = np.stack([size / _median(size) - 1, size / _median(size) * of_size])
+        values["thrust"] = np.stack([size / _median(size) - 1, size / _median(size) * of_size])
         away.append((np.log(size) / NEARER, 1.0))
     moved = np.zeros(len(frame))
     for a, b in stretches(time_s):
         moved[a:b] = np.minimum(sum(_moved(one[a:b], time_s[a:b], by) for one, by in away), 1)
-    found = {}
+    measures = {}
     for name, unit, _, needs, of in MEASURES:
         needs += () if unit != LENGTH else EYES if face.at.keys() >= {*EYES} else (BOX,)
         if of is not None and face.at.keys() >= {*needs}:
             both = np.stack([of(face), _spread(of, face, {part: spread[part] for part in needs})])
-            known[name] = np.where(np.abs(both) < 1e6, both, np.nan)  # the face may have no size
-        if name in known and (of or np.isfinite(known[name]).any()):
-            value, std = known[name]
+            values[name] = np.where(np.abs(both) < 1e6, both, np.nan)  # the face may have no size
+        if name in values and (of or np.isfinite(values[name]).any()):
+            value, std = values[name]
             if unit == DEGREES or not _median(std) > MOST_STD:
-                found[name] = Measured(name, unit, frame, time_s, value, std, _doubt(value, std, moved))
-    if (mouth := found.get("lips_apart", found.get("mouth_opening"))) is not None:
+                measures[name] = Measured(name, unit, frame, time_s, value, std, _doubt(value, std, moved))
+    if (mouth := measures.get("lips_apart", measures.get("mouth_opening"))) is not None:
         blank = np.full(len(frame), np.nan)
-        found["talking"] = Measured("talking", "probability", frame, time_s, _talking(mouth), blank, blank)
-    return found
+        measures["talking"] = Measured("talking", "probability", frame, time_s, _talking(mouth), blank, blank)
+    return measures
 
 
 def _talking(mouth: Measured) -> Array:
@@ -268,8 +268,8 @@ def _talking(mouth: Measured) -> Array:
 
 def _median(values: Array) -> float:
     """Of what is known; nan if that is nothing."""
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else np.nan
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else np.nan
 
 
 def _moved(pose: Array, time_s: Array, by: float) -> Array:
@@ -290,13 +290,13 @@ def stretches(time_s: Array) -> list[tuple[int, int]]:
     return spans(np.ones(len(time_s), np.bool_), np.diff(time_s) > GAP_S)
 
 
-def settled(one: Measured) -> Whole:
+def settled(measure: Measured) -> Whole:
     """The rows that have a value, and are not within `NEAR_S` of one that has none, where points come and go."""
-    known = np.isfinite(one.value + one.time_s)
+    known = np.isfinite(measure.value + measure.time_s)
     rows, gone = np.flatnonzero(known), np.flatnonzero(~known)
     after = np.searchsorted(gone, rows)
     sides = [np.append(gone, -1)[after - 1], np.append(gone, -1)[after]]  # -1: there is none
-    near = [(side >= 0) & (np.abs(one.time_s[rows] - one.time_s[side]) <= NEAR_S) for side in sides]
+    near = [(side >= 0) & (np.abs(measure.time_s[rows] - measure.time_s[side]) <= NEAR_S) for side in sides]
     return np.asarray(rows[~(near[0] | near[1])])
 
 
@@ -323,9 +323,9 @@ def hand_measures(table: Trajectory) -> dict[str, dict[str, Measured]]:
     if not hands or len(heads) != 1:
         return {}
     parts = [boxes[name] for name in (*hands, *heads)]
-    frame, found = aligned(parts, "status", "x", "y", "w", "h", "std_x", "std_y")
-    seen = np.isin(found["status"], SEEN)
-    x, y, w, h, *spreads = (np.where(seen, found[key], np.nan) for key in ("x", "y", "w", "h", "std_x", "std_y"))
+    frame, columns = aligned(parts, "status", "x", "y", "w", "h", "std_x", "std_y")
+    seen = np.isin(columns["status"], SEEN)
+    x, y, w, h, *spreads = (np.where(seen, columns[key], np.nan) for key in ("x", "y", "w", "h", "std_x", "std_y"))
     size = float(np.nanmedian(np.sqrt(w[:, -1] * h[:, -1]))) if np.isfinite(w[:, -1]).any() else np.nan
     time_s = joined(parts).times
     if not size > 0 or len(frame) < 2 or not np.isfinite(time_s).all():
@@ -358,8 +358,8 @@ def _bridged(values: Array, time_s: Array) -> Array:
     """(T, K): where a column is nan for `BRIDGE_S` at most, the straight line between."""
     values = values.copy()
     for column in values.T:
-        known = np.flatnonzero(np.isfinite(column))
-        for a, b in zip(known[:-1].tolist(), known[1:].tolist(), strict=True):
+        rows = np.flatnonzero(np.isfinite(column))
+        for a, b in zip(rows[:-1].tolist(), rows[1:].tolist(), strict=True):
             if b - a > 1 and time_s[b] - time_s[a] <= BRIDGE_S:
                 column[a:b] = np.interp(time_s[a:b], time_s[[a, b]], column[[a, b]])
     return values

@@ -92,9 +92,9 @@ class Lines:
     def by_frame(cls, path: Path) -> Lines:
         """The lines of a file in which line i is frame i. A blank line is an error, but not at the end."""
         texts = [text.strip() for text in read_text(path).rstrip().split("\n")]
-        found = cls(path, texts, list(range(1, len(texts) + 1)))
-        found.refuse([not t for t in texts], "is blank, and each line is a frame; for none write nan,nan,nan,nan")
-        return found
+        lines = cls(path, texts, list(range(1, len(texts) + 1)))
+        lines.refuse([not t for t in texts], "is blank, and each line is a frame; for none write nan,nan,nan,nan")
+        return lines
 
     @classmethod
     def with_frame(cls, path: Path) -> Lines:
@@ -104,8 +104,8 @@ class Lines:
     @classmethod
     def numbered(cls, path: Path, texts: Sequence[str], first: int = 1) -> Lines:
         """These lines without the blank ones; `first` is the place of the first one in the file."""
-        found = [(text.strip(), place) for place, text in enumerate(texts, first) if text.strip()]
-        return cls(path, [text for text, _ in found], [place for _, place in found])
+        lines = [(text.strip(), place) for place, text in enumerate(texts, first) if text.strip()]
+        return cls(path, [text for text, _ in lines], [place for _, place in lines])
 
     def __len__(self) -> int:
         return len(self.texts)
@@ -124,16 +124,16 @@ class Lines:
     def numbers(self, columns: int, wanted: str, use: Sequence[int] | None = None) -> Array:
         """(T, columns or len(use)) numbers, nan for an empty cell. InputError with the line of what is not `wanted`."""
         use = use or range(columns)
-        found: list[list[float]] = []
+        rows: list[list[float]] = []
         for at, text in enumerate(self.texts):
             cells = text.split(delimiter(self.texts[0]))
             try:
                 if len(cells) != columns or "_" in text:  # float() would take 1_0 for 10
                     raise ValueError
-                found.append([float(cells[i]) for i in use])
+                rows.append([float(cells[i]) for i in use])
             except ValueError:
-                found.append(self._carefully(at, cells, columns, wanted, use))
-        values = np.array(found, dtype=np.float64).reshape(len(found), -1)
+                rows.append(self._carefully(at, cells, columns, wanted, use))
+        values = np.array(rows, dtype=np.float64).reshape(len(rows), -1)
         self.refuse(np.isinf(values).any(axis=1), "inf is no number to measure with; write nan if not known")
         return values
 
@@ -174,9 +174,9 @@ class Lines:
         it calls absent may hold any box, which is not kept. Raises InputError with the line for a box that is half nan,
         of a negative size, without area, or beyond any image.
         """
-        said = np.broadcast_to(status, len(frame)).astype("<U8")
+        state = np.broadcast_to(status, len(frame)).astype("<U8")
         unknown, empty = np.isnan(ltwh), ltwh[:, 2:] == 0
-        absent = (said == "absent") | unknown.all(axis=1) | empty.all(axis=1)
+        absent = (state == "absent") | unknown.all(axis=1) | empty.all(axis=1)
         with np.errstate(invalid="ignore"):
             for wrong, why in (
                 (unknown, "nan in a box that is known by half; give all four numbers, or four times nan"),
@@ -189,7 +189,7 @@ class Lines:
         place = {"x": left + (w - 1) / 2, "y": top + (h - 1) / 2, "w": w, "h": h}
         targets, which = np.unique(np.broadcast_to(ids, len(frame)), return_inverse=True)
         pairs = [(str(target), "box") for target in targets.tolist()]
-        return build(pairs, which, frame, **place, status=np.where(absent, "absent", said), path=self.path, **others)
+        return build(pairs, which, frame, **place, status=np.where(absent, "absent", state), path=self.path, **others)
 
 
 def read_boxes(path: Path, *, shift: int = 0) -> Trajectory:
@@ -270,18 +270,18 @@ def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
         lines.refuse(codes == FAILURE, "the code 2, a failure, in a file without a 1, where a track begins")
     kept = np.flatnonzero(codes != UNKNOWN) if result else np.arange(t)
     header = {"read_as": f"VOT {'result' if result else 'text'}: pixels from 0"}
-    found = lines.take(kept).boxes(kept + shift, ltwh[kept], header=header)
-    unknown, outline = np.isnan(found.x), np.where(np.isnan(found.x)[:, None, None], np.nan, corners[kept])
-    status = np.select([codes[kept] == INIT, unknown], ["init", "lost"], "tracked") if result else found.status
-    return replace(found, status=status, corners=None if np.isnan(outline).all() else outline)
+    table = lines.take(kept).boxes(kept + shift, ltwh[kept], header=header)
+    unknown, outline = np.isnan(table.x), np.where(np.isnan(table.x)[:, None, None], np.nan, corners[kept])
+    status = np.select([codes[kept] == INIT, unknown], ["init", "lost"], "tracked") if result else table.status
+    return replace(table, status=status, corners=None if np.isnan(outline).all() else outline)
 
 
 def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Trajectory:
     """A series for each id; `results`: column 7 is a confidence, not a flag; None: look. InputError, with the line."""
     lines = Lines.with_frame(path)
     count = len(lines.texts[0].split(delimiter(lines.texts[0])))
-    known = f"{count} values; MOTChallenge text has {MOT_COLUMNS[9]}, or {MOT_COLUMNS[10]}"
-    lines.refuse([count not in MOT_COLUMNS], known)
+    layouts = f"{count} values; MOTChallenge text has {MOT_COLUMNS[9]}, or {MOT_COLUMNS[10]}"
+    lines.refuse([count not in MOT_COLUMNS], layouts)
     values = lines.numbers(count, MOT_COLUMNS[count])
     frame, ident = lines.whole(values[:, 0], "frame", 1), lines.whole(values[:, 1], "id", 1)
     lines.refuse_twice(np.stack([frame, ident], axis=1), "frame and id")
@@ -309,8 +309,8 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
         "rows of other classes not judged": ignored,
         "rows of a visibility below .5 count as visible": kept & ~other & (covered > 0) & (covered < 0.5),
     }
-    said = "".join(f", {rows.sum()} {what}" for what, rows in about.items() if rows.any())
-    header = {"read_as": f"MOTChallenge: frames and pixels from 1{said}"}
+    left_out = "".join(f", {rows.sum()} {what}" for what, rows in about.items() if rows.any())
+    header = {"read_as": f"MOTChallenge: frames and pixels from 1{left_out}"}
     kept = (kept & ~other) | ignored
     status = np.where(ignored | (covered == 0), "hidden", "visible")[kept]
     frame, ltwh = frame[kept] - 1 + shift, values[kept, 2:6] - FROM_ONE
@@ -324,9 +324,9 @@ def _binary(path: Path) -> Lines:
 
     def take(form: str) -> tuple[Any, ...]:
         nonlocal at
-        found = struct.unpack_from("<" + form, data, at)
+        values = struct.unpack_from("<" + form, data, at)
         at += struct.calcsize("<" + form)
-        return found
+        return values
 
     try:
         version, count = take("hI")
@@ -363,9 +363,9 @@ def read_pts(path: Path, *, shift: int = 0) -> Trajectory:
             raise InputError(f"{file}: frame {number} is also in {frames[number].name}; keep one of them")
         frames[number] = file
     points = [_points(file) for file in files]
-    for file, found in zip(files, points, strict=True):
-        if len(found) != len(points[0]):
-            raise InputError(f"{file}: has {len(found)} points, {files[0].name} {len(points[0])}; a folder is one clip")
+    for file, own in zip(files, points, strict=True):
+        if len(own) != len(points[0]):
+            raise InputError(f"{file}: has {len(own)} points, {files[0].name} {len(points[0])}; a folder is one clip")
     count = len(points[0])
     numbers = {**(NAMED if count == 68 else {}), **{f"point_{number:02d}": number for number in range(1, count + 1)}}
     xy = np.stack(points, axis=1)[[number - 1 for number in numbers.values()]] - 1  # (parts, T, 2)
@@ -387,58 +387,58 @@ def _points(path: Path) -> Array:
     body, brace, rest = text[head.end() :].partition("}")
     first = text.count("\n", 0, head.end()) + 1
     lines = Lines.numbered(path, body.split("\n"), first)
-    found = lines.numbers(2, "x y")
+    points = lines.numbers(2, "x y")
     with np.errstate(invalid="ignore"):
-        lines.refuse(np.isnan(found).sum(axis=1) == 1, "nan in half a point; give both numbers, or nan nan")
-        lines.refuse((np.abs(found) > MAX_PIXELS).any(axis=1), "the point is farther out than any image; correct it")
-    if not brace or rest.strip() or len(found) != int(head[1]) or not len(found):
-        there = f"{len(found)} points between the braces, and n_points says {head[1]}"
+        lines.refuse(np.isnan(points).sum(axis=1) == 1, "nan in half a point; give both numbers, or nan nan")
+        lines.refuse((np.abs(points) > MAX_PIXELS).any(axis=1), "the point is farther out than any image; correct it")
+    if not brace or rest.strip() or len(points) != int(head[1]) or not len(points):
+        there = f"{len(points)} points between the braces, and n_points says {head[1]}"
         raise InputError(f"{path}: {there}; was the file cut short?")
-    return found
+    return points
 
 
-def write_otb(one: Trajectory, unknown: str = "nan,nan,nan,nan") -> str:
+def write_otb(part: Trajectory, unknown: str = "nan,nan,nan,nan") -> str:
     """A box a line, pixels from 1, at most 4 decimals: `read_otb` with the first frame as `shift` gives it back.
 
     The format has no frame numbers: line 1 is the series' first frame, as in OTB's own files of clips that begin late
     (David at frame 300). A place that is not known is the line `unknown`. Raises InputError for a gap between frames,
     or a row with a place and no size.
     """
-    if (gaps := np.flatnonzero(np.diff(one.frame) != 1)).size:
-        between = f"no row between frames {one.frame[gaps[0]]} and {one.frame[gaps[0] + 1]}"
+    if (gaps := np.flatnonzero(np.diff(part.frame) != 1)).size:
+        between = f"no row between frames {part.frame[gaps[0]]} and {part.frame[gaps[0] + 1]}"
         why = "a format without frame numbers has no room for a gap; export to mot or vot"
-        raise InputError(f"{one.name}: {between}, and {why}")
-    boxes = (_known_boxes(one) + FROM_ONE).tolist()
+        raise InputError(f"{part.name}: {between}, and {why}")
+    boxes = (_known_boxes(part) + FROM_ONE).tolist()
     return "".join((",".join(map(_decimal, box)) if box[0] == box[0] else unknown) + "\n" for box in boxes)
 
 
-def write_got10k(one: Trajectory) -> str:
+def write_got10k(part: Trajectory) -> str:
     """The same as GOT-10k's toolkit has it, which wants it as `<clip>_001.txt`: after nan the mean overlap is nan."""
-    return write_otb(one, "0,0,0,0")
+    return write_otb(part, "0,0,0,0")
 
 
-def write_vot(one: Trajectory) -> str:
+def write_vot(part: Trajectory) -> str:
     """A result of vot-toolkit from frame 0 on: 1 in the first frame of the series, then a region a line, 4 decimals.
 
     Frames before the first and in gaps are 0, a place that is not known is 2. Rows with corners are polygons.
     `read_vot` gives all rows back but for the place in the first frame. Raises InputError for a row with a place and no
     size, and for a frame below 0.
     """
-    first, last = int(one.frame[0]), int(one.frame[-1])
+    first, last = int(part.frame[0]), int(part.frame[-1])
     if first < 0:
-        raise InputError(f"{one.name}: frame {first} is before the clip's first; VOT text begins at frame 0")
+        raise InputError(f"{part.name}: frame {first} is before the clip's first; VOT text begins at frame 0")
     if last >= MAX_ROWS:
-        raise InputError(f"{one.name}: frame {last} is too far on for VOT text, which has a line a frame")
+        raise InputError(f"{part.name}: frame {last} is too far on for VOT text, which has a line a frame")
     lines = ["0"] * (last + 1)
-    corners = np.full((len(one), 8), np.nan) if one.corners is None else one.corners.reshape(-1, 8)
-    for frame, box, polygon in zip(one.frame.tolist(), _known_boxes(one).tolist(), corners.tolist(), strict=True):
+    corners = np.full((len(part), 8), np.nan) if part.corners is None else part.corners.reshape(-1, 8)
+    for frame, box, polygon in zip(part.frame.tolist(), _known_boxes(part).tolist(), corners.tolist(), strict=True):
         region = polygon if polygon[0] == polygon[0] else box  # nan is not equal to itself
         lines[frame] = ",".join(map(_decimal, region)) if region[0] == region[0] else "2"
     lines[first] = "1"
     return "\n".join(lines) + "\n"
 
 
-def write_mot(chosen: Sequence[Trajectory]) -> str:
+def write_mot(parts: Sequence[Trajectory]) -> str:
     """Results or ground truth of MOTChallenge, sorted by frame, at most 4 decimals.
 
     Ground truth, as its statuses say, has nine values: flag and class 1, and visibility, 0 of hidden rows. Results have
@@ -447,29 +447,29 @@ def write_mot(chosen: Sequence[Trajectory]) -> str:
     place are left out, which is how the format says that nothing was found. `read_mot(..., results=True)` gives the
     rest back. Raises InputError for a row with a place and no size.
     """
-    idents = [int(one.target) if one.target.isascii() and one.target.isdigit() else 0 for one in chosen]
+    idents = [int(part.target) if part.target.isascii() and part.target.isdigit() else 0 for part in parts]
     if 0 in idents or len(set(idents)) < len(idents):
-        idents = list(range(1, len(chosen) + 1))
-    said = {status for one in chosen for status in one.status.tolist()}
-    truth = "visible" in said and said <= {"", "visible", "hidden", "absent"}
+        idents = list(range(1, len(parts) + 1))
+    statuses = {status for part in parts for status in part.status.tolist()}
+    truth = "visible" in statuses and statuses <= {"", "visible", "hidden", "absent"}
     rows: list[tuple[int, int, str]] = []
-    for ident, one in zip(idents, chosen, strict=True):
-        boxes, seen = (_known_boxes(one) + FROM_ONE).tolist(), np.isin(one.status, SEEN).astype(int).tolist()
-        for frame, conf, ltwh, visible in zip(one.frame.tolist(), one.confidence.tolist(), boxes, seen, strict=True):
+    for ident, part in zip(idents, parts, strict=True):
+        boxes, seen = (_known_boxes(part) + FROM_ONE).tolist(), np.isin(part.status, SEEN).astype(int).tolist()
+        for frame, conf, ltwh, visible in zip(part.frame.tolist(), part.confidence.tolist(), boxes, seen, strict=True):
             if ltwh[0] == ltwh[0]:  # not nan
-                known = _decimal(conf) if conf == conf else "-1"
-                rest = f"1,1,{visible}" if truth else f"{known},1,{visible},-1"
+                score = _decimal(conf) if conf == conf else "-1"
+                rest = f"1,1,{visible}" if truth else f"{score},1,{visible},-1"
                 rows.append((frame + 1, ident, f"{','.join(map(_decimal, ltwh))},{rest}\n"))
     return "".join(f"{frame},{ident},{rest}" for frame, ident, rest in sorted(rows))
 
 
-def _known_boxes(one: Trajectory) -> Array:
+def _known_boxes(part: Trajectory) -> Array:
     """(T, 4) left, top, width, height from 0; nan where the place is not known. InputError for a place without size."""
-    found = one.boxes
-    if (sizeless := np.flatnonzero(np.isnan(found).any(axis=1) & ~np.isnan(one.x))).size:
+    boxes = part.boxes
+    if (sizeless := np.flatnonzero(np.isnan(boxes).any(axis=1) & ~np.isnan(part.x))).size:
         why = "has no w and h, and these formats hold boxes; export points to coco or dlc"
-        raise InputError(f"{one.name}: frame {one.frame[sizeless[0]]} {why}")
-    return found
+        raise InputError(f"{part.name}: frame {part.frame[sizeless[0]]} {why}")
+    return boxes
 
 
 def _decimal(value: float) -> str:

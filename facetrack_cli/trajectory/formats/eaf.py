@@ -124,15 +124,15 @@ def write_eaf(table: Trajectory, video: Path, folder: Path, written: datetime) -
 def spans_of(parts: Sequence[Trajectory], status: str = "lost") -> list[tuple[int, int, str]]:
     """Spans (first frame, last, names) in which the same parts of a target have a `status`, in rows without a gap."""
     frames, columns = aligned(parts, "status")
-    those = (columns["status"] == status).tolist()
-    names = [", ".join(part.part for part, is_one in zip(parts, row, strict=True) if is_one) for row in those]
+    named = (columns["status"] == status).tolist()
+    names = [", ".join(part.part for part, is_one in zip(parts, row, strict=True) if is_one) for row in named]
     breaks = np.cumsum(np.diff(frames, prepend=frames[:1]) > 1).tolist()
-    found = []
+    spans = []
     for (_, text), rows in groupby(zip(breaks, names, frames.tolist(), strict=True), key=lambda row: row[:2]):
         members = [frame for _, _, frame in rows]
         if text:
-            found.append((members[0], members[-1], status if text == BOX else text))
-    return found
+            spans.append((members[0], members[-1], status if text == BOX else text))
+    return spans
 
 
 def seen_in(parts: Sequence[Trajectory]) -> list[tuple[int, int]]:
@@ -141,9 +141,9 @@ def seen_in(parts: Sequence[Trajectory]) -> list[tuple[int, int]]:
     """
     frames = np.unique(np.concatenate([part.frame for part in parts]))
     there = ~np.isin(frames, np.concatenate([part.frame[part.vanished] for part in parts]))
-    found = numbers.spans(there, np.diff(frames) > 1)
-    always = len(found) == 1 and there.all() and parts[0].target not in HANDS
-    return [] if always else [(int(frames[a]), int(frames[b - 1])) for a, b in found]
+    runs = numbers.spans(there, np.diff(frames) > 1)
+    always = len(runs) == 1 and there.all() and parts[0].target not in HANDS
+    return [] if always else [(int(frames[a]), int(frames[b - 1])) for a, b in runs]
 
 
 def _tiers(
@@ -181,8 +181,8 @@ def _types(root: ET.Element, kinds: Sequence[str]) -> None:
     """What stands below the tiers, in the schema's order: types, language, constraints, vocabularies."""
     for kind in kinds:
         about = {"GRAPHIC_REFERENCES": "false", "LINGUISTIC_TYPE_ID": kind, "TIME_ALIGNABLE": "true"}
-        given = {"CONTROLLED_VOCABULARY_REF": kind} if kind in VOCABULARIES else {}
-        ET.SubElement(root, "LINGUISTIC_TYPE", {**given, **about})
+        vocabulary = {"CONTROLLED_VOCABULARY_REF": kind} if kind in VOCABULARIES else {}
+        ET.SubElement(root, "LINGUISTIC_TYPE", {**vocabulary, **about})
     language = {"LANG_DEF": "http://cdb.iso.org/lg/CDB-00138502-001", "LANG_ID": "eng", "LANG_LABEL": "English (eng)"}
     ET.SubElement(root, "LANGUAGE", language)
     for stereotype, description in CONSTRAINTS.items():

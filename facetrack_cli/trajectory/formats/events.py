@@ -60,20 +60,20 @@ def write_textgrid(table: Trajectory) -> str:
     It begins at 0, as sound does. InputError where the points tell no kind of event.
     """
     kinds = [
-        (f"{kind}@{name or 'target'}", found)
+        (f"{kind}@{name or 'target'}", events)
         for name in table.targets
-        for kind, found in events_of(name, table.measures[name]).items()
+        for kind, events in events_of(name, table.measures[name]).items()
     ]
     if not kinds:
         raise InputError("has no points or hands that tell an event; a TextGrid needs a tier")
     end = max(
-        [frame_milliseconds(table)[1][int(table.frames[-1])] / 1000, *(e.end_s for _, found in kinds for e in found)]
+        [frame_milliseconds(table)[1][int(table.frames[-1])] / 1000, *(e.end_s for _, events in kinds for e in events)]
     )
     lines = ['File type = "ooTextFile"', 'Object class = "TextGrid"', "", "xmin = 0", f"xmax = {end:.6f}"]
     lines += ["tiers? <exists>", f"size = {len(kinds)}", "item []:"]
-    for n, (name, found) in enumerate(kinds, 1):
+    for n, (name, events) in enumerate(kinds, 1):
         spans, at = list[tuple[float, float, str]](), 0.0
-        for e in found:
+        for e in events:
             begin = max(e.begin_s, at)
             spans += [(at, begin, "")] * (begin > at) + [(begin, e.end_s, e.value)] * (e.end_s > begin)
             at = max(e.end_s, at)

@@ -161,21 +161,21 @@ def _dlc(table: Trajectory, scorer: str) -> tuple[list[str], list[tuple[str, ...
     pairs = [(t, part) for t in table.targets for part in dict.fromkeys(part for _, part in table.names)]
     frames, _ = every_frame(table)
     _, known = aligned(table.parts, "x", "y", "confidence", frame=frames)
-    found = np.full((len(frames), len(pairs), 3), np.nan)
-    found[:, [pairs.index(pair) for pair in table.names]] = np.stack([*known.values()], axis=2)
-    found[~np.isfinite(found[..., :2]).all(axis=2)] = np.nan
+    values = np.full((len(frames), len(pairs), 3), np.nan)
+    values[:, [pairs.index(pair) for pair in table.names]] = np.stack([*known.values()], axis=2)
+    values[~np.isfinite(values[..., :2]).all(axis=2)] = np.nan
     names = ["scorer", *(["individuals"] if several else []), "bodyparts", "coords"]
     columns = [
         (scorer, *((target,) if several else ()), part, coord)
         for target, part in pairs
         for coord in ("x", "y", "likelihood")
     ]
-    return names, columns, frames, found
+    return names, columns, frames, values
 
 
 def write_openface(table: Trajectory, size: tuple[int, int] | None) -> str:
     """The text for images of `size` (width, height), None if that is not known. InputError without any landmark."""
-    found: list[tuple[int, int, list[Any]]] = []
+    rows: list[tuple[int, int, list[Any]]] = []
     shown = size and (size[0] * table.pixel_aspect, size[1])
     faces = [[one for one in table.of_target(name) if one.part in LANDMARKS] for name in table.targets]
     for ident, parts in enumerate(filter(None, faces)):
@@ -193,11 +193,11 @@ def write_openface(table: Trajectory, size: tuple[int, int] | None) -> str:
             for first, name in ((11, "x"), (11 + COUNT, "y")):
                 cells[:, first + LANDMARKS[part.part]] = texts(columns[name][:, k], 3)
         cells[:, 0], cells[:, 1] = frames + 1, ident
-        found += [(row[0], ident, row) for row in cells.tolist()]
-    if not found:
-        known = ", ".join(name for name in MESH if name in LANDMARKS)
-        raise InputError(f"no part is one of OpenFace's landmarks, which are {known}, and point_01 to point_68")
-    return csv_text(COLUMNS, [row for *_, row in sorted(found, key=lambda one: one[:2])])
+        rows += [(row[0], ident, row) for row in cells.tolist()]
+    if not rows:
+        names = ", ".join(name for name in MESH if name in LANDMARKS)
+        raise InputError(f"no part is one of OpenFace's landmarks, which are {names}, and point_01 to point_68")
+    return csv_text(COLUMNS, [row for *_, row in sorted(rows, key=lambda one: one[:2])])
 
 
 def _in_camera(pose: HeadPose, size: tuple[float, float] | None) -> list[tuple[Array, int]]:

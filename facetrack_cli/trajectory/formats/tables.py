@@ -46,9 +46,9 @@ def write_csv_wide(table: Trajectory) -> str:
     for at, (name, values) in enumerate(columns.items(), 2):
         cells[:, at :: len(WIDE)] = values if name == "status" else texts(values, DECIMALS[name])
     names = [f"{_called(*pair)}_{column}" for pair in table.names for column in WIDE]
-    for target, found in table.measures.items():
-        cells = np.hstack([cells, _measured(found, [*found], frames)])
-        names += [f"{_called(target, name)}{end}" for name in found for end in STD]
+    for target, measures in table.measures.items():
+        cells = np.hstack([cells, _measured(measures, [*measures], frames)])
+        names += [f"{_called(target, name)}{end}" for name in measures for end in STD]
     text = csv_text(["frame", "time_s", *names], cells.tolist())
     return text if "".join(names).isascii() else "\ufeff" + text
 
@@ -66,8 +66,8 @@ def write_pose(table: Trajectory) -> str:
             angles = texts(np.hstack([pose.angles, pose.std]), 2)
             cells[pose.frame, :6] = angles
             cells[pose.frame, 6] = np.where(angles[:, 0] == "", "", pose.ambiguous.astype(int))
-            told = zip(frames.tolist(), times.tolist(), cells.tolist(), strict=True)
-            rows += ([frame, time, name, *row] for frame, time, row in told)
+            lines = zip(frames.tolist(), times.tolist(), cells.tolist(), strict=True)
+            rows += ([frame, time, name, *row] for frame, time, row in lines)
     if not rows:
         raise InputError(f"a pose needs four parts that are not in a plane, among {', '.join(SHAPE)}")
     return csv_text(POSE, sorted(rows, key=itemgetter(0)))
@@ -95,12 +95,12 @@ def write_measures(clips: Sequence[Clip], many: bool = False) -> str:
     return csv_text([*first, *(name + end for name in names for end in STD)], lines)
 
 
-def _measured(found: Mapping[str, Measured], names: Sequence[str], frames: Whole) -> Any:
+def _measured(measures: Mapping[str, Measured], names: Sequence[str], frames: Whole) -> Any:
     """(T, 3 N) texts of N measures, their spreads and noises in T frames, "" of what is not known."""
     values = np.full((len(names), len(STD), len(frames)), np.nan)
     for k, name in enumerate(names):
-        if name in found:
-            values[k][:, np.searchsorted(frames, found[name].frame)] = found[name][4:]
+        if name in measures:
+            values[k][:, np.searchsorted(frames, measures[name].frame)] = measures[name][4:]
     return texts(values.reshape(-1, len(frames)).T, 4)
 
 
