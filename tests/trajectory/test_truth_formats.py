@@ -39,7 +39,6 @@ def refused(path, form, message):
     [
         ("1,2,3,4\n", "otb"),
         ("1\t2\t3\t4\n", "otb"),
-        ("1, 2, 3, 4\n", "otb"),
         ("nan,nan,nan,nan\n1,2,3,4\n", "otb"),
         ("1\n1,2,3,4\n", "vot"),
         ("1,2,3,4\n2\n0\n", "vot"),
@@ -47,12 +46,10 @@ def refused(path, form, message):
         ("m1,2,3,4,5\n", "vot"),
         ("frame,h,w,y,x,note\n0,1,2,3,4,a\n", "boxes"),
         (",".join(COLUMNS), "facetrack"),
-        ("x,y,part,target,frame\n", "facetrack"),
         ('{"schema": 1}', "facetrack"),
         (MOT_GT, "mot"),
         ("1,-1,3,4,5,6,-1,-1,-1,-1\n", None),
         ("1,1,3,4,5,6,-1,-1,-1,-1\n", "mot"),
-        ("1 1 3 4 5 6 .5\n", "mot"),
         (PTS, "pts"),
     ],
 )
@@ -118,14 +115,12 @@ def test_shift_is_added_to_every_frame(tmp_path, form):
         ("auto", "1,2,3\n", ":1: 3 values a line"),
         ("auto", "hello world\n", ":1: 'hello world' begins no ground truth file"),
         ("auto", "1,5 2,5 3,5 4,5\n", ":1: .* write decimals with a point"),
-        ("auto", "1,5;2,5;3,5;4,5\n", ":1: semicolons .* decimals with a point"),
         ("auto", "1,2,3,4\n5,6,7\n", ":2: 3 values instead of 4; a line holds left,top,width,height"),
         ("auto", "1,2,3,4\n1 2 3 4\n", ":2: '1 2 3 4' is no number"),
         ("auto", "1,2,3,4\n1,2,x,4\n", ":2: 'x' is no number"),
         ("auto", "1,2,3,4\n1,2,3_0,4\n", ":2: '3_0' is no number"),
         ("auto", "1,2,3,4\n\n1,2,3,4\n", ":2: is blank"),
         ("auto", "1,2,3,4\n1,nan,3,4\n", ":2: nan in a box that is known by half"),
-        ("auto", "1,2,3,4\n1,,3,4\n", ":2: nan in a box that is known by half"),
         ("auto", "1,2,3,4\n1,2,-3,4\n", ":2: the box has a negative size"),
         ("auto", "1,2,3,4\n1,2,0,4\n", ":2: the box has no area"),
         ("auto", "1,2,3,4\n1,2,3e9,4\n", ":2: the box is farther out than any image"),
@@ -135,15 +130,12 @@ def test_shift_is_added_to_every_frame(tmp_path, form):
         ("boxes", "1,2,3,4\n", ":1: the header has no column frame, x, y, w, h"),
         ("boxes", "frame,x,y,w,h\n", "has a header and no rows"),
         ("boxes", "frame,x,y,w,h\n1,1,2,3,4\n\n1,1,2,3,4\n", ":4: the same frame as in line 2"),
-        ("boxes", "frame,x,y,w,h\n-1,1,2,3,4\n", ":2: frame -1 is no whole number from 0 up"),
         ("boxes", "frame,x,y,w,h\n1.5,1,2,3,4\n", ":2: frame 1.5 is no whole number"),
         ("boxes", "frame,x,y,w,h\n1e300,1,2,3,4\n", ":2: frame 1e[+]300 is no whole number"),
-        ("boxes", "frame,x,y,w,h\n,1,2,3,4\n", ":2: frame nan is no whole number"),
         ("mot", "1,2,3,4\n", ":1: 4 values; MOTChallenge text has"),
         ("mot", "0,1,1,1,9,9,1,1,1\n", ":1: frame 0 is no whole number from 1 up"),
         ("mot", MOT_GT + "2,3,1,1,9,9,1,1,1\n", ":3: the same frame and id as in line 2"),
         ("mot", "1,1,1,1,9,9,0,1,1\n", "every row has the flag 0"),
-        ("mot", "1,1,1,1,9,9,1,1,1\n2,1,1,1,-9,9,1,1,1\n", ":2: the box has a negative size"),
         ("mot", "1,2,20,9,8,8,1,2,1\n1,4,40,9,8,8,1,3,1\n", "has the classes 2, 3, and 1 alone counts"),
         ("vot", "1,2,3,4\nm1,2,3,4,5\n", ":2: a mask; masks are not read"),
         ("vot", "1,2,3,4,5,6\n", ":1: a polygon of 3 corners"),
@@ -152,13 +144,12 @@ def test_shift_is_added_to_every_frame(tmp_path, form):
         ("vot", "1,2,3,4\n2\n", ":2: the code 2, a failure, in a file without a 1"),
         ("vot", "1,2,3,4,5,6,7,nan\n", ":1: nan in a polygon"),
         ("pts", "1 2\n3 4\n", ":1: a .pts file begins with"),
-        ("pts", PTS.replace("3 4.5", "3 x"), ":5: 'x' is no number; a line holds x y"),
         ("pts", PTS.replace("3 4.5", "3"), ":5: 1 value instead of 2; a line holds x y"),
         ("pts", PTS.replace("3 4.5", "nan 5"), ":5: nan in half a point"),
         ("pts", PTS.replace("3 4.5", "3 5e9"), ":5: the point is farther out"),
         ("pts", PTS.replace("3 4.5\n", ""), "1 points between the braces, and n_points says 2; was the file cut"),
-        ("pts", PTS.replace("}", ""), "2 points between the braces, and n_points says 2"),
         ("pts", PTS + "1 2\n", "2 points between the braces, and n_points says 2"),
+        ("pts", "version: 1\nn_points: 0\n{\n}\n", "0 points between the braces"),
         ("facetrack", "1,2,3,4\n", ":1: the header has no column frame"),
     ],
 )
@@ -318,11 +309,14 @@ def test_what_has_no_room_in_a_format():
             writes(point)
 
 
-def test_mot_tells_confidences_from_flags(tmp_path):
+def test_mot_tells_confidences_from_flags_and_that_little_is_visible(tmp_path):
     path = write(tmp_path, "1,1,1,1,9,9,0.5,-1,-1,-1\n2,1,1,1,9,9,0,-1,-1,-1\n3,1,1,1,9,9,-1,-1,-1,-1\n")
     np.testing.assert_equal(read_mot(path).confidence, [0.5, 0, np.nan])
     flagged = read_mot(path, results=False)
     assert flagged.frame.tolist() == [0, 2] and np.isnan(flagged.confidence).all()
+    table = read_mot(write(tmp_path, "1,1,9,9,8,8,1,1,0.1\n2,1,9,9,8,8,1,1,0\n3,1,9,9,8,8,1,1,.8\n"))
+    assert table.status.tolist() == ["visible", "hidden", "visible"]
+    assert table.header["read_as"].endswith("1 rows of a visibility below .5 count as visible")
 
 
 def test_mot_is_written_with_numbers_for_names_and_what_is_visible(tmp_path):
@@ -353,12 +347,6 @@ def test_mot_class_1_alone_counts(tmp_path, tail):
         assert said in table.header["read_as"]
     only = read_mot(write(tmp_path, lines[1].replace(",1,2,", ",1,9,")))
     assert only.status.tolist() == ["visible"], "a single class is what counts"
-
-
-def test_mot_says_that_little_is_visible(tmp_path):
-    table = read_mot(write(tmp_path, "1,1,9,9,8,8,1,1,0.1\n2,1,9,9,8,8,1,1,0\n3,1,9,9,8,8,1,1,.8\n"))
-    assert table.status.tolist() == ["visible", "hidden", "visible"]
-    assert table.header["read_as"].endswith("1 rows of a visibility below .5 count as visible")
 
 
 def test_vot_polygons_have_corners_and_their_upright_box(tmp_path):

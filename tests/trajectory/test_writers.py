@@ -1,23 +1,19 @@
 """Writing a trajectory: bytes that follow from the values, JSON that always closes, files that are whole."""
 
-from __future__ import annotations
-
 import csv
 import errno
 import io
 import json
 import math
-from pathlib import Path
-from typing import Any, BinaryIO
 
 import numpy as np
 import pytest
 from hypothesis import given
 
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.core.files import FileSink, ReaderGoneError, StreamSink, temporary_path
+from facetrack_cli.core.files import ReaderGoneError, StreamSink, temporary_path
 from facetrack_cli.trajectory.reader import read_trajectory
-from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, FrameResult, Trajectory, one_part
+from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, Trajectory, one_part
 from facetrack_cli.trajectory.writers import FORMATS, WRITERS, RunSummary, as_written, csv_frames
 from tests.support import results, trajectories
 from tests.support.results import file_rows, part, rows_of, target
@@ -29,13 +25,13 @@ HEADER = (
 )
 
 
-def result(index: int = 7, x: float = 1.25, *, status: str = "tracked", cov: float = 4.0) -> FrameResult:
+def result(index=7, x=1.25, *, status="tracked", cov=4.0):
     nose = part("nose", x, -2.0, 25, 13, status, 0.5, (cov, 0.0, 9.0), 61.25)
     lip = part("lip", 3.0, 4.0, 13, 13, "lost", 0.0, (0.0, 0.0, 0.0), 1.0, angle=-7.5)
     return results.result(index, [target("face", [nose, lip], 100)])
 
 
-def lines(rows: Trajectory) -> str:
+def lines(rows):
     """The rows as CSV, without the header."""
     return "".join(csv_frames(rows))
 
@@ -43,26 +39,26 @@ def lines(rows: Trajectory) -> str:
 class Disk(io.BytesIO):
     """A file on a disk with room for `room` bytes; it takes what fits and then fails, as write(2) does."""
 
-    def __init__(self, room: int, path: Path) -> None:
+    def __init__(self, room, path):
         super().__init__()
         self.room, self.path = room, path
 
-    def write(self, data: object) -> int:
-        blob = bytes(data)  # type: ignore[call-overload]
+    def write(self, data):
+        blob = bytes(data)
         end = self.tell() + len(blob)
         fits = max(0, min(len(blob), max(self.room, len(self.getvalue())) - self.tell()))
         if end > self.room and fits == 0:
             raise OSError(errno.ENOSPC, "No space left on device")
         return super().write(blob[:fits])
 
-    def close(self) -> None:
+    def close(self):
         if not self.closed:
             self.path.write_bytes(self.getvalue())
         super().close()
 
 
-def write(path: Path, form: str, frames: list[FrameResult], footer: RunSummary | None = None) -> None:
-    writer = WRITERS[form](Alone(path), {"seed": 3})  # type: ignore[index]
+def write(path, form, frames, footer=None):
+    writer = WRITERS[form](Alone(path), {"seed": 3})
     for each in frames:
         writer.write(each.rows)
     writer.close(footer or RunSummary())
@@ -71,21 +67,21 @@ def write(path: Path, form: str, frames: list[FrameResult], footer: RunSummary |
 # --- rows and numbers ---
 
 
-def test_columns_are_the_schema() -> None:
+def test_columns_are_the_schema():
     assert ",".join(COLUMNS) == HEADER
     fields = [name for name in COLUMNS if name not in ("target", "part")]
     own = ["names", "which", *fields, "by_hand", "corners", "header", "diagnostics", "path"]
     assert sorted(Trajectory.__dataclass_fields__) == sorted(own)
 
 
-def test_csv_has_a_row_for_each_part_with_fixed_decimals() -> None:
+def test_csv_has_a_row_for_each_part_with_fixed_decimals():
     first, second = lines(result().rows).splitlines()
     assert first == "7,0.2800,face,nose,1.250,-2.000,25.000,13.000,,0.5000,tracked,2.000,3.000,0.000,,,100,61.2,,"
     assert second == "7,0.2800,face,lip,3.000,4.000,13.000,13.000,-7.50,0.0000,lost,0.000,0.000,0.000,,,100,1.0,,"
 
 
 @pytest.mark.parametrize("form", ["json", "jsonl"])
-def test_what_was_given_by_hand_and_what_is_absent(form: str, tmp_path: Path) -> None:
+def test_what_was_given_by_hand_and_what_is_absent(form, tmp_path):
     by_hand = [
         part("nose", 1.25, -2.0, 25, 13, "init", 1.0, (4.0, 0.0, 9.0), 61.25, by_hand=True),
         part("lip", status="absent", by_hand=True),
@@ -104,13 +100,13 @@ def test_what_was_given_by_hand_and_what_is_absent(form: str, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("value", [-0.0, -0.00004, np.float32(-1e-5)])
-def test_no_negative_zero(value: float) -> None:
+def test_no_negative_zero(value):
     line = lines(one_part("f", "p", [0], time_s=[value], x=[value], y=[value], angle=[value]))
     assert line.startswith("0,0.0000,f,p,0.000,0.000,") and "-" not in line
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_is_left_empty(value: float, tmp_path: Path) -> None:
+def test_what_is_not_finite_is_left_empty(value, tmp_path):
     assert lines(result(x=value).rows).startswith("7,0.2800,face,nose,,-2.000,")
     write(tmp_path / "t.json", "json", [result(x=value)])
     assert '{"part":"nose","y":-2.000,' in (tmp_path / "t.json").read_text()
@@ -119,13 +115,13 @@ def test_what_is_not_finite_is_left_empty(value: float, tmp_path: Path) -> None:
 # --- what is written is read back ---
 
 
-def plain(path: Path) -> list[dict[str, Any]]:
+def plain(path):
     """The rows of a file by the csv and json of Python: known values alone, text as it stands there."""
     if path.suffix == ".csv":
         with path.open(encoding="utf-8", newline="") as file:
             found = []
             for line in csv.DictReader(file):
-                row: dict[str, Any] = {key: value for key, value in line.items() if value}
+                row = {key: value for key, value in line.items() if value}
                 found.append(row | {name: float(row[name]) for name in ("frame", *FLOATS) if name in row})
             return found
     text = path.read_text(encoding="utf-8")
@@ -144,9 +140,7 @@ def plain(path: Path) -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize("form", FORMATS)
 @given(given_rows=trajectories.trajectories())
-def test_what_is_written_is_read_back(
-    tmp_path_factory: pytest.TempPathFactory, form: str, given_rows: Trajectory
-) -> None:
+def test_what_is_written_is_read_back(tmp_path_factory, form, given_rows):
     path = trajectories.write(tmp_path_factory.getbasetemp() / f"round.{form}", given_rows)
     expected = as_written(given_rows)
     for name, decimals in DECIMALS.items():
@@ -175,7 +169,7 @@ def test_what_is_written_is_read_back(
 # --- JSON ---
 
 
-def test_json_is_one_object_with_a_line_a_frame(tmp_path: Path) -> None:
+def test_json_is_one_object_with_a_line_a_frame(tmp_path):
     footer = RunSummary(warnings=("cut",), complete=False, stopped="interrupted", lost_frames={"face/lip": 2})
     for frames in ([result(7), result(8)], []):
         write(tmp_path / "t.json", "json", frames, footer)
@@ -193,7 +187,7 @@ def test_json_is_one_object_with_a_line_a_frame(tmp_path: Path) -> None:
 # --- files and streams ---
 
 
-def test_a_file_appears_when_it_is_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_a_file_appears_when_it_is_whole_or_not_at_all(tmp_path):
     path = tmp_path / "t.csv"
     path.write_text("old")
     writer = WRITERS["csv"](Alone(path), {})
@@ -212,13 +206,13 @@ def test_a_file_appears_when_it_is_whole_or_not_at_all(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", FORMATS)
 @pytest.mark.parametrize("room", [3000, 150_000])
-def test_a_full_disk_keeps_whole_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str, room: int) -> None:
-    def small(self: FileSink) -> BinaryIO:
+def test_a_full_disk_keeps_whole_frames(tmp_path, monkeypatch, form, room):
+    def small(self):
         return Disk(room, temporary_path(self.path))
 
     monkeypatch.setattr(Alone, "_open", small)
     path = tmp_path / f"t.{form}"
-    writer = WRITERS[form](Alone(path), {})  # type: ignore[index]
+    writer = WRITERS[form](Alone(path), {})
     with pytest.raises(OutputError, match="disk is full"):
         for i in range(3000):
             writer.write(result(i).rows)
@@ -238,12 +232,12 @@ def test_a_full_disk_keeps_whole_frames(tmp_path: Path, monkeypatch: pytest.Monk
     assert indices == list(range(len(indices)))
 
 
-def test_a_stream_that_is_full_or_closed() -> None:
+def test_a_stream_that_is_full_or_closed():
     class Stream(io.BytesIO):
-        def __init__(self, error: OSError) -> None:
+        def __init__(self, error):
             self.error = error
 
-        def write(self, data: object) -> int:
+        def write(self, data):
             raise self.error
 
     with pytest.raises(OutputError, match=r"standard output: the disk is full"):

@@ -121,12 +121,14 @@ def fit_pose(
     if rows.size:
         points = np.where(seen[rows, :, None], xy[rows], 0.0), cov[rows], seen[rows], shape, spread
         rotation = _begin(*points)
-        first, other = _refined(rotation, *points), _refined(_mirrored(rotation), *points)
+        mirrored = _completed(rotation[:, :2] * np.array([1, 1, -1]))  # the depth of all points reversed
+        first, other = _refined(rotation, *points), _refined(mirrored, *points)
         better = other.cost < first.cost
         best = _Fit(
             *(np.where(better.reshape(-1, *[1] * (a.ndim - 1)), b, a) for a, b in zip(first, other, strict=True))
         )
-        turned = _angle_between(first.rotation, other.rotation)
+        cosine = (np.einsum("tij,tij->t", first.rotation, other.rotation) - 1) / 2
+        turned = np.arccos(np.clip(cosine, -1, 1))
         ambiguous[rows] = (np.abs(first.cost - other.cost) < HARDLY) & (turned > np.radians(5))
         radians = euler(best.rotation)
         inverse = np.linalg.inv(_spins(radians))[:, None]
@@ -225,11 +227,6 @@ def _placed(flat: Array, xy: Array, seen: Mask) -> tuple[Array, Array]:
     return scale, place - scale[:, None] * middle
 
 
-def _mirrored(rotation: Array) -> Array:
-    """With the depth of all points reversed."""
-    return _completed(rotation[:, :2] * np.array([1, 1, -1]))
-
-
 def _completed(rows: Array) -> Array:
     """The rotation (T, 3, 3) with these first two rows (T, 2, 3)."""
     return np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)
@@ -253,12 +250,6 @@ def _spins(angles: Array) -> Array:
     return np.stack([np.stack([zero + 1, zero, zero], -1), about_y, about_z], axis=-1)
 
 
-def _angle_between(first: Array, second: Array) -> Array:
-    cosine = (np.einsum("tij,tij->t", first, second) - 1) / 2
-    angle: Array = np.arccos(np.clip(cosine, -1, 1))
-    return angle
-
-
 def _deep(shape: Array, seen: Mask) -> Mask:
     """(T,) whether enough points are seen, and not all of them in a plane."""
     if shape.shape[0] < MIN_POINTS:
@@ -266,8 +257,7 @@ def _deep(shape: Array, seen: Mask) -> Mask:
     weight = seen[..., None].astype(np.float64)
     middle = (weight * shape).sum(axis=1) / np.maximum(weight.sum(axis=1), 1)
     extents = np.linalg.svd(weight * (shape - middle[:, None]), compute_uv=False)
-    deep: Mask = (seen.sum(axis=1) >= MIN_POINTS) & (extents[:, 2] > FLAT * extents[:, 0])
-    return deep
+    return np.asarray((seen.sum(axis=1) >= MIN_POINTS) & (extents[:, 2] > FLAT * extents[:, 0]))
 
 
 def _of(table: Mapping[str, tuple[float, float, float]], parts: Sequence[Trajectory]) -> Array:

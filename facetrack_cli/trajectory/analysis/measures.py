@@ -66,8 +66,6 @@ BRIDGE_S, REACH_S = 0.4, 0.07
 HOLD, BORDER = 1.0, 0.3  # face sizes a second: below is a hold, give or take
 OUTLINE: Final = 0.1  # face sizes
 QUARTILE: Final = 0.3186  # of the absolute value of a standard normal number
-OWN: Final = {"nose", *CORNERS, *LIPS, *LIDS[0], *LIDS[1], *EYES, BOX}
-"""The parts that the recipe `face` has without a network."""
 
 
 class Face(NamedTuple):
@@ -116,11 +114,6 @@ class Measure(NamedTuple):
     formula: str
     needs: tuple[str, ...] = ()
     of: Callable[[Face], Array] | None = None
-
-    @property
-    def by_network(self) -> bool:
-        """Whether it needs points that the recipe `face` has of a network alone."""
-        return not OWN.issuperset(self.needs)
 
 
 MEASURES: Final = (
@@ -185,9 +178,7 @@ class Measured(NamedTuple):
 
     def between(self, begin: int, end: int) -> "Measured":
         """The rows from `begin` to before `end`."""
-        at = slice(begin, end)
-        value, std, doubt = self.value[at], self.std[at], self.doubt[at]
-        return self._replace(frame=self.frame[at], time_s=self.time_s[at], value=value, std=std, doubt=doubt)
+        return Measured(self.name, self.unit, *(column[begin:end] for column in self[2:]))
 
     @property
     def noise(self) -> Array:
@@ -245,7 +236,9 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
         if name in values and (of or np.isfinite(values[name]).any()):
             value, std = values[name]
             if unit == DEGREES or not _median(std) > MOST_STD:
-                measures[name] = Measured(name, unit, frame, time_s, value, std, _doubt(value, std, moved))
+                # what of a spread is no offset: a share, and all of it, with that of the unit, where the head has moved
+                doubt = np.hypot(SHARE * std, moved * np.hypot(std, UNIT * value))
+                measures[name] = Measured(name, unit, frame, time_s, value, std, doubt)
     if (mouth := measures.get("lips_apart", measures.get("mouth_opening"))) is not None:
         blank = np.full(len(frame), np.nan)
         measures["talking"] = Measured("talking", "probability", frame, time_s, _talking(mouth), blank, blank)
@@ -278,11 +271,6 @@ def _moved(pose: Array, time_s: Array, by: float) -> Array:
     around = round(1 / max(float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0, 0.002))
     near = np.lib.stride_tricks.sliding_window_view(np.pad(off, around, mode="edge"), 2 * around + 1)
     return np.asarray(off**2 + (by * (near.max(axis=1) - near.min(axis=1)) / 2) ** 2)
-
-
-def _doubt(value: Array, std: Array, moved: Array) -> Array:
-    """(T,) what of a spread is no offset: a share, and all of it, with that of the unit, where the head has moved."""
-    return np.hypot(SHARE * std, moved * np.hypot(std, UNIT * value))
 
 
 def stretches(time_s: Array) -> list[tuple[int, int]]:

@@ -123,35 +123,13 @@ class Lines:
 
     def numbers(self, columns: int, wanted: str, use: Sequence[int] | None = None) -> Array:
         """(T, columns or len(use)) numbers, nan for an empty cell. InputError with the line of what is not `wanted`."""
-        use = use or range(columns)
-        rows: list[list[float]] = []
-        for at, text in enumerate(self.texts):
-            cells = text.split(delimiter(self.texts[0]))
-            try:
-                if len(cells) != columns or "_" in text:  # float() would take 1_0 for 10
-                    raise ValueError
-                rows.append([float(cells[i]) for i in use])
-            except ValueError:
-                rows.append(self._carefully(at, cells, columns, wanted, use))
-        values = np.array(rows, dtype=np.float64).reshape(len(rows), -1)
+        use, between = use or range(columns), delimiter(self.texts[0]) if self.texts else None
+        rows = [[cell.strip() for cell in text.split(between)] for text in self.texts]
+        problems = [_problem(row, columns, wanted, use) for row in rows]
+        self.refuse([bool(problem) for problem in problems], lambda at: problems[at])
+        values = np.array([[float(row[i] or "nan") for i in use] for row in rows]).reshape(len(rows), len(use))
         self.refuse(np.isinf(values).any(axis=1), "inf is no number to measure with; write nan if not known")
         return values
-
-    def _carefully(self, at: int, cells: list[str], columns: int, wanted: str, use: Sequence[int]) -> list[float]:
-        """The numbers of a line of which float() refused one: empty cells are nan, anything else is an error."""
-        place, cells = f"{self.path}:{self.places[at]}", [cell.strip() for cell in cells]
-        if wrong := [cell for cell in cells if len(cell.split()) > 1 or ";" in cell]:
-            why = "write numbers with a point and one kind of comma, tab or blank between them"
-            raise InputError(f"{place}: {wrong[0]!r} is no number; {why}, as in {wanted}")
-        if len(cells) != columns:
-            there = f"{len(cells)} value{'s' if len(cells) > 1 else ''}"
-            raise InputError(f"{place}: {there} instead of {columns}; a line holds {wanted}")
-        for cell in (cells[i] for i in use):
-            try:
-                float(cell.replace("_", "?") or "nan")
-            except ValueError:
-                raise InputError(f"{place}: {cell!r} is no number; a line holds {wanted}") from None
-        return [float(cells[i] or "nan") for i in use]
 
     def whole(self, values: Array, name: str, least: int) -> Whole:
         """A column (T,) as whole numbers from `least` on."""
@@ -190,6 +168,21 @@ class Lines:
         targets, which = np.unique(np.broadcast_to(ids, len(frame)), return_inverse=True)
         pairs = [(str(target), "box") for target in targets.tolist()]
         return build(pairs, which, frame, **place, status=np.where(absent, "absent", state), path=self.path, **others)
+
+
+def _problem(cells: list[str], columns: int, wanted: str, use: Sequence[int]) -> str:
+    """Why the cells of a line are not what is `wanted`; "" where they are."""
+    if wrong := [cell for cell in cells if len(cell.split()) > 1 or ";" in cell]:
+        why = "write numbers with a point and one kind of comma, tab or blank between them"
+        return f"{wrong[0]!r} is no number; {why}, as in {wanted}"
+    if len(cells) != columns:
+        return f"{len(cells)} value{'s' if len(cells) > 1 else ''} instead of {columns}; a line holds {wanted}"
+    for cell in (cells[i] for i in use):
+        try:
+            float(cell.replace("_", "?") or "nan")  # float() would take 1_0 for 10
+        except ValueError:
+            return f"{cell!r} is no number; a line holds {wanted}"
+    return ""
 
 
 def read_boxes(path: Path, *, shift: int = 0) -> Trajectory:

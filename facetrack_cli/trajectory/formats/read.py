@@ -24,11 +24,22 @@ def read_facetrack(path: Path, *, shift: int = 0) -> Trajectory:
 
 
 def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0, beside: Trajectory | None = None) -> Trajectory:
-    """The ground truth in a file or folder, read as `form`, one of TRUTH_FORMATS; `auto` goes by the shape.
+    """The ground truth in a file or folder.
 
-    What may be OTB's or VOT's is VOT's `beside` a result of VOT.
-    `shift` is added to every frame number. `header["read_as"]` says how it was read, `header["shift"]` is the shift.
-    Raises InputError for a file that is broken or of no known shape, UsageError for a shift beyond any clip.
+    Parameters
+    ----------
+    form : one of TRUTH_FORMATS; `auto` goes by the shape of the file.
+    shift : is added to every frame number.
+    beside : results; what may be OTB's or VOT's is VOT's beside a result of VOT.
+
+    Returns
+    -------
+    Trajectory : its `header["read_as"]` says how it was read, `header["shift"]` is the shift.
+
+    Raises
+    ------
+    InputError : for a file that is broken or of no known shape.
+    UsageError : for a shift beyond any clip.
     """
     path = Path(path)
     if abs(shift) > MAX_FRAME:
