@@ -16,7 +16,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.trajectory.analysis import face_events
 from facetrack_cli.trajectory.analysis.head_motion import KINDS, LABELS
-from facetrack_cli.trajectory.formats.eaf import ORDER, VOCABULARIES, add_tiers, read_tiers, spans_of, write_eaf
+from facetrack_cli.trajectory.formats.eaf import IDS, ORDER, VOCABULARIES, add_tiers, read_tiers, spans_of, write_eaf
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.support.face_shape import moving_face
 
@@ -49,9 +49,6 @@ def tiers(root):
         ]
         for tier in root.iter("TIER")
     }
-
-
-IDS = ("TIME_SLOT_ID", "ANNOTATION_ID", "TIER_ID", "LINGUISTIC_TYPE_ID", "CV_ID", "CVE_ID", "LANG_ID")
 
 
 def check_links(root, ours=False):

@@ -28,7 +28,7 @@ def track(person, first, stop, **more):
 
 
 DOUBT = track("a", 60, 80, doubt=True, other="b", p_other=0.2)
-TRACKS = [track("a", 0, 50), track("b", 20, 60), DOUBT, track("c", 90, 95)]
+TRACKS = [track("a", 0, 50), track("b", 20, 60), DOUBT, track("c", 90, 95, doubt=True, given=True)]
 SHOTS = [ShotRecord(first=0, stop=60), ShotRecord(first=60, stop=None)]
 
 

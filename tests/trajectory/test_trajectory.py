@@ -145,6 +145,10 @@ def test_rows_that_corrections_gave(status, by_hand, expected):
     hand = [char == "1" for char in by_hand.ljust(len(status))]
     one = one_part("face", "nose", range(len(status)), status=[words[char] for char in status], by_hand=hand)
     assert "".join(str(int(flag)) for flag in one.corrected) == expected
+    met = replace(one, header={"seams": [{"frame": n} for n in range(len(status))]})
+    assert not met.corrected[(one.status == "init") & ~one.by_hand].any(), "chunks of a clip meet there"
+    box = replace(one.renamed("hand", "box"), particles=np.full(len(status), 9.0))
+    assert not box.corrected[(one.status == "absent") & ~one.by_hand].any(), "the tracker itself calls it absent"
 
 
 # --- for other libraries ---

@@ -1,23 +1,24 @@
 """What a face does, as numbers: how far its mouth opens, its smile, its brows, its lids, how its head stands.
 
-Lengths are in distances between the eyes. Where both eyes are seen that is the distance of their centres over `share`,
-so that it does not shrink when the head turns; else it is .363 of the width of the face's box. Widths of mouth and eyes
-are over `share`, too: it is how long the head's own horizontal is in the image, by its pose; 1 from the front, or where
-the pose is not known, and at least .5. Heights are across the line of the eyes, without eyes across that horizontal.
-Nothing corrects heights for pitch.
+Lengths are in distances between the eyes. `share` is how long the head's own horizontal is in the image, by its pose: 1
+from the front, or where the pose is not known, and at least .5. Where both eyes are seen, the unit is the distance of
+their centres over `share`, so that it does not shrink when the head turns; else it is .363 of the width of the face's
+box. Widths of mouth and eyes are over `share`, too. Heights are across the line of the eyes, or without eyes across the
+head's horizontal. Nothing corrects heights for pitch.
 
 The spread is of first order: derivatives, by central differences, times the covariance of each point in its row. It
-takes points as independent and the pose as known. That of an angle is what the points alone make of it: what a person's
+takes points as independent and the pose as known. The spread of an angle is that of the points alone: what a person's
 proportions add (head_pose.py) is the same in all frames.
 
-That spread is of the value, with an offset that all frames of a clip share as long as the head stands alike. The noise
-is what is left without it, so that two frames differ with the spread hypot(noise, noise): jitter from frame to frame,
-by the median of second differences; a share of how far the measure varies in the clip, as a tracker follows a face's
-motion in part; and of the spread a share, which is the whole where the head is turned or nearer than usual.
+The spread holds an offset that all frames of a clip share as long as the head stands alike. The noise is what is left
+without it: two frames differ with the spread hypot(noise, noise). It has three parts. One is the jitter from frame to
+frame, by the median of second differences. One is a share of how far the measure varies in the clip, since a tracker
+follows a face's motion in part. One is a share of the spread, and all of it where the head is turned or nearer than
+usual.
 
-What hands do beside a head are probabilities in each frame (ours). Lengths are in sizes of the face: the median over
-the clip of the square root of its box's area. A hand that is lost for `BRIDGE_S` at most, as one that motion blurs, is
-on the straight line between.
+What hands do beside a head: their speed, and probabilities in each frame (ours). Lengths are in sizes of the face: the
+median over the clip of the square root of its box's area. A hand that is lost for `BRIDGE_S` at most, as one that
+motion blurs, is on the straight line between.
 
 - `speed` is that of the straight line through a hand's places within `REACH_S`. Its noise is that of the places, by the
   lower quartile of their second differences, since a hand that moves has large ones. From the speed's square is taken
@@ -203,7 +204,7 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
     sized = [replace(p, x=p.w, y=p.h, std_x=p.std_w, std_y=p.std_h) if p.part == BOX else p for p in parts]
     frame, columns = aligned(sized, "status", "x", "y", "angle", "std_x", "std_y", "cov_xy")
     seen = np.isin(columns.pop("status"), SEEN)
-    x, y, angle, *spreads = (np.where(seen, columns_, np.nan).T for columns_ in columns.values())
+    x, y, angle, *spreads = (np.where(seen, column, np.nan).T for column in columns.values())
     spread = dict(zip(names, np.stack(spreads, axis=1), strict=True))  # (3, T) each
     values = {name: np.full((2, len(frame)), np.nan) for name in ("pitch", "yaw", "roll")}  # values and spreads
     if pose is not None:
