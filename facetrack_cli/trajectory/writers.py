@@ -68,7 +68,7 @@ FOOTER = ("complete", "stopped", "variable_fps", "lost_frames", "warnings", "evi
 
 
 def summary_of(rows: Trajectory, **ended: Any) -> RunSummary:
-    """The ending of a run with these rows."""
+    """The summary of a run with these rows."""
     summary = RunSummary(**ended)
     summary.count(rows)
     return summary
@@ -88,10 +88,10 @@ class Writer:
     one to a line, so that neither writing nor `grep` holds them all. jsonl is for programs that read meanwhile.
     """
 
-    def __init__(self, form: Format, sink: Sink, header: Header, *, begun: bool = False) -> None:
-        """`begun`: the sink holds the header and some frames already."""
-        self._form, self._sink, self._between = form, sink, ",\n" * begun
-        if begun:
+    def __init__(self, form: Format, sink: Sink, header: Header, *, resumed: bool = False) -> None:
+        """`resumed`: the sink holds the header and some frames already."""
+        self._form, self._sink, self._between = form, sink, ",\n" * resumed
+        if resumed:
             return
         head = {"schema": SCHEMA, "version": VERSION, "facetrack": __version__, **header}
         if form == "csv":
@@ -112,18 +112,18 @@ class Writer:
             else:
                 self._sink.write('{"type":"frame",' + frame + "}\n")
 
-    def close(self, ending: RunSummary) -> None:
-        self._sink.finish(lambda records: tail(self._form, ending, records - 1))
+    def close(self, summary: RunSummary) -> None:
+        self._sink.finish(lambda records: tail(self._form, summary, records - 1))
 
 
-def tail(form: Format, ending: RunSummary, frames: int) -> str:
+def tail(form: Format, summary: RunSummary, frames: int) -> str:
     """How a file of so many frames ends."""
-    foot: dict[str, Any] = {"complete": ending.complete}
-    foot |= {"stopped": ending.stopped} if ending.stopped else {}
-    foot |= {"frames_tracked": frames, "variable_fps": ending.variable_fps}
-    foot |= {"lost_frames": dict(ending.lost_frames), "warnings": list(ending.warnings)}
-    foot |= {"evidence": {name: round(nats, 4) for name, nats in ending.evidence.items()}}
-    foot |= {"source_sha256": ending.source_sha256} if ending.source_sha256 else {}
+    foot: dict[str, Any] = {"complete": summary.complete}
+    foot |= {"stopped": summary.stopped} if summary.stopped else {}
+    foot |= {"frames_tracked": frames, "variable_fps": summary.variable_fps}
+    foot |= {"lost_frames": dict(summary.lost_frames), "warnings": list(summary.warnings)}
+    foot |= {"evidence": {name: round(nats, 4) for name, nats in summary.evidence.items()}}
+    foot |= {"source_sha256": summary.source_sha256} if summary.source_sha256 else {}
     if form == "json":
         return "\n],\n" + ",\n".join(_members(foot)) + "\n}\n"
     return "" if form == "csv" else dumps({"type": "footer", **foot}) + "\n"
