@@ -21,11 +21,11 @@ from click.testing import CliRunner
 from facetrack_cli.cli.app import cli
 from facetrack_cli.trajectory.formats.annotation import write_cvat, write_labelstudio
 from facetrack_cli.trajectory.formats.boxes import write_mot
-from facetrack_cli.trajectory.formats.events import write_textgrid
 from facetrack_cli.trajectory.formats.keypoints import write_dlc, write_dlc_h5
+from facetrack_cli.trajectory.formats.tables import write_textgrid
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.trajectory.test_annotation_tools import SIZE, table
-from tests.trajectory.test_events_formats import face, read_textgrid
+from tests.trajectory.test_tables import face, read_textgrid
 
 
 def peer(variable, packages):

@@ -40,11 +40,11 @@ EXPORTS: Final = {
     "measures": Export(
         "tables", "measures.csv", "clips many", "CSV of mouth, brows, lids, pose, hands, with their spread"
     ),
-    "events": Export("events", "events.csv", "clips", "CSV of when mouths open, eyes blink, heads nod, hands move"),
-    "boris": Export("events", "boris", "clips written", "the same as a project of BORIS 8, a clip an observation"),
-    "srt": Export("events", "srt", "table", "the same as subtitles (SubRip), of one run"),
-    "vtt": Export("events", "vtt", "table", "the same as subtitles (WebVTT), of one run"),
-    "textgrid": Export("events", "TextGrid", "table", "the same as a TextGrid of Praat, of one run"),
+    "events": Export("tables", "events.csv", "clips", "CSV of when mouths open, eyes blink, heads nod, hands move"),
+    "boris": Export("tables", "boris", "clips written", "the same as a project of BORIS 8, a clip an observation"),
+    "srt": Export("tables", "srt", "table", "the same as subtitles (SubRip), of one run"),
+    "vtt": Export("tables", "vtt", "table", "the same as subtitles (WebVTT), of one run"),
+    "textgrid": Export("tables", "TextGrid", "table", "the same as a TextGrid of Praat, of one run"),
     "openface": Export(
         "keypoints", "openface.csv", "table size", "OpenFace's CSV: confidence, success, pose, landmarks"
     ),
