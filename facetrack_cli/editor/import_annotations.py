@@ -16,12 +16,11 @@ from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Correction, Mask, TargetStart
 from facetrack_cli.engine.corrected import all_or, correctable_parts
 from facetrack_cli.run_folder.finished import Run
-from facetrack_cli.trajectory.formats.cvat import read_cvat
-from facetrack_cli.trajectory.formats.eaf import seen_in, spans_of, times_of
-from facetrack_cli.trajectory.formats.eaf_session import Tier, read_tiers
-from facetrack_cli.trajectory.formats.labelstudio import read_labelstudio
+from facetrack_cli.trajectory.clock import every_frame, frame_milliseconds
+from facetrack_cli.trajectory.formats.annotation import read_cvat, read_labelstudio
+from facetrack_cli.trajectory.formats.eaf import Tier, read_tiers, seen_in, spans_of
 from facetrack_cli.trajectory.select import hide_outside
-from facetrack_cli.trajectory.trajectory import DECIMALS, UNSEEN, Trajectory, every_frame
+from facetrack_cli.trajectory.trajectory import DECIMALS, UNSEEN, Trajectory
 
 MOVED: Final = 0.05  # pixels: CVAT keeps two decimals
 Given: TypeAlias = "dict[tuple[int, str], dict[str, tuple[float, ...] | None]]"
@@ -76,7 +75,7 @@ def _whose(tier: Tier, names: Sequence[str]) -> tuple[str, str, Tier] | None:
 
 def _presence(path: Path, tiers: Sequence[tuple[str, str, Tier]], run: Run, rows: Trajectory) -> Given:
     """What comes and goes, by frame and target: each part to its place (x, y) or box, or to None, absent."""
-    begin, end = times_of(rows)
+    begin, end = frame_milliseconds(rows)
     frames = rows.frames
     middles = np.array([(begin[frame] + end[frame]) / 2 for frame in frames.tolist()])
     given: Given = defaultdict(dict)
@@ -91,7 +90,7 @@ def _presence(path: Path, tiers: Sequence[tuple[str, str, Tier]], run: Run, rows
             if not theirs:
                 continue
             ours = _marked([(begin[a], end[b], text) for a, b, text in own[kind]], middles, parts, path)
-            notes = [note[2:] for tier in theirs for note in tier.notes]
+            notes = [note for tier in theirs for note in tier.notes]
             told = _marked(notes, middles, parts, path)
             for part, mask in told.items():
                 changed = mask != ours[part]

@@ -168,7 +168,7 @@ def _part(one: Trajectory, name: str, clock: Clock) -> PartHistory:
     unseen: dict[str, list[LostSpan]] = {"lost": [], "hidden": []}
     for kind, (a, b) in ((one, span) for one in unseen for span in spans(status == one)):
         ends = b < len(frames)
-        stop = clock.at(frames[b]) if ends else clock.after(frames[b - 1])
+        stop = clock.at(frames[b]) if ends else clock.at(frames[b - 1] + 1)
         back = frames[b] if ends and status[b] != "absent" else None
         seconds, by_hand = stop - clock.at(frames[a]), ends and bool(one.corrected[b])
         unseen[kind].append(LostSpan(name, frames[a], frames[b - 1], back, b - a, seconds, _least(sure[a:b]), by_hand))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Any
 
 import numpy as np
 
@@ -19,28 +19,15 @@ from facetrack_cli.run_folder.manifest import VIDEO
 from facetrack_cli.runs.plan import silent
 from facetrack_cli.runs.signals import never
 from facetrack_cli.runs.smooth import repaint
-from facetrack_cli.trajectory.formats import (
-    OF_MEDIA,
-    ONE_TARGET,
-    boxes,
-    cvat,
-    eaf,
-    events,
-    keypoints,
-    labelstudio,
-    openface,
-    tables,
-)
-from facetrack_cli.trajectory.formats.eaf_session import add_tiers
-from facetrack_cli.trajectory.formats.events import Clip
-from facetrack_cli.trajectory.header import clip_of, frame_size_of, is_there, said
+from facetrack_cli.trajectory.formats import ALIASES, EXPORTS, OF_MEDIA, load
+from facetrack_cli.trajectory.formats.eaf import add_tiers
+from facetrack_cli.trajectory.formats.tables import Clip
+from facetrack_cli.trajectory.header import clip_of, frame_size_of, is_there
 from facetrack_cli.trajectory.select import Around, blank_lost, enclose, has_windows, hide_outside
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory, header_value
 from facetrack_cli.video import images
 from facetrack_cli.video.files import given_rate
 from facetrack_cli.video.source import open_source
-
-ALIASES: Final = {"elan": "eaf"}
 
 
 def export(
@@ -108,54 +95,40 @@ def content(
 ) -> str | bytes:
     """What the file `path` has in a format, of a clip or of `many`; `say` takes warnings."""
     form, table = ALIASES.get(form, form), clips[0].table
-    if not any(np.isfinite(one.x).any() for _, one in clips):
+    if not any(np.isfinite(rows.x).any() for _, rows in clips):
         raise InputError("no row has a place, x and y; there is nothing to export")
-    if form in ONE_TARGET and len(table.targets) > 1:
+    if form not in EXPORTS:
+        raise UsageError(f"{form} is no format; there are {', '.join(sorted(EXPORTS))}")
+    takes, around, recipe = EXPORTS[form].takes.split(), box or "windows", header_value(table, "recipe", "name")
+    if "box" in takes and len(table.targets) > 1:
         raise UsageError(f"{form} holds one target; choose with --target among {', '.join(table.targets)}")
-    around, recipe = box or "windows", said(table, "recipe", "name")
-    scorer = f"facetrack-{recipe}" if recipe else "facetrack"
-    if form == "eaf":
-        video = _playable(table, media, say)
-        text = eaf.write_eaf(table, video, path.parent if path else Path.cwd(), written=datetime.now())
-        return text if into is None else _added(into, text, video.name, say)
-    clip, size, fps = _media(table, media) if form in OF_MEDIA else (None, None, 0.0)
-    name = "" if clip is None else clip.name
-    if form in (*OF_MEDIA, "mot") and (sides := size or frame_size_of(table)):
-        table = hide_outside(table, sides)
-    writers: dict[str, Callable[[], str | bytes]] = {
-        "csv-wide": lambda: tables.write_wide(table),
-        "pose": lambda: tables.write_pose(table),
-        "measures": lambda: tables.write_measures(
-            *(one for _, one in clips), clips=[name for name, _ in clips if many]
-        ),
-        "events": lambda: events.write_events(clips),
-        "boris": lambda: events.write_boris(clips, written=datetime.now()),
-        "srt": lambda: events.write_subtitles(table, "srt"),
-        "vtt": lambda: events.write_subtitles(table, "vtt"),
-        "textgrid": lambda: events.write_textgrid(table),
-        "openface": lambda: openface.write_openface(table, size),
-        "cvat": lambda: cvat.write_cvat(table, size, name),
-        "dlc": lambda: keypoints.write_dlc(table, scorer),
-        "dlc-h5": lambda: keypoints.write_dlc_h5(table, scorer),
+    values: dict[str, Any] = {"clips": clips, "many": many, "written": datetime.now(), "around": around}
+    values |= {
+        "folder": path.parent if path else Path.cwd(),
+        "scorer": f"facetrack-{recipe}" if recipe else "facetrack",
     }
-    if form in writers:
-        return writers[form]()
-    if form in ("coco", "labelstudio"):
-        if clip is None or not size or (form == "labelstudio" and not fps > 0):
+    if "video" in takes:
+        values["video"] = _playable(table, media, say)
+    elif form in OF_MEDIA:
+        clip, size, fps = _media(table, media)
+        if "frame_size" in takes and (clip is None or not size or ("fps" in takes and not fps > 0)):
             why = "does not say how large and how fast its frames are, only a trajectory.json does"
             raise InputError(f"{why}; name the clip: --media")
-        if form == "labelstudio":
-            say(f'{name}: give the Video of the labelling configuration framerate="{fps:.10g}"')
-            bare = ", ".join(part.part for part in table.parts if not has_windows(part))
-            if bare:
+        values |= {"size": size, "frame_size": size, "fps": fps, "name": clip.name if clip else ""}
+        if clip is not None and "file_name" in takes:
+            values["file_name"] = _image_names(clip, table)
+        if "fps" in takes:
+            say(f'{values["name"]}: give the Video of the labelling configuration framerate="{fps:.10g}"')
+            if bare := ", ".join(part.part for part in table.parts if not has_windows(part)):
                 say(f"facetrack: warning: Label Studio has no points, and these have no windows; left out: {bare}")
-            return labelstudio.write_labelstudio(table, size, fps, name)
-        return keypoints.write_coco(table, size, _image_names(clip, table), around=around)
-    write = {"vot": boxes.write_vot, "otb": boxes.write_otb, "got10k": boxes.write_got10k}
-    if form not in ("mot", *write):
-        raise UsageError(f"{form} is no format; there are {', '.join(sorted({*writers, *OF_MEDIA, *write, 'mot'}))}")
-    chosen = [enclose(table.of_target(target), around) for target in table.targets]
-    return boxes.write_mot(chosen) if form == "mot" else write[form](chosen[0])
+    if {"size", "frame_size", "boxes"} & {*takes} and (size := values.get("size") or frame_size_of(table)):
+        table = hide_outside(table, size)
+    if {"box", "boxes"} & {*takes}:
+        values["boxes"] = [enclose(table.of_target(target), around) for target in table.targets]
+        values["box"] = values["boxes"][0]
+    values["table"] = table
+    content: str | bytes = load("write", form)(*(values[name] for name in takes))
+    return content if into is None or "video" not in values else _added(into, str(content), values["video"].name, say)
 
 
 def _added(into: Path, text: str, clip: str, say: Callable[[str], None]) -> str:
@@ -182,7 +155,7 @@ def _playable(table: Trajectory, media: Path | None, say: Callable[[str], None])
 
 def _media(table: Trajectory, media: Path | None) -> tuple[Path | None, tuple[int, int] | None, float]:
     """The clip, the size of its frames and its frames per second (0), as far as `media` or the header says them."""
-    size, fps = frame_size_of(table), said(table, "source", "fps")
+    size, fps = frame_size_of(table), header_value(table, "source", "fps")
     if media is None:
         return clip_of(table), size, float(fps) if isinstance(fps, int | float) else 0.0
     with open_source(media) as opened:
@@ -231,10 +204,10 @@ def annotated_video(trajectory: Trajectory, *, media: str | Path | None = None) 
     clip = clip_of(trajectory) if media is None else Path(media)
     if clip is None:
         raise InputError("the trajectory does not name its clip; give it with media")
-    fps, stream = said(trajectory, "source", "fps"), said(trajectory, "source", "stream")
+    fps, stream = header_value(trajectory, "source", "fps"), header_value(trajectory, "source", "stream")
     rate = given_rate(clip, fps) if isinstance(fps, int | float) else None
     ends = int(trajectory.frames[0]), int(trajectory.frames[-1])
-    title = str(said(trajectory, "recipe", "name") or "")
+    title = str(header_value(trajectory, "recipe", "name") or "")
     with TemporaryDirectory() as folder:
         path = Path(folder, VIDEO)
         repaint(

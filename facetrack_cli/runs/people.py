@@ -35,7 +35,7 @@ from facetrack_cli.trackers.people.descriptor import (
 )
 from facetrack_cli.trackers.people.identity import AT_ONCE_S, SURE, UNKNOWN, Cast, TrackSummary, cast_of, places
 from facetrack_cli.trajectory.clock import Clock
-from facetrack_cli.trajectory.header import clip_of, said
+from facetrack_cli.trajectory.header import clip_of
 from facetrack_cli.trajectory.people import (
     NOBODY,
     PEOPLE,
@@ -52,7 +52,7 @@ from facetrack_cli.trajectory.people import (
     tracks_of,
     under_names,
 )
-from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
+from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, header_value
 from facetrack_cli.trajectory.writers import summary_of
 from facetrack_cli.video.files import given_rate
 from facetrack_cli.video.shots import Shot, find_cuts, shots_of
@@ -170,7 +170,7 @@ def _boxes(rows: Trajectory) -> dict[str, Trajectory]:
 def film_of(people: People, rows: Trajectory, clip: Path | None) -> tuple[Path | None, Any]:
     """The clip of a run, if it is known, and how it is read: its rate if the clip brings none, and its stream."""
     where = clip or clip_of(rows)
-    return where, {"fps": where and given_rate(where, people.fps), "stream": said(rows, "source", "stream")}
+    return where, {"fps": where and given_rate(where, people.fps), "stream": header_value(rows, "source", "stream")}
 
 
 def _ends(box: Trajectory) -> tuple[Any, Any]:
@@ -359,7 +359,7 @@ def painted(folder: Path, people: People, rows: Trajectory, clip: Path | None) -
     (where, how), known, first = film_of(people, rows, clip), read_manifest(folder), people.shots[0].first
     if where is None or known is None or not (folder / VIDEO).is_file():
         return None
-    title = str(said(rows, "recipe", "name") or "")
+    title = str(header_value(rows, "recipe", "name") or "")
     return Painted(where, how["fps"], first, first + known.frames - 1, title, how["stream"])
 
 

@@ -486,7 +486,7 @@ class Table(Sink):
             if at is not None:
                 with writing(self.path):
                     self._sink.go_on(self.path, at)
-        self._writer = WRITERS[self._form](self._sink, results.header, begun=at is not None)
+        self._writer = WRITERS[self._form](self._sink, results.header, resumed=at is not None)
 
     def write(self, result: FrameResult) -> None:
         self._writer.write(result.rows)

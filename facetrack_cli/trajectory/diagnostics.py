@@ -108,7 +108,7 @@ class Diagnostics:
             if one.shape is None:
                 labels[one.name] = tuple(dict.fromkeys(key for v in given if isinstance(v, Mapping) for key in v))
             names = labels.get(one.name, ())
-            unknown = math.nan if one.shape == () else [math.nan] * (len(names) if one.shape is None else one.shape[0])
+            unknown = np.full(len(names) if one.shape is None else one.shape, math.nan)
             each = [unknown if v is None else _checked(one, at, v, names) for at, v in enumerate(given)]
             values[one.name] = np.array(each, np.float64)
         return cls(tuple(declared), np.asarray(frame, np.int64), values, labels)
@@ -128,55 +128,52 @@ class Diagnostics:
 
     def records(self) -> list[dict[str, Any]]:
         """What is known in each frame, by name, as `of` takes it."""
-        found: list[dict[str, Any]] = [{} for _ in self.frame]
+        frames: list[dict[str, Any]] = [{} for _ in self.frame]
         for name, values in self.values.items():
-            for each, value in zip(found, values.tolist(), strict=True):
-                each[name] = dict(zip(self.labels[name], value, strict=True)) if name in self.labels else value
-        return found
+            for record, value in zip(frames, values.tolist(), strict=True):
+                record[name] = dict(zip(self.labels[name], value, strict=True)) if name in self.labels else value
+        return frames
 
 
 def outlines(rows: Trajectory) -> Array | None:
     """(R, 4, 2) corners that follow from the affine maps that targets report; nan, or None, where there is none."""
-    found = np.full((len(rows), 4, 2), np.nan)
+    outline = np.full((len(rows), 4, 2), np.nan)
     targets = np.array([target for target, _ in rows.names], dtype=np.str_)[rows.which]
     for target, reported in rows.diagnostics.items():
         if AFFINE.name in reported.values:
             at = np.flatnonzero((targets == target) & np.isin(rows.frame, reported.frame))
             affine = reported.values[AFFINE.name][np.searchsorted(reported.frame, rows.frame[at])]
             centre, size = np.stack([rows.x, rows.y], axis=1)[at], np.stack([rows.w, rows.h], axis=1)[at]
-            found[at] = corners(affine, centre, size)
-    return found if np.isfinite(found).any() else None
+            outline[at] = corners(affine, centre, size)
+    return outline if np.isfinite(outline).any() else None
 
 
-def _checked(one: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> Any:
+def _checked(rule: Diagnostic, at: int, value: Any, labels: tuple[str, ...]) -> Any:
     """The numbers of a value, nan where there are none."""
-    if one.shape is None:
+    if rule.shape is None:
         if not isinstance(value, Mapping):
-            raise ValueError(at, f"{one.name} is not an object of names and numbers")
+            raise ValueError(at, f"{rule.name} is not an object of names and numbers")
         for name, number in value.items():
-            if not name or not _fits(one, number):
-                raise ValueError(at, f"{one.name} of {name!r}: {number!r} is no {_expected(one)}")
+            if not name or not _fits(rule, number):
+                raise ValueError(at, f"{rule.name} of {name!r}: {number!r} is no {_expected(rule)}")
         return [float(value.get(name, math.nan)) for name in labels]
-    if one.shape:
-        listed = isinstance(value, Sequence | np.ndarray) and len(value) == one.shape[0]
-        if not listed or not all(_fits(one, v) for v in value):
-            raise ValueError(at, f"{one.name} is not a list of {one.shape[0]} numbers")
+    if rule.shape:
+        listed = isinstance(value, Sequence | np.ndarray) and len(value) == rule.shape[0]
+        if not listed or not all(_fits(rule, v) for v in value):
+            raise ValueError(at, f"{rule.name} is not a list of {rule.shape[0]} numbers")
         return [float(v) for v in value]
-    if not _fits(one, value):
-        raise ValueError(at, f"{one.name} {value!r} is no {_expected(one)}")
+    if not _fits(rule, value):
+        raise ValueError(at, f"{rule.name} {value!r} is no {_expected(rule)}")
     return float(value)
 
 
-def _expected(one: Diagnostic) -> str:
-    bounds = one.least, one.most
-    known = {(0, 1): "probability", (0, math.inf): "number from 0 up", (-math.inf, math.inf): "finite number"}
-    return known.get(bounds) or "number from {:g} to {:g}".format(*bounds)
+def _expected(rule: Diagnostic) -> str:
+    words = {(0, 1): "probability", (0, math.inf): "number from 0 up", (-math.inf, math.inf): "finite number"}
+    return words.get((rule.least, rule.most), f"number from {rule.least:g} to {rule.most:g}")
 
 
-def _fits(one: Diagnostic, value: Any) -> bool:
-    if type(value) is float:  # as nearly all are
-        return math.isnan(value) or (abs(value) <= 1e300 and one.least <= value <= one.most)
+def _fits(rule: Diagnostic, value: Any) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         return False
-    number = float(value) if not isinstance(value, int) or abs(value) < 10**300 else math.inf
-    return math.isnan(number) or (abs(number) <= 1e300 and one.least <= number <= one.most)
+    number = math.inf if isinstance(value, int) and abs(value) > 10**300 else float(value)
+    return math.isnan(number) or (abs(number) <= 1e300 and rule.least <= number <= rule.most)

@@ -1,17 +1,23 @@
-"""A trajectory as data frames of pandas, and as a dataset of xarray."""
+"""A trajectory as data frames of pandas, as a dataset of xarray, and as notebooks show it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from collections import Counter
+from html import escape
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError, needed
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.core.types import Array
+from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, header_value
 
 if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
+
+WIDE, HIGH, BINS = 160, 24, 80  # of a line of confidence: pixels, and means that it shows
+SHOWN: Final = 20  # rows of the table
 
 
 def data_frame(table: Trajectory, what: Literal["rows", "measures", "events"], *, measures: bool) -> DataFrame:
@@ -72,10 +78,37 @@ def dataset(table: Trajectory) -> Dataset:
         "position": (("time", "space", "keypoints", "individuals"), position),
         "confidence": (("time", "keypoints", "individuals"), confidence),
     }
-    source = table.header.get("source")
     about: dict[str, Any] = {"source_software": "facetrack", "ds_type": "poses", "time_unit": "seconds"}
-    if isinstance(source, dict) and "fps" in source:
-        about["fps"] = source["fps"]
+    if (fps := header_value(table, "source", "fps")) is not None:
+        about["fps"] = fps
     elif len(frames) > 1:
         about["fps"] = round(1 / float(np.median(np.diff(places["time"]))), 6)
     return xarray.Dataset(values, places, about)
+
+
+def html(table: Trajectory) -> str:
+    """A small table: of each target its parts, frames, the share of rows that are seen, its events, and confidence."""
+    events = Counter((event.target, event.value) for event in table.events)
+    lines = []
+    for target in table.targets[:SHOWN]:
+        parts = table.of_target(target)
+        seen = float(np.mean(np.concatenate([np.isin(one.status, SEEN) for one in parts])))
+        said = ", ".join(f"{n} {value}" for (of, value), n in sorted(events.items()) if of == target)
+        cells = target or "-", len(parts), len(parts[0]), f"{seen:.0%}", said, _line(parts[0].confidence)
+        lines.append("<tr>" + "".join(f"<td>{one if i == 5 else escape(str(one))}</td>" for i, one in enumerate(cells)))
+    if (more := len(table.targets) - SHOWN) > 0:
+        lines.append(f"<tr><td>and {more} more")
+    heads = "".join(f"<th>{one}" for one in ("target", "parts", "frames", "seen", "events", "confidence"))
+    return f"<table><tr>{heads}{''.join(lines)}</table>"
+
+
+def _line(values: Array) -> str:
+    """Values from 0 to 1 over time as a picture."""
+    known = np.nan_to_num(values)
+    if not len(known):
+        return ""
+    means = [float(one.mean()) for one in np.array_split(known, min(BINS, len(known)))]
+    x = np.linspace(0, WIDE, len(means)) if len(means) > 1 else [WIDE / 2]
+    points = " ".join(f"{a:.1f},{HIGH - 1 - v * (HIGH - 2):.1f}" for a, v in zip(x, means, strict=True))
+    line = f'<polyline points="{points}" fill="none" stroke="currentColor"/>'
+    return f'<svg width="{WIDE}" height="{HIGH}" role="img" aria-label="confidence over time">{line}</svg>'

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field
 
 from facetrack_cli.core.types import Correction, Start, TargetStart, checked_name
 from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS, not_as_written
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory, header_value
 
 CORRECTED: Final = "corrected.init.yaml"
 UNSAVED: Final = "unsaved.init.yaml"
@@ -50,8 +50,8 @@ class CorrectedTarget(_Target):
     confirmed: _Parts = ()
 
     def correction(self, frame: int, target: str) -> Correction:
-        given = TargetStart(self.box, self.points)
-        return Correction(frame, target, given, self.kept, self.absent, self.learn, self.confirmed)
+        start = TargetStart(self.box, self.points)
+        return Correction(frame, target, start, self.kept, self.absent, self.learn, self.confirmed)
 
 
 class CorrectionRecord(CorrectedTarget):
@@ -73,16 +73,16 @@ class StartRecord(BaseModel):
 
     def start_from(self, origin: str) -> Start:
         """The start; `origin` is what said so."""
-        corrections = tuple(one.correction(one.frame, one.target) for one in self.corrections)
-        targets = {name: one.target() for name, one in self.targets.items()}
+        corrections = tuple(record.correction(record.frame, record.target) for record in self.corrections)
+        targets = {name: record.target() for name, record in self.targets.items()}
         return Start(self.frame, targets, origin, corrections, detector=self.detector, placed=self.placed)
 
 
 def to_record(start: Start) -> dict[str, Any]:
     """What `StartRecord` reads, for JSON; members without a value are left out."""
     targets = {}
-    for name, one in start.targets.items():
-        targets[name] = _members(box=one.box, points=dict(one.points), windows=dict(one.windows))
+    for name, target in start.targets.items():
+        targets[name] = _members(box=target.box, points=dict(target.points), windows=dict(target.windows))
     measured = _members(detector=start.detector, placed=start.placed)
     return {"frame": start.frame, "targets": targets, **measured, **corrections_record(start.corrections)}
 
@@ -94,10 +94,10 @@ def corrections_record(corrections: Sequence[Correction]) -> dict[str, Any]:
 
 def corrected(correction: Correction) -> dict[str, Any]:
     """What `CorrectedTarget` reads, for JSON: whole numbers without a fraction, and only members with a value."""
-    given, learn = correction.given, correction.learn
+    start, learn = correction.given, correction.learn
     absent, sure = (one is True or list(one) for one in (correction.absent, correction.confirmed))
-    box = given.box and list(map(whole, given.box))
-    points, kept = ({k: list(map(whole, xy)) for k, xy in those.items()} for those in (given.points, correction.kept))
+    box = start.box and list(map(whole, start.box))
+    points, kept = ({k: list(map(whole, xy)) for k, xy in those.items()} for those in (start.points, correction.kept))
     members = _members(box=box, points=points, kept=kept, absent=absent, confirmed=sure)
     return members if learn is None else {**members, "learn": learn}
 
@@ -182,15 +182,9 @@ def read_header(table: Trajectory) -> Header:
         raise not_as_written(table.path, e) from None
 
 
-def said(table: Trajectory, group: str, key: str) -> Any:
-    """The value below `group`, as of "recipe" and "name"; None where there is none."""
-    found = table.header.get(group)
-    return found.get(key) if isinstance(found, dict) else None
-
-
 def clip_of(table: Trajectory) -> Path | None:
     """The clip, looked for where the run was started and beside the trajectory; it need not be there."""
-    named = said(table, "source", "path")
+    named = header_value(table, "source", "path")
     if not isinstance(named, str) or not named:
         return None
     beside = table.path.absolute().parent
@@ -199,7 +193,7 @@ def clip_of(table: Trajectory) -> Path | None:
 
 def frame_size_of(table: Trajectory) -> tuple[int, int] | None:
     """Width and height of its images in pixels."""
-    size = said(table, "source", "size")
+    size = header_value(table, "source", "size")
     if isinstance(size, list) and len(size) == 2 and all(type(side) is int and side > 0 for side in size):
         return size[0], size[1]
     return None

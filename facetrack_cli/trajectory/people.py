@@ -12,7 +12,7 @@ from typing import Annotated, Final, Literal, TypeAlias
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.errors import InputError, UsageError, reading
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import checked_name
@@ -90,38 +90,36 @@ class People(_Record):
 
     @model_validator(mode="after")
     def _whole(self) -> People:
-        spans = [
-            *((one.first, one.stop) for one in self.tracks),
-            *(span for one in self.people for span in one.intervals),
-        ]
-        if any(first >= stop for first, stop in spans):
+        spans = [span for person in self.people for span in person.intervals]
+        if any(first >= stop for first, stop in [*spans, *((track.first, track.stop) for track in self.tracks)]):
             raise ValueError("a track or an interval has no frame")
-        if any(one.times and len(one.times) != len(one.intervals) for one in self.people):
+        if any(person.times and len(person.times) != len(person.intervals) for person in self.people):
             raise ValueError("its times are not those of its intervals")
-        if len({*self.names}) < len(self.names) or {*self.names} != {one.person for one in self.tracks}:
+        if sorted(self.names) != sorted({track.person for track in self.tracks}):
             raise ValueError("its people are not those of its tracks, each once")
         return self
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(one.name for one in self.people)
+        return tuple(person.name for person in self.people)
 
     @property
     def doubts(self) -> tuple[TrackRecord, ...]:
         """Tracks whose person is in doubt, the least sure first."""
-        return tuple(sorted((one for one in self.tracks if one.doubt and not one.given), key=lambda one: one.p))
+        tracks = (track for track in self.tracks if track.doubt and not track.given)
+        return tuple(sorted(tracks, key=lambda track: track.p))
 
     def text(self) -> bytes:
         return self.model_dump_json(indent=1).encode() + b"\n"
 
     def seconds_together(self) -> Mapping[tuple[str, str], float]:
         """How long two people are on the screen at the same time, where they ever are."""
-        found: dict[tuple[str, str], float] = {}
+        together: dict[tuple[str, str], float] = {}
         for a, b in combinations(self.people, 2):
             seconds = sum(max(min(x[1], y[1]) - max(x[0], y[0]), 0) for x in self.times_of(a) for y in self.times_of(b))
             if seconds:
-                found[a.name, b.name] = round(seconds, 3)
-        return found
+                together[a.name, b.name] = round(seconds, 3)
+        return together
 
     def times_of(self, person: PersonRecord) -> tuple[tuple[float, float], ...]:
         """The intervals of a person in s."""
@@ -132,13 +130,11 @@ def read_people(path: Path) -> People | None:
     """The people.json of a run's folder; None without. InputError for a file that is not as we write it."""
     file = path if path.name == PEOPLE else path / PEOPLE
     try:
-        return People.model_validate_json(read_bounded(file))
-    except FileNotFoundError:
-        return None
-    except OSError as e:
-        raise InputError(f"{file}: cannot be read: {e.strerror or e}; make it readable") from None
+        with reading(file), suppress(FileNotFoundError):
+            return People.model_validate_json(read_bounded(file))
     except ValidationError as e:
         raise not_as_written(file, e) from None
+    return None
 
 
 def read_still(run: Path, still: str) -> bytes:
@@ -158,28 +154,19 @@ def people_of(
     corrections: Sequence[str] = (),
 ) -> People:
     """The people of these tracks, in the order of their first frames."""
-    ordered = sorted(tracks, key=lambda one: (one.first, one.stop))
-    found: dict[str, list[TrackRecord]] = {}
-    for one in ordered:
-        found.setdefault(one.person, []).append(one)
+    ordered = tuple(sorted(tracks, key=lambda track: (track.first, track.stop)))
     people: list[PersonRecord] = []
-    for name, theirs in found.items():
-        spans = tuple(union((one.first, one.stop) for one in theirs))
-        frames = [one.stop - one.first for one in theirs]
-        times = tuple((round(clock.at(first), 4), round(clock.after(stop - 1), 4)) for first, stop in spans)
-        p = float(np.average([one.p for one in theirs], weights=frames))
-        person = PersonRecord(
-            name=name,
-            seconds=round(sum(stop - first for first, stop in times), 3),
-            p=round(p, 4),
-            intervals=spans,
-            times=times,
-            still=stills.get(name, ""),
-            photograph=name in photographs,
-        )
-        people.append(person)
+    for name in dict.fromkeys(track.person for track in ordered):
+        theirs = [track for track in ordered if track.person == name]
+        spans = tuple(union((track.first, track.stop) for track in theirs))
+        times = tuple((round(clock.at(first), 4), round(clock.at(stop), 4)) for first, stop in spans)
+        seconds = round(sum(stop - first for first, stop in times), 3)
+        p = round(float(np.average([one.p for one in theirs], weights=[one.stop - one.first for one in theirs])), 4)
+        person = PersonRecord(name=name, seconds=seconds, p=p, intervals=spans, times=times)
+        picture = {"still": stills.get(name, ""), "photograph": name in photographs}
+        people.append(person.model_copy(update=picture))
     return People(
-        fps=clock.fps, shots=tuple(shots), people=tuple(people), tracks=tuple(ordered), corrections=tuple(corrections)
+        fps=clock.fps, shots=tuple(shots), people=tuple(people), tracks=ordered, corrections=tuple(corrections)
     )
 
 
@@ -188,13 +175,12 @@ Tracks: TypeAlias = "list[tuple[str, TrackRecord]]"  # each with the target whos
 
 def tracks_of(people: People) -> Tracks:
     """The tracks of a run whose rows are under the names of these people."""
-    return [(one.person, one) for one in people.tracks]
+    return [(track.person, track) for track in people.tracks]
 
 
 def merge(tracks: Tracks, name: str, into: str) -> Tracks:
     """With the tracks of the person `name` given to another. UsageError where both are seen in one frame."""
-    theirs, others = _of(tracks, name), _of(tracks, into)
-    both = [max(x.first, y.first) for _, x in theirs for _, y in others if x.first < y.stop and y.first < x.stop]
+    both = _shared([track for _, track in _of(tracks, name)], _of(tracks, into))
     if name == into or both:
         why = f"{name} and {into} are both seen in frame {both[0]}" if name != into else "that is one person already"
         raise UsageError(f"--merge {name}={into}: {why}; give two people that are never seen together")
@@ -208,9 +194,9 @@ def rename(tracks: Tracks, name: str, to: str) -> Tracks:
         checked_name(to)
     except ValueError as e:
         raise UsageError(f"--rename {name}={to}: {e}") from None
-    if any(one.person == to for _, one in tracks):
+    if any(track.person == to for _, track in tracks):
         raise UsageError(f"--rename {name}={to}: {to} is there; --merge {name}={to} makes them one person")
-    return [(of, one.model_copy(update={"person": to}) if one.person == name else one) for of, one in tracks]
+    return [(of, track.model_copy(update={"person": to}) if track.person == name else track) for of, track in tracks]
 
 
 def split(tracks: Tracks, name: str, frame: int) -> Tracks:
@@ -220,16 +206,15 @@ def split(tracks: Tracks, name: str, frame: int) -> Tracks:
         spans = ", ".join(f"{one.first} to {one.stop - 1}" for _, one in theirs[:4])
         remedy = f"{name} is seen in frames {spans}; give a frame between the first and the last"
         raise UsageError(f"--split {name}@{frame}f: {remedy}")
-    new = new_name({one.person for _, one in tracks})
-    found: Tracks = []
-    for of, one in tracks:
-        if one.person != name or one.stop <= frame:
-            found.append((of, one))
-            continue
-        if one.first < frame:
-            found.append((of, one.model_copy(update={"stop": frame})))
-        found.append((of, _given(one, new).model_copy(update={"first": max(one.first, frame)})))
-    return found
+    new = new_name({track.person for _, track in tracks})
+    changed: Tracks = []
+    for target, track in tracks:
+        later = track.person == name and track.stop > frame
+        if track.first < frame or not later:
+            changed.append((target, track.model_copy(update={"stop": frame}) if later else track))
+        if later:
+            changed.append((target, _given(track, new).model_copy(update={"first": max(track.first, frame)})))
+    return changed
 
 
 def give(tracks: Tracks, name: str, frame: int, to: str | None) -> Tracks:
@@ -237,24 +222,20 @@ def give(tracks: Tracks, name: str, frame: int, to: str | None) -> Tracks:
 
     `to` the person itself settles a doubt. UsageError without such a track, and where the other one is seen as well.
     """
-    found = [pair for pair in _of(tracks, name) if pair[1].first <= frame < pair[1].stop]
-    if not found:
+    own = next((track for _, track in _of(tracks, name) if track.first <= frame < track.stop), None)
+    if own is None:
         raise UsageError(f"--give {name}@{frame}f: {name} is not seen in frame {frame}; name one in which {name} is")
-    own = found[0]
-    rest = [pair for pair in tracks if pair is not own]
-    if to is not None and to != name:
-        busy = [one for _, one in _of(rest, to) if one.first < own[1].stop and own[1].first < one.stop]
-        if busy:
-            at = max(busy[0].first, own[1].first)
-            raise UsageError(f"--give {name}@{frame}f={to}: {to} is seen in frame {at}, too; give somebody else")
-    person = new_name({one.person for _, one in tracks}) if to is None else to
-    return [pair if pair is not own else (pair[0], _given(pair[1], person)) for pair in tracks]
+    others = [] if to in (None, name) else _of([pair for pair in tracks if pair[1] is not own], str(to))
+    if at := _shared([own], others):
+        raise UsageError(f"--give {name}@{frame}f={to}: {to} is seen in frame {at[0]}, too; give somebody else")
+    person = new_name({track.person for _, track in tracks}) if to is None else to
+    return [(target, _given(track, person) if track is own else track) for target, track in tracks]
 
 
 def photographs(before: People, tracks: Tracks) -> list[str]:
     """Those whose first track is of a photograph."""
-    still = {one.name for one in before.people if one.photograph}
-    first = dict(reversed([(one.person, of) for of, one in tracks]))
+    still = {person.name for person in before.people if person.photograph}
+    first = dict(reversed([(track.person, of) for of, track in tracks]))
     return [name for name, of in first.items() if of in still]
 
 
@@ -263,18 +244,23 @@ def new_name(taken: Collection[str]) -> str:
     return next(f"{PERSON}{k}" for k in range(1, len(taken) + 2) if f"{PERSON}{k}" not in taken)
 
 
-def _given(one: TrackRecord, person: str) -> TrackRecord:
+def _shared(tracks: Iterable[TrackRecord], others: Tracks) -> list[int]:
+    """The frames in which a track and another one begin to be seen together."""
+    return [max(a.first, b.first) for a in tracks for _, b in others if a.first < b.stop and b.first < a.stop]
+
+
+def _given(track: TrackRecord, person: str) -> TrackRecord:
     """The track, which somebody has said to be of a person."""
-    return TrackRecord(person=person, first=one.first, stop=one.stop, p=1.0, given=True)
+    return TrackRecord(person=person, first=track.first, stop=track.stop, p=1.0, given=True)
 
 
 def _of(tracks: Tracks, name: str) -> Tracks:
     """The tracks of a person. UsageError for a name that nobody has."""
-    found = [pair for pair in tracks if pair[1].person == name]
-    if not found:
+    own = [pair for pair in tracks if pair[1].person == name]
+    if not own:
         names = ", ".join(dict.fromkeys(one.person for _, one in tracks))
         raise UsageError(f"there is no {name}; there are {names}")
-    return found
+    return own
 
 
 def under_names(rows: Trajectory, tracks: Sequence[tuple[str, TrackRecord]]) -> Trajectory:
@@ -282,14 +268,14 @@ def under_names(rows: Trajectory, tracks: Sequence[tuple[str, TrackRecord]]) -> 
 
     People come in the order of their first rows. Nothing was given to the tracker but a person's first row.
     """
-    order = {name: k for k, name in enumerate(dict.fromkeys(one.person for _, one in tracks))}
+    order = {name: k for k, name in enumerate(dict.fromkeys(track.person for _, track in tracks))}
     pieces: list[Trajectory] = []
-    for target, one in sorted(tracks, key=lambda pair: (order[pair[1].person], pair[1].first)):
-        part = choose(rows, target).between(one.first, one.stop)
-        names = tuple((one.person, name) for _, name in part.names)
-        if pieces and pieces[-1].target == one.person:
+    for target, track in sorted(tracks, key=lambda pair: (order[pair[1].person], pair[1].first)):
+        part = choose(rows, target).between(track.first, track.stop)
+        names = tuple((track.person, name) for _, name in part.names)
+        if pieces and pieces[-1].target == track.person:
             first = (part.status == "init") & ~part.by_hand
             part = replace(part, status=np.where(first, "tracked", part.status))
-        said = dict.fromkeys([one.person], part.diagnostics[target]) if target in part.diagnostics else {}
-        pieces.append(replace(part, names=names, diagnostics=said))
+        diagnostics = dict.fromkeys([track.person], part.diagnostics[target]) if target in part.diagnostics else {}
+        pieces.append(replace(part, names=names, diagnostics=diagnostics))
     return replace(successive(pieces), header=rows.header, path=rows.path)

@@ -5,6 +5,7 @@ import itertools
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,11 +27,17 @@ _BLOCK: Final = 1_000  # lines that become columns at a time: few enough to stay
 
 
 def read_trajectory(path: Path | str) -> Trajectory:
-    """A trajectory or ground-truth file of facetrack, or the folder of a run; CSV and JSON are told apart by content.
+    """A trajectory or ground truth of facetrack.
 
-    Columns of a CSV may stand in any order; frame, target, part, x and y are required, columns of other tools are
-    passed over. A column `hidden` of 0 and 1 says where an empty status is that of a hidden part. Raises InputError,
-    with the line where there is one, for a file that is none of them.
+    Parameters
+    ----------
+    path : a CSV, JSON or JSON lines file, told apart by their content, or the folder of a run. Columns of a CSV may
+        stand in any order; frame, target, part, x and y are required, columns of other tools are passed over. A column
+        `hidden` of 0 and 1 says where an empty status is that of a hidden part.
+
+    Raises
+    ------
+    InputError : with the line where there is one, for a file that is none of them.
     """
     path = Path(path)
     try:
@@ -63,8 +70,8 @@ def not_as_written(path: Path, error: Any, *above: str) -> InputError:
     """The first error of a pydantic.ValidationError, in the key that is `above` what was validated."""
     first = error.errors()[0]
     key = ".".join(map(str, (*above, *first["loc"])))
-    said = " ".join(filter(None, (key, "is not as facetrack run writes it")))
-    return InputError(f"{path}: {said} ({first['msg'].lower()}); make the run again")
+    problem = " ".join(filter(None, (key, "is not as facetrack run writes it")))
+    return InputError(f"{path}: {problem} ({first['msg'].lower()}); make the run again")
 
 
 def _build(path: Path, targets: list[str], parts: list[str], columns: dict[str, Any], **others: Any) -> Trajectory:
@@ -93,7 +100,7 @@ def _build(path: Path, targets: list[str], parts: list[str], columns: dict[str, 
 
 def _read_csv(path: Path) -> Trajectory:
     blocks: list[dict[str, Any]] = []
-    named: dict[str, list[str]] = {"target": [], "part": []}
+    names: dict[str, list[str]] = {"target": [], "part": []}
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             lines = csv.reader(file)
@@ -111,16 +118,16 @@ def _read_csv(path: Path) -> Trajectory:
                 columns = {name: list(map(str.strip, cells.get(name, [""] * len(block)))) for name in COLUMNS}
                 if "hidden" in cells:
                     columns["status"] = _hidden(path, cells["hidden"], columns["status"], numbers)
-                for name in named:
+                for name in names:
                     if "" in columns[name]:
                         place = f"{path}:{numbers[columns[name].index('')]}"
                         raise InputError(f"{place}: column {name} is empty; name the {name}")
-                    named[name] += columns.pop(name)
-                blocks.append({name: _column(path, name, those, numbers) for name, those in columns.items()})
+                    names[name] += columns.pop(name)
+                blocks.append({name: _column(path, name, texts, numbers) for name, texts in columns.items()})
     except csv.Error as e:
         raise InputError(f"{path}:{lines.line_num}: is not CSV: {e}") from e
     whole = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]} if blocks else {}
-    return _build(path, named["target"], named["part"], whole)
+    return _build(path, names["target"], names["part"], whole)
 
 
 def _rows(path: Path, lines: Any, width: int) -> Iterator[tuple[int, list[str]]]:
@@ -138,13 +145,12 @@ def _rows(path: Path, lines: Any, width: int) -> Iterator[tuple[int, list[str]]]
 
 def _hidden(path: Path, cells: Sequence[str], status: Sequence[str], numbers: Sequence[int]) -> list[str]:
     """The `status`, and where it is empty what a column of 0 and 1, or false and true, says of it."""
-    known = {"": "", "0": "", "false": "", "1": "hidden", "true": "hidden"}
-    said = [known.get(cell.strip().lower()) for cell in cells]
-    if None in said:
-        at = said.index(None)
-        why = "is none of 0, 1, true and false; correct it or leave it empty"
-        raise InputError(f"{path}:{numbers[at]}: column hidden: {cells[at].strip()!r} {why}")
-    return [one or other or "" for one, other in zip(status, said, strict=True)]
+    statuses = {"": "", "0": "", "false": "", "1": "hidden", "true": "hidden"}
+    for number, cell in zip(numbers, cells, strict=True):
+        if cell.strip().lower() not in statuses:
+            why = "is none of 0, 1, true and false; correct it or leave it empty"
+            raise InputError(f"{path}:{number}: column hidden: {cell.strip()!r} {why}")
+    return [text or statuses[cell.strip().lower()] for text, cell in zip(status, cells, strict=True)]
 
 
 def _column(path: Path, name: str, cells: Sequence[str], numbers: Sequence[int]) -> NDArray[Any]:
@@ -153,30 +159,24 @@ def _column(path: Path, name: str, cells: Sequence[str], numbers: Sequence[int])
         return np.array(cells, dtype=np.str_)
     whole = name in ("frame", "particles")
 
-    def number(cell: str) -> float:
-        if not cell and name != "frame":
-            return math.nan
-        if whole and not (cell.isascii() and cell.isdigit() and len(cell) <= _DIGITS):
-            raise ValueError
-        value = int(cell) if whole else float(cell)
-        if not math.isfinite(value) or "_" in cell:  # nan, inf, or 1_0, which float() takes for 10
-            raise ValueError
-        return value
+    def is_number(cell: str) -> bool:
+        if whole or not cell:
+            return cell.isascii() and cell.isdigit() and len(cell) <= _DIGITS if cell else name != "frame"
+        try:
+            return math.isfinite(float(cell)) and "_" not in cell  # float() takes 1_0 for 10
+        except ValueError:
+            return False
 
-    try:
-        if not whole and "_" not in "".join(cells):  # as `number` does, and faster
+    if not whole and "_" not in "".join(cells):  # as below, and faster
+        with suppress(ValueError):
             values = np.array([float(cell) if cell else math.nan for cell in cells])
             if np.isfinite(values).sum() == len(cells) - cells.count(""):
                 return values
-        return np.array([number(cell) for cell in cells], dtype=np.int64 if name == "frame" else np.float64)
-    except ValueError:
-        for line, cell in zip(numbers, cells, strict=True):
-            try:
-                number(cell)
-            except ValueError:
-                why = "whole number from 0 up; correct it" if whole else "finite number; correct it or leave it empty"
-                raise InputError(f"{path}:{line}: column {name}: {cell!r} is no {why}") from None
-        raise
+    for line, cell in zip(numbers, cells, strict=True):
+        if not is_number(cell):
+            why = "whole number from 0 up; correct it" if whole else "finite number; correct it or leave it empty"
+            raise InputError(f"{path}:{line}: column {name}: {cell!r} is no {why}")
+    return np.array([int(cell) if cell else math.nan for cell in cells], dtype=np.int64 if name == "frame" else float)
 
 
 _SHARED: Final = ("frame", "time_s", "target", "particles", "identity", "identity_prob")
@@ -208,8 +208,7 @@ def _read_json(path: Path) -> Trajectory:
             for target in record["targets"]:
                 parts, about = target["parts"], {"particles": None, "identity_prob": None, **target}
                 about |= {"frame": record["frame"], "time_s": record.get("time_s")}
-                if about.get("identity") is None:
-                    about["identity"] = ""
+                about["identity"] = "" if about.get("identity") is None else about["identity"]
                 for key in _SHARED:
                     columns[key] += [about[key]] * len(parts)
                 if unknown := sorted({key for part in parts for key in part.keys() - _KEYS}):
@@ -250,7 +249,7 @@ def _declared(path: Path, header: Mapping[str, Any]) -> dict[str, Diagnostic]:
         listed = TypeAdapter(list[Diagnostic]).validate_python(header["diagnostics"])
     except ValidationError as e:
         raise not_as_written(path, e, "diagnostics") from None
-    return {**KNOWN, **{one.name: one for one in listed if one.name not in KNOWN}}
+    return {**KNOWN, **{diagnostic.name: diagnostic for diagnostic in listed if diagnostic.name not in KNOWN}}
 
 
 def _records(path: Path) -> tuple[dict[str, Any], list[Any]]:

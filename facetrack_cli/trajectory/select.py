@@ -17,12 +17,12 @@ def choose(table: Trajectory, select: str | None) -> Trajectory:
     """One target alone (`face`), or one part of it (`face/nose`); all for None. UsageError, with the names."""
     if select is None:
         return table
-    found = [one for one in table.parts if select in (one.target, one.name)]
-    if not found:
-        names = [name for name in table.targets if name] + [one.name for one in table.parts]
+    parts = [part for part in table.parts if select in (part.target, part.name)]
+    if not parts:
+        names = [name for name in table.targets if name] + [part.name for part in table.parts]
         raise UsageError(f"{table.path}: has no {select!r}; choose among {', '.join(names)}")
-    diagnostics = {name: one for name, one in table.diagnostics.items() if name == found[0].target}
-    return joined(found, header=table.header, diagnostics=diagnostics, path=table.path)
+    diagnostics = {name: part for name, part in table.diagnostics.items() if name == parts[0].target}
+    return joined(parts, header=table.header, diagnostics=diagnostics, path=table.path)
 
 
 def blank_lost(table: Trajectory) -> Trajectory:
@@ -62,10 +62,10 @@ def enclose(parts: Sequence[Trajectory], around: Around = "windows") -> Trajecto
     frame, columns = aligned(parts, "x", "y", "w", "h", "confidence", "status", "by_hand")
     x, y, w, h, confidence, status, by_hand = columns.values()
     left, top = x - (w - 1) / 2, y - (h - 1) / 2
-    known = np.isfinite(left + top + w + h)
-    low = [np.where(known, edge, np.inf).min(axis=1) for edge in (left, top)]
-    high = [np.where(known, edge, -np.inf).max(axis=1) for edge in (left + w, top + h)]
-    left, top, right, bottom = (np.where(known.any(axis=1), edge, np.nan) for edge in (*low, *high))
+    finite = np.isfinite(left + top + w + h)
+    low = [np.where(finite, edge, np.inf).min(axis=1) for edge in (left, top)]
+    high = [np.where(finite, edge, -np.inf).max(axis=1) for edge in (left + w, top + h)]
+    left, top, right, bottom = (np.where(finite.any(axis=1), edge, np.nan) for edge in (*low, *high))
     w, h = right - left, bottom - top
     place = {"x": left + (w - 1) / 2, "y": top + (h - 1) / 2, "w": w, "h": h, "confidence": mean(confidence)}
     about = {"status": _together(status), "by_hand": by_hand.any(axis=1), "time_s": joined(parts).times}
@@ -79,20 +79,20 @@ def has_windows(part: Trajectory) -> bool:
 
 def mean(values: Array) -> Array:
     """The mean over the last axis of what is known; nan where nothing is."""
-    known = np.isfinite(values)
-    count = known.sum(axis=-1)
-    return np.where(count > 0, np.where(known, values, 0.0).sum(axis=-1) / np.maximum(count, 1), np.nan)
+    finite = np.isfinite(values)
+    count = finite.sum(axis=-1)
+    return np.where(count > 0, np.where(finite, values, 0.0).sum(axis=-1) / np.maximum(count, 1), np.nan)
 
 
 def _together(status: Texts) -> list[str]:
     """What the statuses (T, K) of parts that are not absent agree on, else that their target is there."""
-    found = []
+    together = []
     for row in status.tolist():
-        said = set(filter(None, row))
-        of_tracker = bool(said & {"tracked", "init", "lost"})
+        states = set(filter(None, row))
+        of_tracker = bool(states & {"tracked", "init", "lost"})
         if of_tracker:
-            said.discard("absent")
-        if said == {*UNSEEN}:
-            said.discard("lost")
-        found.append(said.pop() if len(said) == 1 else "tracked" if of_tracker else "visible" if said else "")
-    return found
+            states.discard("absent")
+        if states == {*UNSEEN}:
+            states.discard("lost")
+        together.append(states.pop() if len(states) == 1 else "tracked" if of_tracker else "visible" if states else "")
+    return together

@@ -119,11 +119,11 @@ class Trajectory:
 
     def find(self, target: str, part: str) -> Trajectory | None:
         """The rows of one part; None if there are none."""
-        return next((one for one in self.parts if one.names[0] == (target, part)), None)
+        return next((rows for rows in self.parts if rows.names[0] == (target, part)), None)
 
     def of_target(self, target: str) -> tuple[Trajectory, ...]:
         """A trajectory of each part of one target."""
-        return tuple(one for one in self.parts if one.target == target)
+        return tuple(part for part in self.parts if part.target == target)
 
     @cached_property
     def frames(self) -> Whole:
@@ -159,26 +159,26 @@ class Trajectory:
     def between(self, first: int, stop: int) -> Trajectory:
         """The rows of frames from `first` to before `stop`, with the diagnostics of those."""
         kept = self.take((self.frame >= first) & (self.frame < stop))
-        found = {name: one.between(first, stop) for name, one in self.diagnostics.items()}
-        return replace(kept, diagnostics={name: one for name, one in found.items() if len(one.frame)})
+        parts = {name: part.between(first, stop) for name, part in self.diagnostics.items()}
+        return replace(kept, diagnostics={name: part for name, part in parts.items() if len(part.frame)})
 
     @property
     def times(self) -> Array:
         """(T,) seconds of `frames`, nan where no row says when."""
         frames = self.frames
-        found, known = np.full(len(frames), np.nan), np.isfinite(self.time_s)
-        found[np.searchsorted(frames, self.frame[known])] = self.time_s[known]
-        return found
+        times, known = np.full(len(frames), np.nan), np.isfinite(self.time_s)
+        times[np.searchsorted(frames, self.frame[known])] = self.time_s[known]
+        return times
 
     def beliefs(self, target: str) -> tuple[Whole, tuple[str, ...], Array]:
         """(T,) frames, (P,) names and (T, P) their probabilities; of a CSV those of the most likely identity alone."""
-        found = self.diagnostics.get(target)
-        if found is not None and POSTERIOR.name in found.values:
-            return found.frame, found.labels[POSTERIOR.name], found.values[POSTERIOR.name]
-        one = self.of_target(target)[0]
-        names = tuple(dict.fromkeys(name for name in one.identity.tolist() if name))
-        known = one.identity[:, None] == np.array(names, dtype=np.str_)[None]
-        return one.frame, names, np.where(known, one.identity_prob[:, None], np.nan)
+        reported = self.diagnostics.get(target)
+        if reported is not None and POSTERIOR.name in reported.values:
+            return reported.frame, reported.labels[POSTERIOR.name], reported.values[POSTERIOR.name]
+        rows = self.of_target(target)[0]
+        names = tuple(dict.fromkeys(name for name in rows.identity.tolist() if name))
+        known = rows.identity[:, None] == np.array(names, dtype=np.str_)[None]
+        return rows.frame, names, np.where(known, rows.identity_prob[:, None], np.nan)
 
     def recognised(self, target: str, name: str, level: float = SURE) -> int | None:
         """The first frame in which the identity `name` has a probability above `level`; None if there is none."""
@@ -211,18 +211,16 @@ class Trajectory:
         """
         absent = self.status == "absent"
         seams = self.header.get("seams")
-        meet = [one.get("frame") for one in seams if isinstance(one, dict)] if isinstance(seams, list) else []
-        shown = (self.status == "init") & ~np.isin(self.frame, [one for one in meet if isinstance(one, int)])
+        meet = [seam.get("frame") for seam in seams if isinstance(seam, dict)] if isinstance(seams, list) else []
+        shown = (self.status == "init") & ~np.isin(self.frame, [seam for seam in meet if isinstance(seam, int)])
         shown |= absent & ~self.vanished & ~np.concatenate([absent[:1], absent[:-1]])
-        found: Mask = self.by_hand | (shown & (np.arange(len(self)) > 0))
-        return found
+        return np.asarray(self.by_hand | (shown & (np.arange(len(self)) > 0)))
 
     @property
     def pixel_aspect(self) -> float:
         """The width of a pixel over its height, by the header."""
-        source = self.header.get("source")
-        found = source.get("pixel_aspect") if isinstance(source, dict) else None
-        return float(found) if isinstance(found, int | float) and 0.01 < found <= 100 else 1.0
+        aspect = header_value(self, "source", "pixel_aspect")
+        return float(aspect) if isinstance(aspect, int | float) and 0.01 < aspect <= 100 else 1.0
 
     @property
     def squared(self) -> Trajectory:
@@ -237,8 +235,7 @@ class Trajectory:
     @cached_property
     def measures(self) -> Mapping[str, Mapping[str, Measured]]:
         """Of each target what its face does, or the hand, by the measure's name."""
-        from facetrack_cli.trajectory.analysis.hands import hand_measures
-        from facetrack_cli.trajectory.analysis.measures import measures_of
+        from facetrack_cli.trajectory.analysis.measures import hand_measures, measures_of
 
         return {target: measures_of(self.of_target(target)) for target in self.targets} | hand_measures(self)
 
@@ -267,11 +264,11 @@ class Trajectory:
         return self._intervals(SEEN)
 
     def _intervals(self, statuses: Sequence[str]) -> dict[str, list[tuple[int, int]]]:
-        found = {}
-        for one in self.parts:
-            there = spans(np.isin(one.status, statuses), np.diff(one.frame) > 1)
-            found[one.name] = [(int(one.frame[a]), int(one.frame[b - 1]) + 1) for a, b in there]
-        return found
+        intervals = {}
+        for part in self.parts:
+            there = spans(np.isin(part.status, statuses), np.diff(part.frame) > 1)
+            intervals[part.name] = [(int(part.frame[a]), int(part.frame[b - 1]) + 1) for a, b in there]
+        return intervals
 
     def columns(self) -> dict[str, Any]:
         """The columns of the CSV as arrays, rows in the order of the file: by frame, then by part."""
@@ -281,7 +278,7 @@ class Trajectory:
         return {name: (own[name] if name in own else getattr(self, name))[order] for name in COLUMNS}
 
     def _repr_html_(self) -> str:
-        from facetrack_cli.trajectory.notebook import html
+        from facetrack_cli.trajectory.frames import html
 
         return html(self)
 
@@ -332,6 +329,12 @@ class Trajectory:
         return data_frame(self, what, measures=measures)
 
 
+def header_value(table: Trajectory, group: str, key: str) -> Any:
+    """The value of the header below `group`, as of "recipe" and "name"; None where there is none."""
+    members = table.header.get(group)
+    return members.get(key) if isinstance(members, dict) else None
+
+
 _ARRAYS = tuple(f.name for f in fields(Trajectory) if str(f.type).startswith(("Whole", "Array", "Texts", "Mask")))
 
 
@@ -353,11 +356,11 @@ def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: An
         at, name = frame[twice[0]], "/".join(names[which[twice[0]]])
         why = f"frame {at} has two rows of {name}; keep one row a frame, target and part"
         raise InputError(f"{about.get('path', Path())}: {why}")
-    known = {name: values for name, values in others.items() if values is not None}
-    for name, values in known.items():
-        known[name] = np.asarray(values, dtype=_TYPES.get(name, np.float64))[order]
-    known = {**_unknown(len(frame)), **known, "which": which, "frame": frame}
-    return Trajectory(tuple(names), **known, **about)
+    given = {name: values for name, values in others.items() if values is not None}
+    for name, values in given.items():
+        given[name] = np.asarray(values, dtype=_TYPES.get(name, np.float64))[order]
+    given = {**_unknown(len(frame)), **given, "which": which, "frame": frame}
+    return Trajectory(tuple(names), **given, **about)
 
 
 def of_frame(
@@ -368,36 +371,26 @@ def of_frame(
     An angle is that in the frame's pixels. What lies beyond the outermost pixels of the frame cannot be seen: it is
     hidden where it would be tracked.
     """
-    rows, known = len(names), dict(_unknown(len(names)))
-    known |= {"which": np.arange(rows), "frame": np.full(rows, frame.index), "time_s": np.full(rows, frame.time_s)}
-    known |= {name: np.asarray(values, dtype=_TYPES.get(name, np.float64)) for name, values in columns.items()}
-    known["angle"] = shown_angle(known["angle"], frame.aspect)
-    (x, y), (width, height) = (known["x"], known["y"]), frame.size
+    rows, given = len(names), dict(_unknown(len(names)))
+    given |= {"which": np.arange(rows), "frame": np.full(rows, frame.index), "time_s": np.full(rows, frame.time_s)}
+    given |= {name: np.asarray(values, dtype=_TYPES.get(name, np.float64)) for name, values in columns.items()}
+    given["angle"] = shown_angle(given["angle"], frame.aspect)
+    (x, y), (width, height) = (given["x"], given["y"]), frame.size
     beyond = (x < 0) | (x > width - 1) | (y < 0) | (y > height - 1)
     if beyond.any():
-        known["status"] = np.where(beyond & (known["status"] == "tracked"), "hidden", known["status"])
-    return Trajectory(names, **known, diagnostics=diagnostics)
+        given["status"] = np.where(beyond & (given["status"] == "tracked"), "hidden", given["status"])
+    return Trajectory(names, **given, diagnostics=diagnostics)
 
 
 _TYPES: Final[Mapping[str, Any]] = {**dict.fromkeys(TEXTS, np.str_), "by_hand": np.bool_}
-_UNKNOWN: Final[Mapping[str, tuple[Any, ...]]] = {**dict.fromkeys(TEXTS, ("", "<U8")), "by_hand": (False,)}
-
-
-def _unknown(rows: int) -> dict[str, Any]:
-    """Columns of which nothing is known; those of few rows are shared by all frames, and read-only."""
-    return _unknown_of_few(rows) if rows <= 16 else _blank(rows)
-
-
-def _blank(rows: int) -> dict[str, Any]:
-    return {name: np.full(rows, *_UNKNOWN.get(name, (np.nan,))) for name in _ARRAYS[2:] if name != "corners"}
+_UNKNOWN: Final[Mapping[str, Any]] = {**dict.fromkeys(TEXTS, np.array("", "<U8")), "by_hand": np.array(False)}
 
 
 @lru_cache
-def _unknown_of_few(rows: int) -> dict[str, Any]:
-    columns = _blank(rows)
-    for column in columns.values():
-        column.flags.writeable = False
-    return columns
+def _unknown(rows: int) -> dict[str, Any]:
+    """Columns of which nothing is known: read-only, and one value each in memory."""
+    values = {name: _UNKNOWN.get(name, np.array(np.nan)) for name in _ARRAYS[2:] if name != "corners"}
+    return {name: np.broadcast_to(value, rows) for name, value in values.items()}
 
 
 def one_part(target: str, part: str, frame: Any, **columns: Any) -> Trajectory:
@@ -407,20 +400,20 @@ def one_part(target: str, part: str, frame: Any, **columns: Any) -> Trajectory:
 
 def joined(parts: Iterable[Trajectory], **others: Any) -> Trajectory:
     """Trajectories of different parts, or of different frames, as one; `others` are header, diagnostics and path."""
-    all_ = list(parts)
-    if len(all_) < 2:
-        return replace(all_[0] if all_ else build((), [], []), **others)
+    tables = list(parts)
+    if len(tables) < 2:
+        return replace(tables[0] if tables else build((), [], []), **others)
     numbers: dict[tuple[str, str], int] = {}
-    for one in all_:
-        for name in one.names:
+    for table in tables:
+        for name in table.names:
             numbers.setdefault(name, len(numbers))
-    which = [np.array([numbers[name] for name in one.names], np.int64)[one.which] for one in all_]
+    which = [np.array([numbers[name] for name in table.names], np.int64)[table.which] for table in tables]
     columns: dict[str, Any] = {}
     for column in _ARRAYS[1:]:
-        arrays = [getattr(one, column) for one in all_]
+        arrays = [getattr(table, column) for table in tables]
         if any(array is not None for array in arrays):
-            both = zip(all_, arrays, strict=True)
-            columns[column] = np.concatenate([np.full((len(one), 4, 2), np.nan) if a is None else a for one, a in both])
+            pairs = zip(tables, arrays, strict=True)
+            columns[column] = np.concatenate([np.full((len(t), 4, 2), np.nan) if a is None else a for t, a in pairs])
     return build(tuple(numbers), np.concatenate(which), **columns, **others)
 
 
@@ -431,48 +424,17 @@ def aligned(parts: Sequence[Trajectory], *columns: str, frame: Whole | None = No
     """
     if frame is None:
         frame = np.unique(np.concatenate([part.frame for part in parts]))
-    found = {}
+    values = {}
     for name in columns:
-        found[name] = np.full((len(frame), len(parts)), *_UNKNOWN.get(name, (np.nan,)))
+        values[name] = np.full((len(frame), len(parts)), _UNKNOWN.get(name, np.nan))
         for k, part in enumerate(parts):
-            found[name][np.searchsorted(frame, part.frame), k] = getattr(part, name)
-    return frame, found
+            values[name][np.searchsorted(frame, part.frame), k] = getattr(part, name)
+    return frame, values
 
 
-def mean_confidence(known: Array) -> float:
+def mean_confidence(confidences: Array) -> float:
     """The mean of a frame's confidences, of the digits that a file has: it is the same from rows and from a file."""
-    return round(float(np.round(known, DECIMALS["confidence"]).mean()), 12)
-
-
-def every_frame(table: Trajectory) -> tuple[Whole, Array]:
-    """The frames from 0 to the table's last one, (T,), and when each is shown, in seconds; nan if no row says when.
-
-    Files round times, and readers ask for a constant rate: times of one are computed anew from it. Otherwise frames
-    without a row lie evenly between their neighbours. InputError for a table of more than MAX_ROWS frames.
-    """
-    if (last := int(table.frames[-1])) >= MAX_ROWS:
-        raise InputError(f"frame {last} is too far on for a row a frame; correct the column frame")
-    frames, known = np.arange(last + 1), np.isfinite(table.times)
-    at, time_s = table.frames[known], table.times[known]
-    source = table.header.get("source")
-    told = source.get("fps") if isinstance(source, dict) else None
-    periods = [1 / told] if isinstance(told, int | float) and told > 0 else []
-    steps = np.diff(time_s) / np.diff(at)
-    step = float(np.median(steps)) if steps.size else 0.0
-    if step > 0 and (line := float(np.polyfit(at, time_s, 1)[0])) > 0:
-        usual = [n / round(n / line) for n in (1, 1.001) if round(n / line)]  # 24, 25, 30, 30 / 1.001, ...
-        periods += [*usual, line]
-    # containers may keep whole milliseconds
-    rounded = 1.1e-3 if table.header.get("variable_fps") is False else 1.1 * 10.0 ** -DECIMALS["time_s"]
-    for period in periods if len(at) else ():
-        begins = time_s - at * period
-        if np.ptp(begins) <= rounded:
-            begin = (begins.min() + begins.max()) / 2
-            return frames, frames * period + (begin if abs(begin) > rounded else 0.0)
-    found = np.interp(frames, at, time_s) if len(at) else np.full(len(frames), np.nan)
-    if step > 0:
-        found += step * (np.minimum(frames - at[0], 0) + np.maximum(frames - at[-1], 0))
-    return frames, found
+    return round(float(np.round(confidences, DECIMALS["confidence"]).mean()), 12)
 
 
 class TargetResult(NamedTuple):
@@ -520,10 +482,10 @@ def recorded(frame: int, rows: Trajectory) -> tuple[TargetResult, ...]:
     """The rows and diagnostics of one frame by target, with the corners that follow from affine maps."""
     now, targets = rows.between(frame, frame + 1), []
     for target in now.targets:
-        if parts := [one for one in now.of_target(target) if len(one)]:
-            mine = joined(parts, diagnostics={name: one for name, one in now.diagnostics.items() if name == target})
-            found = outlines(mine)
-            mine = replace(mine, corners=mine.corners if found is None else found)
+        if parts := [part for part in now.of_target(target) if len(part)]:
+            mine = joined(parts, diagnostics={name: part for name, part in now.diagnostics.items() if name == target})
+            corners = outlines(mine)
+            mine = replace(mine, corners=mine.corners if corners is None else corners)
             targets.append(TargetResult(mine, np.empty((0, len(mine), 2))))
     return tuple(targets)
 
@@ -547,9 +509,9 @@ class Collector:
 
 def successive(pieces: Sequence[Trajectory], like: Trajectory | None = None) -> Trajectory:
     """Rows of different frames or targets as one, with their diagnostics; names, header and path as in `like`."""
-    targets = dict.fromkeys(name for one in pieces for name in one.diagnostics)
-    found = {name: [one.diagnostics[name] for one in pieces if name in one.diagnostics] for name in targets}
-    diagnostics = {name: Diagnostics.joined(those) for name, those in found.items()}
+    targets = dict.fromkeys(name for piece in pieces for name in piece.diagnostics)
+    by_target = {name: [piece.diagnostics[name] for piece in pieces if name in piece.diagnostics] for name in targets}
+    diagnostics = {name: Diagnostics.joined(found) for name, found in by_target.items()}
     if like is None:
         return joined(pieces, diagnostics=diagnostics)
     # the first piece gives the order of the names

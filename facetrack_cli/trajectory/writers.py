@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import chain, groupby, islice
-from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
 
@@ -24,14 +24,6 @@ VERSION = 1
 Format: TypeAlias = Literal["csv", "json", "jsonl"]
 FORMATS: tuple[Format, ...] = ("csv", "json", "jsonl")
 Header: TypeAlias = Mapping[str, Any]  # JSON-ready: source, recipe, seed, init
-_Form: TypeAlias = Callable[[list[Any]], list[str]]  # values to texts, "" for what is not known
-
-
-class _Style(NamedTuple):
-    """How rows are written: the columns, what stands before each value, and how a text is quoted."""
-
-    prefixes: Mapping[str, str]
-    quoted: Callable[[str], str]
 
 
 @dataclass
@@ -76,10 +68,10 @@ FOOTER = ("complete", "stopped", "variable_fps", "lost_frames", "warnings", "evi
 
 
 def summary_of(rows: Trajectory, **ended: Any) -> RunSummary:
-    """The ending of a run with these rows."""
-    found = RunSummary(**ended)
-    found.count(rows)
-    return found
+    """The summary of a run with these rows."""
+    summary = RunSummary(**ended)
+    summary.count(rows)
+    return summary
 
 
 class Sink(Protocol):
@@ -96,10 +88,10 @@ class Writer:
     one to a line, so that neither writing nor `grep` holds them all. jsonl is for programs that read meanwhile.
     """
 
-    def __init__(self, form: Format, sink: Sink, header: Header, *, begun: bool = False) -> None:
-        """`begun`: the sink holds the header and some frames already."""
-        self._form, self._sink, self._between = form, sink, ",\n" * begun
-        if begun:
+    def __init__(self, form: Format, sink: Sink, header: Header, *, resumed: bool = False) -> None:
+        """`resumed`: the sink holds the header and some frames already."""
+        self._form, self._sink, self._between = form, sink, ",\n" * resumed
+        if resumed:
             return
         head = {"schema": SCHEMA, "version": VERSION, "facetrack": __version__, **header}
         if form == "csv":
@@ -120,18 +112,18 @@ class Writer:
             else:
                 self._sink.write('{"type":"frame",' + frame + "}\n")
 
-    def close(self, ending: RunSummary) -> None:
-        self._sink.finish(lambda records: tail(self._form, ending, records - 1))
+    def close(self, summary: RunSummary) -> None:
+        self._sink.finish(lambda records: tail(self._form, summary, records - 1))
 
 
-def tail(form: Format, ending: RunSummary, frames: int) -> str:
+def tail(form: Format, summary: RunSummary, frames: int) -> str:
     """How a file of so many frames ends."""
-    foot: dict[str, Any] = {"complete": ending.complete}
-    foot |= {"stopped": ending.stopped} if ending.stopped else {}
-    foot |= {"frames_tracked": frames, "variable_fps": ending.variable_fps}
-    foot |= {"lost_frames": dict(ending.lost_frames), "warnings": list(ending.warnings)}
-    foot |= {"evidence": {name: round(nats, 4) for name, nats in ending.evidence.items()}}
-    foot |= {"source_sha256": ending.source_sha256} if ending.source_sha256 else {}
+    foot: dict[str, Any] = {"complete": summary.complete}
+    foot |= {"stopped": summary.stopped} if summary.stopped else {}
+    foot |= {"frames_tracked": frames, "variable_fps": summary.variable_fps}
+    foot |= {"lost_frames": dict(summary.lost_frames), "warnings": list(summary.warnings)}
+    foot |= {"evidence": {name: round(nats, 4) for name, nats in summary.evidence.items()}}
+    foot |= {"source_sha256": summary.source_sha256} if summary.source_sha256 else {}
     if form == "json":
         return "\n],\n" + ",\n".join(_members(foot)) + "\n}\n"
     return "" if form == "csv" else dumps({"type": "footer", **foot}) + "\n"
@@ -146,15 +138,15 @@ def _members(values: Mapping[str, Any]) -> list[str]:
 
 def csv_frames(rows: Trajectory) -> Iterator[str]:
     """The lines of each frame, without the header."""
-    for _, _, cells in _frames(rows, _CSV):
+    for _, _, cells in _frames(rows, COLUMNS):
         yield "".join([",".join(line) + "\n" for line in cells])
 
 
 def json_frames(rows: Trajectory) -> Iterator[str]:
     """The members of each frame's object; numbers have the digits of the CSV."""
-    for frame, which, cells in _frames(rows, _JSON):
+    for frame, which, cells in _frames(rows, (*_OF_TARGET, *_OF_PART, "time_s"), named=True):
         targets = []
-        for target, group in groupby(zip(which, cells, strict=True), key=lambda one: rows.names[one[0]][0]):
+        for target, group in groupby(zip(which, cells, strict=True), key=lambda row: rows.names[row[0]][0]):
             lines = [line for _, line in group]
             head = list(filter(None, lines[0][: len(_OF_TARGET)]))
             if target in rows.diagnostics:
@@ -172,15 +164,15 @@ def as_written(rows: Trajectory) -> Trajectory:
         texts = _numbers(f".{decimals}f")(values.ravel().tolist())
         return np.array([float(text or "nan") for text in texts]).reshape(values.shape)
 
-    def reported(found: Diagnostics) -> Diagnostics:
+    def reported(diagnostics: Diagnostics) -> Diagnostics:
         values = {}
-        for one in found.declared:
-            if (value := found.values.get(one.name)) is not None:
-                if isinstance(one.decimals, tuple):
-                    values[one.name] = np.stack([rounded(value[:, i], d) for i, d in enumerate(one.decimals)], axis=1)
+        for item in diagnostics.declared:
+            if (value := diagnostics.values.get(item.name)) is not None:
+                if isinstance(item.decimals, tuple):
+                    values[item.name] = np.stack([rounded(value[:, i], d) for i, d in enumerate(item.decimals)], axis=1)
                 else:
-                    values[one.name] = rounded(value, one.decimals)
-        return replace(found, values=values)
+                    values[item.name] = rounded(value, item.decimals)
+        return replace(diagnostics, values=values)
 
     columns: dict[str, Any] = {name: rounded(getattr(rows, name), decimals) for name, decimals in DECIMALS.items()}
     diagnostics = {target: reported(found) for target, found in rows.diagnostics.items()}
@@ -194,36 +186,35 @@ def by_frame(rows: Trajectory) -> Iterator[tuple[int, list[int]]]:
         yield frame, list(at)
 
 
-def _frames(rows: Trajectory, style: _Style) -> Iterator[tuple[int, list[int], list[tuple[str, ...]]]]:
+def _frames(
+    rows: Trajectory, columns: tuple[str, ...], *, named: bool = False
+) -> Iterator[tuple[int, list[int], list[tuple[str, ...]]]]:
     """Each frame with its rows by part: the indices of their names, and their columns as text, "" if not known."""
     if len(rows) and (rows.frame == rows.frame[0]).all():  # as a run writes them; no order is looked for
-        yield int(rows.frame[0]), rows.which.tolist(), _lines(rows, style)
+        yield int(rows.frame[0]), rows.which.tolist(), _lines(rows, columns, named)
         return
     frames = by_frame(rows)
     while block := list(islice(frames, _BLOCK)):
         some = rows.take(np.array([i for _, at in block for i in at], np.int64))
-        which, lines, first = some.which.tolist(), _lines(some, style), 0
+        lines = zip(some.which.tolist(), _lines(some, columns, named), strict=True)
         for frame, at in block:
-            rows_ = slice(first, first + len(at))
-            yield frame, which[rows_], lines[rows_]
-            first += len(at)
+            which, cells = zip(*islice(lines, len(at)), strict=True)
+            yield frame, list(which), list(cells)
 
 
-def _lines(rows: Trajectory, style: _Style) -> list[tuple[str, ...]]:
-    """The columns of each row as text, "" if not known."""
-    digits, columns = _digits(rows), []
-    for name, prefix in style.prefixes.items():
-        if name in digits:
-            known = digits[name]
-            columns.append([prefix + text if text else "" for text in known] if prefix else known)
-            continue
-        if name in ("target", "part"):
-            pairs, at = rows.names, ("target", "part").index(name)
-            values = [pairs[i][at] for i in rows.which.tolist()]
-        else:
-            values = getattr(rows, name).tolist()
-        columns.append([prefix + style.quoted(value) if value else "" for value in values])
-    return list(zip(*columns, strict=True))
+def _lines(rows: Trajectory, columns: tuple[str, ...], named: bool) -> list[tuple[str, ...]]:
+    """The columns of each row as text, `named` as members of JSON, "" if not known."""
+    digits, texts = _digits(rows), []
+    quoted = _key if named else _quoted
+    for name in columns:
+        if (text := digits.get(name)) is None:
+            if name in ("target", "part"):
+                values = [rows.names[i][name == "part"] for i in rows.which.tolist()]
+            else:
+                values = getattr(rows, name).tolist()
+            text = [quoted(value) if value else "" for value in values]
+        texts.append([f'"{name}":{value}' if value else "" for value in text] if named else text)
+    return list(zip(*texts, strict=True))
 
 
 @lru_cache(1)  # of the rows of one frame CSV and JSON ask, one after the other
@@ -235,30 +226,31 @@ def _digits(rows: Trajectory) -> dict[str, list[str]]:
     return {name: texts[i :: len(_SPECS)] for i, name in enumerate(_SPECS)}
 
 
-def _reported(found: Diagnostics, frame: int) -> list[str]:
+def _reported(reported: Diagnostics, frame: int) -> list[str]:
     """`"name":value` of the diagnostics of one frame: those of some names, then numbers, then lists; known ones first.
 
     What is not finite is left out: of several names one, of a list all of it.
     """
-    at = found.row(frame)
+    at = reported.row(frame)
     members = []
     ranks = {name: rank for rank, name in enumerate(KNOWN)}
-    declared = [one for one in found.declared if at is not None and one.name in found.values]
-    for one in sorted(declared, key=lambda d: (d.shape is not None, bool(d.shape), ranks.get(d.name, len(ranks)))):
-        value = found.values[one.name][at].tolist()
-        numbers = [value] if one.shape == () else value
-        decimals = one.decimals if isinstance(one.decimals, tuple) else (one.decimals,) * len(numbers)
+    declared = [item for item in reported.declared if at is not None and item.name in reported.values]
+    for item in sorted(declared, key=lambda d: (d.shape is not None, bool(d.shape), ranks.get(d.name, len(ranks)))):
+        value = reported.values[item.name][at].tolist()
+        numbers = [value] if item.shape == () else value
+        decimals = item.decimals if isinstance(item.decimals, tuple) else (item.decimals,) * len(numbers)
         texts = [_numbers(f".{d}f")([number])[0] for d, number in zip(decimals, numbers, strict=True)]
-        if one.shape is None:
-            texts = [f"{_key(name)}:{text}" for name, text in zip(found.labels[one.name], texts, strict=True) if text]
+        if item.shape is None:
+            labels = reported.labels[item.name]
+            texts = [f"{_key(name)}:{text}" for name, text in zip(labels, texts, strict=True) if text]
         if texts and all(texts):
-            brackets = "{}" if one.shape is None else "[]" if one.shape else ""
-            members.append(f"{_key(one.name)}:{brackets[:1]}{','.join(texts)}{brackets[1:]}")
+            brackets = "{}" if item.shape is None else "[]" if item.shape else ""
+            members.append(f"{_key(item.name)}:{brackets[:1]}{','.join(texts)}{brackets[1:]}")
     return members
 
 
 @lru_cache
-def _numbers(spec: str) -> _Form:
+def _numbers(spec: str) -> Callable[[list[Any]], list[str]]:
     """Writes numbers as `_digits` does."""
     whole, odd = f"%{spec}\n", {**_ODD, format(-0.0, spec): format(0.0, spec)}
     return lambda values: [odd.get(text, text) for text in (whole * len(values) % tuple(values)).split("\n")[:-1]]
@@ -276,7 +268,4 @@ _SPECS = {"frame": "d", "particles": ".0f", **{name: f".{decimals}f" for name, d
 _ROW = "".join(f"%{spec}\n" for spec in _SPECS.values())
 _ODD = {"nan": "", "inf": "", "-inf": "", **{f"-{zero}": zero for zero in ("0", *(f"{0:.{n}f}" for n in range(1, 5)))}}
 
-
-_CSV = _Style(dict.fromkeys(COLUMNS, ""), _quoted)
-_JSON = _Style({name: f'"{name}":' for name in (*_OF_TARGET, *_OF_PART, "time_s")}, _key)
 _BLOCK = 1_000  # frames that become text at a time

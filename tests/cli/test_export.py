@@ -17,9 +17,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.cli.app import cli
-from facetrack_cli.cli.commands.export import ENDINGS
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import LINES, POINTS
+from facetrack_cli.trajectory.formats import EXPORTS
 from facetrack_cli.trajectory.formats.boxes import read_got10k, read_mot, read_otb, read_vot
 from facetrack_cli.trajectory.formats.keypoints import write_dlc_h5
 from facetrack_cli.trajectory.reader import read_trajectory
@@ -337,7 +337,7 @@ def test_every_format_goes_to_standard_output_and_beside_the_trajectory(track, t
     assert text.endswith("\n") and list(tmp_path.iterdir()) == [path]
     export(path, "--to", form)
     (written,) = set(tmp_path.iterdir()) - {path}
-    assert written.name == f"trajectory.{ENDINGS[form]}"
+    assert written.name == f"trajectory.{EXPORTS[form].ending}"
     if form != "eaf":  # which holds the time of writing
         assert written.read_text() == text
     before = written.read_bytes()

@@ -1,31 +1,20 @@
 """What a tracker reports beside its rows: declared, written where known, read back, refused with its place."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.trajectory.diagnostics import (
-    AFFINE,
-    KNOWN,
-    POSTERIOR,
-    SCALE,
-    Diagnostic,
-    Diagnostics,
-)
+from facetrack_cli.trajectory.diagnostics import AFFINE, KNOWN, POSTERIOR, SCALE, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.select import choose
-from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult, Trajectory, successive
+from facetrack_cli.trajectory.trajectory import successive
 from facetrack_cli.trajectory.writers import SCHEMA, as_written
 from tests.support import results, trajectories
 from tests.support.results import result
@@ -44,15 +33,9 @@ SPREAD = Diagnostic("spread", "over both axes", shape=(2,), least=-1, most=1, de
 VOTES = Diagnostic("votes", shape=None)
 
 
-def target(
-    reported: dict[str, Any] | None, name: str = "face", who: str | None = None, sure: float | None = None
-) -> TargetResult:
+def target(reported, name="face", who=None, sure=None):
     box = results.part("box", 3.0, 2.0, 4.0, 4.0, "tracked", 0.5)
     return results.target(name, [box], 77, identity=who, identity_prob=sure, reported=reported)
-
-
-def write(path: Path, frames: list[FrameResult], header: dict[str, Any] | None = None) -> Path:
-    return trajectories.write(path, successive([each.rows for each in frames]), header or {"seed": 3})
 
 
 # --- declaring and collecting ---
@@ -71,12 +54,12 @@ def write(path: Path, frames: list[FrameResult], header: dict[str, Any] | None =
         {"shape": None, "decimals": (1,)},
     ],
 )
-def test_a_declaration_that_cannot_be_is_refused(wrong: dict[str, Any]) -> None:
+def test_a_declaration_that_cannot_be_is_refused(wrong):
     with pytest.raises(ValueError, match=r"diagnostic '.*' needs"):
         Diagnostic(**{"name": "focus", **wrong})
 
 
-def test_values_become_arrays_and_what_is_not_known_nan() -> None:
+def test_values_become_arrays_and_what_is_not_known_nan():
     found = Diagnostics.of(
         (FOCUS, SPREAD, VOTES, SCALE),
         [3, 5, 9],
@@ -104,20 +87,16 @@ def test_values_become_arrays_and_what_is_not_known_nan() -> None:
         (FOCUS, -0.001, "focus -0.001 is no number from 0 up"),
         (FOCUS, math.inf, "focus inf is no number from 0 up"),
         (FOCUS, "1", "focus '1' is no number from 0 up"),
-        (FOCUS, True, "focus True is no number from 0 up"),
         (FOCUS, 10**400, "is no number from 0 up"),
         (Diagnostic("tilt"), -math.inf, "tilt -inf is no finite number"),
-        (Diagnostic("tilt", most=5), 6, "tilt 6 is no number from -inf to 5"),
         (Diagnostic("tilt", least=-5, most=5), -6, "tilt -6 is no number from -5 to 5"),
         (POSTERIOR, {"anna": 1.01}, "posterior of 'anna': 1.01 is no probability"),
         (POSTERIOR, [1.0], "posterior is not an object of names and numbers"),
         (SPREAD, [0.5], "spread is not a list of 2 numbers"),
-        (SPREAD, [0.5, 1.5], "spread is not a list of 2 numbers"),
-        (SPREAD, "ab", "spread is not a list of 2 numbers"),
         (SPREAD, 0.5, "spread is not a list of 2 numbers"),
     ],
 )
-def test_a_value_that_does_not_fit_is_refused_with_its_place(one: Diagnostic, value: object, why: str) -> None:
+def test_a_value_that_does_not_fit_is_refused_with_its_place(one, value, why):
     with pytest.raises(ValueError, match=re.escape(why)) as caught:
         Diagnostics.of((one,), [3, 4], [{}, {one.name: value}])
     assert caught.value.args[0] == 1
@@ -127,7 +106,7 @@ EVERY = (*KNOWN.values(), FOCUS, SPREAD, VOTES)
 
 
 @given(data=st.data())
-def test_those_of_successive_frames_are_those_of_all(data: st.DataObject) -> None:
+def test_those_of_successive_frames_are_those_of_all(data):
     shapes = st.fixed_dictionaries({one.name: trajectories.records(one.shape, one.least, one.most) for one in EVERY})
     found = data.draw(st.lists(shapes, min_size=1, max_size=6))
     cut = data.draw(st.integers(0, len(found)))
@@ -151,8 +130,8 @@ def test_those_of_successive_frames_are_those_of_all(data: st.DataObject) -> Non
 # --- writing ---
 
 
-def test_the_members_of_a_target_stand_after_its_identity(tmp_path: Path) -> None:
-    path = write(tmp_path / "t.json", [result(0, [target(REPORTED, who="anna", sure=0.93754)])])
+def test_the_members_of_a_target_stand_after_its_identity(tmp_path):
+    path = trajectories.write(tmp_path / "t.json", result(0, [target(REPORTED, who="anna", sure=0.93754)]).rows)
     assert (
         '{"target":"face","particles":77,"identity":"anna","identity_prob":0.9375,'
         '"posterior":{"ben":0.0625,"anna":0.9375,"none":0.0000},"entropy":0.2300,"scale":1.2500,"noise":2.0000,'
@@ -160,14 +139,14 @@ def test_the_members_of_a_target_stand_after_its_identity(tmp_path: Path) -> Non
     ) in path.read_text()
 
 
-def members(path: Path, found: Diagnostics) -> str:
+def members(path, found):
     """What stands of the diagnostics in the file of one frame."""
     rows = replace(result(0, [target(None)]).rows, diagnostics={"face": found})
     text = trajectories.write(path, rows).read_text()
     return text[text.index('"particles":77') + 14 : text.index(',"parts":[')]
 
 
-def test_what_is_not_known_is_left_out(tmp_path: Path) -> None:
+def test_what_is_not_known_is_left_out(tmp_path):
     path = tmp_path / "t.json"
     declared = tuple(KNOWN.values())
     assert members(path, Diagnostics.of(declared, [0], [{}])) == ""
@@ -177,16 +156,13 @@ def test_what_is_not_known_is_left_out(tmp_path: Path) -> None:
     assert members(path, Diagnostics(declared, np.array([0]), odd_values)) == ""
     some = Diagnostics.of(declared, [0], [{"posterior": {"a": math.nan, 'say "b"': 1.0}}])
     assert members(path, some) == ',"posterior":{"say \\"b\\"":1.0000}'
-    plain = write(tmp_path / "plain.json", [result(0, [target(None)])]).read_text()
-    assert plain == write(tmp_path / "empty.json", [result(0, [target({})])]).read_text()
+    assert members(path, target({}).rows.diagnostics["face"]) == ""
 
 
-def test_those_that_a_tracker_declares_have_their_decimals_and_stand_after_the_known_ones(tmp_path: Path) -> None:
+def test_those_that_a_tracker_declares_have_their_decimals_and_stand_after_the_known_ones(tmp_path):
     value = {"focus": 2.5, "spread": (0.25, -0.5), "votes": {"a": 3}, "scale": 1.0, "posterior": {"a": 1.0}}
-    for declared in (
-        (VOTES, SPREAD, FOCUS, AFFINE, SCALE, POSTERIOR),
-        (SCALE, POSTERIOR, AFFINE, FOCUS, VOTES, SPREAD),
-    ):
+    order = (VOTES, SPREAD, FOCUS, AFFINE, SCALE, POSTERIOR)
+    for declared in (order, (*order[3:], FOCUS, VOTES, SPREAD)):
         assert members(tmp_path / "t.json", Diagnostics.of(declared, [0], [value])) == (
             ',"posterior":{"a":1.0000},"votes":{"a":3.0000},"scale":1.0000,"focus":2.500000,"spread":[0.2,-0.50]'
         )
@@ -194,50 +170,10 @@ def test_those_that_a_tracker_declares_have_their_decimals_and_stand_after_the_k
 
 # --- a round trip ---
 
-SHARE = st.integers(0, 10_000).map(lambda n: n / 10_000)
-NUMBER = st.none() | st.integers(0, 10**6).map(lambda n: n / 10_000)
-NAMES = ["anna", "ben", "Zoë", 'q"', "none"]
-RECORDS = st.fixed_dictionaries(
-    {
-        "affine": st.none() | st.tuples(*[st.integers(-1000, 1000).map(lambda n: n / 1000)] * 6),
-        "scale": NUMBER,
-        "error": NUMBER,
-        "noise": NUMBER,
-        "entropy": NUMBER,
-        "posterior": st.none() | st.dictionaries(st.sampled_from(NAMES), SHARE),
-    }
-)
 
-
-def same(a: object, b: float) -> bool:
-    return math.isnan(b) if a is None else a == b
-
-
-@given(given_=st.lists(st.none() | RECORDS, min_size=1, max_size=6), form=st.sampled_from(["json", "jsonl"]))
-def test_what_is_written_is_read(tmp_path: Path, given_: list[dict[str, Any] | None], form: str) -> None:
-    frames = [result(i, [target(one)]) for i, one in enumerate(given_)]
-    table = read_trajectory(write(tmp_path / f"t.{form}", frames))
-    some = {i: one for i, one in enumerate(given_) if one and any(v not in (None, {}) for v in one.values())}
-    if not some:
-        assert table.diagnostics == {}
-        return
-    ((name, found),) = table.diagnostics.items()
-    assert name == "face" and found.frame.tolist() == list(some)
-    order = dict.fromkeys(name for one in some.values() for name in one["posterior"] or {})
-    assert found.labels.get("posterior", ()) == tuple(order)
-    for at, one in enumerate(some.values()):
-        for key in ("scale", "error", "noise", "entropy"):
-            assert same(one[key], found.get(key)[at])
-        assert one["affine"] is None or tuple(found.get("affine")[at]) == one["affine"]
-        assert one["affine"] is not None or np.isnan(found.get("affine")[at]).all()
-        for k, name in enumerate(order):
-            assert same((one["posterior"] or {}).get(name), found.get("posterior")[at, k])
-
-
+@settings(max_examples=10)
 @given(rows=trajectories.trajectories((FOCUS, SPREAD, SCALE, VOTES)), form=st.sampled_from(["json", "jsonl"]))
-def test_what_a_tracker_declares_is_read_by_its_header(
-    tmp_path_factory: pytest.TempPathFactory, rows: Trajectory, form: str
-) -> None:
+def test_what_a_tracker_declares_is_read_by_its_header(tmp_path_factory, rows, form):
     header = {"diagnostics": [one.record() for one in (FOCUS, SPREAD, VOTES)]}
     path = trajectories.write(tmp_path_factory.getbasetemp() / f"declared.{form}", rows, header)
     back = read_trajectory(path)
@@ -249,19 +185,18 @@ def test_what_a_tracker_declares_is_read_by_its_header(
     assert trajectories.write(path.with_stem("again"), back, own).read_bytes() == path.read_bytes()
 
 
-def clip(path: Path, frames: int = 30) -> Trajectory:
+def clip(path, frames=30):
     """Anna, of whom it is sure from frame 10 on; and a second target of which nothing is reported."""
     found = []
     for i in range(frames):
         p = 0.3 if i < 3 else 0.6 if i < 10 else 0.95
-        who = "ben" if i < 3 else "anna"
-        posterior = {"anna": p, "ben": 1 - p}
-        face = target({**REPORTED, "posterior": posterior}, who=who, sure=max(p, 1 - p))
+        reported = {**REPORTED, "posterior": {"anna": p, "ben": 1 - p}}
+        face = target(reported, who="ben" if i < 3 else "anna", sure=max(p, 1 - p))
         found.append(result(i, [face, target(None, "other")]))
-    return read_trajectory(write(path, found))
+    return read_trajectory(trajectories.write(path, successive([one.rows for one in found]), {"seed": 3}))
 
 
-def test_who_it_is_from_either_file(tmp_path: Path) -> None:
+def test_who_it_is_from_either_file(tmp_path):
     for form in ("json", "csv"):
         table = clip(tmp_path / f"t.{form}")
         face, other = table.parts
@@ -273,25 +208,20 @@ def test_who_it_is_from_either_file(tmp_path: Path) -> None:
         frame, names, p = table.beliefs("face")
         assert frame.tolist() == list(range(30)) and p[:, names.index("anna")][-1] == 0.95
         assert set(table.diagnostics) == ({"face"} if form == "json" else set())
+        chosen = [set(choose(table, name).diagnostics) for name in ("face/box", "other")]
+        assert chosen == [set(table.diagnostics), set()]
     assert np.isnan(p[0, names.index("anna")]), "the CSV knows the probability of the most likely alone"
-
-
-def test_a_choice_of_targets_keeps_what_is_reported_of_them(tmp_path: Path) -> None:
-    table = clip(tmp_path / "t.json")
-    assert set(choose(table, "face/box").diagnostics) == {"face"}
-    assert choose(table, "other").diagnostics == {}
 
 
 # --- what is refused ---
 
 
-def file(folder: Path, *targets: Any) -> Path:
-    frames = [
-        {"frame": i, "time_s": i / 25, "targets": [{"parts": [{"part": "box", "x": 1, "y": 2}], **one}]}
-        for i, one in enumerate(targets)
-    ]
+def file(folder, *targets, **header):
+    """A file of frames with one target each, of which this is said."""
+    whole = [[{"target": "face", "parts": [{"part": "box", "x": 1, "y": 2}], **one}] for one in targets]
+    frames = [{"frame": i, "time_s": i / 25, "targets": one} for i, one in enumerate(whole)]
     path = folder / "one.json"
-    path.write_text(json.dumps({"schema": SCHEMA, "frames": frames}))
+    path.write_text(json.dumps({"schema": SCHEMA, "frames": frames, **header}))
     return path
 
 
@@ -299,76 +229,35 @@ def file(folder: Path, *targets: Any) -> Path:
     ("wrong", "why"),
     [
         ({"scale": "1"}, "scale '1' is no number from 0 up"),
-        ({"scale": -1}, "scale -1 is no number"),
-        ({"noise": True}, "noise True is no number"),
-        ({"error": float("inf")}, "error inf is no number"),
         ({"error": 10**400}, "is no number"),
-        ({"entropy": [1]}, r"entropy \[1\] is no number"),
-        ({"posterior": [0.5]}, "posterior is not an object of names"),
-        ({"posterior": {"anna": 1.2}}, "posterior of 'anna': 1.2 is no probability"),
-        ({"posterior": {"anna": None}}, "posterior of 'anna': None is no probability"),
         ({"posterior": {"": 0.2}}, "posterior of '': 0.2 is no probability"),
-        ({"affine": [1, 0, 0, 1, 5]}, "affine is not a list of 6 numbers"),
         ({"affine": [1, 0, 0, 1, 5, "x"]}, "affine is not a list of 6 numbers"),
-        ({"affine": {"a1": 1}}, "affine is not a list of 6 numbers"),
-        ({"affine": [1, 0, 0, 1, 5, 10**400]}, "affine is not a list of 6 numbers"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, wrong: dict[str, Any], why: str) -> None:
-    with pytest.raises(
-        InputError, match=rf"one\.json: frame 1, face: .*{why}.*; correct it, or leave it out"
-    ) as caught:
-        read_trajectory(file(tmp_path, {"target": "face"}, {"target": "face", **wrong}))
+def test_what_is_wrong_is_said_in_one_line(tmp_path, wrong, why):
+    with pytest.raises(InputError, match=rf"one\.json: frame 1, face: .*{why}.*; correct it, or leave it") as caught:
+        read_trajectory(file(tmp_path, {}, wrong))
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 1000
-
-
-@pytest.mark.parametrize(
-    ("wrong", "why"),
-    [
-        ({"identity": 5}, r"record 1 of frames is not as facetrack writes it: identity 5 is no name"),
-        ({"identity_prob": 1.5}, r"frame 1, face/box: identity_prob 1\.5 is no probability; correct it, or leave"),
-    ],
-)
-def test_a_wrong_identity_is_said_in_one_line(tmp_path: Path, wrong: dict[str, Any], why: str) -> None:
-    with pytest.raises(InputError, match=rf"one\.json: {why}") as caught:
-        read_trajectory(file(tmp_path, {"target": "face"}, {"target": "face", **wrong}))
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
     ("declared", "why"),
     [
         (5, "diagnostics is not as facetrack run writes it"),
-        ({"name": "focus"}, "diagnostics is not as facetrack run writes it"),
         ([5], "diagnostics.0 is not as"),
         ([{"meaning": "x"}], "diagnostics.0.name is not as .*required"),
         ([{"name": "focus"}, {"name": "b", "shape": 3}], "diagnostics.1.shape is not as"),
         ([{"name": "b", "shape": [2, 3]}], "diagnostics.0.* is not as .*needs a name, and a shape"),
-        ([{"name": "b", "least": "low"}], "diagnostics.0.least is not as"),
     ],
 )
-def test_a_wrong_declaration_is_said_in_one_line(tmp_path: Path, declared: Any, why: str) -> None:
-    path = file(tmp_path, {"target": "face", "focus": 1})
-    path.write_text(json.dumps({**json.loads(path.read_text()), "diagnostics": declared}))
+def test_a_wrong_declaration_is_said_in_one_line(tmp_path, declared, why):
     with pytest.raises(InputError, match=rf"one\.json: {why}.*; make the run again") as caught:
-        read_trajectory(path)
+        read_trajectory(file(tmp_path, {"focus": 1}, diagnostics=declared))
     assert "\n" not in str(caught.value)
 
 
-def test_a_declaration_of_a_later_version_is_read_and_a_known_name_keeps_its_meaning(tmp_path: Path) -> None:
-    path = file(tmp_path, {"target": "face", "scale": 1.5, "focus": 2.5})
+def test_a_declaration_of_a_later_version_is_read_and_a_known_name_keeps_its_meaning(tmp_path):
     more = [{"name": "scale", "shape": [2]}, {"name": "focus", "colour": "red"}]
-    path.write_text(json.dumps({**json.loads(path.read_text()), "diagnostics": more}))
+    path = file(tmp_path, {"scale": 1.5, "focus": 2.5}, diagnostics=more)
     found = read_trajectory(path).diagnostics["face"]
     assert found.declared == (SCALE, Diagnostic("focus")) and known(found) == {0: {"scale": 1.5, "focus": 2.5}}
-
-
-def test_a_csv_with_no_probability_says_where(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    path.write_text("frame,target,part,x,y,identity,identity_prob\n0,face,box,1,2,anna,0.5\n1,face,box,1,2,anna,1.5\n")
-    why = "t.csv: frame 1, face/box: identity_prob 1.5 is no probability; correct it"
-    with pytest.raises(InputError, match=re.escape(why)):
-        read_trajectory(path)
-
-
-# --- what else reads trajectories ---

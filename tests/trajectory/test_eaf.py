@@ -1,7 +1,8 @@
-"""ELAN files: times, the schema's rules, names and paths that need care."""
+"""ELAN files: times, the schema's rules, names and paths that need care; tiers that are added to one, and read."""
 
 import re
 from datetime import datetime, timezone
+from difflib import SequenceMatcher
 from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -11,10 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.trajectory.analysis import face_events
 from facetrack_cli.trajectory.analysis.head_motion import KINDS, LABELS
-from facetrack_cli.trajectory.formats.eaf import VOCABULARIES, spans_of, write_eaf
+from facetrack_cli.trajectory.formats.eaf import IDS, ORDER, VOCABULARIES, add_tiers, read_tiers, spans_of, write_eaf
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.support.face_shape import moving_face
 
@@ -39,7 +41,7 @@ def eaf(*parts, media=Path("/videos/clip.mp4"), folder=Path("/videos")):
 
 
 def tiers(root):
-    slots = {one.get("TIME_SLOT_ID"): int(one.get("TIME_VALUE")) for one in root.iter("TIME_SLOT")}
+    slots = {one.get("TIME_SLOT_ID"): int(one.get("TIME_VALUE", -1)) for one in root.iter("TIME_SLOT")}
     return {
         tier.get("TIER_ID"): [
             (slots[one.get("TIME_SLOT_REF1")], slots[one.get("TIME_SLOT_REF2")], one.find("ANNOTATION_VALUE").text)
@@ -49,66 +51,70 @@ def tiers(root):
     }
 
 
-def check_schema(root):
-    """The rules of EAFv3.0.xsd, and of ELAN's guidelines, that this file could break."""
-    order = ["HEADER", "TIME_ORDER", "TIER", "LINGUISTIC_TYPE", "LANGUAGE", "CONSTRAINT", "CONTROLLED_VOCABULARY"]
-    places = [order.index(child.tag) for child in root]
+def check_links(root, ours=False):
+    """The rules of EAFv3.0.xsd that hold for any file of ELAN: order, names that are unique, and links to them."""
+    places = [ORDER.index(child.tag) for child in root]
     assert places == sorted(places)
-    assert (root.get("FORMAT"), root.get("VERSION")) == ("3.0", "3.0")
-    ids = [one.get(key) for key in ("TIME_SLOT_ID", "ANNOTATION_ID") for one in root.iter() if one.get(key)]
-    assert len(ids) == len(set(ids)) and all(re.fullmatch(r"(ts|a)[1-9]\d*", one) for one in ids)
-    names = [one.get("TIER_ID") for one in root.iter("TIER")]
-    assert len(names) == len(set(names))
-    times = [int(one.get("TIME_VALUE")) for one in root.iter("TIME_SLOT")]
+    for key in IDS:
+        names = [element.get(key) for element in root.iter() if element.get(key)]
+        assert len(names) == len(set(names)), key
+    times = [int(slot.get("TIME_VALUE")) for slot in root.iter("TIME_SLOT") if slot.get("TIME_VALUE")]
     assert times == sorted(times) and min(times, default=0) >= 0
-    types = {one.get("LINGUISTIC_TYPE_ID"): one for one in root.iter("LINGUISTIC_TYPE")}
-    entries = {one.get("CVE_ID"): one for one in root.iter("CV_ENTRY_ML")}
-    vocabularies = {one.get("CV_ID") for one in root.iter("CONTROLLED_VOCABULARY")}
-    languages = {one.get("LANG_ID") for one in root.iter("LANGUAGE")}
-    assert {one.get("LANG_REF") for one in root.iter() if one.get("LANG_REF")} <= languages
-    used = []
+    types = {kind.get("LINGUISTIC_TYPE_ID"): kind for kind in root.iter("LINGUISTIC_TYPE")}
+    entries = {group.get("CV_ID"): {e.get("CVE_ID"): e for e in group} for group in root.iter("CONTROLLED_VOCABULARY")}
     for tier in root.iter("TIER"):
         vocabulary = types[tier.get("LINGUISTIC_TYPE_REF")].get("CONTROLLED_VOCABULARY_REF")
-        assert vocabulary is None or vocabulary in vocabularies
-        for one in tier.iter("ALIGNABLE_ANNOTATION"):
-            used += [one.get("TIME_SLOT_REF1"), one.get("TIME_SLOT_REF2")]
-            if vocabulary:
-                assert entries[one.get("CVE_REF")].find("CVE_VALUE").text == one.find("ANNOTATION_VALUE").text
-    assert sorted(used) == sorted(one.get("TIME_SLOT_ID") for one in root.iter("TIME_SLOT"))
+        for note in tier.iter("ALIGNABLE_ANNOTATION"):
+            if vocabulary and (ours or note.get("CVE_REF")):
+                entry = entries[vocabulary][note.get("CVE_REF")]
+                assert entry.find("CVE_VALUE").text == note.find("ANNOTATION_VALUE").text
+    last = root.findtext(".//PROPERTY[@NAME='lastUsedAnnotationId']")
+    used = [int(note.get("ANNOTATION_ID")[1:]) for note in root.iter("ALIGNABLE_ANNOTATION")]
+    assert last is None or int(last) >= max(used, default=0)
+
+
+def check_schema(root):
+    """The rules, and ELAN's guidelines, that a file of ours could break."""
+    check_links(root, ours=True)
+    assert (root.get("FORMAT"), root.get("VERSION")) == ("3.0", "3.0")
+    ids = [element.get(key) for key in IDS[:2] for element in root.iter() if element.get(key)]
+    assert all(re.fullmatch(r"(ts|a)[1-9]\d*", name) for name in ids)
+    assert {e.get("LANG_REF") for e in root.iter()} <= {None, *(e.get("LANG_ID") for e in root.iter("LANGUAGE"))}
+    notes = list(root.iter("ALIGNABLE_ANNOTATION"))
+    used = [note.get(f"TIME_SLOT_REF{n}") for note in notes for n in (1, 2)]
+    assert sorted(used) == sorted(slot.get("TIME_SLOT_ID") for slot in root.iter("TIME_SLOT"))
     for rows in tiers(root).values():
         assert all(begin < end for begin, end, _ in rows)
         assert all(one[1] <= other[0] for one, other in pairwise(rows))
-    properties = {one.get("NAME"): one.text for one in root.iter("PROPERTY")}
-    assert properties["lastUsedAnnotationId"] == str(len(used) // 2)
+    properties = {element.get("NAME"): element.text for element in root.iter("PROPERTY")}
+    assert properties["lastUsedAnnotationId"] == str(len(notes))
     assert re.fullmatch(r"urn:nl-mpi-tools-elan-eaf:[0-9a-f-]{36}", properties["URN"])
-    assert {one.get("STEREOTYPE") for one in root.iter("CONSTRAINT")} == {
+    assert {element.get("STEREOTYPE") for element in root.iter("CONSTRAINT")} == {
         "Time_Subdivision", "Symbolic_Subdivision", "Symbolic_Association", "Included_In"
     }  # fmt: skip
 
 
-def test_spans_of_lost_parts_name_the_parts_and_split_where_others_are():
-    root = eaf(part("nose", states("..LLLL..")), part("lip", states("....LLL.")))
+@pytest.mark.parametrize(
+    ("parts", "lost"),
+    [
+        (
+            [part("nose", states("..LLLL..")), part("lip", states("....LLL."))],
+            [(80, 160, "nose"), (160, 240, "nose, lip"), (240, 280, "lip")],
+        ),
+        ([part("box", states("...LL"))], [(120, 200, "lost")]),
+        # at a variable rate a span ends when the next frame begins
+        (
+            [part("nose", states("..L.LL"), time_s=[0.0, 0.04, 0.08, 0.2, 0.24, 0.5])],
+            [(80, 200, "nose"), (240, 540, "nose")],
+        ),
+        # frames without rows are in no span
+        ([part("nose", states(".LLLL."), frames=[0, 1, 2, 50, 51, 52])], [(40, 120, "nose"), (2000, 2080, "nose")]),
+    ],
+)
+def test_spans_of_lost_parts_name_the_parts(parts, lost):
+    root = eaf(*parts)
     check_schema(root)
-    assert tiers(root)["lost@face"] == [(80, 160, "nose"), (160, 240, "nose, lip"), (240, 280, "lip")]
-
-
-def test_a_box_is_lost_as_a_whole_and_to_the_end():
-    root = eaf(part("box", states("...LL")))
-    assert tiers(root)["lost@face"] == [(120, 200, "lost")]
-
-
-def test_spans_end_when_the_next_frame_begins_at_a_variable_rate():
-    time_s = [0.0, 0.04, 0.08, 0.2, 0.24, 0.5]
-    assert tiers(eaf(part("nose", states("..L.LL"), time_s=time_s)))["lost@face"] == [
-        (80, 200, "nose"),
-        (240, 540, "nose"),
-    ]
-
-
-def test_frames_without_rows_are_in_no_span():
-    frames = [0, 1, 2, 50, 51, 52]
-    found = tiers(eaf(part("nose", states(".LLLL."), frames=frames)))["lost@face"]
-    assert found == [(40, 120, "nose"), (2000, 2080, "nose")]
+    assert tiers(root)["lost@face"] == lost
 
 
 def test_every_kind_of_motion_has_a_vocabulary_with_its_labels():
@@ -148,42 +154,28 @@ def test_motion_stands_in_its_tiers():
 
 
 @pytest.mark.parametrize(
-    "name", ["clip.mp4", "my clip.mp4", "Grüße.mp4", "a#b.mp4", "100%25.mp4", "q\"<&>'.mp4", "x?y=1.mp4"]
+    "name", ["my clip.mp4", "Grüße.mp4", "a#b.mp4", "100%25.mp4", "q\"<&>'.mp4", "x?y=1.mp4", "sub/../clip.xyz"]
 )
-def test_media_urls_are_paths_as_elan_writes_them(name):
+def test_media_urls_are_paths_as_elan_writes_them(name, tmp_path, monkeypatch):
     """ELAN takes all that follows `file:` for the file's name, without undoing percent signs."""
-    root = eaf(part("nose", states("..")), media=Path("/videos") / name, folder=Path("/results/one"))
-    (media,) = root.iter("MEDIA_DESCRIPTOR")
-    assert media.get("MEDIA_URL") == f"file:///videos/{name}"
-    assert media.get("RELATIVE_MEDIA_URL") == f"../../videos/{name}"
-    assert media.get("MIME_TYPE") == "video/mp4"
-
-
-def test_media_beside_the_file_and_of_another_type(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (media,) = eaf(part("nose", states("..")), media=Path("sub/../clip.xyz"), folder=tmp_path).iter("MEDIA_DESCRIPTOR")
-    assert media.get("MEDIA_URL") == f"file://{tmp_path.as_posix()}/clip.xyz"
-    assert media.get("RELATIVE_MEDIA_URL") == "./clip.xyz" and media.get("MIME_TYPE") == "video/*"
+    for folder, relative in ((tmp_path, "./"), (tmp_path / "results/one", "../../")):
+        (media,) = eaf(part("nose", ["lost"]), media=Path(name), folder=folder).iter("MEDIA_DESCRIPTOR")
+        last = name.rpartition("/")[2]
+        assert media.get("MEDIA_URL") == f"file://{tmp_path.as_posix()}/{last}"
+        assert media.get("RELATIVE_MEDIA_URL") == f"{relative}{last}"
+        assert media.get("MIME_TYPE") == ("video/mp4" if last.endswith("mp4") else "video/*")
 
 
-def test_names_are_escaped_and_what_xml_cannot_hold_is_replaced():
-    root = eaf(part('a<b>&"c"', states("LL"), target="<x> & ä\x01"))
+def test_targets_have_tiers_of_their_own_under_names_that_readers_find():
+    """Without straight quotes, and without what XML cannot hold; participants keep their names."""
+    names = ["<x> & ä\x01", "O'Brien", 'Ann "Nan" Lee']
+    root = eaf(*(part('a<b>&"c"', states("LL"), target=name) for name in names))
     check_schema(root)
-    assert tiers(root)["lost@<x> & ä\ufffd"] == [(0, 80, 'a<b>&"c"')]
-
-
-def test_names_of_tiers_have_no_straight_quotes_and_participants_keep_theirs():
-    root = eaf(part("nose", states("LL"), target="O'Brien"), part("nose", states("L."), target='Ann "Nan" Lee'))
-    check_schema(root)
-    assert list(tiers(root)) == ["lost@O’Brien", "lost@Ann ”Nan” Lee"]
-    assert [one.get("PARTICIPANT") for one in root.iter("TIER")] == ["O'Brien", 'Ann "Nan" Lee']
-    assert root.find(f".//*[@TIER_ID='{root.find('TIER').get('TIER_ID')}']") is not None
-
-
-def test_several_targets_have_their_own_tiers():
-    root = eaf(part("nose", states(".L")), part("box", states("L."), target="hand"))
-    check_schema(root)
-    assert tiers(root)["lost@face"] == [(40, 80, "nose")] and tiers(root)["lost@hand"] == [(0, 40, "lost")]
+    assert list(tiers(root)) == ["lost@<x> & ä\ufffd", "lost@O’Brien", "lost@Ann ”Nan” Lee"]
+    assert set(map(tuple, tiers(root).values())) == {((0, 80, 'a<b>&"c"'),)}
+    assert [tier.get("PARTICIPANT") for tier in root.iter("TIER")] == ["<x> & ä\ufffd", *names[1:]]
+    assert root.find(".//*[@TIER_ID='lost@O’Brien']") is not None
 
 
 @pytest.mark.parametrize(
@@ -218,3 +210,139 @@ def test_any_track_gives_a_valid_file(lost, steps, seed):
             inside = flags[first : last + 1]
             expected = f"p{k}" in text.split(", ")
             assert all(gone == expected for gone in inside) or (not expected and not any(inside))
+
+
+# --- a file that people work in ---
+
+# as no program would write it: other quotes, comments, ends of lines, a time that is not known, names that are ours
+SESSION = """<?xml version='1.0' encoding="UTF-8"?>\r
+<!-- TIER, by hand <TIME_SLOT TIME_SLOT_ID="ts9" TIME_VALUE="1"/> -->\r
+<ANNOTATION_DOCUMENT AUTHOR='Zoë' DATE="2021-01-01T00:00:00+01:00" FORMAT="3.0" VERSION="3.0">
+    <HEADER MEDIA_FILE="" TIME_UNITS="milliseconds">
+        <MEDIA_DESCRIPTOR MEDIA_URL="file:///other/place/clip%20one.mp4" MIME_TYPE="video/mp4"ORIGIN/>
+        <PROPERTY NAME="URN">urn:nl-mpi-tools-elan-eaf:1</PROPERTY>
+        <PROPERTY NAME="lastUsedAnnotationId">41</PROPERTY>
+    </HEADER>
+    <TIME_ORDER>
+        <TIME_SLOT   TIME_SLOT_ID="ts1"  TIME_VALUE="50"/>
+        <TIME_SLOT TIME_SLOT_ID="ts2" />
+        <TIME_SLOT TIME_SLOT_ID='ts70' TIME_VALUE='150'></TIME_SLOT>
+    </TIME_ORDER>
+    <TIER LINGUISTIC_TYPE_REF="gloss" TIER_ID="lost@face" PARTICIPANT="Zoë">
+        <ANNOTATION><ALIGNABLE_ANNOTATION ANNOTATION_ID="a7" TIME_SLOT_REF1="ts1" TIME_SLOT_REF2="ts70">
+            <ANNOTATION_VALUE>&lt;HOUSE&gt; &amp; garden</ANNOTATION_VALUE></ALIGNABLE_ANNOTATION></ANNOTATION>
+    </TIER>
+    <LINGUISTIC_TYPE GRAPHIC_REFERENCES="false" LINGUISTIC_TYPE_ID="gloss" TIME_ALIGNABLE="true"/>
+    <LINGUISTIC_TYPE GRAPHIC_REFERENCES="false" LINGUISTIC_TYPE_ID="lost" CONSTRAINTS="Included_In" TIME_ALIGNABLE="1"/>
+    <LOCALE COUNTRY_CODE="US" LANGUAGE_CODE="en"/>
+    <CONSTRAINT DESCRIPTION="a > b" STEREOTYPE="Included_In"/>
+    <CONTROLLED_VOCABULARY CV_ID="seen"><DESCRIPTION LANG_REF="und"/></CONTROLLED_VOCABULARY>
+</ANNOTATION_DOCUMENT>
+<!-- the end -->"""
+
+
+def session(folder, text=SESSION, origin=""):
+    path = folder / "session.eaf"
+    path.write_bytes(text.replace("ORIGIN", origin).encode())
+    return path
+
+
+def ours():
+    hand = part("box", ["tracked"] * 12, target="left_hand")
+    return write_eaf(
+        joined([part("nose", states("..LLLL..L...")), hand], path=Path("t.csv")),
+        Path("/videos/clip one.mp4"), Path("/videos"), written=WRITTEN,
+    )  # fmt: skip
+
+
+def check(before, after):
+    """What was there is there, in its order, but for the number of the last annotation."""
+    lines = [text.decode().splitlines(keepends=True) for text in (before, after)]
+    for how, a, b, *_ in SequenceMatcher(None, *lines, autojunk=False).get_opcodes():
+        gone = "".join(lines[0][a:b]) if how in ("replace", "delete") else ""
+        assert re.fullmatch(r'(\s*<PROPERTY NAME="lastUsedAnnotationId">\d+</PROPERTY>\s*)?', gone), gone
+    root = ET.fromstring(after)
+    check_links(root)
+    return root
+
+
+def test_tiers_are_added_and_nothing_else_is_touched(tmp_path):
+    path = session(tmp_path)
+    data, added, linked = add_tiers(path, ours(), "clip one.mp4")
+    assert linked and added == ["lost@face-2", "seen@left_hand"]
+    root = check(path.read_bytes(), data)
+    found = {tier.get("TIER_ID"): tier for tier in root.iter("TIER")}
+    assert found["lost@face-2"].get("LINGUISTIC_TYPE_REF") == "lost-2", "lost is another type there"
+    rows = tiers(root)
+    assert rows["lost@face"] == [(50, 150, "<HOUSE> & garden")]
+    assert rows["lost@face-2"] == [(80, 240, "nose"), (320, 360, "nose")] and rows["seen@left_hand"] == [
+        (0, 480, "seen")
+    ]
+    assert data.count(b"\r\n") == 2 and data.endswith(b"<!-- the end -->")
+
+
+def test_a_second_time_takes_the_types_that_are_there(tmp_path):
+    path = session(tmp_path, SESSION.replace('CV_ID="seen"', 'CV_ID="mine"').replace('TYPE_ID="lost"', 'TYPE_ID="own"'))
+    once, _, _ = add_tiers(path, ours(), "clip one.mp4")
+    (tmp_path / "once.eaf").write_bytes(once)
+    twice, added, _ = add_tiers(tmp_path / "once.eaf", ours(), "clip one.mp4")
+    check(once, twice)
+    assert added == ["lost@face-3", "seen@left_hand-2"]
+    assert twice.count(b"<LINGUISTIC_TYPE ") == once.count(b"<LINGUISTIC_TYPE ")
+    assert twice.count(b"<CONTROLLED_VOCABULARY ") == once.count(b"<CONTROLLED_VOCABULARY ")
+
+
+def test_times_are_those_of_the_file_whose_clip_begins_later(tmp_path):
+    path = session(tmp_path, origin=' TIME_ORIGIN="100"')
+    data, _, _ = add_tiers(path, ours(), "clip one.mp4")
+    rows = tiers(check(path.read_bytes(), data))
+    assert rows["lost@face-2"] == [(0, 140, "nose"), (220, 260, "nose")] and rows["seen@left_hand"] == [
+        (0, 380, "seen")
+    ]
+    (tmp_path / "again.eaf").write_bytes(data)
+    found = {tier.name: tier for tier in read_tiers(tmp_path / "again.eaf", "clip one.mp4")}
+    assert found["lost@face-2"].notes[1] == (320, 360, "nose")
+    assert found["lost@face"].participant == "Zoë"
+
+
+@pytest.mark.parametrize(
+    "order", ["<TIME_ORDER/>", "<TIME_ORDER></TIME_ORDER>", '<TIME_ORDER><TIME_SLOT TIME_SLOT_ID="ts1"/></TIME_ORDER>']
+)
+def test_a_file_without_annotations_takes_tiers(tmp_path, order):
+    text = f'<ANNOTATION_DOCUMENT FORMAT="2.8"><HEADER MEDIA_FILE=""/>{order}</ANNOTATION_DOCUMENT>'
+    data, added, linked = add_tiers(session(tmp_path, text), ours(), "clip one.mp4")
+    root = check(b"", data)
+    assert added == ["lost@face", "seen@left_hand"] and not linked
+    assert tiers(root)["lost@face"] == [(80, 240, "nose"), (320, 360, "nose")]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("<a/>", "not ELAN's: it begins with a"),
+        ("<ANNOTATION_DOCUMENT", "is no XML in UTF-8"),
+        ('<ANNOTATION_DOCUMENT FORMAT="2.7"><TIME_ORDER/></ANNOTATION_DOCUMENT>', "is of EAF 2.7; save it by ELAN 4.9"),
+        ('<!DOCTYPE a [<!ENTITY b "c">]><ANNOTATION_DOCUMENT/>', "declares a document type"),
+    ],
+)
+def test_a_file_that_cannot_take_them_is_refused(tmp_path, text, says):
+    with pytest.raises(InputError, match=says):
+        add_tiers(session(tmp_path, text), ours(), "clip one.mp4")
+
+
+def test_export_into_a_file_asks_before_it_replaces(tmp_path, capsys):
+    path, clip, table = session(tmp_path), tmp_path / "clip one.mp4", tmp_path / "track.csv"
+    clip.touch()
+    part("nose", states("...L.....")).to_pandas().to_csv(table, index=False)
+    before = path.read_bytes()
+    call = ["export", str(table), "--to", "elan", "--into", str(path), "--media", str(clip)]
+    for more, code, said in (
+        ([], 2, "exists already; replace it with --overwrite"),
+        (["-o", str(tmp_path / "more.eaf")], 0, "lost@face-2 added"),
+        (["--to", "srt"], 2, "--into adds the tiers of eaf"),
+    ):
+        assert main([*call, *more]) == code and path.read_bytes() == before
+        assert said in capsys.readouterr().err
+    assert main([*call, "--overwrite"]) == 0
+    assert path.read_bytes() == (tmp_path / "more.eaf").read_bytes() != before
+    assert {file.name for file in tmp_path.iterdir()} == {"session.eaf", "more.eaf", "clip one.mp4", "track.csv"}

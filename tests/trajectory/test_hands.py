@@ -11,7 +11,7 @@ import pytest
 
 from facetrack_cli.trajectory.analysis.head_motion import head_motion
 from facetrack_cli.trajectory.formats.eaf import write_eaf
-from facetrack_cli.trajectory.formats.tables import write_measures
+from facetrack_cli.trajectory.formats.tables import Clip, write_measures
 from facetrack_cli.trajectory.trajectory import joined, one_part
 
 N, SIDE = 60, 100.0  # a face of 100 pixels, at 25 frames/s
@@ -33,10 +33,8 @@ def table(left, right, **lost):
     """A head at (300, 100), and hands of 40 pixels at x of each frame, 260 down, with the noise of a tracker."""
     rng = np.random.default_rng(0)
     noise = rng.normal(0, 1.0, (2, 2, N))
-    hands = [
-        one(name, np.asarray(x) + noise[k, 0], 260 + noise[k, 1], 40.0, lost=lost.get(name, ()))
-        for k, (name, x) in enumerate((("left_hand", left), ("right_hand", right)))
-    ]
+    pairs = zip(("left_hand", "right_hand"), (left, right), noise, strict=True)
+    hands = [one(name, x + off[0], 260 + off[1], 40.0, lost=lost.get(name, ())) for name, x, off in pairs]
     return joined([one("head", 300, 100), *hands])
 
 
@@ -88,9 +86,7 @@ def test_a_short_time_lost_is_bridged_and_a_long_one_is_not_known():
 def test_holds_movements_and_contacts_are_intervals_with_probabilities():
     rows = table(MOVES, way((0, 600), (40, 600), (45, 290), (59, 290)))
     mine = [event for event in rows.events if event.target == "left_hand"]
-    phases = [
-        (event.value, event.first_frame, event.last_frame) for event in mine if event.value in ("hold", "movement")
-    ]
+    phases = [(event.value, event.first_frame, event.last_frame) for event in mine if event.tier == "phases"]
     assert [name for name, *_ in phases] == ["hold", "movement", "hold"]
     assert [first for _, first, _ in phases[1:]] == [pytest.approx(20, abs=2), pytest.approx(31, abs=2)]
     assert all(one[2] + 1 == other[1] for one, other in pairwise(phases))
@@ -115,7 +111,7 @@ def test_elan_and_tables_have_them():
         assert f'TIER_ID="{tier}"' in text
     assert "face_contact@left_hand" not in text, "a tier that would be empty is none"
     assert text.count("VALUE>hold<") == 4 and text.count("VALUE>movement<") == 2 and text.count("VALUE>hand<") == 2
-    lines = list(csv.DictReader(io.StringIO(write_measures(rows))))
+    lines = list(csv.DictReader(io.StringIO(write_measures([Clip("", rows)]))))
     assert {line["target"] for line in lines} == {"left_hand", "right_hand"}
     assert float(lines[0]["held"]) > 0.5 and lines[0]["held_std"] == "" != lines[0]["speed_std"]
 

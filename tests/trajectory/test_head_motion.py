@@ -1,5 +1,6 @@
 """Spans of head motion on tracks whose motion is known."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,8 +10,7 @@ from facetrack_cli.trajectory.analysis.head_motion import KINDS, head_motion, ki
 from facetrack_cli.trajectory.trajectory import one_part
 
 POINTS = {"nose": (0, -30), "mouth_left": (-25, 8), "mouth_right": (25, 8), "lip_upper": (0, 0), "lip_lower": (0, 15)}
-SIZE = 2 * np.hypot(25, 38)  # twice the largest distance: nose to a corner of the mouth is 45.5, corner to corner 50
-SIZE = max(SIZE, 100.0)
+SIZE = 100.0  # twice the largest distance, that of the corners of the mouth
 
 
 def points(time_s, x=0.0, y=0.0, degrees=0.0, scale=1.0, noise=0.0, seed=0, lost=None):
@@ -50,8 +50,7 @@ MAKE = pytest.mark.parametrize("make", [points, box])
 
 
 @MAKE
-@pytest.mark.parametrize("noise", [0.0, 0.5, 1.5, 4.0])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("noise", "seed"), [(0.0, 0), (0.5, 0), (1.5, 1), (4.0, 2)])
 def test_noise_alone_gives_nothing(make, noise, seed):
     assert labels(make(clock(60), noise=noise, seed=seed)) == []
 
@@ -107,17 +106,14 @@ def test_a_slow_pan_has_its_direction(make, axis, speed, label):
     assert spans[0].first / 25 == pytest.approx(3, abs=0.25) and spans[0].last / 25 == pytest.approx(5, abs=0.25)
 
 
-@pytest.mark.parametrize(("rate", "label"), [(25, "clockwise"), (-25, "counterclockwise")])
-def test_tilt_of_points_turns_as_seen_in_the_picture(rate, label):
+def test_tilt_turns_as_seen_in_the_picture_and_may_pass_180_degrees():
     t = clock(6)
-    assert labels(points(t, degrees=rate * np.clip(t - 2, 0, 0.8), noise=0.5)) == [label]
-
-
-def test_tilt_of_a_box_is_its_angle_and_may_pass_180_degrees():
-    t = clock(6)
-    angle = (170 + 30 * np.clip(t - 2, 0, 0.8) + 180) % 360 - 180
-    assert labels(box(t, angle=angle)) == ["clockwise"]
-    assert "tilt" in kinds_of(box(t, angle=angle)) and "tilt" not in kinds_of(box(t))
+    turn = np.clip(t - 2, 0, 0.8)
+    for rate, label in ((25, "clockwise"), (-25, "counterclockwise")):
+        assert labels(points(t, degrees=rate * turn, noise=0.5)) == [label]
+    of_box = box(t, angle=(170 + 30 * turn + 180) % 360 - 180)
+    assert labels(of_box) == ["clockwise"]
+    assert "tilt" in kinds_of(of_box) and "tilt" not in kinds_of(box(t))
 
 
 @MAKE
@@ -133,8 +129,7 @@ def test_an_open_mouth_alone_is_no_motion():
     t = clock(8)
     parts = points(t, noise=0.3)
     talking = 12 * (np.sin(2 * np.pi * 2.5 * t) > 0)
-    assert labels([*parts[:4], one_part("face", "lip_lower", np.arange(len(t)), time_s=t, x=parts[4].x,
-                                      y=parts[4].y + talking)]) == []  # fmt: skip
+    assert labels([*parts[:4], replace(parts[4], y=parts[4].y + talking)]) == []
 
 
 def test_parts_that_get_lost_and_return_make_no_motion():
@@ -146,23 +141,18 @@ def test_parts_that_get_lost_and_return_make_no_motion():
 def test_a_part_that_has_gone_its_own_way_makes_no_step_when_it_gets_lost():
     """The lips have drifted a fifth of the size from the nose, slowly; then the nose is lost for two seconds."""
     t = clock(20)
-    away = np.clip((t > 16) * (t < 18), 0, 1).astype(bool)
-    parts = [
-        one_part("face", "nose", np.arange(len(t)), time_s=t, x=100 + 0 * t, y=50 + 0 * t,
-               status=np.where(away, "lost", "tracked")),
-        one_part("face", "lip_upper", np.arange(len(t)), time_s=t, x=100 + 3 * t, y=90 + 0 * t),
-    ]  # fmt: skip
-    assert labels(parts, "horizontal") == []
+    status = np.where((t > 16) & (t < 18), "lost", "tracked")
+    nose = one_part("face", "nose", np.arange(len(t)), time_s=t, x=100 + 0 * t, y=50 + 0 * t, status=status)
+    lip = one_part("face", "lip_upper", np.arange(len(t)), time_s=t, x=100 + 3 * t, y=90 + 0 * t)
+    assert labels([nose, lip], "horizontal") == []
 
 
 def test_a_nod_that_turns_into_a_shake_is_one_after_the_other():
     t = clock(8)
     swing = 0.1 * np.sin(2 * np.pi * 2.5 * t)
-    for late in np.arange(3.5, 4.5, 0.04):
-        spans = head_motion(
-            box(t, y=np.where((t >= 2) & (t < 4), swing, 0), x=np.where((t >= late) & (t < 6), swing, 0))
-        )
-        nods = [span for span in spans if span.kind == "nods"]
+    for late in np.arange(3.5, 4.5, 0.08):
+        x, y = (np.where((t >= begin) & (t < end), swing, 0) for begin, end in ((late, 6), (2, 4)))
+        nods = [span for span in head_motion(box(t, x=x, y=y)) if span.kind == "nods"]
         assert [span.label for span in nods] == ["nod", "shake"]
         assert nods[0].last < nods[1].first
 
@@ -182,7 +172,7 @@ def test_times_count_not_frames():
     assert t[span.first] == pytest.approx(3, abs=0.25) and t[span.last] == pytest.approx(5, abs=0.25)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(6))
 def test_spans_of_a_kind_never_overlap(seed):
     """Wild motion of all sorts, with parts lost at random."""
     rng = np.random.default_rng(seed)
@@ -204,9 +194,8 @@ def test_a_single_point_has_neither_tilt_nor_size_nor_speed():
     assert head_motion(point) == []  # without a size, nobody knows how fast it is
 
 
-@pytest.mark.parametrize("rows", [0, 1, 2, 3])
+@pytest.mark.parametrize("rows", [1, 2, 3])
 def test_few_rows_are_survived(rows):
     t = clock(10)[:rows]
-    if rows:
-        assert head_motion(points(t)) == [] and head_motion(box(t)) == []
-    assert head_motion([one.take(np.zeros(rows, dtype=bool)) for one in points(t)]) == []
+    assert head_motion(points(t)) == [] and head_motion(box(t)) == []
+    assert head_motion([part.take(slice(0, 0)) for part in points(t)]) == []

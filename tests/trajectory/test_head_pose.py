@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.trajectory.analysis.head_pose import SHAPE, SPREAD, euler, fit_pose, head_pose, rotation_of
@@ -31,7 +31,6 @@ def fit(xy, names=FIVE, std=0.5, seen=None, spread=None):
     return fit_pose(xy, cov, seen, table(names, SHAPE), table(names, SPREAD if spread is None else spread))
 
 
-@settings(max_examples=25)
 @given(ANGLE, ANGLE, st.floats(-170, 170), st.floats(0.2, 20))
 def test_a_turned_shape_gives_its_pose_back(pitch, yaw, roll, scale):
     angles = np.array([[pitch, yaw, roll]])
@@ -55,21 +54,19 @@ def test_signs_are_those_of_the_camera_s_axes():
 @pytest.mark.parametrize("names", [FIVE, MOUTH])
 def test_a_slow_plain_twin_agrees(names):
     rng = np.random.default_rng(3)
-    angles = rng.uniform(-30, 30, (3, 3))
-    xy = seen_from(angles, names) + rng.normal(0, 1, (3, 5, 2))
+    angles = rng.uniform(-30, 30, (1, 3))
+    xy = seen_from(angles, names) + rng.normal(0, 1, (1, 5, 2))
     cov = np.broadcast_to(np.array([[1.0, 0.2], [0.2, 0.8]]), (*xy.shape, 2))
     shape, spread = table(names, SHAPE), table(names, SPREAD)
     found, covariance, scale, origin, *_ = fit_pose(xy, cov, np.ones(xy.shape[:2], bool), shape, spread)
-    for t in range(3):
+    for t in range(1):
         pose, wide = twin.fit(xy[t], cov[t], shape, spread)
         np.testing.assert_allclose(np.degrees(pose[:3]), found[t], atol=1e-3)
         np.testing.assert_allclose([np.exp(pose[3]), *pose[4:]], [scale[t], *origin[t]], rtol=1e-4)
         np.testing.assert_allclose(np.degrees(np.degrees(wide[:3, :3])), covariance[t], rtol=1e-3, atol=1e-3)
 
 
-@pytest.mark.one_in(3)
-@pytest.mark.parametrize("names", [FIVE, MOUTH])
-@pytest.mark.parametrize("angles", [(0, 0, 0), (12, -20, 8), (-15, 25, -30)])
+@pytest.mark.parametrize(("names", "angles"), [(FIVE, (12, -20, 8)), (MOUTH, (-15, 25, -30))])
 def test_the_spread_is_what_noise_of_points_and_people_makes(names, angles):
     rng, count, scale = np.random.default_rng(7), 1000, 1.5
     shapes = table(names, SHAPE) + rng.normal(0, 1, (count, 5, 3)) * table(names, SPREAD)
@@ -125,13 +122,8 @@ def test_rows_without_enough_points_have_no_pose():
     np.testing.assert_array_equal(head_pose(other).angles, head_pose(some).angles)
 
 
-def test_points_that_are_one_point_tell_nothing():
-    xy = np.full((2, 5, 2), 100.0)
-    found, covariance, *_ = fit(xy)
-    assert np.isnan(found).all() and np.isnan(covariance).all()
-
-
-def test_more_noise_of_the_tracker_is_more_spread():
-    frames = np.arange(3)
-    exact, vague = (head_pose(list(rows(FIVE, frames, std=std))).std for std in (0.5, 8.0))
+def test_points_that_are_one_point_tell_nothing_and_noise_makes_spread():
+    angles, covariance, *_ = fit(np.full((2, 5, 2), 100.0))
+    assert np.isnan(angles).all() and np.isnan(covariance).all()
+    exact, vague = (head_pose(list(rows(FIVE, np.arange(3), std=std))).std for std in (0.5, 8.0))
     assert (vague > 1.3 * exact).all()

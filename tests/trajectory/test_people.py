@@ -28,7 +28,7 @@ def track(person, first, stop, **more):
 
 
 DOUBT = track("a", 60, 80, doubt=True, other="b", p_other=0.2)
-TRACKS = [track("a", 0, 50), track("b", 20, 60), DOUBT, track("c", 90, 95)]
+TRACKS = [track("a", 0, 50), track("b", 20, 60), DOUBT, track("c", 90, 95, doubt=True, given=True)]
 SHOTS = [ShotRecord(first=0, stop=60), ShotRecord(first=60, stop=None)]
 
 
@@ -58,6 +58,8 @@ def test_the_file_comes_back_and_others_are_refused(tmp_path):
     (tmp_path / PEOPLE).write_text(json.dumps(broken))
     with pytest.raises(InputError, match=r"people.json: people"):
         read_people(tmp_path)
+    with pytest.raises(ValueError, match="version"):
+        People.model_validate_json(people.text().replace(b'"version": 1', b'"version": 2'))
 
 
 def test_corrections():
@@ -100,11 +102,6 @@ def test_rows_go_to_the_people_of_their_tracks():
     a, b = named.parts
     assert np.array_equal(a.frame, np.arange(50)) and np.array_equal(b.frame, np.arange(20, 70))
     assert np.array_equal(b.x, [*range(70, 110), *range(50, 60)])
-
-
-def test_a_newer_version_is_refused():
-    with pytest.raises(ValueError, match="version"):
-        People.model_validate_json(film().text().replace(b'"version": 1', b'"version": 2'))
 
 
 def test_seconds_are_those_of_the_rows_and_not_of_a_rate():

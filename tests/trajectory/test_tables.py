@@ -1,19 +1,40 @@
-"""Tables for spreadsheets and data frames, read back by csv and pandas."""
+"""Tables for spreadsheets, data frames and notebooks; events as subtitles, a TextGrid and a project of BORIS."""
 
 import csv
 import io
+import json
+import re
 from dataclasses import replace
+from datetime import UTC, datetime
+from functools import cache
+from itertools import groupby, pairwise
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.patches import Rectangle
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import InputError, UsageError
+from facetrack_cli.core.face_points import GROUPS
 from facetrack_cli.core.numbers import csv_text
+from facetrack_cli.report import figures as plots
+from facetrack_cli.trajectory.analysis.face_events import FaceEvent
 from facetrack_cli.trajectory.formats.keypoints import write_dlc
-from facetrack_cli.trajectory.formats.tables import write_measures, write_pose, write_wide
+from facetrack_cli.trajectory.formats.tables import (
+    EVENT_COLUMNS,
+    Clip,
+    write_boris,
+    write_csv_wide,
+    write_events,
+    write_measures,
+    write_pose,
+    write_subtitles,
+    write_textgrid,
+)
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.support.face_shape import moving_face
 
@@ -33,7 +54,7 @@ def read(text):
 
 def test_a_row_a_frame_with_the_parts_side_by_side():
     table = joined([part("face", "nose", [3, 4, 6], lost=[4]), part("head", "box", [4, 5])])
-    found = read(write_wide(table))
+    found = read(write_csv_wide(table))
     assert [row["frame"] for row in found] == [*"0123456"], "readers count rows"
     assert list(found[0]) == [
         "frame", "time_s", *(f"face_nose_{c}" for c in ("x", "y", "w", "h", "confidence", "status")),
@@ -41,13 +62,16 @@ def test_a_row_a_frame_with_the_parts_side_by_side():
     ]  # fmt: skip
     assert [row["face_nose_status"] for row in found] == ["", "", "", "tracked", "lost", "", "tracked"]
     assert found[3]["head_x"] == "" and found[5]["face_nose_x"] == "" and found[4]["time_s"] == "0.1600000"
+    assert write_csv_wide(table).startswith("frame,"), "a mark of the byte order is for other alphabets"
+    text = write_csv_wide(joined([part("Fräulein", "nose", [0]), part("a,b", 'c"d', [0])]))
+    assert text.startswith("\ufeff") and {"Fräulein_nose_x", 'a,b_c"d_x'} <= set(read(text)[0])
 
 
 @settings(max_examples=30)
 @given(st.integers(1, 4), st.integers(1, 9), st.integers(0, 2**32))
 def test_every_number_of_a_wide_table_comes_back(parts, frames, seed):
     made = [part("face", f"p{k}", range(k, k + frames), seed=seed + k) for k in range(parts)]
-    found = pd.read_csv(io.StringIO(write_wide(joined(made))), index_col="frame")
+    found = pd.read_csv(io.StringIO(write_csv_wide(joined(made))), index_col="frame")
     for one in made:
         rows = found.loc[one.frame]
         for name in ("x", "y", "w", "h", "confidence", "status"):
@@ -58,7 +82,7 @@ def test_no_table_has_a_text_that_a_spreadsheet_takes_for_a_formula():
     names = ["=1+1", "+1+1", "-1+1", "@SUM(A1)", " =1+1", '=HYPERLINK("x","y")']
     for name in names:
         rows = joined([part(name, one, [0, 1]) for one in ("nose", name)])
-        for text in (write_wide(rows), write_dlc(rows), write_dlc(rows, scorer=name), csv_text([name], [[name]])):
+        for text in (write_csv_wide(rows), write_dlc(rows), write_dlc(rows, scorer=name), csv_text([name], [[name]])):
             cells = [cell for line in csv.reader(io.StringIO(text.removeprefix("\ufeff"))) for cell in line]
             assert f"_{name}" in "".join(cells) and not any(cell.strip()[:1] in {*"=+@"} for cell in cells)
     assert csv_text(["a", "b", "c"], [["-1.5", -2, "-"], ["+1e3", None, "-nan"]]) == "a,b,c\n-1.5,-2,_-\n+1e3,,-nan\n"
@@ -68,7 +92,7 @@ def timed(time_s, frames=None, **header):
     """The times of a table with these rounded times."""
     frames = np.arange(len(time_s)) if frames is None else frames
     one = one_part("face", "nose", frames, time_s=np.round(time_s, 4), x=np.ones(len(time_s)), y=np.ones(len(time_s)))
-    found = read(write_wide(replace(one, header=header)))
+    found = read(write_csv_wide(replace(one, header=header)))
     assert [row["frame"] for row in found] == [str(n) for n in range(frames[-1] + 1)]
     return np.array([float(row["time_s"]) for row in found])
 
@@ -100,26 +124,160 @@ def test_a_variable_rate_is_kept_and_frames_without_rows_lie_between():
 def test_times_that_few_rows_or_none_tell():
     np.testing.assert_allclose(timed([0.12], np.array([3]), source={"fps": 25.0}), [0, 0.04, 0.08, 0.12])
     one = one_part("face", "nose", [0, 2], x=[1.0, 2.0], y=[1.0, 2.0])
-    assert [row["time_s"] for row in read(write_wide(one))] == ["", "", ""]
+    assert [row["time_s"] for row in read(write_csv_wide(one))] == ["", "", ""]
     with pytest.raises(InputError, match="frame 10000000 is too far on for a row a frame"):
-        write_wide(one_part("face", "nose", [0, 10**7], x=[1.0, 2.0], y=[1.0, 2.0]))
+        write_csv_wide(one_part("face", "nose", [0, 10**7], x=[1.0, 2.0], y=[1.0, 2.0]))
 
 
 def test_pose_and_measures_have_a_row_a_frame_too():
     face = moving_face(12, noise=0.3, std=0.3)
     late = replace(face, frame=face.frame + 4, time_s=face.time_s + 4 / 25)
     late = late.take(late.frame != 9)
-    for write in (write_pose, write_measures):
-        found = read(write(late))
+    for write, rows in ((write_pose, late), (write_measures, [Clip("", late)])):
+        found = read(write(rows))
         assert [row["frame"] for row in found] == [str(n) for n in range(16)]
         assert [row["time_s"] for row in found] == [f"{n / 25:.7f}" for n in range(16)]
         name = "pitch" if write is write_pose else "mouth_opening"
         assert [n for n, row in enumerate(found) if not row[name]] == [0, 1, 2, 3, 9]
 
 
-def test_spreadsheets_see_other_alphabets_and_no_formulas():
-    plain = write_wide(part("face", "nose", [0]))
-    assert plain.startswith("frame,")
-    text = write_wide(joined([part("Fräulein", "nose", [0]), part("=1+1", "box", [0]), part("a,b", 'c"d', [0])]))
-    assert text.startswith("\ufeff")
-    assert {"Fräulein_nose_x", "_=1+1_x", 'a,b_c"d_x'} <= set(read(text)[0])
+# --- as a notebook shows it ---
+
+
+def seen(name, n, seen):
+    x, confidence = np.full(n, 5.0), np.linspace(0, 1, n)
+    status = np.where(np.arange(n) < seen, "tracked", "lost")
+    return one_part(name, "nose", np.arange(n), x=x, y=x, confidence=confidence, status=status)
+
+
+def test_a_row_for_each_target_with_what_is_seen_and_its_confidence():
+    page = joined([seen("Ann", 40, 30), seen("<b>&", 20, 20)])._repr_html_()
+    assert re.findall(r"<td>([^<]*)</td><td>(\d+)</td><td>(\d+)</td><td>(\d+%)</td>", page) == [
+        ("Ann", "1", "40", "75%"), ("&lt;b&gt;&amp;", "1", "20", "100%"),
+    ]  # fmt: skip
+    for line in re.findall(r"<svg.*?</svg>", page):
+        points = ElementTree.fromstring(line)[0].attrib["points"].split()
+        assert len(points) in (40, 20) and points[0].endswith(",23.0") and points[-1].endswith(",1.0")
+    many = joined([seen(f"p{i}", 2, 2) for i in range(30)])._repr_html_()
+    assert many.count("<svg") == 20 and "and 10 more" in many, "the first are shown"
+    assert "<td>1</td><td>100%" in one_part("face", "box", [3], x=[1.0], y=[2.0])._repr_html_()
+
+
+# --- events ---
+
+T = np.arange(250)
+WRITTEN = datetime(2024, 1, 1, tzinfo=UTC)
+NAMES = ("nose", *GROUPS["eyes"], "mouth_left", "mouth_right", "lip_upper", "lip_lower")
+OPEN, SHUT = 0.3 * ((T >= 100) & (T < 140)), (T % 80 >= 40) & (T % 80 < 44)
+
+
+@cache
+def face(name="face"):
+    """A mouth that is open from 4 to 5.6 s, and three blinks."""
+    table = moving_face(250, noise=0.3, names=NAMES, open=OPEN, shut=SHUT)
+    return joined([part.renamed(name, part.part) for part in table.parts])
+
+
+def test_the_table_has_a_row_for_each_event():
+    rows = list(csv.DictReader(io.StringIO(write_events([Clip("a.mp4", face()), Clip("b.mp4", face("Anna"))]))))
+    assert tuple(rows[0]) == EVENT_COLUMNS and len(rows) == 8
+    [row] = [row for row in rows if row["clip"] == "b.mp4" and row["tier"] == "mouth"]
+    assert (row["person"], row["value"]) == ("Anna", "open")
+    assert (row["begin_s"], row["end_s"], row["first_frame"], row["last_frame"]) == ("4.0", "5.6", "100", "139")
+    assert 4 <= float(row["peak_s"]) <= 5.6 and 0.7 < float(row["probability"]) <= 1
+
+
+def test_subtitles_are_to_the_millisecond_and_leave_out_what_has_no_extent():
+    table = face()
+    srt, vtt = write_subtitles(table, "srt"), write_subtitles(table, "vtt")
+    assert srt.startswith("1\n00:00:01,600 --> 00:00:01,760\nblinks: blink\n\n2\n")
+    assert vtt.startswith("WEBVTT\n\n1\n00:00:01.600 --> 00:00:01.760\nblinks: blink\n\n2\n")
+    events = [
+        FaceEvent(3661.00049, "a<b", "mouth", "open", 3661.1, 3661.2996, 1, 2, 0.9),
+        FaceEvent(1.0001, "a<b", "mouth", "open", 1.0001, 1.0002, 1, 1, 0.9),
+    ]
+    table = joined([one_part("a<b", "nose", [0]), one_part("other", "nose", [0])])
+    table.__dict__["events"] = events
+    assert write_subtitles(table, "srt") == "1\n01:01:01,000 --> 01:01:01,300\na<b: mouth: open\n"
+    assert write_subtitles(table, "vtt") == "WEBVTT\n\n1\n01:01:01.000 --> 01:01:01.300\na&lt;b: mouth: open\n"
+
+
+def read_textgrid(text):
+    """Of each tier its intervals, as Praat's long format has them."""
+    found = {}
+    for tier in text.split("    item [")[1:]:
+        name = re.search(r'name = "(.*)"\n', tier)[1].replace('""', '"')
+        rows = re.findall(r'xmin = (\S+)\n +xmax = (\S+)\n +text = "(.*)"', tier)
+        assert int(re.search(r"intervals: size = (\d+)", tier)[1]) == len(rows)
+        found[name] = [(float(a), float(b), value.replace('""', '"')) for a, b, value in rows]
+    return found
+
+
+def test_a_textgrid_covers_the_whole_time_with_intervals():
+    text = write_textgrid(face('O"Brien'))
+    found = read_textgrid(text)
+    assert {f'{tier}@O"Brien' for tier in ("mouth", "smile", "blinks", "dips")} <= {*found}
+    assert found['mouth@O"Brien'] == [(0, 4, ""), (4, 5.6, "open"), (5.6, 10, "")]
+    assert found['smile@O"Brien'] == [(0, 10, "")]
+    assert [value for *_, value in found['blinks@O"Brien']] == ["", "blink"] * 3 + [""]
+    for rows in found.values():
+        assert all(one[1] == other[0] for one, other in pairwise(rows)) and (rows[0][0], rows[-1][1]) == (0, 10)
+    assert re.search(r"^xmax = 10\.000000\n", text, re.MULTILINE)
+    bare = joined([face().find("face", "nose")])
+    with pytest.raises(InputError, match="has no points or hands that tell an event"):
+        write_textgrid(bare)
+
+
+def test_a_boris_project_pairs_begins_and_ends_of_declared_subjects():
+    table = joined([*face().parts, *face("Anna").parts])
+    project = json.loads(write_boris([Clip("a.mp4", table), Clip("a.mp4", table)], written=WRITTEN))
+    assert list(project["observations"]) == ["a.mp4", "a.mp4 (2)"] and project["project_format_version"] == "7.0"
+    subjects = {one["name"] for one in project["subjects_conf"].values()}
+    codes = {one["code"]: one["modifiers"]["0"]["values"] for one in project["behaviors_conf"].values()}
+    assert subjects == {"face", "Anna"} and codes == {"blinks": ["blink"], "mouth": ["open"]}
+    for observation in project["observations"].values():
+        rows = observation["events"]
+        assert len(rows) == 2 * len(table.events) and all(one[0] <= other[0] for one, other in pairwise(rows))
+        for (who, code, value), each in groupby(sorted(rows, key=lambda row: row[1:4]), key=lambda row: row[1:4]):
+            times = [row[0] for row in each]
+            assert len(times) % 2 == 0 and who in subjects and value in codes[code]
+
+
+def test_a_folder_of_runs_is_one_file_with_a_column_of_clips(tmp_path, capsys):
+    for name, table in (("one", face()), ("two", face("Anna"))):
+        (tmp_path / name).mkdir()
+        table.to_pandas().to_csv(tmp_path / name / "trajectory.csv", index=False)
+    (tmp_path / "worse").mkdir()
+    (tmp_path / "worse" / "trajectory.csv").write_text("frame\n")
+    for form in ("events", "measures", "boris"):
+        assert main(["export", str(tmp_path), "--to", form]) == 0
+        assert re.search("worse.*it is left out", capsys.readouterr().err)
+    events = list(csv.DictReader(io.StringIO((tmp_path / f"{tmp_path.name}.events.csv").read_text())))
+    assert [(row["clip"], row["person"]) for row in events] == [("one", "face")] * 4 + [("two", "Anna")] * 4
+    measures = list(csv.DictReader(io.StringIO((tmp_path / f"{tmp_path.name}.measures.csv").read_text())))
+    assert list(measures[0])[:4] == ["clip", "frame", "time_s", "target"]
+    assert [(row["clip"], row["target"]) for row in measures] == [("one", "face")] * 250 + [("two", "Anna")] * 250
+    assert len(json.loads((tmp_path / f"{tmp_path.name}.boris").read_text())["observations"]) == 2
+    assert main(["export", str(tmp_path), "--to", "srt"]) == 2
+    assert "name that of one run" in capsys.readouterr().err
+
+
+def test_measures_and_events_are_data_frames():
+    table = face()
+    events, measures = table.to_pandas("events"), table.to_pandas("measures")
+    assert list(events.columns) == list(FaceEvent._fields) and len(events) == len(table.events)
+    opening = measures[measures.measure == "mouth_opening"]
+    np.testing.assert_array_equal(opening.value, table.measures["face"]["mouth_opening"].value)
+    assert {"target", "unit", "frame", "time_s", "std", "noise"} <= {*measures.columns}
+    with pytest.raises(UsageError, match="'people' is no table"):
+        table.to_pandas("people")
+    assert table.take(table.frame < 0).to_pandas("events").empty
+
+
+def test_a_plot_of_measures_has_a_panel_each_and_bars_of_events():
+    figure = plots.measures_figure(face(), ["mouth_opening", "open", "blink"])
+    assert len(figure.axes) == 2  # of the opening, and of what tells a blink
+    assert [sum(isinstance(one, Rectangle) for one in axes.patches) for axes in figure.axes] == [1, 3]
+    assert figure.axes[-1].get_xlabel() == "seconds"
+    with pytest.raises(UsageError, match="has no ears; choose among mouth_opening"):
+        plots.measures_figure(face(), ["ears"])

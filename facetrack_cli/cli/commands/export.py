@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,42 +13,16 @@ from facetrack_cli.cli import options
 from facetrack_cli.cli.options import flag, option, say
 from facetrack_cli.cli.types import FILE, FILE_OR_DASH, TRAJECTORY
 from facetrack_cli.core.errors import InputError, OutputError, UsageError
-from facetrack_cli.trajectory.formats import OF_BOXES, OF_MEDIA
+from facetrack_cli.trajectory.formats import ALIASES, EXPORTS, OF_BOXES, OF_MEDIA
 
 if TYPE_CHECKING:
-    from facetrack_cli.trajectory.formats.events import Clip
+    from facetrack_cli.trajectory.formats.tables import Clip
     from facetrack_cli.trajectory.select import Around
-
-
-ENDINGS = {
-    "csv-wide": "wide.csv",
-    "pose": "pose.csv",
-    "measures": "measures.csv",
-    "events": "events.csv",
-    "boris": "boris",
-    "srt": "srt",
-    "vtt": "vtt",
-    "textgrid": "TextGrid",
-    "openface": "openface.csv",
-    "mot": "mot.txt",
-    "otb": "otb.txt",
-    "got10k": "got10k.txt",
-    "vot": "vot.txt",
-    "coco": "coco.json",
-    "dlc": "dlc.csv",
-    "dlc-h5": "dlc.h5",
-    "eaf": "eaf",
-    "cvat": "cvat.xml",
-    "labelstudio": "labelstudio.json",
-}
-"""How the file of each format is called, after the name of the trajectory."""
-OF_RUNS = ("measures", "events", "boris")
-"""Those that take the folder of many runs."""
 
 
 @click.command()
 @click.argument("trajectory", type=TRAJECTORY)
-@option("--to", type=click.Choice([*ENDINGS, "elan"]), metavar="FORMAT", required=True, help="Format, as above.")
+@option("--to", type=click.Choice([*EXPORTS, *ALIASES]), metavar="FORMAT", required=True, help="Format, as above.")
 @option("-o", "--out", type=FILE_OR_DASH, help="File to write [default: beside TRAJECTORY]; - standard output.")
 @options.target
 @option("--media", type=FILE, help=f"Clip it was tracked in ({', '.join(OF_MEDIA)}).")
@@ -69,24 +44,7 @@ def command(
 
     \b
     Formats:
-      csv-wide  CSV with one row a frame, for spreadsheets
-      pose      CSV of the head's pitch, yaw and roll, with their spread
-      measures  CSV of mouth opening, smile, brows, lids, pose, and their spread
-      events    CSV of when mouths open, eyes blink, heads nod, hands move
-      boris     the same as a project of BORIS 8, a clip an observation
-      srt, vtt  the same as subtitles, of one run
-      textgrid  the same as a TextGrid of Praat, of one run
-      openface  OpenFace's CSV: confidence, success, pose, landmarks
-      mot       MOTChallenge: frame, id, box, confidence; all from 1
-      otb       OTB boxes, one a line, pixels from 1; one target
-      got10k    GOT-10k boxes, one a line, pixels from 1; one target
-      vot       VOT result, one region a line, pixels from 0; one target
-      coco      COCO keypoints JSON: boxes and points of every frame
-      dlc       DeepLabCut CSV: x, y, likelihood of every point
-      dlc-h5    the same as DeepLabCut's HDF5; needs pandas and PyTables
-      eaf, elan ELAN annotations: what was lost, what head, face, hands did
-      cvat      CVAT for video 1.1: a track for each part, to correct there
-      labelstudio  Label Studio's video rectangles, to correct there
+      FORMATS
 
     In mot, otb, got10k, vot and coco, a target of several points has the box around the windows that the tracker
     compares; with --box points, around the points alone.
@@ -121,7 +79,7 @@ def command(
     from facetrack_cli.runs.export import content, encoded
     from facetrack_cli.trajectory.header import clip_of
 
-    to = "eaf" if to == "elan" else to
+    to = ALIASES.get(to, to)
     if into is not None and to != "eaf":
         raise UsageError(f"--into adds the tiers of eaf to a file of ELAN; {to} has none")
     if media is not None and to not in OF_MEDIA:
@@ -136,9 +94,8 @@ def command(
         raise OutputError("dlc-h5 is not text, and does not go to standard output; name a file with -o")
     clips, many = _clips(trajectory, to, target, drop_lost)
     table = clips[0].table
-    beside = table.path.with_name(f"{table.path.stem}.{ENDINGS[to]}")
-    beside = beside if not many else trajectory / f"{trajectory.resolve().name}.{ENDINGS[to]}"
-    path = None if out == "-" else Path(out) if out else into or beside
+    folder, stem = (trajectory, trajectory.resolve().name) if many else (table.path.parent, table.path.stem)
+    path = None if out == "-" else Path(out) if out else into or folder / f"{stem}.{EXPORTS[to].ending}"
     if path is not None:
         check_new(path, overwrite=overwrite, inputs=(table.path, media, clip_of(table)))
     try:
@@ -161,13 +118,13 @@ def command(
 def _clips(trajectory: Path, to: str, target: str | None, drop_lost: bool) -> tuple[list[Clip], bool]:
     """The trajectory, or those of the many runs in a folder, less what cannot be read; whether there are many."""
     from facetrack_cli.run_folder.manifest import read_run
-    from facetrack_cli.trajectory.formats.events import Clip
+    from facetrack_cli.trajectory.formats.tables import Clip
     from facetrack_cli.trajectory.header import clip_of
     from facetrack_cli.trajectory.select import blank_lost, choose
 
     paths = [] if any(trajectory.glob("trajectory.*")) else trajectory.glob("*/trajectory.*")
     folders = sorted({path.parent for path in paths})
-    if (many := bool(folders)) and to not in OF_RUNS:
+    if (many := bool(folders)) and "clips" not in EXPORTS[to].takes.split():
         raise UsageError(f"{trajectory}: is a folder of runs, and {to} takes one; name that of one run")
     found = []
     for path in folders or [trajectory]:
@@ -183,3 +140,8 @@ def _clips(trajectory: Path, to: str, target: str | None, drop_lost: bool) -> tu
     if not found:
         raise InputError(f"{trajectory}: none of its runs can be read; look at facetrack status")
     return found, many
+
+
+_NAMES = {form: ", ".join([form, *(alias for alias, of in ALIASES.items() if of == form)]) for form in EXPORTS}
+_LIST = "\n  ".join(f"{_NAMES[form]:<9} {export.about}" for form, export in EXPORTS.items())
+command.help = inspect.cleandoc(str(command.help)).replace("FORMATS", _LIST)

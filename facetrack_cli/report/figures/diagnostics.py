@@ -12,8 +12,7 @@ from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.report.figures.lines import Line, Panel, Pen
 from facetrack_cli.report.figures.style import COLOURS, GUIDE, STATUS, TRUTH, Axes, clean, limit
 from facetrack_cli.trajectory.diagnostics import AFFINE, EVIDENCE, POSTERIOR, SURE, Diagnostic, Diagnostics
-from facetrack_cli.trajectory.header import said
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.trajectory import Trajectory, header_value
 
 MAX_NAMES = 5  # people with a colour and a name, of more the most likely
 MAX_IDENTITY_PANELS = 6  # panels of identities, one for each target
@@ -74,7 +73,7 @@ def _curves(
 
 def bounds_of(table: Trajectory) -> tuple[float, float, float] | None:
     """(least, most, rate) of eta in eq. 13, as the recipe of the run has them; None without them."""
-    motion = said(table, "recipe", "motion")
+    motion = header_value(table, "recipe", "motion")
     noise = motion.get("noise") if isinstance(motion, Mapping) else None
     values = [noise.get(key) for key in ("least", "most", "rate")] if isinstance(noise, Mapping) else []
     found = [float(v) for v in values if isinstance(v, int | float) and not isinstance(v, bool)]
@@ -131,7 +130,7 @@ def _particles(table: Trajectory, first: Mapping[str, Line], pen: Pen) -> Iterat
     changing = [name for name, value in counts.items() if known(value) and np.ptp(value[np.isfinite(value)]) > 0]
     if not changing:
         return
-    settings = said(table, "recipe", "filter")
+    settings = header_value(table, "recipe", "filter")
     usual = settings.get("particles") if isinstance(settings, Mapping) else None
     usual = usual if type(usual) is int else None
     means = [f"{clean(n, 20) + ' ' if len(changing) > 1 else ''}{np.nanmean(counts[n]):.0f}" for n in changing[:3]]

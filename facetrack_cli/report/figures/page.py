@@ -20,10 +20,8 @@ from facetrack_cli.report.figures.diagnostics import adaptation, known, panels
 from facetrack_cli.report.figures.lines import MAX_LINES, Line, Panel, Pen, columns_for, lines_of, quantiles, stacked
 from facetrack_cli.report.figures.style import Axes, Figure
 from facetrack_cli.trajectory.analysis.face_events import KINDS
-from facetrack_cli.trajectory.analysis.hands import HAND_MEASURES
-from facetrack_cli.trajectory.analysis.measures import DEGREES, MEASURES, Measured
-from facetrack_cli.trajectory.header import said
-from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.analysis.measures import DEGREES, HAND_MEASURES, MEASURES, Measured
+from facetrack_cli.trajectory.trajectory import Trajectory, header_value
 
 USUAL = (
     "mouth_opening", "lips_apart", "mouth_width", "smile", "brow_raise", "eye_opening", "roll", "yaw", "pitch",
@@ -107,7 +105,7 @@ def error(pair: Pair) -> Array:
 
 
 def _title(table: Trajectory) -> str:
-    clip, name = said(table, "source", "path"), said(table, "recipe", "name")
+    clip, name = header_value(table, "source", "path"), header_value(table, "recipe", "name")
     if isinstance(clip, str):
         return PurePath(clip).name + (f", {name}" if isinstance(name, str) else "")
     folder = table.path.resolve().parent.name  # of a run, named after clip and recipe

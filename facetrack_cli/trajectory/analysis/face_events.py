@@ -1,22 +1,24 @@
 """Events in what a face or a hand does, with times and probabilities: a mouth is open, eyes blink, a head nods.
 
-Each kind is a hidden Markov model over one measure. Its states are rest, halfway and away from rest; of what goes both
-ways rest and either side; of a measure that is a probability itself, no and yes. A state is left at a constant rate,
-for any state, so a pause between rows makes the state after it less sure.
+Each kind is a hidden Markov model of one measure. Its states are rest, halfway and away from rest. A kind that goes
+both ways has rest and either side; a measure that is itself a probability has no and yes. A state lasts an exponential
+time, and each state may follow, so a pause between rows makes the state after it less sure.
 
-A row's noise is its doubt (measures.py), and what its spread has beyond the step that people make. A value counts by
-what it is away from rest more than that, since errors last, and many frames say no more of them than one. Rows beside
-lost ones do not count. What is left is normal about the level of its state, with the state's variation and the noise;
-beyond the outer levels it counts as on them. The level at rest, its variation and the step from it are learned from the
-clip by expectation maximization, from what people do (`KINDS`), which counts for `PRIOR` frames; each shot of a film
-has its own. Frames are not independent: the log likelihood of each has the weight `counts`.
+The likelihood of a row is normal about the level of its state. Its variance is that of people at rest or away (`std`)
+and that of the noise: the row's doubt (measures.py), and what its spread has beyond the step that people make. Before,
+the value is moved towards rest by that noise: errors last, so that many frames say no more of them than one. Values
+beyond the outer levels count as on them. Rows beside lost ones do not count.
+
+The level at rest, its variation and the step from it are learned from the clip by expectation maximization. What people
+do (`KINDS`) is their prior, with the weight of `PRIOR` frames. Each shot of a film has its own. Frames are not
+independent: the log likelihood of each has the factor `weight`.
 
 Steps, variations and weights of mouths and smiles are those of a grid with the best recall and precision on tracks of
-eight people by regressions that have not seen them (`benchmarks/measures.py`), those of blinks on the same people's
-openings of the eyes with noise added. Those of nods, shakes, winks and speech were set by hand.
+eight people by regressions that have not seen them (`benchmarks/measures.py`). Those of blinks were fitted to the same
+people's openings of the eyes with noise added. Those of nods, shakes, winks and speech were set by hand.
 
 An event is where rest has less than half of the posterior. Its probability is that of a visit to the state away from
-rest meanwhile, 1 - p(rows, no visit) / p(rows); below `told` it is no event.
+rest meanwhile, 1 - p(rows, no visit) / p(rows). Below `threshold` it is no event.
 """
 
 import math
@@ -37,25 +39,25 @@ QUIET: Final = 0.1  # quantile of the rows without much doubt that rest begins a
 
 
 class Kind(NamedTuple):
-    """A kind of event: what it is called, the measure that tells it, and what people do.
+    """A kind of event: the measure that tells it, and what people do.
 
-    It is told by the first of `measures` that is there, by its increase (`sign` 1), decrease (-1) or both in turn (0);
-    by `step` from rest, about which `varies` are standard deviations at rest and away. Step 0: the measure is the
-    probability. `lasts` are mean seconds at rest and away; the evidence of a frame `counts` for so much, and what is
-    less probable than `told` is none. Rest is the median over `reach_s` before and after, else one level; `relative`:
-    the measure counts as a share of it. What takes less than `least_s` is none, what takes more than `longest_s` is
-    called `longer`, or is none; what a probability has below one half, `other`. `needs` is a measure without which it
-    is not told.
+    `value` is its name. The first of `measures` that is there tells it: by its increase (`sign` 1), its decrease (-1)
+    or both in turn (0). `step` is how far from rest people go; 0: the measure is a probability. `std` are standard
+    deviations at rest and away, `lasts` mean seconds of both. `weight` is the factor of a frame's log likelihood,
+    `threshold` the least probability of an event. Rest is the median over `reach_s` before and after, or one level
+    where that is 0. `relative`: the measure is divided by it. An event takes `least_s` at least; after `longest_s` it
+    has the name `longer`, or is none. `other` is the name of what has a probability below one half. `needs` is a
+    measure without which the kind is not told.
     """
 
     value: str
     measures: tuple[str, ...]
     sign: int = 1
     step: float = 0.0
-    varies: tuple[float, float] = (0.0, 0.0)
+    std: tuple[float, float] = (0.0, 0.0)
     lasts: tuple[float, float] = (0.3, 0.3)
-    counts: float = 0.3
-    told: float = 0.5
+    weight: float = 0.3
+    threshold: float = 0.5
     reach_s: float = 0.0
     relative: bool = False
     least_s: float = 0.0
@@ -98,44 +100,44 @@ class FaceEvent(NamedTuple):
 
 def events_of(target: str, measures: Mapping[str, Measured]) -> dict[str, list[FaceEvent]]:
     """The events of one target by the kinds that its measures tell, each in the order of time."""
-    found = {}
+    events = {}
     for tier, kind in KINDS.items():
-        best = next((measures[one] for one in kind.measures if one in measures), None)
+        best = next((measures[name] for name in kind.measures if name in measures), None)
         if best is not None and (not kind.needs or kind.needs in measures):
             shots = [best.between(*ends) for ends in stretches(best.time_s)] if kind.step else [best]
-            found[tier] = sorted(event for shot in shots for event in _events(target, tier, kind, shot))
-    return found
+            events[tier] = sorted(event for shot in shots for event in _events(target, tier, kind, shot))
+    return events
 
 
-def _events(target: str, tier: str, kind: Kind, one: Measured) -> Iterator[FaceEvent]:
-    rows = settled(one) if kind.step else np.flatnonzero(np.isfinite(one.value + one.time_s))
+def _events(target: str, tier: str, kind: Kind, measure: Measured) -> Iterator[FaceEvent]:
+    rows = settled(measure) if kind.step else np.flatnonzero(np.isfinite(measure.value + measure.time_s))
     if len(rows) < 2:
         return
-    time_s, frame = one.time_s[rows], one.frame[rows]
+    time_s, frame = measure.time_s[rows], measure.frame[rows]
     pause, usual = np.diff(time_s) > GAP_S, float(np.median(np.diff(time_s)))
     until = np.append(np.where(pause, time_s[:-1] + usual, time_s[1:]), time_s[-1] + usual)
-    z, log_p = _log_likelihoods(kind, one, rows)
+    z, log_p = _log_likelihoods(kind, measure, rows)
     rest_s, away_s = kind.lasts
     lasts = (rest_s, *([HALFWAY_S if kind.sign else away_s] if kind.step else []), away_s)
     passes = [(kind.value, log_p, z)] + ([(kind.other, log_p[:, ::-1], -z)] if kind.other else [])
-    for value, each, height in passes:
-        chain = Chain.of(kind.counts * each, time_s, lasts)
+    for value, states, height in passes:
+        chain = Chain.of(kind.weight * states, time_s, lasts)
         for a, b in spans(chain.posterior[:, 0] < 0.5, pause):
-            chance = chain.visits(a, b, (1, 2) if kind.step and not kind.sign else (each.shape[1] - 1,))
+            chance = chain.visits(a, b, (1, 2) if kind.step and not kind.sign else (states.shape[1] - 1,))
             lasts_s = until[b - 1] - time_s[a]
             name = value if lasts_s <= kind.longest_s else kind.longer
-            if chance >= kind.told and name and lasts_s >= kind.least_s:
+            if chance >= kind.threshold and name and lasts_s >= kind.least_s:
                 peak = a + int(np.argmax(height[a:b]))
                 times = float(time_s[peak]), float(until[b - 1])
                 yield FaceEvent(float(time_s[a]), target, tier, name, *times, int(frame[a]), int(frame[b - 1]), chance)
 
 
-def _log_likelihoods(kind: Kind, one: Measured, rows: Whole) -> tuple[Array, Array]:
+def _log_likelihoods(kind: Kind, measure: Measured, rows: Whole) -> tuple[Array, Array]:
     """(T,) how far a measure is away from rest in these rows, and (T, S) log likelihoods of the states."""
-    value, time_s = one.value[rows], one.time_s[rows]
+    value, time_s = measure.value[rows], measure.time_s[rows]
     if not kind.step:
         return value, np.log(np.clip(np.stack([1 - value, value], axis=1), LEAST, 1))
-    std, doubt = (np.nan_to_num(spread[rows]) for spread in (one.std, one.doubt))
+    std, doubt = (np.nan_to_num(spread[rows]) for spread in (measure.std, measure.doubt))
     if kind.reach_s:
         reach = round(kind.reach_s / max(float(np.median(np.diff(time_s))), kind.reach_s / 500))
         padded = np.pad(value, reach, mode="symmetric")
@@ -147,15 +149,15 @@ def _log_likelihoods(kind: Kind, one: Measured, rows: Whole) -> tuple[Array, Arr
     z, std, doubt = (kind.sign or 1) * (value - rest) / unit, std / unit, doubt / unit
     noise = np.sqrt(doubt**2 + np.maximum(std**2 - kind.step**2, 0.0))
     z = np.sign(z) * np.maximum(np.abs(z) - noise, 0.0)
-    level, step, quiet = 0.0, kind.step, kind.varies[0]
+    level, step, quiet = 0.0, kind.step, kind.std[0]
     log_p = _normal(kind, z, noise, level, step, quiet)
     for _ in range(ROUNDS):
-        is_in = np.exp(log_p - np.logaddexp.reduce(log_p, axis=1, keepdims=True)) * kind.counts
+        is_in = np.exp(log_p - np.logaddexp.reduce(log_p, axis=1, keepdims=True)) * kind.weight
         at_rest, away = is_in[:, 0], is_in[:, 1:].sum(axis=1) if not kind.sign else is_in[:, 2]
         # a few rows that are far off, as beside a hand before the mouth, say nothing of how it rests
         level = float(at_rest @ np.clip(z, -step, step) / (at_rest.sum() + PRIOR))
         excess = np.maximum(np.minimum(np.abs(z - level), step / 2) ** 2 - noise**2, 0.0)
-        quiet = math.sqrt((at_rest @ excess + PRIOR * kind.varies[0] ** 2) / (at_rest.sum() + PRIOR))
+        quiet = math.sqrt((at_rest @ excess + PRIOR * kind.std[0] ** 2) / (at_rest.sum() + PRIOR))
         height = np.abs(z - level) if not kind.sign else z - level
         step = max(float((away @ height + PRIOR * kind.step) / (away.sum() + PRIOR)), LEAST_STEP * kind.step)
         log_p = _normal(kind, z, noise, level, step, quiet)
@@ -164,9 +166,9 @@ def _log_likelihoods(kind: Kind, one: Measured, rows: Whole) -> tuple[Array, Arr
 
 def _normal(kind: Kind, z: Array, noise: Array, level: float, step: float, quiet: float) -> Array:
     """(T, 3) log densities about the levels of the states."""
-    steps, spread = (0.0, 0.5, 1.0), (quiet, step / 4, kind.varies[1])
+    steps, spread = (0.0, 0.5, 1.0), (quiet, step / 4, kind.std[1])
     if not kind.sign:
-        steps, spread = (0.0, -1.0, 1.0), (quiet, kind.varies[1], kind.varies[1])
+        steps, spread = (0.0, -1.0, 1.0), (quiet, kind.std[1], kind.std[1])
     off = np.clip(z - level, min(steps) * step, step)[:, None] - np.multiply(steps, step)
     variance = np.square(spread) + noise[:, None] ** 2
     return np.asarray(-0.5 * (off**2 / variance + np.log(variance)))
@@ -212,7 +214,7 @@ class Chain(NamedTuple):
     def visits(self, first: int, stop: int, states: Sequence[int]) -> float:
         """The probability, given all rows, that each of `states` is visited in rows `first` to before `stop`."""
         chance, whole = 0.0, np.logaddexp.reduce(self.forward[-1])
-        for none in (list(one) for n in range(len(states) + 1) for one in combinations(states, n)):
+        for none in (list(chosen) for n in range(len(states) + 1) for chosen in combinations(states, n)):
             at = self.forward[max(first - 1, 0)]
             for t in range(first, stop):
                 at = np.logaddexp.reduce(at[:, None] + self.move[t - 1], axis=0) if t else self.share

@@ -78,8 +78,8 @@ class Pose(NamedTuple):
 def head_motion(parts: Sequence[Trajectory]) -> list[Span]:
     """The spans of one target by the order of KINDS, then by time; `time_s` of its parts must be known and increase."""
     pose = _pose(parts)
-    found = [span for stretch in _stretches(pose) for span in _spans(pose, stretch)]
-    return sorted(found, key=lambda span: (KINDS.index(span.kind), span.first))
+    motions = [span for stretch in _stretches(pose) for span in _spans(pose, stretch)]
+    return sorted(motions, key=lambda span: (KINDS.index(span.kind), span.first))
 
 
 def kinds_of(parts: Sequence[Trajectory]) -> tuple[str, ...]:
@@ -120,10 +120,10 @@ def _of_pairs(xy: Array) -> tuple[Array, Array, float]:
     """Log distances (T, M) and directions (T, M, complex) of pairs of points xy (T, K, 2), and the target's size."""
     k = xy.shape[1]
     if k <= 12:
-        one, other = np.triu_indices(k, 1)
+        first, second = np.triu_indices(k, 1)
     else:  # of many points, those across from one another in the list do
-        one, other = np.arange(k), (np.arange(k) + k // 2) % k
-    apart = xy[:, other] - xy[:, one]
+        first, second = np.arange(k), (np.arange(k) + k // 2) % k
+    apart = xy[:, second] - xy[:, first]
     length = np.hypot(apart[..., 0], apart[..., 1])
     typical = _nanmedian(length, axis=0)
     largest = float(np.nanmax(typical)) if np.isfinite(typical).any() else np.nan
@@ -161,13 +161,13 @@ def _nanmedian(values: Array, axis: int) -> Array:
 
 def _stretches(pose: Pose) -> Iterator[Whole]:
     """Rows without a break: not lost, no pause between them, long enough to say something of."""
-    known = np.flatnonzero(np.isfinite(pose.signals["horizontal"] + pose.signals["vertical"] + pose.time_s))
-    if known.size == 0:
+    rows = np.flatnonzero(np.isfinite(pose.signals["horizontal"] + pose.signals["vertical"] + pose.time_s))
+    if rows.size == 0:
         return
-    broken = (np.diff(known) > 1) | (np.diff(pose.time_s[known]) > GAP_S) | pose.begins[known[1:]]
-    for rows in np.split(known, 1 + np.flatnonzero(broken)):
-        if len(rows) > 2 and pose.time_s[rows[-1]] - pose.time_s[rows[0]] >= MIN_SPAN_S:
-            yield rows
+    broken = (np.diff(rows) > 1) | (np.diff(pose.time_s[rows]) > GAP_S) | pose.begins[rows[1:]]
+    for stretch in np.split(rows, 1 + np.flatnonzero(broken)):
+        if len(stretch) > 2 and pose.time_s[stretch[-1]] - pose.time_s[stretch[0]] >= MIN_SPAN_S:
+            yield stretch
 
 
 def _spans(pose: Pose, rows: Whole) -> Iterator[Span]:
@@ -217,7 +217,7 @@ def _moving(signal: Array, dt: float, rate: Rate, labels: tuple[str, str]) -> It
 
 def _swinging(x: Array, y: Array, dt: float) -> Iterator[tuple[int, int, str]]:
     """Nods and shakes, in order of time: runs of quick swings between turning points."""
-    found: list[tuple[int, int, str]] = []
+    swings: list[tuple[int, int, str]] = []
     for main, across, label in ((y, x, "nod"), (x, y, "shake")):
         light, side = gauss(main, LIGHT_S / dt), gauss(across, LIGHT_S / dt)
         least = max(SWING, NOISE * noise_of(main) * _left_by(_kernel(LIGHT_S / dt)))
@@ -232,9 +232,9 @@ def _swinging(x: Array, y: Array, dt: float) -> Iterator[tuple[int, int, str]]:
             if b - a >= SWINGS:
                 # from the last place near the first turning point to the first place near the last one
                 first, last = (_near(light, turns[i], turns[j]) for i, j in ((a, a + 1), (b, b - 1)))
-                found.append((int(first.max()), int(last.min()), label))
+                swings.append((int(first.max()), int(last.min()), label))
     after = 0
-    for begin, end, label in sorted(found):
+    for begin, end, label in sorted(swings):
         # the last swing of one may still be going on in the first of the other
         if (end - max(begin, after)) * dt >= MIN_SPAN_S:
             yield max(begin, after), end, label

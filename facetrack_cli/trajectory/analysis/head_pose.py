@@ -80,31 +80,31 @@ def head_pose(parts: Sequence[Trajectory]) -> HeadPose | None:
     The spread holds both the tracker's uncertainty and that of the person's own proportions. The latter is the same in
     all frames of a person: differences between frames are more exact than it says.
     """
-    known = [part for part in with_eyes([part.squared for part in parts]) if part.part in SHAPE]
-    if not _deep(_of(SHAPE, known), np.ones((1, len(known)), bool))[0]:
+    points = [part for part in with_eyes([part.squared for part in parts]) if part.part in SHAPE]
+    if not _deep(_of(SHAPE, points), np.ones((1, len(points)), bool))[0]:
         return None
-    frame, columns = aligned(known, "x", "y", "std_x", "std_y", "cov_xy", "status")
+    frame, columns = aligned(points, "x", "y", "std_x", "std_y", "cov_xy", "status")
     xy = np.stack([columns["x"], columns["y"]], axis=2)
     seen = np.isfinite(xy).all(axis=2) & np.isin(columns["status"], SEEN)
     cov = np.zeros((*xy.shape, 2))
     for i, name in enumerate(("std_x", "std_y")):
         cov[..., i, i] = np.fmax(columns[name], PIXEL) ** 2
     cov[..., 0, 1] = cov[..., 1, 0] = np.nan_to_num(columns["cov_xy"])
-    return HeadPose(frame, *fit_pose(xy, cov, seen, _of(SHAPE, known), _of(SPREAD, known)))
+    return HeadPose(frame, *fit_pose(xy, cov, seen, _of(SHAPE, points), _of(SPREAD, points)))
 
 
 def with_eyes(parts: Sequence[Trajectory]) -> list[Trajectory]:
     """The parts, and the centre of each eye whose corners are among them: `eye_left`, `eye_right`."""
-    found = {part.part: part for part in parts}
+    by_name = {part.part: part for part in parts}
     for eye in ("eye_left", "eye_right"):
-        if eye not in found and {f"{eye}_outer", f"{eye}_inner"} <= found.keys():
-            corners = [found[f"{eye}_{end}"] for end in ("outer", "inner")]
+        if eye not in by_name and {f"{eye}_outer", f"{eye}_inner"} <= by_name.keys():
+            corners = [by_name[f"{eye}_{end}"] for end in ("outer", "inner")]
             frame, columns = aligned(corners, "x", "y", "std_x", "std_y", "cov_xy", "status")
             seen = np.isin(columns.pop("status"), SEEN).all(axis=1)
             half = {name: np.hypot(*v.T) / 2 if "std" in name else v.mean(axis=1) for name, v in columns.items()}
             half |= {"cov_xy": half["cov_xy"] / 2, "status": np.where(seen, "tracked", "lost")}
-            found[eye] = one_part(corners[0].target, eye, frame, **half)
-    return list(found.values())
+            by_name[eye] = one_part(corners[0].target, eye, frame, **half)
+    return list(by_name.values())
 
 
 def fit_pose(
@@ -121,20 +121,22 @@ def fit_pose(
     if rows.size:
         points = np.where(seen[rows, :, None], xy[rows], 0.0), cov[rows], seen[rows], shape, spread
         rotation = _begin(*points)
-        first, other = _refined(rotation, *points), _refined(_mirrored(rotation), *points)
+        mirrored = _completed(rotation[:, :2] * np.array([1, 1, -1]))  # the depth of all points reversed
+        first, other = _refined(rotation, *points), _refined(mirrored, *points)
         better = other.cost < first.cost
         best = _Fit(
             *(np.where(better.reshape(-1, *[1] * (a.ndim - 1)), b, a) for a, b in zip(first, other, strict=True))
         )
-        turned = _angle_between(first.rotation, other.rotation)
+        cosine = (np.einsum("tij,tij->t", first.rotation, other.rotation) - 1) / 2
+        turned = np.arccos(np.clip(cosine, -1, 1))
         ambiguous[rows] = (np.abs(first.cost - other.cost) < HARDLY) & (turned > np.radians(5))
-        found = euler(best.rotation)
-        inverse = np.linalg.inv(_spins(found))[:, None]
+        radians = euler(best.rotation)
+        inverse = np.linalg.inv(_spins(radians))[:, None]
         spread_ = np.degrees(np.degrees(inverse @ best.cov[..., :3, :3] @ inverse.swapaxes(2, 3)))
-        told = np.diagonal(spread_[:, 0], axis1=1, axis2=2).max(axis=1) < MAX_SPREAD_DEG**2
-        ambiguous[rows] &= told
-        rows, best = rows[told], _Fit(*(values[told] for values in best))
-        angles[rows], covariance[rows] = np.degrees(found[told]), spread_[told]
+        clear = np.diagonal(spread_[:, 0], axis1=1, axis2=2).max(axis=1) < MAX_SPREAD_DEG**2
+        ambiguous[rows] &= clear
+        rows, best = rows[clear], _Fit(*(values[clear] for values in best))
+        angles[rows], covariance[rows] = np.degrees(radians[clear]), spread_[clear]
         scale[rows], origin[rows] = best.scale, best.origin
     return angles, covariance[:, 0], scale, origin, ambiguous, covariance[:, 1]
 
@@ -225,11 +227,6 @@ def _placed(flat: Array, xy: Array, seen: Mask) -> tuple[Array, Array]:
     return scale, place - scale[:, None] * middle
 
 
-def _mirrored(rotation: Array) -> Array:
-    """With the depth of all points reversed."""
-    return _completed(rotation[:, :2] * np.array([1, 1, -1]))
-
-
 def _completed(rows: Array) -> Array:
     """The rotation (T, 3, 3) with these first two rows (T, 2, 3)."""
     return np.concatenate([rows, np.cross(rows[:, :1], rows[:, 1:])], axis=1)
@@ -241,8 +238,8 @@ def _turn(by: Array) -> Array:
     x, y, z = by.T
     zero = np.zeros_like(x)
     cross = np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], axis=1)
-    found: Array = np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / 2 / np.pi) ** 2 * (cross @ cross)
-    return found
+    whole, half = np.sinc(angle / np.pi), np.sinc(angle / 2 / np.pi)
+    return np.asarray(np.eye(3) + whole * cross + 0.5 * half**2 * (cross @ cross))
 
 
 def _spins(angles: Array) -> Array:
@@ -253,12 +250,6 @@ def _spins(angles: Array) -> Array:
     return np.stack([np.stack([zero + 1, zero, zero], -1), about_y, about_z], axis=-1)
 
 
-def _angle_between(one: Array, other: Array) -> Array:
-    cosine = (np.einsum("tij,tij->t", one, other) - 1) / 2
-    found: Array = np.arccos(np.clip(cosine, -1, 1))
-    return found
-
-
 def _deep(shape: Array, seen: Mask) -> Mask:
     """(T,) whether enough points are seen, and not all of them in a plane."""
     if shape.shape[0] < MIN_POINTS:
@@ -266,8 +257,7 @@ def _deep(shape: Array, seen: Mask) -> Mask:
     weight = seen[..., None].astype(np.float64)
     middle = (weight * shape).sum(axis=1) / np.maximum(weight.sum(axis=1), 1)
     extents = np.linalg.svd(weight * (shape - middle[:, None]), compute_uv=False)
-    found: Mask = (seen.sum(axis=1) >= MIN_POINTS) & (extents[:, 2] > FLAT * extents[:, 0])
-    return found
+    return np.asarray((seen.sum(axis=1) >= MIN_POINTS) & (extents[:, 2] > FLAT * extents[:, 0]))
 
 
 def _of(table: Mapping[str, tuple[float, float, float]], parts: Sequence[Trajectory]) -> Array:

@@ -1,19 +1,32 @@
 """What a face does, as numbers: how far its mouth opens, its smile, its brows, its lids, how its head stands.
 
-Lengths are in distances between the eyes. Where both eyes are seen that is the distance of their centres over `share`,
-so that it does not shrink when the head turns; else it is .363 of the width of the face's box. Widths of mouth and eyes
-are over `share`, too: it is how long the head's own horizontal is in the image, by its pose; 1 from the front, or where
-the pose is not known, and at least .5. Heights are across the line of the eyes, without eyes across that horizontal.
-Nothing corrects heights for pitch.
+Lengths are in distances between the eyes. `share` is how long the head's own horizontal is in the image, by its pose: 1
+from the front, or where the pose is not known, and at least .5. Where both eyes are seen, the unit is the distance of
+their centres over `share`, so that it does not shrink when the head turns; else it is .363 of the width of the face's
+box. Widths of mouth and eyes are over `share`, too. Heights are across the line of the eyes, or without eyes across the
+head's horizontal. Nothing corrects heights for pitch.
 
 The spread is of first order: derivatives, by central differences, times the covariance of each point in its row. It
-takes points as independent and the pose as known. That of an angle is what the points alone make of it: what a person's
+takes points as independent and the pose as known. The spread of an angle is that of the points alone: what a person's
 proportions add (head_pose.py) is the same in all frames.
 
-That spread is of the value, with an offset that all frames of a clip share as long as the head stands alike. The noise
-is what is left without it, so that two frames differ with the spread hypot(noise, noise): jitter from frame to frame,
-by the median of second differences; a share of how far the measure varies in the clip, as a tracker follows a face's
-motion in part; and of the spread a share, which is the whole where the head is turned or nearer than usual.
+The spread holds an offset that all frames of a clip share as long as the head stands alike. The noise is what is left
+without it: two frames differ with the spread hypot(noise, noise). It has three parts. One is the jitter from frame to
+frame, by the median of second differences. One is a share of how far the measure varies in the clip, since a tracker
+follows a face's motion in part. One is a share of the spread, and all of it where the head is turned or nearer than
+usual.
+
+What hands do beside a head: their speed, and probabilities in each frame (ours). Lengths are in sizes of the face: the
+median over the clip of the square root of its box's area. A hand that is lost for `BRIDGE_S` at most, as one that
+motion blurs, is on the straight line between.
+
+- `speed` is that of the straight line through a hand's places within `REACH_S`. Its noise is that of the places, by the
+  lower quartile of their second differences, since a hand that moves has large ones. From the speed's square is taken
+  what noise alone makes of it.
+- `held` is the probability that the speed is below `HOLD`, which is itself known to `BORDER`.
+- `touches_hand` and `touches_face`: that two boxes, each as the ellipse within it, meet. Their gap is that of two
+  ellipses along the line of their centres, and its noise that of the centres in the rows and `OUTLINE` of the outlines.
+  It is the picture that is asked, not how far from the camera each is.
 """
 
 import math
@@ -25,9 +38,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.face_points import EYE_DISTANCE, IRISES
+from facetrack_cli.core.face_points import EYE_DISTANCE, HANDS, IRISES
 from facetrack_cli.core.numbers import spans
-from facetrack_cli.core.types import BOX, Array, Whole
+from facetrack_cli.core.types import BOX, Array, Mask, Whole
 from facetrack_cli.trajectory.analysis.head_motion import GAP_S, NORMAL, gauss, noise_of, turning_points
 from facetrack_cli.trajectory.analysis.head_pose import SHAPE, head_pose, rotation_of, with_eyes
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned, joined
@@ -50,8 +63,10 @@ NEAR_S: Final = 0.3
 SWING, SWING_S, AROUND_S, SWINGS, SWINGS_STD = 0.03, 0.5, 0.6, 1.6, 0.5
 TURNED, NEARER = 40.0, 0.15  # degrees, and the logarithm of the size, from the clip's median: there the share is 1
 MOST_STD: Final = 0.15  # of a length or a ratio: where a clip's median spread is larger, it is not measured
-OWN: Final = {"nose", *CORNERS, *LIPS, *LIDS[0], *LIDS[1], *EYES, BOX}
-"""The parts that the recipe `face` has without a network."""
+BRIDGE_S, REACH_S = 0.4, 0.07
+HOLD, BORDER = 1.0, 0.3  # face sizes a second: below is a hold, give or take
+OUTLINE: Final = 0.1  # face sizes
+QUARTILE: Final = 0.3186  # of the absolute value of a standard normal number
 
 
 class Face(NamedTuple):
@@ -101,11 +116,6 @@ class Measure(NamedTuple):
     needs: tuple[str, ...] = ()
     of: Callable[[Face], Array] | None = None
 
-    @property
-    def by_network(self) -> bool:
-        """Whether it needs points that the recipe `face` has of a network alone."""
-        return not OWN.issuperset(self.needs)
-
 
 MEASURES: Final = (
     Measure("mouth_opening", LENGTH, "distance of the outer lips", LIPS, lambda f: f.apart(*LIPS) / abs(f.across)),
@@ -144,6 +154,12 @@ MEASURES: Final = (
     Measure("talking", "probability", "that the mouth moves as in talking"),
 )  # fmt: skip
 """All measures, in the order of columns; left and right are as seen in the image."""
+HAND_MEASURES: Final = (
+    Measure("speed", "face sizes a second", "speed of a hand in the image"),
+    Measure("held", "probability", "that a hand is held still"),
+    Measure("touches_hand", "probability", "that a hand meets the other hand in the image"),
+    Measure("touches_face", "probability", "that a hand meets the face in the image"),
+)
 USED: Final = {BOX, *SHAPE, *(name for one in MEASURES for name in one.needs)}
 
 
@@ -163,18 +179,16 @@ class Measured(NamedTuple):
 
     def between(self, begin: int, end: int) -> "Measured":
         """The rows from `begin` to before `end`."""
-        at = slice(begin, end)
-        value, std, doubt = self.value[at], self.std[at], self.doubt[at]
-        return self._replace(frame=self.frame[at], time_s=self.time_s[at], value=value, std=std, doubt=doubt)
+        return Measured(self.name, self.unit, *(column[begin:end] for column in self[2:]))
 
     @property
     def noise(self) -> Array:
         """(T,) the standard deviation without the offset that the clip shares, at most the spread."""
-        known = self.value[np.isfinite(self.value)]
-        if len(known) < 3:
+        values = self.value[np.isfinite(self.value)]
+        if len(values) < 3:
             return self.std
-        varies = VARIES * np.median(np.abs(known - np.median(known))) / NORMAL
-        noise = np.sqrt(noise_of(known, 0.0) ** 2 + varies**2 + np.nan_to_num(self.doubt) ** 2)
+        varies = VARIES * np.median(np.abs(values - np.median(values))) / NORMAL
+        noise = np.sqrt(noise_of(values, 0.0) ** 2 + varies**2 + np.nan_to_num(self.doubt) ** 2)
         at_most = np.where(self.std > 0, self.std, np.inf)
         return np.asarray(np.where(np.isfinite(self.value), np.fmin(noise, at_most), np.nan))
 
@@ -190,44 +204,46 @@ def measures_of(parts: Sequence[Trajectory]) -> dict[str, Measured]:
     sized = [replace(p, x=p.w, y=p.h, std_x=p.std_w, std_y=p.std_h) if p.part == BOX else p for p in parts]
     frame, columns = aligned(sized, "status", "x", "y", "angle", "std_x", "std_y", "cov_xy")
     seen = np.isin(columns.pop("status"), SEEN)
-    x, y, angle, *spreads = (np.where(seen, values, np.nan).T for values in columns.values())
+    x, y, angle, *spreads = (np.where(seen, column, np.nan).T for column in columns.values())
     spread = dict(zip(names, np.stack(spreads, axis=1), strict=True))  # (3, T) each
-    known = {name: np.full((2, len(frame)), np.nan) for name in ("pitch", "yaw", "roll")}  # values and spreads
+    values = {name: np.full((2, len(frame)), np.nan) for name in ("pitch", "yaw", "roll")}  # values and spreads
     if pose is not None:
         std = np.sqrt(np.diagonal(pose.of_points, axis1=1, axis2=2))
-        for i, one in enumerate(known.values()):
+        for i, one in enumerate(values.values()):
             one[:, np.searchsorted(frame, pose.frame)] = pose.angles[:, i], std[:, i]
     for name in {*EYES} & {*names}:
         spread[name] = np.nan_to_num(spread[name])  # where they are hidden they are not the unit
     if BOX in names:
         spread[BOX] = np.nan_to_num(spread[BOX])  # of trackers that do not say it
-        known["roll"][0] = np.where(np.isfinite(known["roll"][0]), known["roll"][0], angle[names.index(BOX)])
-    turned = rotation_of(np.radians(np.nan_to_num([known[name][0] for name in ("pitch", "yaw", "roll")])).T)
+        values["roll"][0] = np.where(np.isfinite(values["roll"][0]), values["roll"][0], angle[names.index(BOX)])
+    turned = rotation_of(np.radians(np.nan_to_num([values[name][0] for name in ("pitch", "yaw", "roll")])).T)
     axis = turned[:, 0, 0] + 1j * turned[:, 1, 0]
     face = Face(dict(zip(names, x + 1j * y, strict=True)), np.maximum(abs(axis), 0.5), axis / abs(axis))
-    away = [(known["yaw"][0] / TURNED, 0.0)]
+    away = [(values["yaw"][0] / TURNED, 0.0)]
     if BOX in names:
         size = np.sqrt(np.prod([one[names.index(BOX)] for one in (x, y)], axis=0))
         of_size = np.hypot(*(spread[BOX][i] / one[names.index(BOX)] for i, one in enumerate((x, y)))) / 2
-        known["thrust"] = np.stack([size / _median(size) - 1, size / _median(size) * of_size])
+        values["thrust"] = np.stack([size / _median(size) - 1, size / _median(size) * of_size])
         away.append((np.log(size) / NEARER, 1.0))
     moved = np.zeros(len(frame))
     for a, b in stretches(time_s):
         moved[a:b] = np.minimum(sum(_moved(one[a:b], time_s[a:b], by) for one, by in away), 1)
-    found = {}
+    measures = {}
     for name, unit, _, needs, of in MEASURES:
         needs += () if unit != LENGTH else EYES if face.at.keys() >= {*EYES} else (BOX,)
         if of is not None and face.at.keys() >= {*needs}:
             both = np.stack([of(face), _spread(of, face, {part: spread[part] for part in needs})])
-            known[name] = np.where(np.abs(both) < 1e6, both, np.nan)  # the face may have no size
-        if name in known and (of or np.isfinite(known[name]).any()):
-            value, std = known[name]
+            values[name] = np.where(np.abs(both) < 1e6, both, np.nan)  # the face may have no size
+        if name in values and (of or np.isfinite(values[name]).any()):
+            value, std = values[name]
             if unit == DEGREES or not _median(std) > MOST_STD:
-                found[name] = Measured(name, unit, frame, time_s, value, std, _doubt(value, std, moved))
-    if (mouth := found.get("lips_apart", found.get("mouth_opening"))) is not None:
+                # what of a spread is no offset: a share, and all of it, with that of the unit, where the head has moved
+                doubt = np.hypot(SHARE * std, moved * np.hypot(std, UNIT * value))
+                measures[name] = Measured(name, unit, frame, time_s, value, std, doubt)
+    if (mouth := measures.get("lips_apart", measures.get("mouth_opening"))) is not None:
         blank = np.full(len(frame), np.nan)
-        found["talking"] = Measured("talking", "probability", frame, time_s, _talking(mouth), blank, blank)
-    return found
+        measures["talking"] = Measured("talking", "probability", frame, time_s, _talking(mouth), blank, blank)
+    return measures
 
 
 def _talking(mouth: Measured) -> Array:
@@ -246,8 +262,8 @@ def _talking(mouth: Measured) -> Array:
 
 def _median(values: Array) -> float:
     """Of what is known; nan if that is nothing."""
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else np.nan
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else np.nan
 
 
 def _moved(pose: Array, time_s: Array, by: float) -> Array:
@@ -258,23 +274,18 @@ def _moved(pose: Array, time_s: Array, by: float) -> Array:
     return np.asarray(off**2 + (by * (near.max(axis=1) - near.min(axis=1)) / 2) ** 2)
 
 
-def _doubt(value: Array, std: Array, moved: Array) -> Array:
-    """(T,) what of a spread is no offset: a share, and all of it, with that of the unit, where the head has moved."""
-    return np.hypot(SHARE * std, moved * np.hypot(std, UNIT * value))
-
-
 def stretches(time_s: Array) -> list[tuple[int, int]]:
     """[begin, end) of rows without a pause between them, as in each shot of a film."""
     return spans(np.ones(len(time_s), np.bool_), np.diff(time_s) > GAP_S)
 
 
-def settled(one: Measured) -> Whole:
+def settled(measure: Measured) -> Whole:
     """The rows that have a value, and are not within `NEAR_S` of one that has none, where points come and go."""
-    known = np.isfinite(one.value + one.time_s)
+    known = np.isfinite(measure.value + measure.time_s)
     rows, gone = np.flatnonzero(known), np.flatnonzero(~known)
     after = np.searchsorted(gone, rows)
     sides = [np.append(gone, -1)[after - 1], np.append(gone, -1)[after]]  # -1: there is none
-    near = [(side >= 0) & (np.abs(one.time_s[rows] - one.time_s[side]) <= NEAR_S) for side in sides]
+    near = [(side >= 0) & (np.abs(measure.time_s[rows] - measure.time_s[side]) <= NEAR_S) for side in sides]
     return np.asarray(rows[~(near[0] | near[1])])
 
 
@@ -291,3 +302,71 @@ def _spread(of: Callable[[Face], Array], face: Face, spread: Mapping[str, Array]
         along_x, along_y = (moved[0] - moved[1]) / (2 * STEP), (moved[2] - moved[3]) / (2 * STEP)
         variance += (along_x * std_x) ** 2 + (along_y * std_y) ** 2 + 2 * along_x * along_y * np.nan_to_num(cov_xy)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+@np.errstate(all="ignore")
+def hand_measures(table: Trajectory) -> dict[str, dict[str, Measured]]:
+    """The measures of each hand of a trajectory by name; none without a head that has a box."""
+    boxes = {one.target: one for one in table.parts if one.part == BOX}
+    hands, heads = [name for name in HANDS if name in boxes], [name for name in boxes if name not in HANDS]
+    if not hands or len(heads) != 1:
+        return {}
+    parts = [boxes[name] for name in (*hands, *heads)]
+    frame, columns = aligned(parts, "status", "x", "y", "w", "h", "std_x", "std_y")
+    seen = np.isin(columns["status"], SEEN)
+    x, y, w, h, *spreads = (np.where(seen, columns[key], np.nan) for key in ("x", "y", "w", "h", "std_x", "std_y"))
+    size = float(np.nanmedian(np.sqrt(w[:, -1] * h[:, -1]))) if np.isfinite(w[:, -1]).any() else np.nan
+    time_s = joined(parts).times
+    if not size > 0 or len(frame) < 2 or not np.isfinite(time_s).all():
+        return {}
+    at = np.stack([_bridged(one / size, time_s) for one in (x, y)], axis=-1)  # (T, K, 2)
+    half = np.stack([_bridged(one / size / 2, time_s) for one in (w, h)], axis=-1)
+    var = np.nan_to_num(spreads[0] ** 2 + spreads[1] ** 2) / 2 / size**2
+    measures: dict[str, dict[str, Measured]] = {}
+    for k, name in enumerate(hands):
+        speed, noise = _speed(at[:, k], seen[:, k], time_s)
+        values = {"speed": speed, "held": above(HOLD - speed, math.hypot(noise, BORDER))}
+        for j in range(len(parts)):
+            if j != k:
+                off = at[:, j] - at[:, k]
+                apart = np.hypot(*off.T)
+                way = off / np.maximum(apart, 1e-9)[:, None]
+                reach = sum(1 / np.maximum(np.hypot(*(way / half[:, i]).T), 1e-9) for i in (j, k))
+                spread = np.sqrt(var[:, j] + var[:, k] + OUTLINE**2)
+                values["touches_face" if j == len(hands) else "touches_hand"] = above(reach - apart, spread)
+        std = {"speed": np.where(np.isfinite(speed), noise, np.nan)}
+        has = [one for one in HAND_MEASURES if one.name in values]
+        measures[name] = {
+            key: Measured(key, unit, frame, time_s, values[key], *[std.get(key, speed * np.nan)] * 2)
+            for key, unit, *_ in has
+        }
+    return measures
+
+
+def _bridged(values: Array, time_s: Array) -> Array:
+    """(T, K): where a column is nan for `BRIDGE_S` at most, the straight line between."""
+    values = values.copy()
+    for column in values.T:
+        rows = np.flatnonzero(np.isfinite(column))
+        for a, b in zip(rows[:-1].tolist(), rows[1:].tolist(), strict=True):
+            if b - a > 1 and time_s[b] - time_s[a] <= BRIDGE_S:
+                column[a:b] = np.interp(time_s[a:b], time_s[[a, b]], column[[a, b]])
+    return values
+
+
+def _speed(at: Array, seen: Mask, time_s: Array) -> tuple[Array, float]:
+    """(T,) the speed of places (T, 2), nan where they are, and its spread."""
+    step = max(float(np.median(np.diff(time_s))), 1e-6)
+    k = max(round(REACH_S / step), 1)
+    weights = np.arange(-k, k + 1) / np.sum(np.arange(-k, k + 1) ** 2)
+    there = np.flatnonzero(seen[:-2] & seen[1:-1] & seen[2:])
+    turns = np.abs(np.diff(at, n=2, axis=0)[there]).ravel()
+    noise = float(np.quantile(turns, 0.25)) / QUARTILE / np.sqrt(6) if turns.size else np.nan
+    spread = max(noise * float(np.hypot.reduce(weights)), 1e-3) / step
+    speed = np.full(len(at), np.nan)
+    for a, b in spans(np.isfinite(at.sum(axis=1)), np.diff(time_s) > 1.5 * step):
+        if b - a > k:
+            padded = np.pad(at[a:b], ((k, k), (0, 0)), mode="reflect", reflect_type="odd")
+            way = np.stack([np.convolve(one, weights[::-1], mode="valid") for one in padded.T]) / step
+            speed[a:b] = np.sqrt(np.maximum(np.sum(way**2, axis=0) - 2 * spread**2, 0.0))
+    return speed, spread

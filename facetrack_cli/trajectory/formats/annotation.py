@@ -1,33 +1,56 @@
-"""The tracks of annotation tools: one for each part, over all frames, with a box, and whether the part is visible.
+"""Annotation tools: CVAT for video 1.1 (XML) and Label Studio's video rectangles (JSON), written and read.
 
-Labels are `target/part`, or the target alone for its box. Boxes are measured from the corner of the image, as here; a
-pixel's centre is at .5 there, and a whole number here, so that points move by half a pixel.
+Both have a track for each part, over all frames, with a box or a point, and whether the part is visible. Labels are
+`target/part`, or the target alone for its box. Boxes are measured from the corner of the image, as here; a pixel's
+centre is at .5 there, and a whole number here, so that points move by half a pixel. Every frame is a keyframe, so that
+nothing is interpolated.
+
+CVAT (docs.cvat.ai, "XML annotation format", interpolation): `occluded` is a lost row, whose place is the tracker's
+estimate; `outside` is a part that has no place, or no row. Numbers have two decimals, as CVAT writes them. Skeletons
+are read too: their points are the parts.
+
+Label Studio (labelstud.io/tags/videorectangle): a task with its annotation, a region for each part. `enabled` is false
+where a row is lost, or there is none: Label Studio draws such a rectangle in its own frame, and ends the span of the
+region there. Lengths are percent of the image. A point is the rectangle of the window around it. The labelling
+configuration needs a Video `video` and a VideoRectangle `box`. Its frames are no pictures: a frame, from 1, is the
+player's time x the `framerate` of the configuration. At a variable rate, or where pictures begin late, a picture has
+the frame in which it comes up; see `_frames_of`. `time` is frame / framerate. `auto` marks places that Label Studio
+interpolated: nobody has put them there.
 """
 
+import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
+from xml.etree import ElementTree as ET
 
 import numpy as np
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import shown_angle
+from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import BOX, Array, Texts, Whole
-from facetrack_cli.trajectory.reader import MAX_PIXELS
+from facetrack_cli.trajectory.clock import every_frame
+from facetrack_cli.trajectory.formats.boxes import read_text
+from facetrack_cli.trajectory.formats.eaf import clean
+from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS
+from facetrack_cli.trajectory.select import has_windows
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, joined, one_part
 
-HALF_PIXEL = 0.5  # the centre of the first pixel is 0 here and 0.5 in the tools
+_HALF_PIXEL = 0.5  # the centre of the first pixel is 0 here and 0.5 in the tools
+_REGION = "videorectangle"
 
 
-class Track(NamedTuple):
+class _Track(NamedTuple):
     """One part over consecutive frames: centre `xy` (T, 2), `ltwh` (T, 4) and `state` (T,): `seen`, `lost` or `gone`.
 
     A part that is gone keeps its last place. `ltwh` of a point may be nan.
     """
 
     label: str
-    part: str
+    is_box: bool
     frame: Whole
     xy: Array
     ltwh: Array
@@ -35,44 +58,8 @@ class Track(NamedTuple):
     state: Texts
 
 
-def tracks(table: Trajectory) -> Iterator[Track]:
-    """Each part from its first place to the last frame of the table; where there is no row, it is gone."""
-    last = int(table.frames[-1])
-    for one in table.parts:
-        known = np.isfinite(one.x) & np.isfinite(one.y)
-        if not known.any():
-            continue
-        rows = np.flatnonzero(known)
-        frame = np.arange(one.frame[rows[0]], last + 1)
-        at = rows[np.searchsorted(one.frame[rows], frame, side="right") - 1]  # the last row that has a place
-        here = one.frame[at] == frame
-        state = np.where(here, np.where(np.isin(one.status[at], SEEN), "seen", "lost"), "gone")
-        name = one.target or "target"
-        label = name if one.part == BOX else f"{name}/{one.part}"
-        xy = np.stack([one.x[at], one.y[at]], axis=1)
-        angle = shown_angle(one.angle[at], 1 / one.pixel_aspect)  # tools show the pixels of the file as squares
-        yield Track(label, one.part, frame, xy, one.boxes[at], angle, state)
-
-
-def counted(frames: Whole, times: Array, rate: float) -> tuple[Whole, Whole]:
-    """Frames (N,), from 1, of a tool whose frame is the player's time x `rate`, and the pictures (N,) that come up.
-
-    `times` (T,) are the seconds of `frames` (T,), nan where pictures have none. Of several pictures in a frame of the
-    tool the first counts.
-    """
-    there = np.where(np.isfinite(times), np.rint(np.round(times * rate, 3)), frames).astype(np.int64) + 1
-    numbers, first = np.unique(there, return_index=True)
-    return numbers, frames[first]
-
-
-def named(label: str) -> tuple[str, str]:
-    """The target and the part of a label."""
-    target, _, part = label.partition("/")
-    return target, part or BOX
-
-
-class Mark(NamedTuple):
-    """What a tool says of one part in one frame, in our pixels; `by_hand` marks a keyframe."""
+class _Mark(NamedTuple):
+    """A part in one frame, in our pixels; `by_hand` is a keyframe."""
 
     x: float
     y: float
@@ -83,42 +70,307 @@ class Mark(NamedTuple):
     angle: float = math.nan
 
 
-def box_mark(place: str, left: Any, top: Any, w: Any, h: Any, **about: Any) -> Mark:
-    """The mark of a box. InputError, with its `place` in a file, if it is no box."""
-    left, top, w, h = numbers(place, left, top, w, h)
+_Marks: TypeAlias = dict[tuple[str, str], dict[int, _Mark]]  # by (target, part), then by frame
+
+
+def _tracks(table: Trajectory) -> Iterator[_Track]:
+    """Each part from its first place to the last frame of the table; where there is no row, it is gone."""
+    last = int(table.frames[-1])
+    for part in table.parts:
+        rows = np.flatnonzero(np.isfinite(part.x) & np.isfinite(part.y))
+        if not rows.size:
+            continue
+        frame = np.arange(part.frame[rows[0]], last + 1)
+        at = rows[np.searchsorted(part.frame[rows], frame, side="right") - 1]  # the last row that has a place
+        seen = np.where(np.isin(part.status[at], SEEN), "seen", "lost")
+        name, is_box = part.target or "target", part.part == BOX
+        xy = np.stack([part.x[at], part.y[at]], axis=1)
+        angle = shown_angle(part.angle[at], 1 / part.pixel_aspect)  # tools show the pixels of the file as squares
+        label, state = name if is_box else f"{name}/{part.part}", np.where(part.frame[at] == frame, seen, "gone")
+        yield _Track(label, is_box, frame, xy, part.boxes[at], angle, state)
+
+
+def _named(label: str) -> tuple[str, str]:
+    """The target and the part of a label."""
+    target, _, part = label.partition("/")
+    return target, part or BOX
+
+
+def _box(place: str, left: Any, top: Any, w: Any, h: Any, **about: Any) -> _Mark:
+    """The mark of a box, or InputError with its `place` in the file."""
+    left, top, w, h = _pixels(place, left, top, w, h)
     if w <= 0 or h <= 0:
         raise InputError(f"{place}: the box has no area; remove it, or mark it as not visible")
-    return Mark(left + (w - 1) / 2, top + (h - 1) / 2, w, h, **about)
+    return _Mark(left + (w - 1) / 2, top + (h - 1) / 2, w, h, **about)
 
 
-def point_mark(place: str, x: Any, y: Any, **about: Any) -> Mark:
-    """The mark of a point in the tool's pixels. InputError, with its `place` in a file, if it is no point."""
-    x, y = numbers(place, x, y)
-    return Mark(x - HALF_PIXEL, y - HALF_PIXEL, **about)
-
-
-def numbers(place: str, *given: Any) -> list[float]:
-    """Pixels or degrees as numbers. InputError, with their `place` in a file, if they are no numbers."""
+def _pixels(place: str, *texts: Any) -> list[float]:
     try:
-        values = [float(one) for one in given]
+        values = [float(text) for text in texts]
     except (TypeError, ValueError, OverflowError):
-        values = []
-    if not all(abs(value) <= MAX_PIXELS for value in values) or not values:
-        raise InputError(f"{place}: {', '.join(map(str, given))} are no pixels; export the file from its tool again")
+        values = [math.nan]
+    if not all(abs(value) <= MAX_PIXELS for value in values):
+        raise InputError(f"{place}: {', '.join(map(str, texts))} are no pixels; export the file from its tool again")
     return values
 
 
-def collected(path: Path, found: Mapping[tuple[str, str], Mapping[int, Mark]], read_as: str, shift: int) -> Trajectory:
-    """The marks by (target, part) and frame as a trajectory, without places where something is absent."""
+def _trajectory(path: Path, marks: _Marks, read_as: str, shift: int = 0) -> Trajectory:
+    """The marks as a trajectory, without places where something is absent."""
     parts = []
-    for (target, part), marks in found.items():
-        frames = sorted(marks)
-        status = np.array([marks[frame].status for frame in frames])
-        values = np.array([(*marks[frame][:4], marks[frame].angle) for frame in frames], dtype=np.float64)
-        values[status == "absent"] = np.nan
-        columns = dict(zip(("x", "y", "w", "h", "angle"), values.T, strict=True))
-        by_hand = [marks[frame].by_hand for frame in frames]
-        parts.append(one_part(target, part, np.array(frames) + shift, **columns, status=status, by_hand=by_hand))
+    for (target, part), by_frame in marks.items():
+        frames = sorted(by_frame)
+        x, y, w, h, status, by_hand, angle = map(np.array, zip(*(by_frame[frame] for frame in frames), strict=True))
+        gone = status == "absent"
+        place = {"x": x, "y": y, "w": w, "h": h, "angle": angle}
+        place = {name: np.where(gone, np.nan, values) for name, values in place.items()}
+        parts.append(one_part(target, part, np.array(frames) + shift, **place, status=status, by_hand=by_hand))
     if not parts:
         raise InputError(f"{path}: has no track of a box or a point; there is nothing in it to read")
     return joined(parts, header={"read_as": read_as}, path=path)
+
+
+def write_cvat(table: Trajectory, size: tuple[int, int] | None, name: str) -> str:
+    """The XML text; `size` (width, height) of the images and the `name` of the clip, where they are known.
+
+    InputError for boxes without a size.
+    """
+    root = ET.Element("annotations")
+    ET.SubElement(root, "version").text = "1.1"
+    tracks, last = list(_tracks(table)), int(table.frames[-1])
+    task = ET.SubElement(ET.SubElement(root, "meta"), "task")
+    about = {"name": name or "facetrack", "size": last + 1, "mode": "interpolation", "overlap": 0}
+    for tag, value in {**about, "start_frame": 0, "stop_frame": last}.items():
+        ET.SubElement(task, tag).text = clean(str(value))
+    labels = ET.SubElement(task, "labels")
+    for track in tracks:
+        label = ET.SubElement(labels, "label")
+        ET.SubElement(label, "name").text = clean(track.label)
+        ET.SubElement(label, "type").text = "rectangle" if track.is_box else "points"
+        ET.SubElement(label, "attributes")
+    if size is not None:
+        original = ET.SubElement(task, "original_size")
+        ET.SubElement(original, "width").text, ET.SubElement(original, "height").text = map(str, size)
+    ET.SubElement(task, "source").text = clean(name)
+    for ident, track in enumerate(tracks):
+        element = ET.SubElement(root, "track", id=str(ident), label=clean(track.label), source="file")
+        corners = np.concatenate([track.ltwh[:, :2], track.ltwh[:, :2] + track.ltwh[:, 2:]], axis=1)
+        if track.is_box and not np.isfinite(corners).all():
+            raise InputError(f"{track.label}: a box without w and h has no room in CVAT; fill those columns")
+        columns = (track.frame, track.state, corners, track.xy + _HALF_PIXEL, track.angle)
+        for frame, state, edges, xy, angle in zip(*(column.tolist() for column in columns), strict=True):
+            shape = {"frame": str(frame), "keyframe": "1"}
+            shape |= {"outside": str(int(state == "gone")), "occluded": str(int(state == "lost"))}
+            if track.is_box:
+                shape |= {tag: f"{value:.2f}" for tag, value in zip(("xtl", "ytl", "xbr", "ybr"), edges, strict=True)}
+                shape |= {"rotation": f"{angle % 360:.2f}"} if angle == angle else {}  # not nan
+            else:
+                shape["points"] = f"{xy[0]:.2f},{xy[1]:.2f}"
+            ET.SubElement(element, "box" if track.is_box else "points", shape, z_order="0")
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def read_cvat(path: Path, *, shift: int = 0) -> Trajectory:
+    """The tracks: status visible, hidden (occluded) or absent (outside); `by_hand` are keyframes.
+
+    Tracks of the same label are one part, as after a split: of two in a frame the visible one counts. A track of
+    several points has the parts point_01, ... InputError, with the track and the frame, for what cannot be read.
+    """
+    if path.is_file():
+        with path.open("rb") as file:
+            if file.read(4) == b"PK\x03\x04":
+                raise InputError(f"{path}: is a ZIP archive; unpack it, and name the annotations.xml in it")
+    text = read_text(path)
+    if "<!DOCTYPE" in text:
+        raise InputError(f"{path}: declares a document type, which CVAT's files do not; it is not read")
+    try:
+        root = ET.fromstring(text)
+    except ET.ParseError as e:
+        raise InputError(f"{path}:{e.position[0]}: is no XML ({e}); export the file from CVAT again") from None
+    if root.tag != "annotations":
+        raise InputError(f"{path}: is XML, but not CVAT's: it begins with {root.tag}, not with annotations")
+    if root.find("track") is None and root.find("image") is not None:
+        raise InputError(f'{path}: is "CVAT for images", without tracks; export it as "CVAT for video 1.1"')
+    marks: _Marks = {}
+    for track in root.iter("track"):
+        label = str(track.get("label", ""))
+        for shape in track:
+            place, frame = f"{path}: track {track.get('id')} ({label}), frame {shape.get('frame')}", shape.get("frame")
+            if shape.tag not in ("box", "points", "skeleton"):
+                raise InputError(f"{place}: a {shape.tag}; boxes and points are read: remove that track")
+            if frame is None or not (frame.isascii() and frame.isdigit() and int(frame) <= MAX_FRAME):
+                raise InputError(f"{place}: that is no frame number; export the file from CVAT again")
+            for name, mark in _shape_marks(place, label, shape):
+                before = marks.setdefault(name, {}).get(int(frame))
+                if before is not None and before.status != "absent" != mark.status:
+                    raise InputError(f"{place}: another track of the same label is there in that frame; remove one")
+                if before is None or before.status == "absent":
+                    marks[name][int(frame)] = mark
+    return _trajectory(path, marks, "CVAT for video 1.1: frames from 0", shift)
+
+
+def _shape_marks(place: str, label: str, shape: ET.Element) -> Iterator[tuple[tuple[str, str], _Mark]]:
+    """The parts of a shape of CVAT, each with its mark."""
+
+    def about(element: ET.Element) -> dict[str, Any]:
+        status = (
+            "absent" if element.get("outside") == "1" else "hidden" if element.get("occluded") == "1" else "visible"
+        )
+        return {"status": status, "by_hand": element.get("keyframe") != "0"}
+
+    def points(element: ET.Element, state: ET.Element) -> list[_Mark]:
+        pairs = [pair.split(",") for pair in str(element.get("points")).split(";")]
+        if any(len(pair) != 2 for pair in pairs):
+            raise InputError(f"{place}: points are written x,y;x,y; export the file from CVAT again")
+        centres = (_pixels(place, *pair) for pair in pairs)
+        return [_Mark(x - _HALF_PIXEL, y - _HALF_PIXEL, **about(state)) for x, y in centres]
+
+    if shape.tag == "box":
+        left, top, right, bottom = _pixels(place, *(shape.get(name) for name in ("xtl", "ytl", "xbr", "ybr")))
+        (turn,) = _pixels(place, shape.get("rotation", 0))
+        angle = {"angle": turn} if turn else {}
+        yield _named(label), _box(place, left, top, right - left, bottom - top, **about(shape), **angle)
+    elif shape.tag == "skeleton":
+        for point in shape.iter("points"):
+            for mark in points(point, point if point.get("outside") else shape):
+                yield (label, str(point.get("label"))), mark
+    else:
+        marks = points(shape, shape)
+        for number, mark in enumerate(marks, 1):
+            yield (_named(label) if len(marks) == 1 else (label, f"point_{number:02d}")), mark
+
+
+def write_labelstudio(table: Trajectory, size: tuple[int, int], fps: float, name: str) -> str:
+    """The JSON text; `size` (width, height) of the clip, `fps`, the configuration's framerate, and the clip's name.
+
+    Points without windows are left out where other parts have some, else they are an InputError.
+    """
+    numbers, pictures = _frames_of(*every_frame(table), fps)
+    shown, count = dict(zip(pictures.tolist(), numbers.tolist(), strict=True)), int(numbers[-1])
+    scale = 100 / np.array([*size, *size], dtype=np.float64)
+    results: list[dict[str, Any]] = []
+    for track in _tracks(joined(list(filter(has_windows, table.parts)) or table.parts)):
+        if (sizeless := np.flatnonzero(~np.isfinite(track.ltwh).all(axis=1))).size:
+            why = "has no w and h, and Label Studio's video has rectangles alone; export to cvat"
+            raise InputError(f"{track.label}: frame {track.frame[sizeless[0]]} {why}")
+        sequence = []
+        for picture, state, box in zip(track.frame.tolist(), track.state.tolist(), track.ltwh * scale, strict=True):
+            if (frame := shown.get(picture)) is not None:
+                x, y, w, h = (round(value, 5) for value in box.tolist())
+                timed = {"frame": frame, "time": round(frame / fps, 5), "enabled": state == "seen"}
+                sequence.append({**timed, "x": x, "y": y, "width": w, "height": h, "rotation": 0})
+        value = {"framesCount": count, "duration": round(count / fps, 5), "sequence": sequence, "labels": [track.label]}
+        about = {"from_name": "box", "to_name": "video", "type": _REGION, "origin": "manual"}
+        results.append({"id": f"facetrack{len(results) + 1}", **about, "value": value})
+    return dumps([{"data": {"video": name}, "annotations": [{"result": results}]}]) + "\n"
+
+
+def _frames_of(frames: Whole, times: Array, rate: float) -> tuple[Whole, Whole]:
+    """The frames (N,), from 1, of a player at a rate, and the pictures (N,) that come up in them.
+
+    `times` (T,) are the seconds of the pictures `frames` (T,), nan where they have none. Of several pictures in a frame
+    of the player the first counts.
+    """
+    there = np.where(np.isfinite(times), np.rint(np.round(times * rate, 3)), frames).astype(np.int64) + 1
+    numbers, first = np.unique(there, return_index=True)
+    return numbers, frames[first]
+
+
+class _Place(BaseModel):
+    frame: Annotated[int, Field(ge=1, le=MAX_FRAME)]
+    enabled: bool = True
+    auto: bool = False
+    time: float | None = None
+    x: float
+    y: float
+    width: float
+    height: float
+    rotation: float = 0
+
+
+class _Value(BaseModel):
+    sequence: tuple[_Place, ...]
+    labels: tuple[str, ...] = ()
+
+
+class _Region(BaseModel):
+    id: str = ""
+    type: Literal["videorectangle"]
+    value: _Value
+
+
+class _Annotation(BaseModel):
+    result: tuple[dict[str, Any], ...]
+    was_cancelled: bool = False
+
+
+class _Task(BaseModel):
+    annotations: tuple[_Annotation, ...]
+
+
+def read_labelstudio(
+    path: Path, size: tuple[int, int], clock: tuple[Whole, Array] | None = None, *, fps: float = 0.0
+) -> Trajectory:
+    """The regions of the one task in an export (JSON) of images of `size`: visible, or absent where not enabled.
+
+    `clock` has the frames of the clip and their seconds, as `every_frame` gives them, and `fps` is the framerate where
+    the file tells none; without them a frame is a picture. Of the places that are on one picture the last that is not
+    interpolated counts; it is `by_hand`. Frames between two places have no row. InputError for more than one task or
+    annotation, for regions without a label, and for two regions of one label in a frame.
+    """
+    try:
+        content = json.loads(read_text(path))
+        tasks = TypeAdapter(tuple[_Task, ...]).validate_python(content if isinstance(content, list) else [content])
+        annotations = [one for task in tasks for one in task.annotations if not one.was_cancelled]
+        if len(tasks) != 1 or len(annotations) != 1:
+            count = f"{len(tasks)} tasks with {len(annotations)} annotations"
+            raise InputError(f"{path}: has {count}; export the one task of the clip, and keep one annotation of it")
+        regions = [_Region.model_validate(one) for one in annotations[0].result if one.get("type") == _REGION]
+    except (ValueError, RecursionError) as e:
+        why = "it is no JSON"
+        if isinstance(e, ValidationError):
+            first = e.errors()[0]
+            why = f"{'.'.join(map(str, first['loc']))}: {first['msg'].lower()}"
+        raise InputError(f"{path}: is not Label Studio's JSON of a video ({why}); export it again, as JSON") from None
+    sequences: dict[str, dict[int, tuple[str, _Place]]] = {}
+    for region in regions:
+        if len(region.value.labels) != 1:
+            raise InputError(f"{path}: region {region.id} has {len(region.value.labels)} labels; give it one")
+        sequence = sequences.setdefault(label := region.value.labels[0], {})
+        for place in region.value.sequence:
+            where = f"{path}: region {region.id} ({label}), frame {place.frame}"
+            if place.frame in sequence:
+                raise InputError(f"{where}: is there twice, here or in another region of the same label; remove one")
+            sequence[place.frame] = where, place
+    picture = _pictures([place for sequence in sequences.values() for _, place in sequence.values()], clock, fps)
+    marks: _Marks = {}
+    for name, sequence in sequences.items():
+        own = marks.setdefault(_named(name), {})
+        for frame, (where, place) in sorted(sequence.items()):
+            if not place.auto or picture(frame) not in own:
+                own[picture(frame)] = _placed(where, place, size)
+    return _trajectory(path, marks, "Label Studio: frames from 1, percent of the image")
+
+
+def _pictures(places: Sequence[_Place], clock: tuple[Whole, Array] | None, fps: float) -> Callable[[int], int]:
+    """The picture that is shown in a frame of Label Studio, by the framerate that the times of these places tell."""
+    if clock is None:
+        return lambda frame: frame - 1
+    timed = sorted((place.frame, place.time) for place in places if place.time is not None and not place.auto)
+    if timed and timed[0][1] < timed[-1][1]:
+        (first, first_s), (last, last_s) = timed[0], timed[-1]
+        rate = (last - first) / (last_s - first_s)
+        # that of the run may differ by what is rounded in the file
+        if 1 <= rate <= 1000 and min(abs(last - fps * last_s), abs(last - 1 - fps * last_s)) > 0.02:
+            fps = rate
+    numbers, pictures = _frames_of(*clock, fps)
+    return lambda frame: int(pictures[max(int(np.searchsorted(numbers, frame, side="right")) - 1, 0)])
+
+
+def _placed(where: str, place: _Place, size: tuple[int, int]) -> _Mark:
+    (width, height), turn = size, math.radians(place.rotation)
+    w, h = place.width * width / 100, place.height * height / 100
+    # a rectangle is turned about its left top corner: the upright one of its size has the same centre
+    left = place.x * width / 100 + (w * math.cos(turn) - h * math.sin(turn) - w) / 2
+    top = place.y * height / 100 + (w * math.sin(turn) + h * math.cos(turn) - h) / 2
+    return _box(where, left, top, w, h, status="visible" if place.enabled else "absent", by_hand=not place.auto)

@@ -1,5 +1,6 @@
-"""Boxes as plain text: a CSV of ours, and the texts of OTB, GOT-10k, VOT and MOTChallenge; docs/measure.md lists them.
+"""Text files of tracking benchmarks: boxes, polygons and landmarks; docs/measure.md lists them.
 
+- `boxes`: a CSV of ours.
 - `otb`: Matlab's pixels: 1 is subtracted. Line 1 is the first frame. A line of zeros or nan: the target is absent.
 - `got10k`: also from 1 ("All coordinate values are 1-based", its author in got-10k/toolkit#6). Absent is also a box
   without width or height, four times -1, and what `absence.label` marks. Where `cover.label` is 0 the target is hidden.
@@ -8,27 +9,36 @@
   ("unknown") and regions of nan are absent. A file with a code 1 is a result: 1 is the frame where the tracker was set
   on the target (status init, no place); 2 is a failure (lost, no place); 0 was not tracked, and has no row.
 - `mot`: ground truth (motchallenge.net/instructions; MOT16 and later) has nine values, results and MOT15 ground truth
-ten, -1 where not known (`MOT_COLUMNS`). Ids become the targets "1", "2", ..., each with the part "box". A row of flag 0
-is left out, as if the frame were not annotated. A visibility of 0 is "hidden". If every conf of ten values is 0 or 1 it
-is taken for the flag, else for a confidence, and then all rows count, as the benchmark has it. As in TrackEval class 1
-alone counts; rows of the classes in DISTRACTORS are "hidden" whatever their flag, so that targets on them are neither
-right nor wrong; rows of others are left out. A file of a single class is of what counts.
+  ten, -1 where not known (`MOT_COLUMNS`). Ids become the targets "1", "2", ..., each with the part "box". A row of flag
+  0 is left out, as if the frame were not annotated. A visibility of 0 is "hidden". If every conf of ten values is 0 or
+  1 it is taken for the flag, else for a confidence, and then all rows count, as the benchmark has it. As in TrackEval
+  class 1 alone counts; rows of the classes in DISTRACTORS are "hidden" whatever their flag, so that targets on them are
+  neither right nor wrong; rows of others are left out. A file of a single class is of what counts.
+- `pts`: landmarks of iBUG (300-W, 300VW), a file a frame, `annot/000001.pts`: "version: 1", "n_points: 68", then in
+  braces a line "123.5 200.25" for each point. Files and pixels are counted from 1, as in Matlab: the centre of the top
+  left pixel is 1, 1. The target is "face", with the parts point_01, ... in the file's order; of 68 points five have
+  names too. The lips' points are on the outer border, as ours are.
 """
 
+from __future__ import annotations
+
+import re
 import struct
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.types import Array, Mask
-from facetrack_cli.trajectory.formats.lines import FROM_ONE, Lines, delimiter, read_bytes
-from facetrack_cli.trajectory.reader import MAX_PIXELS
-from facetrack_cli.trajectory.trajectory import MAX_ROWS, SEEN, Trajectory
+from facetrack_cli.core.errors import InputError, reading
+from facetrack_cli.core.files import MAX_TABLE_BYTES, read_bounded
+from facetrack_cli.core.types import Array, Mask, Whole
+from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS
+from facetrack_cli.trajectory.trajectory import MAX_ROWS, SEEN, Trajectory, build
 
+FROM_ONE = np.array([1.0, 1.0, 0.0, 0.0])  # boxes (..., 4) that count pixels from 1, minus boxes that count from 0
 BOX_COLUMNS = ("frame", "x", "y", "w", "h")
 LTWH = "left,top,width,height"
 REGION = f"{LTWH} or x1,y1,...,x4,y4"
@@ -37,6 +47,142 @@ FORMS, POLYGON, MASK = {0: "I", 1: "4f", 4: "2f"}, 2, 3  # of binary results: co
 DISTRACTORS = (2, 7, 8, 12)  # of MOT16 and MOT17: on a vehicle, a static person, a distractor, a reflection
 _MOT = f"frame,id,{LTWH}"
 MOT_COLUMNS = {6: _MOT, 7: f"{_MOT},conf", 9: f"{_MOT},flag,class,visibility", 10: f"{_MOT},conf,x,y,z"}
+# iBUG's numbers of the 68 points, from 1; left and right as seen in the image, which is where iBUG begins to count
+NAMED = {"nose": 31, "mouth_left": 49, "mouth_right": 55, "lip_upper": 52, "lip_lower": 58}
+_HEAD = re.compile(r"\s*version:\s*\S+\s+n_points:\s*(\d{1,4})\s*\{", re.IGNORECASE)
+
+
+def read_bytes(path: Path) -> bytes:
+    """What is in a file. InputError if missing, a folder, a pipe, or larger than a table."""
+    with reading(path, "name a ground truth file"):
+        return read_bounded(path, MAX_TABLE_BYTES, "table of rows")
+
+
+def read_text(path: Path) -> str:
+    """The text of a file, with `\\n` after each line. InputError as of `read_bytes`, and if empty, or no text."""
+    raw = read_bytes(path)
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise InputError(f"{path}: is UTF-16 text; save it as UTF-8")
+    if b"\0" in raw[:8192]:
+        raise InputError(f"{path}: is binary; name a ground truth file in UTF-8 text")
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as e:
+        line = raw.count(b"\n", 0, e.start) + 1
+        raise InputError(f"{path}:{line}: is not UTF-8 text; save it as UTF-8, or name a ground truth file") from e
+    if not text.strip():
+        raise InputError(f"{path}: is empty; a ground truth file has a line a frame")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def delimiter(line: str) -> str | None:
+    """What stands between the numbers: a comma where there is one, else tabs or blanks (None, as for str.split)."""
+    return "," if "," in line else None
+
+
+@dataclass(frozen=True)
+class Lines:
+    """T lines of the file `path`, without blanks at their ends, and their `places` in it, counted from 1."""
+
+    path: Path
+    texts: list[str]
+    places: list[int]
+
+    @classmethod
+    def by_frame(cls, path: Path) -> Lines:
+        """The lines of a file in which line i is frame i. A blank line is an error, but not at the end."""
+        texts = [text.strip() for text in read_text(path).rstrip().split("\n")]
+        lines = cls(path, texts, list(range(1, len(texts) + 1)))
+        lines.refuse([not t for t in texts], "is blank, and each line is a frame; for none write nan,nan,nan,nan")
+        return lines
+
+    @classmethod
+    def with_frame(cls, path: Path) -> Lines:
+        """The lines of a file in which each line names its frame, without blank lines."""
+        return cls.numbered(path, read_text(path).split("\n"))
+
+    @classmethod
+    def numbered(cls, path: Path, texts: Sequence[str], first: int = 1) -> Lines:
+        """These lines without the blank ones; `first` is the place of the first one in the file."""
+        lines = [(text.strip(), place) for place, text in enumerate(texts, first) if text.strip()]
+        return cls(path, [text for text, _ in lines], [place for _, place in lines])
+
+    def __len__(self) -> int:
+        return len(self.texts)
+
+    def take(self, rows: Any) -> Lines:
+        """These rows: indices, a mask or a slice."""
+        at = np.arange(len(self))[rows].tolist()
+        return Lines(self.path, [self.texts[i] for i in at], [self.places[i] for i in at])
+
+    def refuse(self, wrong: ArrayLike, why: str | Callable[[int], str]) -> None:
+        """Raises InputError for the first line that is `wrong` (T,); `why` may depend on its index."""
+        if (rows := np.flatnonzero(wrong)).size:
+            message = why if isinstance(why, str) else why(int(rows[0]))
+            raise InputError(f"{self.path}:{self.places[rows[0]]}: {message}")
+
+    def numbers(self, columns: int, wanted: str, use: Sequence[int] | None = None) -> Array:
+        """(T, columns or len(use)) numbers, nan for an empty cell. InputError with the line of what is not `wanted`."""
+        use, between = use or range(columns), delimiter(self.texts[0]) if self.texts else None
+        rows = [[cell.strip() for cell in text.split(between)] for text in self.texts]
+        problems = [_problem(row, columns, wanted, use) for row in rows]
+        self.refuse([bool(problem) for problem in problems], lambda at: problems[at])
+        values = np.array([[float(row[i] or "nan") for i in use] for row in rows]).reshape(len(rows), len(use))
+        self.refuse(np.isinf(values).any(axis=1), "inf is no number to measure with; write nan if not known")
+        return values
+
+    def whole(self, values: Array, name: str, least: int) -> Whole:
+        """A column (T,) as whole numbers from `least` on."""
+        with np.errstate(invalid="ignore"):
+            fine = (values >= least) & (values <= MAX_FRAME) & (values == np.floor(values))
+        self.refuse(~fine, lambda row: f"{name} {values[row]:.15g} is no whole number from {least} up; correct it")
+        return values.astype(np.int64)
+
+    def refuse_twice(self, keys: Whole, what: str) -> None:
+        """Raises InputError if two rows of `keys` (T, C) are the same; `what` names the columns."""
+        _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        earlier = first[inverse.reshape(-1)]
+        why = f"the same {what} as in line {{}}; keep one of them"
+        self.refuse(earlier != np.arange(len(keys)), lambda row: why.format(self.places[earlier[row]]))
+
+    def boxes(self, frame: Whole, ltwh: Array, *, ids: Any = "", status: Any = "visible", **others: Any) -> Trajectory:
+        """The boxes (T, 4) of these lines, left, top, width, height from 0; `ids` (T,) name the targets.
+
+        A row of nan, or without width and height, is absent. `status` (T,) may say hidden or absent already; rows that
+        it calls absent may hold any box, which is not kept. Raises InputError with the line for a box that is half nan,
+        of a negative size, without area, or beyond any image.
+        """
+        state = np.broadcast_to(status, len(frame)).astype("<U8")
+        unknown, empty = np.isnan(ltwh), ltwh[:, 2:] == 0
+        absent = (state == "absent") | unknown.all(axis=1) | empty.all(axis=1)
+        with np.errstate(invalid="ignore"):
+            for wrong, why in (
+                (unknown, "nan in a box that is known by half; give all four numbers, or four times nan"),
+                (ltwh[:, 2:] < 0, "the box has a negative size; a box is left, top, width, height"),
+                (empty, "the box has no area; four zeros say that there is none"),
+                (np.abs(ltwh) > MAX_PIXELS, "the box is farther out than any image; correct it"),
+            ):
+                self.refuse(wrong.any(axis=1) & ~absent, why)
+        left, top, w, h = np.where(absent[:, None], np.nan, ltwh).T
+        place = {"x": left + (w - 1) / 2, "y": top + (h - 1) / 2, "w": w, "h": h}
+        targets, which = np.unique(np.broadcast_to(ids, len(frame)), return_inverse=True)
+        pairs = [(str(target), "box") for target in targets.tolist()]
+        return build(pairs, which, frame, **place, status=np.where(absent, "absent", state), path=self.path, **others)
+
+
+def _problem(cells: list[str], columns: int, wanted: str, use: Sequence[int]) -> str:
+    """Why the cells of a line are not what is `wanted`; "" where they are."""
+    if wrong := [cell for cell in cells if len(cell.split()) > 1 or ";" in cell]:
+        why = "write numbers with a point and one kind of comma, tab or blank between them"
+        return f"{wrong[0]!r} is no number; {why}, as in {wanted}"
+    if len(cells) != columns:
+        return f"{len(cells)} value{'s' if len(cells) > 1 else ''} instead of {columns}; a line holds {wanted}"
+    for cell in (cells[i] for i in use):
+        try:
+            float(cell.replace("_", "?") or "nan")  # float() would take 1_0 for 10
+        except ValueError:
+            return f"{cell!r} is no number; a line holds {wanted}"
+    return ""
 
 
 def read_boxes(path: Path, *, shift: int = 0) -> Trajectory:
@@ -117,18 +263,18 @@ def read_vot(path: Path, *, shift: int = 0) -> Trajectory:
         lines.refuse(codes == FAILURE, "the code 2, a failure, in a file without a 1, where a track begins")
     kept = np.flatnonzero(codes != UNKNOWN) if result else np.arange(t)
     header = {"read_as": f"VOT {'result' if result else 'text'}: pixels from 0"}
-    found = lines.take(kept).boxes(kept + shift, ltwh[kept], header=header)
-    unknown, outline = np.isnan(found.x), np.where(np.isnan(found.x)[:, None, None], np.nan, corners[kept])
-    status = np.select([codes[kept] == INIT, unknown], ["init", "lost"], "tracked") if result else found.status
-    return replace(found, status=status, corners=None if np.isnan(outline).all() else outline)
+    table = lines.take(kept).boxes(kept + shift, ltwh[kept], header=header)
+    unknown, outline = np.isnan(table.x), np.where(np.isnan(table.x)[:, None, None], np.nan, corners[kept])
+    status = np.select([codes[kept] == INIT, unknown], ["init", "lost"], "tracked") if result else table.status
+    return replace(table, status=status, corners=None if np.isnan(outline).all() else outline)
 
 
 def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Trajectory:
     """A series for each id; `results`: column 7 is a confidence, not a flag; None: look. InputError, with the line."""
     lines = Lines.with_frame(path)
     count = len(lines.texts[0].split(delimiter(lines.texts[0])))
-    known = f"{count} values; MOTChallenge text has {MOT_COLUMNS[9]}, or {MOT_COLUMNS[10]}"
-    lines.refuse([count not in MOT_COLUMNS], known)
+    layouts = f"{count} values; MOTChallenge text has {MOT_COLUMNS[9]}, or {MOT_COLUMNS[10]}"
+    lines.refuse([count not in MOT_COLUMNS], layouts)
     values = lines.numbers(count, MOT_COLUMNS[count])
     frame, ident = lines.whole(values[:, 0], "frame", 1), lines.whole(values[:, 1], "id", 1)
     lines.refuse_twice(np.stack([frame, ident], axis=1), "frame and id")
@@ -156,8 +302,8 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
         "rows of other classes not judged": ignored,
         "rows of a visibility below .5 count as visible": kept & ~other & (covered > 0) & (covered < 0.5),
     }
-    said = "".join(f", {rows.sum()} {what}" for what, rows in about.items() if rows.any())
-    header = {"read_as": f"MOTChallenge: frames and pixels from 1{said}"}
+    left_out = "".join(f", {rows.sum()} {what}" for what, rows in about.items() if rows.any())
+    header = {"read_as": f"MOTChallenge: frames and pixels from 1{left_out}"}
     kept = (kept & ~other) | ignored
     status = np.where(ignored | (covered == 0), "hidden", "visible")[kept]
     frame, ltwh = frame[kept] - 1 + shift, values[kept, 2:6] - FROM_ONE
@@ -171,9 +317,9 @@ def _binary(path: Path) -> Lines:
 
     def take(form: str) -> tuple[Any, ...]:
         nonlocal at
-        found = struct.unpack_from("<" + form, data, at)
+        values = struct.unpack_from("<" + form, data, at)
         at += struct.calcsize("<" + form)
-        return found
+        return values
 
     try:
         version, count = take("hI")
@@ -193,48 +339,99 @@ def _binary(path: Path) -> Lines:
     return Lines(path, texts, list(range(1, len(texts) + 1)))
 
 
-def write_otb(one: Trajectory, unknown: str = "nan,nan,nan,nan") -> str:
+def read_pts(path: Path, *, shift: int = 0) -> Trajectory:
+    """A folder of .pts files, numbered by the last digits of their names, or one file. InputError with the line."""
+    files = sorted(path.glob("*.pts")) or sorted(path.glob("annot/*.pts")) if path.is_dir() else [path]
+    if not files:
+        raise InputError(f"{path}: no .pts file in this folder, nor in annot/ below it; name the folder with them")
+    frames: dict[int, Path] = {}
+    for file in files:
+        digits = re.findall(r"\d+", file.stem)
+        if not digits and len(files) > 1:
+            raise InputError(f"{file}: no number in its name; name the files by their frames, the first 000001.pts")
+        number = int(digits[-1]) if digits else 1
+        if not 1 <= number <= MAX_FRAME:
+            raise InputError(f"{file}: no frame has the number {number}; .pts files are counted from 1")
+        if number in frames:
+            raise InputError(f"{file}: frame {number} is also in {frames[number].name}; keep one of them")
+        frames[number] = file
+    points = [_points(file) for file in files]
+    for file, own in zip(files, points, strict=True):
+        if len(own) != len(points[0]):
+            raise InputError(f"{file}: has {len(own)} points, {files[0].name} {len(points[0])}; a folder is one clip")
+    count = len(points[0])
+    numbers = {**(NAMED if count == 68 else {}), **{f"point_{number:02d}": number for number in range(1, count + 1)}}
+    xy = np.stack(points, axis=1)[[number - 1 for number in numbers.values()]] - 1  # (parts, T, 2)
+    x, y = xy.reshape(-1, 2).T
+    unnamed = "" if count == 68 else ", which have no names of ours"
+    header = {"read_as": f".pts: {count} points{unnamed}, files and pixels from 1"}
+    which = np.repeat(np.arange(len(numbers)), len(files))
+    frame = np.tile(np.array(list(frames), dtype=np.int64) - 1 + shift, len(numbers))
+    place = {"x": x, "y": y, "status": np.where(np.isnan(x), "absent", "visible")}
+    return build([("face", name) for name in numbers], which, frame, **place, path=path, header=header)
+
+
+def _points(path: Path) -> Array:
+    """(points, 2), as the file has them; nan where it says so."""
+    text = read_text(path)
+    head = _HEAD.match(text)
+    if head is None:
+        raise InputError(f'{path}:1: a .pts file begins with the lines "version: 1", "n_points: 68" and "{{"')
+    body, brace, rest = text[head.end() :].partition("}")
+    first = text.count("\n", 0, head.end()) + 1
+    lines = Lines.numbered(path, body.split("\n"), first)
+    points = lines.numbers(2, "x y")
+    with np.errstate(invalid="ignore"):
+        lines.refuse(np.isnan(points).sum(axis=1) == 1, "nan in half a point; give both numbers, or nan nan")
+        lines.refuse((np.abs(points) > MAX_PIXELS).any(axis=1), "the point is farther out than any image; correct it")
+    if not brace or rest.strip() or len(points) != int(head[1]) or not len(points):
+        there = f"{len(points)} points between the braces, and n_points says {head[1]}"
+        raise InputError(f"{path}: {there}; was the file cut short?")
+    return points
+
+
+def write_otb(part: Trajectory, unknown: str = "nan,nan,nan,nan") -> str:
     """A box a line, pixels from 1, at most 4 decimals: `read_otb` with the first frame as `shift` gives it back.
 
     The format has no frame numbers: line 1 is the series' first frame, as in OTB's own files of clips that begin late
     (David at frame 300). A place that is not known is the line `unknown`. Raises InputError for a gap between frames,
     or a row with a place and no size.
     """
-    if (gaps := np.flatnonzero(np.diff(one.frame) != 1)).size:
-        between = f"no row between frames {one.frame[gaps[0]]} and {one.frame[gaps[0] + 1]}"
+    if (gaps := np.flatnonzero(np.diff(part.frame) != 1)).size:
+        between = f"no row between frames {part.frame[gaps[0]]} and {part.frame[gaps[0] + 1]}"
         why = "a format without frame numbers has no room for a gap; export to mot or vot"
-        raise InputError(f"{one.name}: {between}, and {why}")
-    boxes = (_known_boxes(one) + FROM_ONE).tolist()
+        raise InputError(f"{part.name}: {between}, and {why}")
+    boxes = (_known_boxes(part) + FROM_ONE).tolist()
     return "".join((",".join(map(_decimal, box)) if box[0] == box[0] else unknown) + "\n" for box in boxes)
 
 
-def write_got10k(one: Trajectory) -> str:
+def write_got10k(part: Trajectory) -> str:
     """The same as GOT-10k's toolkit has it, which wants it as `<clip>_001.txt`: after nan the mean overlap is nan."""
-    return write_otb(one, "0,0,0,0")
+    return write_otb(part, "0,0,0,0")
 
 
-def write_vot(one: Trajectory) -> str:
+def write_vot(part: Trajectory) -> str:
     """A result of vot-toolkit from frame 0 on: 1 in the first frame of the series, then a region a line, 4 decimals.
 
     Frames before the first and in gaps are 0, a place that is not known is 2. Rows with corners are polygons.
     `read_vot` gives all rows back but for the place in the first frame. Raises InputError for a row with a place and no
     size, and for a frame below 0.
     """
-    first, last = int(one.frame[0]), int(one.frame[-1])
+    first, last = int(part.frame[0]), int(part.frame[-1])
     if first < 0:
-        raise InputError(f"{one.name}: frame {first} is before the clip's first; VOT text begins at frame 0")
+        raise InputError(f"{part.name}: frame {first} is before the clip's first; VOT text begins at frame 0")
     if last >= MAX_ROWS:
-        raise InputError(f"{one.name}: frame {last} is too far on for VOT text, which has a line a frame")
+        raise InputError(f"{part.name}: frame {last} is too far on for VOT text, which has a line a frame")
     lines = ["0"] * (last + 1)
-    corners = np.full((len(one), 8), np.nan) if one.corners is None else one.corners.reshape(-1, 8)
-    for frame, box, polygon in zip(one.frame.tolist(), _known_boxes(one).tolist(), corners.tolist(), strict=True):
+    corners = np.full((len(part), 8), np.nan) if part.corners is None else part.corners.reshape(-1, 8)
+    for frame, box, polygon in zip(part.frame.tolist(), _known_boxes(part).tolist(), corners.tolist(), strict=True):
         region = polygon if polygon[0] == polygon[0] else box  # nan is not equal to itself
         lines[frame] = ",".join(map(_decimal, region)) if region[0] == region[0] else "2"
     lines[first] = "1"
     return "\n".join(lines) + "\n"
 
 
-def write_mot(chosen: Sequence[Trajectory]) -> str:
+def write_mot(parts: Sequence[Trajectory]) -> str:
     """Results or ground truth of MOTChallenge, sorted by frame, at most 4 decimals.
 
     Ground truth, as its statuses say, has nine values: flag and class 1, and visibility, 0 of hidden rows. Results have
@@ -243,29 +440,29 @@ def write_mot(chosen: Sequence[Trajectory]) -> str:
     place are left out, which is how the format says that nothing was found. `read_mot(..., results=True)` gives the
     rest back. Raises InputError for a row with a place and no size.
     """
-    idents = [int(one.target) if one.target.isascii() and one.target.isdigit() else 0 for one in chosen]
+    idents = [int(part.target) if part.target.isascii() and part.target.isdigit() else 0 for part in parts]
     if 0 in idents or len(set(idents)) < len(idents):
-        idents = list(range(1, len(chosen) + 1))
-    said = {status for one in chosen for status in one.status.tolist()}
-    truth = "visible" in said and said <= {"", "visible", "hidden", "absent"}
+        idents = list(range(1, len(parts) + 1))
+    statuses = {status for part in parts for status in part.status.tolist()}
+    truth = "visible" in statuses and statuses <= {"", "visible", "hidden", "absent"}
     rows: list[tuple[int, int, str]] = []
-    for ident, one in zip(idents, chosen, strict=True):
-        boxes, seen = (_known_boxes(one) + FROM_ONE).tolist(), np.isin(one.status, SEEN).astype(int).tolist()
-        for frame, conf, ltwh, visible in zip(one.frame.tolist(), one.confidence.tolist(), boxes, seen, strict=True):
+    for ident, part in zip(idents, parts, strict=True):
+        boxes, seen = (_known_boxes(part) + FROM_ONE).tolist(), np.isin(part.status, SEEN).astype(int).tolist()
+        for frame, conf, ltwh, visible in zip(part.frame.tolist(), part.confidence.tolist(), boxes, seen, strict=True):
             if ltwh[0] == ltwh[0]:  # not nan
-                known = _decimal(conf) if conf == conf else "-1"
-                rest = f"1,1,{visible}" if truth else f"{known},1,{visible},-1"
+                score = _decimal(conf) if conf == conf else "-1"
+                rest = f"1,1,{visible}" if truth else f"{score},1,{visible},-1"
                 rows.append((frame + 1, ident, f"{','.join(map(_decimal, ltwh))},{rest}\n"))
     return "".join(f"{frame},{ident},{rest}" for frame, ident, rest in sorted(rows))
 
 
-def _known_boxes(one: Trajectory) -> Array:
+def _known_boxes(part: Trajectory) -> Array:
     """(T, 4) left, top, width, height from 0; nan where the place is not known. InputError for a place without size."""
-    found = one.boxes
-    if (sizeless := np.flatnonzero(np.isnan(found).any(axis=1) & ~np.isnan(one.x))).size:
+    boxes = part.boxes
+    if (sizeless := np.flatnonzero(np.isnan(boxes).any(axis=1) & ~np.isnan(part.x))).size:
         why = "has no w and h, and these formats hold boxes; export points to coco or dlc"
-        raise InputError(f"{one.name}: frame {one.frame[sizeless[0]]} {why}")
-    return found
+        raise InputError(f"{part.name}: frame {part.frame[sizeless[0]]} {why}")
+    return boxes
 
 
 def _decimal(value: float) -> str:

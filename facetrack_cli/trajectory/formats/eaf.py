@@ -1,8 +1,11 @@
-"""ELAN's annotation format, EAF 3.0 (www.mpi.nl/tools/elan/EAFv3.0.xsd): tiers of lost parts and of head motion.
+"""ELAN's annotation format, EAF 3.0 (www.mpi.nl/tools/elan/EAFv3.0.xsd): written, added to a file, and read.
 
 docs/export.md has the tiers. Their values are controlled vocabularies, described in the file. Times are those of the
 frames, in milliseconds; a span ends when the frame after it begins. The media URL is the path as it is, not
 percent-encoded: ELAN writes it so, and takes what follows `file:` for the name of the file.
+
+What is added to a file that people work in is put between its bytes, which stay: slots of time in their order, then
+tiers, types and vocabularies below those that are there. Only the number of the last annotation is another.
 """
 
 import contextlib
@@ -10,20 +13,26 @@ import os
 import re
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from itertools import groupby
 from pathlib import Path
+from typing import Any, Final, NamedTuple
+from urllib.parse import unquote
 from xml.etree import ElementTree as ET
+from xml.parsers import expat
 
 import numpy as np
 
 from facetrack_cli.core import numbers
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.face_points import HANDS
+from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.types import BOX
 from facetrack_cli.trajectory.analysis.face_events import events_of
 from facetrack_cli.trajectory.analysis.head_motion import head_motion, kinds_of
 from facetrack_cli.trajectory.analysis.measures import Measured
+from facetrack_cli.trajectory.clock import frame_milliseconds
 from facetrack_cli.trajectory.trajectory import Trajectory, aligned
 
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
@@ -59,12 +68,23 @@ VOCABULARIES = {
     "face_contact": {"face": "meets the face in the image"},
 }
 QUOTES = str.maketrans({"'": "\N{RIGHT SINGLE QUOTATION MARK}", '"': "\N{RIGHT DOUBLE QUOTATION MARK}"})
-FRAME_S = 0.04  # how long a single frame lasts where nothing tells
+ORDER: Final = (
+    "LICENSE", "HEADER", "TIME_ORDER", "TIER", "LINGUISTIC_TYPE", "LOCALE", "LANGUAGE", "CONSTRAINT",
+    "CONTROLLED_VOCABULARY", "LEXICON_REF", "EXTERNAL_REF",
+)  # fmt: skip
+"""The schema's, of what stands at the top."""
+LEAST_FORMAT: Final = 2.8  # earlier vocabularies are written in another way
+IDS: Final = ("TIME_SLOT_ID", "ANNOTATION_ID", "TIER_ID", "LINGUISTIC_TYPE_ID", "CV_ID", "CVE_ID", "LANG_ID")
+REFS: Final = {
+    "TIME_SLOT_REF1": "TIME_SLOT_ID", "TIME_SLOT_REF2": "TIME_SLOT_ID", "LINGUISTIC_TYPE_REF": "LINGUISTIC_TYPE_ID",
+    "CONTROLLED_VOCABULARY_REF": "CV_ID", "CVE_REF": "CVE_ID", "LANG_REF": "LANG_ID",
+}  # fmt: skip
+"""Attributes that name what another attribute declares."""
 
 
-def write_eaf(table: Trajectory, media: Path, folder: Path, *, written: datetime) -> str:
-    """The XML text, which will stand in `folder`; `media` is the video. InputError for times that do not increase."""
-    begin, end = times_of(table)
+def write_eaf(table: Trajectory, video: Path, folder: Path, written: datetime) -> str:
+    """The XML text, which will stand in `folder`. InputError for times that do not increase."""
+    begin, end = frame_milliseconds(table)
     tiers = [
         (kind, target, spans)
         for name in table.targets
@@ -75,7 +95,7 @@ def write_eaf(table: Trajectory, media: Path, folder: Path, *, written: datetime
     about = {"AUTHOR": "facetrack", "DATE": written.astimezone().isoformat(timespec="seconds")}
     schema = {"FORMAT": "3.0", "VERSION": "3.0", "xmlns:xsi": XSI, "xsi:noNamespaceSchemaLocation": SCHEMA}
     root = ET.Element("ANNOTATION_DOCUMENT", {**about, **schema})
-    _header(root, media, folder, sum(len(spans) for *_, spans in tiers))
+    _header(root, video, folder, sum(len(spans) for *_, spans in tiers))
     # every annotation has two slots of its own, as ELAN makes them; slots stand in the order of their times
     times = sorted((time, n) for n, time in enumerate(t for *_, spans in tiers for a, b, _ in spans for t in (a, b)))
     order = ET.SubElement(root, "TIME_ORDER")
@@ -104,15 +124,15 @@ def write_eaf(table: Trajectory, media: Path, folder: Path, *, written: datetime
 def spans_of(parts: Sequence[Trajectory], status: str = "lost") -> list[tuple[int, int, str]]:
     """Spans (first frame, last, names) in which the same parts of a target have a `status`, in rows without a gap."""
     frames, columns = aligned(parts, "status")
-    those = (columns["status"] == status).tolist()
-    names = [", ".join(part.part for part, is_one in zip(parts, row, strict=True) if is_one) for row in those]
+    named = (columns["status"] == status).tolist()
+    names = [", ".join(part.part for part, is_one in zip(parts, row, strict=True) if is_one) for row in named]
     breaks = np.cumsum(np.diff(frames, prepend=frames[:1]) > 1).tolist()
-    found = []
+    spans = []
     for (_, text), rows in groupby(zip(breaks, names, frames.tolist(), strict=True), key=lambda row: row[:2]):
         members = [frame for _, _, frame in rows]
         if text:
-            found.append((members[0], members[-1], status if text == BOX else text))
-    return found
+            spans.append((members[0], members[-1], status if text == BOX else text))
+    return spans
 
 
 def seen_in(parts: Sequence[Trajectory]) -> list[tuple[int, int]]:
@@ -121,9 +141,9 @@ def seen_in(parts: Sequence[Trajectory]) -> list[tuple[int, int]]:
     """
     frames = np.unique(np.concatenate([part.frame for part in parts]))
     there = ~np.isin(frames, np.concatenate([part.frame[part.vanished] for part in parts]))
-    found = numbers.spans(there, np.diff(frames) > 1)
-    always = len(found) == 1 and there.all() and parts[0].target not in HANDS
-    return [] if always else [(int(frames[a]), int(frames[b - 1])) for a, b in found]
+    runs = numbers.spans(there, np.diff(frames) > 1)
+    always = len(runs) == 1 and there.all() and parts[0].target not in HANDS
+    return [] if always else [(int(frames[a]), int(frames[b - 1])) for a, b in runs]
 
 
 def _tiers(
@@ -141,22 +161,6 @@ def _tiers(
             yield kind, name, [(span.first, span.last, span.label) for span in moved if span.kind == kind]
     for kind, events in events_of(name, measures).items():
         yield kind, name, [(event.first_frame, event.last_frame, event.value) for event in events]
-
-
-def times_of(table: Trajectory) -> list[dict[int, int]]:
-    """When each frame begins and when the next one does, in milliseconds, by frame."""
-    frames, time_s = table.frames, table.times
-    if (unknown := frames[~np.isfinite(time_s)]).size:
-        raise InputError(f"frame {unknown[0]} has no time_s, and annotations need times; fill that column")
-    if (back := np.flatnonzero(np.diff(time_s) <= 0)).size:
-        (one, other), (first, second) = frames[back[0] :][:2], time_s[back[0] :][:2]
-        raise InputError(f"frame {other} is at {second:g} s, not after frame {one} at {first:g} s; correct time_s")
-    steps = np.diff(time_s) / np.diff(frames)
-    usual = float(np.median(steps)) if steps.size else FRAME_S
-    after = np.append(time_s[1:], time_s[-1] + usual)
-    after = np.where(np.append(np.diff(frames) > 1, False), np.minimum(after, time_s + usual), after)
-    milliseconds = [np.rint(np.maximum(t, 0) * 1000).astype(np.int64).tolist() for t in (time_s, after)]
-    return [dict(zip(frames.tolist(), those, strict=True)) for those in milliseconds]
 
 
 def _header(root: ET.Element, media: Path, folder: Path, annotations: int) -> None:
@@ -177,8 +181,8 @@ def _types(root: ET.Element, kinds: Sequence[str]) -> None:
     """What stands below the tiers, in the schema's order: types, language, constraints, vocabularies."""
     for kind in kinds:
         about = {"GRAPHIC_REFERENCES": "false", "LINGUISTIC_TYPE_ID": kind, "TIME_ALIGNABLE": "true"}
-        given = {"CONTROLLED_VOCABULARY_REF": kind} if kind in VOCABULARIES else {}
-        ET.SubElement(root, "LINGUISTIC_TYPE", {**given, **about})
+        vocabulary = {"CONTROLLED_VOCABULARY_REF": kind} if kind in VOCABULARIES else {}
+        ET.SubElement(root, "LINGUISTIC_TYPE", {**vocabulary, **about})
     language = {"LANG_DEF": "http://cdb.iso.org/lg/CDB-00138502-001", "LANG_ID": "eng", "LANG_LABEL": "English (eng)"}
     ET.SubElement(root, "LANGUAGE", language)
     for stereotype, description in CONSTRAINTS.items():
@@ -199,3 +203,195 @@ def _entry(kind: str, label: str) -> str:
 def clean(text: str) -> str:
     """Text without the characters that XML 1.0 has no way to write."""
     return re.sub("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "\ufffd", text)
+
+
+class Tier(NamedTuple):
+    """A tier, and its `notes`: begin and end in ms of the clip, and the text."""
+
+    name: str
+    participant: str
+    notes: tuple[tuple[int, int, str], ...]
+
+
+def read_tiers(path: Path, clip: str) -> list[Tier]:
+    """The tiers of a file, with annotations that have times. InputError for a file that is not ELAN's."""
+    root = _read(path)[1]
+    offset = _offset_of(root, clip) or 0
+    slots = {slot.get("TIME_SLOT_ID"): slot.get("TIME_VALUE", "") for slot in root.iter("TIME_SLOT")}
+    tiers = []
+    for tier in root.iter("TIER"):
+        notes = []
+        for note in tier.iter("ALIGNABLE_ANNOTATION"):
+            ends = [slots.get(note.get(f"TIME_SLOT_REF{n}"), "") for n in (1, 2)]
+            if all(map(_is_whole, ends)):
+                begin, end = (int(time) + offset for time in ends)
+                notes.append((begin, end, (note.findtext("ANNOTATION_VALUE") or "").strip()))
+        tiers.append(Tier(tier.get("TIER_ID", ""), tier.get("PARTICIPANT", ""), tuple(notes)))
+    return tiers
+
+
+def _is_whole(text: str) -> bool:
+    return text.isascii() and text.isdigit()
+
+
+def _offset_of(root: ET.Element, clip: str) -> int | None:
+    """The time of the clip, in ms, at which the file's own times begin; None where it does not link to the clip."""
+    for media in root.iter("MEDIA_DESCRIPTOR"):
+        if unquote(media.get("MEDIA_URL", "")).replace("\\", "/").rpartition("/")[2] == unquote(clip):
+            origin = media.get("TIME_ORIGIN", "0")
+            return int(origin) if _is_whole(origin) else 0
+    return None
+
+
+def add_tiers(path: Path, ours: str, clip: str) -> tuple[bytes, list[str], bool]:
+    """The file with the tiers of `ours`, the text of an .eaf; the names that they have there; whether it has the clip.
+
+    Tiers whose name is there get another. InputError for a file that cannot take them.
+    """
+    data, root, spans = _read(path)
+    new, offset = ET.fromstring(ours), _offset_of(root, clip)
+    tiers, slots = _named_apart(root, new), sorted(_moved(new, offset or 0), key=lambda slot: slot[0])
+    edits: list[tuple[int, int, bytes]] = []  # where, how many bytes are replaced, by what
+
+    def insert(where: int, elements: list[ET.Element], depth: int, *, last: bool) -> None:
+        """Each on a line of its own, before what stands at `where`, or as the `last` ones of their parent."""
+        texts = []
+        for element in elements:
+            ET.indent(element, "    ", level=depth)
+            element.tail = ""
+            texts.append(ET.tostring(element, encoding="unicode") + "\n" + "    " * depth)
+        text = "".join(texts)
+        edits.append((where, 0, ("    " + text[:-4] if last else text).encode()))
+
+    order = next(span for span in spans if span.tag == "TIME_ORDER")
+    times = [(span.begin, int(span.about["TIME_VALUE"])) for span in spans if span.about.get("TIME_VALUE")]
+    at, rows = 0, dict[int, list[ET.Element]]()
+    for time, slot in slots:
+        while at < len(times) and times[at][1] <= time:
+            at += 1
+        rows.setdefault(times[at][0] if at < len(times) else order.end, []).append(slot)
+    for where, elements in rows.items():
+        insert(where, elements, 2, last=where == order.end)
+    if rows and data[order.begin : order.end].endswith(b"/>") and data.count(b"<", order.begin, order.end) == 1:
+        text = edits.pop()[2].decode().rstrip()
+        edits.append((order.begin, order.end - order.begin, f"<TIME_ORDER>\n    {text}\n    </TIME_ORDER>".encode()))
+    for tag in ("TIER", "LINGUISTIC_TYPE", "LANGUAGE", "CONTROLLED_VOCABULARY"):
+        later = ORDER[ORDER.index(tag) + 1 :]
+        after = next((span.begin for span in spans if span.depth == 1 and span.tag in later), None)
+        if elements := new.findall(tag):
+            insert(spans[0].end if after is None else after, elements, 1, last=after is None)
+    numbers = [int(str(note.get("ANNOTATION_ID"))[1:]) for note in new.iter("ALIGNABLE_ANNOTATION")]
+    for span in spans:
+        if span.about.get("NAME") == "lastUsedAnnotationId" and span.text and numbers:
+            edits.append((*span.text, str(max(numbers)).encode()))
+    parts, done = [], 0
+    for where, replaced, addition in sorted(edits, key=lambda edit: edit[0]):
+        parts += [data[done:where], addition]
+        done = where + replaced
+    return b"".join([*parts, data[done:]]), tiers, offset is not None
+
+
+def _moved(new: ET.Element, offset: int) -> list[tuple[int, ET.Element]]:
+    """The slots at the file's times; what lies before its beginning is no annotation, or begins there."""
+    slots = {str(slot.get("TIME_SLOT_ID")): slot for slot in new.iter("TIME_SLOT")}
+    times = {name: max(int(str(slot.get("TIME_VALUE"))) - offset, 0) for name, slot in slots.items()}
+    for tier in new.findall("TIER"):
+        for holder in list(tier):
+            first, last = (str(holder[0].get(f"TIME_SLOT_REF{n}")) for n in (1, 2))
+            if times[first] >= times[last]:
+                tier.remove(holder)
+                del times[first], times[last]
+    for name, time in times.items():
+        slots[name].set("TIME_VALUE", str(time))
+    return [(time, slots[name]) for name, time in times.items()]
+
+
+def _named_apart(root: ET.Element, new: ET.Element) -> list[str]:
+    """Give what is new names that the file does not have; types and vocabularies of ours that it has stay out."""
+    taken = {key: {element.get(key, "") for element in root.iter()} - {""} for key in IDS}
+    prefixes = {"ANNOTATION_ID": "a", "TIME_SLOT_ID": "ts"}
+    numbers = [
+        name.removeprefix(prefix) for key, prefix in prefixes.items() for name in taken[key] if name.startswith(prefix)
+    ]
+    numbers.append(root.findtext(".//PROPERTY[@NAME='lastUsedAnnotationId']") or "")
+    first = max([0, *map(int, filter(_is_whole, numbers))])
+    same = {kind.get("LINGUISTIC_TYPE_ID") for kind in root.findall("LINGUISTIC_TYPE") if _is_ours(root, new, kind)}
+    for element in list(new):
+        kind = element.get("LINGUISTIC_TYPE_ID") or element.get("CV_ID")
+        if kind in same or (element.tag == "LANGUAGE" and element.get("LANG_ID") in taken["LANG_ID"]):
+            new.remove(element)
+    names: dict[tuple[str, str], str] = {}
+    for element in new.iter():
+        for key in (key for key in IDS if element.get(key)):
+            name = str(element.get(key))
+            if prefix := prefixes.get(key):
+                names[key, name] = f"{prefix}{first + int(name.removeprefix(prefix))}"
+            elif name in taken[key]:
+                names[key, name] = next(f"{name}-{n}" for n in range(2, 10**6) if f"{name}-{n}" not in taken[key])
+    for element in new.iter():
+        for key in set(element.keys()) & {*IDS, *REFS}:
+            name = str(element.get(key))
+            element.set(key, names.get((REFS.get(key, key), name), name))
+    return [str(tier.get("TIER_ID")) for tier in new.findall("TIER")]
+
+
+def _is_ours(root: ET.Element, new: ET.Element, kind: ET.Element) -> bool:
+    """Whether a type of the file is one of the new ones, with all of its vocabulary."""
+    name = kind.get("LINGUISTIC_TYPE_ID")
+    ours = next((one for one in new.findall("LINGUISTIC_TYPE") if one.get("LINGUISTIC_TYPE_ID") == name), None)
+    if ours is None or any(ours.get(key) != kind.get(key) for key in ("CONTROLLED_VOCABULARY_REF", "CONSTRAINTS")):
+        return False
+    path = f"CONTROLLED_VOCABULARY[@CV_ID='{name}']/*"
+    return {entry.get("CVE_ID") for entry in new.iterfind(path)} <= {
+        entry.get("CVE_ID") for entry in root.iterfind(path)
+    }
+
+
+@dataclass
+class _Span:
+    """Where an element stands in the bytes: its beginning, that of its closing tag, and where its text is, how long."""
+
+    tag: str
+    depth: int
+    about: dict[str, str]
+    begin: int
+    end: int = 0
+    text: tuple[int, int] | None = None
+
+
+def _read(path: Path) -> tuple[bytes, ET.Element, list[_Span]]:
+    """The bytes of a file, its tree, and where each element is in the bytes."""
+    with reading(path, "name an .eaf"):
+        data = read_bounded(path)
+    if b"<!DOCTYPE" in data[:4096] or b"<!ENTITY" in data:
+        raise InputError(f"{path}: declares a document type, which ELAN's files do not; it is not read")
+    spans: list[_Span] = []
+    open_spans: list[_Span] = []
+    parser, builder = expat.ParserCreate("UTF-8"), ET.TreeBuilder()
+
+    def start(tag: str, about: dict[str, Any]) -> None:
+        span = _Span(tag, len(open_spans), about, parser.CurrentByteIndex)
+        spans.append(span)
+        open_spans.append(span)
+        builder.start(tag, about)
+
+    def stop(tag: str) -> None:
+        open_spans.pop().end = parser.CurrentByteIndex
+        builder.end(tag)
+
+    def text(piece: str) -> None:
+        open_spans[-1].text = parser.CurrentByteIndex, len(piece.encode())
+        builder.data(piece)
+
+    parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, stop, text
+    try:
+        parser.Parse(data, True)
+    except (expat.ExpatError, ValueError, LookupError) as e:
+        raise InputError(f"{path}: is no XML in UTF-8 ({e}); save it by ELAN again") from None
+    root = builder.close()
+    if root.tag != "ANNOTATION_DOCUMENT" or root.find("TIME_ORDER") is None:
+        raise InputError(f"{path}: is XML, but not ELAN's: it begins with {root.tag}; name an .eaf")
+    version = root.get("FORMAT") or root.get("VERSION") or ""
+    if not version.replace(".", "", 1).isdigit() or float(version) < LEAST_FORMAT:
+        raise InputError(f"{path}: is of EAF {version or 'without a version'}; save it by ELAN 4.9 or later")
+    return data, root, spans

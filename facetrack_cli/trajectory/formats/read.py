@@ -4,47 +4,42 @@ Frames and pixels of the table are counted from 0 whatever the file's own counti
 """
 
 import csv
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError, UsageError, reading
-from facetrack_cli.trajectory.formats import boxes
-from facetrack_cli.trajectory.formats.boxes import BOX_COLUMNS, LTWH, MOT_COLUMNS
-from facetrack_cli.trajectory.formats.cvat import read_cvat
-from facetrack_cli.trajectory.formats.lines import Lines, delimiter
-from facetrack_cli.trajectory.formats.pts import read_pts
+from facetrack_cli.trajectory.formats import READERS, load
+from facetrack_cli.trajectory.formats.boxes import BOX_COLUMNS, LTWH, MOT_COLUMNS, Lines, delimiter
 from facetrack_cli.trajectory.reader import MAX_FRAME, REQUIRED, read_trajectory
 from facetrack_cli.trajectory.trajectory import Trajectory
 
 
-def _read_facetrack(path: Path, *, shift: int = 0) -> Trajectory:
+def read_facetrack(path: Path, *, shift: int = 0) -> Trajectory:
+    """A table of facetrack as ground truth."""
     table = read_trajectory(path)
     header = {**table.header, "read_as": "facetrack's own table"}
     return replace(table, frame=table.frame + shift, diagnostics={}, header=header)
 
 
-_READERS: Final[dict[str, Callable[..., Trajectory]]] = {
-    "facetrack": _read_facetrack,
-    "boxes": boxes.read_boxes,
-    "otb": boxes.read_otb,
-    "got10k": boxes.read_got10k,
-    "mot": boxes.read_mot,
-    "vot": boxes.read_vot,
-    "pts": read_pts,
-    "cvat": read_cvat,
-}
-
-
 def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0, beside: Trajectory | None = None) -> Trajectory:
-    """The ground truth in a file or folder, read as `form`, one of TRUTH_FORMATS; `auto` goes by the shape.
+    """The ground truth in a file or folder.
 
-    What may be OTB's or VOT's is VOT's `beside` a result of VOT.
-    `shift` is added to every frame number. `header["read_as"]` says how it was read, `header["shift"]` is the shift.
-    Raises InputError for a file that is broken or of no known shape, UsageError for a shift beyond any clip.
+    Parameters
+    ----------
+    form : one of TRUTH_FORMATS; `auto` goes by the shape of the file.
+    shift : is added to every frame number.
+    beside : results; what may be OTB's or VOT's is VOT's beside a result of VOT.
+
+    Returns
+    -------
+    Trajectory : its `header["read_as"]` says how it was read, `header["shift"]` is the shift.
+
+    Raises
+    ------
+    InputError : for a file that is broken or of no known shape.
+    UsageError : for a shift beyond any clip.
     """
     path = Path(path)
     if abs(shift) > MAX_FRAME:
@@ -54,7 +49,7 @@ def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0, beside: 
             found, known = recognise(path) if form == "auto" else (path, form)
             if form == "auto" and known == "otb" and beside is not None:
                 known = "vot" if str(beside.header.get("read_as")).startswith("VOT") else known
-            table = _READERS[known](found, shift=shift)
+            table: Trajectory = load("read", known)(found, shift=shift)
         except InputError as e:
             raise InputError(f"{e}{_rather(path, form)}") from None
     return replace(table, header={**table.header, "shift": shift})
@@ -75,7 +70,7 @@ def read_results(path: Path, form: str = "auto") -> Trajectory:
         if shape == "facetrack":
             return read_trajectory(path)
         # the seventh column of MOT results is a confidence, also where all are 0 or 1
-        table = _READERS[shape](path, **({"results": True} if shape == "mot" else {}))
+        table: Trajectory = load("read", shape)(path, **({"results": True} if shape == "mot" else {}))
     read_as = str(table.header["read_as"]).replace("--truth-format", "--format")
     status = np.where(np.isin(table.status, ("visible", "hidden", "absent")), "", table.status)
     return replace(table, status=status, header={**table.header, "read_as": read_as})
@@ -134,7 +129,7 @@ def _shape(lines: Lines) -> str:
         raise InputError(f"{place}: five numbers a line; put the header {','.join(BOX_COLUMNS)} on top")
     if count in MOT_COLUMNS and all(float(cell).is_integer() and float(cell) >= 1 for cell in cells[:2]):
         return "mot"
-    remedy = f"name its kind by --truth-format: {', '.join(_READERS)}"
+    remedy = f"name its kind by --truth-format: {', '.join(READERS)}"
     raise InputError(f"{place}: {count} values a line are no ground truth that is known here; {remedy}")
 
 

@@ -1,30 +1,49 @@
-"""Tables for spreadsheets and data frames: one row a frame, head poses, and measures of a face.
+"""Tables of rows, head poses, measures and events; events also as subtitles, a TextGrid and a BORIS 8 project.
 
-All keep the conventions of trajectory.csv: frames and pixels from 0, x and y the centre, "" what is not known.
-Where a row is a frame there is one for each of `every_frame`, since readers count them.
+Tables keep the conventions of trajectory.csv: frames and pixels from 0, x and y the centre, "" what is not known. Where
+a row is a frame there is one for each of `every_frame`, since readers count them. Times of events are seconds in the
+clip; an event ends when the frame after its last one begins.
+
+In BORIS a clip is an observation, a tier a behaviour, an event two rows, its begin and its end, with the value as
+modifier of both; rows stand in the order of time. A subject that is not declared would not be shown.
 """
 
+import html
 from collections.abc import Mapping, Sequence
+from datetime import datetime
+from functools import partial
 from operator import itemgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import POINTS
-from facetrack_cli.core.numbers import csv_text
+from facetrack_cli.core.numbers import csv_text, dumps
 from facetrack_cli.core.types import BOX, Whole
-from facetrack_cli.trajectory.analysis.hands import HAND_MEASURES
+from facetrack_cli.trajectory.analysis.face_events import events_of
 from facetrack_cli.trajectory.analysis.head_pose import SHAPE, head_pose
-from facetrack_cli.trajectory.analysis.measures import MEASURES, Measured
-from facetrack_cli.trajectory.trajectory import DECIMALS, Trajectory, aligned, every_frame
+from facetrack_cli.trajectory.analysis.measures import HAND_MEASURES, MEASURES, Measured
+from facetrack_cli.trajectory.clock import every_frame, frame_milliseconds
+from facetrack_cli.trajectory.header import clip_of
+from facetrack_cli.trajectory.trajectory import DECIMALS, Trajectory, aligned, header_value
 
 WIDE = ("x", "y", "w", "h", "confidence", "status")
 STD = ("", "_std", "_noise")
 POSE = ("frame", "time_s", "target", "pitch", "yaw", "roll", "std_pitch", "std_yaw", "std_roll", "ambiguous")
+EVENT_COLUMNS = (
+    "clip", "person", "tier", "value", "begin_s", "peak_s", "end_s", "first_frame", "last_frame", "probability",
+)  # fmt: skip
 
 
-def write_wide(table: Trajectory) -> str:
+class Clip(NamedTuple):
+    """A clip's name, and its trajectory."""
+
+    name: str
+    table: Trajectory
+
+
+def write_csv_wide(table: Trajectory) -> str:
     """A CSV with one row a frame: frame, time_s, of each part `target_part_x`, y, w, h, confidence, status, and of each
     measure (measures.py) `target_mouth_opening`, `target_mouth_opening_std`, ...
 
@@ -39,9 +58,9 @@ def write_wide(table: Trajectory) -> str:
     for at, (name, values) in enumerate(columns.items(), 2):
         cells[:, at :: len(WIDE)] = values if name == "status" else texts(values, DECIMALS[name])
     names = [f"{_called(*pair)}_{column}" for pair in table.names for column in WIDE]
-    for target, found in table.measures.items():
-        cells = np.hstack([cells, _measured(found, [*found], frames)])
-        names += [f"{_called(target, name)}{end}" for name in found for end in STD]
+    for target, measures in table.measures.items():
+        cells = np.hstack([cells, _measured(measures, [*measures], frames)])
+        names += [f"{_called(target, name)}{end}" for name in measures for end in STD]
     text = csv_text(["frame", "time_s", *names], cells.tolist())
     return text if "".join(names).isascii() else "\ufeff" + text
 
@@ -59,40 +78,41 @@ def write_pose(table: Trajectory) -> str:
             angles = texts(np.hstack([pose.angles, pose.std]), 2)
             cells[pose.frame, :6] = angles
             cells[pose.frame, 6] = np.where(angles[:, 0] == "", "", pose.ambiguous.astype(int))
-            told = zip(frames.tolist(), times.tolist(), cells.tolist(), strict=True)
-            rows += ([frame, time, name, *row] for frame, time, row in told)
+            lines = zip(frames.tolist(), times.tolist(), cells.tolist(), strict=True)
+            rows += ([frame, time, name, *row] for frame, time, row in lines)
     if not rows:
         raise InputError(f"a pose needs four parts that are not in a plane, among {', '.join(SHAPE)}")
     return csv_text(POSE, sorted(rows, key=itemgetter(0)))
 
 
-def write_measures(*tables: Trajectory, clips: Sequence[str] = ()) -> str:
+def write_measures(clips: Sequence[Clip], many: bool = False) -> str:
     """A CSV with a row for each frame and target: those measures that any target has, and of each `_std` and `_noise`.
 
-    Of several tables, `clips` are their names, the first column.
+    Of `many` clips the first column has their names.
     """
-    has = [{target: found for target, found in table.measures.items() if found} for table in tables]
-    known = {name for those in has for found in those.values() for name in found}
-    names = [one.name for one in (*MEASURES, *HAND_MEASURES) if one.name in known]
+    measures = [{target: found for target, found in clip.table.measures.items() if found} for clip in clips]
+    known = {name for targets in measures for found in targets.values() for name in found}
+    names = [measure.name for measure in (*MEASURES, *HAND_MEASURES) if measure.name in known]
     if not names:
         face = f"a measure needs parts of a face, among {', '.join(POINTS)}, and its box or its eyes"
         raise InputError(f"{face}, or hands beside the box of a head")
     lines: list[list[Any]] = []
-    for n, (table, those) in enumerate(zip(tables, has, strict=True)):
-        frames, times = timed(table)
-        each = [_measured(found, names, frames).tolist() for found in those.values()]
-        for frame, time, *cells in zip(frames.tolist(), times.tolist(), *each, strict=True):
-            lines += ([*clips[n : n + 1], frame, time, target, *of] for target, of in zip(those, cells, strict=True))
-    first = [*(["clip"] if clips else []), "frame", "time_s", "target"]
+    for clip, targets in zip(clips, measures, strict=True):
+        frames, times = timed(clip.table)
+        cells = [_measured(found, names, frames).tolist() for found in targets.values()]
+        for frame, time, *rows in zip(frames.tolist(), times.tolist(), *cells, strict=True):
+            begin = [*([clip.name] if many else []), frame, time]
+            lines += ([*begin, target, *row] for target, row in zip(targets, rows, strict=True))
+    first = [*(["clip"] if many else []), "frame", "time_s", "target"]
     return csv_text([*first, *(name + end for name in names for end in STD)], lines)
 
 
-def _measured(found: Mapping[str, Measured], names: Sequence[str], frames: Whole) -> Any:
+def _measured(measures: Mapping[str, Measured], names: Sequence[str], frames: Whole) -> Any:
     """(T, 3 N) texts of N measures, their spreads and noises in T frames, "" of what is not known."""
     values = np.full((len(names), len(STD), len(frames)), np.nan)
     for k, name in enumerate(names):
-        if name in found:
-            values[k][:, np.searchsorted(frames, found[name].frame)] = found[name][4:]
+        if name in measures:
+            values[k][:, np.searchsorted(frames, measures[name].frame)] = measures[name][4:]
     return texts(values.reshape(-1, len(frames)).T, 4)
 
 
@@ -110,3 +130,103 @@ def timed(table: Trajectory) -> tuple[Whole, Any]:
 def texts(values: Any, decimals: int) -> Any:
     """The numbers as text with so many decimals, and never -0; "" for what is not known."""
     return np.where(np.isfinite(values), np.char.mod(f"%.{decimals}f", np.round(values, decimals) + 0.0), "")
+
+
+def write_events(clips: Sequence[Clip]) -> str:
+    """The table, in the order of clips and times, which are rounded to 4 decimals, as the probabilities are."""
+    rows: list[list[Any]] = []
+    for name, table in clips:
+        for e in table.events:
+            times = [round(t, 4) for t in (e.begin_s, e.peak_s, e.end_s)]
+            rows.append([name, e.target, e.tier, e.value, *times, e.first_frame, e.last_frame, round(e.probability, 4)])
+    return csv_text(EVENT_COLUMNS, rows)
+
+
+def write_subtitles(table: Trajectory, form: str) -> str:
+    """The events as `srt` or `vtt`, to the nearest millisecond, without those that have no extent then."""
+    several, texts = len(table.targets) > 1, [] if form == "srt" else ["WEBVTT"]
+    spans = [(round(e.begin_s * 1000), round(e.end_s * 1000), e) for e in table.events]
+    for n, (begin, end, e) in enumerate((one for one in spans if one[1] > one[0]), 1):
+        who = f"{e.target}: " if several and e.target else ""
+        text = f"{who}{e.tier.replace('_', ' ')}: {e.value}"
+        text = html.escape(text, quote=False) if form == "vtt" else text
+        texts.append(f"{n}\n{_clock(begin, form)} --> {_clock(end, form)}\n{text}")
+    return "\n\n".join(texts) + "\n"
+
+
+def _clock(ms: int, form: str) -> str:
+    point = "," if form == "srt" else "."
+    return f"{ms // 3600000:02d}:{ms // 60000 % 60:02d}:{ms // 1000 % 60:02d}{point}{ms % 1000:03d}"
+
+
+write_srt, write_vtt = partial(write_subtitles, form="srt"), partial(write_subtitles, form="vtt")
+
+
+def write_textgrid(table: Trajectory) -> str:
+    """The events in Praat's long text format: a tier of intervals for each kind that could be told, "" between them.
+
+    It begins at 0, as sound does. InputError where the points tell no kind of event.
+    """
+    kinds = [
+        (f"{kind}@{name or 'target'}", events)
+        for name in table.targets
+        for kind, events in events_of(name, table.measures[name]).items()
+    ]
+    if not kinds:
+        raise InputError("has no points or hands that tell an event; a TextGrid needs a tier")
+    end = max(
+        [frame_milliseconds(table)[1][int(table.frames[-1])] / 1000, *(e.end_s for _, events in kinds for e in events)]
+    )
+    lines = ['File type = "ooTextFile"', 'Object class = "TextGrid"', "", "xmin = 0", f"xmax = {end:.6f}"]
+    lines += ["tiers? <exists>", f"size = {len(kinds)}", "item []:"]
+    for n, (name, events) in enumerate(kinds, 1):
+        spans, at = list[tuple[float, float, str]](), 0.0
+        for e in events:
+            begin = max(e.begin_s, at)
+            spans += [(at, begin, "")] * (begin > at) + [(begin, e.end_s, e.value)] * (e.end_s > begin)
+            at = max(e.end_s, at)
+        spans += [(at, end, "")] * (end > at or not spans)
+        quoted = [name.replace('"', '""'), *(text.replace('"', '""') for _, _, text in spans)]
+        lines += [f"    item [{n}]:", '        class = "IntervalTier"', f'        name = "{quoted[0]}"']
+        lines += ["        xmin = 0", f"        xmax = {end:.6f}", f"        intervals: size = {len(spans)}"]
+        for k, ((begin, stop, _), text) in enumerate(zip(spans, quoted[1:], strict=True), 1):
+            lines += [f"        intervals [{k}]:", f"            xmin = {begin:.6f}", f"            xmax = {stop:.6f}"]
+            lines += [f'            text = "{text}"']
+    return "\n".join(lines) + "\n"
+
+
+def write_boris(clips: Sequence[Clip], written: datetime) -> str:
+    """A project with an observation for each clip; several of one name are numbered."""
+    date, subjects = written.isoformat(timespec="seconds"), dict[str, None]()
+    observations: dict[str, Any] = {}
+    values: dict[str, dict[str, None]] = {}
+    for name, table in clips:
+        path, fps = str(clip_of(table) or name), header_value(table, "source", "fps")
+        rows: list[list[Any]] = []
+        for e in table.events:
+            subjects[e.target] = values.setdefault(e.tier, {})[e.value] = None
+            for time, frame in ((e.begin_s, e.first_frame), (e.end_s, e.last_frame + 1)):
+                rows.append([round(time, 3), e.target, e.tier, e.value, f"probability {e.probability:.2f}", frame])
+        known = {"length": {path: float(table.times[-1])}, "fps": {path: fps or 25.0}}
+        media = {"hasVideo": {path: True}, "hasAudio": {path: False}, "offset": {"1": 0.0}}
+        number = sum(one.partition(" (")[0] == name for one in observations)
+        observations[f"{name} ({number + 1})" if number else name] = {
+            "file": {"1": [path], **{str(n): [] for n in range(2, 9)}}, "type": "MEDIA", "date": date,
+            "description": "", "time offset": 0, "events": sorted(rows, key=lambda row: row[0]),
+            "observation time interval": [0, 0], "independent_variables": {}, "media_info": known | media,
+            "close_behaviors_between_videos": False, "visualize_spectrogram": False, "visualize_waveform": False,
+        }  # fmt: skip
+    about = {"key": "", "description": ""}
+    behaviours = [
+        {**about, "type": "State event", "code": tier, "color": "", "category": "", "excluded": "", "coding map": "",
+         "modifiers": {"0": {"name": "value", "description": "", "type": 0, "ask at stop": False, "values": [*these]}}}
+        for tier, these in values.items()
+    ]  # fmt: skip
+    return dumps({
+        "time_format": "hh:mm:ss", "project_date": date, "project_name": "facetrack", "project_description": "",
+        "project_format_version": "7.0", "observations": observations,
+        "subjects_conf": {str(n): {**about, "name": name} for n, name in enumerate(subjects)},
+        "behaviors_conf": {str(n): one for n, one in enumerate(behaviours)},
+        "behavioral_categories": [], "independent_variables": {}, "coding_map": {}, "behaviors_coding_map": [],
+        "converters": {},
+    })  # fmt: skip

@@ -1,26 +1,52 @@
-"""Exports as other tools read them: motmetrics, TrackEval, got10k, vot-toolkit, pycocotools, pandas with PyTables,
-exploface, Kinetics Toolkit, pympi, corflow, speach, elan-data.
+"""Exports as other tools read them, each with the packages of a list in tests/peers/.
+
+requirements.txt: motmetrics, TrackEval, got10k, vot-toolkit, pycocotools, pandas with PyTables, exploface, Kinetics
+Toolkit, pympi, corflow, speach, elan-data. annotation.txt: datumaro, which reads CVAT's XML, and Label Studio's SDK.
+pose.txt: movement and keypoint-moseq.
 """
 
 import json
 import os
 import shutil
+import site
 import subprocess
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from facetrack_cli.cli.app import cli
-from facetrack_cli.trajectory.formats.events import write_textgrid
-from tests.trajectory.test_events_formats import face, read_textgrid
+from facetrack_cli.trajectory.formats.annotation import write_cvat, write_labelstudio
+from facetrack_cli.trajectory.formats.boxes import write_mot
+from facetrack_cli.trajectory.formats.keypoints import write_dlc, write_dlc_h5
+from facetrack_cli.trajectory.formats.tables import write_textgrid
+from facetrack_cli.trajectory.trajectory import joined, one_part
+from tests.trajectory.test_annotation_tools import SIZE, table
+from tests.trajectory.test_tables import face, read_textgrid
 
-PEERS = os.environ.get("FACETRACK_PEERS")
-pytestmark = pytest.mark.skipif(
-    not PEERS, reason="FACETRACK_PEERS names no Python with the packages of tests/peers/requirements.txt"
-)
+
+def peer(variable, packages):
+    """The Python that a variable names, which has the packages of a list in tests/peers/; the mark of its tests."""
+    python = os.environ.get(variable)
+    return python, pytest.mark.skipif(not python, reason=f"{variable} names no Python with tests/peers/{packages}")
+
+
+PEERS, exports = peer("FACETRACK_PEERS", "requirements.txt")
+TOOLS, annotation = peer("FACETRACK_ANNOTATION_PEERS", "annotation.txt")
+POSES, poses = peer("FACETRACK_POSE_PEERS", "pose.txt")
+
+
+def read_by(python, script, *arguments):
+    """What a script of tests/peers/ says at its end."""
+    call = [python, Path(__file__).parents[1] / "peers" / script, *arguments]
+    run = subprocess.run(call, capture_output=True, text=True, check=False, timeout=300)
+    assert run.returncode == 0, run.stderr
+    return json.loads(run.stdout.splitlines()[-1])
+
+
 CLIP = "Fräulein #1 & 100%.mp4"
 PARTS = ("nose", "mouth_left", "lip & chin")
 
@@ -85,10 +111,7 @@ def read(tmp_path_factory):
     shutil.copy(folder / "track.eaf", folder / "session.eaf")
     export("track.csv", "eaf", "--media", str(folder / CLIP), "--into", str(folder / "session.eaf"), "--overwrite")
     (folder / "face.TextGrid").write_text(write_textgrid(face('O"Brien')), encoding="utf-8")
-    script = Path(__file__).parents[1] / "peers/read_exports.py"
-    run = subprocess.run([PEERS, script, folder], capture_output=True, text=True, check=False, timeout=120)
-    assert run.returncode == 0, run.stderr
-    return folder, json.loads(run.stdout)
+    return folder, read_by(PEERS, "read_exports.py", folder)
 
 
 def face_box(frame, *, last=True):
@@ -98,6 +121,7 @@ def face_box(frame, *, last=True):
     return [left, 50.25 - 5.25, 30 * (parts - 1) + 21, 17 * (parts - 1) + 11.5]
 
 
+@exports
 def test_motmetrics_reads_both_targets(read):
     found = read[1]["mot"]
     assert [row[:2] for row in found if row[1] == 1] == [[frame + 1, 1] for frame in range(20)]
@@ -112,22 +136,26 @@ def test_motmetrics_reads_both_targets(read):
             assert ltwh[2:] == [21, 11.5]
 
 
+@exports
 def test_motmetrics_keeps_ground_truth(read):
     assert read[1]["mot_truth"] == [
         [frame + 1, 1, 100 + frame - 19.5 - 0, 55.5, 40, 50, 1, 1, 0 if frame in (8, 9) else 1] for frame in range(20)
     ]
 
 
+@exports
 def test_trackeval_counts_all_of_ground_truth_and_of_results(read):
     found = read[1]["track_eval"]
     assert found == {"GT_Dets": 20, "GT_IDs": 1, "Dets": 20, "IDF1": 1, "HOTA": 1}
 
 
+@exports
 def test_got10k_s_average_is_a_number_where_boxes_were_dropped(read):
     # of 19 rows after the first two are lost, and in 3 to 5 the lost part is left out of the box
     assert 0.6 < read[1]["average_overlap"] <= 17 / 19
 
 
+@exports
 def test_got10k_reads_boxes_from_one(read):
     wanted = [[left + 1, top + 1, w, h] for left, top, w, h in map(face_box, range(20))]
     for form in ("otb", "got10k"):
@@ -136,6 +164,7 @@ def test_got10k_reads_boxes_from_one(read):
             assert ours == pytest.approx(true, abs=1e-4)
 
 
+@exports
 def test_vot_toolkit_reads_a_region_a_frame(read):
     first, *rest = read[1]["vot"]
     assert first == 1
@@ -143,6 +172,7 @@ def test_vot_toolkit_reads_a_region_a_frame(read):
         assert region == pytest.approx(face_box(frame), abs=1e-4)
 
 
+@exports
 def test_pycocotools_loads_truth_and_results(read):
     found = read[1]["coco"]
     assert found["images"] == [
@@ -167,6 +197,7 @@ def test_pycocotools_loads_truth_and_results(read):
         assert one["num_keypoints"] == (2 if frame == 7 else 3)
 
 
+@exports
 def test_pandas_reads_deeplabcut_s_headers(read):
     found = read[1]["dlc"]
     assert found["names"] == ["scorer", "bodyparts", "coords"]
@@ -176,6 +207,7 @@ def test_pandas_reads_deeplabcut_s_headers(read):
     assert found["values"][7][6:] == [None, None, None]
 
 
+@exports
 def test_pandas_reads_individuals(read):
     found = read[1]["dlc_of_two"]
     assert found["names"] == ["scorer", "individuals", "bodyparts", "coords"]
@@ -186,18 +218,21 @@ def test_pandas_reads_individuals(read):
     assert found["values"][15][21:] == [None] * 3  # the hand has no rows any more
 
 
+@exports
 def test_hdf5_holds_what_the_csv_holds(read):
     for form in ("dlc", "dlc_of_two"):
         text, file = read[1][form], read[1][form.replace("dlc", "dlc_h5")]
         assert all(file[name] == text[name] for name in ("names", "columns", "index", "values"))
 
 
+@exports
 def test_kinetics_toolkit_sees_a_constant_rate_from_frame_0(read):
     found = read[1]["wide"]
     assert found["rate"] == pytest.approx(30 / 1.001, rel=1e-6)
     assert found["times"] == pytest.approx([frame * 1.001 / 30 for frame in range(120)], abs=1e-6)
 
 
+@exports
 def test_exploface_reads_openface_s_columns(read):
     found = read[1]["openface"]
     assert found["info"]["number_of_columns"] == 147 and found["info"]["duration"] == pytest.approx(19 / 25)
@@ -209,6 +244,7 @@ def test_exploface_reads_openface_s_columns(read):
     assert rows["x_30"][:2] == [60.125, 60.125] and rows["y_48"][0] == 67.25
 
 
+@exports
 def test_pympi_reads_tiers_and_media(read):
     folder, found = read[0], read[1]["eaf"]
     assert found["tiers"]["lost@face"] == [[120, 240, "mouth_left"]]
@@ -229,6 +265,7 @@ def test_pympi_reads_tiers_and_media(read):
     assert found["kept_when_written_again"] == spans
 
 
+@exports
 def test_readers_of_elan_find_a_name_with_an_apostrophe_and_all_tiers_have_the_bounds_of_the_file(read):
     found = read[1]["other_eaf"]
     lost = "lost@O\u2019Brien"
@@ -244,6 +281,7 @@ def test_readers_of_elan_find_a_name_with_an_apostrophe_and_all_tiers_have_the_b
     assert found["links"]["quoted"] == found["links"]["corflow"] == found["links"]["speach"] > 0
 
 
+@exports
 def test_pympi_reads_a_file_to_which_tiers_were_added(read):
     once, twice = read[1]["eaf"], read[1]["session"]
     assert set(twice["tiers"]) == {f"{name}{more}" for name in once["tiers"] for more in ("", "-2")}
@@ -254,6 +292,7 @@ def test_pympi_reads_a_file_to_which_tiers_were_added(read):
     assert len(twice["kept_when_written_again"]) == 2 * len(once["kept_when_written_again"])
 
 
+@exports
 def test_pympi_reads_a_textgrid(read):
     found = read[1]["textgrid"]
     ours = read_textgrid(write_textgrid(face('O"Brien')))
@@ -261,3 +300,106 @@ def test_pympi_reads_a_textgrid(read):
     mouth = next(rows for name, rows in found.items() if name.startswith("mouth"))
     assert mouth == [[0, 4, ""], [4, 5.6, "open"], [5.6, 10, ""]]
     assert sum(map(len, found.values())) == sum(map(len, ours.values()))
+
+
+# --- annotation tools ---
+
+
+def truth():
+    place = {"x": 60.5 + np.arange(6), "y": np.full(6, 40.0), "w": np.full(6, 20.0), "h": np.full(6, 30.0)}
+    return one_part("head", "box", range(6), **place, status=["visible", "visible", "hidden", *["visible"] * 3])
+
+
+@pytest.fixture(scope="module")
+def annotations(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("annotations")
+    (folder / "cvat").mkdir()
+    (folder / "cvat/annotations.xml").write_text(write_cvat(table(), SIZE, "c.mp4"), encoding="utf-8")
+    (folder / "track.labelstudio.json").write_text(write_labelstudio(table(), SIZE, 25.0, "c.mp4"), encoding="utf-8")
+    (folder / "mot/gt").mkdir(parents=True)
+    (folder / "mot/gt/gt.txt").write_text(write_mot([truth()]))
+    return read_by(TOOLS, "read_annotations.py", folder)
+
+
+@annotation
+def test_datumaro_reads_every_track_and_frame(annotations):
+    found, made = annotations["cvat"], table()
+    assert found["labels"] == ["face/nose", "face/lip", "hand"]
+    assert sorted(map(int, found["frames"])) == list(range(2, 8))
+    hand = made.find("hand", "box")
+    for frame, shapes in found["frames"].items():
+        by_label = {one["label"]: one for one in shapes}
+        nose, row = by_label["face/nose"], made.find("face", "nose").row(int(frame))
+        status = made.find("face", "nose").status[row]
+        assert (nose["kind"], nose["keyframe"]) == ("points", True)
+        assert (nose["outside"], nose["occluded"]) == (status == "absent", status == "lost")
+        if status != "absent":
+            one = made.find("face", "nose")
+            assert nose["points"] == pytest.approx([one.x[row] + 0.5, one.y[row] + 0.5], abs=0.006)
+        if (at := hand.row(int(frame))) is not None:
+            left, top, w, h = hand.boxes[at]
+            assert by_label["hand"]["kind"] == "bbox"
+            assert by_label["hand"]["points"] == pytest.approx([left, top, left + w, top + h], abs=0.006)
+
+
+@annotation
+def test_datumaro_reads_what_is_visible(annotations):
+    boxes = [annotations["mot"][str(frame + 1)][0] for frame in range(6)]
+    assert [one["occluded"] for one in boxes] == [False, False, True, False, False, False]
+    assert [one["ignored"] for one in boxes] == [False] * 6 and {one["track_id"] for one in boxes} == {1}
+    # datumaro leaves the pixels as they are in the file, where they count from 1
+    assert [one["box"] for one in boxes] == (truth().boxes + np.array([1, 1, 0, 0])).tolist()
+
+
+@annotation
+def test_label_studio_s_sdk_has_nothing_to_interpolate(annotations):
+    (task,) = json.loads(write_labelstudio(table(), SIZE, 25.0, "c.mp4"))
+    assert annotations["label_studio"] == task["annotations"][0]["result"]
+
+
+# --- poses ---
+
+POINTS = ("nose", "chin")
+
+
+def one(target, part, frames):
+    frames, own = np.array(frames), len(target) + 100 * POINTS.index(part)
+    return one_part(target, part, frames, x=frames + own + 0.5, y=frames + own + 0.25, confidence=1 - frames / 400)
+
+
+@poses
+@pytest.mark.parametrize("ending", ["csv", "h5"])
+def test_people_who_come_and_go_are_read_when_they_are_there(tmp_path, ending):
+    """Anna from 3 s to 10.12 s, Ben, who has no chin, for a while; nobody between 5 and 6 s."""
+    there = {("Anna", "nose"): [*range(75, 125), *range(150, 254)], ("Anna", "chin"): [*range(75, 125)],
+             ("Ben", "nose"): [*range(100, 120)]}  # fmt: skip
+    table = joined([one(*name, frames) for name, frames in there.items()])
+    path = tmp_path / f"clip.{ending}"
+    path.write_bytes(write_dlc_h5(table) if ending == "h5" else write_dlc(table).encode())
+    found = read_by(POSES, "read_poses.py", path)[str(path)]
+    wanted = np.full((254, 2, 2, 3), np.nan)
+    for (target, part), frames in there.items():
+        own = one(target, part, frames)
+        place = np.stack([own.x, own.y, own.confidence], axis=1)
+        wanted[frames, ["Anna", "Ben"].index(target), POINTS.index(part)] = place
+    seen = found["movement"]
+    assert (seen["individuals"], seen["keypoints"]) == (["Anna", "Ben"], list(POINTS))
+    assert seen["time"] == pytest.approx(np.arange(254) / 25)
+    for k, target in enumerate(("Anna", "Ben")):
+        moseq = np.array(found["moseq"][target], dtype=float)
+        np.testing.assert_allclose(np.array(seen["values"], dtype=float)[:, k], wanted[:, k], atol=6e-5)
+        np.testing.assert_allclose(moseq, wanted[:, k], atol=6e-5)
+
+
+@poses
+def test_movement_reads_filters_and_saves_the_dataset(tmp_path):
+    lines = ["frame,time_s,target,part,x,y,w,h,angle,confidence,status"]
+    lines += [f"{t},{t / 25},face,nose,{10 + 2 * t},50,,,,{0.2 if t == 3 else 0.9},tracked" for t in range(8)]
+    lines += [f"{t},{t / 25},face,lip,{20 + 2 * t},60,,,,0.9,tracked" for t in range(2, 8)]
+    (tmp_path / "trajectory.csv").write_text("\n".join(lines) + "\n")
+    ours = [str(Path(__file__).parents[2]), *site.getsitepackages(), str(Path(av.__file__).parents[1])]
+    read = read_by(POSES, "read_dataset.py", tmp_path / "trajectory.csv", *ours)
+    assert read["dims"] == {"time": 8, "space": 2, "keypoints": 2, "individuals": 1}
+    assert read["missing"] == 2 + 4, "x and y of the doubtful nose, and of the lip before it is there"
+    assert read["filled"] == [10 + 2 * t for t in range(8)]
+    assert read["speed"] == pytest.approx([50.0] * 8) and read["same"] and read["times"]
