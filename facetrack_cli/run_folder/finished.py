@@ -1,6 +1,6 @@
 """A finished run, read from its folder: rows, recipe, start, and the clip that it was made from."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from fractions import Fraction
@@ -12,17 +12,16 @@ import numpy as np
 from pydantic import ValidationError
 
 from facetrack_cli.core.errors import FacetrackError, InputError, reading
-from facetrack_cli.core.files import BytesSink
 from facetrack_cli.core.models import shipped_folder, shipped_recipes
-from facetrack_cli.core.types import Correction, Start
+from facetrack_cli.core.types import Start
 from facetrack_cli.engine.checks import check_start
 from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe
 from facetrack_cli.run_folder.manifest import VIDEO, check_belongs, other_clip, read_run, trajectory_of
 from facetrack_cli.start.assembly import build_tracker
-from facetrack_cli.trajectory.header import Header, corrections_record, is_there, read_header
+from facetrack_cli.trajectory.header import Header, is_there, read_header
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.trajectory import Status, Trajectory
-from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Format, RunSummary, summary_of
+from facetrack_cli.trajectory.writers import FORMATS, Format
 from facetrack_cli.video.files import given_rate
 from facetrack_cli.video.images import listing
 
@@ -143,26 +142,6 @@ def read_files(files: Mapping[Format, Path]) -> Trajectory:
             missing = np.setdiff1d(frames, part.frame)[0]
             raise InputError(f"{main}: frame {missing} has no row of {part.name}; {_AGAIN}")
     return rows
-
-
-def write_rows(
-    form: Format,
-    write: Callable[[bytes], object],
-    rows: Trajectory,
-    corrections: Sequence[Correction] | None = None,
-) -> None:
-    """Write these rows as a run does, by calls of `write`. `corrections`, if given, replace those in the header."""
-    ends = {*FOOTER, "frames_tracked", "type"}
-    head = {key: value for key, value in rows.header.items() if key not in ends}
-    foot = {key: value for key, value in rows.header.items() if key in FOOTER}
-    ending = RunSummary(**{**foot, "warnings": tuple(foot.get("warnings", ()))})
-    if corrections is not None:
-        init = {key: value for key, value in head["init"].items() if key != "corrections"}
-        head["init"] = {**init, **corrections_record(corrections)}
-        ending.lost_frames = summary_of(rows).lost_frames
-    writer = WRITERS[form](BytesSink(write), head)
-    writer.write(rows)
-    writer.close(ending)
 
 
 def check_size(run: Run, size: tuple[int, int]) -> None:

@@ -21,9 +21,9 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
-from typing import Any, ClassVar, Final, Literal, TypeAlias
+from typing import Any, ClassVar, Final, Literal
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
@@ -42,7 +42,7 @@ from facetrack_cli.core.files import (
 )
 from facetrack_cli.core.log import LINES
 from facetrack_cli.core.numbers import dumps
-from facetrack_cli.core.types import Start
+from facetrack_cli.core.types import Correction
 from facetrack_cli.core.version import __version__
 from facetrack_cli.core.yaml_tree import YamlProblems
 from facetrack_cli.recipe.load import files_of
@@ -57,7 +57,7 @@ from facetrack_cli.run_folder.lease import (
     sweep,
     utc_now,
 )
-from facetrack_cli.trajectory.header import is_there, to_record
+from facetrack_cli.trajectory.header import corrections_record, is_there
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.reader import read_table, read_trajectory, table_in
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -159,11 +159,6 @@ def _adapter() -> TypeAdapter[Manifest]:
     return TypeAdapter(Manifest)
 
 
-def from_record(record: object) -> Manifest:
-    """The manifest of a `record`. Raises ValueError for anything else."""
-    return _adapter().validate_python(record)
-
-
 def read_manifest(folder: Path) -> Manifest | None:
     """The run.json of a folder; None if there is none. InputError for a file that is not as we write it."""
     path = folder / NAME
@@ -194,7 +189,7 @@ def check_belongs(path: Path) -> None:
 def outdated(folder: Path) -> list[str]:
     """A line on the files that report, plot and export made of the track that is replaced now; none without any."""
     try:
-        there = sorted(one.name for one in folder.iterdir() if one.name not in OWNED)
+        there = sorted(path.name for path in folder.iterdir() if path.name not in OWNED)
     except OSError:
         return []
     made = {name: made_by(name) for name in there if made_by(name)}
@@ -266,6 +261,29 @@ def failed(known: Manifest, error: Exception, log: Sequence[str] = ()) -> Manife
     return replace(
         known, complete=False, error=as_text(str(said)), exit_code=int(said.exit_code), log=last, ended=utc_now()
     )
+
+
+def note_failure(
+    lock: FolderLease, folder: Path, run: Manifest, clip: Path, error: Exception, log: Sequence[str] = ()
+) -> None:
+    """Write into run.json that a clip failed, with what is known of its `run`; what was tracked of it stays.
+
+    Nothing is written where the error is one of writing, and over results that are whole or of something else.
+    `log`: the last lines of a process that died.
+    """
+    if isinstance(error, OutputError):
+        return
+    with contextlib.suppress(FacetrackError, OSError):  # the error itself is worth more
+        known, there = previous_run(folder, run.asked, clip)
+        if known is not None and known.files:
+            if known.stopped is None:
+                return
+            run = known
+        elif known is None and not (there and there.is_failure) and any((folder / name).exists() for name in OWNED):
+            return
+        else:
+            run = replace(run, clip=clip_stat(clip))
+        commit(lock, folder, [], failed(run, error, log))
 
 
 def error_of(known: Manifest) -> FacetrackError | None:
@@ -342,16 +360,16 @@ def recover(folder: Path, lock: FolderLease) -> int:
     note, frames = lock.stale_note, 0
     finish_replacing(folder, note)
     with contextlib.suppress(ValueError, InputError):  # a note need not be ours
-        known, mark = from_record(note.get("run")), mark_of(note)
+        run, mark = _adapter().validate_python(note.get("run")), mark_of(note)
         if mark is not None:
-            frames = _end_tables(folder, lock, mark, known)
+            frames = _end_tables(folder, lock, mark, run)
     lock.note({"before": None})
     sweep(folder)
     return frames
 
 
-def _end_tables(folder: Path, lock: FolderLease, mark: str, known: Manifest) -> int:
-    """Write the tables of a process anew with their whole frames, and run.json; the number of these frames."""
+def _end_tables(folder: Path, lock: FolderLease, mark: str, run: Manifest) -> int:
+    """Write the whole frames of a killed process's tables again, and run.json; the number of these frames."""
     check_plain(*(folder / name for name in TABLES))
     parts = {form: temporary_path(folder / f"trajectory.{form}", mark) for form in FORMATS}
     forms = [form for form in FORMATS if parts[form].is_file()]
@@ -360,25 +378,42 @@ def _end_tables(folder: Path, lock: FolderLease, mark: str, known: Manifest) -> 
     first = forms[-1]  # JSON also has the header, and its lines are the last of the three to be written
     text, frames = _whole_frames(first, read_bounded(parts[first], MAX_TABLE_BYTES))
     before = read_manifest(folder)
-    if not frames or (before is not None and before.asked == known.asked and before.frames >= frames):
+    if not frames or (before is not None and before.asked == run.asked and before.frames >= frames):
         return 0
     torn = temporary_path(folder / f"torn.{first}")
     try:
         torn.write_bytes(text)
         rows = read_table(torn)
         ending = summary_of(rows, complete=False, stopped=KILLED)
-        head = {key: value for key, value in rows.header.items() if key not in (*FOOTER, "frames_tracked", "type")}
+        rows = replace(rows, header={**rows.header, **{name: getattr(ending, name) for name in FOOTER}})
         files = [folder / f"trajectory.{form}" for form in forms]
         for form, path in zip(forms, files, strict=True):
             with temporary_path(path).open("wb") as file:
-                writer = WRITERS[form](BytesSink(file.write), head)
-                writer.write(rows)
-                writer.close(ending)
-        told = {name: getattr(ending, name) for name in ("frames", "complete", "stopped", "lost_frames", "lost_at_end")}
-        commit(lock, folder, files, replace(known, **told, files={}))
+                write_rows(form, file.write, rows)
+        members = ("frames", "complete", "stopped", "lost_frames", "lost_at_end")
+        commit(lock, folder, files, replace(run, **{name: getattr(ending, name) for name in members}, files={}))
     finally:
         torn.unlink(missing_ok=True)
     return frames
+
+
+def write_rows(
+    form: Format,
+    write: Callable[[bytes], object],
+    rows: Trajectory,
+    corrections: Sequence[Correction] | None = None,
+) -> None:
+    """Write these rows as a run does, by calls of `write`. `corrections`, if given, replace those in the header."""
+    head = {key: value for key, value in rows.header.items() if key not in (*FOOTER, "frames_tracked", "type")}
+    foot = {key: value for key, value in rows.header.items() if key in FOOTER}
+    ending = RunSummary(**{**foot, "warnings": tuple(foot.get("warnings", ()))})
+    if corrections is not None:
+        init = {key: value for key, value in head["init"].items() if key != "corrections"}
+        head["init"] = {**init, **corrections_record(corrections)}
+        ending.lost_frames = summary_of(rows).lost_frames
+    writer = WRITERS[form](BytesSink(write), head)
+    writer.write(rows)
+    writer.close(ending)
 
 
 def _whole_frames(form: Format, text: bytes) -> tuple[bytes, int]:
@@ -387,10 +422,10 @@ def _whole_frames(form: Format, text: bytes) -> tuple[bytes, int]:
     head = next((i for i, line in enumerate(lines) if _FRAME[form].fullmatch(line)), len(lines))
     body = [line for line in lines[head:-1] if _FRAME[form].fullmatch(line)]
     if form == "csv":
-        groups = [list(those) for _, those in groupby(body, lambda line: line.partition(b",")[0])]
+        groups = [list(rows) for _, rows in groupby(body, lambda line: line.partition(b",")[0])]
         if len(groups) < 2 or len(groups[-1]) < len(groups[0]):
             groups = groups[:-1]
-        return b"\n".join([*lines[:head], *(line for those in groups for line in those), b""]), len(groups)
+        return b"\n".join([*lines[:head], *chain.from_iterable(groups), b""]), len(groups)
     with contextlib.suppress(ValueError):  # the last line has no end yet, and may be torn inside of an object
         if _FRAME[form].fullmatch(lines[-1]) and json.loads(lines[-1]):
             body.append(lines[-1])
@@ -423,33 +458,12 @@ def other_clip(rows: Trajectory, clip: Path) -> str | None:
     return f"{clip}: is not the clip that {rows.path.name} was made from (its SHA-256 differs)"
 
 
-def job_digest(recipe: Recipe, init: object, settings: Sequence[object], *more: object) -> str:
-    """A digest of a recipe and its files, of a start or an init file, and of settings, as JSON takes them."""
-    given = clip_digest(init) if isinstance(init, Path) else to_record(init) if isinstance(init, Start) else init
-    return hashlib.sha256(dumps([__version__, _recipe_digest(recipe), [given, *settings], *more]).encode()).hexdigest()
-
-
-def _recipe_digest(recipe: Recipe) -> str:
-    """A digest of a recipe and the files it names, computed once for all clips of a batch."""
-    global _last
-    if _last is None or _last[0] is not recipe or _last[1] != [_stamp(file) for file, _ in _last[1]]:
-        files: list[Path] = []
-        with contextlib.suppress(YamlProblems):  # the run says so
-            files = files_of(recipe)
-        text = dumps([to_dict(recipe), *map(clip_digest, files)])
-        _last = recipe, [_stamp(file) for file in files], hashlib.sha256(text.encode()).hexdigest()
-    return _last[2]
-
-
-_Stamp: TypeAlias = tuple[Path, "tuple[int, int] | None"]
-_last: tuple[Recipe, list[_Stamp], str] | None = None
-
-
-def _stamp(path: Path) -> _Stamp:
-    with contextlib.suppress(OSError):
-        found = path.stat()
-        return path, (found.st_size, found.st_mtime_ns)
-    return path, None
+def recipe_digest(recipe: Recipe) -> str:
+    """A digest of a recipe and of the files that it names."""
+    files: list[Path] = []
+    with contextlib.suppress(YamlProblems):  # the run says so
+        files = files_of(recipe)
+    return hashlib.sha256(dumps([to_dict(recipe), *map(clip_digest, files)]).encode()).hexdigest()
 
 
 class ClipDigest:

@@ -107,33 +107,32 @@ class Status:
 
     @property
     def counts(self) -> dict[State, int]:
-        found = Counter(one.state for one in self.clips)
-        return {state: found[state] for state in STATES}
+        counts = Counter(clip.state for clip in self.clips)
+        return {state: counts[state] for state in STATES}
 
     @property
     def work_s(self) -> float | None:
         """Seconds that one process would take for what is left; None if nothing is done yet that would tell."""
-        took = [one.seconds for one in self.clips if one.state == "done" and one.seconds is not None]
-        if not took:
-            return None
-        left = sum(_left(one) for one in self.clips)
-        return left * statistics.fmean(took)
+        took = [clip.seconds for clip in self.clips if clip.state == "done" and clip.seconds is not None]
+        left = 0.0
+        for clip in self.clips:
+            if clip.state in ("running", "interrupted", "not begun"):
+                left += max(0.0, 1 - clip.frames / clip.of) if clip.state == "running" and clip.of else 1.0
+        return left * statistics.fmean(took) if took else None
 
     @property
     def remaining_s(self) -> float | None:
         """Seconds until all is done, with as many processes as there are now; None if there are none, or not known."""
         running = self.counts["running"]
-        if self.work_s is None or self.work_s == 0:
-            return self.work_s
-        return self.work_s / running if running else None
+        return self.work_s / running if self.work_s and running else None if self.work_s else self.work_s
 
     def json(self) -> str:
+        seconds = {"remaining_s": self.remaining_s, "work_s": self.work_s}
         fields = {
             "folder": as_text(str(self.folder)),
             "counts": self.counts,
-            "remaining_s": _rounded(self.remaining_s),
-            "work_s": _rounded(self.work_s),
-            "clips": [asdict(one) for one in self.clips],
+            **{name: None if value is None else round(value, 1) for name, value in seconds.items()},
+            "clips": [asdict(clip) for clip in self.clips],
         }
         return document("facetrack-status", fields, indent=1)
 
@@ -143,35 +142,31 @@ class Status:
         width = max(map(len, STATES))
         yield from (f"  {state:<{width}}  {n}" for state, n in self.counts.items() if n)
         yield from worst(self.clips)
-        for one in self.clips:
-            if one.state == "running":
-                of = "" if one.of is None else f" of about {one.of}"
-                rate = "" if one.frames_per_s is None else f", {one.frames_per_s:.1f} frames/s"
-                since = f"on {one.host or 'a machine'} since {one.since}"
-                yield f"running: {one.clip}: {since}, {one.frames}{of} frames{rate}"
-        for one in self.clips:
-            if one.state == "interrupted":
-                kept = f" ({one.frames} frame{'s' * (one.frames > 1)})" if one.frames else ""
-                yield f"interrupted: {one.clip}: what it had tracked is kept{kept}"
-        for one in self.clips:
-            if one.log:
-                yield f"the last lines of {one.clip}:"
-                yield from (f"    {line}" for line in one.log[-5:])
-        yield self._remaining()
-
-    def _remaining(self) -> str:
+        for clip in self.clips:
+            if clip.state == "running":
+                of = "" if clip.of is None else f" of about {clip.of}"
+                rate = "" if clip.frames_per_s is None else f", {clip.frames_per_s:.1f} frames/s"
+                since = f"on {clip.host or 'a machine'} since {clip.since}"
+                yield f"running: {clip.clip}: {since}, {clip.frames}{of} frames{rate}"
+        for clip in self.clips:
+            if clip.state == "interrupted":
+                kept = f" ({clip.frames} frame{'s' * (clip.frames > 1)})" if clip.frames else ""
+                yield f"interrupted: {clip.clip}: what it had tracked is kept{kept}"
+        for clip in self.clips:
+            if clip.log:
+                yield f"the last lines of {clip.clip}:"
+                yield from (f"    {line}" for line in clip.log[-5:])
         left = sum(self.counts[state] for state in ("running", "interrupted", "not begun"))
+        clips, running = "1 clip" if left == 1 else f"{left} clips", self.counts["running"]
         if not left:
-            failed = self.counts["failed"]
-            return f"nothing is left{', but --retry-failed tries what failed again' if failed else ''}"
-        clips = "1 clip" if left == 1 else f"{left} clips"
-        running = self.counts["running"]
-        if self.work_s is None:
-            return f"{clips} left; none is done yet that would tell how long one takes"
-        if not running:
-            return f"{clips} left, about {duration(self.work_s)} of work; nothing is running: give the command again"
-        assert self.remaining_s is not None
-        return f"{clips} left: about {duration(self.remaining_s)}, {running} at a time"
+            yield f"nothing is left{', but --retry-failed tries what failed again' if self.counts['failed'] else ''}"
+        elif self.work_s is None:
+            yield f"{clips} left; none is done yet that would tell how long one takes"
+        elif not running:
+            work = f"about {duration(self.work_s)} of work"
+            yield f"{clips} left, {work}; nothing is running: give the command again"
+        else:
+            yield f"{clips} left: about {duration(self.work_s / running)}, {running} at a time"
 
 
 def worst(clips: Sequence[ClipStatus]) -> Iterator[str]:
@@ -230,13 +225,6 @@ def duration(seconds: float) -> str:
     return f"{seconds / 86400:.1f} days"
 
 
-def _left(one: ClipStatus) -> float:
-    """How much of a clip is to be done: 0 to 1."""
-    if one.state == "running" and one.of:
-        return max(0.0, 1 - one.frames / one.of)
-    return float(one.state in ("running", "interrupted", "not begun"))
-
-
 def _is_run(folder: Path) -> bool:
     return (folder / NAME).is_file() or is_held(folder)
 
@@ -249,13 +237,12 @@ def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
         return ClipStatus(clip or name, name, "failed", error=str(e), exit_code=int(e.exit_code))
     note = holder(folder)
     if note is not None:
-        seconds = _number(note, "seconds")
-        frames, of = int(_number(note, "frame") or 0), _number(note, "frames")
+        frames, of, seconds = (_number(note, key) for key in ("frame", "frames", "seconds"))
         return ClipStatus(
             clip=clip or as_text(str(note.get("clip", name))),
             folder=name,
             state="running",
-            frames=frames,
+            frames=int(frames or 0),
             of=None if of is None else int(of),
             host=str(note.get("host", "")),
             since=str(note.get("began", "")),
@@ -264,30 +251,24 @@ def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
         )
     if known is None:
         begun = is_held(folder)  # a process that is gone has left it
-        told = as_text(str(left_in(folder).get("clip", name)))
-        return ClipStatus(clip or told, name, "interrupted" if begun else "not begun")
+        clip = clip or as_text(str(left_in(folder).get("clip", name)))
+        return ClipStatus(clip, name, "interrupted" if begun else "not begun")
     state: State = "failed" if known.error is not None else "done" if known.stopped is None else "interrupted"
     tracked, took = known.frames - known.resumed, known.seconds
     lost, look = _worst_part(known)
-    a, b = max(known.look, key=lambda one: one[1] - one[0], default=(None, None))
+    first, last = max(known.look, key=lambda span: span[1] - span[0], default=(None, None))
+    members = ("frames", "host", "ended", "seconds", "complete", "error", "exit_code", "log")
     return ClipStatus(
         clip=clip or (known.clip.path if known.clip is not None else name),
         folder=name,
         state=state,
-        frames=known.frames,
-        host=known.host,
         since=known.began,
-        ended=known.ended,
-        seconds=known.seconds,
         frames_per_s=round(tracked / took, 2) if tracked and took else None,
-        complete=known.complete,
         lost=lost,
         doubtful=bool(known.doubts),
         look=look if state == "done" else "",
-        still=None if a is None or b is None else (a + b) // 2,
-        error=known.error,
-        exit_code=known.exit_code,
-        log=known.log,
+        still=None if first is None or last is None else (first + last) // 2,
+        **{name: getattr(known, name) for name in members},
     )
 
 
@@ -309,7 +290,3 @@ def _worst_part(known: Manifest) -> tuple[float | None, str]:
 def _number(note: Any, key: str) -> float | None:
     value = note.get(key)
     return float(value) if isinstance(value, int | float) and 0 <= value < 1e12 else None
-
-
-def _rounded(seconds: float | None) -> float | None:
-    return None if seconds is None else round(seconds, 1)

@@ -12,6 +12,7 @@ import weakref
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from itertools import chain, dropwhile, tee
 from pathlib import Path
 from queue import SimpleQueue
@@ -123,19 +124,17 @@ def track_frames(
     if lag:
         check_smoothing(chosen)
     frames = frames_of_images(images, clock or (lambda index: index / fps))
-    begin = chosen_start(init)
-    if begin is None or isinstance(begin, str):
-        looked, frames = tee(frames)
-        start = search(chosen, looked, IMAGES, by=begin, whole=False)  # all that are looked at are kept
-        del looked  # or it would keep all frames
+    init_start = chosen_start(init)
+    if isinstance(init_start, Start):
+        start = init_start
     else:
-        start = begin
+        looked, frames = tee(frames)
+        start = search(chosen, looked, IMAGES, by=init_start, whole=False)  # all that are looked at are kept
+        del looked  # or it would keep all frames
     frames = dropwhile(lambda frame: frame.index < start.frame, frames)
-    found = next(frames, None)
-    if found is None:
+    if (first := next(frames, None)) is None:
         raise InputError(f"{IMAGES}: there is no frame {start.frame}, where {start.origin} begins")
-    first = found
-    start = completed(chosen, start, lambda: first, IMAGES)
+    start = completed(chosen, start, lambda frame=first: frame, IMAGES)
     results = track(tracker_for(chosen, start, first.size, fps), chain([first], frames), chosen.seed, clip=IMAGES)
     for result in lagged(results, lag) if lag else results:
         yield replace(result, start=start) if result.frame.index == start.frame else result
@@ -202,7 +201,7 @@ class Recording:
             if result.start is None:
                 raise InputError(f"{self.job.out}: the first result has no start; write results of track_frames")
             clip = ClipFacts(str(self.job.clip), result.frame.size, self._rate)
-            self._into.begin(Results(clip, header_of(self.job, clip, result.start, result.rows)))
+            self._into.begin(Results(clip, partial(header_of, self.job, clip, result.start, {}), iter(())), result)
         self._into.write(result)
 
     def __exit__(self, kind: Any = None, error: BaseException | None = None, trace: Any = None) -> None:
@@ -356,12 +355,11 @@ class Tracker:
                 return None
             self.start = found
         if self._tracker is None:
-            waiting = [one for one in waiting if one.index >= self.start.frame]
+            waiting = [kept for kept in waiting if kept.index >= self.start.frame]
             if not waiting:
                 return None
-            first = waiting[0]
-            self.start = completed(self.recipe, self.start, lambda: first, IMAGES)
-            self._tracker = tracker_for(self.recipe, self.start, first.size, self.fps)
+            self.start = completed(self.recipe, self.start, lambda: waiting[0], IMAGES)
+            self._tracker = tracker_for(self.recipe, self.start, frame.size, self.fps)
         *_, result = track(self._tracker, iter(waiting), self.recipe.seed, clip=IMAGES, at=self._at)
         return result
 

@@ -25,11 +25,11 @@ from facetrack_cli.core.errors import BusyError, FacetrackError, InputError, Usa
 from facetrack_cli.core.files import MAX_FILE_BYTES, absolute, read_bounded
 from facetrack_cli.core.log import about
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.run_folder.lease import FolderLease, holder, is_held
-from facetrack_cli.run_folder.manifest import NAME, as_line, recover_interrupted
+from facetrack_cli.run_folder.lease import FolderLease, here, holder, is_held
+from facetrack_cli.run_folder.manifest import NAME, Manifest, as_line, note_failure, recover_interrupted
 from facetrack_cli.runs.clip import Work, run
 from facetrack_cli.runs.pipeline import share_threads
-from facetrack_cli.runs.plan import Job, Outcome, Report, note_failure, resolve, silent
+from facetrack_cli.runs.plan import Job, Outcome, Report, resolve, silent
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, cores, side_by_side
@@ -196,7 +196,7 @@ def outcome_of_crash(job: Job, error: Exception) -> Outcome:
     log = error.log if isinstance(error, DiedError) else ()
     if plan is not None and job.out is not None and job.batch:
         with contextlib.suppress(FacetrackError), FolderLease(job.out) as lease:
-            note_failure(plan, lease, said, log)
+            note_failure(lease, job.out, Manifest(asked=plan.asked, host=here()[0]), job.clip, said, log)
     return Outcome(clip=job.clip, error=said)
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import shutil
-from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain, count
@@ -32,7 +32,7 @@ from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start, Whole
 from facetrack_cli.run_folder.manifest import clip_stat, read_manifest, read_run
 from facetrack_cli.runs.batch import attempt, check_all, run_batch, run_shared
-from facetrack_cli.runs.people import film_start
+from facetrack_cli.runs.people import ORIGIN
 from facetrack_cli.runs.pipeline import decoded_ahead
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, Split, digest_of, resolve
 from facetrack_cli.runs.progress import Progress
@@ -89,18 +89,19 @@ def _is_over(chunk: Job) -> bool:
 
 def chunks_of(whole: Plan, plan: ChunkPlan) -> list[Job]:
     """What is asked of each chunk."""
-    job = whole.job
-    assert job.out is not None and job.split is not None
-    by = next((name for name in DETECTORS if name in (job.init, plan.start.origin)), None)
-    by = by or next(name for name in DETECTORS if name == detector().name)
-    found = []
+    job, out = whole.job, whole.job.out
+    assert out is not None
+    by = next((name for name in DETECTORS if name in (job.init, plan.start.origin)), None) or detector().name
+    job = replace(
+        job, box=None, init_frame=None, chunk=True, split=None, formats=("json",), video=False, strict=False, batch=True
+    )
+    chunks = []
     for i, (first, stop) in enumerate(plan.cuts):
-        search = whole.everyone or i > 0
-        where: dict[str, Any] = {"init": by if search else plan.start, "box": None, "init_frame": None}
-        where |= {"start": first if search else plan.start.frame, "stop": stop, "chunk": True}
-        alone: dict[str, Any] = {"split": None, "formats": ("json",), "video": False, "strict": False, "batch": True}
-        found.append(replace(job, out=folder_of(job.out, i), **where, **alone))
-    return found
+        where: dict[str, Any] = {"init": plan.start, "start": plan.start.frame}
+        if whole.everyone or i > 0:
+            where = {"init": by, "start": first}
+        chunks.append(replace(job, out=folder_of(out, i), stop=stop, **where))
+    return chunks
 
 
 def _planned(whole: Plan, stop: Stop, progress: Progress) -> ChunkPlan:
@@ -122,7 +123,7 @@ def _planned(whole: Plan, stop: Stop, progress: Progress) -> ChunkPlan:
         shutil.rmtree(folder, ignore_errors=True)
     progress.begin(f"{job.clip.name}: looking where it can be cut")
     if whole.everyone:
-        start = film_start(job.first)
+        start = Start(job.first, {}, ORIGIN)
     else:
         start = job.find(job.recipe, stopped=stop, looked=progress.looked)
         _check_detector(job, start)
@@ -478,40 +479,39 @@ def stitched(plan: Plan, stop: Stop) -> Iterator[tuple[Results, Start]]:
     job = plan.job
     assert job.out is not None and job.split is not None
     chunks = read_plan(job.out)
-    found, start = _Survey(plan, chunks), chunks.start
-    more: dict[str, object] = {"split": job.split.record(), "chunks": found.chunks}
-    if found.seams:
-        more["seams"] = [seam.record() for seam in found.seams]
-    error = None if not found.failed else FacetrackError(f"{job.clip}: {found.failed[0]}{_more(found.failed)}")
-    with replace(job, stop=found.parts[-1].stop).open(start.frame) as source:
-        first, clip = found.parts[0].rows(), ClipFacts.of(job.clip, source)._replace(frames_hint=None)
-        declared = {name: first.header[name] for name in ("diagnostics",) if name in first.header}
-        header = header_of(job, clip, start, first, {**declared, **more})
+    survey, start, error = _Survey(plan, chunks), chunks.start, None
+    if survey.failed:
+        more = f" (and {len(survey.failed) - 1} more chunks failed)" if len(survey.failed) > 1 else ""
+        again = "the same command with --retry-failed tries again"
+        error = FacetrackError(f"{job.clip}: {survey.failed[0]}{more}; {again}")
+    with replace(job, stop=survey.parts[-1].stop).open(start.frame) as source:
+        rows, clip = survey.parts[0].rows(), ClipFacts.of(job.clip, source)._replace(frames_hint=None)
+        about = {name: rows.header[name] for name in ("diagnostics",) if name in rows.header}
+        about |= {"split": job.split.record(), "chunks": survey.chunks}
+        about |= {"seams": [seam.record() for seam in survey.seams]} if survey.seams else {}
+        header = header_of(job, clip, start, about, rows)
 
-        def frames() -> Generator[FrameResult, None, None]:
-            index, parts = start.frame, found.parts
-            rows, left = first, iter(parts[1:])
+        def frames() -> Iterator[Frame]:
+            """Those of the clip, if they are drawn; then, up to the end of the rows, frames without pixels."""
+            index = start.frame
             if plan.draws:
-                with decoded_ahead(iter(source), threaded=job.threads > 1, stopped=stop) as shown:
-                    for frame in shown:
-                        while frame.index > rows.frames[-1] and (part := next(left, None)) is not None:
-                            rows = part.rows()
-                        yield FrameResult(frame, recorded(frame.index, rows.at(frame.index)))
+                with decoded_ahead(iter(source), threaded=job.threads > 1, stopped=stop) as decoded:
+                    for frame in decoded:
+                        yield frame
                         index = frame.index + 1
-            while index < found.end:  # without pixels
+            for missing in range(index, survey.end):
+                yield Frame(missing, 0.0, _NOTHING)
+
+        def joined(rows: Trajectory) -> Iterator[FrameResult]:
+            later = iter(survey.parts[1:])
+            for frame in frames():
                 if stop():
                     raise StoppedError
-                while index > rows.frames[-1] and (part := next(left, None)) is not None:
+                while frame.index > rows.frames[-1] and (part := next(later, None)) is not None:
                     rows = part.rows()
-                yield FrameResult(Frame(index, 0.0, _NOTHING), recorded(index, rows.at(index)))
-                index += 1
+                yield FrameResult(frame, recorded(frame.index, rows.at(frame.index)))
             if stop():
                 raise StoppedError
 
-        ended = Ended(found.complete, found.warnings, found.variable, error)
-        yield Results(clip, header, frames(), ended=lambda whole: ended), start
-
-
-def _more(failed: Sequence[str]) -> str:
-    again = "the same command with --retry-failed tries again"
-    return f"; {again}" if len(failed) == 1 else f" (and {len(failed) - 1} more chunks failed); {again}"
+        ended = Ended(survey.complete, survey.warnings, survey.variable, error)
+        yield Results(clip, lambda _: header, joined(rows), ended=lambda whole: ended), start

@@ -20,12 +20,13 @@ from facetrack_cli.core.types import BOX, Box, Point, Start
 from facetrack_cli.recipe.calibrated import calibrated, fitted
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.runs.plan import Outcome
-from facetrack_cli.runs.record import Results, Sink
+from facetrack_cli.runs.record import ClipFacts, Sink
 from facetrack_cli.trackers.face.detectors import Detector, detector
 from facetrack_cli.trackers.face.stabilized import BOX as STILL
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity, slope
 from facetrack_cli.trajectory.diagnostics import DOUBTFUL, NAMED, NETWORK
 from facetrack_cli.trajectory.trajectory import SEEN, FrameResult, Trajectory, mean_confidence
+from facetrack_cli.trajectory.writers import Header
 
 EVERY_FRAMES: Final = 15  # between two looks
 SURE: Final = 0.9  # the frame of the lowest mean confidence is named if that is less
@@ -67,24 +68,22 @@ class RunMonitor(Sink):
         settings = to_dict(recipe)
         return cls(start, calibrated(settings), fitted(settings), None if name is None else detector(name))
 
-    def begin(self, results: Results, at: RunMonitor | None) -> None:
+    def begin(self, clip: ClipFacts, header: Header, mark: RunMonitor | None) -> None:
         """Go on from what was counted of the frames before."""
-        if at is not None:
-            self.__dict__ |= {**vars(at), "start": self.start, "detector": self.detector}
+        if mark is not None:
+            self.__dict__ |= {**vars(mark), "start": self.start, "detector": self.detector}
 
-    def fits(self, at: Any) -> bool:
-        return isinstance(at, RunMonitor)
+    def fits(self, mark: Any) -> bool:
+        return isinstance(mark, RunMonitor)
 
     def mark(self) -> RunMonitor:
         return self
 
     def end(self, done: Outcome) -> None:
-        done.verdict, done.doubtful = self.line(), bool(self.doubts())
+        done.verdict, done.doubts, done.look = self.line(), self.doubts(), self.look
+        done.borne_out = round(float(self.borne_out / self.placed), 4) if self.placed else None
         if unseen := self.unseen():
             done.warnings += (unseen,)
-
-    def facts(self) -> Mapping[str, Any]:
-        return {"doubts": self.doubts(), "look": self.look, "borne_out": self.bears_out}
 
     def write(self, result: FrameResult) -> None:
         """Take in one more frame, and look at every few."""
@@ -176,11 +175,6 @@ class RunMonitor(Sink):
         """First and last frames to look at first: the longest in which a part is lost, else the least sure one."""
         self._ended()
         return tuple(self.lost) or ((self.least[1],) * 2,) * (self.least[0] < SURE)
-
-    @property
-    def bears_out(self) -> float | None:
-        """The share of a network's points that the other senses bear out; None without a network."""
-        return round(float(self.borne_out / self.placed), 4) if self.placed else None
 
     def doubts(self) -> str:
         """What speaks against the track; "" if nothing does."""

@@ -3,39 +3,41 @@
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 
-COMMAND = [sys.executable, "-m", "facetrack_cli"]
+from tests.support.sway import FACETRACK, until
+
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 # the interpreter's own start is not ours: 60 ms are left to it
-BY_DAY = [(0.08, "SIGTERM"), (0.12, "SIGHUP"), (0.16, "SIGINT"), (0.3, "SIGHUP"), (0.5, "SIGTERM"), (0.8, "SIGINT")]
+BY_DAY = [(0.08, "SIGTERM"), (0.12, "SIGHUP"), (0.3, "SIGINT"), (0.6, "SIGTERM")]
 ALL = [(0.06 + 0.02 * i, name) for i in range(60) for name in ("SIGINT", "SIGTERM", "SIGHUP")]
+
+
+HOOK = """
+import signal, pathlib
+set_ = signal.signal
+def watched(number, handler):
+    old = set_(number, handler)
+    number == signal.SIGTERM and pathlib.Path({!r}).touch()
+    return old
+signal.signal = watched
+"""
 
 
 @pytest.fixture
 def start(tmp_path):
     """Start a command that takes seconds, and wait until our first line of code has run."""
-    began = tmp_path / "began"
-    hook = tmp_path / "sitecustomize.py"
-    hook.write_text(
-        "import signal, pathlib\nset_ = signal.signal\n"
-        "def watched(number, handler):\n"
-        f"    old = set_(number, handler)\n    number == signal.SIGTERM and pathlib.Path({str(began)!r}).touch()\n"
-        "    return old\nsignal.signal = watched\n"
-    )
+    (tmp_path / "sitecustomize.py").write_text(HOOK.format(str(tmp_path / "began")))
 
-    def run(*arguments, **more):
+    def run(*arguments, hangup=signal.SIG_DFL, **more):
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path.cwd())])}
         # whoever runs the tests may ignore it, as nohup does
-        more = {"preexec_fn": lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL), **more}
-        process = subprocess.Popen([*COMMAND, *arguments], stderr=subprocess.PIPE, env=environment, **more)
-        while not began.exists():
-            assert process.poll() is None
-            time.sleep(0.001)
+        more["preexec_fn"] = lambda: signal.signal(signal.SIGHUP, hangup)
+        process = subprocess.Popen([*FACETRACK, *arguments], stderr=subprocess.PIPE, env=environment, **more)
+        until((tmp_path / "began").exists, process)
         return process
 
     return run
@@ -63,7 +65,4 @@ def test_a_signal_at_any_moment(start, tmp_path, after, name):
 
 
 def test_what_is_ignored_stays_so(start, tmp_path):
-    process = start(
-        "recipes", preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN), stdout=subprocess.DEVNULL
-    )
-    assert ended(process, "SIGHUP")[0] == 0
+    assert ended(start("recipes", hangup=signal.SIG_IGN, stdout=subprocess.DEVNULL), "SIGHUP")[0] == 0

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.runs.test_run import make_clip
+from tests.support.sway import make_clip
 from tests.test_docs import ROOT, blocks
 
 CLIPS = 3
