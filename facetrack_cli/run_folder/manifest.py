@@ -188,15 +188,12 @@ def check_belongs(path: Path) -> None:
 
 def outdated(folder: Path) -> list[str]:
     """A line on the files that report, plot and export made of the track that is replaced now; none without any."""
-    try:
+    made: dict[str, str] = {}
+    with contextlib.suppress(OSError):
         there = sorted(path.name for path in folder.iterdir() if path.name not in OWNED)
-    except OSError:
-        return []
-    made = {name: made_by(name) for name in there if made_by(name)}
-    if not made:
-        return []
+        made = {name: command for name in there if (command := made_by(name))}
     again = [f"facetrack {by} {shlex.quote(str(folder))} --overwrite" for by in dict.fromkeys(made.values())]
-    return [f"{folder}: older than the track: {', '.join(made)}; make anew: {', '.join(again)}"]
+    return [f"{folder}: older than the track: {', '.join(made)}; make anew: {', '.join(again)}"] if made else []
 
 
 def made_by(name: str) -> str:
@@ -218,9 +215,10 @@ def commit(
     check_plain(path, *files)
     try:
         if known is not None:
-            new = {one.name: _file(temporary_path(one)) for one in files if one.name in OWNED}
-            large = {name: sampled(temporary_path(folder / name)) for name in new if new[name].bytes > LARGE_BYTES}
-            samples = {name: one for name, one in known.samples.items() if name not in new}
+            parts = {path.name: temporary_path(path) for path in files if path.name in OWNED}
+            new = {name: File(part.stat().st_size, digest([part])) for name, part in parts.items()}
+            large = {name: sampled(parts[name]) for name, file in new.items() if file.bytes > LARGE_BYTES}
+            samples = {name: sample for name, sample in known.samples.items() if name not in new}
             known = replace(known, files={**known.files, **new}, samples={**samples, **large})
             gone += [folder / name for name in OWNED if name not in known.files and folder / name not in files]
             try:
@@ -236,10 +234,6 @@ def commit(
         discard(path)
         raise
     lock.commit()
-
-
-def _file(path: Path) -> File:
-    return File(bytes=path.stat().st_size, sha256=digest([path]))
 
 
 def as_line(error: Exception) -> FacetrackError:
@@ -372,7 +366,7 @@ def _end_tables(folder: Path, lock: FolderLease, mark: str, run: Manifest) -> in
     """Write the whole frames of a killed process's tables again, and run.json; the number of these frames."""
     check_plain(*(folder / name for name in TABLES))
     parts = {form: temporary_path(folder / f"trajectory.{form}", mark) for form in FORMATS}
-    forms = [form for form in FORMATS if parts[form].is_file()]
+    forms = [form for form, part in parts.items() if part.is_file()]
     if not forms:
         return 0
     first = forms[-1]  # JSON also has the header, and its lines are the last of the three to be written
@@ -486,26 +480,15 @@ class ClipDigest:
         return self.clip and Clip(self.clip.bytes, self._found, self.clip.path, self.clip.changed_ns)
 
 
-def quick_digest(clip: Path) -> str:
-    """A checksum of a clip that is soon computed, of samples of its files; "" if it cannot be read."""
-    with contextlib.suppress(OSError):
-        files = _files(clip)
-        told = repr([(path.name, path.stat().st_size) for path in files])
-        found = hashlib.sha256(told.encode(errors="surrogateescape"))
-        for path in [files[0], files[-1]] if files else []:
-            found.update(sampled(path).encode())
-        return found.hexdigest()
-    return ""
-
-
 def clip_stat(clip: Path) -> Clip | None:
     """A clip without its checksum; None if it is gone."""
     try:
-        stats = [file.stat() for file in _files(clip)]
+        images = listing(clip)
+        stats = [file.stat() for file in ([clip] if images is None else images)]
     except OSError:
         return None
-    changed = max((one.st_mtime_ns for one in stats), default=0)
-    return Clip(sum(one.st_size for one in stats), "", as_text(str(clip)), changed)
+    changed = max((file.st_mtime_ns for file in stats), default=0)
+    return Clip(sum(file.st_size for file in stats), "", as_text(str(clip)), changed)
 
 
 def clip_digest(path: Path, stopped: Callable[[], bool] = lambda: False) -> str:
@@ -532,8 +515,3 @@ def _is_as_written(folder: Path, name: str, known: Manifest) -> bool:
         if stat.S_ISREG(found.st_mode) and found.st_size == of.bytes:
             return known.stopped is not None or (sampled(path) == sample if sample else digest([path]) == of.sha256)
     return False
-
-
-def _files(clip: Path) -> list[Path]:
-    images = listing(clip)
-    return [clip] if images is None else images

@@ -132,9 +132,10 @@ def track_frames(
         start = search(chosen, looked, IMAGES, by=init_start, whole=False)  # all that are looked at are kept
         del looked  # or it would keep all frames
     frames = dropwhile(lambda frame: frame.index < start.frame, frames)
-    if (first := next(frames, None)) is None:
+    if (found := next(frames, None)) is None:
         raise InputError(f"{IMAGES}: there is no frame {start.frame}, where {start.origin} begins")
-    start = completed(chosen, start, lambda frame=first: frame, IMAGES)
+    first = found
+    start = completed(chosen, start, lambda: first, IMAGES)
     results = track(tracker_for(chosen, start, first.size, fps), chain([first], frames), chosen.seed, clip=IMAGES)
     for result in lagged(results, lag) if lag else results:
         yield replace(result, start=start) if result.frame.index == start.frame else result

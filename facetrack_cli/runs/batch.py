@@ -121,16 +121,20 @@ def run_shared(
     Clips that another facetrack is tracking come last: they are waited for, and tracked if nobody does any more. Once
     `stop` says so, the clips at work close their files and the others are not begun.
     """
-    left, busy, told = list(jobs), list[Job](), False
+    left, busy, said = list(jobs), list[Job](), False
     while (left or busy) and not stop():
         for job, outcome in turn(left):
             if isinstance(outcome.error, BusyError):
                 busy.append(job)
             else:
                 yield outcome
-        if busy and not told and not stop():
-            told = True
-            progress.say(_waiting(busy))
+        if busy and not said and not stop():
+            said = True
+            notes = [holder(job.out) for job in busy if job.out is not None]
+            hosts = sorted({str(note["host"]) for note in notes if note is not None and "host" in note})
+            clips, them = ("1 clip is", "it") if len(busy) == 1 else (f"{len(busy)} clips are", "them")
+            where = f" on {', '.join(hosts)}" if hosts else ""
+            progress.say(f"{clips} being tracked by another facetrack{where}; waiting for {them}")
         free, busy = _wait(busy, stop)
         decided, left = check_all(free)
         yield from decided
@@ -159,22 +163,13 @@ def _turn(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> 
         yield jobs[i], outcome_of_crash(jobs[i], result) if isinstance(result, Exception) else result
 
 
-def _waiting(busy: Sequence[Job]) -> str:
-    notes = [holder(job.out) for job in busy if job.out is not None]
-    hosts = sorted({str(note["host"]) for note in notes if note is not None and "host" in note})
-    where = f" on {', '.join(hosts)}" if hosts else ""
-    if len(busy) == 1:
-        return f"1 clip is being tracked by another facetrack{where}; waiting for it"
-    return f"{len(busy)} clips are being tracked by another facetrack{where}; waiting for them"
-
-
 def _wait(busy: Sequence[Job], stop: Stop) -> tuple[list[Job], list[Job]]:
     """The clips of others, once one of them at least is not being tracked any more: those, and the rest."""
     settled = time.monotonic()
     while busy and not stop():
-        those = [(job, job.out is not None and is_held(job.out)) for job in busy]
-        if not all(held for _, held in those):
-            return [job for job, held in those if not held], [job for job, held in those if held]
+        held = [job for job in busy if job.out is not None and is_held(job.out)]
+        if len(held) < len(busy):
+            return [job for job in busy if job not in held], held
         time.sleep(LOOK_S)
         if time.monotonic() - settled > SETTLE_S:  # which removes a claim that is stale
             settled = time.monotonic()
@@ -245,19 +240,17 @@ def _listed(given: Path) -> list[Path]:
     """What a list names, `@list.txt` or `@-`; anything else is itself, also a file whose name begins so."""
     if not str(given).startswith("@") or is_there(given):
         return [given]
-    name = str(given)[1:]
-    path = Path(name)
+    name, is_pipe = str(given)[1:], str(given) == "@-"
     try:
-        data = sys.stdin.buffer.read(MAX_FILE_BYTES) if name == "-" else read_bounded(path, what="list")
+        data = sys.stdin.buffer.read(MAX_FILE_BYTES) if is_pipe else read_bounded(Path(name), what="list")
     except OSError as e:
-        raise InputError(f"{path}: cannot be read as a list of clips: {reason(e)}; check the name") from e
+        raise InputError(f"{name}: cannot be read as a list of clips: {reason(e)}; check the name") from e
     lines = [line.rstrip("\r") for line in os.fsdecode(data.removeprefix(b"\xef\xbb\xbf")).split("\n")]
-    if b"\0" in data:
-        raise InputError(f"{'standard input' if name == '-' else path}: is not a list of clips; it has a path a line")
-    found = [Path(line) for line in lines if line.strip() and not line.startswith("#")]
-    if not found:
-        raise InputError(f"{'standard input' if name == '-' else path}: names no clip; it has a path a line")
-    return found
+    clips = [Path(line) for line in lines if line.strip() and not line.startswith("#")]
+    if b"\0" in data or not clips:
+        what = "names no clip" if b"\0" not in data else "is not a list of clips"
+        raise InputError(f"{'standard input' if is_pipe else name}: {what}; it has a path a line")
+    return clips
 
 
 def _clips(given: Path, note: Callable[[str], None]) -> list[Path]:
@@ -265,7 +258,9 @@ def _clips(given: Path, note: Callable[[str], None]) -> list[Path]:
     check_local(given)
     try:
         if given.is_dir():
-            return _of_folder(given, note) or _below(given, note) or [given]
+            below = _sorted(path for path in given.iterdir() if not path.name.startswith(".") and path.is_dir())
+            inside = (clip for folder in below for clip in _of_folder(folder, note))
+            return _of_folder(given, note) or [*inside] or [given]
         if re.search(r"[*?\[]", str(given)) and not is_there(given):
             return _of_glob(given, note)
     except OSError as e:
@@ -277,14 +272,13 @@ def _of_glob(given: Path, note: Callable[[str], None]) -> list[Path]:
     matches = _sorted(Path(name) for name in glob.glob(str(given), recursive=True))  # noqa: PTH207 -- any of its parts
     if not matches:
         raise InputError(f"{given}: matches no file; check the name")
-    folders = [one for one in matches if one.is_dir()]
-    files = [one for one in matches if not one.is_dir()]
-    pictures = {one for one in files if is_image(one)}
-    videos = [one for one in files if one not in pictures]
-    if pictures and not videos and not folders:
+    files = [path for path in matches if not path.is_dir()]
+    pictures = {path for path in files if is_image(path)}
+    if len(pictures) == len(matches):
         return [given]
     _left_out(given, len(pictures), note)
-    return videos + [clip for folder in folders for clip in _of_folder(folder, note)]
+    videos = [path for path in files if path not in pictures]
+    return videos + [clip for folder in matches if folder.is_dir() for clip in _of_folder(folder, note)]
 
 
 def _of_folder(folder: Path, note: Callable[[str], None]) -> list[Path]:
@@ -299,11 +293,6 @@ def _of_folder(folder: Path, note: Callable[[str], None]) -> list[Path]:
         return [folder] if any(path.is_file() for path in pictures) else []
     _left_out(folder, len(pictures), note)
     return videos
-
-
-def _below(folder: Path, note: Callable[[str], None]) -> list[Path]:
-    inside = _sorted(one for one in folder.iterdir() if not one.name.startswith(".") and one.is_dir())
-    return [clip for one in inside for clip in _of_folder(one, note)]
 
 
 def _left_out(given: Path, pictures: int, note: Callable[[str], None]) -> None:

@@ -117,7 +117,13 @@ def content(
     if form == "eaf":
         video = _playable(table, media, say)
         text = eaf.write_eaf(table, video, path.parent if path else Path.cwd(), written=datetime.now())
-        return text if into is None else _added(into, text, video.name, say)
+        if into is None:
+            return text
+        data, tiers, linked = add_tiers(into, text, video.name)
+        if not linked:
+            say(f"facetrack: warning: {into} does not link to {video.name}; its times are taken for those of that clip")
+        say(f"{into}: {', '.join(tiers) or 'no tier'} added")
+        return data.decode()
     clip, size, fps = _media(table, media) if form in OF_MEDIA else (None, None, 0.0)
     name = "" if clip is None else clip.name
     if form in (*OF_MEDIA, "mot") and (sides := size or frame_size_of(table)):
@@ -156,14 +162,6 @@ def content(
         raise UsageError(f"{form} is no format; there are {', '.join(sorted({*writers, *OF_MEDIA, *write, 'mot'}))}")
     chosen = [enclose(table.of_target(target), around) for target in table.targets]
     return boxes.write_mot(chosen) if form == "mot" else write[form](chosen[0])
-
-
-def _added(into: Path, text: str, clip: str, say: Callable[[str], None]) -> str:
-    data, tiers, linked = add_tiers(into, text, clip)
-    if not linked:
-        say(f"facetrack: warning: {into} does not link to {clip}; its times are taken for those of that clip")
-    say(f"{into}: {', '.join(tiers) or 'no tier'} added")
-    return data.decode()
 
 
 def _playable(table: Trajectory, media: Path | None, say: Callable[[str], None]) -> Path:

@@ -36,7 +36,7 @@ from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.people.identity import UNKNOWN, Seen, cast_of
 from facetrack_cli.trackers.people.looks import VIEWS, Looks, Reader, together, views_of
 from facetrack_cli.trajectory.people import new_name
-from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
+from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.video.decode import FORMATS, pixels, silence
 from facetrack_cli.video.files import address_of
 from facetrack_cli.video.images import MOST_PIXELS, check_pixels
@@ -154,15 +154,15 @@ def awaited(images: Iterator[Image | Frame], stopped: Callable[[], bool]) -> Ite
 
 def record(result: FrameResult, time_s: float, age_s: float) -> dict[str, Any]:
     """A frame as JSON: what is not finite is null."""
-    targets = [{"target": one.rows.target, "parts": list(_parts(one.rows))} for one in result.targets]
+    targets = []
+    for rows in (target.rows for target in result.targets):
+        parts: list[dict[str, Any]] = []
+        for i, which in enumerate(rows.which.tolist()):
+            values = {name: float(getattr(rows, name)[i]) for name in ("x", "y", "w", "h", "confidence")}
+            finite = {name: round(value, 4) if math.isfinite(value) else None for name, value in values.items()}
+            parts.append({"part": rows.names[which][1], **finite, "status": str(rows.status[i])})
+        targets.append({"target": rows.target, "parts": parts})
     return {"frame": result.frame.index, "time_s": round(time_s, 4), "age_s": round(age_s, 4), "targets": targets}
-
-
-def _parts(rows: Trajectory) -> Iterator[dict[str, Any]]:
-    for i, which in enumerate(rows.which.tolist()):
-        values = {name: float(getattr(rows, name)[i]) for name in ("x", "y", "w", "h", "confidence")}
-        finite = {name: round(value, 4) if abs(value) < float("inf") else None for name, value in values.items()}
-        yield {"part": rows.names[which][1], **finite, "status": str(rows.status[i])}
 
 
 def camera(number: int) -> Iterator[Image]:
@@ -250,11 +250,11 @@ def _decoded(file: Any, options: dict[str, str], name: str) -> Iterator[Frame]:
 
 @dataclass
 class _Followed:
-    """A track that goes on; the looks of `track` are those that `reader` has."""
+    """A track that goes on; the looks of `track` are those that `reader` has, the last of the frame `looked`."""
 
     reader: Reader
     track: Seen
-    looked: int  # the frame of the last view
+    looked: int
 
     @property
     def seen(self) -> Seen:

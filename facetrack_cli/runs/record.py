@@ -47,11 +47,11 @@ from facetrack_cli.run_folder.manifest import (
     ClipDigest,
     Manifest,
     check_belongs,
+    clip_stat,
     commit,
     failed,
     note_failure,
     outdated,
-    quick_digest,
     recover,
 )
 from facetrack_cli.runs.pipeline import Painter
@@ -198,8 +198,9 @@ class RunFolder:
         """Where the last run of the same job stood, and its video, if that is known and wished; else None."""
         job, found = self.plan.job, None
         if job.recipe.filters and not job.lag:
-            same = dumps([self._run.asked, _versions(), to_record(start), quick_digest(job.clip)])
-            key = hashlib.sha256(same.encode(errors="surrogateescape")).hexdigest()
+            clip = clip_stat(job.clip)
+            same = [self._run.asked, _versions(), to_record(start), clip and (clip.bytes, clip.changed_ns)]
+            key = hashlib.sha256(dumps(same).encode(errors="surrogateescape")).hexdigest()
             self.checkpoints = Checkpoints(self.path, key, video=self.plan.draws)
             found = self.checkpoints.find() if job.resume and not job.overwrite else None
         marks = found[0].sinks if found is not None and isinstance(found[0], RunState) else ()

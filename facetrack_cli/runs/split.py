@@ -67,10 +67,12 @@ def run_chunks(
         yield CHUNKS, outcome
     if stop():
         return
-    waiting = sum(not _is_over(one) for one in chunks) if shard[1] > 1 else 0
-    if waiting:
-        progress.say(f"{job.clip}: {waiting} of {len(chunks)} chunks are not done; who ends the last one joins them")
-        return
+    if shard[1] > 1:
+        *_, waiting = check_all([replace(chunk, overwrite=False, retry_failed=False) for chunk in chunks])
+        if waiting:
+            others = f"{len(waiting)} of {len(chunks)} chunks are not done"
+            progress.say(f"{job.clip}: {others}; who ends the last one joins them")
+            return
 
     def join(jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
         for one in jobs:
@@ -79,12 +81,6 @@ def run_chunks(
 
     for outcome in run_shared([job], join, stop, progress):
         yield "", outcome
-
-
-def _is_over(chunk: Job) -> bool:
-    with suppress(FacetrackError):
-        return resolve(replace(chunk, overwrite=False, retry_failed=False)).ended() is not None
-    return False
 
 
 def chunks_of(whole: Plan, plan: ChunkPlan) -> list[Job]:
@@ -244,12 +240,6 @@ def read_plan(out: Path) -> ChunkPlan:
 
 def folder_of(out: Path, chunk: int) -> Path:
     return out / CHUNKS / f"{chunk:05d}"
-
-
-def has_rows(table: Path) -> bool:
-    """Whether a trajectory in JSON has a frame."""
-    with table.open("rb") as file:
-        return any(line.startswith(b'{"frame":') for line in file)
 
 
 class Seam(NamedTuple):
@@ -437,9 +427,11 @@ class _Survey:
             self.chunks.append({"first": first, "frames": 0, "error": why})
             return None
         self.end = first + known.frames
-        if self._everyone and not known.lost_frames and not has_rows(folder / TABLE):
-            self.chunks.append({"first": first, "frames": known.frames})
-            return None
+        if self._everyone and not known.lost_frames:
+            with (folder / TABLE).open("rb") as table:
+                if not any(line.startswith(b'{"frame":') for line in table):  # it shows nobody
+                    self.chunks.append({"first": first, "frames": known.frames})
+                    return None
         rows = read_run(folder / TABLE)
         self.chunks.append({"first": int(rows.frames[0]), "frames": len(rows.frames)})
         self._warnings |= dict.fromkeys(rows.header.get("warnings", ()))

@@ -186,19 +186,6 @@ def test_a_checkpoint_that_does_not_fit_is_left_out(interrupted, tmp_path, monke
     assert done.resumed is None and done.frames == 26
 
 
-def test_another_clip_of_the_same_name_and_size_is_tracked_anew(tmp_path):
-    source = tmp_path / "clip.mp4"
-    shutil.copy(SAMPLES / "expressions.mp4", source)
-    asked = job("factorized", tmp_path / "out", source=source, init=SAMPLES / "expressions.init.yaml")
-    run(asked, 11)
-    stat = source.stat()
-    data = bytearray(source.read_bytes())
-    data[-3000:-2990] = b"0123456789"
-    source.write_bytes(data)
-    os.utime(source, ns=(stat.st_atime_ns, stat.st_mtime_ns))
-    assert run(asked).resumed is None
-
-
 def test_a_disk_without_space_for_a_checkpoint_is_no_harm(tmp_path, monkeypatch):
     def full(kind, path, arrays):
         raise OutputError("the disk is full")

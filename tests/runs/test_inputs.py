@@ -13,15 +13,16 @@ from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.runs.batch import expand
 from facetrack_cli.video.files import brings_rate
 
+FILES = """
+day1/b10.mp4 day1/b2.MP4 day1/notes.txt day1/.hidden.mp4 day1/cover.jpg day2/c.mkv faces/0.png faces/1.png
+tree/x/1.jpg tree/y/a.mp4 tree/y/deep/z.mp4 tree/r/run.json tree/r/annotated.mp4 tree/empty/no.txt empty/no.txt
+"""
+
 
 @pytest.fixture(autouse=True)
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name in ("day1/b10.mp4", "day1/b2.MP4", "day1/notes.txt", "day1/.hidden.mp4", "day1/cover.jpg", "day2/c.mkv"):
-        touch(name)
-    for name in ("faces/0.png", "faces/1.png", "tree/x/1.jpg", "tree/y/a.mp4", "tree/y/deep/z.mp4", "tree/r/run.json"):
-        touch(name)
-    for name in ("tree/r/annotated.mp4", "tree/empty/no.txt", "sub/day3/d [1].mp4", "empty/no.txt"):
+    for name in (*FILES.split(), "sub/day3/d [1].mp4"):
         touch(name)
 
 

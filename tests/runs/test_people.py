@@ -66,6 +66,15 @@ def tracked(tmp_path_factory):
     return out
 
 
+@pytest.fixture(scope="module")
+def named(tracked):
+    """The same, named by the next run."""
+    out = shutil.copytree(tracked, tracked.parent / "named")
+    assert read_people(out) is None and clip.run(job(out), Stop()).error is None
+    assert read_trajectory(out / "trajectory.json").targets == ("person_1", "person_2")
+    return out
+
+
 @pytest.fixture
 def copy(ran, tmp_path):
     """A copy of the run of the sample film."""
@@ -343,15 +352,13 @@ def test_intervals_are_csv_and_tiers_and_in_python(ran, tmp_path, capsys):
         assert [one.text for one in tiers[f"seen@{name}"].iter("ANNOTATION_VALUE")] == ["seen"] * len(seen)
 
 
-def test_people_of_another_film_have_their_names(copy, tmp_path, capsys):
-    known = tmp_path / "people.npz"
-    given = ["--rename", "person_1=Eileen", "--rename", "person_2=Grace", "--no-video", "--save", str(known), "-q"]
-    assert main(["people", str(copy), *given]) == 0
-    again = ["run", str(FILM), "--faces", "all", "--start", "75", "--stop", "110", "--no-video", "--gallery"]
+def test_people_of_another_film_have_their_names(named, tmp_path, capsys):
+    out, known = shutil.copytree(named, tmp_path / "out"), tmp_path / "people.npz"
+    names = ["--rename", "person_1=Grace", "--rename", "person_2=Eileen", "--no-video", "--save", str(known), "-q"]
+    assert main(["people", str(out), *names]) == 0
+    again = ["run", str(FILM), "--faces", "all", "--start", "100", "--stop", "165", "--no-video", "--gallery"]
     assert main([*again, str(known), "-o", str(tmp_path / "named"), "-q"]) == 0
-    rows = read_trajectory(tmp_path / "named" / "trajectory.json")
-    assert rows.targets == ("Grace", "Eileen"), "Grace is seen first"
-    pairs, _, _ = matched(rows)
+    pairs, _, _ = matched(read_trajectory(tmp_path / "named" / "trajectory.json"))
     assert set(pairs) == {("hopper", "Grace"), ("collins", "Eileen")}
     capsys.readouterr()
     assert main([*again, str(tmp_path / "none.npz"), "-o", str(tmp_path / "no")]) == ExitCode.INPUT
@@ -381,13 +388,9 @@ def test_a_run_of_one_face_has_no_cast(tmp_path, capsys):
     assert "none: no such folder; name the folder of a film" in capsys.readouterr().err
 
 
-def test_a_film_that_was_interrupted_goes_on_with_the_same_rows(tracked, tmp_path, monkeypatch):
-    """Where it was not named yet, it is named."""
+def test_a_film_that_was_interrupted_goes_on_with_the_same_rows(named, tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoint, "EVERY_FRAMES", 7)
-    whole, out, stop = shutil.copytree(tracked, tmp_path / "whole"), tmp_path / "out", Stop()
-    assert read_people(whole) is None
-    assert clip.run(job(whole), Stop()).error is None
-    assert read_trajectory(whole / "trajectory.json").targets == ("person_1", "person_2")
+    out, stop = tmp_path / "out", Stop()
 
     def report(done, total, doing=""):
         if done >= 23 and not doing:
@@ -397,7 +400,7 @@ def test_a_film_that_was_interrupted_goes_on_with_the_same_rows(tracked, tmp_pat
     done = clip.run(job(out), Stop())
     assert done.error is None and done.resumed
     for name in ("trajectory.csv", "trajectory.json", "people.json"):
-        assert (out / name).read_bytes() == (whole / name).read_bytes()
+        assert (out / name).read_bytes() == (named / name).read_bytes()
 
 
 def test_a_crowd_is_bounded_and_said(tmp_path, monkeypatch):

@@ -195,12 +195,9 @@ def test_a_box_is_enough(run):
     [
         (["--box", "1,2,3"], 2, "four numbers"),
         (["--box", "1,2,0,4"], 2, "width and height above 0"),
-        (["--box", "1,2,nan,4"], 2, "width and height above 0"),
         (["--box", "1,2,3,4", "--init", "x"], 2, "--init and --box"),
         (["--format", "xml"], 2, "choose among csv, json, jsonl"),
-        (["--format", ","], 2, "choose among"),
         (["--fps", "0"], 2, "frames per second"),
-        (["--fps", "1/0"], 2, "frames per second"),
         (["--fps", "25"], 2, "for image folders"),
         (["--start", "9", "--stop", "9"], 2, "leaves no frame"),
         (["--start", "-1"], 2, "--start"),
@@ -214,14 +211,8 @@ def test_a_box_is_enough(run):
         (["--set", "filter.particles=0"], 2, "particles"),
         (["--set", "filter.particles=10000", "--config", "factorized_transition"], 2, "2,000 at most, not 10,000"),
         (["--set", "target.windows=1000px"], 2, "larger than the frame of 128x96; make it smaller"),
-        (["--set", "target.windows=1e299px"], 2, "no more than a million"),
         (["--set", "motion.sigma=1e299px"], 2, "no more than a million"),
         (["--set", "prior.freedom=0"], 2, "prior.freedom must be greater than 0, not 0"),
-        (
-            ["--config", "sir", "--set", "prior={type: parzen, file: mouth_prior.npz, sigma: 0.001}"],
-            2,
-            "prior.sigma must be at least 0.005, not 0.001",
-        ),
         (
             ["--set", "target.parts=[nose, mouth_left]", "--set", "likelihood.shift=[0, 0]"],
             2,
@@ -236,20 +227,15 @@ def test_a_box_is_enough(run):
         (["--init", "same.yaml"], 3, "same.yaml: mouth_left and mouth_right are at the same place"),
         (["--init", "haar", "--start", "99"], 3, "frame 99 is past the end"),
         (["--init", "haar", "--stop", "9"], 3, "no face found in frames 0 to 8"),
-        (["--config", "independent", "--init", "outside.yaml"], 3, "outside the frame of 128x96"),
         (["--start", "3"], 3, "begins at frame 0, but frames from 3 on were asked for"),
         (["--init-frame", "4", "--stop", "4"], 3, "begins at frame 4, but frames 0 to 3 were asked for"),
         (["--init-frame", "30"], 3, "frame 30 is past the end, the clip has 30 frames"),
         (["--init-frame", "500"], 3, "(frame 500 is where --init-frame begins)"),
         (["--box", "500,500,10,10"], 3, "outside the frame of 128x96"),
-        (["--box", "500,500,10,10", "--config", "factorized"], 3, "not in the frame"),
-        (["--box", "60,-400000,2,800000"], 3, "smaller than 6x6 pixels"),
         (["--box", "-400000,-400000,800000,800000"], 3, "larger than the frame of 128x96"),
-        (["--box", "60,-400000,2,800000", "--config", "sir"], 3, "far larger than the frame of 128x96 pixels"),
     ],
 )
 def test_what_cannot_be_meant_is_one_line(run, clip, args, code, message):
-    Path("outside.yaml").write_text(INIT.replace("[60, 40]", "[600, 40]"))
     Path("same.yaml").write_text(INIT.replace("[48, 62]", "[60, 40]").replace("[72, 62]", "[60, 40]"))
     before = names(Path())
     got, out, err = run(clip, *args)
@@ -661,17 +647,6 @@ def test_a_signal_while_looking_for_a_face(long_clip, tmp_path):
     out = tmp_path / "out"
     got, err = interrupted([long_clip, "--init", "haar", "-o", out], out.exists, INT, group=True)
     assert got == 130 and "nothing was written" in one_line(err) and not out.exists()
-
-
-@pytest.mark.nightly
-@posix
-@pytest.mark.parametrize("delay", [0.2, 0.6, 1.0])
-def test_ctrl_c_while_a_batch_starts(long_clip, tmp_path, delay):
-    (tmp_path / "b.mp4").symlink_to(long_clip)
-    began = time.monotonic()
-    words = [long_clip, tmp_path / "b.mp4", "--box", "40,20,40,60", "-j", "2", "-o", tmp_path / "out", "--overwrite"]
-    code, err = interrupted(words, lambda: time.monotonic() - began > delay, INT, group=True)
-    assert code in (130, -INT) and "Traceback" not in err  # the latter before Python itself has started
 
 
 @posix
