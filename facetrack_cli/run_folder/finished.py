@@ -1,5 +1,7 @@
 """A finished run, read from its folder: rows, recipe, start, and the clip that it was made from."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
@@ -18,7 +20,7 @@ from facetrack_cli.engine.checks import check_start
 from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe
 from facetrack_cli.run_folder.manifest import VIDEO, check_belongs, other_clip, read_run, trajectory_of
 from facetrack_cli.start.assembly import build_tracker
-from facetrack_cli.trajectory.header import Header, is_there, read_header
+from facetrack_cli.trajectory.header import Header, is_there, read_header, said
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.trajectory import Status, Trajectory
 from facetrack_cli.trajectory.writers import FORMATS, Format
@@ -38,6 +40,13 @@ class Painted(NamedTuple):
     last: int
     title: str
     stream: int | None = None
+
+    @classmethod
+    def of(cls, rows: Trajectory, clip: Path, first: int, last: int) -> Painted:
+        """As the rows of a run say."""
+        fps, stream, title = said(rows, "source", "fps"), said(rows, "source", "stream"), said(rows, "recipe", "name")
+        rate = given_rate(clip, fps) if isinstance(fps, int | float) else None
+        return cls(clip, rate, first, last, str(title or ""), stream if isinstance(stream, int) else None)
 
 
 @dataclass(frozen=True)
@@ -74,7 +83,7 @@ class Run:
     @property
     def painted(self) -> Painted:
         """What its video is drawn on."""
-        return Painted(self.clip, self.fps, self.first, self.last, self.recipe.name, self.header.source.stream)
+        return Painted.of(self.rows, self.clip, self.first, self.last)
 
     @property
     def fixed_by(self) -> str:

@@ -339,13 +339,11 @@ def recover_interrupted(folder: Path, stopped: Callable[[], bool] = lambda: Fals
 
     Files half replaced are replaced; tables that were being written become the tables of a run that was stopped.
     """
-    if not is_held(folder):
-        return 0
-    finish_replacing(folder, left_in(folder))
-    if holder(folder) is not None:  # who is at work
-        return 0
-    with contextlib.suppress(OutputError, OSError), FolderLease(folder, stopped) as lock:
-        return recover(folder, lock)
+    if is_held(folder):
+        finish_replacing(folder, left_in(folder))
+        if holder(folder) is None:  # else it is at work
+            with contextlib.suppress(OutputError, OSError), FolderLease(folder, stopped) as lock:
+                return recover(folder, lock)
     return 0
 
 

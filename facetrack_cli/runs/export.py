@@ -37,7 +37,6 @@ from facetrack_cli.trajectory.header import clip_of, frame_size_of, is_there, sa
 from facetrack_cli.trajectory.select import Around, blank_lost, enclose, has_windows, hide_outside
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.video import images
-from facetrack_cli.video.files import given_rate
 from facetrack_cli.video.source import open_source
 
 ALIASES: Final = {"elan": "eaf"}
@@ -229,14 +228,7 @@ def annotated_video(trajectory: Trajectory, *, media: str | Path | None = None) 
     clip = clip_of(trajectory) if media is None else Path(media)
     if clip is None:
         raise InputError("the trajectory does not name its clip; give it with media")
-    fps, stream = said(trajectory, "source", "fps"), said(trajectory, "source", "stream")
-    rate = given_rate(clip, fps) if isinstance(fps, int | float) else None
-    ends = int(trajectory.frames[0]), int(trajectory.frames[-1])
-    title = str(said(trajectory, "recipe", "name") or "")
+    painted = Painted.of(trajectory, clip, int(trajectory.frames[0]), int(trajectory.frames[-1]))
     with TemporaryDirectory() as folder:
-        path = Path(folder, VIDEO)
-        repaint(
-            Painted(clip, rate, *ends, title, stream if isinstance(stream, int) else None),
-            path, trajectory, silent, never,
-        )  # fmt: skip
-        return Video(temporary_path(path).read_bytes())
+        repaint(painted, Path(folder, VIDEO), trajectory, silent, never)
+        return Video(temporary_path(Path(folder, VIDEO)).read_bytes())

@@ -219,8 +219,7 @@ def name_run(plan: Plan, outcome: Outcome, stop: Stop, looked: Report) -> Outcom
     try:
         film = cast_in(job, rows, stop, looked)
         after = under_names(rows, film.tracks)
-        last = job.first + outcome.frames - 1
-        paint = Painted(job.clip, job.fps, job.first, last, job.recipe.name, job.stream) if job.video else None
+        paint = Painted.of(rows, job.clip, job.first, job.first + outcome.frames - 1) if job.video else None
         write_people(job.out, after, film.people, film.stills, paint, lambda n, of: looked(n, of, "drawing"), stop)
     except StoppedError:
         outcome.stopped = stop.reason
@@ -318,11 +317,10 @@ def recast(
 
 def painted(folder: Path, people: People, rows: Trajectory, clip: Path | None) -> Painted | None:
     """What the annotated video of a film is drawn on; None if it has none, or its clip is not known."""
-    (where, how), known, first = film_of(people, rows, clip), read_manifest(folder), people.shots[0].first
+    where, known, first = clip or clip_of(rows), read_manifest(folder), people.shots[0].first
     if where is None or known is None or not (folder / VIDEO).is_file():
         return None
-    title = str(said(rows, "recipe", "name") or "")
-    return Painted(where, how["fps"], first, first + known.frames - 1, title, how["stream"])
+    return Painted.of(rows, where, first, first + known.frames - 1)
 
 
 def rows_in(folder: Path) -> Trajectory:

@@ -139,56 +139,61 @@ def test_a_process_that_ends_costs_no_result_that_is_there(monkeypatch, tmp_path
     assert list(run_plans([dead, dead], 2, stop, report)) == [], "a signal comes first"
 
 
-# where it begins
+# --- where it begins ---
+
+BOX = (106.0, 74.0, 106.0, 106.0)
 
 
-def truth(*parts, status=("visible", "visible"), target="face"):
-    made = [
-        one_part(target, part, [4, 5], x=[10.0, 11.0], y=[20.0, 21.0], status=status, **more) for part, more in parts
-    ]
-    return joined(made, path=Path("t.csv"))
+def truth(part, status="visible", target="face", **more):
+    made = one_part(target, part, [4, 5], x=[10.0, 11.0], y=[20.0, 21.0], status=[status, "visible"], **more)
+    return joined([made], path=Path("t.csv"))
 
 
-def test_the_truth_starts_at_its_first_frame_with_all_points_visible():
-    points = ("nose", "chin")
-    made = [truth(("nose", {})), truth(("chin", {}), status=("hidden", "visible"))]
-    table = joined(made, path=Path("t.csv"))
-    start = truth_start(table, points)
+def test_the_truth_starts_at_its_first_frame_with_all_that_is_followed_visible():
+    table = joined([truth("nose"), truth("chin", "hidden")], path=Path("t.csv"))
+    start = truth_start(table, ("nose", "chin"))
     assert (start.frame, start.origin) == (5, "t.csv")
     assert start.targets["face"].points == {"nose": (11.0, 21.0), "chin": (11.0, 21.0)}
     with pytest.raises(InputError, match=r"t.csv: no frame shows nose, ear of every target"):
         truth_start(table, ("nose", "ear"))
-
-
-def test_a_box_of_the_truth_is_given_by_its_corner():
-    start = truth_start(truth(("box", {"w": [5.0, 5.0], "h": [3.0, 3.0]}), target=""), ())
-    assert start.frame == 4 and start.targets["face"].box == (8.0, 19.0, 5.0, 3.0)
+    start = truth_start(truth("box", target="", w=[5.0, 5.0], h=[3.0, 3.0]), ())
+    assert start.frame == 4 and start.targets["face"].box == (8.0, 19.0, 5.0, 3.0), "a box is given by its corner"
     with pytest.raises(InputError, match="no frame shows a box"):
-        truth_start(truth(("box", {})), ())
+        truth_start(truth("box"), ())
 
 
 def test_the_init_file_beside_the_clip_goes_before_the_truth(tmp_path):
-    known = read_trajectory(SAMPLES / "expressions.truth.csv")
-    recipe = load_recipe("factorized")
-    assert ClipRequest(CLIP).find(recipe, known).origin.endswith("expressions.init.yaml")
+    known, recipe = read_trajectory(SAMPLES / "expressions.truth.csv"), load_recipe("factorized")
     alone = tmp_path / "clip.mp4"
-    alone.write_bytes(CLIP.read_bytes())
-    assert ClipRequest(alone).find(recipe, known).origin.endswith("expressions.truth.csv")
-    assert ClipRequest(alone).find(recipe).origin == detector().name
-    assert ClipRequest(alone, init="haar").find(recipe).origin == "haar"
-    boxed = ClipRequest(alone, box=(106.0, 74.0, 106.0, 106.0)).find(recipe, known)
-    assert boxed.origin == "--box" and set(boxed.targets["face"].points) == set(recipe.points)
-
-
-def test_a_start_outside_of_the_frames_asked_for_is_refused():
-    recipe = load_recipe("factorized")
-    with pytest.raises(InputError, match=r"begins at frame 0, but frames from 3 on were asked for; change --start"):
-        ClipRequest(CLIP, start=3).find(recipe)
-    for stop in (1, 200):
-        assert ClipRequest(CLIP, stop=stop).find(recipe).frame == 0
-    boxed = (106.0, 74.0, 106.0, 106.0)
-    with pytest.raises(
-        InputError, match=r"--box begins at frame 3, but frames 3 to 2 were asked for; change --start or --stop"
+    alone.symlink_to(CLIP)
+    for request, table, origin in (
+        (ClipRequest(CLIP), known, str(CLIP.with_suffix(".init.yaml"))),
+        (ClipRequest(alone), known, str(known.path)),
+        (ClipRequest(alone), None, detector().name),
+        (ClipRequest(alone, init="haar"), None, "haar"),
+        (ClipRequest(alone, box=BOX), known, "--box"),
     ):
-        ClipRequest(CLIP, box=boxed, start=3, stop=3).find(recipe)
-    assert ClipRequest(CLIP, box=boxed, start=3, stop=9).find(recipe).frame == 3
+        start = request.find(recipe, table)
+        assert start.origin == origin and {*start.targets["face"].points} == {*recipe.points}
+
+
+@pytest.mark.parametrize(
+    ("asked", "begins"),
+    [
+        ({"start": 3}, r"begins at frame 0, but frames from 3 on were asked for; change --start"),
+        (
+            {"box": BOX, "start": 3, "stop": 3},
+            r"--box begins at frame 3, but frames 3 to 2 were asked for; change --st",
+        ),
+        ({"stop": 1}, 0),
+        ({"stop": 200}, 0),
+        ({"box": BOX, "start": 3, "stop": 9}, 3),
+    ],
+)
+def test_a_start_outside_of_the_frames_asked_for_is_refused(asked, begins):
+    request, recipe = ClipRequest(CLIP, **asked), load_recipe("factorized")
+    if isinstance(begins, int):
+        assert request.find(recipe).frame == begins
+        return
+    with pytest.raises(InputError, match=begins):
+        request.find(recipe)
