@@ -214,8 +214,8 @@ def mark_of(note: Mapping[str, Any]) -> str | None:
 def sweep(folder: Path) -> None:
     """Remove the temporary files of processes that have ended from a folder that is ours."""
     for path in list(folder.iterdir()):
-        found = _PART.match(path.name)
-        if found is not None and int(found[1]) != os.getpid() and not process_runs(int(found[1])):
+        match = _PART.match(path.name)
+        if match is not None and int(match[1]) != os.getpid() and not process_runs(int(match[1])):
             with contextlib.suppress(OSError):
                 path.unlink()
 
@@ -245,8 +245,8 @@ def left_in(folder: Path) -> dict[str, Any]:
     for _ in range(5):
         try:
             text = read_bounded(folder / NOTE, _MAX_NOTE_BYTES)
-            found = json.loads(text)
-            return found if isinstance(found, dict) else {}
+            note = json.loads(text)
+            return note if isinstance(note, dict) else {}
         except ValueError:
             if len(text) < _NOTE_BYTES:
                 break

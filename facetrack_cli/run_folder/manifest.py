@@ -174,12 +174,12 @@ def read_manifest(folder: Path) -> Manifest | None:
 
 def check_belongs(path: Path) -> None:
     """InputError if a file of a run, as trajectory.csv, is not the one that run.json beside it says."""
-    known = read_manifest(path.parent) if path.name in OWNED else None
-    if known is None:
+    run = read_manifest(path.parent) if path.name in OWNED else None
+    if run is None:
         return
-    if path.name not in known.files:
+    if path.name not in run.files:
         raise InputError(f"{path}: is not of the run in this folder, as {NAME} says; remove it, or copy it elsewhere")
-    if known.files[path.name].sha256 != digest([path]):
+    if run.files[path.name].sha256 != digest([path]):
         raise InputError(
             f"{path}: is not as its run wrote it, as {NAME} beside it says: it was edited, or is of another run; "
             "copy it elsewhere to read it as it is"
@@ -198,12 +198,12 @@ def outdated(folder: Path) -> list[str]:
 
 def made_by(name: str) -> str:
     """The command that writes a file of this name beside a trajectory; "" for any other file."""
-    known = {REPORT: "report", PLOT: "plot"}
-    return known.get(name, "export --to FORMAT" if name.startswith("trajectory.") else "")
+    commands = {REPORT: "report", PLOT: "plot"}
+    return commands.get(name, "export --to FORMAT" if name.startswith("trajectory.") else "")
 
 
 def commit(
-    lock: FolderLease, folder: Path, files: Sequence[Path], known: Manifest | None, gone: Sequence[Path] = ()
+    lock: FolderLease, folder: Path, files: Sequence[Path], run: Manifest | None, gone: Sequence[Path] = ()
 ) -> None:
     """Let the temporary files of these paths replace them, and then run.json: `known`, and their checksums.
 
@@ -214,15 +214,15 @@ def commit(
     files, gone, path = list(files), list(gone), folder / NAME
     check_plain(path, *files)
     try:
-        if known is not None:
+        if run is not None:
             parts = {path.name: temporary_path(path) for path in files if path.name in OWNED}
             new = {name: File(part.stat().st_size, digest([part])) for name, part in parts.items()}
             large = {name: sampled(parts[name]) for name, file in new.items() if file.bytes > LARGE_BYTES}
-            samples = {name: sample for name, sample in known.samples.items() if name not in new}
-            known = replace(known, files={**known.files, **new}, samples={**samples, **large})
-            gone += [folder / name for name in OWNED if name not in known.files and folder / name not in files]
+            samples = {name: sample for name, sample in run.samples.items() if name not in new}
+            run = replace(run, files={**run.files, **new}, samples={**samples, **large})
+            gone += [folder / name for name in OWNED if name not in run.files and folder / name not in files]
             try:
-                text = _adapter().dump_json(known, indent=1, exclude={"variable_fps", "evidence", "source_sha256"})
+                text = _adapter().dump_json(run, indent=1, exclude={"variable_fps", "evidence", "source_sha256"})
                 temporary_path(path).write_bytes(text + b"\n")
                 files.append(path)
                 gone.remove(path)
@@ -248,12 +248,12 @@ def as_line(error: Exception) -> FacetrackError:
     return FacetrackError(f"internal error, please report it: {type(error).__name__}: {error}")
 
 
-def failed(known: Manifest, error: Exception, log: Sequence[str] = ()) -> Manifest:
+def failed(run: Manifest, error: Exception, log: Sequence[str] = ()) -> Manifest:
     """The run with the error that ended it. `log`: the last lines of its process, if that died."""
-    said = as_line(error)
+    line = as_line(error)
     last = tuple(text.encode(errors="replace").decode() for text in log[-LINES:])
     return replace(
-        known, complete=False, error=as_text(str(said)), exit_code=int(said.exit_code), log=last, ended=utc_now()
+        run, complete=False, error=as_text(str(line)), exit_code=int(line.exit_code), log=last, ended=utc_now()
     )
 
 
@@ -268,22 +268,22 @@ def note_failure(
     if isinstance(error, OutputError):
         return
     with contextlib.suppress(FacetrackError, OSError):  # the error itself is worth more
-        known, there = previous_run(folder, run.asked, clip)
+        known, present = previous_run(folder, run.asked, clip)
         if known is not None and known.files:
             if known.stopped is None:
                 return
             run = known
-        elif known is None and not (there and there.is_failure) and any((folder / name).exists() for name in OWNED):
+        elif known is None and not (present and present.is_failure) and any((folder / name).exists() for name in OWNED):
             return
         else:
             run = replace(run, clip=clip_stat(clip))
         commit(lock, folder, [], failed(run, error, log))
 
 
-def error_of(known: Manifest) -> FacetrackError | None:
+def error_of(run: Manifest) -> FacetrackError | None:
     """The error that a run ended with."""
-    kind = InputError if known.exit_code == ExitCode.INPUT else FacetrackError
-    return None if known.error is None else kind(known.error)
+    kind = InputError if run.exit_code == ExitCode.INPUT else FacetrackError
+    return None if run.error is None else kind(run.error)
 
 
 def as_text(name: str) -> str:
@@ -432,20 +432,20 @@ def previous_run(folder: Path, asked: str, clip: Path) -> tuple[Manifest | None,
 
     Raises InputError for a run.json that is not as we write it.
     """
-    there = read_manifest(folder) if is_there(folder) else None
-    if there is None or there.clip is None or there.asked != asked:
-        return None, there
-    whole = all(_is_as_written(folder, name, there) for name in there.files)
-    return there if whole and _is_same(there.clip, clip) else None, there
+    present = read_manifest(folder) if is_there(folder) else None
+    if present is None or present.clip is None or present.asked != asked:
+        return None, present
+    whole = all(_is_as_written(folder, name, present) for name in present.files)
+    return present if whole and _is_same(present.clip, clip) else None, present
 
 
 def other_clip(rows: Trajectory, clip: Path) -> str | None:
     """A line if a clip that is there is not, byte for byte, the clip that the rows of a run are of."""
-    said, known = rows.header.get("source_sha256"), read_manifest(rows.path.parent)
-    if not isinstance(said, str) or not said or not is_there(clip):
+    digest_then, run = rows.header.get("source_sha256"), read_manifest(rows.path.parent)
+    if not isinstance(digest_then, str) or not digest_then or not is_there(clip):
         return None
-    of_run = known.clip if known is not None and known.clip is not None and known.clip.sha256 == said else None
-    if clip_digest(clip) == said if of_run is None else _is_same(of_run, clip):
+    of_run = run.clip if run is not None and run.clip is not None and run.clip.sha256 == digest_then else None
+    if clip_digest(clip) == digest_then if of_run is None else _is_same(of_run, clip):
         return None
     return f"{clip}: is not the clip that {rows.path.name} was made from (its SHA-256 differs)"
 
@@ -498,18 +498,18 @@ def clip_digest(path: Path, stopped: Callable[[], bool] = lambda: False) -> str:
         return ""
 
 
-def _is_same(known: Clip, clip: Path) -> bool:
+def _is_same(clip_then: Clip, clip: Path) -> bool:
     now = clip_stat(clip)
-    if now is None or now.bytes != known.bytes:
+    if now is None or now.bytes != clip_then.bytes:
         return False
-    return now.changed_ns == known.changed_ns or (known.sha256 != "" and clip_digest(clip) == known.sha256)
+    return now.changed_ns == clip_then.changed_ns or (clip_then.sha256 != "" and clip_digest(clip) == clip_then.sha256)
 
 
-def _is_as_written(folder: Path, name: str, known: Manifest) -> bool:
+def _is_as_written(folder: Path, name: str, run: Manifest) -> bool:
     """Whether a file is what its run wrote; of a run that did not end, whose tables are replaced, if its size is."""
-    path, of, sample = folder / name, known.files[name], known.samples.get(name)
+    path, of, sample = folder / name, run.files[name], run.samples.get(name)
     with contextlib.suppress(OSError, ValueError):
-        found = path.lstat()
-        if stat.S_ISREG(found.st_mode) and found.st_size == of.bytes:
-            return known.stopped is not None or (sampled(path) == sample if sample else digest([path]) == of.sha256)
+        stat_now = path.lstat()
+        if stat.S_ISREG(stat_now.st_mode) and stat_now.st_size == of.bytes:
+            return run.stopped is not None or (sampled(path) == sample if sample else digest([path]) == of.sha256)
     return False

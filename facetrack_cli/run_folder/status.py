@@ -54,7 +54,7 @@ def check_networks(folders: Iterable[Path], networks: Sequence[str]) -> None:
     for folder in folders:
         run = read_manifest(folder)
         if run is not None and run.files and sorted(run.networks) != sorted(networks):
-            was, now = (one.network or "without a network" for one in (run, Manifest(networks=tuple(networks))))
+            was, now = (each.network or "without a network" for each in (run, Manifest(networks=tuple(networks))))
             remedy = "name another folder, or track all anew with --overwrite"
             raise UsageError(f"{folder}: its clip was tracked {was}, and this batch would be {now}; {remedy}")
 
@@ -171,26 +171,26 @@ class Status:
 
 def worst(clips: Sequence[ClipStatus]) -> Iterator[str]:
     """A table of the clips that failed, and of those that somebody should look at, worst first."""
-    rows = sorted((one for one in clips if one.look or one.error), key=badness)
+    rows = sorted((clip for clip in clips if clip.look or clip.error), key=badness)
     if not rows:
         return
-    width = max(len("clip"), *(len(name_of(one)) for one in rows[:MAX_ROWS]))
+    width = max(len("clip"), *(len(name_of(clip)) for clip in rows[:MAX_ROWS]))
     yield f"{'clip':<{width}}  frames  lost  look at"
-    for one in rows[:MAX_ROWS]:
-        lost = "–" if one.lost is None else f"{one.lost:.0%}"
-        said = f"failed: {one.error}" if one.error else one.look
-        yield f"{name_of(one):<{width}}  {one.frames:>6}  {lost:>4}  {said}"
+    for clip in rows[:MAX_ROWS]:
+        lost = "–" if clip.lost is None else f"{clip.lost:.0%}"
+        said = f"failed: {clip.error}" if clip.error else clip.look
+        yield f"{name_of(clip):<{width}}  {clip.frames:>6}  {lost:>4}  {said}"
     if len(rows) > MAX_ROWS:
         yield f"and {len(rows) - MAX_ROWS} more; --json of facetrack status has all"
 
 
-def badness(one: ClipStatus) -> tuple[bool, bool, bool, float]:
+def badness(clip: ClipStatus) -> tuple[bool, bool, bool, float]:
     """A key to sort clips by: failed, incomplete, doubtful, and then those in which a part is lost most."""
-    return one.state != "failed", one.complete is not False, not one.doubtful, -(one.lost or 0.0)
+    return clip.state != "failed", clip.complete is not False, not clip.doubtful, -(clip.lost or 0.0)
 
 
-def name_of(one: ClipStatus) -> str:
-    return one.folder if one.folder != "." else Path(one.clip).name
+def name_of(clip: ClipStatus) -> str:
+    return clip.folder if clip.folder != "." else Path(clip.clip).name
 
 
 def survey(folder: Path) -> Status:
@@ -204,7 +204,7 @@ def survey(folder: Path) -> Status:
         named: dict[str, str] = {}
         for batch in batches(folder):
             named |= {name: clip for clip, name in batch.clips if name not in named}
-        there = sorted(one.name for one in folder.iterdir() if one.name not in named and one.is_dir() and _is_run(one))
+        there = sorted(sub.name for sub in folder.iterdir() if sub.name not in named and sub.is_dir() and _is_run(sub))
     if not named and not there:
         raise InputError(f"{folder}: holds no results of facetrack run; name the folder that --out named")
     named |= dict.fromkeys(map(as_text, there), "")
@@ -232,7 +232,7 @@ def _is_run(folder: Path) -> bool:
 def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
     """How far the run in a `folder` is, which has this `name` in its batch."""
     try:
-        known = read_manifest(folder)
+        run = read_manifest(folder)
     except InputError as e:
         return ClipStatus(clip or name, name, "failed", error=str(e), exit_code=int(e.exit_code))
     note = holder(folder)
@@ -249,42 +249,42 @@ def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
             seconds=seconds,
             frames_per_s=round(frames / seconds, 2) if frames and seconds else None,
         )
-    if known is None:
+    if run is None:
         begun = is_held(folder)  # a process that is gone has left it
         clip = clip or as_text(str(left_in(folder).get("clip", name)))
         return ClipStatus(clip, name, "interrupted" if begun else "not begun")
-    state: State = "failed" if known.error is not None else "done" if known.stopped is None else "interrupted"
-    tracked, took = known.frames - known.resumed, known.seconds
-    lost, look = _worst_part(known)
-    first, last = max(known.look, key=lambda span: span[1] - span[0], default=(None, None))
+    state: State = "failed" if run.error is not None else "done" if run.stopped is None else "interrupted"
+    tracked, took = run.frames - run.resumed, run.seconds
+    lost, look = _worst_part(run)
+    first, last = max(run.look, key=lambda span: span[1] - span[0], default=(None, None))
     members = ("frames", "host", "ended", "seconds", "complete", "error", "exit_code", "log")
     return ClipStatus(
-        clip=clip or (known.clip.path if known.clip is not None else name),
+        clip=clip or (run.clip.path if run.clip is not None else name),
         folder=name,
         state=state,
-        since=known.began,
+        since=run.began,
         frames_per_s=round(tracked / took, 2) if tracked and took else None,
         lost=lost,
-        doubtful=bool(known.doubts),
+        doubtful=bool(run.doubts),
         look=look if state == "done" else "",
         still=None if first is None or last is None else (first + last) // 2,
-        **{name: getattr(known, name) for name in members},
+        **{name: getattr(run, name) for name in members},
     )
 
 
-def _worst_part(known: Manifest) -> tuple[float | None, str]:
+def _worst_part(run: Manifest) -> tuple[float | None, str]:
     """The share of frames in which the part that is lost most is lost, and what to look at first."""
-    if not known.frames:
+    if not run.frames:
         return None, ""
-    part, frames = max(known.lost_frames.items(), key=lambda one: one[1], default=("", 0))
+    part, frames = max(run.lost_frames.items(), key=lambda one: one[1], default=("", 0))
     part = part.replace("/", " ")
-    said = [*known.warnings[:1]] if known.warnings else [known.doubts] if known.doubts else []
+    lines = [*run.warnings[:1]] if run.warnings else [run.doubts] if run.doubts else []
     if frames:
-        at_end = " and at the end" if known.lost_at_end else ""
-        said.append(f"{part} is lost in {frames}{at_end}, frames {places(sorted(known.look))}")
-    elif said and known.look:
-        said.append(f"frames {places(known.look)}")
-    return round(frames / known.frames, 4), "; ".join(said)
+        at_end = " and at the end" if run.lost_at_end else ""
+        lines.append(f"{part} is lost in {frames}{at_end}, frames {places(sorted(run.look))}")
+    elif lines and run.look:
+        lines.append(f"frames {places(run.look)}")
+    return round(frames / run.frames, 4), "; ".join(lines)
 
 
 def _number(note: Any, key: str) -> float | None:

@@ -90,15 +90,15 @@ def track_video(
     plan = resolve(job, kept=True)
     with contextlib.closing(Bar() if report is None and watched() else Progress(True)) as shown:
         shown.begin(job.clip.name)
-        done, found = rows_of(plan, Stop(), report or shown.update, shown.looked)
+        done, rows = rows_of(plan, Stop(), report or shown.update, shown.looked)
     if done.error is not None and not isinstance(done.error, FacetrackError):
         raise done.error  # a fault of ours is not the end of a clip
-    assert found is not None
+    assert rows is not None
     if plan.everyone:
-        known = cast_in(job, found, never, silent)
-        header = {**found.header, "people": known.people.model_dump(mode="json")}
-        found = replace(under_names(found, known.tracks), header=header)
-    return found
+        film = cast_in(job, rows, never, silent)
+        header = {**rows.header, "people": film.people.model_dump(mode="json")}
+        rows = replace(under_names(rows, film.tracks), header=header)
+    return rows
 
 
 def track_frames(
@@ -261,9 +261,9 @@ def frames_of_images(images: Iterable[Image], clock: Callable[[int], float]) -> 
         yield frame
 
 
-def frame_of(given: Image, index: int, time_s: float, size: tuple[int, int] | None) -> Frame:
+def frame_of(image: Image, index: int, time_s: float, size: tuple[int, int] | None) -> Frame:
     """An image as a frame. InputError for what is no image, or not of the `size` (width, height) of those before."""
-    image = np.asarray(given)
+    image = np.asarray(image)
     if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
         raise InputError(
             f"image {index}: is {image.dtype} {image.shape}; give (height, width, 3) uint8, blue first, or grey"

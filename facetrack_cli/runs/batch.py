@@ -46,10 +46,10 @@ _LONGEST: Final = 60  # characters of settings in the name of a folder
 
 def variant_name(recipe: str, settings: Sequence[str]) -> str:
     """A recipe's name with the settings that are changed, as in `face-filter.particles=500`; a digest of long ones."""
-    said = ",".join("".join(c if c.isalnum() or c in ".=_+" else "-" for c in one.strip()) for one in settings)
-    if len(said) > _LONGEST:
-        said = "set-" + hashlib.sha256(",".join(settings).encode("utf-8", "surrogateescape")).hexdigest()[:8]
-    return f"{recipe}-{said}" if said else recipe
+    suffix = ",".join("".join(c if c.isalnum() or c in ".=_+" else "-" for c in text.strip()) for text in settings)
+    if len(suffix) > _LONGEST:
+        suffix = "set-" + hashlib.sha256(",".join(settings).encode("utf-8", "surrogateescape")).hexdigest()[:8]
+    return f"{recipe}-{suffix}" if suffix else recipe
 
 
 def folders(clips: Sequence[Path], recipe: str) -> list[str]:
@@ -91,13 +91,13 @@ def check_all(jobs: Sequence[Job]) -> tuple[list[Outcome], list[Job]]:
     left: list[Job] = []
     for job in jobs:
         try:
-            known = resolve(job).ended()
+            outcome = resolve(job).ended()
         except FacetrackError as e:
-            known = Outcome(clip=job.clip, error=as_line(e))
-        if known is None:
+            outcome = Outcome(clip=job.clip, error=as_line(e))
+        if outcome is None:
             left.append(job)
         else:
-            decided.append(known)
+            decided.append(outcome)
     return decided, left
 
 
@@ -187,12 +187,12 @@ def outcome_of_crash(job: Job, error: Exception) -> Outcome:
     if plan is not None and plan.known is not None:  # an earlier turn may have come farther
         frames = max(frames, plan.known.frames)
     kept = f"the frames that it had tracked are kept ({frames})" if frames else "nothing was kept"
-    said = FacetrackError(f"{job.clip}: {error}; {kept}")
+    error_line = FacetrackError(f"{job.clip}: {error}; {kept}")
     log = error.log if isinstance(error, DiedError) else ()
     if plan is not None and job.out is not None and job.batch:
         with contextlib.suppress(FacetrackError), FolderLease(job.out) as lease:
-            note_failure(lease, job.out, Manifest(asked=plan.asked, host=here()[0]), job.clip, said, log)
-    return Outcome(clip=job.clip, error=said)
+            note_failure(lease, job.out, Manifest(asked=plan.asked, host=here()[0]), job.clip, error_line, log)
+    return Outcome(clip=job.clip, error=error_line)
 
 
 def attempt(
@@ -220,27 +220,27 @@ def expand(inputs: Sequence[Path], note: Callable[[str], None] = lambda line: No
 
     InputError for a list that cannot be read, and a folder, glob or list without clips; UsageError for several images.
     """
-    listed = [clip for given in inputs for clip in _listed(given)]
-    groups = [_clips(given, note) for given in listed]
+    listed = [clip for path in inputs for clip in _listed(path)]
+    groups = [_clips(path, note) for path in listed]
     found = {absolute(clip): clip for group in groups for clip in group}
     clips = list(found.values())
-    alone = [one for one in clips if is_image(one) and images.listing(one) is None and images.pages(one) == 1]
-    if len(alone) > 1:
-        folder = alone[0].parent
-        raise UsageError(f"{alone[0]} and {len(alone) - 1} more are single images; give their folder, {folder}{os.sep}")
+    single = [clip for clip in clips if is_image(clip) and images.listing(clip) is None and images.pages(clip) == 1]
+    if len(single) > 1:
+        folder = f"{single[0].parent}{os.sep}"
+        raise UsageError(f"{single[0]} and {len(single) - 1} more are single images; give their folder, {folder}")
     if parts := chapters(clips):
         names = f"{parts[0].name} to {parts[-1].name}"
         how = "list them as lines file 'NAME' and join them first: ffmpeg -f concat -safe 0 -i LIST -c copy joined.mp4"
         note(f"facetrack: {names}: each is a clip of its own; if they are chapters of one recording, {how}")
-    plain = len(inputs) == len(listed) and groups == [[given] for given in inputs]
+    plain = len(inputs) == len(listed) and groups == [[path] for path in inputs]
     return ClipList(clips, len(clips) > 1 or not plain)
 
 
-def _listed(given: Path) -> list[Path]:
+def _listed(path: Path) -> list[Path]:
     """What a list names, `@list.txt` or `@-`; anything else is itself, also a file whose name begins so."""
-    if not str(given).startswith("@") or is_there(given):
-        return [given]
-    name, is_pipe = str(given)[1:], str(given) == "@-"
+    if not str(path).startswith("@") or is_there(path):
+        return [path]
+    name, is_pipe = str(path)[1:], str(path) == "@-"
     try:
         data = sys.stdin.buffer.read(MAX_FILE_BYTES) if is_pipe else read_bounded(Path(name), what="list")
     except OSError as e:
@@ -253,30 +253,30 @@ def _listed(given: Path) -> list[Path]:
     return clips
 
 
-def _clips(given: Path, note: Callable[[str], None]) -> list[Path]:
+def _clips(path: Path, note: Callable[[str], None]) -> list[Path]:
     """The clips that one input is."""
-    check_local(given)
+    check_local(path)
     try:
-        if given.is_dir():
-            below = _sorted(path for path in given.iterdir() if not path.name.startswith(".") and path.is_dir())
+        if path.is_dir():
+            below = _sorted(sub for sub in path.iterdir() if not sub.name.startswith(".") and sub.is_dir())
             inside = (clip for folder in below for clip in _of_folder(folder, note))
-            return _of_folder(given, note) or [*inside] or [given]
-        if re.search(r"[*?\[]", str(given)) and not is_there(given):
-            return _of_glob(given, note)
+            return _of_folder(path, note) or [*inside] or [path]
+        if re.search(r"[*?\[]", str(path)) and not is_there(path):
+            return _of_glob(path, note)
     except OSError as e:
-        raise from_system(e) or InputError(f"{e.filename or given}: {reason(e)}; check the permissions") from e
-    return [given]
+        raise from_system(e) or InputError(f"{e.filename or path}: {reason(e)}; check the permissions") from e
+    return [path]
 
 
-def _of_glob(given: Path, note: Callable[[str], None]) -> list[Path]:
-    matches = _sorted(Path(name) for name in glob.glob(str(given), recursive=True))  # noqa: PTH207 -- any of its parts
+def _of_glob(pattern: Path, note: Callable[[str], None]) -> list[Path]:
+    matches = _sorted(Path(name) for name in glob.glob(str(pattern), recursive=True))  # noqa: PTH207 -- any of its parts
     if not matches:
-        raise InputError(f"{given}: matches no file; check the name")
+        raise InputError(f"{pattern}: matches no file; check the name")
     files = [path for path in matches if not path.is_dir()]
     pictures = {path for path in files if is_image(path)}
     if len(pictures) == len(matches):
-        return [given]
-    _left_out(given, len(pictures), note)
+        return [pattern]
+    _left_out(pattern, len(pictures), note)
     videos = [path for path in files if path not in pictures]
     return videos + [clip for folder in matches if folder.is_dir() for clip in _of_folder(folder, note)]
 
@@ -295,10 +295,10 @@ def _of_folder(folder: Path, note: Callable[[str], None]) -> list[Path]:
     return videos
 
 
-def _left_out(given: Path, pictures: int, note: Callable[[str], None]) -> None:
+def _left_out(place: Path, pictures: int, note: Callable[[str], None]) -> None:
     if pictures:
         what = "1 image beside the videos is" if pictures == 1 else f"{pictures} images beside the videos are"
-        note(f"facetrack: warning: {given}: {what} left out; give images a folder of their own")
+        note(f"facetrack: warning: {place}: {what} left out; give images a folder of their own")
 
 
 def _sorted(paths: Iterable[Path]) -> list[Path]:

@@ -76,18 +76,18 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent, 
         If nothing was tracked; no file is left then.
     """
     plan = resolve(job)
-    if (known := plan.ended()) is not None:
+    if (ended := plan.ended()) is not None:
         if job.out is not None:
             remove_checkpoints(job.out)  # a kill may leave checkpoints of a run that is done
-        return known
+        return ended
     if job.out is None:
         return track_clip(plan, None, stop, report, looked)
     if plan.unnamed is not None:
         return name_run(plan, Outcome.of(job, plan.unnamed), stop, looked)
     with RunFolder(plan, stop) as folder:
         plan = folder.plan
-        if (known := plan.ended()) is not None:  # meanwhile, by another process
-            return known
+        if (ended := plan.ended()) is not None:  # meanwhile, by another process
+            return ended
         done = (work or track_clip)(plan, folder, stop, report, looked)
     return name_run(plan, done, stop, looked) if plan.names and done.error is None and done.stopped is None else done
 

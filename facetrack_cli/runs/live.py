@@ -274,7 +274,7 @@ class LiveCast:
     def follow(self, frames: Iterator[Frame], recipe: Recipe) -> Iterator[FrameResult]:
         """A result for each frame, in which every face is a target; no track is carried over a cut."""
         at = TrackState()
-        for number, passed in groupby(passing_shots(frames), key=lambda one: one[0]):
+        for number, passed in groupby(passing_shots(frames), key=lambda numbered: numbered[0]):
             first = next(passed)[1]
             shot = Shot(first.index, None, first.index, None)
             film = Film(recipe, [shot], self._detector, first.size, self._fps, recipe.seed)
@@ -287,51 +287,49 @@ class LiveCast:
         for name in [*self._now]:
             self._end(name)
         tracks, called = [*self._past], dict(enumerate(self._given))
-        found = cast_of(tracks, [*self._given.values()], self._fps).person.tolist()
-        for person in sorted({*found} - {UNKNOWN} - {*called}):
-            had = [self.names.get(one.name, "") for one, of in zip(tracks, found, strict=True) if of == person]
-            called[person] = next((name for name in had if name and name not in called.values()), "") or new_name(
-                [*self._looks, *called.values()]
-            )
-        return {one.name: called[of] for one, of in zip(tracks, found, strict=True) if of != UNKNOWN}
+        persons = cast_of(tracks, [*self._given.values()], self._fps).person.tolist()
+        for person in sorted({*persons} - {UNKNOWN} - {*called}):
+            had = (self.names.get(track.name, "") for track, of in zip(tracks, persons, strict=True) if of == person)
+            kept = next((name for name in had if name and name not in called.values()), "")
+            called[person] = kept or new_name([*self._looks, *called.values()])
+        return {track.name: called[of] for track, of in zip(tracks, persons, strict=True) if of != UNKNOWN}
 
     def _see(self, result: FrameResult, shot: int) -> None:
         """Take in one frame more: where its tracks are, and now and then what they look like."""
-        for name in self._now.keys() - {one.rows.target for one in result.targets}:
+        for name in self._now.keys() - {target.rows.target for target in result.targets}:
             self._end(name)
         at = result.frame.index
-        for rows in (one.rows for one in result.targets):
+        for rows in (target.rows for target in result.targets):
             box = rows.find(rows.target, BOX)
             if box is None or not (views := views_of(box)):
                 continue
             place = tuple(box.boxes[0].tolist())
-            one = self._now.get(rows.target)
-            if one is None:
+            now = self._now.get(rows.target)
+            if now is None:
                 nothing = Seen(rows.target, at, at + 1, place, place, shot, Looks(*[box.x[:0]] * 6))
-                one = self._now[rows.target] = _Followed(Reader(self._detector), nothing, at - LOOK_FRAMES)
-            one.track = one.track._replace(stop=at + 1, ends=place)
-            if at >= one.looked + LOOK_FRAMES and len(one.reader.scores) < VIEWS:
-                one.looked = at
-                one.reader.see(result.frame, views[0])
-                if rows.target not in self.names and len(one.reader.scores) >= LEAST_VIEWS:
+                now = self._now[rows.target] = _Followed(Reader(self._detector), nothing, at - LOOK_FRAMES)
+            now.track = now.track._replace(stop=at + 1, ends=place)
+            if at >= now.looked + LOOK_FRAMES and len(now.reader.scores) < VIEWS:
+                now.looked = at
+                now.reader.see(result.frame, views[0])
+                if rows.target not in self.names and len(now.reader.scores) >= LEAST_VIEWS:
                     self._name(rows.target)
 
     def _name(self, track: str) -> None:
         """Name a track by its looks beside those of the tracks that are there; not yet, where that is in doubt."""
-        there = [one for one in self._now.values() if one.reader.is_face]
-        which = next((i for i, one in enumerate(there) if one.track.name == track), None)
-        if which is None:
+        there = [now for now in self._now.values() if now.reader.is_face]
+        at = next((i for i, now in enumerate(there) if now.track.name == track), None)
+        if at is None:
             return
-        found = cast_of([one.seen for one in there], [*self._looks.values()], self._fps)
-        person = int(found.person[which])
-        if person == UNKNOWN or (
-            any(one.track == which for one in found.doubts) and len(there[which].reader.scores) < VIEWS
-        ):
+        cast = cast_of([now.seen for now in there], [*self._looks.values()], self._fps)
+        person = int(cast.person[at])
+        doubtful = any(doubt.track == at for doubt in cast.doubts)
+        if person == UNKNOWN or (doubtful and len(there[at].reader.scores) < VIEWS):
             return
         name = next(iter([*self._looks][person : person + 1]), "") or new_name(self._looks)
         if all(self.names.get(other) != name for other in self._now):  # nobody is there twice
             self.names[track] = name
-            self._looks.setdefault(name, there[which].reader.looks())
+            self._looks.setdefault(name, there[at].reader.looks())
 
     def _end(self, track: str) -> None:
         ended = self._now.pop(track)
@@ -342,4 +340,4 @@ class LiveCast:
         self._past.append(ended.seen)
         if (name := self.names.get(track)) is not None:
             both = together([self._looks[name], ended.reader.looks()])
-            self._looks[name] = Looks(*(one[-4 * VIEWS :] for one in both))
+            self._looks[name] = Looks(*(array[-4 * VIEWS :] for array in both))

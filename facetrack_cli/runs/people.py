@@ -118,8 +118,8 @@ def _boxes(rows: Trajectory) -> dict[str, Trajectory]:
 
 def film_of(people: People, rows: Trajectory, clip: Path | None) -> tuple[Path | None, Any]:
     """The clip of a run, if it is known, and how it is read: its rate if the clip brings none, and its stream."""
-    where = clip or clip_of(rows)
-    return where, {"fps": where and given_rate(where, people.fps), "stream": said(rows, "source", "stream")}
+    place = clip or clip_of(rows)
+    return place, {"fps": place and given_rate(place, people.fps), "stream": said(rows, "source", "stream")}
 
 
 def cast_in(job: Job, rows: Trajectory, stop: Stopped, looked: Report) -> NamedFilm:
@@ -224,10 +224,10 @@ def name_run(plan: Plan, outcome: Outcome, stop: Stop, looked: Report) -> Outcom
     except StoppedError:
         outcome.stopped = stop.reason
         return outcome
-    if (known := read_manifest(job.out)) is None:
+    if (run := read_manifest(job.out)) is None:
         raise InputError(f"{job.out}: its run.json is gone; run again")
     about = {name: getattr(outcome, name) for name in ("frames_per_s", "warnings", "resumed")}
-    return replace(Outcome.of(job, known), again=None, note=cast_line(film.people), **about)
+    return replace(Outcome.of(job, run), again=None, note=cast_line(film.people), **about)
 
 
 def write_people(
@@ -317,10 +317,10 @@ def recast(
 
 def painted(folder: Path, people: People, rows: Trajectory, clip: Path | None) -> Painted | None:
     """What the annotated video of a film is drawn on; None if it has none, or its clip is not known."""
-    where, known, first = clip or clip_of(rows), read_manifest(folder), people.shots[0].first
-    if where is None or known is None or not (folder / VIDEO).is_file():
+    where, run, first = clip or clip_of(rows), read_manifest(folder), people.shots[0].first
+    if where is None or run is None or not (folder / VIDEO).is_file():
         return None
-    return Painted.of(rows, where, first, first + known.frames - 1)
+    return Painted.of(rows, where, first, first + run.frames - 1)
 
 
 def rows_in(folder: Path) -> Trajectory:
@@ -337,10 +337,10 @@ def people_in(folder: Path) -> People:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; name the folder of a film, which facetrack run --faces all wrote")
     check_run(folder)
-    found = read_people(folder)
-    if found is None:
+    people = read_people(folder)
+    if people is None:
         raise InputError(f"{folder}: has no {PEOPLE}; facetrack run --faces all writes it")
-    return found
+    return people
 
 
 def still_of(rows: Trajectory, target: str, first: int, stop: int, read: Callable[[int], Frame]) -> bytes:

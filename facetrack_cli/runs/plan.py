@@ -514,19 +514,19 @@ class Outcome(RunSummary):
     network: str = ""
 
     @classmethod
-    def of(cls, job: Job, known: Manifest) -> Outcome:
+    def of(cls, job: Job, run: Manifest) -> Outcome:
         """That of a run that its folder holds already."""
         assert job.out is not None
         return cls(
-            frames=known.frames,
-            lost_frames=known.lost_frames,
-            lost_at_end=known.lost_at_end,
-            complete=known.complete,
+            frames=run.frames,
+            lost_frames=run.lost_frames,
+            lost_at_end=run.lost_at_end,
+            complete=run.complete,
             clip=job.clip,
-            files=[job.out / name for name in known.files],
-            error=error_of(known) or (InputError(known.warnings[-1]) if job.strict and not known.complete else None),
-            again=known,
-            network=known.network,
+            files=[job.out / name for name in run.files],
+            error=error_of(run) or (InputError(run.warnings[-1]) if job.strict and not run.complete else None),
+            again=run,
+            network=run.network,
         )
 
     def next_step(self) -> str:
@@ -574,9 +574,9 @@ def lost_words(frames: Mapping[str, int]) -> str:
     return f"{'; '.join(words)} frame{'s' * (last != 1)}"
 
 
-def _is_tracked(known: Manifest) -> bool:
+def _is_tracked(run: Manifest) -> bool:
     """Whether a run came to its end, named or not."""
-    return known.error is None and known.stopped is None
+    return run.error is None and run.stopped is None
 
 
 def check_smoothing(recipe: Recipe) -> None:

@@ -33,11 +33,11 @@ Report: TypeAlias = Callable[[int, int], None]  # frames tracked over all seeds,
 _ENDED = "a process of -j ended by itself (too little memory?); run without -j"
 
 
-def variant(given: str) -> tuple[str, tuple[str, ...]]:
+def variant(config: str) -> tuple[str, tuple[str, ...]]:
     """A recipe and its overrides, from `name`, a file, or `name:key=value,key=value`."""
-    name, colon, rest = given.partition(":")
-    if not colon or "=" not in rest or Path(given).exists():
-        return given, ()
+    name, colon, rest = config.partition(":")
+    if not colon or "=" not in rest or Path(config).exists():
+        return config, ()
     return name, tuple(re.split(OVERRIDES, rest))
 
 
@@ -50,10 +50,10 @@ def labels(given: Sequence[str]) -> list[str]:
     for name, overrides in map(variant, given):
         stem = Path(name).stem if Path(name).suffix else name
         short.append(f"{stem}:{','.join(overrides)}" if overrides else stem)
-    found = [s if short.count(s) == 1 else text for s, text in zip(short, given, strict=True)]
-    if twice := [text for text in found if found.count(text) > 1]:
+    unique = [s if short.count(s) == 1 else text for s, text in zip(short, given, strict=True)]
+    if twice := [text for text in unique if unique.count(text) > 1]:
         raise UsageError(f"--config {twice[0]} is given twice; a recipe is compared with others")
-    return found
+    return unique
 
 
 def load_recipes(asked: Sequence[tuple[str, Sequence[str]]], gallery: str | None) -> list[Recipe]:

@@ -60,9 +60,9 @@ def save_smoothed(folder: Path, clip: Path, report: Report, stop: Stopped) -> tu
     after = given_all(rows, read_posterior(folder / POSTERIOR, rows))
     files = {folder / FILTERED: partial(write_rows, "csv", rows=rows)}
     files |= {path: partial(write_rows, form, rows=after) for form, path in run_files(folder).items()}
-    known = read_manifest(folder)
-    stays = {name: one for name, one in known.files.items() if name != POSTERIOR} if known else {}
-    ended = known and replace(known, smoothed=True, files=stays)
+    run = read_manifest(folder)
+    kept = {name: one for name, one in run.files.items() if name != POSTERIOR} if run else {}
+    ended = run and replace(run, smoothed=True, files=kept)
     paint = None
     if (folder / VIDEO).is_file():
         paint = partial(repaint, open_run(folder, clip).painted, rows=after, report=report, stop=stop)

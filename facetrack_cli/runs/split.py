@@ -279,13 +279,13 @@ def stitch(earlier: Trajectory, later: Trajectory, taken: Collection[str], *, ma
                 fine = agreeing(choose(a, ours), choose(b, theirs))
                 shares[ours, theirs] = float(fine.mean()) if len(fine) else 0.0
     pairs: dict[str, str] = {}
-    for (ours, theirs), share in sorted(shares.items(), key=lambda one: -one[1]):
+    for (ours, theirs), share in sorted(shares.items(), key=lambda pair: -pair[1]):
         if ours not in pairs.values() and theirs not in pairs and (share >= _SAME or not matched):
             pairs[theirs] = ours
-    found = {ours: shares[ours, theirs] for theirs, ours in pairs.items()}
+    agreements = {ours: shares[ours, theirs] for theirs, ours in pairs.items()}
     # of several faces one that is lost all the while may have left
     there = [name for name in a.targets if not matched or (choose(a, name).status != "lost").any()]
-    agreement = min((found.get(name, 0.0) for name in there), default=0.0)
+    agreement = min((agreements.get(name, 0.0) for name in there), default=0.0)
     names = _named(later, pairs, taken)
     seam = Seam(int(both[len(both) // 2]), agreement, agreement >= SHARE)
     return Stitch(seam, names, frozenset(names[name] for name in later.targets if name not in pairs))
@@ -303,28 +303,29 @@ def agreeing(ours: Trajectory, theirs: Trajectory) -> Mask:
     A part that one of them alone shows is in another place.
     """
     frames = np.intersect1d(ours.frames, theirs.frames)
-    fine, known = np.ones(len(frames), bool), np.zeros(len(frames), bool)
+    fine, visible = np.ones(len(frames), bool), np.zeros(len(frames), bool)
     points: list[tuple[str, Trajectory]] = []
     apart: list[Array] = []
-    for one in ours.parts:
-        if (other := next((part for part in theirs.parts if part.part == one.part), None)) is None:
+    others = {part.part: part for part in theirs.parts}
+    for part in ours.parts:
+        if (other := others.get(part.part)) is None:
             continue
-        a, b = one.take(np.isin(one.frame, frames)), other.take(np.isin(other.frame, frames))
+        a, b = part.take(np.isin(part.frame, frames)), other.take(np.isin(other.frame, frames))
         shown = np.isfinite(a.x), np.isfinite(b.x)
-        known |= shown[0] | shown[1]
+        visible |= shown[0] | shown[1]
         fine &= shown[0] == shown[1]
-        if one.part == BOX:
+        if part.part == BOX:
             fine &= ~(iou(a.boxes, b.boxes) < OVERLAP)
         else:
-            points.append((one.part, a))
+            points.append((part.part, a))
             apart.append(np.hypot(a.x - b.x, a.y - b.y))
     if points:
         distance = np.stack(apart)
         many = np.isfinite(distance).sum(axis=0)
         mean = np.nansum(distance, axis=0) / np.maximum(many, 1)
         fine &= ~(mean > APART * _size(points))
-    found: Mask = fine[known]
-    return found
+    agree: Mask = fine[visible]
+    return agree
 
 
 def _size(points: list[tuple[str, Trajectory]]) -> Array:
@@ -341,13 +342,13 @@ def _size(points: list[tuple[str, Trajectory]]) -> Array:
 
 def _named(later: Trajectory, pairs: Mapping[str, str], taken: Collection[str]) -> dict[str, str]:
     """What the targets of a later chunk are called: as the target that they are, else by a name that no target has."""
-    names, given = dict(pairs), {*taken, *pairs.values()}
+    names, used = dict(pairs), {*taken, *pairs.values()}
     for target in later.targets:
         if target not in names:
             stem = target.rstrip("0123456789").rstrip("_")
-            free = (name for i in count(1) if (name := f"{stem}_{i}" if i > 1 else stem) not in given)
+            free = (name for i in count(1) if (name := f"{stem}_{i}" if i > 1 else stem) not in used)
             names[target] = next(free)
-            given.add(names[target])
+            used.add(names[target])
     return names
 
 
@@ -418,19 +419,19 @@ class _Survey:
 
     def _read(self, folder: Path, first: int) -> Trajectory | None:
         """The rows of a chunk; None if it has none."""
-        known = read_manifest(folder)
-        why = "was not tracked" if known is None else known.error or known.stopped
-        if known is None or (why is not None and (known.files or known.exit_code != ExitCode.INPUT)):
+        run = read_manifest(folder)
+        why = "was not tracked" if run is None else run.error or run.stopped
+        if run is None or (why is not None and (run.files or run.exit_code != ExitCode.INPUT)):
             self.failed.append(f"{CHUNKS}/{folder.name}: {why}")
-        if known is None or not known.files:
+        if run is None or not run.files:
             self.complete, self._why = False, str(why)
             self.chunks.append({"first": first, "frames": 0, "error": why})
             return None
-        self.end = first + known.frames
-        if self._everyone and not known.lost_frames:
+        self.end = first + run.frames
+        if self._everyone and not run.lost_frames:
             with (folder / TABLE).open("rb") as table:
                 if not any(line.startswith(b'{"frame":') for line in table):  # it shows nobody
-                    self.chunks.append({"first": first, "frames": known.frames})
+                    self.chunks.append({"first": first, "frames": run.frames})
                     return None
         rows = read_run(folder / TABLE)
         self.chunks.append({"first": int(rows.frames[0]), "frames": len(rows.frames)})

@@ -187,11 +187,11 @@ def _do(work: Work, index: int, task: object) -> tuple[object, str]:
     with Stop(lambda: ExitCode(_ending.value) if _ending.value else None).listening() as stop:
         result = _result(work, task, stop, report)
     sys.stderr.flush()
-    said = ""
+    lines = ""
     with contextlib.suppress(OSError):
-        said = _log.read_text(errors="replace")
+        lines = _log.read_text(errors="replace")
         os.truncate(_log, 0)
-    return result, said
+    return result, lines
 
 
 @contextlib.contextmanager

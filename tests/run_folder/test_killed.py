@@ -202,22 +202,13 @@ def test_a_worker_that_is_killed_while_it_asks_whether_to_stop_holds_up_no_other
 
 
 @posix
-def test_a_folder_has_one_writer(clip, tmp_path, capsys):
-    with FolderLease(tmp_path):
-        assert run(clip, "-o", tmp_path, *SMALL) == 2
-        assert "another facetrack is writing its results here; wait until it ends" in capsys.readouterr().err
-    assert run(clip, "-o", tmp_path, "--stop", 3, *SMALL, "-q") == 0
-    assert not {LOCK, NOTE} & {*names(tmp_path)}
-
-
-@posix
 def test_of_two_runs_at_once_one_writes(clip, tmp_path):
     command = [*FACETRACK, "run", clip, "-o", tmp_path, *SMALL, *TABLES]
     both = [subprocess.Popen([*command, "--seed", str(seed)], stderr=subprocess.PIPE) for seed in (1, 2)]
     said = [process.communicate()[1].decode() for process in both]
     assert sorted(process.returncode for process in both) == [0, 2], said
     [seed] = [seed for seed, process in zip((1, 2), both, strict=True) if process.returncode == 0]
-    assert read_run(tmp_path).header["seed"] == seed
+    assert read_run(tmp_path).header["seed"] == seed and not {LOCK, NOTE} & {*names(tmp_path)}
 
 
 def test_a_run_owns_all_its_outputs(clip, tmp_path):

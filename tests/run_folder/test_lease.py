@@ -20,7 +20,7 @@ from facetrack_cli.run_folder import lease as leases
 from facetrack_cli.run_folder.lease import LOCK, NOTE, FolderLease, finish_replacing, holder, left_in, sweep
 from facetrack_cli.run_folder.manifest import read_run, trajectory_of
 from tests.support.leases import ELSEWHERE, abandon, ended_process, leave, leave_here, note_here
-from tests.support.sway import names, until
+from tests.support.sway import names
 
 LEASE_S = 0.6
 
@@ -55,23 +55,20 @@ def test_a_folder_has_one_writer(tmp_path):
             assert holder(folder) == note
             assert is_refused(folder)
             lease.check()
+            for reader in (read_run, trajectory_of):
+                with pytest.raises(InputError, match="a run is being written here; wait until it ends"):
+                    reader(folder)
         assert names(folder) == [] and holder(folder) is None
-
-
-def test_who_reads_a_run_that_is_being_written_is_told(tmp_path):
-    with FolderLease(tmp_path):
-        for reader in (read_run, trajectory_of):
-            with pytest.raises(InputError, match="a run is being written here; wait until it ends"):
-                reader(tmp_path)
     with pytest.raises(InputError, match=r"has no trajectory\.json"):
-        trajectory_of(tmp_path)
+        trajectory_of(folder)
 
 
 def test_signs_of_life(tmp_path, soon, monkeypatch):
     with FolderLease(tmp_path) as lease:
         size = (tmp_path / NOTE).stat().st_size
         os.utime(tmp_path / LOCK, (0, 0))
-        until(lambda: (tmp_path / LOCK).stat().st_mtime > 1)
+        assert is_refused(tmp_path), "it is heard again meanwhile"
+        assert (tmp_path / LOCK).stat().st_mtime > 1
         for frame in (5, 123456):
             time.sleep(0.1)
             lease.progress(frame, 2 * frame)
@@ -86,12 +83,13 @@ def test_signs_of_life(tmp_path, soon, monkeypatch):
         assert holder(tmp_path)["run"] == ""
 
 
-@pytest.mark.parametrize("hours", [0, -5, 5])
-def test_another_machine_is_believed_for_a_minute(tmp_path, hours, monkeypatch):
+def test_another_machine_is_believed_for_a_minute(tmp_path, monkeypatch):
     clock = time.time
-    leave(tmp_path, ELSEWHERE, silent_s=50)
-    monkeypatch.setattr(time, "time", lambda: clock() + 3600 * hours)  # the clock is that of the file system
-    assert is_refused(tmp_path)
+    for hours in (0, -5, 5):
+        leave(tmp_path, ELSEWHERE, silent_s=50)
+        with monkeypatch.context() as patched:
+            patched.setattr(time, "time", lambda hours=hours: clock() + 3600 * hours)
+            assert is_refused(tmp_path), "the clock is that of the file system"
 
 
 def test_who_is_silent_is_taken_over(tmp_path, soon, capsys):
@@ -106,12 +104,6 @@ def test_who_is_silent_is_taken_over(tmp_path, soon, capsys):
     leave(tmp_path, ELSEWHERE, silent_s=70)
     with pytest.raises(BusyError), FolderLease(tmp_path, stopped=lambda: True):
         pass
-
-
-def test_who_is_heard_again_is_not_taken_over(tmp_path, soon):
-    with FolderLease(tmp_path):
-        os.utime(tmp_path / LOCK, (0, 0))
-        assert is_refused(tmp_path)
 
 
 def test_of_this_machine_a_process_that_ended_leaves_nothing(tmp_path):
@@ -182,18 +174,15 @@ def test_a_lease_that_says_nothing(tmp_path, soon, text):
     assert names(tmp_path) == []
 
 
-def test_a_lease_of_another_length(tmp_path, monkeypatch):
-    leave(tmp_path, ELSEWHERE, silent_s=70)
+def test_a_lease_of_another_length_and_a_note_that_is_being_written(tmp_path, monkeypatch):
+    text = json.dumps(ELSEWHERE).ljust(5000)
+    leave(tmp_path, text[:40] + "\0" * 4960, silent_s=50)
+    with monkeypatch.context() as patched:
+        patched.setattr(leases.time, "sleep", lambda _: leave(tmp_path, text, silent_s=70))
+        assert holder(tmp_path) == ELSEWHERE, "it is read again"
     monkeypatch.setattr(leases, "LEASE_S", 30.0)
     with pytest.raises(OutputError, match="if nobody writes here, remove it"), FolderLease(tmp_path):
         pass
-
-
-def test_a_note_that_is_being_written_is_read_again(tmp_path, monkeypatch):
-    text = json.dumps(ELSEWHERE).ljust(5000)
-    leave(tmp_path, text[:40] + "\0" * 4960)
-    monkeypatch.setattr(leases.time, "sleep", lambda _: leave(tmp_path, text))
-    assert holder(tmp_path) == ELSEWHERE
 
 
 def test_a_process_that_is_taken_over_notices(tmp_path):

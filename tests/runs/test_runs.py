@@ -82,7 +82,7 @@ def test_a_plan_that_cannot_run_says_why_and_the_others_go_on(tmp_path, workers)
         SeedPlan("bad", CLIP, load_recipe("factorized"), start, (0, 1)),
         good,
         replace(good, clip=tmp_path / "none.mp4"),
-        replace(good, start=Start(9999, good.start.targets, "late.yaml")),
+        replace(good, start=Start(9999, good.start.targets, "late.yaml"), stop=None),
         plan(seeds=(0,), overrides=["prior.file=none.npz"]),
     ]
     ended = list(run_plans(plans, workers))
