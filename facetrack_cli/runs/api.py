@@ -202,7 +202,7 @@ class Recording:
             if result.start is None:
                 raise InputError(f"{self.job.out}: the first result has no start; write results of track_frames")
             clip = ClipFacts(str(self.job.clip), result.frame.size, self._rate)
-            self._into.begin(Results(clip, partial(header_of, self.job, clip, result.start, {}), iter(())), result)
+            self._into.begin(Results(clip, partial(header_of, self.job, clip, result.start, {})), result)
         self._into.write(result)
 
     def __exit__(self, kind: Any = None, error: BaseException | None = None, trace: Any = None) -> None:

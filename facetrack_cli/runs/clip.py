@@ -166,8 +166,7 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: RunState, stop: S
                 warnings += (f"{start.origin} {alone}; --init haar does",)
             return Ended(source.complete, warnings, source.variable)
 
-        with contextlib.closing(tracked()) as frames:
-            yield Results(clip, partial(header_of, job, clip, start, more), frames, state.at, ended)
+        yield Results(clip, partial(header_of, job, clip, start, more), tracked(), state.at, ended)
 
 
 def past_end(corrections: Iterable[Correction], last: int, origin: str) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -112,7 +112,7 @@ class Results:
     clip : ClipFacts
     header : Callable[[Trajectory], Header]
         What JSON says at its beginning, by the rows of the first frame.
-    frames : Iterator of FrameResult
+    frames : Generator of FrameResult, or None
         Raises StoppedError where nothing is to be kept.
     state : TrackState
         The state of the tracker after the last result, for a checkpoint.
@@ -123,7 +123,7 @@ class Results:
 
     clip: ClipFacts
     header: Callable[[Trajectory], Header]
-    frames: Iterator[FrameResult]
+    frames: Generator[FrameResult, None, None] | None = None  # of who writes them one by one
     state: TrackState = field(default_factory=TrackState)
     ended: Callable[[bool], Ended] = lambda whole: Ended()
 
@@ -394,19 +394,21 @@ def record(results: Results, into: Recorder, stop: Stop, report: Report = silent
     Exception
         The error, if nothing was tracked; no file is left then.
     """
+    assert results.frames is not None
     before, begun, error = into.outcome.frames, False, None
-    try:
-        for result in results.frames:
-            if not begun:
-                into.begin(results, result)
-                begun = True
-            into.write(result)
-            report(into.outcome.frames, into.total)
-            del result  # or two frames are in memory while the next one is tracked
-    except StoppedError:
-        return Outcome(clip=into.plan.job.clip, stopped=stop.reason)
-    except Exception as e:  # whatever it is, what was tracked is kept
-        error = e
+    with contextlib.closing(results.frames):
+        try:
+            for result in results.frames:
+                if not begun:
+                    into.begin(results, result)
+                    begun = True
+                into.write(result)
+                report(into.outcome.frames, into.total)
+                del result  # or two frames are in memory while the next one is tracked
+        except StoppedError:
+            return Outcome(clip=into.plan.job.clip, stopped=stop.reason)
+        except Exception as e:  # whatever it is, what was tracked is kept
+            error = e
     if into.outcome.frames == before:
         if error is not None:
             raise error

@@ -14,7 +14,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import shutil
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain, count
@@ -495,7 +495,7 @@ def stitched(plan: Plan, stop: Stop) -> Iterator[tuple[Results, Start]]:
             for missing in range(index, survey.end):
                 yield Frame(missing, 0.0, _NOTHING)
 
-        def joined(rows: Trajectory) -> Iterator[FrameResult]:
+        def joined(rows: Trajectory) -> Generator[FrameResult, None, None]:
             later = iter(survey.parts[1:])
             for frame in frames():
                 if stop():

@@ -1,7 +1,9 @@
 """Batches: what is done is not done again, what failed is told, and several at once share the clips."""
 
+import io
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -9,19 +11,25 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 from imageio_ffmpeg import get_ffmpeg_exe
+from PIL import Image
 
+from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.run_folder import lease as locks
 from facetrack_cli.run_folder.lease import FolderLease
 from facetrack_cli.run_folder.manifest import read_manifest
 from facetrack_cli.run_folder.status import MAX_ROWS, ClipStatus, duration, worst
 from facetrack_cli.runs import plan as jobs
+from facetrack_cli.runs.batch import expand
 from facetrack_cli.runs.plan import Outcome
+from facetrack_cli.video.files import brings_rate
 from tests.support.leases import ELSEWHERE, leave
 from tests.support.samples import FOLDER
 from tests.support.sway import FACETRACK, SMALL, make_clip, until
+from tests.test_docs import ROOT, blocks
 
 posix = pytest.mark.skipif(os.name != "posix", reason="the lock needs POSIX")
 OPTIONS = [*SMALL, "--no-video", "--format", "csv"]
@@ -327,3 +335,196 @@ def test_a_batch_that_is_killed_leaves_no_process(tmp_path, how, moment):
         return not [one for one in children if one.is_running() and one.status() != psutil.STATUS_ZOMBIE]
 
     until(gone, seconds=8)  # five seconds, and what a busy machine takes
+
+
+# --- what a command line names ---
+
+
+FILES = """
+day1/b10.mp4 day1/b2.MP4 day1/notes.txt day1/.hidden.mp4 day1/cover.jpg day2/c.mkv faces/0.png faces/1.png
+tree/x/1.jpg tree/y/a.mp4 tree/y/deep/z.mp4 tree/r/run.json tree/r/annotated.mp4 tree/empty/no.txt empty/no.txt
+"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in (*FILES.split(), "sub/day3/d [1].mp4"):
+        touch(name)
+
+
+def touch(name):
+    Path(name).parent.mkdir(parents=True, exist_ok=True)
+    Path(name).touch()
+
+
+def expanded(*inputs):
+    said = []
+    clips, several = expand([Path(one) for one in inputs], said.append)
+    return [clip.as_posix() for clip in clips], several, said
+
+
+@pytest.mark.parametrize(
+    ("inputs", "clips", "several"),
+    [
+        (["day2/c.mkv"], ["day2/c.mkv"], False),
+        (["gone.mp4"], ["gone.mp4"], False),
+        (["faces"], ["faces"], False),
+        (["faces/*.png"], ["faces/*.png"], False),
+        (["empty"], ["empty"], False),
+        (["tree/r"], ["tree/r"], False),
+        (["day2/c.mkv", "./day2/c.mkv"], ["day2/c.mkv"], False),
+        (["day2"], ["day2/c.mkv"], True),
+        (["day2/c.mkv", "faces"], ["day2/c.mkv", "faces"], True),
+        (["tree"], ["tree/x", "tree/y/a.mp4"], True),
+        (["sub"], ["sub/day3/d [1].mp4"], True),
+        (["sub/day3/d [1].mp4"], ["sub/day3/d [1].mp4"], False),
+        (["day1/*.mp4"], ["day1/b10.mp4"], True),
+        (["day?/*.m*"], ["day1/b10.mp4", "day2/c.mkv"], True),
+        (["tree/*"], ["tree/x", "tree/y/a.mp4"], True),
+        (["**/c.mkv"], ["day2/c.mkv"], True),
+    ],
+)
+def test_inputs(here, inputs, clips, several):
+    assert expanded(*inputs) == (clips, several, [])
+
+
+def test_images_beside_videos_are_left_out_with_a_line(here):
+    clips, several, said = expanded("day1")
+    assert (clips, several) == (["day1/b2.MP4", "day1/b10.mp4"], True), "by their numbers"
+    assert said == [
+        "facetrack: warning: day1: 1 image beside the videos is left out; give images a folder of their own"
+    ]
+    touch("day1/other.png")
+    assert "day1: 2 images beside the videos are left out" in expanded("day1")[2][0]
+
+
+def test_animations_and_archives_are_clips(here):
+    still, *others = [Image.new("L", (8, 8), level) for level in (10, 60, 110)]
+    Path("mixed").mkdir()
+    for name in ("mixed/b.gif", "mixed/c10.png"):
+        still.save(name, save_all=True, append_images=others)
+    still.save("mixed/c2.png")
+    for name, inside in (("mixed/d.zip", "1.png"), ("mixed/e.zip", "notes.txt")):
+        with ZipFile(name, "w") as packed:
+            packed.write("mixed/c2.png", inside)
+    Path("mixed/f.zip").write_bytes(b"PK")  # which is told once it is opened
+    clips, several, said = expanded("mixed")
+    assert (clips, several) == (["mixed/b.gif", "mixed/c10.png", "mixed/d.zip", "mixed/f.zip"], True)
+    assert len(said) == 1 and "mixed: 1 image beside the videos is left out" in said[0]
+    assert expanded("mixed/*.png")[0] == ["mixed/c10.png"]
+    assert expanded("mixed/c10.png", "mixed/b.gif")[0] == ["mixed/c10.png", "mixed/b.gif"]
+    rates = {name: brings_rate(Path("mixed") / name) for name in ("b.gif", "c10.png", "c2.png", "d.zip", "*.png", "")}
+    assert [name for name, own in rates.items() if own] == ["b.gif", "c10.png"]
+
+
+def test_lists(here, monkeypatch):
+    Path("list.txt").write_bytes(b"\xef\xbb\xbfday2/c.mkv\r\n\n  \n# day1/b10.mp4\nfaces\nday1/*.mp4\nday2/c.mkv\n")
+    clips = ["day2/c.mkv", "faces", "day1/b10.mp4"]
+    assert expanded("@list.txt") == (clips, True, [])
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(b"day2/c.mkv")))
+    assert expanded("@-") == (["day2/c.mkv"], True, [])
+    touch("@odd.mp4")
+    assert expanded("./@odd.mp4") == (["@odd.mp4"], False, [])
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "words"),
+    [
+        (["@gone.txt"], InputError, "gone.txt: cannot be read as a list of clips: No such file or directory"),
+        (["@day1"], InputError, "day1: cannot be read as a list of clips: Is a directory"),
+        (["@empty/no.txt"], InputError, "empty/no.txt: names no clip; it has a path a line"),
+        (["@zeros"], InputError, "zeros: is not a list of clips"),
+        (["gone/*.mp4"], InputError, "gone/*.mp4: matches no file"),
+        (["faces/0.png", "faces/1.png", "day2/c.mkv"], UsageError, "faces/0.png and 1 more are single images; give "),
+    ],
+)
+def test_what_cannot_be_meant(here, given, error, words):
+    Path("zeros").write_bytes(b"a\0b")
+    with pytest.raises(error) as raised:
+        expanded(*given)
+    assert str(raised.value).startswith(words) and "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (["GX010042.MP4", "GX020042.MP4", "GX030042.MP4"], "GX010042.MP4 to GX030042.MP4"),
+        (["GOPR0042.MP4", "GP010042.MP4"], "GOPR0042.MP4 to GP010042.MP4"),
+        ([f"00{n:03}.MTS" for n in range(10)], "00000.MTS to 00009.MTS"),
+        (["DJI_0001.MP4", "DJI_0002.MP4"], "DJI_0001.MP4 to DJI_0002.MP4"),
+        (["p1.mp4", "p7.mp4"], ""),
+        (["anna.mp4", "ben.mp4"], ""),
+        (["1.png", "2.png"], ""),
+    ],
+)
+def test_what_may_be_chapters_of_one_recording_is_told_how_to_join(here, names, told):
+    for name in names:
+        touch(f"card/{name}")
+    said = expanded("card")[2]
+    assert bool(said) == bool(told)
+    if told:
+        assert said[0].startswith(f"facetrack: {told}: each is a clip of its own") and "-f concat" in said[0]
+    shutil.rmtree("card")
+
+
+# --- programs that start jobs, as docs/pipelines.md has them ---
+
+
+CLIPS = 3
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty folder with clips, in which `facetrack` is this one, and tracks few frames."""
+    (tmp_path / "clips").mkdir()
+    for i in range(CLIPS):
+        make_clip(tmp_path / "clips" / f"{i}.mp4", 6)
+    program = tmp_path / "bin" / "facetrack"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m facetrack_cli "$@"\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{program.parent}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("FACETRACK_RUN_CONFIG", "factorized")
+    monkeypatch.setenv("FACETRACK_RUN_SET", "filter.particles=20")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def block(kind, word):
+    [found] = [text for text in blocks(ROOT / "docs" / "pipelines.md", kind) if word in text]
+    return found
+
+
+def done(folder):
+    tables = sorted((folder / "results").glob("*/trajectory.csv"))
+    return len(tables) == CLIPS and all(len(table.read_text().splitlines()) == 1 + 6 * 5 for table in tables)
+
+
+@pytest.mark.skipif(shutil.which("parallel") is None, reason="GNU parallel is not installed")
+def test_gnu_parallel(folder):
+    said = subprocess.run(["sh", "-ec", block("sh", "| parallel")], capture_output=True, text=True, check=False)
+    assert said.returncode == 0, said.stderr
+    assert done(folder) and re.search(rf"done +{CLIPS}\n", said.stdout)
+
+
+@pytest.mark.skipif(shutil.which("snakemake") is None, reason="Snakemake is not installed")
+def test_snakemake(folder):
+    Path("Snakefile").write_text(block("python", "rule track"))
+    words = ["snakemake", "--cores", "2"]
+    said = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert said.returncode == 0, said.stderr
+    assert done(folder) and len(list(Path("shards").iterdir())) == 4
+
+
+def test_a_slurm_array(folder):
+    """Without SLURM: the script with the variables that SLURM sets."""
+    script = block("sh", "SBATCH --array")
+    (folder / "list.txt").write_text("clips/\n")
+    script = script.replace("/shared/results", "results").replace("--config adaptive_robust ", "")
+    script = script.replace("export NUMBA_CACHE_DIR", "unused")  # or all kernels would be compiled again
+    for task in ("1", "2"):
+        given = {"SLURM_ARRAY_TASK_ID": task, "SLURM_ARRAY_TASK_COUNT": "2"}
+        subprocess.run(["bash", "-ec", script], env={**os.environ, **given}, check=True)
+    assert done(folder)
