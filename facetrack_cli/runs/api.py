@@ -30,11 +30,11 @@ from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.engine.loop import TrackState, track
 from facetrack_cli.recipe.load import default_recipe, load_recipe
 from facetrack_cli.recipe.model import Recipe, seeded, to_dict
-from facetrack_cli.runs.clip import rows_of
+from facetrack_cli.runs.clip import track_clip
 from facetrack_cli.runs.people import cast_in
 from facetrack_cli.runs.plan import Job, check_count, check_smoothing, completed, resolve, search, silent
 from facetrack_cli.runs.progress import Bar, Progress, watched
-from facetrack_cli.runs.record import ClipFacts, Recorder, Results, RunFolder, Video, header_of, tables
+from facetrack_cli.runs.record import ClipFacts, Recorder, Results, Rows, RunFolder, Video, header_of, tables
 from facetrack_cli.runs.signals import Stop, never
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.init_file import read_init
@@ -90,10 +90,11 @@ def track_video(
     plan = resolve(job, kept=True)
     with contextlib.closing(Bar() if report is None and watched() else Progress(True)) as shown:
         shown.begin(job.clip.name)
-        done, rows = rows_of(plan, Stop(), report or shown.update, shown.looked)
+        sink = Rows()
+        done = track_clip(plan, None, Stop(), report or shown.update, shown.looked, [sink])
     if done.error is not None and not isinstance(done.error, FacetrackError):
         raise done.error  # a fault of ours is not the end of a clip
-    assert rows is not None
+    rows = sink.trajectory(done)
     if plan.everyone:
         film = cast_in(job, rows, never, silent)
         header = {**rows.header, "people": film.people.model_dump(mode="json")}

@@ -22,7 +22,6 @@ from facetrack_cli.runs.record import (
     Ended,
     Recorder,
     Results,
-    Rows,
     RunFolder,
     RunState,
     Sink,
@@ -39,7 +38,7 @@ from facetrack_cli.start.precompile import Precompiler
 from facetrack_cli.start.presence import Film
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.smoothed import lagged
-from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
+from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.shots import Shot
 
@@ -82,23 +81,14 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent, 
         return ended
     if job.out is None:
         return track_clip(plan, None, stop, report, looked)
-    if plan.unnamed is not None:
-        return name_run(plan, Outcome.of(job, plan.unnamed), stop, looked)
+    if plan.names and plan.tracked is not None:
+        return name_run(plan, Outcome.of(job, plan.tracked), stop, looked)
     with RunFolder(plan, stop) as folder:
         plan = folder.plan
         if (ended := plan.ended()) is not None:  # meanwhile, by another process
             return ended
         done = (work or track_clip)(plan, folder, stop, report, looked)
     return name_run(plan, done, stop, looked) if plan.names and done.error is None and done.stopped is None else done
-
-
-def rows_of(
-    plan: Plan, stop: Stop, report: Report = silent, looked: Report = silent
-) -> tuple[Outcome, Trajectory | None]:
-    """Track one clip into memory; what became of it, and its rows, None without any. Raises as `run`."""
-    rows = Rows()
-    done = track_clip(plan, None, stop, report, looked, [rows])
-    return done, rows.trajectory(done) if done.frames else None
 
 
 def track_clip(

@@ -9,7 +9,7 @@ import math
 import os
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from fractions import Fraction
 from itertools import chain, islice
 from numbers import Integral
@@ -29,7 +29,6 @@ from facetrack_cli.engine.checks import box_of, check_start
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import default_recipe
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.run_folder.finished import stamp
 from facetrack_cli.run_folder.lease import is_held
 from facetrack_cli.run_folder.manifest import (
     OWNED,
@@ -339,7 +338,7 @@ class Job(ClipRequest):
 
 @dataclass(frozen=True)
 class Plan:
-    """A job with the answers that the files gave: nobody looks for the init file, or into the folder, again.
+    """A job with the answers that the files gave.
 
     Attributes
     ----------
@@ -351,15 +350,12 @@ class Plan:
         Whether everybody in a film is followed, from entry to exit, and over cuts.
     known : Manifest or None
         The run.json of an earlier run of the same job and the same clip, whose files are whole.
-    there : Mapping
-        What was in the folder: what changes when a file of a run is written again, by its name.
     """
 
     job: Job
     asked: str
     everyone: bool
     known: Manifest | None
-    there: Mapping[str, object] = field(default_factory=dict)
 
     @property
     def draws(self) -> bool:
@@ -372,10 +368,10 @@ class Plan:
         return self.everyone and not self.job.chunk and self.job.out is not None
 
     @property
-    def unnamed(self) -> Manifest | None:
-        """The run.json of a film that was tracked and not named."""
-        tracked = self.known is not None and not self.job.overwrite and _is_tracked(self.known)
-        return self.known if self.names and tracked else None
+    def tracked(self) -> Manifest | None:
+        """The run.json of a run that came to its end, named or not, and is not to be replaced."""
+        known = None if self.job.overwrite else self.known
+        return known if known is not None and known.error is None and known.stopped is None else None
 
     def ended(self) -> Outcome | None:
         """What became of a job that is done, or, in a batch, has failed; None if the clip is to be tracked."""
@@ -383,14 +379,9 @@ class Plan:
         if known is None or job.overwrite:
             return None
         named = not self.names or PEOPLE in known.files
-        whole = _is_tracked(known) and named and (VIDEO in known.files or not job.video)
+        whole = self.tracked is not None and named and (VIDEO in known.files or not job.video)
         failed_before = known.error is not None and job.batch and not job.retry_failed
         return Outcome.of(job, known) if whole or failed_before else None
-
-    def again(self) -> Plan:
-        """The plan now that the folder is ours: as it was, unless somebody has written there. OutputError."""
-        assert self.job.out is not None
-        return self if _owned(self.job.out) == self.there else resolve(self.job, locked=True)
 
 
 def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
@@ -433,11 +424,7 @@ def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
         if locked or (known is None and not is_held(job.out)):
             raise
         check_folder(job.out, OWNED, overwrite=True, inputs=inputs)
-    return Plan(job, asked, everyone, known, _owned(job.out))
-
-
-def _owned(out: Path) -> dict[str, object]:
-    return {name: stamp(out / name) for name in OWNED}
+    return Plan(job, asked, everyone, known)
 
 
 def digest_of(job: Job) -> str:
@@ -572,11 +559,6 @@ def lost_words(frames: Mapping[str, int]) -> str:
         words.append(f"{target} {lost}".strip())
         last = [*counts][-1]
     return f"{'; '.join(words)} frame{'s' * (last != 1)}"
-
-
-def _is_tracked(run: Manifest) -> bool:
-    """Whether a run came to its end, named or not."""
-    return run.error is None and run.stopped is None
 
 
 def check_smoothing(recipe: Recipe) -> None:

@@ -55,7 +55,7 @@ from facetrack_cli.run_folder.manifest import (
     recover,
 )
 from facetrack_cli.runs.pipeline import Painter
-from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, silent
+from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, resolve, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.trajectory.diagnostics import KNOWN
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED, to_record
@@ -189,7 +189,7 @@ class RunFolder:
             opened.enter_context(self.lease)
             self._entered_s = time.monotonic()
             recover(self.path, self.lease)
-            self.plan = self.plan.again()  # somebody may have written since
+            self.plan = resolve(self.plan.job, locked=True)  # somebody may have written since
             self._run.began, self._run.asked = utc_now(), self.plan.asked
             self._opened = opened.pop_all()
         return self
