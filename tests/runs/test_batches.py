@@ -132,27 +132,6 @@ def test_ctrl_c_ends_the_waiting(run):
         process.stderr.close()
 
 
-@pytest.mark.nightly
-@posix
-def test_one_that_was_suspended_and_taken_over_replaces_nothing(run, tmp_path, monkeypatch):
-    clip, out = make_clip(tmp_path / "sway.mp4", 300), tmp_path / "out"
-    code = "from facetrack_cli.run_folder import lease; lease.LEASE_S = 0.6; "
-    code += "import sys; from facetrack_cli.__main__ import main; sys.exit(main())"
-    command = [sys.executable, "-c", code, "run", clip, "-o", out, *OPTIONS]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    until(lambda: any(part.stat().st_size >= 10_000 for part in out.glob(".trajectory-*.part.csv")), process)
-    process.send_signal(signal.SIGSTOP)
-    time.sleep(0.8)
-    monkeypatch.setattr(locks, "LEASE_S", 0.6)
-    assert run(clip, "-o", out, "-q")[0] == 0
-    before = {path.name: path.read_bytes() for path in out.iterdir() if not path.name.startswith(".")}
-    process.send_signal(signal.SIGCONT)
-    said = process.communicate(timeout=60)[1]
-    assert process.returncode == 2 and "another facetrack has taken this folder over" in said
-    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
-    assert (read_manifest(out).stopped, read_manifest(out).frames) == (None, 300)
-
-
 # --- what failed ---
 
 
