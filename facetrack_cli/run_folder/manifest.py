@@ -490,7 +490,7 @@ def clip_stat(clip: Path) -> Clip | None:
 
 
 def clip_digest(path: Path, stopped: Callable[[], bool] = lambda: False) -> str:
-    """The checksum of a file, or of the images of a folder; "" if it cannot be read."""
+    """SHA-256 of a file, or of the images of a folder; "" if it cannot be read."""
     try:
         images = listing(path)
         return digest([path] if images is None else images, names=images is not None, stopped=stopped)

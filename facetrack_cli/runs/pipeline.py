@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 
 def share_threads(threads: int) -> None:
-    """Leave one of so many to decoding. OpenCV's wait for work by spinning: on two cores that is a tenth of a run."""
+    """Leave one thread to decoding. Idle threads of OpenCV spin: on two cores this takes a tenth of a run."""
     cv2.setNumThreads(max(threads - 1, 1))
 
 
@@ -101,13 +101,13 @@ def _until(frames: Iterable[Frame], stopped: Callable[[], bool]) -> Iterator[Fra
 
 
 class _Channel(Generic[T]):
-    """A bounded queue whose both ends give up when told to, so that no stage waits for one that has ended."""
+    """A bounded queue. Either end gives up on request, so that no stage waits for one that has ended."""
 
     def __init__(self, given_up: Callable[[], bool]) -> None:
         self._queue, self._given_up = Queue[T | BaseException | None](MAX_QUEUE), given_up
 
     def put(self, item: T | BaseException | None) -> bool:
-        """False if nobody takes it any more. None is the end; an exception is raised at the other side."""
+        """Append an item; False if the reader is gone. None ends the items; an exception is raised in the reader."""
         frame = item.frame if isinstance(item, FrameResult) else item
         if isinstance(frame, Frame):
             in_colours = max(3 * frame.size[0] * frame.size[1], 1)

@@ -72,7 +72,7 @@ class ClipRequest:
     `find`. `faces` says whether it takes the best face, or all that are there.
     `init_frame` is the frame of the init file or box, or the first to look for a face in.
     `stream`: the number of the video stream in the file.
-    `chunk`: that it is a chunk of a clip, in which a face is looked for up to its end.
+    `chunk`: whether it is a chunk of a longer clip; then a face is searched for up to its end.
     """
 
     clip: Path
@@ -313,9 +313,9 @@ class Job(ClipRequest):
     """What is asked of one clip. `out` None streams the one format to standard output.
 
     `lag`: by how many frames rows come later, given the frames up to then. `posterior`: whether it is kept. `strict`:
-    whether a clip that is damaged is an error, of which what was tracked is kept. `resume`: whether a run that was
+    whether a damaged clip is an error; its rows are kept. `resume`: whether a run that was
     ended goes on from its last checkpoint. `batch`: whether a clip that fails has a run.json that says so; it is not
-    tried again then, but with `retry_failed`. `split`: that it is tracked in chunks, whose rows are joined.
+    tried again then, but with `retry_failed`. `split`: the length of chunks that are tracked apart and joined.
     """
 
     recipe: Recipe

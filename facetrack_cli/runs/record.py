@@ -95,7 +95,7 @@ class ClipFacts(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """What is known of results once there are no more. `error`: why they are not all that was asked for."""
+    """How results ended. `error`: why they are fewer than was asked for."""
 
     complete: bool = True
     warnings: tuple[str, ...] = ()
@@ -129,39 +129,39 @@ class Results:
 
 
 class Sink:
-    """Where results go: a file, or what is counted. `path` is the file, of which it writes the temporary one."""
+    """Takes the results of a run, and writes or counts them. A file is written under the temporary name of `path`."""
 
     path: Path | None = None
 
     def fits(self, mark: Any) -> bool:
-        """Whether a checkpoint's mark is one of its own, and what was written up to there is still there."""
+        """Whether the sink can continue from a checkpoint's mark: it is its own, and what was written still exists."""
         return mark is None
 
     def begin(self, clip: ClipFacts, header: Header, mark: Any) -> None:
-        """Called before the first result; `mark` is that of the run that is gone on with, else None."""
+        """Called before the first result. `mark` is what `mark` returned in a run that continues, else None."""
 
     def write(self, result: FrameResult) -> None:
         """Take one more frame."""
 
     def mark(self) -> Any:
-        """What it needs to go on from here."""
+        """The state from which `begin` can continue."""
 
     def sync(self) -> None:
-        """Bring to the disk what was marked. Raises OSError."""
+        """Flush what was written to the disk, before a checkpoint relies on it. Raises OSError."""
 
     def end(self, done: Outcome) -> None:
-        """Called once there are no more results, before any sink is closed: it may add to what the tables say."""
+        """Called after the last result, before any sink is closed. It may add to the outcome, which tables write."""
 
     def close(self, done: Outcome) -> None:
         """End the file."""
 
     def discard(self) -> None:
-        """Remove what was written, if it is not in its place."""
+        """Remove the temporary file, if it is still there."""
 
 
 @dataclass
 class RunState:
-    """Where a run stands: the `frame` that is tracked next, its outcome so far, its tracker, and each of its sinks."""
+    """The state of a run: the `frame` to track next, the outcome so far, the tracker's state, the sinks' marks."""
 
     frame: int
     outcome: Outcome
@@ -195,7 +195,7 @@ class RunFolder:
         return self
 
     def resume(self, start: Start, sinks: Sequence[Sink]) -> tuple[RunState, Any] | None:
-        """Where the last run of the same job stood, and its video, if that is known and wished; else None."""
+        """The last checkpoint of the same job, and of its video; None if there is none, or it is not to be used."""
         job, found = self.plan.job, None
         if job.recipe.filters and not job.lag:
             clip = clip_stat(job.clip)
@@ -223,7 +223,7 @@ class RunFolder:
     def commit(
         self, done: Outcome, clip: Clip | None, resumed: int, error: Exception | None, errors: list[Exception]
     ) -> list[str]:
-        """Let the finished files replace the old ones; lines on what is there of the track before.
+        """Let the finished files replace the old ones. Returns lines on files that are left of an earlier track.
 
         `error` ended the run; those of writing are added to `errors`.
         """
@@ -309,7 +309,7 @@ class Recorder:
             self.video.begin(results.clip, header, self._painted)
 
     def write(self, result: FrameResult) -> None:
-        """Write one more frame. One without targets is a frame of a film; else it is a gap, which is drawn alone."""
+        """Write one more frame. Without targets it counts in a film; between joined chunks it is only drawn."""
         self.state.notes = (*self.state.notes, *result.notes)[:_MAX_NOTES]
         if result.targets or self.plan.everyone:
             for sink in self.sinks:

@@ -354,7 +354,7 @@ def _named(later: Trajectory, pairs: Mapping[str, str], taken: Collection[str]) 
 
 @dataclass(frozen=True)
 class _Part:
-    """What is taken of one chunk: frames [first, stop), its targets under other `names`; those `marked` begin there."""
+    """The rows that one chunk gives: frames [first, stop). Targets get new `names`; those `marked` start at `first`."""
 
     table: Path
     first: int
@@ -370,7 +370,7 @@ class _Part:
 
 
 class _Survey:
-    """What the chunks hold, and how each meets the one before. They are read one after another: memory is that of two.
+    """What the chunks hold, and the seams between them. At most two chunks are in memory at a time.
 
     `end`: the frame after the last one. Raises InputError if no chunk has rows.
     """

@@ -120,7 +120,7 @@ def _result(work: Work, task: object, stop: Stop, report: Callable[..., None]) -
 
 
 class _Process:
-    """A pool of one process: of a larger pool all tasks are lost when one process dies."""
+    """A pool of one process. A larger pool would lose all tasks when one of its processes dies."""
 
     def __init__(self, context: BaseContext, ending: Any, frames: Any, threads: int, logs: Path) -> None:
         given = (ending, frames, threads, logs)
@@ -136,7 +136,7 @@ class _Process:
         return future
 
     def died(self) -> tuple[DiedError, bool]:
-        """How the process ended, and whether a signal ended it."""
+        """The error that says how the process ended, and whether a signal ended it."""
         self.pool.shutdown()
         if self._process is None:  # it ended before it was looked at
             return DiedError("its process ended as it began"), False
