@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
-from itertools import chain, dropwhile, tee
+from itertools import chain
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, Final, Literal, TypeAlias
@@ -120,26 +120,12 @@ def track_frames(
     each image, in s, by its number; without it images come at `fps`.
     Raises InputError for images that are none, or no start in them.
     """
-    chosen = chosen_recipe(recipe, seed, init)
+    tracker = Tracker(recipe, init=init, seed=seed, fps=fps)
     check_count("lag", lag)
     if lag:
-        check_smoothing(chosen)
-    frames = frames_of_images(images, clock or (lambda index: index / fps))
-    init_start = chosen_start(init)
-    if isinstance(init_start, Start):
-        start = init_start
-    else:
-        looked, frames = tee(frames)
-        start = search(chosen, looked, IMAGES, by=init_start, whole=False)  # all that are looked at are kept
-        del looked  # or it would keep all frames
-    frames = dropwhile(lambda frame: frame.index < start.frame, frames)
-    if (found := next(frames, None)) is None:
-        raise InputError(f"{IMAGES}: there is no frame {start.frame}, where {start.origin} begins")
-    first = found
-    start = completed(chosen, start, lambda: first, IMAGES)
-    results = track(tracker_for(chosen, start, first.size, fps), chain([first], frames), chosen.seed, clip=IMAGES)
-    for result in lagged(results, lag) if lag else results:
-        yield replace(result, start=start) if result.frame.index == start.frame else result
+        check_smoothing(tracker.recipe)
+    results = tracker._follow(frames_of_images(images, clock or (lambda index: index / fps)))
+    yield from lagged(results, lag) if lag else results
 
 
 class Recording:
@@ -346,24 +332,41 @@ class Tracker:
             )
         frame = frame_of(image, self._next, at, self._size)
         self._size, self._last_s, self._next = frame.size, at, self._next + 1
-        waiting = [frame]
+        return [None, *self._advance(frame, again=True)][-1]
+
+    def _follow(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
+        """The results of all frames from the start on. InputError if there is no start in them."""
+        for frame in chain(frames, [None]):
+            yield from self._advance(frame)
+
+    def _advance(self, frame: Frame | None, *, again: bool = False) -> Iterator[FrameResult]:
+        """The results that one more frame, or the end (None), adds: of all frames since the start, once it is found.
+
+        Where nobody is found, it begins to search `again`, or raises InputError.
+        """
+        waiting = [] if frame is None else [frame]
         if self.start is None:
             self._search = self._search or _Search(self.recipe, self._by)
             found = self._search.give(frame)
             if found is None:
-                return None
+                return
             waiting, self._search = self._search.kept, None
-            if isinstance(found, InputError):  # nobody in all of them
-                return None
+            if isinstance(found, InputError):
+                if again:
+                    return
+                raise found
             self.start = found
+        start = self.start
         if self._tracker is None:
-            waiting = [kept for kept in waiting if kept.index >= self.start.frame]
+            waiting = [kept for kept in waiting if kept.index >= start.frame]
+            if not waiting and frame is None:
+                raise InputError(f"{IMAGES}: there is no frame {start.frame}, where {start.origin} begins")
             if not waiting:
-                return None
-            self.start = completed(self.recipe, self.start, lambda: waiting[0], IMAGES)
-            self._tracker = tracker_for(self.recipe, self.start, frame.size, self.fps)
-        *_, result = track(self._tracker, iter(waiting), self.recipe.seed, clip=IMAGES, at=self._at)
-        return result
+                return
+            self.start = start = completed(self.recipe, start, lambda: waiting[0], IMAGES)
+            self._tracker = tracker_for(self.recipe, start, waiting[0].size, self.fps)
+        for result in track(self._tracker, iter(waiting), self.recipe.seed, clip=IMAGES, at=self._at):
+            yield replace(result, start=start) if result.frame.index == start.frame else result
 
     def save(self, path: str | Path) -> None:
         """Write all that it knows, also while no target is found.
@@ -429,11 +432,11 @@ class _Search:
         weakref.finalize(self, given.put, None)
         self._first = answers.get()
 
-    def give(self, frame: Frame) -> Start | InputError | None:
-        """The start, None while it is not known, or why there is none in all frames."""
+    def give(self, frame: Frame | None) -> Start | InputError | None:
+        """The start, None while it is not known, or why there is none in all frames; `frame` None is their end."""
         if isinstance(self._first, Exception):  # as of a detector that is not installed
             raise self._first
-        self.kept.append(frame)
+        self.kept += [] if frame is None else [frame]
         self._given.put(frame)
         found = self._answers.get()
         if isinstance(found, Exception) and (not isinstance(found, InputError) or len(self.kept) == 1):
