@@ -10,8 +10,8 @@ from facetrack_cli.editor.film_track import save_track
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.smoothing import Belief
-from facetrack_cli.run_folder.finished import Run, stamp, write_rows
-from facetrack_cli.run_folder.manifest import FILTERED, outdated, read_manifest
+from facetrack_cli.run_folder.finished import Run, stamp
+from facetrack_cli.run_folder.manifest import FILTERED, outdated, read_manifest, write_rows
 from facetrack_cli.runs.clip import past_end
 from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stopped, StoppedError, never

@@ -10,10 +10,10 @@ from __future__ import annotations
 import contextlib
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -28,6 +28,7 @@ KIND: Final = Kind("facetrack-checkpoint", 1, "checkpoint of a run", "facetrack 
 PIECE_FRAMES = 250  # of a piece of the video
 EVERY_S, EVERY_FRAMES = 30.0, 1000  # between two checkpoints, whichever is less
 _FILE: Final = "state.npz"
+Steps: TypeAlias = Sequence[Callable[[], None]]  # that bring files to the disk, before a checkpoint relies on them
 
 
 class Checkpoints:
@@ -40,8 +41,8 @@ class Checkpoints:
         self.folder, self._key, self._video = out / FOLDER, key, video
         check_plain(self.folder, self.folder / _FILE)
         self._worker = ThreadPoolExecutor(1, "checkpoint")
-        self._marked: dict[int, tuple[Any, Callable[[], None]]] = {}  # by frames: what waits for the video
-        self._ready: tuple[Arrays, Callable[[], None]] | None = None
+        self._marked: dict[int, tuple[Arrays, Steps]] = {}  # by frames: what waits for the video
+        self._ready: tuple[Arrays, Steps] | None = None
         self._last_s, self._last_frames = time.monotonic(), 0
 
     def find(self) -> tuple[Any, Any] | None:
@@ -65,21 +66,21 @@ class Checkpoints:
             return False
         return frames - self._last_frames >= EVERY_FRAMES or time.monotonic() - self._last_s >= EVERY_S
 
-    def mark(self, frames: int, state: Any, sync: Callable[[], None]) -> None:
-        """Keep the `state` after so many frames: at once, or when the video has come as far. `sync` ends its tables."""
+    def mark(self, frames: int, state: Any, steps: Steps) -> None:
+        """Keep the `state` after so many frames: at once, or when the video has come as far; `steps` come before."""
         self._last_s, self._last_frames = time.monotonic(), frames
         arrays = {"frames": np.array(frames), **flat_value("run", state)}
         if self._video:
-            self._marked[frames] = arrays, sync
+            self._marked[frames] = arrays, steps
         else:
-            self._ready = arrays, sync
+            self._ready = arrays, steps
 
     def mark_video(self, frames: int, cut: Any, finish: Callable[[], None]) -> None:
         """After so many frames of video, which is `cut` there: keep its state if the run is marked there."""
-        self._worker.submit(self._keep, {}, finish)
+        self._worker.submit(self._keep, {}, [finish])
         if frames in self._marked:
-            arrays, sync = self._marked.pop(frames)
-            self._ready = arrays | flat_value("painted", cut), sync
+            arrays, steps = self._marked.pop(frames)
+            self._ready = arrays | flat_value("painted", cut), steps
 
     def release(self, *, video: bool = False) -> None:
         """Keep what is marked, now that there is one more frame (`video`: painted): after the last one nothing is."""
@@ -87,11 +88,12 @@ class Checkpoints:
             self._worker.submit(self._keep, *self._ready)
             self._ready = None
 
-    def _keep(self, arrays: Arrays, finish: Callable[[], None]) -> None:
+    def _keep(self, arrays: Arrays, steps: Steps) -> None:
         # whoever writes what could not be finished says so; without a checkpoint the run goes on all the same
         with contextlib.suppress(OutputError, OSError):
             self.folder.mkdir(exist_ok=True)
-            finish()
+            for step in steps:
+                step()
             if arrays:
                 KIND.write(self.folder / _FILE, {"key": np.array(self._key), **arrays})
 

@@ -1,6 +1,8 @@
 """A finished run, read from its folder: rows, recipe, start, and the clip that it was made from."""
 
-from collections.abc import Callable, Mapping, Sequence
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from fractions import Fraction
@@ -12,17 +14,16 @@ import numpy as np
 from pydantic import ValidationError
 
 from facetrack_cli.core.errors import FacetrackError, InputError, reading
-from facetrack_cli.core.files import BytesSink
 from facetrack_cli.core.models import shipped_folder, shipped_recipes
-from facetrack_cli.core.types import Correction, Start
+from facetrack_cli.core.types import Start
 from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe
 from facetrack_cli.run_folder.manifest import VIDEO, check_belongs, other_clip, read_run, trajectory_of
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import check_start
-from facetrack_cli.trajectory.header import Header, corrections_record, is_there, read_header
+from facetrack_cli.trajectory.header import Header, is_there, read_header
 from facetrack_cli.trajectory.people import PEOPLE
-from facetrack_cli.trajectory.trajectory import Status, Trajectory
-from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Format, RunSummary, summary_of
+from facetrack_cli.trajectory.trajectory import Status, Trajectory, header_value
+from facetrack_cli.trajectory.writers import FORMATS, Format
 from facetrack_cli.video.files import given_rate
 from facetrack_cli.video.images import listing
 
@@ -39,6 +40,14 @@ class Painted(NamedTuple):
     last: int
     title: str
     stream: int | None = None
+
+    @classmethod
+    def of(cls, rows: Trajectory, clip: Path, first: int, last: int) -> Painted:
+        """As the rows of a run say."""
+        fps, stream = header_value(rows, "source", "fps"), header_value(rows, "source", "stream")
+        title = header_value(rows, "recipe", "name")
+        rate = given_rate(clip, fps) if isinstance(fps, int | float) else None
+        return cls(clip, rate, first, last, str(title or ""), stream if isinstance(stream, int) else None)
 
 
 @dataclass(frozen=True)
@@ -75,7 +84,7 @@ class Run:
     @property
     def painted(self) -> Painted:
         """What its video is drawn on."""
-        return Painted(self.clip, self.fps, self.first, self.last, self.recipe.name, self.header.source.stream)
+        return Painted.of(self.rows, self.clip, self.first, self.last)
 
     @property
     def fixed_by(self) -> str:
@@ -143,26 +152,6 @@ def read_files(files: Mapping[Format, Path]) -> Trajectory:
             missing = np.setdiff1d(frames, part.frame)[0]
             raise InputError(f"{main}: frame {missing} has no row of {part.name}; {_AGAIN}")
     return rows
-
-
-def write_rows(
-    form: Format,
-    write: Callable[[bytes], object],
-    rows: Trajectory,
-    corrections: Sequence[Correction] | None = None,
-) -> None:
-    """Write these rows as a run does, by calls of `write`. `corrections`, if given, replace those in the header."""
-    ends = {*FOOTER, "frames_tracked", "type"}
-    head = {key: value for key, value in rows.header.items() if key not in ends}
-    foot = {key: value for key, value in rows.header.items() if key in FOOTER}
-    ending = RunSummary(**{**foot, "warnings": tuple(foot.get("warnings", ()))})
-    if corrections is not None:
-        init = {key: value for key, value in head["init"].items() if key != "corrections"}
-        head["init"] = {**init, **corrections_record(corrections)}
-        ending.lost_frames = summary_of(rows).lost_frames
-    writer = WRITERS[form](BytesSink(write), head)
-    writer.write(rows)
-    writer.close(ending)
 
 
 def check_size(run: Run, size: tuple[int, int]) -> None:

@@ -72,8 +72,12 @@ class FolderLease:
                 host, boot = here()
                 self._note = {"host": host, "boot": boot, "process": os.getpid(), "token": self._token}
                 self._note |= {"began": utc_now(), "mark": own_mark(), "before": self.stale_note or None}
-                self._file = self._new_note()
+                # in place of the one that is there: a process that is suspended goes on to write into its own
+                temporary_path(self._path).write_bytes(self._text())
+                temporary_path(self._path).replace(self._path)
+                self._file: BinaryIO = self._path.open("r+b", buffering=0)
             except BaseException:
+                discard(self._path)
                 self._lease.release()
                 raise
         return self
@@ -113,11 +117,9 @@ class FolderLease:
         for path in files:
             sync(temporary_path(path))
         self.check()
-        listed = {
-            key: [str(one.relative_to(self._folder)) for one in those]
-            for key, those in (("files", files), ("gone", gone))
-        }
-        self.note({"process": os.getpid(), "mark": own_mark(), "replace": listed}, on_disk=True)
+        lists = {"files": files, "gone": gone}
+        listed = {key: [str(path.relative_to(self._folder)) for path in paths] for key, paths in lists.items()}
+        self.note({"replace": listed}, on_disk=True)
 
     def commit(self) -> None:
         """Replace and remove what is prepared. Raises OutputError."""
@@ -134,6 +136,8 @@ class FolderLease:
     def _acquired(self) -> SoftFileLease:
         """The lease of the folder, which is made. Raises BusyError, OutputError, OSError."""
         path = self._folder / LOCK
+        remedy = "wait until it ends, or name another folder with --out"
+        busy = BusyError(f"{self._folder}: another facetrack is writing its results here; {remedy}")
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             lease = SoftFileLease(
@@ -146,41 +150,24 @@ class FolderLease:
             with contextlib.suppress(Timeout):
                 lease.acquire(_AT_ONCE_S)
                 return lease
-            if self._silent_s() < LEASE_S:
-                raise self._busy()
+            with tempfile.TemporaryFile(dir=self._folder) as now:  # by the clock of the file system
+                silent_s = os.fstat(now.fileno()).st_mtime - path.stat().st_mtime
+            if silent_s < LEASE_S:
+                raise busy
             if lease.owner is None:  # cut short, as by a power loss
                 lease.force_break()
             write_line(f"facetrack: {self._folder}: whoever writes here is silent; waiting {LEASE_S:.0f} s for it")
             lease.acquire(1.5 * LEASE_S, cancel_check=self._stopped)
             return lease
         except Timeout:
-            raise self._busy() from None
+            raise busy from None
         except LeaseSettingsMismatch as e:
             raise OutputError(f"{path}: is of another facetrack; if nobody writes here, remove it") from e
         except FileNotFoundError:  # its process has ended meanwhile, and removed the file, or the folder
             return self._acquired()
 
-    def _busy(self) -> BusyError:
-        remedy = "wait until it ends, or name another folder with --out"
-        return BusyError(f"{self._folder}: another facetrack is writing its results here; {remedy}")
-
-    def _silent_s(self) -> float:
-        """The seconds since the lease was renewed, by the clock of its file system."""
-        with tempfile.TemporaryFile(dir=self._folder) as now:
-            return os.fstat(now.fileno()).st_mtime - (self._folder / LOCK).stat().st_mtime
-
     def _is_ours(self) -> bool:
         return left_in(self._folder).get("token") == self._token
-
-    def _new_note(self) -> BinaryIO:
-        """The note, in place of the one that is there: a process that is suspended goes on to write into its own."""
-        part = temporary_path(self._path)
-        try:
-            part.write_bytes(self._text())
-            part.replace(self._path)
-        finally:
-            discard(self._path)
-        return self._path.open("r+b", buffering=0)
 
     def _text(self) -> bytes:
         """The note, never shorter than it was."""
@@ -227,8 +214,8 @@ def mark_of(note: Mapping[str, Any]) -> str | None:
 def sweep(folder: Path) -> None:
     """Remove the temporary files of processes that have ended from a folder that is ours."""
     for path in list(folder.iterdir()):
-        found = _PART.match(path.name)
-        if found is not None and int(found[1]) != os.getpid() and not process_runs(int(found[1])):
+        match = _PART.match(path.name)
+        if match is not None and int(match[1]) != os.getpid() and not process_runs(int(match[1])):
             with contextlib.suppress(OSError):
                 path.unlink()
 
@@ -258,8 +245,8 @@ def left_in(folder: Path) -> dict[str, Any]:
     for _ in range(5):
         try:
             text = read_bounded(folder / NOTE, _MAX_NOTE_BYTES)
-            found = json.loads(text)
-            return found if isinstance(found, dict) else {}
+            note = json.loads(text)
+            return note if isinstance(note, dict) else {}
         except ValueError:
             if len(text) < _NOTE_BYTES:
                 break

@@ -21,9 +21,9 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
-from typing import Any, ClassVar, Final, Literal, TypeAlias
+from typing import Any, ClassVar, Final, Literal
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
@@ -42,7 +42,7 @@ from facetrack_cli.core.files import (
 )
 from facetrack_cli.core.log import LINES
 from facetrack_cli.core.numbers import dumps
-from facetrack_cli.core.types import Start
+from facetrack_cli.core.types import Correction
 from facetrack_cli.core.version import __version__
 from facetrack_cli.core.yaml_tree import YamlProblems
 from facetrack_cli.recipe.load import files_of
@@ -57,7 +57,7 @@ from facetrack_cli.run_folder.lease import (
     sweep,
     utc_now,
 )
-from facetrack_cli.trajectory.header import is_there, to_record
+from facetrack_cli.trajectory.header import corrections_record, is_there
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.reader import read_table, read_trajectory, table_in
 from facetrack_cli.trajectory.trajectory import Trajectory
@@ -159,11 +159,6 @@ def _adapter() -> TypeAdapter[Manifest]:
     return TypeAdapter(Manifest)
 
 
-def from_record(record: object) -> Manifest:
-    """The manifest of a `record`. Raises ValueError for anything else."""
-    return _adapter().validate_python(record)
-
-
 def read_manifest(folder: Path) -> Manifest | None:
     """The run.json of a folder; None if there is none. InputError for a file that is not as we write it."""
     path = folder / NAME
@@ -179,12 +174,12 @@ def read_manifest(folder: Path) -> Manifest | None:
 
 def check_belongs(path: Path) -> None:
     """InputError if a file of a run, as trajectory.csv, is not the one that run.json beside it says."""
-    known = read_manifest(path.parent) if path.name in OWNED else None
-    if known is None:
+    run = read_manifest(path.parent) if path.name in OWNED else None
+    if run is None:
         return
-    if path.name not in known.files:
+    if path.name not in run.files:
         raise InputError(f"{path}: is not of the run in this folder, as {NAME} says; remove it, or copy it elsewhere")
-    if known.files[path.name].sha256 != digest([path]):
+    if run.files[path.name].sha256 != digest([path]):
         raise InputError(
             f"{path}: is not as its run wrote it, as {NAME} beside it says: it was edited, or is of another run; "
             "copy it elsewhere to read it as it is"
@@ -193,25 +188,22 @@ def check_belongs(path: Path) -> None:
 
 def outdated(folder: Path) -> list[str]:
     """A line on the files that report, plot and export made of the track that is replaced now; none without any."""
-    try:
-        there = sorted(one.name for one in folder.iterdir() if one.name not in OWNED)
-    except OSError:
-        return []
-    made = {name: made_by(name) for name in there if made_by(name)}
-    if not made:
-        return []
+    made: dict[str, str] = {}
+    with contextlib.suppress(OSError):
+        there = sorted(path.name for path in folder.iterdir() if path.name not in OWNED)
+        made = {name: command for name in there if (command := made_by(name))}
     again = [f"facetrack {by} {shlex.quote(str(folder))} --overwrite" for by in dict.fromkeys(made.values())]
-    return [f"{folder}: older than the track: {', '.join(made)}; make anew: {', '.join(again)}"]
+    return [f"{folder}: older than the track: {', '.join(made)}; make anew: {', '.join(again)}"] if made else []
 
 
 def made_by(name: str) -> str:
     """The command that writes a file of this name beside a trajectory; "" for any other file."""
-    known = {REPORT: "report", PLOT: "plot"}
-    return known.get(name, "export --to FORMAT" if name.startswith("trajectory.") else "")
+    commands = {REPORT: "report", PLOT: "plot"}
+    return commands.get(name, "export --to FORMAT" if name.startswith("trajectory.") else "")
 
 
 def commit(
-    lock: FolderLease, folder: Path, files: Sequence[Path], known: Manifest | None, gone: Sequence[Path] = ()
+    lock: FolderLease, folder: Path, files: Sequence[Path], run: Manifest | None, gone: Sequence[Path] = ()
 ) -> None:
     """Let the temporary files of these paths replace them, and then run.json: `known`, and their checksums.
 
@@ -222,14 +214,15 @@ def commit(
     files, gone, path = list(files), list(gone), folder / NAME
     check_plain(path, *files)
     try:
-        if known is not None:
-            new = {one.name: _file(temporary_path(one)) for one in files if one.name in OWNED}
-            large = {name: sampled(temporary_path(folder / name)) for name in new if new[name].bytes > LARGE_BYTES}
-            samples = {name: one for name, one in known.samples.items() if name not in new}
-            known = replace(known, files={**known.files, **new}, samples={**samples, **large})
-            gone += [folder / name for name in OWNED if name not in known.files and folder / name not in files]
+        if run is not None:
+            parts = {path.name: temporary_path(path) for path in files if path.name in OWNED}
+            new = {name: File(part.stat().st_size, digest([part])) for name, part in parts.items()}
+            large = {name: sampled(parts[name]) for name, file in new.items() if file.bytes > LARGE_BYTES}
+            samples = {name: sample for name, sample in run.samples.items() if name not in new}
+            run = replace(run, files={**run.files, **new}, samples={**samples, **large})
+            gone += [folder / name for name in OWNED if name not in run.files and folder / name not in files]
             try:
-                text = _adapter().dump_json(known, indent=1, exclude={"variable_fps", "evidence", "source_sha256"})
+                text = _adapter().dump_json(run, indent=1, exclude={"variable_fps", "evidence", "source_sha256"})
                 temporary_path(path).write_bytes(text + b"\n")
                 files.append(path)
                 gone.remove(path)
@@ -241,10 +234,6 @@ def commit(
         discard(path)
         raise
     lock.commit()
-
-
-def _file(path: Path) -> File:
-    return File(bytes=path.stat().st_size, sha256=digest([path]))
 
 
 def as_line(error: Exception) -> FacetrackError:
@@ -259,19 +248,42 @@ def as_line(error: Exception) -> FacetrackError:
     return FacetrackError(f"internal error, please report it: {type(error).__name__}: {error}")
 
 
-def failed(known: Manifest, error: Exception, log: Sequence[str] = ()) -> Manifest:
+def failed(run: Manifest, error: Exception, log: Sequence[str] = ()) -> Manifest:
     """The run with the error that ended it. `log`: the last lines of its process, if that died."""
-    said = as_line(error)
+    line = as_line(error)
     last = tuple(text.encode(errors="replace").decode() for text in log[-LINES:])
     return replace(
-        known, complete=False, error=as_text(str(said)), exit_code=int(said.exit_code), log=last, ended=utc_now()
+        run, complete=False, error=as_text(str(line)), exit_code=int(line.exit_code), log=last, ended=utc_now()
     )
 
 
-def error_of(known: Manifest) -> FacetrackError | None:
+def note_failure(
+    lock: FolderLease, folder: Path, run: Manifest, clip: Path, error: Exception, log: Sequence[str] = ()
+) -> None:
+    """Write into run.json that a clip failed, with what is known of its `run`; what was tracked of it stays.
+
+    Nothing is written where the error is one of writing, and over results that are whole or of something else.
+    `log`: the last lines of a process that died.
+    """
+    if isinstance(error, OutputError):
+        return
+    with contextlib.suppress(FacetrackError, OSError):  # the error itself is worth more
+        known, present = previous_run(folder, run.asked, clip)
+        if known is not None and known.files:
+            if known.stopped is None:
+                return
+            run = known
+        elif known is None and not (present and present.is_failure) and any((folder / name).exists() for name in OWNED):
+            return
+        else:
+            run = replace(run, clip=clip_stat(clip))
+        commit(lock, folder, [], failed(run, error, log))
+
+
+def error_of(run: Manifest) -> FacetrackError | None:
     """The error that a run ended with."""
-    kind = InputError if known.exit_code == ExitCode.INPUT else FacetrackError
-    return None if known.error is None else kind(known.error)
+    kind = InputError if run.exit_code == ExitCode.INPUT else FacetrackError
+    return None if run.error is None else kind(run.error)
 
 
 def as_text(name: str) -> str:
@@ -327,13 +339,11 @@ def recover_interrupted(folder: Path, stopped: Callable[[], bool] = lambda: Fals
 
     Files half replaced are replaced; tables that were being written become the tables of a run that was stopped.
     """
-    if not is_held(folder):
-        return 0
-    finish_replacing(folder, left_in(folder))
-    if holder(folder) is not None:  # who is at work
-        return 0
-    with contextlib.suppress(OutputError, OSError), FolderLease(folder, stopped) as lock:
-        return recover(folder, lock)
+    if is_held(folder):
+        finish_replacing(folder, left_in(folder))
+        if holder(folder) is None:  # else it is at work
+            with contextlib.suppress(OutputError, OSError), FolderLease(folder, stopped) as lock:
+                return recover(folder, lock)
     return 0
 
 
@@ -342,43 +352,60 @@ def recover(folder: Path, lock: FolderLease) -> int:
     note, frames = lock.stale_note, 0
     finish_replacing(folder, note)
     with contextlib.suppress(ValueError, InputError):  # a note need not be ours
-        known, mark = from_record(note.get("run")), mark_of(note)
+        run, mark = _adapter().validate_python(note.get("run")), mark_of(note)
         if mark is not None:
-            frames = _end_tables(folder, lock, mark, known)
+            frames = _end_tables(folder, lock, mark, run)
     lock.note({"before": None})
     sweep(folder)
     return frames
 
 
-def _end_tables(folder: Path, lock: FolderLease, mark: str, known: Manifest) -> int:
-    """Write the tables of a process anew with their whole frames, and run.json; the number of these frames."""
+def _end_tables(folder: Path, lock: FolderLease, mark: str, run: Manifest) -> int:
+    """Write the whole frames of a killed process's tables again, and run.json; the number of these frames."""
     check_plain(*(folder / name for name in TABLES))
     parts = {form: temporary_path(folder / f"trajectory.{form}", mark) for form in FORMATS}
-    forms = [form for form in FORMATS if parts[form].is_file()]
+    forms = [form for form, part in parts.items() if part.is_file()]
     if not forms:
         return 0
     first = forms[-1]  # JSON also has the header, and its lines are the last of the three to be written
     text, frames = _whole_frames(first, read_bounded(parts[first], MAX_TABLE_BYTES))
     before = read_manifest(folder)
-    if not frames or (before is not None and before.asked == known.asked and before.frames >= frames):
+    if not frames or (before is not None and before.asked == run.asked and before.frames >= frames):
         return 0
     torn = temporary_path(folder / f"torn.{first}")
     try:
         torn.write_bytes(text)
         rows = read_table(torn)
         ending = summary_of(rows, complete=False, stopped=KILLED)
-        head = {key: value for key, value in rows.header.items() if key not in (*FOOTER, "frames_tracked", "type")}
+        rows = replace(rows, header={**rows.header, **{name: getattr(ending, name) for name in FOOTER}})
         files = [folder / f"trajectory.{form}" for form in forms]
         for form, path in zip(forms, files, strict=True):
             with temporary_path(path).open("wb") as file:
-                writer = WRITERS[form](BytesSink(file.write), head)
-                writer.write(rows)
-                writer.close(ending)
-        told = {name: getattr(ending, name) for name in ("frames", "complete", "stopped", "lost_frames", "lost_at_end")}
-        commit(lock, folder, files, replace(known, **told, files={}))
+                write_rows(form, file.write, rows)
+        members = ("frames", "complete", "stopped", "lost_frames", "lost_at_end")
+        commit(lock, folder, files, replace(run, **{name: getattr(ending, name) for name in members}, files={}))
     finally:
         torn.unlink(missing_ok=True)
     return frames
+
+
+def write_rows(
+    form: Format,
+    write: Callable[[bytes], object],
+    rows: Trajectory,
+    corrections: Sequence[Correction] | None = None,
+) -> None:
+    """Write these rows as a run does, by calls of `write`. `corrections`, if given, replace those in the header."""
+    head = {key: value for key, value in rows.header.items() if key not in (*FOOTER, "frames_tracked", "type")}
+    foot = {key: value for key, value in rows.header.items() if key in FOOTER}
+    ending = RunSummary(**{**foot, "warnings": tuple(foot.get("warnings", ()))})
+    if corrections is not None:
+        init = {key: value for key, value in head["init"].items() if key != "corrections"}
+        head["init"] = {**init, **corrections_record(corrections)}
+        ending.lost_frames = summary_of(rows).lost_frames
+    writer = WRITERS[form](BytesSink(write), head)
+    writer.write(rows)
+    writer.close(ending)
 
 
 def _whole_frames(form: Format, text: bytes) -> tuple[bytes, int]:
@@ -387,10 +414,10 @@ def _whole_frames(form: Format, text: bytes) -> tuple[bytes, int]:
     head = next((i for i, line in enumerate(lines) if _FRAME[form].fullmatch(line)), len(lines))
     body = [line for line in lines[head:-1] if _FRAME[form].fullmatch(line)]
     if form == "csv":
-        groups = [list(those) for _, those in groupby(body, lambda line: line.partition(b",")[0])]
+        groups = [list(rows) for _, rows in groupby(body, lambda line: line.partition(b",")[0])]
         if len(groups) < 2 or len(groups[-1]) < len(groups[0]):
             groups = groups[:-1]
-        return b"\n".join([*lines[:head], *(line for those in groups for line in those), b""]), len(groups)
+        return b"\n".join([*lines[:head], *chain.from_iterable(groups), b""]), len(groups)
     with contextlib.suppress(ValueError):  # the last line has no end yet, and may be torn inside of an object
         if _FRAME[form].fullmatch(lines[-1]) and json.loads(lines[-1]):
             body.append(lines[-1])
@@ -405,51 +432,30 @@ def previous_run(folder: Path, asked: str, clip: Path) -> tuple[Manifest | None,
 
     Raises InputError for a run.json that is not as we write it.
     """
-    there = read_manifest(folder) if is_there(folder) else None
-    if there is None or there.clip is None or there.asked != asked:
-        return None, there
-    whole = all(_is_as_written(folder, name, there) for name in there.files)
-    return there if whole and _is_same(there.clip, clip) else None, there
+    present = read_manifest(folder) if is_there(folder) else None
+    if present is None or present.clip is None or present.asked != asked:
+        return None, present
+    whole = all(_is_as_written(folder, name, present) for name in present.files)
+    return present if whole and _is_same(present.clip, clip) else None, present
 
 
 def other_clip(rows: Trajectory, clip: Path) -> str | None:
     """A line if a clip that is there is not, byte for byte, the clip that the rows of a run are of."""
-    said, known = rows.header.get("source_sha256"), read_manifest(rows.path.parent)
-    if not isinstance(said, str) or not said or not is_there(clip):
+    digest_then, run = rows.header.get("source_sha256"), read_manifest(rows.path.parent)
+    if not isinstance(digest_then, str) or not digest_then or not is_there(clip):
         return None
-    of_run = known.clip if known is not None and known.clip is not None and known.clip.sha256 == said else None
-    if clip_digest(clip) == said if of_run is None else _is_same(of_run, clip):
+    of_run = run.clip if run is not None and run.clip is not None and run.clip.sha256 == digest_then else None
+    if clip_digest(clip) == digest_then if of_run is None else _is_same(of_run, clip):
         return None
     return f"{clip}: is not the clip that {rows.path.name} was made from (its SHA-256 differs)"
 
 
-def job_digest(recipe: Recipe, init: object, settings: Sequence[object], *more: object) -> str:
-    """A digest of a recipe and its files, of a start or an init file, and of settings, as JSON takes them."""
-    given = clip_digest(init) if isinstance(init, Path) else to_record(init) if isinstance(init, Start) else init
-    return hashlib.sha256(dumps([__version__, _recipe_digest(recipe), [given, *settings], *more]).encode()).hexdigest()
-
-
-def _recipe_digest(recipe: Recipe) -> str:
-    """A digest of a recipe and the files it names, computed once for all clips of a batch."""
-    global _last
-    if _last is None or _last[0] is not recipe or _last[1] != [_stamp(file) for file, _ in _last[1]]:
-        files: list[Path] = []
-        with contextlib.suppress(YamlProblems):  # the run says so
-            files = files_of(recipe)
-        text = dumps([to_dict(recipe), *map(clip_digest, files)])
-        _last = recipe, [_stamp(file) for file in files], hashlib.sha256(text.encode()).hexdigest()
-    return _last[2]
-
-
-_Stamp: TypeAlias = tuple[Path, "tuple[int, int] | None"]
-_last: tuple[Recipe, list[_Stamp], str] | None = None
-
-
-def _stamp(path: Path) -> _Stamp:
-    with contextlib.suppress(OSError):
-        found = path.stat()
-        return path, (found.st_size, found.st_mtime_ns)
-    return path, None
+def recipe_digest(recipe: Recipe) -> str:
+    """A digest of a recipe and of the files that it names."""
+    files: list[Path] = []
+    with contextlib.suppress(YamlProblems):  # the run says so
+        files = files_of(recipe)
+    return hashlib.sha256(dumps([to_dict(recipe), *map(clip_digest, files)]).encode()).hexdigest()
 
 
 class ClipDigest:
@@ -472,30 +478,19 @@ class ClipDigest:
         return self.clip and Clip(self.clip.bytes, self._found, self.clip.path, self.clip.changed_ns)
 
 
-def quick_digest(clip: Path) -> str:
-    """A checksum of a clip that is soon computed, of samples of its files; "" if it cannot be read."""
-    with contextlib.suppress(OSError):
-        files = _files(clip)
-        told = repr([(path.name, path.stat().st_size) for path in files])
-        found = hashlib.sha256(told.encode(errors="surrogateescape"))
-        for path in [files[0], files[-1]] if files else []:
-            found.update(sampled(path).encode())
-        return found.hexdigest()
-    return ""
-
-
 def clip_stat(clip: Path) -> Clip | None:
     """A clip without its checksum; None if it is gone."""
     try:
-        stats = [file.stat() for file in _files(clip)]
+        images = listing(clip)
+        stats = [file.stat() for file in ([clip] if images is None else images)]
     except OSError:
         return None
-    changed = max((one.st_mtime_ns for one in stats), default=0)
-    return Clip(sum(one.st_size for one in stats), "", as_text(str(clip)), changed)
+    changed = max((file.st_mtime_ns for file in stats), default=0)
+    return Clip(sum(file.st_size for file in stats), "", as_text(str(clip)), changed)
 
 
 def clip_digest(path: Path, stopped: Callable[[], bool] = lambda: False) -> str:
-    """The checksum of a file, or of the images of a folder; "" if it cannot be read."""
+    """SHA-256 of a file, or of the images of a folder; "" if it cannot be read."""
     try:
         images = listing(path)
         return digest([path] if images is None else images, names=images is not None, stopped=stopped)
@@ -503,23 +498,18 @@ def clip_digest(path: Path, stopped: Callable[[], bool] = lambda: False) -> str:
         return ""
 
 
-def _is_same(known: Clip, clip: Path) -> bool:
+def _is_same(clip_then: Clip, clip: Path) -> bool:
     now = clip_stat(clip)
-    if now is None or now.bytes != known.bytes:
+    if now is None or now.bytes != clip_then.bytes:
         return False
-    return now.changed_ns == known.changed_ns or (known.sha256 != "" and clip_digest(clip) == known.sha256)
+    return now.changed_ns == clip_then.changed_ns or (clip_then.sha256 != "" and clip_digest(clip) == clip_then.sha256)
 
 
-def _is_as_written(folder: Path, name: str, known: Manifest) -> bool:
+def _is_as_written(folder: Path, name: str, run: Manifest) -> bool:
     """Whether a file is what its run wrote; of a run that did not end, whose tables are replaced, if its size is."""
-    path, of, sample = folder / name, known.files[name], known.samples.get(name)
+    path, of, sample = folder / name, run.files[name], run.samples.get(name)
     with contextlib.suppress(OSError, ValueError):
-        found = path.lstat()
-        if stat.S_ISREG(found.st_mode) and found.st_size == of.bytes:
-            return known.stopped is not None or (sampled(path) == sample if sample else digest([path]) == of.sha256)
+        stat_now = path.lstat()
+        if stat.S_ISREG(stat_now.st_mode) and stat_now.st_size == of.bytes:
+            return run.stopped is not None or (sampled(path) == sample if sample else digest([path]) == of.sha256)
     return False
-
-
-def _files(clip: Path) -> list[Path]:
-    images = listing(clip)
-    return [clip] if images is None else images

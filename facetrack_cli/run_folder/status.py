@@ -54,7 +54,7 @@ def check_networks(folders: Iterable[Path], networks: Sequence[str]) -> None:
     for folder in folders:
         run = read_manifest(folder)
         if run is not None and run.files and sorted(run.networks) != sorted(networks):
-            was, now = (one.network or "without a network" for one in (run, Manifest(networks=tuple(networks))))
+            was, now = (each.network or "without a network" for each in (run, Manifest(networks=tuple(networks))))
             remedy = "name another folder, or track all anew with --overwrite"
             raise UsageError(f"{folder}: its clip was tracked {was}, and this batch would be {now}; {remedy}")
 
@@ -107,33 +107,32 @@ class Status:
 
     @property
     def counts(self) -> dict[State, int]:
-        found = Counter(one.state for one in self.clips)
-        return {state: found[state] for state in STATES}
+        counts = Counter(clip.state for clip in self.clips)
+        return {state: counts[state] for state in STATES}
 
     @property
     def work_s(self) -> float | None:
         """Seconds that one process would take for what is left; None if nothing is done yet that would tell."""
-        took = [one.seconds for one in self.clips if one.state == "done" and one.seconds is not None]
-        if not took:
-            return None
-        left = sum(_left(one) for one in self.clips)
-        return left * statistics.fmean(took)
+        took = [clip.seconds for clip in self.clips if clip.state == "done" and clip.seconds is not None]
+        left = 0.0
+        for clip in self.clips:
+            if clip.state in ("running", "interrupted", "not begun"):
+                left += max(0.0, 1 - clip.frames / clip.of) if clip.state == "running" and clip.of else 1.0
+        return left * statistics.fmean(took) if took else None
 
     @property
     def remaining_s(self) -> float | None:
         """Seconds until all is done, with as many processes as there are now; None if there are none, or not known."""
         running = self.counts["running"]
-        if self.work_s is None or self.work_s == 0:
-            return self.work_s
-        return self.work_s / running if running else None
+        return self.work_s / running if self.work_s and running else None if self.work_s else self.work_s
 
     def json(self) -> str:
+        seconds = {"remaining_s": self.remaining_s, "work_s": self.work_s}
         fields = {
             "folder": as_text(str(self.folder)),
             "counts": self.counts,
-            "remaining_s": _rounded(self.remaining_s),
-            "work_s": _rounded(self.work_s),
-            "clips": [asdict(one) for one in self.clips],
+            **{name: None if value is None else round(value, 1) for name, value in seconds.items()},
+            "clips": [asdict(clip) for clip in self.clips],
         }
         return document("facetrack-status", fields, indent=1)
 
@@ -143,59 +142,55 @@ class Status:
         width = max(map(len, STATES))
         yield from (f"  {state:<{width}}  {n}" for state, n in self.counts.items() if n)
         yield from worst(self.clips)
-        for one in self.clips:
-            if one.state == "running":
-                of = "" if one.of is None else f" of about {one.of}"
-                rate = "" if one.frames_per_s is None else f", {one.frames_per_s:.1f} frames/s"
-                since = f"on {one.host or 'a machine'} since {one.since}"
-                yield f"running: {one.clip}: {since}, {one.frames}{of} frames{rate}"
-        for one in self.clips:
-            if one.state == "interrupted":
-                kept = f" ({one.frames} frame{'s' * (one.frames > 1)})" if one.frames else ""
-                yield f"interrupted: {one.clip}: what it had tracked is kept{kept}"
-        for one in self.clips:
-            if one.log:
-                yield f"the last lines of {one.clip}:"
-                yield from (f"    {line}" for line in one.log[-5:])
-        yield self._remaining()
-
-    def _remaining(self) -> str:
+        for clip in self.clips:
+            if clip.state == "running":
+                of = "" if clip.of is None else f" of about {clip.of}"
+                rate = "" if clip.frames_per_s is None else f", {clip.frames_per_s:.1f} frames/s"
+                since = f"on {clip.host or 'a machine'} since {clip.since}"
+                yield f"running: {clip.clip}: {since}, {clip.frames}{of} frames{rate}"
+        for clip in self.clips:
+            if clip.state == "interrupted":
+                kept = f" ({clip.frames} frame{'s' * (clip.frames > 1)})" if clip.frames else ""
+                yield f"interrupted: {clip.clip}: what it had tracked is kept{kept}"
+        for clip in self.clips:
+            if clip.log:
+                yield f"the last lines of {clip.clip}:"
+                yield from (f"    {line}" for line in clip.log[-5:])
         left = sum(self.counts[state] for state in ("running", "interrupted", "not begun"))
+        clips, running = "1 clip" if left == 1 else f"{left} clips", self.counts["running"]
         if not left:
-            failed = self.counts["failed"]
-            return f"nothing is left{', but --retry-failed tries what failed again' if failed else ''}"
-        clips = "1 clip" if left == 1 else f"{left} clips"
-        running = self.counts["running"]
-        if self.work_s is None:
-            return f"{clips} left; none is done yet that would tell how long one takes"
-        if not running:
-            return f"{clips} left, about {duration(self.work_s)} of work; nothing is running: give the command again"
-        assert self.remaining_s is not None
-        return f"{clips} left: about {duration(self.remaining_s)}, {running} at a time"
+            yield f"nothing is left{', but --retry-failed tries what failed again' if self.counts['failed'] else ''}"
+        elif self.work_s is None:
+            yield f"{clips} left; none is done yet that would tell how long one takes"
+        elif not running:
+            work = f"about {duration(self.work_s)} of work"
+            yield f"{clips} left, {work}; nothing is running: give the command again"
+        else:
+            yield f"{clips} left: about {duration(self.work_s / running)}, {running} at a time"
 
 
 def worst(clips: Sequence[ClipStatus]) -> Iterator[str]:
     """A table of the clips that failed, and of those that somebody should look at, worst first."""
-    rows = sorted((one for one in clips if one.look or one.error), key=badness)
+    rows = sorted((clip for clip in clips if clip.look or clip.error), key=badness)
     if not rows:
         return
-    width = max(len("clip"), *(len(name_of(one)) for one in rows[:MAX_ROWS]))
+    width = max(len("clip"), *(len(name_of(clip)) for clip in rows[:MAX_ROWS]))
     yield f"{'clip':<{width}}  frames  lost  look at"
-    for one in rows[:MAX_ROWS]:
-        lost = "–" if one.lost is None else f"{one.lost:.0%}"
-        said = f"failed: {one.error}" if one.error else one.look
-        yield f"{name_of(one):<{width}}  {one.frames:>6}  {lost:>4}  {said}"
+    for clip in rows[:MAX_ROWS]:
+        lost = "–" if clip.lost is None else f"{clip.lost:.0%}"
+        said = f"failed: {clip.error}" if clip.error else clip.look
+        yield f"{name_of(clip):<{width}}  {clip.frames:>6}  {lost:>4}  {said}"
     if len(rows) > MAX_ROWS:
         yield f"and {len(rows) - MAX_ROWS} more; --json of facetrack status has all"
 
 
-def badness(one: ClipStatus) -> tuple[bool, bool, bool, float]:
+def badness(clip: ClipStatus) -> tuple[bool, bool, bool, float]:
     """A key to sort clips by: failed, incomplete, doubtful, and then those in which a part is lost most."""
-    return one.state != "failed", one.complete is not False, not one.doubtful, -(one.lost or 0.0)
+    return clip.state != "failed", clip.complete is not False, not clip.doubtful, -(clip.lost or 0.0)
 
 
-def name_of(one: ClipStatus) -> str:
-    return one.folder if one.folder != "." else Path(one.clip).name
+def name_of(clip: ClipStatus) -> str:
+    return clip.folder if clip.folder != "." else Path(clip.clip).name
 
 
 def survey(folder: Path) -> Status:
@@ -209,7 +204,7 @@ def survey(folder: Path) -> Status:
         named: dict[str, str] = {}
         for batch in batches(folder):
             named |= {name: clip for clip, name in batch.clips if name not in named}
-        there = sorted(one.name for one in folder.iterdir() if one.name not in named and one.is_dir() and _is_run(one))
+        there = sorted(sub.name for sub in folder.iterdir() if sub.name not in named and sub.is_dir() and _is_run(sub))
     if not named and not there:
         raise InputError(f"{folder}: holds no results of facetrack run; name the folder that --out named")
     named |= dict.fromkeys(map(as_text, there), "")
@@ -230,13 +225,6 @@ def duration(seconds: float) -> str:
     return f"{seconds / 86400:.1f} days"
 
 
-def _left(one: ClipStatus) -> float:
-    """How much of a clip is to be done: 0 to 1."""
-    if one.state == "running" and one.of:
-        return max(0.0, 1 - one.frames / one.of)
-    return float(one.state in ("running", "interrupted", "not begun"))
-
-
 def _is_run(folder: Path) -> bool:
     return (folder / NAME).is_file() or is_held(folder)
 
@@ -244,72 +232,61 @@ def _is_run(folder: Path) -> bool:
 def clip_status(folder: Path, name: str, clip: str) -> ClipStatus:
     """How far the run in a `folder` is, which has this `name` in its batch."""
     try:
-        known = read_manifest(folder)
+        run = read_manifest(folder)
     except InputError as e:
         return ClipStatus(clip or name, name, "failed", error=str(e), exit_code=int(e.exit_code))
     note = holder(folder)
     if note is not None:
-        seconds = _number(note, "seconds")
-        frames, of = int(_number(note, "frame") or 0), _number(note, "frames")
+        frames, of, seconds = (_number(note, key) for key in ("frame", "frames", "seconds"))
         return ClipStatus(
             clip=clip or as_text(str(note.get("clip", name))),
             folder=name,
             state="running",
-            frames=frames,
+            frames=int(frames or 0),
             of=None if of is None else int(of),
             host=str(note.get("host", "")),
             since=str(note.get("began", "")),
             seconds=seconds,
             frames_per_s=round(frames / seconds, 2) if frames and seconds else None,
         )
-    if known is None:
+    if run is None:
         begun = is_held(folder)  # a process that is gone has left it
-        told = as_text(str(left_in(folder).get("clip", name)))
-        return ClipStatus(clip or told, name, "interrupted" if begun else "not begun")
-    state: State = "failed" if known.error is not None else "done" if known.stopped is None else "interrupted"
-    tracked, took = known.frames - known.resumed, known.seconds
-    lost, look = _worst_part(known)
-    a, b = max(known.look, key=lambda one: one[1] - one[0], default=(None, None))
+        clip = clip or as_text(str(left_in(folder).get("clip", name)))
+        return ClipStatus(clip, name, "interrupted" if begun else "not begun")
+    state: State = "failed" if run.error is not None else "done" if run.stopped is None else "interrupted"
+    tracked, took = run.frames - run.resumed, run.seconds
+    lost, look = _worst_part(run)
+    first, last = max(run.look, key=lambda span: span[1] - span[0], default=(None, None))
+    members = ("frames", "host", "ended", "seconds", "complete", "error", "exit_code", "log")
     return ClipStatus(
-        clip=clip or (known.clip.path if known.clip is not None else name),
+        clip=clip or (run.clip.path if run.clip is not None else name),
         folder=name,
         state=state,
-        frames=known.frames,
-        host=known.host,
-        since=known.began,
-        ended=known.ended,
-        seconds=known.seconds,
+        since=run.began,
         frames_per_s=round(tracked / took, 2) if tracked and took else None,
-        complete=known.complete,
         lost=lost,
-        doubtful=bool(known.doubts),
+        doubtful=bool(run.doubts),
         look=look if state == "done" else "",
-        still=None if a is None or b is None else (a + b) // 2,
-        error=known.error,
-        exit_code=known.exit_code,
-        log=known.log,
+        still=None if first is None or last is None else (first + last) // 2,
+        **{name: getattr(run, name) for name in members},
     )
 
 
-def _worst_part(known: Manifest) -> tuple[float | None, str]:
+def _worst_part(run: Manifest) -> tuple[float | None, str]:
     """The share of frames in which the part that is lost most is lost, and what to look at first."""
-    if not known.frames:
+    if not run.frames:
         return None, ""
-    part, frames = max(known.lost_frames.items(), key=lambda one: one[1], default=("", 0))
+    part, frames = max(run.lost_frames.items(), key=lambda one: one[1], default=("", 0))
     part = part.replace("/", " ")
-    said = [*known.warnings[:1]] if known.warnings else [known.doubts] if known.doubts else []
+    lines = [*run.warnings[:1]] if run.warnings else [run.doubts] if run.doubts else []
     if frames:
-        at_end = " and at the end" if known.lost_at_end else ""
-        said.append(f"{part} is lost in {frames}{at_end}, frames {places(sorted(known.look))}")
-    elif said and known.look:
-        said.append(f"frames {places(known.look)}")
-    return round(frames / known.frames, 4), "; ".join(said)
+        at_end = " and at the end" if run.lost_at_end else ""
+        lines.append(f"{part} is lost in {frames}{at_end}, frames {places(sorted(run.look))}")
+    elif lines and run.look:
+        lines.append(f"frames {places(run.look)}")
+    return round(frames / run.frames, 4), "; ".join(lines)
 
 
 def _number(note: Any, key: str) -> float | None:
     value = note.get(key)
     return float(value) if isinstance(value, int | float) and 0 <= value < 1e12 else None
-
-
-def _rounded(seconds: float | None) -> float | None:
-    return None if seconds is None else round(seconds, 1)

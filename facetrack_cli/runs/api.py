@@ -12,7 +12,8 @@ import weakref
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
-from itertools import chain, dropwhile, tee
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, Final, Literal, TypeAlias
@@ -29,11 +30,11 @@ from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.engine.loop import TrackState, track
 from facetrack_cli.recipe.load import default_recipe, load_recipe
 from facetrack_cli.recipe.model import Recipe, seeded, to_dict
-from facetrack_cli.runs.clip import rows_of
+from facetrack_cli.runs.clip import track_clip
 from facetrack_cli.runs.people import cast_in
 from facetrack_cli.runs.plan import Job, check_count, check_smoothing, completed, resolve, search, silent
 from facetrack_cli.runs.progress import Bar, Progress, watched
-from facetrack_cli.runs.record import ClipFacts, Recorder, Results, RunFolder, Video, header_of, tables
+from facetrack_cli.runs.record import ClipFacts, Recorder, Results, Rows, RunFolder, Video, header_of, tables
 from facetrack_cli.runs.signals import Stop, never
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.init_file import read_init
@@ -89,15 +90,16 @@ def track_video(
     plan = resolve(job, kept=True)
     with contextlib.closing(Bar() if report is None and watched() else Progress(True)) as shown:
         shown.begin(job.clip.name)
-        done, found = rows_of(plan, Stop(), report or shown.update, shown.looked)
+        sink = Rows()
+        done = track_clip(plan, None, Stop(), report or shown.update, shown.looked, [sink])
     if done.error is not None and not isinstance(done.error, FacetrackError):
         raise done.error  # a fault of ours is not the end of a clip
-    assert found is not None
+    rows = sink.trajectory(done)
     if plan.everyone:
-        known = cast_in(job, found, never, silent)
-        header = {**found.header, "people": known.people.model_dump(mode="json")}
-        found = replace(under_names(found, known.tracks), header=header)
-    return found
+        film = cast_in(job, rows, never, silent)
+        header = {**rows.header, "people": film.people.model_dump(mode="json")}
+        rows = replace(under_names(rows, film.tracks), header=header)
+    return rows
 
 
 def track_frames(
@@ -118,27 +120,12 @@ def track_frames(
     each image, in s, by its number; without it images come at `fps`.
     Raises InputError for images that are none, or no start in them.
     """
-    chosen = chosen_recipe(recipe, seed, init)
+    tracker = Tracker(recipe, init=init, seed=seed, fps=fps)
     check_count("lag", lag)
     if lag:
-        check_smoothing(chosen)
-    frames = frames_of_images(images, clock or (lambda index: index / fps))
-    begin = chosen_start(init)
-    if begin is None or isinstance(begin, str):
-        looked, frames = tee(frames)
-        start = search(chosen, looked, IMAGES, by=begin, whole=False)  # all that are looked at are kept
-        del looked  # or it would keep all frames
-    else:
-        start = begin
-    frames = dropwhile(lambda frame: frame.index < start.frame, frames)
-    found = next(frames, None)
-    if found is None:
-        raise InputError(f"{IMAGES}: there is no frame {start.frame}, where {start.origin} begins")
-    first = found
-    start = completed(chosen, start, lambda: first, IMAGES)
-    results = track(tracker_for(chosen, start, first.size, fps), chain([first], frames), chosen.seed, clip=IMAGES)
-    for result in lagged(results, lag) if lag else results:
-        yield replace(result, start=start) if result.frame.index == start.frame else result
+        check_smoothing(tracker.recipe)
+    results = tracker._follow(frames_of_images(images, clock or (lambda index: index / fps)))
+    yield from lagged(results, lag) if lag else results
 
 
 class Recording:
@@ -202,7 +189,7 @@ class Recording:
             if result.start is None:
                 raise InputError(f"{self.job.out}: the first result has no start; write results of track_frames")
             clip = ClipFacts(str(self.job.clip), result.frame.size, self._rate)
-            self._into.begin(Results(clip, header_of(self.job, clip, result.start, result.rows)))
+            self._into.begin(Results(clip, partial(header_of, self.job, clip, result.start, {})), result)
         self._into.write(result)
 
     def __exit__(self, kind: Any = None, error: BaseException | None = None, trace: Any = None) -> None:
@@ -261,9 +248,9 @@ def frames_of_images(images: Iterable[Image], clock: Callable[[int], float]) -> 
         yield frame
 
 
-def frame_of(given: Image, index: int, time_s: float, size: tuple[int, int] | None) -> Frame:
+def frame_of(image: Image, index: int, time_s: float, size: tuple[int, int] | None) -> Frame:
     """An image as a frame. InputError for what is no image, or not of the `size` (width, height) of those before."""
-    image = np.asarray(given)
+    image = np.asarray(image)
     if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
         raise InputError(
             f"image {index}: is {image.dtype} {image.shape}; give (height, width, 3) uint8, blue first, or grey"
@@ -345,25 +332,41 @@ class Tracker:
             )
         frame = frame_of(image, self._next, at, self._size)
         self._size, self._last_s, self._next = frame.size, at, self._next + 1
-        waiting = [frame]
+        return [None, *self._advance(frame, again=True)][-1]
+
+    def _follow(self, frames: Iterable[Frame]) -> Iterator[FrameResult]:
+        """The results of all frames from the start on. InputError if there is no start in them."""
+        for frame in chain(frames, [None]):
+            yield from self._advance(frame)
+
+    def _advance(self, frame: Frame | None, *, again: bool = False) -> Iterator[FrameResult]:
+        """The results that one more frame, or the end (None), adds: of all frames since the start, once it is found.
+
+        Where nobody is found, it begins to search `again`, or raises InputError.
+        """
+        waiting = [] if frame is None else [frame]
         if self.start is None:
             self._search = self._search or _Search(self.recipe, self._by)
             found = self._search.give(frame)
             if found is None:
-                return None
+                return
             waiting, self._search = self._search.kept, None
-            if isinstance(found, InputError):  # nobody in all of them
-                return None
+            if isinstance(found, InputError):
+                if again:
+                    return
+                raise found
             self.start = found
+        start = self.start
         if self._tracker is None:
-            waiting = [one for one in waiting if one.index >= self.start.frame]
+            waiting = [kept for kept in waiting if kept.index >= start.frame]
+            if not waiting and frame is None:
+                raise InputError(f"{IMAGES}: there is no frame {start.frame}, where {start.origin} begins")
             if not waiting:
-                return None
-            first = waiting[0]
-            self.start = completed(self.recipe, self.start, lambda: first, IMAGES)
-            self._tracker = tracker_for(self.recipe, self.start, first.size, self.fps)
-        *_, result = track(self._tracker, iter(waiting), self.recipe.seed, clip=IMAGES, at=self._at)
-        return result
+                return
+            self.start = start = completed(self.recipe, start, lambda: waiting[0], IMAGES)
+            self._tracker = tracker_for(self.recipe, start, waiting[0].size, self.fps)
+        for result in track(self._tracker, iter(waiting), self.recipe.seed, clip=IMAGES, at=self._at):
+            yield replace(result, start=start) if result.frame.index == start.frame else result
 
     def save(self, path: str | Path) -> None:
         """Write all that it knows, also while no target is found.
@@ -429,11 +432,11 @@ class _Search:
         weakref.finalize(self, given.put, None)
         self._first = answers.get()
 
-    def give(self, frame: Frame) -> Start | InputError | None:
-        """The start, None while it is not known, or why there is none in all frames."""
+    def give(self, frame: Frame | None) -> Start | InputError | None:
+        """The start, None while it is not known, or why there is none in all frames; `frame` None is their end."""
         if isinstance(self._first, Exception):  # as of a detector that is not installed
             raise self._first
-        self.kept.append(frame)
+        self.kept += [] if frame is None else [frame]
         self._given.put(frame)
         found = self._answers.get()
         if isinstance(found, Exception) and (not isinstance(found, InputError) or len(self.kept) == 1):

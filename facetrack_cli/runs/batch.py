@@ -25,11 +25,11 @@ from facetrack_cli.core.errors import BusyError, FacetrackError, InputError, Usa
 from facetrack_cli.core.files import MAX_FILE_BYTES, absolute, read_bounded
 from facetrack_cli.core.log import about
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.run_folder.lease import FolderLease, holder, is_held
-from facetrack_cli.run_folder.manifest import NAME, as_line, recover_interrupted
+from facetrack_cli.run_folder.lease import FolderLease, here, holder, is_held
+from facetrack_cli.run_folder.manifest import NAME, Manifest, as_line, note_failure, recover_interrupted
 from facetrack_cli.runs.clip import Work, run
 from facetrack_cli.runs.pipeline import share_threads
-from facetrack_cli.runs.plan import Job, Outcome, Report, note_failure, resolve, silent
+from facetrack_cli.runs.plan import Job, Outcome, Report, resolve, silent
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, cores, side_by_side
@@ -46,10 +46,10 @@ _LONGEST: Final = 60  # characters of settings in the name of a folder
 
 def variant_name(recipe: str, settings: Sequence[str]) -> str:
     """A recipe's name with the settings that are changed, as in `face-filter.particles=500`; a digest of long ones."""
-    said = ",".join("".join(c if c.isalnum() or c in ".=_+" else "-" for c in one.strip()) for one in settings)
-    if len(said) > _LONGEST:
-        said = "set-" + hashlib.sha256(",".join(settings).encode("utf-8", "surrogateescape")).hexdigest()[:8]
-    return f"{recipe}-{said}" if said else recipe
+    suffix = ",".join("".join(c if c.isalnum() or c in ".=_+" else "-" for c in text.strip()) for text in settings)
+    if len(suffix) > _LONGEST:
+        suffix = "set-" + hashlib.sha256(",".join(settings).encode("utf-8", "surrogateescape")).hexdigest()[:8]
+    return f"{recipe}-{suffix}" if suffix else recipe
 
 
 def folders(clips: Sequence[Path], recipe: str) -> list[str]:
@@ -91,13 +91,13 @@ def check_all(jobs: Sequence[Job]) -> tuple[list[Outcome], list[Job]]:
     left: list[Job] = []
     for job in jobs:
         try:
-            known = resolve(job).ended()
+            outcome = resolve(job).ended()
         except FacetrackError as e:
-            known = Outcome(clip=job.clip, error=as_line(e))
-        if known is None:
+            outcome = Outcome(clip=job.clip, error=as_line(e))
+        if outcome is None:
             left.append(job)
         else:
-            decided.append(known)
+            decided.append(outcome)
     return decided, left
 
 
@@ -121,16 +121,20 @@ def run_shared(
     Clips that another facetrack is tracking come last: they are waited for, and tracked if nobody does any more. Once
     `stop` says so, the clips at work close their files and the others are not begun.
     """
-    left, busy, told = list(jobs), list[Job](), False
+    left, busy, said = list(jobs), list[Job](), False
     while (left or busy) and not stop():
         for job, outcome in turn(left):
             if isinstance(outcome.error, BusyError):
                 busy.append(job)
             else:
                 yield outcome
-        if busy and not told and not stop():
-            told = True
-            progress.say(_waiting(busy))
+        if busy and not said and not stop():
+            said = True
+            notes = [holder(job.out) for job in busy if job.out is not None]
+            hosts = sorted({str(note["host"]) for note in notes if note is not None and "host" in note})
+            clips, them = ("1 clip is", "it") if len(busy) == 1 else (f"{len(busy)} clips are", "them")
+            where = f" on {', '.join(hosts)}" if hosts else ""
+            progress.say(f"{clips} being tracked by another facetrack{where}; waiting for {them}")
         free, busy = _wait(busy, stop)
         decided, left = check_all(free)
         yield from decided
@@ -159,22 +163,13 @@ def _turn(jobs: Sequence[Job], workers: int, stop: Stop, progress: Progress) -> 
         yield jobs[i], outcome_of_crash(jobs[i], result) if isinstance(result, Exception) else result
 
 
-def _waiting(busy: Sequence[Job]) -> str:
-    notes = [holder(job.out) for job in busy if job.out is not None]
-    hosts = sorted({str(note["host"]) for note in notes if note is not None and "host" in note})
-    where = f" on {', '.join(hosts)}" if hosts else ""
-    if len(busy) == 1:
-        return f"1 clip is being tracked by another facetrack{where}; waiting for it"
-    return f"{len(busy)} clips are being tracked by another facetrack{where}; waiting for them"
-
-
 def _wait(busy: Sequence[Job], stop: Stop) -> tuple[list[Job], list[Job]]:
     """The clips of others, once one of them at least is not being tracked any more: those, and the rest."""
     settled = time.monotonic()
     while busy and not stop():
-        those = [(job, job.out is not None and is_held(job.out)) for job in busy]
-        if not all(held for _, held in those):
-            return [job for job, held in those if not held], [job for job, held in those if held]
+        held = [job for job in busy if job.out is not None and is_held(job.out)]
+        if len(held) < len(busy):
+            return [job for job in busy if job not in held], held
         time.sleep(LOOK_S)
         if time.monotonic() - settled > SETTLE_S:  # which removes a claim that is stale
             settled = time.monotonic()
@@ -192,12 +187,12 @@ def outcome_of_crash(job: Job, error: Exception) -> Outcome:
     if plan is not None and plan.known is not None:  # an earlier turn may have come farther
         frames = max(frames, plan.known.frames)
     kept = f"the frames that it had tracked are kept ({frames})" if frames else "nothing was kept"
-    said = FacetrackError(f"{job.clip}: {error}; {kept}")
+    error_line = FacetrackError(f"{job.clip}: {error}; {kept}")
     log = error.log if isinstance(error, DiedError) else ()
     if plan is not None and job.out is not None and job.batch:
         with contextlib.suppress(FacetrackError), FolderLease(job.out) as lease:
-            note_failure(plan, lease, said, log)
-    return Outcome(clip=job.clip, error=said)
+            note_failure(lease, job.out, Manifest(asked=plan.asked, host=here()[0]), job.clip, error_line, log)
+    return Outcome(clip=job.clip, error=error_line)
 
 
 def attempt(
@@ -225,66 +220,65 @@ def expand(inputs: Sequence[Path], note: Callable[[str], None] = lambda line: No
 
     InputError for a list that cannot be read, and a folder, glob or list without clips; UsageError for several images.
     """
-    listed = [clip for given in inputs for clip in _listed(given)]
-    groups = [_clips(given, note) for given in listed]
+    listed = [clip for path in inputs for clip in _listed(path)]
+    groups = [_clips(path, note) for path in listed]
     found = {absolute(clip): clip for group in groups for clip in group}
     clips = list(found.values())
-    alone = [one for one in clips if is_image(one) and images.listing(one) is None and images.pages(one) == 1]
-    if len(alone) > 1:
-        folder = alone[0].parent
-        raise UsageError(f"{alone[0]} and {len(alone) - 1} more are single images; give their folder, {folder}{os.sep}")
+    single = [clip for clip in clips if is_image(clip) and images.listing(clip) is None and images.pages(clip) == 1]
+    if len(single) > 1:
+        folder = f"{single[0].parent}{os.sep}"
+        raise UsageError(f"{single[0]} and {len(single) - 1} more are single images; give their folder, {folder}")
     if parts := chapters(clips):
         names = f"{parts[0].name} to {parts[-1].name}"
         how = "list them as lines file 'NAME' and join them first: ffmpeg -f concat -safe 0 -i LIST -c copy joined.mp4"
         note(f"facetrack: {names}: each is a clip of its own; if they are chapters of one recording, {how}")
-    plain = len(inputs) == len(listed) and groups == [[given] for given in inputs]
+    plain = len(inputs) == len(listed) and groups == [[path] for path in inputs]
     return ClipList(clips, len(clips) > 1 or not plain)
 
 
-def _listed(given: Path) -> list[Path]:
+def _listed(path: Path) -> list[Path]:
     """What a list names, `@list.txt` or `@-`; anything else is itself, also a file whose name begins so."""
-    if not str(given).startswith("@") or is_there(given):
-        return [given]
-    name = str(given)[1:]
-    path = Path(name)
+    if not str(path).startswith("@") or is_there(path):
+        return [path]
+    name, is_pipe = str(path)[1:], str(path) == "@-"
     try:
-        data = sys.stdin.buffer.read(MAX_FILE_BYTES) if name == "-" else read_bounded(path, what="list")
+        data = sys.stdin.buffer.read(MAX_FILE_BYTES) if is_pipe else read_bounded(Path(name), what="list")
     except OSError as e:
-        raise InputError(f"{path}: cannot be read as a list of clips: {reason(e)}; check the name") from e
+        raise InputError(f"{name}: cannot be read as a list of clips: {reason(e)}; check the name") from e
     lines = [line.rstrip("\r") for line in os.fsdecode(data.removeprefix(b"\xef\xbb\xbf")).split("\n")]
-    if b"\0" in data:
-        raise InputError(f"{'standard input' if name == '-' else path}: is not a list of clips; it has a path a line")
-    found = [Path(line) for line in lines if line.strip() and not line.startswith("#")]
-    if not found:
-        raise InputError(f"{'standard input' if name == '-' else path}: names no clip; it has a path a line")
-    return found
+    clips = [Path(line) for line in lines if line.strip() and not line.startswith("#")]
+    if b"\0" in data or not clips:
+        what = "names no clip" if b"\0" not in data else "is not a list of clips"
+        raise InputError(f"{'standard input' if is_pipe else name}: {what}; it has a path a line")
+    return clips
 
 
-def _clips(given: Path, note: Callable[[str], None]) -> list[Path]:
+def _clips(path: Path, note: Callable[[str], None]) -> list[Path]:
     """The clips that one input is."""
-    check_local(given)
+    check_local(path)
     try:
-        if given.is_dir():
-            return _of_folder(given, note) or _below(given, note) or [given]
-        if re.search(r"[*?\[]", str(given)) and not is_there(given):
-            return _of_glob(given, note)
+        if path.is_dir():
+            below = _sorted(sub for sub in path.iterdir() if not sub.name.startswith(".") and sub.is_dir())
+            inside = (clip for folder in below for clip in _of_folder(folder, note))
+            return _of_folder(path, note) or [*inside] or [path]
+        if re.search(r"[*?\[]", str(path)) and not is_there(path):
+            return _of_glob(path, note)
     except OSError as e:
-        raise from_system(e) or InputError(f"{e.filename or given}: {reason(e)}; check the permissions") from e
-    return [given]
+        raise from_system(e) or InputError(f"{e.filename or path}: {reason(e)}; check the permissions") from e
+    return [path]
 
 
-def _of_glob(given: Path, note: Callable[[str], None]) -> list[Path]:
-    matches = _sorted(Path(name) for name in glob.glob(str(given), recursive=True))  # noqa: PTH207 -- any of its parts
+def _of_glob(pattern: Path, note: Callable[[str], None]) -> list[Path]:
+    matches = _sorted(Path(name) for name in glob.glob(str(pattern), recursive=True))  # noqa: PTH207 -- any of its parts
     if not matches:
-        raise InputError(f"{given}: matches no file; check the name")
-    folders = [one for one in matches if one.is_dir()]
-    files = [one for one in matches if not one.is_dir()]
-    pictures = {one for one in files if is_image(one)}
-    videos = [one for one in files if one not in pictures]
-    if pictures and not videos and not folders:
-        return [given]
-    _left_out(given, len(pictures), note)
-    return videos + [clip for folder in folders for clip in _of_folder(folder, note)]
+        raise InputError(f"{pattern}: matches no file; check the name")
+    files = [path for path in matches if not path.is_dir()]
+    pictures = {path for path in files if is_image(path)}
+    if len(pictures) == len(matches):
+        return [pattern]
+    _left_out(pattern, len(pictures), note)
+    videos = [path for path in files if path not in pictures]
+    return videos + [clip for folder in matches if folder.is_dir() for clip in _of_folder(folder, note)]
 
 
 def _of_folder(folder: Path, note: Callable[[str], None]) -> list[Path]:
@@ -301,15 +295,10 @@ def _of_folder(folder: Path, note: Callable[[str], None]) -> list[Path]:
     return videos
 
 
-def _below(folder: Path, note: Callable[[str], None]) -> list[Path]:
-    inside = _sorted(one for one in folder.iterdir() if not one.name.startswith(".") and one.is_dir())
-    return [clip for one in inside for clip in _of_folder(one, note)]
-
-
-def _left_out(given: Path, pictures: int, note: Callable[[str], None]) -> None:
+def _left_out(place: Path, pictures: int, note: Callable[[str], None]) -> None:
     if pictures:
         what = "1 image beside the videos is" if pictures == 1 else f"{pictures} images beside the videos are"
-        note(f"facetrack: warning: {given}: {what} left out; give images a folder of their own")
+        note(f"facetrack: warning: {place}: {what} left out; give images a folder of their own")
 
 
 def _sorted(paths: Iterable[Path]) -> list[Path]:

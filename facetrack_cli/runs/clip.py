@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from functools import partial
 from typing import TypeAlias
 
 from facetrack_cli.core.errors import InputError, UsageError
@@ -13,7 +14,7 @@ from facetrack_cli.engine.corrected import restored
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.checkpoint import remove_checkpoints
-from facetrack_cli.runs.people import crowded, film, film_shots, film_start, name_run
+from facetrack_cli.runs.people import ORIGIN, crowded, film_shots, name_run
 from facetrack_cli.runs.pipeline import decoded_ahead
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, resolve, silent
 from facetrack_cli.runs.record import (
@@ -21,7 +22,6 @@ from facetrack_cli.runs.record import (
     Ended,
     Recorder,
     Results,
-    Rows,
     RunFolder,
     RunState,
     Sink,
@@ -35,11 +35,12 @@ from facetrack_cli.runs.smooth import PosteriorWriter
 from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.precompile import precompiling
+from facetrack_cli.start.presence import MultiFaceTracker
+from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.smoothed import lagged
-from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
+from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.shots import Shot
-from facetrack_cli.video.source import Source
 
 MAX_LAG_BYTES = 1 << 30  # of the frames that wait for later ones
 Work: TypeAlias = Callable[[Plan, RunFolder, Stop, Report, Report], Outcome]
@@ -74,39 +75,38 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent, 
         If nothing was tracked; no file is left then.
     """
     plan = resolve(job)
-    if (known := plan.ended()) is not None:
+    if (ended := plan.ended()) is not None:
         if job.out is not None:
             remove_checkpoints(job.out)  # a kill may leave checkpoints of a run that is done
-        return known
+        return ended
     if job.out is None:
         return track_clip(plan, None, stop, report, looked)
-    if plan.unnamed is not None:
-        return name_run(plan, Outcome.of(job, plan.unnamed), stop, looked)
+    if plan.names and plan.tracked is not None:
+        return name_run(plan, Outcome.of(job, plan.tracked), stop, looked)
     with RunFolder(plan, stop) as folder:
         plan = folder.plan
-        if (known := plan.ended()) is not None:  # meanwhile, by another process
-            return known
+        if (ended := plan.ended()) is not None:  # meanwhile, by another process
+            return ended
         done = (work or track_clip)(plan, folder, stop, report, looked)
     return name_run(plan, done, stop, looked) if plan.names and done.error is None and done.stopped is None else done
-
-
-def rows_of(
-    plan: Plan, stop: Stop, report: Report = silent, looked: Report = silent
-) -> tuple[Outcome, Trajectory | None]:
-    """Track one clip into memory; what became of it, and its rows, None without any. Raises as `run`."""
-    rows = Rows()
-    done = track_clip(plan, None, stop, report, looked, [rows])
-    return done, rows.trajectory(done) if done.frames else None
 
 
 def track_clip(
     plan: Plan, folder: RunFolder | None, stop: Stop, report: Report, looked: Report, sinks: Sequence[Sink] = ()
 ) -> Outcome:
     """Track one clip into `sinks`, without any into its tables, and what else its folder holds. Raises as `run`."""
-    job, found = plan.job, _find_start(plan, stop, looked)
-    if found is None:
+    job = plan.job
+    try:
+        with precompiling(to_dict(job.recipe), job.threads) as compile_all:  # while the start is looked for
+            if plan.everyone:
+                start, shots = Start(job.first, {}, ORIGIN), film_shots(job, job.first, stop, looked)
+            else:
+                start, shots = job.find(job.recipe, stopped=stop, looked=looked), []
+            compile_all(stop, looked)
+    except InputError:
+        if not stop():
+            raise
         return Outcome(clip=job.clip, streamed=job.out is None, stopped=stop.reason)
-    start, shots = found
     resumed, video, sinks = None, None, sinks or tables(plan)
     if folder is not None:
         sinks = [*sinks, RunMonitor.of(job.recipe, start), *([PosteriorWriter(folder.path)] if job.posterior else [])]
@@ -124,79 +124,40 @@ def track_clip(
 
 @contextlib.contextmanager
 def follow(plan: Plan, start: Start, shots: list[Shot], state: RunState, stop: Stop) -> Iterator[Results]:
-    """The results of a clip, or of the `shots` of a film, from its start, or where `state` says that it goes on.
-
-    The first one is there when the block begins, or its error is raised.
-    """
+    """The results of a clip, or of the `shots` of a film, from its start, or where `state` says that it goes on."""
     job = plan.job
     with job.open(state.frame) as source:
-        _check_lag(job, source)
-        clip, more = ClipFacts.of(job.clip, source), {"shots": [list(one) for one in shots]} if shots else {}
+        (width, height), frame_bytes = source.size, 3 * source.size[0] * source.size[1]
+        if job.lag * frame_bytes > MAX_LAG_BYTES:
+            most = f"at most --lag {MAX_LAG_BYTES // frame_bytes} at {width}x{height}, or take --smooth"
+            raise UsageError(f"{job.clip}: {job.lag} frames of this size take too much memory; {most}")
+        clip, more = ClipFacts.of(job.clip, source), {"shots": [list(shot) for shot in shots]} if shots else {}
         asked = frames_of(source, state.frame, job.origin(start))
 
         def tracked() -> Generator[FrameResult, None, None]:
             with decoded_ahead(asked, threaded=job.threads > 1, stopped=stop) as frames:
                 if shots:
-                    yield from film(job, shots, source, frames, state.at)
+                    size, fps = source.size, float(source.fps)
+                    faces = MultiFaceTracker(job.recipe, shots, detector(job.by), size, fps, job.recipe.seed)
+                    yield from faces.follow(frames, state.at)
                     return
                 tracker = tracker_for(job.recipe, start, source.size, source.fps)
                 state.at.states = restored(tracker, state.at.states, job.frame)
-                found = track(tracker, frames, job.recipe.seed, clip=str(job.clip), at=state.at)
-                yield from lagged(found, job.lag) if job.lag else found
-
-        def every(first: list[FrameResult]) -> Generator[FrameResult, None, None]:
-            while first:
-                yield first.pop()
-            yield from rest
+                results = track(tracker, frames, job.recipe.seed, clip=str(job.clip), at=state.at)
+                yield from lagged(results, job.lag) if job.lag else results
 
         def ended(whole: bool) -> Ended:
             if shots and whole and not job.chunk and not state.outcome.evidence:
                 raise InputError(f"{job.clip}: no face found in frames {start.frame} to {state.frame - 1}")
-            said = (*source.warnings, *state.notes, *(crowded(state.at) if shots else ()))
+            warnings = (*source.warnings, *state.notes, *(crowded(state.at) if shots else ()))
             if whole and job.stop is None:
-                said += past_end(start.corrections, state.frame - 1, start.origin)
+                warnings += past_end(start.corrections, state.frame - 1, start.origin)
             if job.faces == "all" and not shots and start.origin not in DETECTORS:
-                named = " and ".join(start.targets)
-                said += (
-                    f"{start.origin} says where {named} begins, so --faces all follows no other; --init haar does",
-                )
-            return Ended(source.complete, said, source.variable)
+                alone = f"says where {' and '.join(start.targets)} begins, so --faces all follows no other"
+                warnings += (f"{start.origin} {alone}; --init haar does",)
+            return Ended(source.complete, warnings, source.variable)
 
-        rest = tracked()
-        with contextlib.closing(rest):
-            first = next(rest, None)
-            header = {} if first is None else header_of(job, clip, start, first.rows, more)
-            frames = every([] if first is None else [first])
-            del first
-            yield Results(clip, header, frames, state.at, ended)
-
-
-def _check_lag(job: Job, source: Source) -> None:
-    """Refuse a lag whose frames, which are all kept, take too much memory."""
-    of_frame = 3 * source.size[0] * source.size[1]
-    if job.lag * of_frame > MAX_LAG_BYTES:
-        most = f"at most --lag {MAX_LAG_BYTES // of_frame} at {source.size[0]}x{source.size[1]}"
-        raise UsageError(f"{job.clip}: {job.lag} frames of this size take too much memory; {most}, or take --smooth")
-
-
-def _find_start(plan: Plan, stop: Stop, looked: Report) -> tuple[Start, list[Shot]] | None:
-    """Where the clip's track begins, looked for while kernels are compiled; None if the search was stopped.
-
-    Where everybody is followed these are the shots of the film; else there are none.
-    """
-    job = plan.job
-    try:
-        with precompiling(to_dict(job.recipe), job.threads) as compile_all:
-            if plan.everyone:
-                start, shots = film_start(job.first), film_shots(job, job.first, stop, looked)
-            else:
-                start, shots = job.find(job.recipe, stopped=stop, looked=looked), []
-            compile_all(stop, looked)
-            return start, shots
-    except InputError:
-        if not stop():
-            raise
-        return None
+        yield Results(clip, partial(header_of, job, clip, start, more), tracked(), state.at, ended)
 
 
 def past_end(corrections: Iterable[Correction], last: int, origin: str) -> tuple[str, ...]:

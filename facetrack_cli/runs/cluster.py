@@ -131,8 +131,8 @@ def _outcome(job: Job, future: Any, killed: set[Path]) -> Outcome | None:
     from distributed import KilledWorker
 
     try:
-        found: Outcome | None = future.result(timeout=ANSWER_S)
-        return found
+        outcome: Outcome | None = future.result(timeout=ANSWER_S)
+        return outcome
     except KilledWorker as e:
         if job.clip not in killed:  # Dask suspects all clips that the workers had, so each is tried once more
             killed.add(job.clip)
@@ -154,8 +154,8 @@ def _shown(job: Job, outcome: Outcome, stop: Stop, patience_s: float) -> Outcome
     until = time.monotonic() + patience_s
     while outcome.files and not (outcome.files[0].parent / NAME).exists() and not stop():
         if time.monotonic() > until:
-            said = f"{job.clip}: was tracked, but {job.out} does not show it here"
-            return Outcome(clip=job.clip, error=FacetrackError(f"{said}; all machines must see the same folders"))
+            line = f"{job.clip}: was tracked, but {job.out} does not show it here"
+            return Outcome(clip=job.clip, error=FacetrackError(f"{line}; all machines must see the same folders"))
         time.sleep(LOOK_S)
     return outcome
 
@@ -244,14 +244,14 @@ def address_of(where: str) -> str:
     if where.startswith("local") or "://" in where or re.fullmatch(r"[^/]*:\d+", where):
         raise UsageError(f"--cluster {where}: names no scheduler; {forms}")
     try:
-        found = json.loads(read_bounded(Path(where), what="scheduler file"))["address"]
-        if not isinstance(found, str):
+        address = json.loads(read_bounded(Path(where), what="scheduler file"))["address"]
+        if not isinstance(address, str):
             raise TypeError
     except OSError as e:
         raise UsageError(f"--cluster {where}: cannot be read: {e.strerror or e}; {forms}") from None
     except (ValueError, TypeError, KeyError):
         raise UsageError(f"--cluster {where}: is no scheduler file: it has no address; {forms}") from None
-    return found
+    return address
 
 
 def _is_here(address: str) -> bool:

@@ -26,7 +26,6 @@ from facetrack_cli.trajectory.header import clip_of, frame_size_of, is_there
 from facetrack_cli.trajectory.select import Around, blank_lost, enclose, has_windows, hide_outside
 from facetrack_cli.trajectory.trajectory import Trajectory, header_value
 from facetrack_cli.video import images
-from facetrack_cli.video.files import given_rate
 from facetrack_cli.video.source import open_source
 
 
@@ -128,13 +127,12 @@ def content(
         values["box"] = values["boxes"][0]
     values["table"] = table
     content: str | bytes = load("write", form)(*(values[name] for name in takes))
-    return content if into is None or "video" not in values else _added(into, str(content), values["video"].name, say)
-
-
-def _added(into: Path, text: str, clip: str, say: Callable[[str], None]) -> str:
-    data, tiers, linked = add_tiers(into, text, clip)
+    if into is None or "video" not in values:
+        return content
+    video = values["video"].name
+    data, tiers, linked = add_tiers(into, str(content), video)
     if not linked:
-        say(f"facetrack: warning: {into} does not link to {clip}; its times are taken for those of that clip")
+        say(f"facetrack: warning: {into} does not link to {video}; its times are taken for those of that clip")
     say(f"{into}: {', '.join(tiers) or 'no tier'} added")
     return data.decode()
 
@@ -204,14 +202,7 @@ def annotated_video(trajectory: Trajectory, *, media: str | Path | None = None) 
     clip = clip_of(trajectory) if media is None else Path(media)
     if clip is None:
         raise InputError("the trajectory does not name its clip; give it with media")
-    fps, stream = header_value(trajectory, "source", "fps"), header_value(trajectory, "source", "stream")
-    rate = given_rate(clip, fps) if isinstance(fps, int | float) else None
-    ends = int(trajectory.frames[0]), int(trajectory.frames[-1])
-    title = str(header_value(trajectory, "recipe", "name") or "")
+    painted = Painted.of(trajectory, clip, int(trajectory.frames[0]), int(trajectory.frames[-1]))
     with TemporaryDirectory() as folder:
-        path = Path(folder, VIDEO)
-        repaint(
-            Painted(clip, rate, *ends, title, stream if isinstance(stream, int) else None),
-            path, trajectory, silent, never,
-        )  # fmt: skip
-        return Video(temporary_path(path).read_bytes())
+        repaint(painted, Path(folder, VIDEO), trajectory, silent, never)
+        return Video(temporary_path(Path(folder, VIDEO)).read_bytes())

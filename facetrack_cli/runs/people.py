@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,26 +13,18 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.face_points import DETECTORS
 from facetrack_cli.core.files import check_plain, make_folder, remove_folders
-from facetrack_cli.core.types import BOX, Frame, Image, Start
+from facetrack_cli.core.types import BOX, Frame, Image
 from facetrack_cli.engine.loop import TrackState
-from facetrack_cli.run_folder.finished import Painted, run_files, write_rows
+from facetrack_cli.run_folder.finished import Painted, run_files
 from facetrack_cli.run_folder.lease import FolderLease
-from facetrack_cli.run_folder.manifest import VIDEO, check_run, read_manifest, read_run
+from facetrack_cli.run_folder.manifest import VIDEO, check_run, read_manifest, read_run, write_rows
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.runs.smooth import repaint, replace_files
-from facetrack_cli.start.presence import MAX_FACES, MultiFaceTracker
+from facetrack_cli.start.presence import MAX_FACES
 from facetrack_cli.trackers.face.detectors import detector
-from facetrack_cli.trackers.people.descriptor import (
-    Describer,
-    FaceDescriptor,
-    load_people,
-    save_people,
-    still,
-    views_of,
-)
+from facetrack_cli.trackers.people.descriptor import Describer, load_people, save_people, still, views_of
 from facetrack_cli.trackers.people.identity import AT_ONCE_S, SURE, UNKNOWN, Cast, TrackSummary, cast_of, places
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import clip_of
@@ -52,7 +44,7 @@ from facetrack_cli.trajectory.people import (
     tracks_of,
     under_names,
 )
-from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, header_value
+from facetrack_cli.trajectory.trajectory import Trajectory, header_value
 from facetrack_cli.trajectory.writers import summary_of
 from facetrack_cli.video.files import given_rate
 from facetrack_cli.video.shots import Shot, find_cuts, shots_of
@@ -63,7 +55,7 @@ MIN_FRAMES: Final = 5  # of a track in which its face is seen; of fewer nothing 
 STILL_CHANGE: Final = 2.5  # grey levels; a face that changes by less is of a photograph
 
 
-class Named(NamedTuple):
+class NamedFilm(NamedTuple):
     """The people of a film, their tracks by target, and their pictures by `still`, the bytes of JPEG files."""
 
     people: People
@@ -80,20 +72,6 @@ def film_shots(job: Job, first: int, stop: Stopped, looked: Report) -> list[Shot
     if stop():
         raise InputError(f"{job.clip}: stopped before its shots were found")
     return shots_of(cuts, first, job.stop)
-
-
-def film_start(first: int) -> Start:
-    """The start of a film: nobody is there before a detector looks."""
-    return Start(first, {}, ORIGIN)
-
-
-def film(
-    job: Job, shots: Sequence[Shot], source: Source, frames: Iterator[Any], at: TrackState
-) -> Iterator[FrameResult]:
-    """The results of everyone in a film."""
-    by = next((name for name in DETECTORS if name == job.init), None)
-    faces = MultiFaceTracker(job.recipe, shots, detector(by), source.size, float(source.fps), job.recipe.seed)
-    yield from faces.follow(frames, at)
 
 
 def looks_in(
@@ -114,35 +92,6 @@ def looks_in(
         if frame.index >= left:
             break
     return readers
-
-
-def cast(
-    rows: Trajectory,
-    shots: Sequence[Shot],
-    source: Source,
-    report: Callable[[int], None],
-    stop: Stopped,
-    known: Mapping[str, FaceDescriptor] | None = None,
-) -> Named:
-    """Who the tracks of `rows` are of, by what the frames of `source` show. Raises StoppedError once `stop` says so."""
-    boxes = _boxes(rows)
-    least = min(MIN_FRAMES, len(rows.frames))
-    boxes = {name: box for name, box in boxes.items() if (~box.unseen).sum() >= least}
-    readers, known = looks_in(boxes, source, report, stop), known or {}
-    begins = np.array([shot.first for shot in shots])
-    tracks = [
-        TrackSummary(
-            name, int(box.frame[0]), int(box.frame[-1]) + 1, *_ends(box),
-            int(np.searchsorted(begins, box.frame[0], "right")), readers[name].looks(),
-        )
-        for name, box in sorted(boxes.items(), key=lambda one: int(one[1].frame[0]))
-        if readers[name].is_face
-    ]  # fmt: skip
-    found = cast_of(tracks, list(known.values()), float(source.fps))
-    names = [*known]
-    while len(names) <= found.person.max(initial=-1):
-        names.append(new_name(names))
-    return _named(tracks, found, names, readers, shots, Clock(rows, float(source.fps)))
 
 
 def save_looks(folder: Path, path: Path, clip: Path | None, report: Report, stop: Stopped) -> tuple[str, ...]:
@@ -169,64 +118,87 @@ def _boxes(rows: Trajectory) -> dict[str, Trajectory]:
 
 def film_of(people: People, rows: Trajectory, clip: Path | None) -> tuple[Path | None, Any]:
     """The clip of a run, if it is known, and how it is read: its rate if the clip brings none, and its stream."""
-    where = clip or clip_of(rows)
-    return where, {"fps": where and given_rate(where, people.fps), "stream": header_value(rows, "source", "stream")}
+    place = clip or clip_of(rows)
+    return place, {"fps": place and given_rate(place, people.fps), "stream": header_value(rows, "source", "stream")}
 
 
-def _ends(box: Trajectory) -> tuple[Any, Any]:
-    there = box.take(~box.unseen).boxes
-    return tuple(there[0].tolist()), tuple(there[-1].tolist())
+def cast_in(job: Job, rows: Trajectory, stop: Stopped, looked: Report) -> NamedFilm:
+    """Who the tracks of a job's `rows` are of. InputError where the film shows nobody; raises StoppedError."""
+    first, told = int(rows.frame.min()), rows.header.get("shots")
+    shots = [Shot(*shot) for shot in told] if told else film_shots(job, job.first, stop, looked)
+    known = {} if job.gallery is None else load_people(job.gallery)
+    frames, tracks = len(rows.frames), list[TrackSummary]()
+    boxes = {name: box for name, box in _boxes(rows).items() if (~box.unseen).sum() >= min(MIN_FRAMES, frames)}
+    with job.open(first) as source:
+        total, fps = source.frames_hint, float(source.fps)
+        readers = looks_in(boxes, source, lambda at: looked(at - first, total, "looking at people"), stop)
+    begins = np.array([shot.first for shot in shots])
+    for name, box in sorted(boxes.items(), key=lambda item: int(item[1].frame[0])):
+        if readers[name].is_face:
+            start, stop_frame = int(box.frame[0]), int(box.frame[-1]) + 1
+            ends: Any = [tuple(place) for place in box.take(~box.unseen).boxes[[0, -1]].tolist()]
+            shot = int(np.searchsorted(begins, start, "right"))
+            tracks.append(TrackSummary(name, start, stop_frame, ends[0], ends[1], shot, readers[name].looks()))
+    if not tracks:
+        raise InputError(f"{job.clip}: no face is seen in {MIN_FRAMES} frames of {frames}; is this the right film?")
+    cast, names = cast_of(tracks, list(known.values()), fps), [*known]
+    while len(names) <= cast.person.max(initial=-1):
+        names.append(new_name(names))
+    return _named(tracks, cast, names, readers, shots, Clock(rows, fps))
 
 
 def _named(
     tracks: Sequence[TrackSummary],
-    found: Cast,
-    called: Sequence[str],
+    cast: Cast,
+    persons: Sequence[str],
     readers: Mapping[str, Describer],
     shots: Sequence[Shot],
     clock: Clock,
-) -> Named:
+) -> NamedFilm:
+    """The film in which each track is of the one of these persons that the cast says."""
     names, lanes = list[str](), list[int]()  # until when each of those is seen whose face cannot be told again
-    for track, k in zip(tracks, found.person.tolist(), strict=True):
+    for track, person in zip(tracks, cast.person.tolist(), strict=True):
         lane = next((n for n, until in enumerate(lanes) if until <= track.first), len(lanes))
-        if k == UNKNOWN:
+        if person == UNKNOWN:
             lanes[lane : lane + 1] = [track.stop]
-        names.append(called[k] if k != UNKNOWN else NOBODY if not lane else f"{NOBODY}_{lane + 1}")
-    doubts = {one.track: one for one in found.doubts}
+        names.append(persons[person] if person != UNKNOWN else NOBODY if not lane else f"{NOBODY}_{lane + 1}")
+    doubts = {doubt.track: doubt for doubt in cast.doubts}
     records: Tracks = []
     pictures: dict[tuple[str, bool], tuple[float, Image]] = {}  # of a person, or of a track in doubt
     moving = {name for name, track in zip(names, tracks, strict=True) if readers[track.name].change() >= STILL_CHANGE}
     shown = [*((name, False) for name in dict.fromkeys(names)), *((tracks[i].name, True) for i in doubts)]
-    paths = {of: f"{STILLS}/{number}.jpg" for number, of in enumerate(shown, 1)}
+    paths = {key: f"{STILLS}/{number}.jpg" for number, key in enumerate(shown, 1)}
     for i, (track, name) in enumerate(zip(tracks, names, strict=True)):
-        one = TrackRecord(person=name, first=track.first, stop=track.stop, p=round(float(found.p[i]), 4))
+        record = TrackRecord(person=name, first=track.first, stop=track.stop, p=round(float(cast.p[i]), 4))
+        keys = [(name, False)]
         if (doubt := doubts.get(i)) is not None:
-            other = None if doubt.other is None else called[doubt.other]
-            said = {"doubt": True, "other": other, "p_other": round(doubt.p, 4), "still": paths[track.name, True]}
-            one = one.model_copy(update=said)
-        records.append((track.name, one))
+            keys.append((track.name, True))
+            other = None if doubt.other is None else persons[doubt.other]
+            unsure = {"doubt": True, "other": other, "p_other": round(doubt.p, 4), "still": paths[keys[1]]}
+            record = record.model_copy(update=unsure)
+        records.append((track.name, record))
         best = readers[track.name].best
         assert best is not None
-        for of in ((name, False), (track.name, True)) if doubt else ((name, False),):
-            pictures[of] = max(pictures.get(of, best), best, key=lambda still: still[0])
-    told = [ShotRecord(first=one.first, stop=one.stop) for one in _true(shots, tracks, names, clock.fps)]
+        for key in keys:
+            pictures[key] = max(pictures.get(key, best), best, key=lambda still: still[0])
+    kept = [ShotRecord(first=shot.first, stop=shot.stop) for shot in _true(shots, tracks, names, clock.fps)]
     stills = {name: paths[name, False] for name in names}
-    people = people_of(clock, told, [one for _, one in records], stills, {*names} - moving)
-    return Named(people, tuple(records), {paths[of]: _jpeg(image) for of, (_, image) in pictures.items()})
+    people = people_of(clock, kept, [record for _, record in records], stills, {*names} - moving)
+    return NamedFilm(people, tuple(records), {paths[key]: _jpeg(image) for key, (_, image) in pictures.items()})
 
 
 def _true(shots: Sequence[Shot], tracks: Sequence[TrackSummary], names: Sequence[str], fps: float) -> list[Shot]:
     """The shots without cuts after which the same faces go on in the same places, as after a flash."""
-    found, goes_on = list(shots[:1]), places(tracks, fps)[1]
+    kept, goes_on = list(shots[:1]), places(tracks, fps)[1]
     for shot in shots[1:]:
-        before = [i for i, one in enumerate(tracks) if one.stop == shot.first]
-        after = [j for j, one in enumerate(tracks) if shot.first <= one.first <= shot.first + AT_ONCE_S * fps]
+        before = [i for i, track in enumerate(tracks) if track.stop == shot.first]
+        after = [j for j, track in enumerate(tracks) if shot.first <= track.first <= shot.first + AT_ONCE_S * fps]
         pairs = [(i, j) for i in before for j in after if goes_on[i, j] and names[i] == names[j]]
         if before and len(before) == len(after) == len(pairs):
-            found[-1] = found[-1]._replace(stop=shot.stop, until=shot.until)
+            kept[-1] = kept[-1]._replace(stop=shot.stop, until=shot.until)
         else:
-            found.append(shot)
-    return found
+            kept.append(shot)
+    return kept
 
 
 def crowded(at: TrackState) -> tuple[str, ...]:
@@ -234,20 +206,6 @@ def crowded(at: TrackState) -> tuple[str, ...]:
     if not at.states or at.states[0].crowd is None:
         return ()
     return (f"more than {MAX_FACES} faces at a time, first in frame {at.states[0].crowd}; the largest are followed",)
-
-
-def cast_in(job: Job, rows: Trajectory, stop: Stopped, looked: Report) -> Named:
-    """Who the tracks of a job's `rows` are of. InputError where the film shows nobody; raises StoppedError."""
-    first, told = int(rows.frame.min()), rows.header.get("shots")
-    shots = [Shot(*one) for one in told] if told else film_shots(job, job.first, stop, looked)
-    with job.open(first) as source:
-        total = source.frames_hint
-        known = None if job.gallery is None else load_people(job.gallery)
-        found = cast(rows, shots, source, lambda at: looked(at - first, total, "looking at people"), stop, known)
-    if not found.tracks:
-        frames = len(rows.frames)
-        raise InputError(f"{job.clip}: no face is seen in {MIN_FRAMES} frames of {frames}; is this the right film?")
-    return found
 
 
 def name_run(plan: Plan, outcome: Outcome, stop: Stop, looked: Report) -> Outcome:
@@ -259,20 +217,17 @@ def name_run(plan: Plan, outcome: Outcome, stop: Stop, looked: Report) -> Outcom
     assert job.out is not None
     rows = rows_in(job.out)
     try:
-        found = cast_in(job, rows, stop, looked)
-        after = under_names(rows, found.tracks)
-        last = job.first + outcome.frames - 1
-        paint = Painted(job.clip, job.fps, job.first, last, job.recipe.name, job.stream) if job.video else None
-        write_people(job.out, after, found.people, found.stills, paint, lambda n, of: looked(n, of, "drawing"), stop)
+        film = cast_in(job, rows, stop, looked)
+        after = under_names(rows, film.tracks)
+        paint = Painted.of(rows, job.clip, job.first, job.first + outcome.frames - 1) if job.video else None
+        write_people(job.out, after, film.people, film.stills, paint, lambda n, of: looked(n, of, "drawing"), stop)
     except StoppedError:
         outcome.stopped = stop.reason
         return outcome
-    if (known := read_manifest(job.out)) is None:
+    if (run := read_manifest(job.out)) is None:
         raise InputError(f"{job.out}: its run.json is gone; run again")
-    done = Outcome.of(job, known)
-    done.again, done.frames_per_s, done.warnings = None, outcome.frames_per_s, outcome.warnings
-    done.note, done.resumed = cast_line(found.people), outcome.resumed
-    return done
+    about = {name: getattr(outcome, name) for name in ("frames_per_s", "warnings", "resumed")}
+    return replace(Outcome.of(job, run), again=None, note=cast_line(film.people), **about)
 
 
 def write_people(
@@ -295,9 +250,9 @@ def write_people(
     check_plain(folder / STILLS)
     made = make_folder(folder / STILLS)
     gone = [path for path in (folder / STILLS).iterdir() if path not in files and not path.is_dir()]
-    known = read_manifest(folder)
-    kept = {} if known is None else {name: one for name, one in known.files.items() if name != VIDEO or paint is None}
-    ended = known and replace(known, files=kept, lost_frames=counted.lost_frames, lost_at_end=counted.lost_at_end)
+    if (ended := read_manifest(folder)) is not None:
+        kept = {name: file for name, file in ended.files.items() if name != VIDEO or paint is None}
+        ended = replace(ended, files=kept, lost_frames=counted.lost_frames, lost_at_end=counted.lost_at_end)
     draw = None if paint is None else partial(repaint, paint, rows=rows, report=report, stop=stop, order=people.names)
     try:
         return replace_files(folder, files, ended, gone, draw, lock=lock)[1]
@@ -329,10 +284,16 @@ def recast(
         tracks = tracks_of(people)
         for _, change in changes:
             tracks = change(tracks)
-        before = {one.name: one.still for one in people.people}
-        old = dict(reversed([(one.person, of) for of, one in tracks]))  # the name of each person's first track
+        before = {person.name: person.still for person in people.people}
+        old = dict(reversed([(track.person, name) for name, track in tracks]))  # the name of each one's first track
         named, (where, how) = under_names(rows, tracks), film_of(people, rows, clip)
         pictures: dict[str, bytes] = {}
+
+        def read(index: int) -> Frame:
+            if where is None:
+                raise InputError(f"{rows.path}: has no picture of {name}; name the clip with --clip")
+            with open_source(where, start=index, stop=index + 1, **how) as source:
+                return next(iter(source))
 
         def numbered(picture: bytes) -> str:
             still = f"{STILLS}/{len(pictures) + 1}.jpg"
@@ -342,12 +303,12 @@ def recast(
         stills = {}
         for name, of in old.items():
             kept = read_still(folder, before.get(of, "")) if name == of or of not in old else b""
-            stills[name] = numbered(kept or _picture(named, name, where, how))
+            stills[name] = numbered(kept or still_of(named, name, 0, int(rows.frame.max()) + 1, read))
         records = [
-            one.model_copy(update={"still": numbered(shown) if (shown := read_still(folder, one.still)) else ""})
-            for _, one in tracks
+            track.model_copy(update={"still": numbered(shown) if (shown := read_still(folder, track.still)) else ""})
+            for _, track in tracks
         ]
-        words = (*people.corrections, *(said for said, _ in changes))
+        words = (*people.corrections, *(word for word, _ in changes))
         after = people_of(Clock(rows, people.fps), people.shots, records, stills, photographs(people, tracks), words)
         paint = painted(folder, people, rows, where) if video else None
         write_people(folder, named, after, pictures, paint, report, stop, lock)
@@ -356,11 +317,10 @@ def recast(
 
 def painted(folder: Path, people: People, rows: Trajectory, clip: Path | None) -> Painted | None:
     """What the annotated video of a film is drawn on; None if it has none, or its clip is not known."""
-    (where, how), known, first = film_of(people, rows, clip), read_manifest(folder), people.shots[0].first
-    if where is None or known is None or not (folder / VIDEO).is_file():
+    where, run, first = clip or clip_of(rows), read_manifest(folder), people.shots[0].first
+    if where is None or run is None or not (folder / VIDEO).is_file():
         return None
-    title = str(header_value(rows, "recipe", "name") or "")
-    return Painted(where, how["fps"], first, first + known.frames - 1, title, how["stream"])
+    return Painted.of(rows, where, first, first + run.frames - 1)
 
 
 def rows_in(folder: Path) -> Trajectory:
@@ -377,10 +337,10 @@ def people_in(folder: Path) -> People:
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; name the folder of a film, which facetrack run --faces all wrote")
     check_run(folder)
-    found = read_people(folder)
-    if found is None:
+    people = read_people(folder)
+    if people is None:
         raise InputError(f"{folder}: has no {PEOPLE}; facetrack run --faces all writes it")
-    return found
+    return people
 
 
 def still_of(rows: Trajectory, target: str, first: int, stop: int, read: Callable[[int], Frame]) -> bytes:
@@ -392,24 +352,11 @@ def still_of(rows: Trajectory, target: str, first: int, stop: int, read: Callabl
     return _jpeg(still(read(best.frame), best.face))
 
 
-def _picture(rows: Trajectory, name: str, clip: Path | None, how: Any) -> bytes:
-    """A picture of a person who has none yet."""
-    if clip is None:
-        raise InputError(f"{rows.path}: has no picture of {name}; name the clip with --clip")
-
-    def read(index: int) -> Frame:
-        with open_source(clip, start=index, stop=index + 1, **how) as source:
-            return next(iter(source))
-
-    return still_of(rows, name, 0, int(rows.frame.max()) + 1, read)
-
-
 def cast_line(people: People) -> str:
     """Who is in a film, in one line."""
-    known = [one for one in people.people if not one.name.startswith(NOBODY)]
-    shown = ", ".join(f"{one.name} {one.seconds:.1f} s" for one in sorted(known, key=lambda one: -one.seconds)[:6])
-    more = len(known) - 6
-    doubts, unknown = len(people.doubts), sum(one.person.startswith(NOBODY) for one in people.tracks)
+    known = sorted((one for one in people.people if not one.name.startswith(NOBODY)), key=lambda one: -one.seconds)
+    shown, more = ", ".join(f"{person.name} {person.seconds:.1f} s" for person in known[:6]), len(known) - 6
+    doubts, unknown = len(people.doubts), sum(track.person.startswith(NOBODY) for track in people.tracks)
     unsure = f"; {doubts} of {len(people.tracks)} tracks are in doubt (P < {SURE:g})" if doubts else ""
     unsure += f"; {unknown} show{'s' * (unknown == 1)} no face that could be told again ({NOBODY})" if unknown else ""
     shots = len(people.shots)

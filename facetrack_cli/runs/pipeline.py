@@ -8,8 +8,8 @@ Every stage sees the frames in their order, whatever the number of threads: the 
 
 import contextlib
 import threading
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from queue import Empty, Full, Queue
 from typing import Generic, TypeVar
 
 import cv2
@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 
 def share_threads(threads: int) -> None:
-    """Leave one of so many to decoding. OpenCV's wait for work by spinning: on two cores that is a tenth of a run."""
+    """Leave one thread to decoding. Idle threads of OpenCV spin: on two cores this takes a tenth of a run."""
     cv2.setNumThreads(max(threads - 1, 1))
 
 
@@ -93,56 +93,40 @@ class Painter:
 
 
 def _until(frames: Iterable[Frame], stopped: Callable[[], bool]) -> Iterator[Frame]:
-    if stopped():
-        return
-    for frame in frames:
-        yield frame
-        if stopped():
-            return
+    if not stopped():
+        for frame in frames:
+            yield frame
+            if stopped():
+                return
 
 
 class _Channel(Generic[T]):
-    """A bounded queue whose both ends give up when told to, so that no stage waits for one that has ended."""
+    """A bounded queue. Either end gives up on request, so that no stage waits for one that has ended."""
 
     def __init__(self, given_up: Callable[[], bool]) -> None:
-        self._waiting = deque[tuple[T | BaseException | None, int]]()
-        self._bytes = 0
-        self._changed = threading.Condition()
-        self._given_up = given_up
+        self._queue, self._given_up = Queue[T | BaseException | None](MAX_QUEUE), given_up
 
     def put(self, item: T | BaseException | None) -> bool:
-        """False if nobody takes it any more. None is the end; an exception is raised at the other side."""
-        size = _size(item)
+        """Append an item; False if the reader is gone. None ends the items; an exception is raised in the reader."""
+        frame = item.frame if isinstance(item, FrameResult) else item
+        if isinstance(frame, Frame):
+            in_colours = max(3 * frame.size[0] * frame.size[1], 1)
+            self._queue.maxsize = max(1, min(MAX_QUEUE, MAX_QUEUE_BYTES // in_colours))
         while not self._given_up():
-            with self._changed:
-                if self._changed.wait_for(lambda: self._fits(size), POLL_S):
-                    self._waiting.append((item, size))
-                    self._bytes += size
-                    self._changed.notify_all()
-                    return True
+            with contextlib.suppress(Full):
+                self._queue.put(item, timeout=POLL_S)
+                return True
         return False
-
-    def _fits(self, size: int) -> bool:
-        short = len(self._waiting) < MAX_QUEUE
-        return short and (not self._waiting or self._bytes + size <= MAX_QUEUE_BYTES)
 
     def items(self, stopped: Callable[[], bool]) -> Iterator[T]:
         while not stopped():
-            with self._changed:
-                if not self._changed.wait_for(lambda: self._waiting, POLL_S):
-                    continue
-                item, size = self._waiting.popleft()
-                self._bytes -= size
-                self._changed.notify_all()
+            try:
+                item = self._queue.get(timeout=POLL_S)
+            except Empty:
+                continue
             if item is None:
                 return
             if isinstance(item, BaseException):
                 raise item
             yield item
             del item  # while the next one is waited for
-
-
-def _size(item: object) -> int:
-    """The bytes of a frame's image in colours."""
-    frame = item.frame if isinstance(item, FrameResult) else item
-    return 3 * frame.size[0] * frame.size[1] if isinstance(frame, Frame) else 0

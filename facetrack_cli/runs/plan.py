@@ -4,12 +4,12 @@ done; and what became of it.
 
 from __future__ import annotations
 
-import contextlib
+import hashlib
 import math
 import os
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from fractions import Fraction
 from itertools import chain, islice
 from numbers import Integral
@@ -18,27 +18,26 @@ from typing import Final, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
-from facetrack_cli.core.errors import FacetrackError, InputError, OutputError, UsageError
+from facetrack_cli.core.errors import InputError, OutputError, UsageError
 from facetrack_cli.core.face_points import DETECTORS, HANDS, DetectorName
 from facetrack_cli.core.files import check_folder, check_plain
 from facetrack_cli.core.geometry import iou
+from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
+from facetrack_cli.core.version import __version__
 from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.spaces import box_of
 from facetrack_cli.recipe.load import default_recipe
 from facetrack_cli.recipe.model import Recipe
-from facetrack_cli.run_folder.finished import stamp
-from facetrack_cli.run_folder.lease import FolderLease, here, is_held
+from facetrack_cli.run_folder.lease import is_held
 from facetrack_cli.run_folder.manifest import (
     OWNED,
     VIDEO,
     Manifest,
-    clip_stat,
-    commit,
+    clip_digest,
     error_of,
-    failed,
-    job_digest,
     previous_run,
+    recipe_digest,
     recover_interrupted,
 )
 from facetrack_cli.runs.signals import never
@@ -48,6 +47,7 @@ from facetrack_cli.start.search import Faces, box_start, search_start
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.people.descriptor import load_people
 from facetrack_cli.trackers.skin.settings import CloudSettings
+from facetrack_cli.trajectory.header import to_record
 from facetrack_cli.trajectory.people import PEOPLE
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
 from facetrack_cli.trajectory.writers import FORMATS, Format, RunSummary, by_frame
@@ -71,7 +71,7 @@ class ClipRequest:
     `find`. `faces` says whether it takes the best face, or all that are there.
     `init_frame` is the frame of the init file or box, or the first to look for a face in.
     `stream`: the number of the video stream in the file.
-    `chunk`: that it is a chunk of a clip, in which a face is looked for up to its end.
+    `chunk`: whether it is a chunk of a longer clip; then a face is searched for up to its end.
     """
 
     clip: Path
@@ -90,6 +90,11 @@ class ClipRequest:
     def first(self) -> int:
         """The first frame that is looked at, where no start says another."""
         return self.start if self.init_frame is None else self.init_frame
+
+    @property
+    def by(self) -> DetectorName | None:
+        """The detector that `init` names."""
+        return next((name for name in DETECTORS if name == self.init), None)
 
     def open(self, first: int = 0) -> Source:
         return open_source(self.clip, fps=self.fps, start=first, stop=self.stop, stream=self.stream)
@@ -132,13 +137,12 @@ class ClipRequest:
             start = replace(start, frame=at, placed=start.placed and start.frame == at)
             return completed(recipe, start, lambda: self.frame(at, origin), str(self.clip))
         with self.open(at) as source:
-            by = next((name for name in DETECTORS if name == self.init), None)
             faces: Faces = "all" if recipe.later else self.faces
-            frames = _counted(frames_of(source, at, origin, stopped), source, looked)
+            frames = frames_of(source, at, origin, stopped, looked)
             while True:
                 try:
-                    found = search(recipe, frames, str(self.clip), by=by, faces=faces)
-                    return self._signer(recipe, found) if recipe.later else found
+                    start = search(recipe, frames, str(self.clip), by=self.by, faces=faces)
+                    return self._signer(recipe, start) if recipe.later else start
                 except InputError:
                     if stopped():
                         raise InputError(f"{self.clip}: stopped before a start was found") from None
@@ -150,21 +154,21 @@ class ClipRequest:
     def _signer(self, recipe: Recipe, start: Start) -> Start:
         """Of a start with several faces that with the largest, or with one whose hands move far more than its hands."""
         (first, _), *others = start.targets.items()
-        one_each = [replace(start, targets={first: face}) for face in start.targets.values()]
         if not others:
             return start
+        starts = [replace(start, targets={first: face}) for face in start.targets.values()]
         moved = []
-        for one in one_each:
-            with self.open(one.frame) as source:
-                frames = islice(iter(source), SIGNS_FRAMES)
-                tracker = tracker_for(recipe, one, source.size, source.fps)
-                moved.append(hands_moved([result.rows for result in track(tracker, frames, recipe.seed)]))
+        for candidate in starts:
+            with self.open(start.frame) as source:
+                tracker = tracker_for(recipe, candidate, source.size, source.fps)
+                results = track(tracker, islice(iter(source), SIGNS_FRAMES), recipe.seed)
+                moved.append(hands_moved([result.rows for result in results]))
         best = int(np.argmax(moved))
         if moved[best] < MIN_MOVED or moved[best] < MOVES_MORE * moved[0]:
-            return replace(one_each[0], note=start.note.replace(", and ", "; passed over: ", 1))
-        wide = f"begins in frame {start.frame} with a face {box_of(one_each[best], first)[2]:.0f} pixels wide"
+            return replace(starts[0], note=start.note.replace(", and ", "; passed over: ", 1))
+        wide = f"begins in frame {start.frame} with a face {box_of(starts[best], first)[2]:.0f} pixels wide"
         note = f"{wide}, whose hands move most, by {start.origin}; passed over: {len(others)} more"
-        return replace(one_each[best], note=note)
+        return replace(starts[best], note=note)
 
     def origin(self, start: Start | None) -> str:
         """What says in which frame to begin."""
@@ -177,7 +181,13 @@ class ClipRequest:
             return next(frames_of(source, index, origin))
 
 
-def frames_of(source: Source, first: int, origin: str, stopped: Callable[[], bool] = never) -> Iterator[Frame]:
+def frames_of(
+    source: Source,
+    first: int,
+    origin: str,
+    stopped: Callable[[], bool] = never,
+    looked: Callable[[int, int | None], None] = silent,
+) -> Iterator[Frame]:
     """The frames from the `first`, which `origin` asked for; InputError, which says so, if that one cannot be had."""
     frames = iter(source)
     try:
@@ -186,16 +196,12 @@ def frames_of(source: Source, first: int, origin: str, stopped: Callable[[], boo
         raise InputError(f"{e} (frame {first} is where {origin} begins)") from None
     if frame is None:
         raise InputError(source.warnings.pop() if source.warnings else f"{source.path}: frame {first} cannot be read")
+    done = 0
     while frame is not None and not stopped():
         yield frame
-        frame = None  # while the next one is decoded
-        frame = next(frames, None)
-
-
-def _counted(frames: Iterator[Frame], source: Source, looked: Callable[[int, int | None], None]) -> Iterator[Frame]:
-    for done, frame in enumerate(frames, 1):
-        yield frame
+        frame, done = None, done + 1  # none is held while the next one is decoded
         looked(done, source.frames_hint)
+        frame = next(frames, None)
 
 
 def completed(recipe: Recipe, start: Start, first: Callable[[], Frame], clip: str) -> Start:
@@ -209,12 +215,12 @@ def completed(recipe: Recipe, start: Start, first: Callable[[], Frame], clip: st
             frame = first()
             check_start(start, frame.size, ())
         return name_targets(start, recipe.followed, frame, left_out=recipe.left_out, later=recipe.later, clip=clip)
-    name, given = next(iter(start.targets.items()))
-    if len(start.targets) > 1 or given.points or given.box is None or not recipe.points:
+    name, target = next(iter(start.targets.items()))
+    if len(start.targets) > 1 or target.points or target.box is None or not recipe.points:
         return start
-    said_in = clip if start.origin == "--box" else start.origin
-    [found] = box_start(first(), given.box, recipe.points, by=start.detector, clip=said_in).targets.values()
-    return replace(start, targets={name: replace(found, windows=given.windows)}, placed=start.detector != "")
+    file = clip if start.origin == "--box" else start.origin
+    [placed] = box_start(first(), target.box, recipe.points, by=start.detector, clip=file).targets.values()
+    return replace(start, targets={name: replace(placed, windows=target.windows)}, placed=start.detector != "")
 
 
 def search(
@@ -237,22 +243,23 @@ def search(
 
 def truth_start(truth: Trajectory, points: Sequence[str]) -> Start:
     """The first frame of the ground truth in which its targets' boxes, or all these points of them, are visible."""
-    boxes = truth.boxes
     for frame, rows in by_frame(truth):
-        found: dict[str, Box] = {}
-        known: dict[str, dict[str, Point]] = {}
+        boxes: dict[str, Box] = {}
+        places: dict[str, dict[str, Point]] = {}
         for i in rows:
             target, part = truth.names[truth.which[i]]
-            place = boxes[i] if np.isfinite(boxes[i]).all() else np.array([truth.x[i], truth.y[i]])
-            if truth.status[i] not in SEEN or not np.isfinite(place).all():
+            place = tuple(truth.boxes[i].tolist())
+            if not all(map(math.isfinite, place)):
+                place = float(truth.x[i]), float(truth.y[i])
+            if truth.status[i] not in SEEN or not all(map(math.isfinite, place)):
                 continue
             if len(place) == 4:
-                found[target] = tuple(place.tolist())
+                boxes[target] = place
             elif part in points:
-                known.setdefault(target, {})[part] = (place[0].item(), place[1].item())
-        whole = {target: {p: those[p] for p in points} for target, those in known.items() if len(those) == len(points)}
-        if {*found, *whole} >= {*truth.targets}:
-            targets = {one or "face": TargetStart(found.get(one), whole.get(one, {})) for one in truth.targets}
+                places.setdefault(target, {})[part] = place
+        whole = {target: {p: at[p] for p in points} for target, at in places.items() if len(at) == len(points)}
+        if {*boxes, *whole} >= {*truth.targets}:
+            targets = {name or "face": TargetStart(boxes.get(name), whole.get(name, {})) for name in truth.targets}
             return Start(frame, targets, str(truth.path))
     what = ", ".join(points) if points else "a box"
     other = "" if points else ", or take a recipe of points, as factorized"
@@ -265,24 +272,24 @@ def hands_moved(frames: Sequence[Trajectory]) -> float:
     """How far the hands of a head go while they have a place, in all, in sizes of the head's box."""
     total, before = 0.0, dict[str, complex]()
     for rows in frames:
-        named = [rows.names[i][0] for i in rows.which]
-        at = {name: complex(x, y) for name, x, y in zip(named, rows.x, rows.y, strict=True) if math.isfinite(x)}
-        head = next(i for i, name in enumerate(named) if name not in HANDS)
+        targets = [rows.names[i][0] for i in rows.which]
+        at = {name: complex(x, y) for name, x, y in zip(targets, rows.x, rows.y, strict=True) if math.isfinite(x)}
+        head = next(i for i, name in enumerate(targets) if name not in HANDS)
         side = math.sqrt(rows.w[head] * rows.h[head])
-        total += float(np.nansum([abs(at[one] - before[one]) / side for one in HANDS if one in at and one in before]))
+        total += float(
+            np.nansum([abs(at[name] - before[name]) / side for name in HANDS if {name} <= {*at} & {*before}])
+        )
         before = at
     return total
 
 
 def far_from_truth(start: Start, truth: Trajectory) -> str | None:
     """A line if a start's box lies elsewhere than the ground truth's in its frame: then every figure measures that."""
-    boxes = {name: target.box for name, target in start.targets.items() if target.box is not None}
-    for name, box in boxes.items() if start.origin != str(truth.path) else ():
-        for one in truth.at(start.frame).parts:
-            if one.target not in (name, "") or not len(one) or not np.isfinite(one.boxes).all():
+    for name, target in start.targets.items() if start.origin != str(truth.path) else ():
+        for rows in truth.at(start.frame).parts:
+            if target.box is None or rows.target not in (name, "") or not np.isfinite(rows.boxes).all():
                 continue
-            overlap = float(iou(np.array([box]), one.boxes)[0])
-            if overlap < MIN_OVERLAP:
+            if len(rows) and (overlap := float(iou(np.array([target.box]), rows.boxes)[0])) < MIN_OVERLAP:
                 return (
                     f"{start.origin} puts the box of {name} in frame {start.frame} where it overlaps the truth's "
                     f"by {overlap:.2f} alone; all figures measure that too: begin with --box, or with another --init"
@@ -305,9 +312,9 @@ class Job(ClipRequest):
     """What is asked of one clip. `out` None streams the one format to standard output.
 
     `lag`: by how many frames rows come later, given the frames up to then. `posterior`: whether it is kept. `strict`:
-    whether a clip that is damaged is an error, of which what was tracked is kept. `resume`: whether a run that was
+    whether a damaged clip is an error; its rows are kept. `resume`: whether a run that was
     ended goes on from its last checkpoint. `batch`: whether a clip that fails has a run.json that says so; it is not
-    tried again then, but with `retry_failed`. `split`: that it is tracked in chunks, whose rows are joined.
+    tried again then, but with `retry_failed`. `split`: the length of chunks that are tracked apart and joined.
     """
 
     recipe: Recipe
@@ -330,7 +337,7 @@ class Job(ClipRequest):
 
 @dataclass(frozen=True)
 class Plan:
-    """A job with the answers that the files gave: nobody looks for the init file, or into the folder, again.
+    """A job with the answers that the files gave.
 
     Attributes
     ----------
@@ -342,15 +349,12 @@ class Plan:
         Whether everybody in a film is followed, from entry to exit, and over cuts.
     known : Manifest or None
         The run.json of an earlier run of the same job and the same clip, whose files are whole.
-    there : Mapping
-        What was in the folder: what changes when a file of a run is written again, by its name.
     """
 
     job: Job
     asked: str
     everyone: bool
     known: Manifest | None
-    there: Mapping[str, object] = field(default_factory=dict)
 
     @property
     def draws(self) -> bool:
@@ -363,10 +367,10 @@ class Plan:
         return self.everyone and not self.job.chunk and self.job.out is not None
 
     @property
-    def unnamed(self) -> Manifest | None:
-        """The run.json of a film that was tracked and not named."""
-        tracked = self.known is not None and not self.job.overwrite and _is_tracked(self.known)
-        return self.known if self.names and tracked else None
+    def tracked(self) -> Manifest | None:
+        """The run.json of a run that came to its end, named or not, and is not to be replaced."""
+        known = None if self.job.overwrite else self.known
+        return known if known is not None and known.error is None and known.stopped is None else None
 
     def ended(self) -> Outcome | None:
         """What became of a job that is done, or, in a batch, has failed; None if the clip is to be tracked."""
@@ -374,14 +378,9 @@ class Plan:
         if known is None or job.overwrite:
             return None
         named = not self.names or PEOPLE in known.files
-        whole = _is_tracked(known) and named and (VIDEO in known.files or not job.video)
+        whole = self.tracked is not None and named and (VIDEO in known.files or not job.video)
         failed_before = known.error is not None and job.batch and not job.retry_failed
         return Outcome.of(job, known) if whole or failed_before else None
-
-    def again(self) -> Plan:
-        """The plan now that the folder is ours: as it was, unless somebody has written there. OutputError."""
-        assert self.job.out is not None
-        return self if _owned(self.job.out) == self.there else resolve(self.job, locked=True)
 
 
 def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
@@ -424,21 +423,26 @@ def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
         if locked or (known is None and not is_held(job.out)):
             raise
         check_folder(job.out, OWNED, overwrite=True, inputs=inputs)
-    return Plan(job, asked, everyone, known, _owned(job.out))
-
-
-def _owned(out: Path) -> dict[str, object]:
-    return {name: stamp(out / name) for name in OWNED}
+    return Plan(job, asked, everyone, known)
 
 
 def digest_of(job: Job) -> str:
     """A digest of all that is asked for but the clip, of a job whose init file is found."""
-    settings = [job.box, job.init_frame, job.faces, job.start, job.stop]
+    init: object = job.init
+    if isinstance(init, Path):
+        init = clip_digest(init)
+    elif isinstance(init, Start):
+        init = to_record(init)
     options = [str(job.fps), job.lag, job.posterior, job.formats, job.video, job.strict]
     options += [] if job.gallery is None else [str(job.gallery)]
     options += [] if job.stream is None else [f"stream {job.stream}"]
-    chunks = [job.split, job.chunk] if job.split or job.chunk else []
-    return job_digest(job.recipe, job.init, settings, options, *chunks)
+    asked = [
+        __version__,
+        recipe_digest(job.recipe),
+        [init, job.box, job.init_frame, job.faces, job.start, job.stop],
+        [options, *([job.split, job.chunk] if job.split or job.chunk else [])],
+    ]
+    return hashlib.sha256(dumps(asked).encode()).hexdigest()
 
 
 def check_count(name: str, value: object) -> None:
@@ -478,8 +482,7 @@ class Outcome(RunSummary):
 
     `error` ended the run early; what was tracked until then is kept. `note` says where the search for a face began it.
     `again`: the run was done before, and nothing was tracked now. `resumed`: the frame from which it went on.
-    `network` says which one placed points.
-    `doubtful`: whether something that was measured speaks against the track, as the `verdict` says.
+    `network` says which one placed points. `doubts` and `look` are those of run.json, `borne_out` too.
     """
 
     clip: Path = Path()
@@ -489,25 +492,27 @@ class Outcome(RunSummary):
     streamed: bool = False
     note: str = ""
     verdict: str = ""
-    doubtful: bool = False
+    doubts: str = ""
+    look: tuple[tuple[int, int], ...] = ()
+    borne_out: float | None = None
     again: Manifest | None = None
     resumed: int | None = None
     network: str = ""
 
     @classmethod
-    def of(cls, job: Job, known: Manifest) -> Outcome:
+    def of(cls, job: Job, run: Manifest) -> Outcome:
         """That of a run that its folder holds already."""
         assert job.out is not None
         return cls(
-            frames=known.frames,
-            lost_frames=known.lost_frames,
-            lost_at_end=known.lost_at_end,
-            complete=known.complete,
+            frames=run.frames,
+            lost_frames=run.lost_frames,
+            lost_at_end=run.lost_at_end,
+            complete=run.complete,
             clip=job.clip,
-            files=[job.out / name for name in known.files],
-            error=error_of(known) or (InputError(known.warnings[-1]) if job.strict and not known.complete else None),
-            again=known,
-            network=known.network,
+            files=[job.out / name for name in run.files],
+            error=error_of(run) or (InputError(run.warnings[-1]) if job.strict and not run.complete else None),
+            again=run,
+            network=run.network,
         )
 
     def next_step(self) -> str:
@@ -543,49 +548,23 @@ class Outcome(RunSummary):
 
 def lost_words(frames: Mapping[str, int]) -> str:
     """In how many frames each target/part is lost, worst first, with the name of a target once."""
-    by: dict[str, dict[int, list[str]]] = {}
-    for name, count in sorted(frames.items(), key=lambda one: -one[1]):
+    parts: dict[str, dict[int, list[str]]] = {}  # of each target, by their number of frames
+    for name, count in sorted(frames.items(), key=lambda item: -item[1]):
         target, _, part = name.rpartition("/")
-        by.setdefault(target, {}).setdefault(count, []).append(part)
-    told = (", ".join(f"{' and '.join(parts)} in {n}" for n, parts in counts.items()) for counts in by.values())
-    last = 0 if not by else [*[*by.values()][-1]][-1]
-    words = "; ".join(f"{target} {words}".strip() for target, words in zip(by, told, strict=True))
-    return f"{words} frame{'s' * (last != 1)}"
-
-
-def _is_tracked(known: Manifest) -> bool:
-    """Whether a run came to its end, named or not."""
-    return known.error is None and known.stopped is None
-
-
-def note_failure(
-    plan: Plan, lease: FolderLease, error: Exception, log: Sequence[str] = (), begun: Manifest | None = None
-) -> None:
-    """Write into run.json of a folder that its clip failed; what was tracked of it stays.
-
-    Nothing is written where the error is one of writing, and over results that are whole or of something else.
-    `log`: the last lines of a process that died. `begun` is what is known of the run.
-    """
-    out = plan.job.out
-    if out is None or isinstance(error, OutputError):
-        return
-    with contextlib.suppress(FacetrackError, OSError):  # the error itself is worth more
-        known, there = previous_run(out, plan.asked, plan.job.clip)
-        if known is not None and known.files and known.stopped is None:
-            return
-        is_failure = there is not None and there.is_failure
-        if known is None and not is_failure and any((out / name).exists() for name in OWNED):
-            return
-        begun = begun or Manifest(asked=plan.asked, host=here()[0])
-        known = known if known is not None and known.files else replace(begun, clip=clip_stat(plan.job.clip))
-        commit(lease, out, [], failed(known, error, log))
+        parts.setdefault(target, {}).setdefault(count, []).append(part)
+    words, last = [], 0
+    for target, counts in parts.items():
+        lost = ", ".join(f"{' and '.join(names)} in {n}" for n, names in counts.items())
+        words.append(f"{target} {lost}".strip())
+        last = [*counts][-1]
+    return f"{'; '.join(words)} frame{'s' * (last != 1)}"
 
 
 def check_smoothing(recipe: Recipe) -> None:
     """UsageError for a recipe whose trackers have no posterior to smooth."""
     if not recipe.filters:
         raise UsageError(f"{recipe.name} is one of OpenCV's trackers, which have no posterior to smooth; take another")
-    if all(isinstance(one.target, CloudSettings) for one in recipe.filters.values()):
+    if all(isinstance(settings.target, CloudSettings) for settings in recipe.filters.values()):
         raise UsageError(f"{recipe.name}: the particles of a cloud are the target itself, no posterior to smooth")
 
 

@@ -17,7 +17,6 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import cv2
@@ -44,17 +43,19 @@ from facetrack_cli.run_folder.checkpoint import Checkpoints, remove_checkpoints
 from facetrack_cli.run_folder.lease import FolderLease, here, utc_now
 from facetrack_cli.run_folder.manifest import (
     VIDEO,
+    Clip,
     ClipDigest,
     Manifest,
     check_belongs,
+    clip_stat,
     commit,
     failed,
+    note_failure,
     outdated,
-    quick_digest,
     recover,
 )
 from facetrack_cli.runs.pipeline import Painter
-from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, note_failure, silent
+from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, resolve, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
 from facetrack_cli.trajectory.diagnostics import KNOWN
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED, to_record
@@ -62,7 +63,7 @@ from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajecto
 from facetrack_cli.trajectory.writers import FOOTER, SCHEMA, VERSION, WRITERS, Format, Header
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import Source
-from facetrack_cli.video.writer import VideoWriter
+from facetrack_cli.video.writer import Cut, VideoWriter
 
 _MAX_NOTES: Final = 5  # lines that the tracker has for the user, which are kept
 
@@ -94,7 +95,7 @@ class ClipFacts(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """What is known of results once there are no more. `error`: why they are not all that was asked for."""
+    """How results ended. `error`: why they are fewer than was asked for."""
 
     complete: bool = True
     warnings: tuple[str, ...] = ()
@@ -109,8 +110,8 @@ class Results:
     Attributes
     ----------
     clip : ClipFacts
-    header : Header
-        What JSON says at its beginning; empty where no frame was tracked.
+    header : Callable[[Trajectory], Header]
+        What JSON says at its beginning, by the rows of the first frame.
     frames : Generator of FrameResult, or None
         Raises StoppedError where nothing is to be kept.
     state : TrackState
@@ -121,50 +122,46 @@ class Results:
     """
 
     clip: ClipFacts
-    header: Header
+    header: Callable[[Trajectory], Header]
     frames: Generator[FrameResult, None, None] | None = None  # of who writes them one by one
     state: TrackState = field(default_factory=TrackState)
     ended: Callable[[bool], Ended] = lambda whole: Ended()
 
 
 class Sink:
-    """Where results go: a file, or what is counted. `path` is the file, of which it writes the temporary one."""
+    """Takes the results of a run, and writes or counts them. A file is written under the temporary name of `path`."""
 
     path: Path | None = None
 
-    def fits(self, at: Any) -> bool:
-        """Whether a checkpoint's mark is one of its own, and what was written up to there is still there."""
-        return at is None
+    def fits(self, mark: Any) -> bool:
+        """Whether the sink can continue from a checkpoint's mark: it is its own, and what was written still exists."""
+        return mark is None
 
-    def begin(self, results: Results, at: Any) -> None:
-        """Called before the first result; `at` is what `mark` gave in the run that is gone on with, else None."""
+    def begin(self, clip: ClipFacts, header: Header, mark: Any) -> None:
+        """Called before the first result. `mark` is what `mark` returned in a run that continues, else None."""
 
     def write(self, result: FrameResult) -> None:
         """Take one more frame."""
 
     def mark(self) -> Any:
-        """What it needs to go on from here."""
+        """The state from which `begin` can continue."""
 
     def sync(self) -> None:
-        """Bring to the disk what was marked. Raises OSError."""
+        """Flush what was written to the disk, before a checkpoint relies on it. Raises OSError."""
 
     def end(self, done: Outcome) -> None:
-        """Called once there are no more results, before any sink is closed: it may add to what the tables say."""
+        """Called after the last result, before any sink is closed. It may add to the outcome, which tables write."""
 
     def close(self, done: Outcome) -> None:
         """End the file."""
 
-    def facts(self) -> Mapping[str, Any]:
-        """What it has to say in run.json."""
-        return {}
-
     def discard(self) -> None:
-        """Remove what was written, if it is not in its place."""
+        """Remove the temporary file, if it is still there."""
 
 
 @dataclass
 class RunState:
-    """Where a run stands: the `frame` that is tracked next, its outcome so far, its tracker, and each of its sinks."""
+    """The state of a run: the `frame` to track next, the outcome so far, the tracker's state, the sinks' marks."""
 
     frame: int
     outcome: Outcome
@@ -183,35 +180,32 @@ class RunFolder:
         assert plan.job.out is not None
         self.plan, self.path = plan, plan.job.out
         self.checkpoints: Checkpoints | None = None
-        self.lease, self._held = FolderLease(self.path, stopped), False
-        self._run = Manifest(asked=plan.asked, networks=plan.job.recipe.networks, host=here()[0])
+        self.lease = FolderLease(self.path, stopped)
+        self._run = Manifest(networks=plan.job.recipe.networks, host=here()[0])
 
     def __enter__(self) -> RunFolder:
-        self._made = make_folder(self.path)
-        try:
-            self.lease.__enter__()
-            self._held, self._entered_s = True, time.monotonic()
+        with contextlib.ExitStack() as opened:
+            opened.callback(remove_folders, make_folder(self.path))
+            opened.enter_context(self.lease)
+            self._entered_s = time.monotonic()
             recover(self.path, self.lease)
-            self._run.began = utc_now()
-            self.plan = self.plan.again()  # somebody may have written since
-            self._run.asked = self.plan.asked
-        except BaseException:
-            self.__exit__()
-            raise
+            self.plan = resolve(self.plan.job, locked=True)  # somebody may have written since
+            self._run.began, self._run.asked = utc_now(), self.plan.asked
+            self._opened = opened.pop_all()
         return self
 
     def resume(self, start: Start, sinks: Sequence[Sink]) -> tuple[RunState, Any] | None:
-        """Where the last run of the same job stood, and its video, if that is known and wished; else None."""
+        """The last checkpoint of the same job, and of its video; None if there is none, or it is not to be used."""
         job, found = self.plan.job, None
         if job.recipe.filters and not job.lag:
-            told = dumps([self._run.asked, _versions(), to_record(start), quick_digest(job.clip)])
-            key = hashlib.sha256(told.encode(errors="surrogateescape")).hexdigest()
+            clip = clip_stat(job.clip)
+            same = [self._run.asked, _versions(), to_record(start), clip and (clip.bytes, clip.changed_ns)]
+            key = hashlib.sha256(dumps(same).encode(errors="surrogateescape")).hexdigest()
             self.checkpoints = Checkpoints(self.path, key, video=self.plan.draws)
             found = self.checkpoints.find() if job.resume and not job.overwrite else None
-        state = found[0] if found is not None else None
-        marks = state.sinks if isinstance(state, RunState) else ()
-        if state and len(marks) == len(sinks) and all(map(_fits, sinks, marks)):
-            state.outcome.resumed = state.frame
+        marks = found[0].sinks if found is not None and isinstance(found[0], RunState) else ()
+        if found and len(marks) == len(sinks) and all(sink.fits(mark) for sink, mark in zip(sinks, marks, strict=True)):
+            found[0].outcome.resumed = found[0].frame
             return found
         remove_checkpoints(self.path)
         return None
@@ -221,17 +215,30 @@ class RunFolder:
         self._run.clip = digest.clip
         self.lease.note({"clip": str(self.plan.job.clip), "run": self._run.record(), "frame": frames, "frames": total})
 
+    def end_checkpoints(self, *_: object) -> None:
+        """Wait until every checkpoint is written."""
+        if self.checkpoints is not None:
+            self.checkpoints.end()
+
     def commit(
-        self, done: Outcome, facts: Mapping[str, Any], error: Exception | None, errors: list[Exception]
+        self, done: Outcome, clip: Clip | None, resumed: int, error: Exception | None, errors: list[Exception]
     ) -> list[str]:
-        """Let the finished files replace the old ones; lines on what is there of the track before.
+        """Let the finished files replace the old ones. Returns lines on files that are left of an earlier track.
 
         `error` ended the run; those of writing are added to `errors`.
         """
-        told = {name: getattr(done, name) for name in ("frames", "lost_frames", "lost_at_end", "warnings")}
-        halted = done.stopped or next((str(e) for e in errors), None)
-        told |= {"stopped": halted, "complete": done.complete and halted is None, "ended": utc_now()}
-        run = replace(self._run, **told, **facts, seconds=round(time.monotonic() - self._entered_s, 3))
+        members = ("frames", "lost_frames", "lost_at_end", "warnings", "doubts", "look", "borne_out")
+        stopped = done.stopped or next((str(e) for e in errors), None)
+        run = replace(
+            self._run,
+            **{name: getattr(done, name) for name in members},
+            stopped=stopped,
+            complete=done.complete and stopped is None,
+            clip=clip,
+            resumed=resumed,
+            ended=utc_now(),
+            seconds=round(time.monotonic() - self._entered_s, 3),
+        )
         done.network = run.network
         if self.plan.job.batch and error is not None and not isinstance(error, OutputError):
             run = failed(run, error)
@@ -246,11 +253,10 @@ class RunFolder:
         return []
 
     def __exit__(self, kind: object = None, error: object = None, trace: object = None) -> None:
-        if self._held:
+        with self._opened:
+            self.end_checkpoints()
             if self.plan.job.batch and isinstance(error, Exception):
-                note_failure(self.plan, self.lease, error, begun=self._run)
-            self.lease.__exit__()
-        remove_folders(self._made)
+                note_failure(self.lease, self.path, self._run, self.plan.job.clip, error)
 
 
 class Recorder:
@@ -279,32 +285,31 @@ class Recorder:
     ) -> None:
         self.plan, self.sinks, self.video, self._folder = plan, sinks, video, folder
         job = plan.job
-        anew: tuple[RunState, Any] = RunState(0, Outcome(clip=job.clip, streamed=job.out is None)), None
-        self.state, self._painted = resumed or anew
+        start: tuple[RunState, Any] = RunState(0, Outcome(clip=job.clip, streamed=job.out is None)), None
+        self.state, self._painted = resumed or start
         self.outcome, self._before = self.state.outcome, self.state.outcome.frames
         self.total: int | None = None  # the number of frames that the clip says it has, if it does
-        self._checkpoints = None if folder is None else folder.checkpoints
         self._all: list[Sink] = [*([] if video is None else [video]), *sinks]
-        self._results: Results | None = None
 
     def __enter__(self) -> Recorder:
         return self
 
-    def begin(self, results: Results) -> None:
-        """Begin the files."""
+    def begin(self, results: Results, first: FrameResult) -> None:
+        """Begin the files, before the `first` result is written."""
         self._results, self._began_s = results, time.perf_counter()  # the rate leaves the start-up out
         self.state.at, hint = results.state, results.clip.frames_hint
         self.total = hint and hint + self._before
         self._digest = ClipDigest(self.plan.job.clip, whole=not self.plan.job.chunk)
         if self._folder is not None:
             self._folder.begin(self._digest, self._before, self.total)
-        for sink, at in zip(self.sinks, self.state.sinks or [None] * len(self.sinks), strict=True):
-            sink.begin(results, at)
+        header = results.header(first.rows)
+        for sink, mark in zip(self.sinks, self.state.sinks or [None] * len(self.sinks), strict=True):
+            sink.begin(results.clip, header, mark)
         if self.video is not None:
-            self.video.begin(results, self._painted)
+            self.video.begin(results.clip, header, self._painted)
 
     def write(self, result: FrameResult) -> None:
-        """Write one more frame. One without targets is a frame of a film; else it is a gap, which is drawn alone."""
+        """Write one more frame. Without targets it counts in a film; between joined chunks it is only drawn."""
         self.state.notes = (*self.state.notes, *result.notes)[:_MAX_NOTES]
         if result.targets or self.plan.everyone:
             for sink in self.sinks:
@@ -313,25 +318,20 @@ class Recorder:
         self.state.frame = result.frame.index + 1
         if self._folder is not None:
             self._folder.lease.progress(self.outcome.frames, self.total)
-        if self._checkpoints is not None:
-            self._checkpoints.release()
-            if self.state.at.states and self._checkpoints.is_due(self.outcome.frames):
-                self.state.sinks = tuple(sink.mark() for sink in self.sinks)
-                self._checkpoints.mark(self.outcome.frames, self.state, self._sync)
+            if (checkpoints := self._folder.checkpoints) is not None:
+                checkpoints.release()
+                if self.state.at.states and checkpoints.is_due(self.outcome.frames):
+                    self.state.sinks = tuple(sink.mark() for sink in self.sinks)
+                    checkpoints.mark(self.outcome.frames, self.state, [sink.sync for sink in self.sinks])
         if self.video is not None:
             self.video.write(result)
-
-    def _sync(self) -> None:
-        for sink in self.sinks:
-            sink.sync()
 
     def close(self, stopped: str | None = None, error: Exception | None = None) -> Outcome:
         """Finish every file, let all of them replace the old ones, and return what became of the clip.
 
         `stopped` says why the run ended early, `error` goes into the outcome.
         """
-        assert self._results is not None
-        done, job = self.outcome, self.plan.job
+        done, job, folder = self.outcome, self.plan.job, self._folder
         ended = self._results.ended(stopped is None and error is None)
         done.variable_fps, done.warnings, error = ended.variable_fps, ended.warnings, error or ended.error
         done.stopped = stopped or (None if error is None else str(error))
@@ -340,20 +340,20 @@ class Recorder:
         done.source_sha256 = clip.sha256 if clip else ""
         errors: list[Exception] = []
         steps: list[Callable[[Outcome], None]] = [sink.end for sink in reversed(self._all)]
-        for step in (*steps, self._end_checkpoints, *(sink.close for sink in self._all)):
+        steps += [] if folder is None else [folder.end_checkpoints]
+        for step in (*steps, *(sink.close for sink in self._all)):
             try:
                 step(done)
             except Exception as e:
                 errors.append(e)
         missing = None if self.video is None else self.video.missing
-        if self._folder is not None:
+        if folder is not None:
             # a text file that a full disk cut short is kept, a video is not
             paths = [sink.path for sink in self._all if sink.path is not None]
             done.files = [path for path in paths if temporary_path(path).is_file()]
-            facts = {key: value for sink in self._all for key, value in sink.facts().items()}
-            lines = self._folder.commit(done, {"clip": clip, "resumed": self._before, **facts}, error, errors)
+            lines = folder.commit(done, clip, self._before, error, errors)
             if done.stopped is None and not errors and missing is None:
-                remove_checkpoints(self._folder.path)
+                remove_checkpoints(folder.path)
             done.warnings = (*done.warnings, *lines)
         error = error or next(iter(errors), None)
         if job.strict and not done.complete and done.stopped is None:
@@ -361,7 +361,7 @@ class Recorder:
         done.stopped = done.stopped if error is None else None
         done.complete = done.complete and error is None
         done.error = error or missing  # said last, as the command's error
-        done.warnings = tuple(one for one in done.warnings if one != str(done.error) and one not in done.verdict)
+        done.warnings = tuple(line for line in done.warnings if line != str(done.error) and line not in done.verdict)
         done.frames_per_s = (done.frames - self._before - 1) / max(time.perf_counter() - self._began_s, 1e-9)
         return done
 
@@ -370,11 +370,6 @@ class Recorder:
         for sink in self._all:
             with contextlib.suppress(Exception):
                 sink.discard()
-        self._end_checkpoints()
-
-    def _end_checkpoints(self, *_: object) -> None:
-        if self._checkpoints is not None:
-            self._checkpoints.end()
 
 
 def record(results: Results, into: Recorder, stop: Stop, report: Report = silent) -> Outcome:
@@ -405,7 +400,7 @@ def record(results: Results, into: Recorder, stop: Stop, report: Report = silent
         try:
             for result in results.frames:
                 if not begun:
-                    into.begin(results)
+                    into.begin(results, result)
                     begun = True
                 into.write(result)
                 report(into.outcome.frames, into.total)
@@ -422,10 +417,10 @@ def record(results: Results, into: Recorder, stop: Stop, report: Report = silent
     return into.close(stop.reason if stop() else None, error)
 
 
-def header_of(job: Job, clip: ClipFacts, start: Start, rows: Trajectory, more: Header = MappingProxyType({})) -> Header:
+def header_of(job: Job, clip: ClipFacts, start: Start, more: Header, rows: Trajectory) -> Header:
     """What JSON says at its beginning, with `more`; `rows` are those of the first frame."""
     # those that every facetrack knows are not declared
-    declared = {one.name: one for found in rows.diagnostics.values() for one in found.declared if one.name not in KNOWN}
+    declared = {one.name: one for each in rows.diagnostics.values() for one in each.declared if one.name not in KNOWN}
     return {
         "versions": _versions(),
         "source": clip.record(),
@@ -438,24 +433,20 @@ def header_of(job: Job, clip: ClipFacts, start: Start, rows: Trajectory, more: H
     }
 
 
-def _fits(sink: Sink, at: Any) -> bool:
-    return sink.fits(at)
-
-
 def _kept_corrections(job: Job, folder: Path) -> list[str]:
     """A line on each file of corrections there, of the track before, that this run did not begin with."""
-    files = [folder / name for name in (CORRECTED, UNSAVED)]
-    begun = os.path.realpath(job.init) if isinstance(job.init, Path) else ""
-    there = [path for path in files if path.is_file() and os.path.realpath(path) != begun]
+    init = os.path.realpath(job.init) if isinstance(job.init, Path) else ""
     return [
-        f"{path}: corrections of the track before, kept and not in this one; --init {path} takes them" for path in there
+        f"{path}: corrections of the track before, kept and not in this one; --init {path} takes them"
+        for path in (folder / CORRECTED, folder / UNSAVED)
+        if path.is_file() and os.path.realpath(path) != init
     ]
 
 
 def _versions() -> Mapping[str, str]:
     """Of what the numbers may depend on beside facetrack itself."""
-    known = {"python": platform.python_version(), "numpy": np.__version__, "opencv": cv2.__version__}
-    return {**known, "numba": numba.__version__}
+    modules = {"numpy": np, "opencv": cv2, "numba": numba}
+    return {"python": platform.python_version(), **{name: module.__version__ for name, module in modules.items()}}
 
 
 def tables(plan: Plan) -> list[Sink]:
@@ -471,22 +462,22 @@ class Table(Sink):
         self.path = None if out is None else out / f"trajectory.{form}"
         self._sink: FileSink | StreamSink | None = None
 
-    def fits(self, at: Any) -> bool:
+    def fits(self, mark: Any) -> bool:
         with contextlib.suppress(InputError, OSError):
             assert self.path is not None
             check_belongs(self.path)
-            return isinstance(at, Place)
+            return isinstance(mark, Place)
         return False
 
-    def begin(self, results: Results, at: Place | None) -> None:
+    def begin(self, clip: ClipFacts, header: Header, mark: Place | None) -> None:
         if self.path is None:
             self._sink = StreamSink(sys.stdout.buffer)  # a stream that is closed says so when it is written
         else:
             self._sink = FileSink(self.path)
-            if at is not None:
+            if mark is not None:
                 with writing(self.path):
-                    self._sink.go_on(self.path, at)
-        self._writer = WRITERS[self._form](self._sink, results.header, resumed=at is not None)
+                    self._sink.go_on(self.path, mark)
+        self._writer = WRITERS[self._form](self._sink, header, resumed=mark is not None)
 
     def write(self, result: FrameResult) -> None:
         self._writer.write(result.rows)
@@ -513,8 +504,8 @@ class Rows(Sink):
     def __init__(self) -> None:
         self._collected = Collector()
 
-    def begin(self, results: Results, at: Any) -> None:
-        self._header = {"schema": SCHEMA, "version": VERSION, **results.header}
+    def begin(self, clip: ClipFacts, header: Header, mark: Any) -> None:
+        self._header = {"schema": SCHEMA, "version": VERSION, **header}
 
     def write(self, result: FrameResult) -> None:
         self._collected.add(result.rows)
@@ -542,15 +533,12 @@ class Video(Sink):
         self._video: VideoWriter | None = None
         self._painter: Painter | None = None
 
-    def begin(self, results: Results, at: Any) -> None:
-        clip, checkpoints = results.clip, self._folder.checkpoints
-        self._overlay = Overlay(clip.size, fps=float(clip.fps), title=self._title)
-        about: dict[str, Any] = {"audio_from": clip.sound, "replace": False}
-        if checkpoints is not None:
-            about["pieces"] = checkpoints.folder
-        if at is not None:
-            about["after"], self._overlay.memory = at
-        self._painted = 0 if at is None else at[0].frames
+    def begin(self, clip: ClipFacts, header: Header, mark: Any) -> None:
+        self._overlay, cut = Overlay(clip.size, fps=float(clip.fps), title=self._title), Cut()
+        if mark is not None:
+            cut, self._overlay.memory = mark
+        self._painted, pieces = cut.frames, self._folder.checkpoints and self._folder.checkpoints.folder
+        about: dict[str, Any] = {"audio_from": clip.sound, "replace": False, "pieces": pieces, "after": cut}
         self._video = VideoWriter(self.path, clip.size, clip.fps, clip.aspect, **about)
         self._painter = Painter(self._paint, threaded=self._threaded)
 
@@ -582,8 +570,7 @@ class Video(Sink):
         try:
             self._painter.end()
         finally:
-            if self._folder.checkpoints is not None:
-                self._folder.checkpoints.end()
+            self._folder.end_checkpoints()
             try:
                 self._video.close()
             except OutputError as e:
@@ -594,7 +581,6 @@ class Video(Sink):
         if self._painter is not None:
             with contextlib.suppress(BaseException):
                 self._painter.end()
-        if self._folder.checkpoints is not None:
-            self._folder.checkpoints.end()
+        self._folder.end_checkpoints()
         if self._video is not None:
             self._video.discard()

@@ -6,7 +6,6 @@ seeds; the results of a seed do not depend on that.
 """
 
 import contextlib
-import itertools
 import re
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -34,11 +33,11 @@ Report: TypeAlias = Callable[[int, int], None]  # frames tracked over all seeds,
 _ENDED = "a process of -j ended by itself (too little memory?); run without -j"
 
 
-def variant(given: str) -> tuple[str, tuple[str, ...]]:
+def variant(config: str) -> tuple[str, tuple[str, ...]]:
     """A recipe and its overrides, from `name`, a file, or `name:key=value,key=value`."""
-    name, colon, rest = given.partition(":")
-    if not colon or "=" not in rest or Path(given).exists():
-        return given, ()
+    name, colon, rest = config.partition(":")
+    if not colon or "=" not in rest or Path(config).exists():
+        return config, ()
     return name, tuple(re.split(OVERRIDES, rest))
 
 
@@ -51,10 +50,10 @@ def labels(given: Sequence[str]) -> list[str]:
     for name, overrides in map(variant, given):
         stem = Path(name).stem if Path(name).suffix else name
         short.append(f"{stem}:{','.join(overrides)}" if overrides else stem)
-    found = [s if short.count(s) == 1 else text for s, text in zip(short, given, strict=True)]
-    if twice := [text for text in found if found.count(text) > 1]:
+    unique = [s if short.count(s) == 1 else text for s, text in zip(short, given, strict=True)]
+    if twice := [text for text in unique if unique.count(text) > 1]:
         raise UsageError(f"--config {twice[0]} is given twice; a recipe is compared with others")
-    return found
+    return unique
 
 
 def load_recipes(asked: Sequence[tuple[str, Sequence[str]]], gallery: str | None) -> list[Recipe]:
@@ -99,7 +98,7 @@ class SeedRun:
 
 
 @dataclass(frozen=True)
-class Ended:
+class PlanResult:
     """The runs of a plan in the order of its seeds, or the error that kept it from running."""
 
     plan: SeedPlan
@@ -112,7 +111,7 @@ def run_plans(
     workers: int = 1,
     stopped: Stop | None = None,
     report: Report = lambda done, total: None,
-) -> Generator[Ended, None, None]:
+) -> Generator[PlanResult, None, None]:
     """Run all plans, in `workers` processes; each is yielded as it ends, in their order.
 
     Once `stopped` says so, nothing more is yielded.
@@ -120,28 +119,28 @@ def run_plans(
     stopped = stopped or Stop()
     total = _total(plans)
     pieces = -(-workers // max(len(plans), 1))  # of each plan, so that no process is idle
-    shares = [(number, share) for number, plan in enumerate(plans) for share in _shares(plan.seeds, pieces)]
-    tasks = [(plans[number], share) for number, share in shares]
-    found: dict[int, object] = {}
+    shares = [
+        (number, tuple(share.tolist()))
+        for number, plan in enumerate(plans)
+        for share in np.array_split(plan.seeds, min(pieces, len(plan.seeds)))
+    ]
+    tasks, done = [(plans[number], share) for number, share in shares], dict[int, object]()
     threads = max(1, cores() // workers)
-    results = side_by_side(tasks, _work, workers, stopped, lambda done: report(done, total), threads=threads)
+    results = side_by_side(tasks, _work, workers, stopped, lambda frames: report(frames, total), threads=threads)
     with contextlib.closing(results):
         for number, plan in enumerate(plans):
-            mine = [i for i, share in enumerate(shares) if share[0] == number]
-            while not found.keys() >= {*mine} and (one := next(results, None)) is not None:
-                found[one[0]] = one[1]
+            own = [i for i, share in enumerate(shares) if share[0] == number]
+            while not done.keys() >= {*own} and (result := next(results, None)) is not None:
+                done[result[0]] = result[1]
             if stopped():
                 return
-            yield _ended(plan, [found.pop(i) for i in mine if i in found])
-
-
-def _ended(plan: SeedPlan, results: Sequence[object]) -> Ended:
-    error = next((one for one in results if isinstance(one, Exception)), None)
-    if isinstance(error, DiedError):
-        error = FacetrackError(_ENDED)
-    if error is not None and not isinstance(error, FacetrackError):
-        raise error
-    return Ended(plan, tuple(run for runs in results if isinstance(runs, list) for run in runs), error)
+            values = [done.pop(i) for i in own if i in done]
+            error = next((value for value in values if isinstance(value, Exception)), None)
+            if isinstance(error, DiedError):
+                error = FacetrackError(_ENDED)
+            if error is not None and not isinstance(error, FacetrackError):
+                raise error
+            yield PlanResult(plan, tuple(run for value in values if isinstance(value, list) for run in value), error)
 
 
 def outline(plan: SeedPlan, frames: Whole, size: tuple[int, int]) -> Trajectory:
@@ -203,10 +202,3 @@ def _total(plans: Sequence[SeedPlan]) -> int:
 
     each = [len(plan.seeds) * length(plan.clip, plan.fps, plan.start.frame, plan.stop) for plan in plans]
     return sum(each) if all(each) else 0
-
-
-def _shares(seeds: Sequence[int], pieces: int) -> list[tuple[int, ...]]:
-    """The seeds in order, in at most so many runs of nearly equal length."""
-    pieces = min(pieces, len(seeds))
-    edges = [round(i * len(seeds) / pieces) for i in range(pieces + 1)]
-    return [tuple(seeds[a:b]) for a, b in itertools.pairwise(edges)]

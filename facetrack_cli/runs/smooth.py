@@ -21,7 +21,7 @@ from facetrack_cli.core.numbers import dumps
 from facetrack_cli.engine.protocols import Linear
 from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.run_folder.checkpoint import FOLDER
-from facetrack_cli.run_folder.finished import Painted, open_run, read_files, run_files, write_rows
+from facetrack_cli.run_folder.finished import Painted, open_run, read_files, run_files
 from facetrack_cli.run_folder.lease import FolderLease, sweep
 from facetrack_cli.run_folder.manifest import (
     FILTERED,
@@ -33,13 +33,15 @@ from facetrack_cli.run_folder.manifest import (
     outdated,
     read_manifest,
     trajectory_of,
+    write_rows,
 )
 from facetrack_cli.runs.plan import Report
-from facetrack_cli.runs.record import Results, Sink
+from facetrack_cli.runs.record import ClipFacts, Sink
 from facetrack_cli.runs.signals import Stopped, StoppedError
 from facetrack_cli.trackers.smoothed import Beliefs, renamed_hands, smoothed_rows
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded, successive
+from facetrack_cli.trajectory.writers import Header
 from facetrack_cli.video.overlay.overlay import Overlay
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
@@ -58,9 +60,9 @@ def save_smoothed(folder: Path, clip: Path, report: Report, stop: Stopped) -> tu
     after = given_all(rows, read_posterior(folder / POSTERIOR, rows))
     files = {folder / FILTERED: partial(write_rows, "csv", rows=rows)}
     files |= {path: partial(write_rows, form, rows=after) for form, path in run_files(folder).items()}
-    known = read_manifest(folder)
-    stays = {name: one for name, one in known.files.items() if name != POSTERIOR} if known else {}
-    ended = known and replace(known, smoothed=True, files=stays)
+    run = read_manifest(folder)
+    kept = {name: one for name, one in run.files.items() if name != POSTERIOR} if run else {}
+    ended = run and replace(run, smoothed=True, files=kept)
     paint = None
     if (folder / VIDEO).is_file():
         paint = partial(repaint, open_run(folder, clip).painted, rows=after, report=report, stop=stop)
@@ -170,13 +172,11 @@ class PosteriorWriter(Sink):
         self.path, self._folder = out / POSTERIOR, out / FOLDER
         self._head: dict[str, Any] = {}
 
-    def fits(self, at: Any) -> bool:
-        return isinstance(at, WriterState) and all(
-            _block_file(self._folder, number).is_file() for number in range(at.blocks)
-        )
+    def fits(self, mark: Any) -> bool:
+        return isinstance(mark, WriterState) and all(path.is_file() for path in self._blocks(mark.blocks))
 
-    def begin(self, results: Results, at: WriterState | None) -> None:
-        corrections, self.state = results.header["init"].get("corrections", []), at
+    def begin(self, clip: ClipFacts, header: Header, mark: WriterState | None) -> None:
+        corrections, self.state = header["init"].get("corrections", []), mark
         self._head = {"targets": np.empty(0), "corrections": np.array(dumps(corrections))}
 
     def write(self, result: FrameResult) -> None:
@@ -184,8 +184,8 @@ class PosteriorWriter(Sink):
             self._head["targets"] = np.array(result.rows.targets)
         self.state = self.state or WriterState([[] for _ in result.targets], 0, 0)
         for kept, target in zip(self.state.kept, result.targets, strict=True):
-            if target.beliefs is not None and (found := target.beliefs()):
-                kept.append((result.frame.index, found))
+            if target.beliefs is not None and (beliefs := target.beliefs()):
+                kept.append((result.frame.index, beliefs))
         self.state = self.state._replace(frames=self.state.frames + 1)
         if self.state.frames == _BLOCK_FRAMES:
             self._flush()
@@ -199,14 +199,14 @@ class PosteriorWriter(Sink):
         number = self.state.blocks
         for i, kept in enumerate(self.state.kept):
             arrays[f"{number}/{i}/frame"] = np.array([frame for frame, _ in kept], "<i8")
-            for j, those in enumerate(zip(*(found for _, found in kept), strict=True)):
-                flat = [(one.mean, one.cov, *one.motion, one.doubt) for one in those]
+            for j, group in enumerate(zip(*(beliefs for _, beliefs in kept), strict=True)):
+                flat = [(one.mean, one.cov, *one.motion, one.doubt) for one in group]
                 for name, values in zip(_NAMES, zip(*flat, strict=True), strict=True):
                     arrays[f"{number}/{i}/{j}/{name}"] = np.stack(values).astype("<f8")
-                if named := [one.named for one in those if one.named is not None]:
+                if named := [one.named for one in group if one.named is not None]:
                     arrays[f"{number}/{i}/{j}/named"] = np.stack(named).astype("<f8")
             kept.clear()
-        block = _block_file(self._folder, number)
+        *_, block = self._blocks(number + 1)
         with writing(self.path):
             block.parent.mkdir(exist_ok=True)
             write_arrays(block, arrays)
@@ -217,46 +217,34 @@ class PosteriorWriter(Sink):
         assert self.state is not None and self.path is not None
         if self.state.frames:
             self._flush()
-        blocks = [_block_file(self._folder, number) for number in range(self.state.blocks)]
-        write_arrays(self.path, {**KIND.head, **self._head}, blocks)
+        write_arrays(self.path, {**KIND.head, **self._head}, self._blocks(self.state.blocks))
 
     def discard(self) -> None:
         assert self.path is not None
         discard(self.path)
 
-
-def _block_file(folder: Path, number: int) -> Path:
-    return folder / f"posterior-{number:05}.npz"
+    def _blocks(self, count: int) -> list[Path]:
+        return [self._folder / f"posterior-{number:05}.npz" for number in range(count)]
 
 
 def read_posterior(path: Path, rows: Trajectory) -> dict[str, Beliefs]:
-    """The beliefs of each target in every frame of its run's `rows`. InputError for a file that is not theirs."""
+    """The beliefs of each target in every frame of its run's `rows`.
+
+    Raises InputError for a file that is not as its run wrote it, and for one of before the run was corrected.
+    """
 
     def make(stored: Stored) -> dict[str, Beliefs]:
-        targets = stored.texts("targets")
-        if targets != rows.targets:
-            raise ValueError(f"is of {', '.join(targets)}, and the run follows {', '.join(rows.targets)}")
-        found: dict[str, dict[int, tuple[Belief, ...]]] = {name: {} for name in targets}
-        block = 0
-        while f"{block}/0/frame" in stored:
-            for i, name in enumerate(targets):
-                found[name] |= _block(stored, f"{block}/{i}")
-            block += 1
-        corrections = stored.text("corrections")
-        if corrections != dumps(rows.header["init"].get("corrections", [])):
+        if stored.text("corrections") != dumps(rows.header["init"].get("corrections", [])):
             again = "run again with --init and --smooth"
             raise InputError(f"{path}: was kept before the run was corrected; {again}")
+        beliefs: dict[str, dict[int, tuple[Belief, ...]]] = {name: {} for name in stored.texts("targets")}
+        block = 0
+        while f"{block}/0/frame" in stored:
+            for i, by_frame in enumerate(beliefs.values()):
+                by_frame |= _block(stored, f"{block}/{i}")
+            block += 1
         frames = rows.frames.tolist()
-        if any(set(known) - set(frames) for known in found.values()) or not any(found.values()):
-            raise ValueError("has other frames than the run")
-        for name, known in found.items():
-            parts = len(rows.of_target(name))
-            if any(sum(len(one.mean) for one in those) != parts for those in known.values()):
-                raise ValueError(f"has not the {parts} parts of {name}")
-            placed = [one.frame[np.isfinite(one.x)] for one in rows.of_target(name)]
-            if known and not set(np.concatenate(placed).tolist()) <= set(known):
-                raise ValueError(f"lacks frames of {name}")
-        return {name: [known.get(frame, ()) for frame in frames] for name, known in found.items()}
+        return {name: [by_frame.get(frame, ()) for frame in frames] for name, by_frame in beliefs.items()}
 
     check_belongs(path)
     return KIND.read(path, make)
@@ -266,17 +254,10 @@ def _block(stored: Stored, above: str) -> Mapping[int, tuple[Belief, ...]]:
     frames = stored.whole(f"{above}/frame")
     groups: list[list[Belief]] = []
     while f"{above}/{len(groups)}/mean" in stored:
-        mean, cov, matrix, offset, noise, doubt = (
-            stored.reals(f"{above}/{len(groups)}/{name}", 2 + n)
-            for name, n in zip(_NAMES, (1, 2, 2, 1, 2, 0), strict=True)
-        )
-        (frame_count, k, d), every = mean.shape, (cov, matrix, noise)
-        if any(one.shape != (frame_count, k, d, d) for one in every) or offset.shape != mean.shape:
-            raise ValueError(f"{above}: the arrays do not go together")
-        if not all(np.isfinite(one).all() for one in (mean, offset, *every)) or doubt.shape != (frame_count, k):
-            raise ValueError(f"{above}: has numbers that are none")
-        key = f"{above}/{len(groups)}/named"
-        named = stored.reals(key, 2) if key in stored else [None] * frame_count
+        key = f"{above}/{len(groups)}"
+        ranks = zip(_NAMES, (3, 4, 4, 3, 4, 2), strict=True)
+        mean, cov, matrix, offset, noise, doubt = (stored.reals(f"{key}/{name}", rank) for name, rank in ranks)
+        named = stored.reals(f"{key}/named", 2) if f"{key}/named" in stored else [None] * len(mean)
         each = zip(mean, cov, map(Linear, matrix, offset, noise), doubt > 0, named, strict=True)
-        groups.append([Belief(*one) for one in each])
+        groups.append([Belief(*values) for values in each])
     return dict(zip(frames, zip(*groups, strict=True), strict=True)) if groups else {}

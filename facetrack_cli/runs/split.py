@@ -32,7 +32,7 @@ from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start, Whole
 from facetrack_cli.run_folder.manifest import clip_stat, read_manifest, read_run
 from facetrack_cli.runs.batch import attempt, check_all, run_batch, run_shared
-from facetrack_cli.runs.people import film_start
+from facetrack_cli.runs.people import ORIGIN
 from facetrack_cli.runs.pipeline import decoded_ahead
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, Split, digest_of, resolve
 from facetrack_cli.runs.progress import Progress
@@ -67,10 +67,12 @@ def run_chunks(
         yield CHUNKS, outcome
     if stop():
         return
-    waiting = sum(not _is_over(one) for one in chunks) if shard[1] > 1 else 0
-    if waiting:
-        progress.say(f"{job.clip}: {waiting} of {len(chunks)} chunks are not done; who ends the last one joins them")
-        return
+    if shard[1] > 1:
+        *_, waiting = check_all([replace(chunk, overwrite=False, retry_failed=False) for chunk in chunks])
+        if waiting:
+            others = f"{len(waiting)} of {len(chunks)} chunks are not done"
+            progress.say(f"{job.clip}: {others}; who ends the last one joins them")
+            return
 
     def join(jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
         for one in jobs:
@@ -81,26 +83,21 @@ def run_chunks(
         yield "", outcome
 
 
-def _is_over(chunk: Job) -> bool:
-    with suppress(FacetrackError):
-        return resolve(replace(chunk, overwrite=False, retry_failed=False)).ended() is not None
-    return False
-
-
 def chunks_of(whole: Plan, plan: ChunkPlan) -> list[Job]:
     """What is asked of each chunk."""
-    job = whole.job
-    assert job.out is not None and job.split is not None
-    by = next((name for name in DETECTORS if name in (job.init, plan.start.origin)), None)
-    by = by or next(name for name in DETECTORS if name == detector().name)
-    found = []
+    job, out = whole.job, whole.job.out
+    assert out is not None
+    by = next((name for name in DETECTORS if name in (job.init, plan.start.origin)), None) or detector().name
+    job = replace(
+        job, box=None, init_frame=None, chunk=True, split=None, formats=("json",), video=False, strict=False, batch=True
+    )
+    chunks = []
     for i, (first, stop) in enumerate(plan.cuts):
-        search = whole.everyone or i > 0
-        where: dict[str, Any] = {"init": by if search else plan.start, "box": None, "init_frame": None}
-        where |= {"start": first if search else plan.start.frame, "stop": stop, "chunk": True}
-        alone: dict[str, Any] = {"split": None, "formats": ("json",), "video": False, "strict": False, "batch": True}
-        found.append(replace(job, out=folder_of(job.out, i), **where, **alone))
-    return found
+        where: dict[str, Any] = {"init": plan.start, "start": plan.start.frame}
+        if whole.everyone or i > 0:
+            where = {"init": by, "start": first}
+        chunks.append(replace(job, out=folder_of(out, i), stop=stop, **where))
+    return chunks
 
 
 def _planned(whole: Plan, stop: Stop, progress: Progress) -> ChunkPlan:
@@ -122,7 +119,7 @@ def _planned(whole: Plan, stop: Stop, progress: Progress) -> ChunkPlan:
         shutil.rmtree(folder, ignore_errors=True)
     progress.begin(f"{job.clip.name}: looking where it can be cut")
     if whole.everyone:
-        start = film_start(job.first)
+        start = Start(job.first, {}, ORIGIN)
     else:
         start = job.find(job.recipe, stopped=stop, looked=progress.looked)
         _check_detector(job, start)
@@ -245,12 +242,6 @@ def folder_of(out: Path, chunk: int) -> Path:
     return out / CHUNKS / f"{chunk:05d}"
 
 
-def has_rows(table: Path) -> bool:
-    """Whether a trajectory in JSON has a frame."""
-    with table.open("rb") as file:
-        return any(line.startswith(b'{"frame":') for line in file)
-
-
 class Seam(NamedTuple):
     """Where the rows of a later chunk begin; `agreement`: the share of frames in which both agree, None without any."""
 
@@ -288,13 +279,13 @@ def stitch(earlier: Trajectory, later: Trajectory, taken: Collection[str], *, ma
                 fine = agreeing(choose(a, ours), choose(b, theirs))
                 shares[ours, theirs] = float(fine.mean()) if len(fine) else 0.0
     pairs: dict[str, str] = {}
-    for (ours, theirs), share in sorted(shares.items(), key=lambda one: -one[1]):
+    for (ours, theirs), share in sorted(shares.items(), key=lambda pair: -pair[1]):
         if ours not in pairs.values() and theirs not in pairs and (share >= _SAME or not matched):
             pairs[theirs] = ours
-    found = {ours: shares[ours, theirs] for theirs, ours in pairs.items()}
+    agreements = {ours: shares[ours, theirs] for theirs, ours in pairs.items()}
     # of several faces one that is lost all the while may have left
     there = [name for name in a.targets if not matched or (choose(a, name).status != "lost").any()]
-    agreement = min((found.get(name, 0.0) for name in there), default=0.0)
+    agreement = min((agreements.get(name, 0.0) for name in there), default=0.0)
     names = _named(later, pairs, taken)
     seam = Seam(int(both[len(both) // 2]), agreement, agreement >= SHARE)
     return Stitch(seam, names, frozenset(names[name] for name in later.targets if name not in pairs))
@@ -312,28 +303,29 @@ def agreeing(ours: Trajectory, theirs: Trajectory) -> Mask:
     A part that one of them alone shows is in another place.
     """
     frames = np.intersect1d(ours.frames, theirs.frames)
-    fine, known = np.ones(len(frames), bool), np.zeros(len(frames), bool)
+    fine, visible = np.ones(len(frames), bool), np.zeros(len(frames), bool)
     points: list[tuple[str, Trajectory]] = []
     apart: list[Array] = []
-    for one in ours.parts:
-        if (other := next((part for part in theirs.parts if part.part == one.part), None)) is None:
+    others = {part.part: part for part in theirs.parts}
+    for part in ours.parts:
+        if (other := others.get(part.part)) is None:
             continue
-        a, b = one.take(np.isin(one.frame, frames)), other.take(np.isin(other.frame, frames))
+        a, b = part.take(np.isin(part.frame, frames)), other.take(np.isin(other.frame, frames))
         shown = np.isfinite(a.x), np.isfinite(b.x)
-        known |= shown[0] | shown[1]
+        visible |= shown[0] | shown[1]
         fine &= shown[0] == shown[1]
-        if one.part == BOX:
+        if part.part == BOX:
             fine &= ~(iou(a.boxes, b.boxes) < OVERLAP)
         else:
-            points.append((one.part, a))
+            points.append((part.part, a))
             apart.append(np.hypot(a.x - b.x, a.y - b.y))
     if points:
         distance = np.stack(apart)
         many = np.isfinite(distance).sum(axis=0)
         mean = np.nansum(distance, axis=0) / np.maximum(many, 1)
         fine &= ~(mean > APART * _size(points))
-    found: Mask = fine[known]
-    return found
+    agree: Mask = fine[visible]
+    return agree
 
 
 def _size(points: list[tuple[str, Trajectory]]) -> Array:
@@ -350,19 +342,19 @@ def _size(points: list[tuple[str, Trajectory]]) -> Array:
 
 def _named(later: Trajectory, pairs: Mapping[str, str], taken: Collection[str]) -> dict[str, str]:
     """What the targets of a later chunk are called: as the target that they are, else by a name that no target has."""
-    names, given = dict(pairs), {*taken, *pairs.values()}
+    names, used = dict(pairs), {*taken, *pairs.values()}
     for target in later.targets:
         if target not in names:
             stem = target.rstrip("0123456789").rstrip("_")
-            free = (name for i in count(1) if (name := f"{stem}_{i}" if i > 1 else stem) not in given)
+            free = (name for i in count(1) if (name := f"{stem}_{i}" if i > 1 else stem) not in used)
             names[target] = next(free)
-            given.add(names[target])
+            used.add(names[target])
     return names
 
 
 @dataclass(frozen=True)
 class _Part:
-    """What is taken of one chunk: frames [first, stop), its targets under other `names`; those `marked` begin there."""
+    """The rows that one chunk gives: frames [first, stop). Targets get new `names`; those `marked` start at `first`."""
 
     table: Path
     first: int
@@ -378,7 +370,7 @@ class _Part:
 
 
 class _Survey:
-    """What the chunks hold, and how each meets the one before. They are read one after another: memory is that of two.
+    """What the chunks hold, and the seams between them. At most two chunks are in memory at a time.
 
     `end`: the frame after the last one. Raises InputError if no chunk has rows.
     """
@@ -427,18 +419,20 @@ class _Survey:
 
     def _read(self, folder: Path, first: int) -> Trajectory | None:
         """The rows of a chunk; None if it has none."""
-        known = read_manifest(folder)
-        why = "was not tracked" if known is None else known.error or known.stopped
-        if known is None or (why is not None and (known.files or known.exit_code != ExitCode.INPUT)):
+        run = read_manifest(folder)
+        why = "was not tracked" if run is None else run.error or run.stopped
+        if run is None or (why is not None and (run.files or run.exit_code != ExitCode.INPUT)):
             self.failed.append(f"{CHUNKS}/{folder.name}: {why}")
-        if known is None or not known.files:
+        if run is None or not run.files:
             self.complete, self._why = False, str(why)
             self.chunks.append({"first": first, "frames": 0, "error": why})
             return None
-        self.end = first + known.frames
-        if self._everyone and not known.lost_frames and not has_rows(folder / TABLE):
-            self.chunks.append({"first": first, "frames": known.frames})
-            return None
+        self.end = first + run.frames
+        if self._everyone and not run.lost_frames:
+            with (folder / TABLE).open("rb") as table:
+                if not any(line.startswith(b'{"frame":') for line in table):  # it shows nobody
+                    self.chunks.append({"first": first, "frames": run.frames})
+                    return None
         rows = read_run(folder / TABLE)
         self.chunks.append({"first": int(rows.frames[0]), "frames": len(rows.frames)})
         self._warnings |= dict.fromkeys(rows.header.get("warnings", ()))
@@ -478,40 +472,39 @@ def stitched(plan: Plan, stop: Stop) -> Iterator[tuple[Results, Start]]:
     job = plan.job
     assert job.out is not None and job.split is not None
     chunks = read_plan(job.out)
-    found, start = _Survey(plan, chunks), chunks.start
-    more: dict[str, object] = {"split": job.split.record(), "chunks": found.chunks}
-    if found.seams:
-        more["seams"] = [seam.record() for seam in found.seams]
-    error = None if not found.failed else FacetrackError(f"{job.clip}: {found.failed[0]}{_more(found.failed)}")
-    with replace(job, stop=found.parts[-1].stop).open(start.frame) as source:
-        first, clip = found.parts[0].rows(), ClipFacts.of(job.clip, source)._replace(frames_hint=None)
-        declared = {name: first.header[name] for name in ("diagnostics",) if name in first.header}
-        header = header_of(job, clip, start, first, {**declared, **more})
+    survey, start, error = _Survey(plan, chunks), chunks.start, None
+    if survey.failed:
+        more = f" (and {len(survey.failed) - 1} more chunks failed)" if len(survey.failed) > 1 else ""
+        again = "the same command with --retry-failed tries again"
+        error = FacetrackError(f"{job.clip}: {survey.failed[0]}{more}; {again}")
+    with replace(job, stop=survey.parts[-1].stop).open(start.frame) as source:
+        rows, clip = survey.parts[0].rows(), ClipFacts.of(job.clip, source)._replace(frames_hint=None)
+        about = {name: rows.header[name] for name in ("diagnostics",) if name in rows.header}
+        about |= {"split": job.split.record(), "chunks": survey.chunks}
+        about |= {"seams": [seam.record() for seam in survey.seams]} if survey.seams else {}
+        header = header_of(job, clip, start, about, rows)
 
-        def frames() -> Generator[FrameResult, None, None]:
-            index, parts = start.frame, found.parts
-            rows, left = first, iter(parts[1:])
+        def frames() -> Iterator[Frame]:
+            """Those of the clip, if they are drawn; then, up to the end of the rows, frames without pixels."""
+            index = start.frame
             if plan.draws:
-                with decoded_ahead(iter(source), threaded=job.threads > 1, stopped=stop) as shown:
-                    for frame in shown:
-                        while frame.index > rows.frames[-1] and (part := next(left, None)) is not None:
-                            rows = part.rows()
-                        yield FrameResult(frame, recorded(frame.index, rows.at(frame.index)))
+                with decoded_ahead(iter(source), threaded=job.threads > 1, stopped=stop) as decoded:
+                    for frame in decoded:
+                        yield frame
                         index = frame.index + 1
-            while index < found.end:  # without pixels
+            for missing in range(index, survey.end):
+                yield Frame(missing, 0.0, _NOTHING)
+
+        def joined(rows: Trajectory) -> Generator[FrameResult, None, None]:
+            later = iter(survey.parts[1:])
+            for frame in frames():
                 if stop():
                     raise StoppedError
-                while index > rows.frames[-1] and (part := next(left, None)) is not None:
+                while frame.index > rows.frames[-1] and (part := next(later, None)) is not None:
                     rows = part.rows()
-                yield FrameResult(Frame(index, 0.0, _NOTHING), recorded(index, rows.at(index)))
-                index += 1
+                yield FrameResult(frame, recorded(frame.index, rows.at(frame.index)))
             if stop():
                 raise StoppedError
 
-        ended = Ended(found.complete, found.warnings, found.variable, error)
-        yield Results(clip, header, frames(), ended=lambda whole: ended), start
-
-
-def _more(failed: Sequence[str]) -> str:
-    again = "the same command with --retry-failed tries again"
-    return f"; {again}" if len(failed) == 1 else f" (and {len(failed) - 1} more chunks failed); {again}"
+        ended = Ended(survey.complete, survey.warnings, survey.variable, error)
+        yield Results(clip, lambda _: header, joined(rows), ended=lambda whole: ended), start

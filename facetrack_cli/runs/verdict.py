@@ -20,12 +20,13 @@ from facetrack_cli.core.types import BOX, Box, Point, Start
 from facetrack_cli.recipe.calibrated import calibrated, fitted
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.runs.plan import Outcome
-from facetrack_cli.runs.record import Results, Sink
+from facetrack_cli.runs.record import ClipFacts, Sink
 from facetrack_cli.trackers.face.detectors import Detector, detector
 from facetrack_cli.trackers.face.stabilized import BOX as STILL
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity, slope
 from facetrack_cli.trajectory.diagnostics import DOUBTFUL, NAMED, NETWORK
 from facetrack_cli.trajectory.trajectory import SEEN, FrameResult, Trajectory, mean_confidence
+from facetrack_cli.trajectory.writers import Header
 
 EVERY_FRAMES: Final = 15  # between two looks
 SURE: Final = 0.9  # the frame of the lowest mean confidence is named if that is less
@@ -67,35 +68,32 @@ class RunMonitor(Sink):
         settings = to_dict(recipe)
         return cls(start, calibrated(settings), fitted(settings), None if name is None else detector(name))
 
-    def begin(self, results: Results, at: RunMonitor | None) -> None:
+    def begin(self, clip: ClipFacts, header: Header, mark: RunMonitor | None) -> None:
         """Go on from what was counted of the frames before."""
-        if at is not None:
-            self.__dict__ |= {**vars(at), "start": self.start, "detector": self.detector}
+        if mark is not None:
+            self.__dict__ |= {**vars(mark), "start": self.start, "detector": self.detector}
 
-    def fits(self, at: Any) -> bool:
-        return isinstance(at, RunMonitor)
+    def fits(self, mark: Any) -> bool:
+        return isinstance(mark, RunMonitor)
 
     def mark(self) -> RunMonitor:
         return self
 
     def end(self, done: Outcome) -> None:
-        done.verdict, done.doubtful = self.line(), bool(self.doubts())
+        done.verdict, done.doubts, done.look = self.line(), self.doubts(), self.look
+        done.borne_out = round(float(self.borne_out / self.placed), 4) if self.placed else None
         if unseen := self.unseen():
             done.warnings += (unseen,)
-
-    def facts(self) -> Mapping[str, Any]:
-        return {"doubts": self.doubts(), "look": self.look, "borne_out": self.bears_out}
 
     def write(self, result: FrameResult) -> None:
         """Take in one more frame, and look at every few."""
         self.take(result.rows)
-        if self.detector is None or self.frames % EVERY_FRAMES:
-            return
-        if (result.rows.status == "lost").all():
-            self.lost_looks += 1
-            self.lost_seen += bool(self.detector.find(result.frame))
-        else:
-            self._look(result)
+        if self.detector is not None and self.frames % EVERY_FRAMES == 0:
+            if (result.rows.status == "lost").all():
+                self.lost_looks += 1
+                self.lost_seen += bool(self.detector.find(result.frame))
+            else:
+                self._look(result, self.detector)
 
     def take(self, rows: Trajectory) -> None:
         """Take in the rows of one more frame."""
@@ -117,50 +115,40 @@ class RunMonitor(Sink):
         else:
             self._ended()
         self.hidden_frames += bool((rows.status == "hidden").any())
-        self._count_hands(rows, index)
-        known = rows.confidence[np.isfinite(rows.confidence) & (rows.status != "init")]
-        if known.size:
-            mean = mean_confidence(known)
+        confidence = rows.confidence[np.isfinite(rows.confidence) & (rows.status != "init")]
+        if confidence.size:
+            mean = mean_confidence(confidence)
             self.judged, self.sure = self.judged + 1, self.sure + mean
             if not gone.any():
                 self.least = min(self.least, (mean, index))
-
-    def _count_hands(self, rows: Trajectory, index: int) -> None:
         hands = np.isin([target for target, _ in rows.names], HANDS)[rows.which]
         if not hands.any():
             return
-        seen = hands & np.isin(rows.status, SEEN)
-        self.hands = max(self.hands, 0) + bool(seen.any())
-        named = [one.get(NAMED.name)[0] for target, one in rows.diagnostics.items() if target in HANDS]
-        if seen.any() and named and min(named) < SURE_OF_NAMES:
+        seen = bool((hands & np.isin(rows.status, SEEN)).any())
+        self.hands = max(self.hands, 0) + seen
+        named = [reported.get(NAMED.name)[0] for target, reported in rows.diagnostics.items() if target in HANDS]
+        if seen and named and min(named) < SURE_OF_NAMES:
             # the span that goes on is kept, however short it is
             first = next((a for a, b in self.unnamed if b == index - 1), index)
-            others = sorted((one for one in self.unnamed if one[0] != first), key=lambda one: one[0] - one[1])
+            others = sorted((span for span in self.unnamed if span[0] != first), key=lambda span: span[0] - span[1])
             self.unnamed = [*others[: _MAX_SPANS - 1], (first, index)]
 
     def line(self) -> str:
         """The verdict in one line."""
         self._ended()
-        why = self.doubts()
-        who = "some part " if self.several else ""
-        lost = (
-            f"{who}called lost in {self.lost_frames} of {self.frames} frame{'s' * (self.frames > 1)}"
-            if self.lost_frames
-            else "never called lost"
-        )
+        why, by = self.doubts(), self.detector and self.detector.name
+        who, lost = "some part " if self.several else "", "never called lost"
+        if self.lost_frames:
+            lost = f"{who}called lost in {self.lost_frames} of {self.frames} frame{'s' * (self.frames > 1)}"
         hidden = f", {who}hidden in {self.hidden_frames}" if self.hidden_frames else ""
         index, time_s = self.first
         skipped = f", {index} frame{'s' * (index > 1)} of the clip are before it" if index else ""
-        begun = f"begins in frame {index} ({clock(time_s)}), by {self.start.origin}{skipped}"
-        parts = [f"doubtful: {why}" if why else lost + hidden, begun]
-        if self.detector is not None and not why and self.looks:
-            parts.append(
-                f"while it is followed, {self.detector.name} sees a face there in {self.seen} of {self.looks} looks"
-            )
-        if self.detector is not None and self.lost_seen:
-            parts.append(
-                f"while it is lost, {self.detector.name} sees a face in {self.lost_seen} of {self.lost_looks} looks"
-            )
+        begins = f"begins in frame {index} ({clock(time_s)}), by {self.start.origin}{skipped}"
+        parts = [f"doubtful: {why}" if why else lost + hidden, begins]
+        if self.looks and not why:
+            parts.append(f"while it is followed, {by} sees a face there in {self.seen} of {self.looks} looks")
+        if self.lost_seen:
+            parts.append(f"while it is lost, {by} sees a face in {self.lost_seen} of {self.lost_looks} looks")
         look = [f"{places(sorted(self.lost))} (lost)"] if self.lost else []
         if self.least[0] < SURE:
             raw = "" if self.calibrated else ", not calibrated"
@@ -176,11 +164,6 @@ class RunMonitor(Sink):
         """First and last frames to look at first: the longest in which a part is lost, else the least sure one."""
         self._ended()
         return tuple(self.lost) or ((self.least[1],) * 2,) * (self.least[0] < SURE)
-
-    @property
-    def bears_out(self) -> float | None:
-        """The share of a network's points that the other senses bear out; None without a network."""
-        return round(float(self.borne_out / self.placed), 4) if self.placed else None
 
     def doubts(self) -> str:
         """What speaks against the track; "" if nothing does."""
@@ -205,19 +188,18 @@ class RunMonitor(Sink):
             self.lost = sorted([*self.lost, self.now], key=lambda one: one[0] - one[1])[:_MAX_SPANS]
             self.now = None
 
-    def _look(self, result: FrameResult) -> None:
-        assert self.detector is not None
-        name, given = next(iter(self.start.targets.items()))  # the first is that of the face that was searched for
+    def _look(self, result: FrameResult, detector: Detector) -> None:
+        name, target = next(iter(self.start.targets.items()))  # the first is that of the face that was searched for
         rows = next((one.rows for one in result.targets if one.rows.target == name), None)
-        box = None if rows is None or given.box is None else _face(rows, given.box, given.points)
+        box = None if rows is None or target.box is None else _face(rows, target.box, target.points)
         if rows is not None and box is not None:
-            ends = [given.points[part] for part in ("mouth_left", "mouth_right") if part in given.points]
-            begun = slope(np.array(ends)) if len(ends) == 2 else 0.0
-            roll = next(iter(np.radians(rows.angle[np.isfinite(rows.angle)])), begun)
+            ends = [target.points[part] for part in ("mouth_left", "mouth_right") if part in target.points]
+            at_start = slope(np.array(ends)) if len(ends) == 2 else 0.0
+            roll = next(iter(np.radians(rows.angle[np.isfinite(rows.angle)])), at_start)
             quarter = np.pi / 2 * round(2 * roll / np.pi)  # a detector sees faces that are less turned
-            seen = Similarity(np.array(centre(box)), box[2] / FACE, quarter).read(result.frame)
+            upright = Similarity(np.array(centre(box)), box[2] / FACE, quarter).read(result.frame)
             self.looks += 1
-            self.seen += self.detector.measure(seen.bgr, STILL) is not None
+            self.seen += detector.measure(upright.bgr, STILL) is not None
 
 
 def _face(rows: Trajectory, began: Box, points: Mapping[str, Point]) -> Box | None:

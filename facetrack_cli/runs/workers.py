@@ -33,9 +33,7 @@ ORPHAN_S = 1.5  # for a task to close its files, once the process that gave it i
 class DiedError(FacetrackError):
     """A process ended by itself, and its result is lost. The argument says how; `log` has its standard error."""
 
-    def __init__(self, how: str, log: Sequence[str] = ()) -> None:
-        super().__init__(how)
-        self.log = tuple(log)
+    log: Sequence[str] = ()
 
 
 def side_by_side(
@@ -122,7 +120,7 @@ def _result(work: Work, task: object, stop: Stop, report: Callable[..., None]) -
 
 
 class _Process:
-    """A pool of one process: of a larger pool all tasks are lost when one process dies."""
+    """A pool of one process. A larger pool would lose all tasks when one of its processes dies."""
 
     def __init__(self, context: BaseContext, ending: Any, frames: Any, threads: int, logs: Path) -> None:
         given = (ending, frames, threads, logs)
@@ -138,14 +136,15 @@ class _Process:
         return future
 
     def died(self) -> tuple[DiedError, bool]:
-        """How the process ended, and whether a signal ended it."""
+        """The error that says how the process ended, and whether a signal ended it."""
         self.pool.shutdown()
         if self._process is None:  # it ended before it was looked at
             return DiedError("its process ended as it began"), False
-        code, said = self._process.exitcode, ""
+        code = self._process.exitcode
+        error = DiedError(f"its process ended with code {code}")
         with contextlib.suppress(OSError):
-            said = (self._logs / f"{self._process.pid}").read_text(errors="replace")
-        return DiedError(f"its process ended with code {code}", said.splitlines()), (code or 0) < 0
+            error.log = (self._logs / f"{self._process.pid}").read_text(errors="replace").splitlines()
+        return error, (code or 0) < 0
 
 
 # --- in the processes ------------------------------------------------------------------------------------------------
@@ -184,18 +183,15 @@ def _do(work: Work, index: int, task: object) -> tuple[object, str]:
         if (now := time.monotonic()) - last >= REPORT_S:
             last, _frames[index] = now, done
 
-    def asked() -> ExitCode | None:
-        """Whether the parent wishes an end, or is gone."""
-        return ExitCode(_ending.value) if _ending.value else None
-
-    with Stop(asked).listening() as stop:
+    # the parent asked to stop, or has died
+    with Stop(lambda: ExitCode(_ending.value) if _ending.value else None).listening() as stop:
         result = _result(work, task, stop, report)
     sys.stderr.flush()
-    said = ""
+    lines = ""
     with contextlib.suppress(OSError):
-        said = _log.read_text(errors="replace")
+        lines = _log.read_text(errors="replace")
         os.truncate(_log, 0)
-    return result, said
+    return result, lines
 
 
 @contextlib.contextmanager

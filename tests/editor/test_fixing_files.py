@@ -18,8 +18,8 @@ from facetrack_cli.core.files import digest
 from facetrack_cli.core.types import Correction
 from facetrack_cli.editor.retrack import Store, Track
 from facetrack_cli.editor.web.fix_session import doubtful, overview
-from facetrack_cli.run_folder.finished import STATUS, read_files, write_rows
-from facetrack_cli.run_folder.manifest import NAME, File, Manifest
+from facetrack_cli.run_folder.finished import STATUS, read_files
+from facetrack_cli.run_folder.manifest import NAME, File, Manifest, write_rows
 from facetrack_cli.trajectory.trajectory import COLUMNS, Collector
 from facetrack_cli.trajectory.writers import FORMATS, WRITERS, RunSummary, as_written, summary_of
 from tests.support.results import part, result, target

@@ -17,7 +17,8 @@ from facetrack_cli.editor.retrack import Tracking
 from facetrack_cli.editor.web import session as session_module
 from facetrack_cli.editor.web.fix_session import FixSession
 from facetrack_cli.editor.web.server import run_page, serving
-from facetrack_cli.run_folder.finished import open_run, write_rows
+from facetrack_cli.run_folder.finished import open_run
+from facetrack_cli.run_folder.manifest import write_rows
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from facetrack_cli.video.seek import Frames

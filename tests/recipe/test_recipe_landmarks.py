@@ -10,7 +10,7 @@ from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.models import MODELS
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.run_folder.manifest import _recipe_digest
+from facetrack_cli.run_folder.manifest import recipe_digest
 from facetrack_cli.start.assembly import build_tracker
 from tests.support.samples import FOLDER, TrackClip
 
@@ -83,7 +83,7 @@ def test_the_file_of_a_network_is_one_that_the_recipe_names(tmp_path, monkeypatc
     for content in (b"one", b"other"):
         (tmp_path / "a.tflite").write_bytes(content)
         assert check_recipe("face", [f"{KEY}=a.tflite"]) == []
-        digests.append(_recipe_digest(load_recipe("face", [f"{KEY}=a.tflite"])))
+        digests.append(recipe_digest(load_recipe("face", [f"{KEY}=a.tflite"])))
     assert digests[0] != digests[1]
     assert check_recipe("face", [f"{KEY}=mesh"]) == []
 

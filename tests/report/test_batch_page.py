@@ -10,7 +10,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.run_folder.manifest import read_manifest
 from tests.report.test_report import Reader
-from tests.runs.test_run import SMALL, make_clip
+from tests.support.sway import SMALL, make_clip
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ import shutil
 import signal
 import subprocess
 import threading
-import time
 from pathlib import Path
 
 import pytest
@@ -23,8 +22,8 @@ from facetrack_cli.run_folder.lease import LOCK, NOTE, FolderLease
 from facetrack_cli.run_folder.manifest import NAME, read_manifest, read_run, recover_interrupted
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, side_by_side
-from tests.runs.test_run import FACETRACK, ROWS, SMALL, make_clip
 from tests.support.leases import abandon, leave_here
+from tests.support.sway import FACETRACK, ROWS, SMALL, make_clip, names, until
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals and locks of POSIX")
 TABLES = ["--no-video", "--format", "csv,json,jsonl"]
@@ -47,10 +46,6 @@ def run(*arguments):
     return main(["run", *map(str, arguments)])
 
 
-def names(folder):
-    return sorted(path.name for path in folder.iterdir())
-
-
 def frames_of(part):
     return [int(line.split(",", 1)[0]) for line in part.read_text().splitlines()[1:]]
 
@@ -64,19 +59,15 @@ def records(folder, form):
     return lines if form == "csv" else [line for line in lines if '"type":"frame"' in line]
 
 
-def part_of(out, process):
-    """The table that a process is writing, if it does."""
-    return next(out.glob(f".trajectory-{process}-*.part.csv"), None)
-
-
 def killed(clip, out, *arguments, frames):
     """Run until so many frames are in the tables, then kill -9; the last frame that was in them."""
     process = subprocess.Popen([*FACETRACK, "run", clip, "-o", out, *map(str, arguments)], stderr=subprocess.DEVNULL)
-    deadline = time.monotonic() + 60
-    while not (part := part_of(out, process.pid)) or len(frames_of(part)) < ROWS * frames:
-        assert process.poll() is None and time.monotonic() < deadline
-        time.sleep(0.002)
-    last = frames_of(part)[-1]
+
+    def written():
+        parts = [frames_of(part) for part in out.glob(f".trajectory-{process.pid}-*.part.csv")]
+        return parts and len(parts[0]) >= ROWS * frames and parts[0]
+
+    last = until(written, process)[-1]
     process.kill()
     process.wait()
     return last
@@ -128,11 +119,9 @@ def test_a_recovery_that_is_killed_is_made_again(torn, tmp_path, monkeypatch, mo
     assert len(read_run(tmp_path).frames) == read_manifest(tmp_path).frames >= 19
 
 
-@pytest.mark.one_in(3)
 @posix
-@pytest.mark.parametrize("left", ["", '{"process": 1}', '{"process": 1, "run": {"format": "no"}}'])
-def test_a_note_that_says_nothing_is_no_harm(clip, tmp_path, left):
-    leave_here(tmp_path, left)
+def test_a_note_that_says_nothing_is_no_harm(clip, tmp_path):
+    leave_here(tmp_path, '{"process": 1, "run": {"format": "no"}}')
     (tmp_path / ".trajectory-999999999.part.csv").write_text("frame,\n0,")
     assert run(clip, "-o", tmp_path, "--stop", 3, *SMALL, *TABLES, "-q") == 0
     assert names(tmp_path) == [NAME, "trajectory.csv", "trajectory.json", "trajectory.jsonl"]
@@ -150,7 +139,7 @@ def test_a_table_torn_anywhere_ends_with_a_whole_frame(clip, tmp_path, form):
     seen = set()
     # also where an object inside of a line ends, which looks like the end of a frame
     inside = [one.end() for one in re.finditer(rb'"ess":[0-9.]+\}', text)][-8:]
-    for at in {*range(0, len(text), 331), *inside}:
+    for at in {*range(0, len(text), 503), *inside}:
         out = tmp_path / f"{at}"
         out.mkdir()
         leave_here(out, note, 999_999_999)
@@ -168,23 +157,20 @@ def test_a_table_torn_anywhere_ends_with_a_whole_frame(clip, tmp_path, form):
 @posix
 @pytest.mark.parametrize("kills", [pytest.param(1, marks=pytest.mark.nightly), 2])
 def test_a_worker_that_is_killed_is_replaced_once(clip, whole, tmp_path, kills):
-    other = make_clip(tmp_path / "other.mp4", 5)
-    process = subprocess.Popen(
-        [*FACETRACK, "run", clip, other, "-j", "2", "-o", tmp_path / "out", *SMALL, "--no-video"],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    folder, deadline = tmp_path / "out" / "sway-face", time.monotonic() + 60
-    killed = set()
-    while len(killed) < kills:
-        assert process.poll() is None and time.monotonic() < deadline
-        time.sleep(0.002)
+    other, folder, killed = make_clip(tmp_path / "other.mp4", 5), tmp_path / "out" / "sway-face", set()
+    words = [*FACETRACK, "run", clip, other, "-j", "2", "-o", tmp_path / "out", *SMALL, "--no-video"]
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+
+    def killing():
         for part in folder.glob(".trajectory-*.part.csv"):
             number = int(part.name.split("-")[1].split(".")[0])
             with contextlib.suppress(FileNotFoundError):
                 if number not in killed and len(frames_of(part)) >= (20 + 50 * len(killed)) * ROWS:
                     os.kill(number, signal.SIGKILL)
                     killed.add(number)
+        return len(killed) == kills
+
+    until(killing, process)
     said = process.communicate()[1]
     if kills == 1:
         assert process.returncode == 0, said
@@ -216,22 +202,13 @@ def test_a_worker_that_is_killed_while_it_asks_whether_to_stop_holds_up_no_other
 
 
 @posix
-def test_a_folder_has_one_writer(clip, tmp_path, capsys):
-    with FolderLease(tmp_path):
-        assert run(clip, "-o", tmp_path, *SMALL) == 2
-        assert "another facetrack is writing its results here; wait until it ends" in capsys.readouterr().err
-    assert run(clip, "-o", tmp_path, "--stop", 3, *SMALL, "-q") == 0
-    assert not {LOCK, NOTE} & {*names(tmp_path)}
-
-
-@posix
 def test_of_two_runs_at_once_one_writes(clip, tmp_path):
     command = [*FACETRACK, "run", clip, "-o", tmp_path, *SMALL, *TABLES]
     both = [subprocess.Popen([*command, "--seed", str(seed)], stderr=subprocess.PIPE) for seed in (1, 2)]
     said = [process.communicate()[1].decode() for process in both]
     assert sorted(process.returncode for process in both) == [0, 2], said
     [seed] = [seed for seed, process in zip((1, 2), both, strict=True) if process.returncode == 0]
-    assert read_run(tmp_path).header["seed"] == seed
+    assert read_run(tmp_path).header["seed"] == seed and not {LOCK, NOTE} & {*names(tmp_path)}
 
 
 def test_a_run_owns_all_its_outputs(clip, tmp_path):
@@ -241,22 +218,18 @@ def test_a_run_owns_all_its_outputs(clip, tmp_path):
     assert names(tmp_path) == ["report.html", NAME, "trajectory.csv"]
 
 
-@pytest.mark.parametrize("name", ["trajectory.csv", "trajectory.json", "annotated.mp4"])
-def test_files_of_different_runs_are_noticed(clip, tmp_path, name, capsys):
+def test_files_of_different_runs_are_noticed(tmp_path, capsys):
+    clip = make_clip(tmp_path / "sway.mp4", 5)
     for folder, seed in (("a", 1), ("b", 2)):
-        assert run(clip, "-o", tmp_path / folder, "--stop", 5, *SMALL, "--seed", seed, "-q") == 0
-    shutil.copy(tmp_path / "a" / name, tmp_path / "b" / name)
-    command = ["report", tmp_path / "b"] if name == "annotated.mp4" else ["eval", tmp_path / "b" / name]
-    clip.rename(clip.with_name("away.mp4"))
-    try:
-        code = main(
-            [*map(str, command), *(["--truth", str(tmp_path / "a" / "trajectory.csv")] * (command[0] == "eval"))]
-        )
-    finally:
-        clip.with_name("away.mp4").rename(clip)
-    said = capsys.readouterr().err
-    assert f"{name}: is not as its run wrote it" in said
-    assert code == (0 if name == "annotated.mp4" else 3), "the report does without its pictures"
+        assert run(clip, "-o", tmp_path / folder, *SMALL, "--seed", seed, "-q") == 0
+    clip.unlink()
+    for name in ("annotated.mp4", "trajectory.csv", "trajectory.json"):
+        shutil.copy(tmp_path / "a" / name, tmp_path / "b" / name)
+        command = ["report", tmp_path / "b"]  # which does without its pictures
+        if name != "annotated.mp4":
+            command = ["eval", tmp_path / "b" / name, "--truth", tmp_path / "a" / "trajectory.csv"]
+        assert main([*map(str, command)]) == (0 if name == "annotated.mp4" else 3)
+        assert f"{name}: is not as its run wrote it" in capsys.readouterr().err
 
 
 @posix
@@ -280,17 +253,17 @@ def test_a_kill_between_two_renames_is_finished_by_whoever_reads(clip, tmp_path,
 
 
 def test_a_swapped_clip_is_known(tmp_path, capsys):
-    clip = make_clip(tmp_path / "one.mp4", 6)
-    assert run(clip, "-o", tmp_path / "out", *SMALL, "-q") == 0
-    header = read_run(tmp_path / "out").header
-    assert len(header["source_sha256"]) == 64
-    make_clip(tmp_path / "one.mp4", 7)
-    for command in (["fix", tmp_path / "out", "--init", clip.with_suffix(".init.yaml")], ["report", tmp_path / "out"]):
-        code = main([*map(str, command)])
-        assert "one.mp4: is not the clip that trajectory.json was made from" in capsys.readouterr().err
-        assert code == (3 if command[0] == "fix" else 0)
-    assert main(["eval", str(tmp_path / "out"), "--truth", str(tmp_path / "out" / "trajectory.csv")]) == 0
-    assert "is not the clip that trajectory.json was made from" in "".join(capsys.readouterr())
+    clip, out = make_clip(tmp_path / "one.mp4", 6), str(tmp_path / "out")
+    assert run(clip, "-o", out, *SMALL, "-q") == 0
+    assert len(read_run(out).header["source_sha256"]) == 64
+    make_clip(clip, 7)
+    for command, code in (
+        (["fix", out, "--init", str(clip.with_suffix(".init.yaml"))], 3),
+        (["report", out], 0),
+        (["eval", out, "--truth", f"{out}/trajectory.csv"], 0),
+    ):
+        assert main(command) == code
+        assert "is not the clip that trajectory.json was made from" in "".join(capsys.readouterr())
 
 
 # --- power loss ---

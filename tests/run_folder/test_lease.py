@@ -20,6 +20,7 @@ from facetrack_cli.run_folder import lease as leases
 from facetrack_cli.run_folder.lease import LOCK, NOTE, FolderLease, finish_replacing, holder, left_in, sweep
 from facetrack_cli.run_folder.manifest import read_run, trajectory_of
 from tests.support.leases import ELSEWHERE, abandon, ended_process, leave, leave_here, note_here
+from tests.support.sway import names
 
 LEASE_S = 0.6
 
@@ -29,10 +30,6 @@ def soon(monkeypatch):
     """A lease of less than a second."""
     monkeypatch.setattr(leases, "LEASE_S", LEASE_S)
     monkeypatch.setattr(leases, "BEAT_S", 0.1)
-
-
-def names(folder):
-    return sorted(path.name for path in folder.iterdir())
 
 
 def is_refused(folder):
@@ -58,48 +55,41 @@ def test_a_folder_has_one_writer(tmp_path):
             assert holder(folder) == note
             assert is_refused(folder)
             lease.check()
+            for reader in (read_run, trajectory_of):
+                with pytest.raises(InputError, match="a run is being written here; wait until it ends"):
+                    reader(folder)
         assert names(folder) == [] and holder(folder) is None
-
-
-def test_who_reads_a_run_that_is_being_written_is_told(tmp_path):
-    with FolderLease(tmp_path):
-        for reader in (read_run, trajectory_of):
-            with pytest.raises(InputError, match="a run is being written here; wait until it ends"):
-                reader(tmp_path)
     with pytest.raises(InputError, match=r"has no trajectory\.json"):
-        trajectory_of(tmp_path)
+        trajectory_of(folder)
 
 
-def test_signs_of_life(tmp_path, soon):
+def test_signs_of_life(tmp_path, soon, monkeypatch):
     with FolderLease(tmp_path) as lease:
         size = (tmp_path / NOTE).stat().st_size
         os.utime(tmp_path / LOCK, (0, 0))
-        deadline = time.monotonic() + 10
-        while (tmp_path / LOCK).stat().st_mtime < 1:
-            assert time.monotonic() < deadline
+        assert is_refused(tmp_path), "it is heard again meanwhile"
+        assert (tmp_path / LOCK).stat().st_mtime > 1
         for frame in (5, 123456):
             time.sleep(0.1)
             lease.progress(frame, 2 * frame)
             found = holder(tmp_path)
             assert (found["frame"], found["frames"]) == (frame, 2 * frame) and found["seconds"] >= 0
+        monkeypatch.setattr(leases, "BEAT_S", 10.0)
+        lease.progress(7, None)
+        assert holder(tmp_path)["frame"] == 123456, "progress is noted now and then"
         lease.note({"run": "x" * size})
         lease.note({"run": ""})
         assert (tmp_path / NOTE).stat().st_size > size, "a note never shrinks"
         assert holder(tmp_path)["run"] == ""
 
 
-def test_progress_is_noted_now_and_then(tmp_path):
-    with FolderLease(tmp_path) as lease:
-        lease.progress(1, None)
-        assert "frame" not in holder(tmp_path)
-
-
-@pytest.mark.parametrize("hours", [0, -5, 5])
-def test_another_machine_is_believed_for_a_minute(tmp_path, hours, monkeypatch):
+def test_another_machine_is_believed_for_a_minute(tmp_path, monkeypatch):
     clock = time.time
-    leave(tmp_path, ELSEWHERE, silent_s=50)
-    monkeypatch.setattr(time, "time", lambda: clock() + 3600 * hours)  # the clock is that of the file system
-    assert is_refused(tmp_path)
+    for hours in (0, -5, 5):
+        leave(tmp_path, ELSEWHERE, silent_s=50)
+        with monkeypatch.context() as patched:
+            patched.setattr(time, "time", lambda hours=hours: clock() + 3600 * hours)
+            assert is_refused(tmp_path), "the clock is that of the file system"
 
 
 def test_who_is_silent_is_taken_over(tmp_path, soon, capsys):
@@ -114,12 +104,6 @@ def test_who_is_silent_is_taken_over(tmp_path, soon, capsys):
     leave(tmp_path, ELSEWHERE, silent_s=70)
     with pytest.raises(BusyError), FolderLease(tmp_path, stopped=lambda: True):
         pass
-
-
-def test_who_is_heard_again_is_not_taken_over(tmp_path, soon):
-    with FolderLease(tmp_path):
-        os.utime(tmp_path / LOCK, (0, 0))
-        assert is_refused(tmp_path)
 
 
 def test_of_this_machine_a_process_that_ended_leaves_nothing(tmp_path):
@@ -163,12 +147,20 @@ with lease.FolderLease(Path(sys.argv[1])) as held:
     assert names(tmp_path) == []
 
 
-@pytest.mark.parametrize("text", ["", "x" * 50, "[1]", '{"process": 1}', '{"host": 1, "boot": [], "process": "x"}'])
-def test_notes_that_say_nothing(tmp_path, text):
-    leave_here(tmp_path, text)
-    with FolderLease(tmp_path):
-        pass
-    assert names(tmp_path) == []
+NO_NOTES = ["", "x" * 50, "[1]", '{"process": 1}', '{"host": 1, "boot": [], "process": "x"}']
+NO_FILES = [1, [], {"files": ["/etc/x"]}, {"files": 3}, {"gone": [4]}]
+
+
+def test_notes_that_say_nothing(tmp_path):
+    for text in NO_NOTES:
+        leave_here(tmp_path, text)
+        with FolderLease(tmp_path):
+            pass
+        assert names(tmp_path) == []
+    for replaced in NO_FILES:
+        leave_here(tmp_path, {**note_here(ended_process()), "replace": replaced})
+        finish_replacing(tmp_path, left_in(tmp_path))
+        assert names(tmp_path) == [LOCK, NOTE]
 
 
 @pytest.mark.parametrize("text", ["", "x" * 50, "filelock/2\npid=1\nho"])
@@ -182,18 +174,15 @@ def test_a_lease_that_says_nothing(tmp_path, soon, text):
     assert names(tmp_path) == []
 
 
-def test_a_lease_of_another_length(tmp_path, monkeypatch):
-    leave(tmp_path, ELSEWHERE, silent_s=70)
+def test_a_lease_of_another_length_and_a_note_that_is_being_written(tmp_path, monkeypatch):
+    text = json.dumps(ELSEWHERE).ljust(5000)
+    leave(tmp_path, text[:40] + "\0" * 4960, silent_s=50)
+    with monkeypatch.context() as patched:
+        patched.setattr(leases.time, "sleep", lambda _: leave(tmp_path, text, silent_s=70))
+        assert holder(tmp_path) == ELSEWHERE, "it is read again"
     monkeypatch.setattr(leases, "LEASE_S", 30.0)
     with pytest.raises(OutputError, match="if nobody writes here, remove it"), FolderLease(tmp_path):
         pass
-
-
-def test_a_note_that_is_being_written_is_read_again(tmp_path, monkeypatch):
-    text = json.dumps(ELSEWHERE).ljust(5000)
-    leave(tmp_path, text[:40] + "\0" * 4960)
-    monkeypatch.setattr(leases.time, "sleep", lambda _: leave(tmp_path, text))
-    assert holder(tmp_path) == ELSEWHERE
 
 
 def test_a_process_that_is_taken_over_notices(tmp_path):
@@ -236,10 +225,10 @@ def _take(folders, barrier, mine):
             barrier.wait(60)
 
 
-@pytest.mark.parametrize("left", ["here", "elsewhere", "nothing"])
-def test_of_two_at_once_one_wins(tmp_path, soon, left):
-    folders = [tmp_path / f"{i}" for i in range(4 if left == "elsewhere" else 15)]
-    for folder in folders:
+def test_of_two_at_once_one_wins(tmp_path, soon):
+    kinds = ["here"] * 8 + ["elsewhere"] * 2 + ["nothing"] * 8
+    folders = [tmp_path / f"{i}" for i in range(len(kinds))]
+    for folder, left in zip(folders, kinds, strict=True):
         folder.mkdir()
         if left == "here":
             leave_here(folder, note_here(ended_process()))
@@ -329,18 +318,11 @@ def test_a_lease_that_is_a_link_or_a_pipe(tmp_path, name):
     assert left_in(tmp_path) == {}
 
 
-def test_temporary_names_cannot_be_guessed(tmp_path):
-    code = "from pathlib import Path; from facetrack_cli.core.files import temporary_path as t; print(t(Path('a.csv')))"
-    said = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout for _ in range(2)]
-    secrets = {one.split("-")[-1] for one in said}
-    assert len(secrets) == 2 and all(len(one) == len(f"{'0' * 16}.part.csv\n") for one in secrets)
-
-
-@pytest.mark.parametrize("replace", [1, [], {"files": ["/etc/x"]}, {"files": 3}, {"gone": [4]}])
-def test_a_note_of_files_that_is_not_ours_does_no_harm(tmp_path, replace):
-    leave_here(tmp_path, {**note_here(ended_process()), "replace": replace})
-    finish_replacing(tmp_path, left_in(tmp_path))
-    assert names(tmp_path) == [LOCK, NOTE]
+def test_temporary_names_cannot_be_guessed():
+    code = "from facetrack_cli.core.files import own_mark; print(own_mark())"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.strip()
+    ours, theirs = (mark.split("-")[1] for mark in (own_mark(), said))
+    assert ours != theirs and len(ours) == len(theirs) == 16
 
 
 def test_what_ended_processes_left_is_swept_away(tmp_path):

@@ -8,7 +8,6 @@ import random
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -26,6 +25,7 @@ from facetrack_cli.runs.seeds import load_recipes
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.start.init_file import read_init
 from tests.support.samples import FOLDER as SAMPLES
+from tests.support.sway import until
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 CLIPS = {"head_hands": "signing", "signer": "signing", "adaptive_recognition": "map"}
@@ -137,11 +137,10 @@ def test_after_the_last_frame_there_is_no_checkpoint(tmp_path, video):
     assert run(asked).resumed == 2 * EVERY and same(asked.out, tmp_path / "whole")
 
 
-@pytest.mark.parametrize("how", ["resume", "overwrite"])
-def test_without_resuming_it_begins_anew(tmp_path, how):
-    asked = job("factorized", tmp_path / "out")
-    run(asked, 11)
-    assert run(job("factorized", tmp_path / "out", **{how: how == "overwrite"})).resumed is None
+@pytest.mark.parametrize("how", [{"resume": False}, {"overwrite": True}, {}])
+def test_without_resuming_it_begins_at_its_start(interrupted, tmp_path, how):
+    out = shutil.copytree(interrupted, tmp_path / "out")
+    assert run(job("factorized", out, posterior=True, **how)).resumed == (None if how else EVERY)
 
 
 def test_opencvs_trackers_and_a_lag_begin_anew(tmp_path):
@@ -151,55 +150,40 @@ def test_opencvs_trackers_and_a_lag_begin_anew(tmp_path):
         assert not (asked.out / FOLDER).exists() and run(asked).resumed is None
 
 
-def another_numpy(out, monkeypatch):
-    monkeypatch.setattr(record, "_versions", lambda: {"numpy": "0"})
+def edit(path, change):
+    return lambda out: (out / path).write_bytes(change((out / path).read_bytes()))
 
 
-def cut_short(out, monkeypatch):
-    state = out / FOLDER / "state.npz"
-    state.write_bytes(state.read_bytes()[:-500])
+CHANGES = {
+    "another numpy": lambda out: None,
+    "cut short": edit(f"{FOLDER}/state.npz", lambda data: data[:-500]),
+    "blocks gone": lambda out: (out / FOLDER / "posterior-00000.npz").unlink(),
+    "of something else": edit(f"{FOLDER}/state.npz", lambda data: (SAMPLES / "people.npz").read_bytes()),
+    "rows edited": edit("trajectory.csv", lambda data: data.replace(b"init", b"lost")),
+    "rows gone": lambda out: (out / "trajectory.csv").unlink(),
+}
 
 
-def blocks_gone(out, monkeypatch):
-    (out / FOLDER / "posterior-00000.npz").unlink()
+@pytest.fixture(scope="module")
+def interrupted(tmp_path_factory):
+    """The folder of a run that was interrupted; nobody may change it."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(checkpoint, "EVERY_FRAMES", EVERY)
+        patched.setattr(smooth, "_BLOCK_FRAMES", 5)
+        asked = job("factorized", tmp_path_factory.mktemp("interrupted") / "out", posterior=True)
+        run(asked, 11)
+    return asked.out
 
 
-def of_something_else(out, monkeypatch):
-    (out / FOLDER / "state.npz").write_bytes((SAMPLES / "people.npz").read_bytes())
-
-
-def rows_edited(out, monkeypatch):
-    rows = out / "trajectory.csv"
-    rows.write_text(rows.read_text().replace("init", "lost"))
-
-
-def rows_gone(out, monkeypatch):
-    (out / "trajectory.csv").unlink()
-
-
-@pytest.mark.parametrize("change", [another_numpy, cut_short, blocks_gone, of_something_else, rows_edited, rows_gone])
-def test_a_checkpoint_that_does_not_fit_is_left_out(tmp_path, monkeypatch, change):
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_checkpoint_that_does_not_fit_is_left_out(interrupted, tmp_path, monkeypatch, change):
     monkeypatch.setattr(smooth, "_BLOCK_FRAMES", 5)
-    asked = job("factorized", tmp_path / "out", posterior=True)
-    run(asked, 11)
-    change(asked.out, monkeypatch)
-    if change in (rows_edited, rows_gone):
-        asked = job("factorized", tmp_path / "out", posterior=True, overwrite=change is rows_gone)
-    done = run(asked)
+    out = shutil.copytree(interrupted, tmp_path / "out")
+    CHANGES[change](out)
+    if change == "another numpy":
+        monkeypatch.setattr(record, "_versions", lambda: {"numpy": "0"})
+    done = run(job("factorized", out, posterior=True, overwrite=change.startswith("rows")))
     assert done.resumed is None and done.frames == 26
-
-
-def test_another_clip_of_the_same_name_and_size_is_tracked_anew(tmp_path):
-    source = tmp_path / "clip.mp4"
-    shutil.copy(SAMPLES / "expressions.mp4", source)
-    asked = job("factorized", tmp_path / "out", source=source, init=SAMPLES / "expressions.init.yaml")
-    run(asked, 11)
-    stat = source.stat()
-    data = bytearray(source.read_bytes())
-    data[-3000:-2990] = b"0123456789"
-    source.write_bytes(data)
-    os.utime(source, ns=(stat.st_atime_ns, stat.st_mtime_ns))
-    assert run(asked).resumed is None
 
 
 def test_a_disk_without_space_for_a_checkpoint_is_no_harm(tmp_path, monkeypatch):
@@ -224,13 +208,13 @@ def test_kills_at_random_moments(tmp_path):
     out = tmp_path / "out"
     for frames in (rng.randrange(30, 60), rng.randrange(70, 90)):
         process = subprocess.Popen([*words, "-o", out, "-q"])
-        deadline, rows = time.monotonic() + 60, 0
-        while rows < 5 * frames:
-            assert process.poll() is None and time.monotonic() < deadline
-            time.sleep(0.002)
+
+        def rows(process=process):
             with contextlib.suppress(FileNotFoundError):  # what was recovered is renamed before it goes on
                 parts = out.glob(f".trajectory-{process.pid}-*.part.csv")
-                rows = max((one.read_bytes().count(b"\n") for one in parts), default=0)
+                return max((one.read_bytes().count(b"\n") for one in parts), default=0)
+
+        until(lambda rows=rows, frames=frames: (rows() or 0) >= 5 * frames, process)
         process.kill()
         process.wait()
     done = subprocess.run([*words, "-o", out], check=True, capture_output=True, text=True)

@@ -1,27 +1,34 @@
-"""The Python interface: the examples of docs/python.md and README, and what they promise."""
+"""The Python interface: the examples of docs/python.md and README, and what they promise; one image at a time."""
 
 import itertools
+import threading
 
+import av
 import cv2
 import numpy as np
 import pytest
 
 import facetrack_cli as facetrack
 from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import InputError, OutputError, UsageError
+from facetrack_cli.trajectory.trajectory import joined, one_part
 from facetrack_cli.trajectory.writers import csv_frames
+from facetrack_cli.video.source import open_source
+from tests.support.face_shape import moving_face
 from tests.support.samples import FOLDER
+from tests.support.sway import names
 from tests.test_docs import ROOT, blocks
 
 CLIP = FOLDER / "expressions.mp4"
+INIT = CLIP.with_suffix(".init.yaml")
 NOISE = np.random.default_rng(1).integers(0, 256, (60, 80, 3), dtype=np.uint8)
+BOX = (110, 60, 90, 90)
 
 
 @pytest.fixture(scope="module")
 def images():
-    """The first eight frames of a clip, as an array (T, H, W, 3)."""
-    from facetrack_cli.video.source import open_source
-
-    with open_source(CLIP, stop=8) as source:
+    """The first frames of a clip, as an array (T, H, W, 3)."""
+    with open_source(CLIP, stop=30) as source:
         return np.stack([frame.bgr for frame in source])
 
 
@@ -50,118 +57,78 @@ def test_the_example_of_readme_runs(monkeypatch, capsys):
 
 
 def test_a_video_gives_the_rows_of_the_command_line(tmp_path):
-    assert main(["run", str(CLIP), "--config", "sir", "--stop", "6", "--seed", "4", "--no-video", "-q",
-                 "-o", str(tmp_path / "out")]) == 0  # fmt: skip
+    few = ["--config", "sir", "--stop", "6", "--seed", "4", "--no-video", "-q"]
+    assert main(["run", str(CLIP), *few, "-o", str(tmp_path / "out")]) == 0
     found = facetrack.track_video(CLIP, "sir", stop=6, seed=4)
     written = (tmp_path / "out" / "trajectory.csv").read_text().splitlines(keepends=True)
     assert "".join(csv_frames(found)) == "".join(written[1:])
     assert found.header["recipe"]["name"] == "sir" and found.header["seed"] == 4
 
 
-@pytest.mark.parametrize("wrap", [np.asarray, list, iter, lambda images: (image.copy() for image in images)])
-def test_images_of_any_kind_give_the_rows_of_the_video(images, wrap):
-    init = FOLDER / "expressions.init.yaml"
-    rows = [result.rows for result in facetrack.track_frames(wrap(images), "sir", init=init)]
-    expected = facetrack.track_video(CLIP, "sir", init=init, stop=len(images))
-    assert len(rows) == len(images)
-    for frame, one in enumerate(rows):
-        np.testing.assert_array_equal(one.x, expected.at(frame).x)
-
-
-def test_results_come_as_images_come(images):
-    given = []
+def test_images_of_any_kind_give_the_rows_of_the_video_as_they_come(images):
+    expected, given = facetrack.track_video(CLIP, "sir", init=INIT, stop=4), []
 
     def camera():
         for image in images:
             given.append(image)
             yield image
 
-    found = facetrack.track_frames(camera(), "sir", init=FOLDER / "expressions.init.yaml")
-    assert [len(given) for _ in itertools.islice(found, 3)] == [1, 2, 3]
+    for kind in (images[:4], list(images[:4]), camera()):
+        results = itertools.islice(facetrack.track_frames(kind, "sir", init=INIT), 4)
+        for frame, one in enumerate(results):
+            np.testing.assert_array_equal(one.rows.x, expected.at(frame).x)
+            assert len(given) in (0, frame + 1)
+    assert frame == 3
 
 
 def test_a_grey_image_is_tracked_and_drawn(images):
-    grey = images.mean(axis=3).astype(np.uint8)
+    grey = images[:8].mean(axis=3).astype(np.uint8)
     *_, last = facetrack.track_frames(grey, "ncc", init=(110, 60, 90, 100))
     assert facetrack.draw(last).shape == images[0].shape and last.rows.status[0] in ("tracked", "lost")
 
 
-@pytest.mark.parametrize(
-    ("images", "message"),
-    [
-        ([np.zeros((8, 8, 3))], r"image 0: is float64 \(8, 8, 3\); give \(height, width, 3\) uint8"),
-        ([np.zeros((8, 8, 4), np.uint8)], r"image 0: is uint8 \(8, 8, 4\)"),
-        ([NOISE, NOISE[:, 1:]], "image 1: is 79x60, not 80x60 as the first"),
-        ([], "there is no frame 0"),
-    ],
-)
-def test_images_that_are_none_are_refused(images, message):
-    with pytest.raises(facetrack.InputError, match=message):
-        list(facetrack.track_frames(images, "histogram", init=(5, 5, 40, 40)))
-
-
-def test_mistakes_raise_the_line_of_the_command(tmp_path):
-    with pytest.raises(facetrack.InputError, match=r"none\.mp4: "):
-        facetrack.track_video(tmp_path / "none.mp4", "sir")
-    with pytest.raises(facetrack.RecipeError, match="particle"):
-        facetrack.load_recipe("sir", {"filter.particle": 5})
-    with pytest.raises(facetrack.InputError, match="neither a file, a box"):
-        facetrack.track_video(CLIP, "histogram", init=(1, 2, 3))
-    with pytest.raises(facetrack.FacetrackError, match="no_such"):
-        facetrack.track_video(CLIP, "no_such")
+# --- what is refused ---
 
 
 @pytest.mark.parametrize(
-    ("asked", "message"),
+    ("call", "error", "message"),
     [
-        ({"faces": "both"}, "faces 'both' is not one of one, all"),
-        ({"lag": -1}, "lag -1 is no whole number from 0 on"),
-        ({"start": -1}, "start -1 is no whole number"),
-        ({"stop": 2.5}, "stop 2.5 is no whole number"),
-        ({"fps": 0}, "fps 0 is no rate"),
+        (lambda: facetrack.track_video("none.mp4", "sir"), facetrack.InputError, r"none\.mp4: "),
+        (lambda: facetrack.load_recipe("sir", {"filter.particle": 5}), facetrack.RecipeError, "particle"),
+        (lambda: track(init=(1, 2, 3)), facetrack.InputError, "neither a file, a box"),
+        (lambda: facetrack.track_video(CLIP, "no_such"), facetrack.FacetrackError, "no_such"),
+        (lambda: track(faces="both"), facetrack.FacetrackError, "faces 'both' is not one of one, all"),
+        (lambda: track(lag=-1), facetrack.FacetrackError, "lag -1 is no whole number from 0 on"),
+        (lambda: track(start=-1), facetrack.FacetrackError, "start -1 is no whole number"),
+        (lambda: track(stop=2.5), facetrack.FacetrackError, "stop 2.5 is no whole number"),
+        (lambda: track(fps=0), facetrack.FacetrackError, "fps 0 is no rate"),
+        (lambda: follow([np.zeros((8, 8, 3))]), facetrack.InputError, r"image 0: is float64 \(8, 8, 3\); give "),
+        (lambda: follow([np.zeros((8, 8, 4), np.uint8)]), facetrack.InputError, r"image 0: is uint8 \(8, 8, 4\)"),
+        (lambda: follow([NOISE, NOISE[:, 1:]]), facetrack.InputError, "image 1: is 79x60, not 80x60 as the first"),
+        (lambda: follow([]), facetrack.InputError, "there is no frame 0"),
+        (lambda: follow([NOISE], lag=1.5), facetrack.FacetrackError, r"lag 1\.5 is no whole number"),
+        (lambda: record(formats=("xml",)), facetrack.FacetrackError, "formats: 'xml' is not"),
+        (lambda: record(fps=float("nan")), facetrack.FacetrackError, "fps nan is no"),
     ],
 )
-def test_values_that_the_command_line_refuses(asked, message):
-    with pytest.raises(facetrack.FacetrackError, match=message):
-        facetrack.track_video(CLIP, "histogram", **asked)
+def test_mistakes_raise_the_line_of_the_command(call, error, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(error, match=message):
+        call()
+    assert names(tmp_path) == []
 
 
-def test_images_and_recordings_take_no_other_values(tmp_path, images):
-    with pytest.raises(facetrack.FacetrackError, match=r"lag 1\.5 is no whole number"):
-        next(facetrack.track_frames(images, "histogram", init=(5, 5, 40, 40), lag=1.5))
-    for about, message in (({"formats": ("xml",)}, "formats: 'xml' is not"), ({"fps": float("nan")}, "fps nan is no")):
-        with pytest.raises(facetrack.FacetrackError, match=message), facetrack.Recording(tmp_path / "out", **about):
-            pass
-    assert not (tmp_path / "out").exists()
+def track(**asked):
+    return facetrack.track_video(CLIP, "histogram", **asked)
 
 
-def test_only_public_names_are_there():
-    assert all(getattr(facetrack, name) is not None for name in facetrack.__all__)
-    assert set(facetrack.__all__) < set(dir(facetrack)) and "import_module" not in dir(facetrack)
-    with pytest.raises(AttributeError, match="nothing"):
-        facetrack.nothing  # noqa: B018
+def follow(images, **asked):
+    return list(facetrack.track_frames(images, "histogram", init=(5, 5, 40, 40), **asked))
 
 
-@pytest.mark.parametrize(("recipe", "clip"), [("factorized", CLIP), ("head_hands", FOLDER / "signing.mp4")])
-def test_a_recording_is_what_run_writes(tmp_path, recipe, clip):
-    from facetrack_cli.video.source import open_source
-
-    begin, images = str(clip.with_suffix(".init.yaml")), tmp_path / "images"
-    images.mkdir()
-    with open_source(clip, stop=8) as source:
-        given = np.stack([frame.bgr for frame in source])
-    for i, image in enumerate(given):
-        cv2.imwrite(str(images / f"{i}.png"), image)
-    assert main(["run", str(images), "--init", begin, "--config", recipe, "-o", str(tmp_path / "run"), "-q"]) == 0
-    with facetrack.Recording(tmp_path / "out", recipe, clip=images, fps=25.0) as out:
-        for result in facetrack.track_frames(given, recipe, init=begin, fps=25.0):
-            out.write(result)
-    csv, json = ((tmp_path / "out" / f"trajectory.{form}").read_text() for form in ("csv", "json"))
-    assert csv == (tmp_path / "run" / "trajectory.csv").read_text()
-    # images do not tell whether the times of their clip vary
-    assert json.replace("null", "false") == (tmp_path / "run" / "trajectory.json").read_text().replace("null", "false")
-    names = [sorted(path.name for path in (tmp_path / folder).iterdir()) for folder in ("out", "run")]
-    assert names[0] == names[1]
+def record(**asked):
+    with facetrack.Recording("out", **asked):
+        pass
 
 
 @pytest.mark.parametrize("seed", [-1, 2**63, 2**64, 1.5, True, "1"])
@@ -182,8 +149,37 @@ def test_a_fault_of_ours_is_raised_and_not_the_end_of_a_clip(monkeypatch):
         facetrack.track_video(CLIP, "factorized")
 
 
+def test_only_public_names_are_there():
+    assert all(getattr(facetrack, name) is not None for name in facetrack.__all__)
+    assert set(facetrack.__all__) < set(dir(facetrack)) and "import_module" not in dir(facetrack)
+    with pytest.raises(AttributeError, match="nothing"):
+        facetrack.nothing  # noqa: B018
+
+
+# --- recordings ---
+
+
+@pytest.mark.parametrize(("recipe", "clip"), [("factorized", CLIP), ("head_hands", FOLDER / "signing.mp4")])
+def test_a_recording_is_what_run_writes(tmp_path, recipe, clip):
+    init, images = str(clip.with_suffix(".init.yaml")), tmp_path / "images"
+    images.mkdir()
+    with open_source(clip, stop=8) as source:
+        given = [frame.bgr for frame in source]
+    for i, image in enumerate(given):
+        cv2.imwrite(str(images / f"{i}.png"), image)
+    assert main(["run", str(images), "--init", init, "--config", recipe, "-o", str(tmp_path / "run"), "-q"]) == 0
+    with facetrack.Recording(tmp_path / "out", recipe, clip=images, fps=25.0) as out:
+        for result in facetrack.track_frames(given, recipe, init=init, fps=25.0):
+            out.write(result)
+    assert names(tmp_path / "out") == names(tmp_path / "run")
+    for name in ("trajectory.csv", "trajectory.json"):
+        # images do not tell whether the times of their clip vary
+        ours, theirs = ((tmp_path / one / name).read_text().replace("null", "false") for one in ("out", "run"))
+        assert ours == theirs
+
+
 def test_a_recording_keeps_what_came_before_an_error(tmp_path, images):
-    results = list(facetrack.track_frames(images, "factorized", init=CLIP.with_suffix(".init.yaml")))
+    results = list(facetrack.track_frames(images[:6], "factorized", init=INIT))
 
     def write():
         with facetrack.Recording(tmp_path / "out", "factorized", video=False) as out:
@@ -200,3 +196,180 @@ def test_a_recording_keeps_what_came_before_an_error(tmp_path, images):
     with pytest.raises(facetrack.InputError, match="has no start"), facetrack.Recording(tmp_path / "x") as out:
         out.write(results[1])
     assert not (tmp_path / "x").exists()
+
+
+# --- one image at a time ---
+
+
+def rows(results):
+    return [
+        (one.frame.index, one.frame.time_s, one.rows.x.tolist(), one.rows.confidence.tolist())
+        for one in results
+        if one is not None
+    ]
+
+
+@pytest.mark.parametrize(("recipe", "init"), [("factorized", "haar"), ("histogram", BOX)])
+def test_each_image_gives_the_rows_of_track_frames_also_in_threads(recipe, init, images):
+    whole = rows(facetrack.track_frames(images, recipe, init=init, seed=3))
+    found = {}
+
+    def run(number):
+        tracker = facetrack.Tracker(recipe, init=init, seed=3)
+        found[number] = rows([tracker.update(one) for one in images]), tracker.start.frame
+
+    threads = [threading.Thread(target=run, args=(number,)) for number in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for results, start in found.values():
+        assert results == whole[-len(results) :] and len(results) > 20 and start == whole[0][0]
+
+
+def test_a_face_that_comes_late_is_found_and_time_counts_from_the_first_image(images):
+    tracker, dark = facetrack.Tracker("factorized", init="haar"), np.zeros_like(images[0])
+    assert not any(tracker.update(dark, i / 50) for i in range(260))
+    found = [one for i, image in enumerate(images, 260) if (one := tracker.update(image, i / 50)) is not None]
+    assert found and found[-1].frame.index == 289 and found[-1].frame.time_s == pytest.approx(289 / 50)
+
+
+@pytest.mark.parametrize("at", [3, 20])
+def test_a_tracker_goes_on_from_its_state(at, images, tmp_path):
+    one = facetrack.Tracker("factorized", init="haar", seed=1)
+    for image in images[:at]:
+        one.update(image)
+    one.save(tmp_path / "state.npz")
+    other = facetrack.Tracker("factorized", init="haar", seed=1, state=tmp_path / "state.npz")
+    both = [rows([each.update(image) for image in images[at:]]) for each in (one, other)]
+    assert both[0] == both[1] != []
+    with pytest.raises(facetrack.InputError, match=r"state\.npz: is of another recipe or seed"):
+        facetrack.Tracker("factorized", seed=2, state=tmp_path / "state.npz")
+    (tmp_path / "odd.npz").write_bytes(b"odd")
+    with pytest.raises(facetrack.InputError, match=r"odd\.npz"):
+        facetrack.Tracker("factorized", state=tmp_path / "odd.npz")
+
+
+def test_what_is_no_image_and_no_time_is_refused(images):
+    tracker = facetrack.Tracker("histogram", init=BOX)
+    tracker.update(images[0], 1.0)
+    for image, time_s, said in (
+        (images[1], 1.0, "is not after 1 s"),
+        (images[1], float("nan"), "is not after 1 s"),
+        (images[1].astype(float), 2.0, "is float64"),
+        (images[1][:100], 2.0, "not 320x240 as the first"),
+    ):
+        with pytest.raises(facetrack.InputError, match=said):
+            tracker.update(image, time_s)
+    assert tracker.update(images[1], 1.5).frame.index == 1, "what was refused does not count"
+
+
+def test_a_tracker_of_opencv_has_no_state_to_save(images, tmp_path):
+    tracker = facetrack.Tracker("mil", init=(40, 30, 40, 40))
+    tracker.update(images[0])
+    with pytest.raises(facetrack.FacetrackError, match=r"state.npz: a tracker of OpenCV, as in mil, does not give its"):
+        tracker.save(tmp_path / "state.npz")
+    assert names(tmp_path) == []
+
+
+# --- a trajectory in other shapes ---
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run") / "out"
+    assert main(["run", str(CLIP), "--config", "sir", "--stop", "6", "-q", "-o", str(folder)]) == 0
+    return folder
+
+
+def some_rows():
+    """A nose that is not known in frame 12, and a lip from there on; frame 13 is missing."""
+    nose = {"x": [1.0, 2, 4, 6], "y": [5.0] * 4, "confidence": [0.9, 0.9, 0.2, 0.9]}
+    lip = {"x": [7.0, 8], "y": [9.0, 9], "confidence": [0.8, 0.7]}
+    header = {"source": {"path": "clip.mp4", "fps": 25.0}}
+    found = [
+        one_part("face", "nose", [10, 11, 12, 14], time_s=np.array([10, 11, 12, 14]) / 25, **nose),
+        one_part("face", "lip", [12, 14], time_s=np.array([12, 14]) / 25, **lip),
+    ]
+    return joined(found, header=header)
+
+
+def decoded(data, tmp_path):
+    (tmp_path / "video.mp4").write_bytes(data)
+    with av.open(tmp_path / "video.mp4") as file:
+        return [frame.to_ndarray(format="bgr24") for frame in file.decode(video=0)]
+
+
+@pytest.mark.parametrize("form", ["otb", "csv-wide", "vot", "mot", "dlc"])
+def test_it_is_what_the_command_writes(run, tmp_path, form):
+    nose = facetrack.read_trajectory(run).find("face", "nose")
+    call = ["export", str(run), "--to", form, "--target", "face/nose", "-o", str(tmp_path / "file")]
+    assert main(call) == 0
+    assert nose.export(form) == (tmp_path / "file").read_text()
+    assert nose.export(form, tmp_path / "ours") == tmp_path / "ours"
+    assert (tmp_path / "ours").read_bytes() == (tmp_path / "file").read_bytes()
+
+
+def test_elan_is_a_name_of_eaf_and_nothing_is_replaced_unasked(run, tmp_path):
+    table = facetrack.read_trajectory(run)
+    path = table.export("elan", tmp_path / "clip.eaf")
+    assert b"expressions.mp4" in path.read_bytes()
+    with pytest.raises(OutputError, match="exists already"):
+        table.export("eaf", path)
+    added = table.export("eaf", path, into=path, overwrite=True)
+    assert added.read_bytes().count(b"<HEADER") == 1
+    with pytest.raises(UsageError, match=r"eav is no format; there are boris, .*eaf, .*textgrid"):
+        table.export("eav")
+    with pytest.raises(UsageError, match="drop_lost is not for eaf"):
+        table.export("elan", drop_lost=True)
+    with pytest.raises(UsageError, match="vot holds one target"):
+        joined([*some_rows().parts, one_part("hand", "box", [10], x=[1.0], y=[1.0])]).export("vot")
+
+
+def test_the_video_is_that_of_the_run_or_drawn_from_the_rows(run, tmp_path):
+    table = facetrack.read_trajectory(run)
+    own = table.video()
+    assert own.data == (run / "annotated.mp4").read_bytes()
+    assert own._repr_html_().startswith("<video controls") and "data:video/mp4;base64,AAAA" in own._repr_html_()
+    in_memory = facetrack.track_video(CLIP, "sir", stop=6, report=lambda done, total: None)
+    shots, drawn = decoded(own.data, tmp_path), decoded(in_memory.video().data, tmp_path)
+    assert len(shots) == len(drawn) == 6
+    # the run's own shows its particles, too
+    assert np.mean(np.abs(shots[3].astype(float) - drawn[3])) < 3
+    bare = in_memory.take(slice(None), header={})
+    with pytest.raises(InputError, match="does not name its clip"):
+        bare.video()
+    assert len(decoded(bare.video(media=CLIP).data, tmp_path)) == 6
+
+
+def test_a_notebook_gets_the_plot_as_a_picture(run):
+    pytest.importorskip("matplotlib")
+    assert facetrack.read_trajectory(run)._repr_png_().startswith(b"\x89PNG")
+    assert facetrack.read_trajectory(run).take(slice(0, 0))._repr_png_() is None
+
+
+def test_rows_of_pandas_have_the_measures_of_their_frames():
+    pytest.importorskip("pandas")
+    table = moving_face(30, open=np.linspace(0, 0.3, 30))
+    found = table.to_pandas(measures=True)
+    assert len(found) == len(table) and [*found.columns[: len(table.columns())]] == [*table.columns()]
+    opening = table.measures["face"]["mouth_opening"]
+    for part in ("nose", "lip_upper"):
+        assert np.allclose(found[found.part == part].mouth_opening, opening.value, equal_nan=True)
+    assert "mouth_opening" not in table.to_pandas().columns
+
+
+def test_a_dataset_has_a_time_for_each_frame_and_nan_where_nothing_is_known():
+    pytest.importorskip("xarray")
+    found = some_rows().to_xarray()
+    assert found.position.dims == ("time", "space", "keypoints", "individuals")
+    assert found.confidence.dims == ("time", "keypoints", "individuals")
+    assert found.frame.values.tolist() == [10, 11, 12, 13, 14]
+    assert np.allclose(found.time, np.arange(10, 15) / 25)
+    nose = found.position.sel(keypoints="nose", individuals="face")
+    assert np.allclose(nose.sel(space="x"), [1, 2, 4, np.nan, 6], equal_nan=True)
+    lip = found.sel(keypoints="lip", individuals="face")
+    assert np.allclose(lip.confidence, [np.nan, np.nan, 0.8, np.nan, 0.7], equal_nan=True)
+    assert found.attrs == {"source_software": "facetrack", "ds_type": "poses", "time_unit": "seconds", "fps": 25.0}
+    with pytest.raises(InputError, match="no row has a time_s"):
+        one_part("face", "nose", [1], x=[1.0], y=[1.0]).to_xarray()

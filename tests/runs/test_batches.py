@@ -1,9 +1,9 @@
 """Batches: what is done is not done again, what failed is told, and several at once share the clips."""
 
-from __future__ import annotations
-
+import io
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -11,47 +11,65 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 from imageio_ffmpeg import get_ffmpeg_exe
+from PIL import Image
 
-from facetrack_cli.__main__ import main
+from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.run_folder import lease as locks
 from facetrack_cli.run_folder.lease import FolderLease
 from facetrack_cli.run_folder.manifest import read_manifest
 from facetrack_cli.run_folder.status import MAX_ROWS, ClipStatus, duration, worst
 from facetrack_cli.runs import plan as jobs
+from facetrack_cli.runs.batch import expand
 from facetrack_cli.runs.plan import Outcome
-from tests.runs.test_run import FACETRACK, SMALL, make_clip
+from facetrack_cli.video.files import brings_rate
 from tests.support.leases import ELSEWHERE, leave
 from tests.support.samples import FOLDER
+from tests.support.sway import FACETRACK, SMALL, make_clip, until
+from tests.test_docs import ROOT, blocks
 
 posix = pytest.mark.skipif(os.name != "posix", reason="the lock needs POSIX")
 OPTIONS = [*SMALL, "--no-video", "--format", "csv"]
+BOTH = ("clips/c0.mp4", "clips/c1.mp4", "-o", "out")
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    """A folder of twelve clips that show the same."""
+    folder = tmp_path_factory.mktemp("clips")
+    first = make_clip(folder / "c0.mp4", 6)
+    for i in range(1, 12):
+        for suffix in (".mp4", ".init.yaml"):
+            shutil.copy(first.with_suffix(suffix), folder / f"c{i}{suffix}")
+    return folder
 
 
 @pytest.fixture
-def clips(tmp_path, monkeypatch):
-    """A folder of twelve clips; results go beside it."""
-    monkeypatch.chdir(tmp_path)
-    Path("clips").mkdir()
-    one = make_clip(Path("clips/c0.mp4"), 6)
-    for i in range(1, 12):
-        shutil.copy(one, f"clips/c{i}.mp4")
-        shutil.copy("clips/c0.init.yaml", f"clips/c{i}.init.yaml")
-    return Path("clips")
+def run(facetrack, clips):
+    """Track clips of the folder `clips`, a copy, beside which results go; exit code and the lines on stderr."""
+    shutil.copytree(clips, "clips")
+
+    def call(*words):
+        code, _, err = facetrack("run", *words, *OPTIONS)
+        return code, err.splitlines()
+
+    return call
 
 
-def run(*arguments):
-    return main(["run", *map(str, arguments), *OPTIONS])
+@pytest.fixture
+def status(facetrack):
+    def call(folder):
+        code, out, _ = facetrack("status", folder, "--json")
+        assert code == 0
+        return json.loads(out)
+
+    return call
 
 
-def status(folder, capsys):
-    assert main(["status", str(folder), "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
-def tracked(folder):
+def tracked(folder=Path("out")):
     """When each folder of results was changed."""
     return {path.parent.name: path.stat().st_mtime_ns for path in folder.glob("*/trajectory.csv")}
 
@@ -61,7 +79,7 @@ def tracked(folder):
 
 @posix
 @pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.nightly), 2])
-def test_two_at_once_share_the_clips_and_do_none_twice(clips, workers):
+def test_two_at_once_share_the_clips_and_do_none_twice(run, workers):
     command = [*FACETRACK, "run", "clips", "-o", "out", "-j", str(workers), *OPTIONS]
     both = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(2)]
     said = [process.communicate(timeout=120)[1] for process in both]
@@ -69,46 +87,44 @@ def test_two_at_once_share_the_clips_and_do_none_twice(clips, workers):
     lines = [line for text in said for line in text.splitlines() if " -> " in line]
     assert sum("done before" not in line for line in lines) == 12, said
     assert all(sum(f"c{i}.mp4 -> " in line for line in text.splitlines()) == 1 for text in said for i in range(12))
-    assert len(tracked(Path("out"))) == 12 and len(list(Path("out").glob("batch-*.json"))) == 1
+    assert len(tracked()) == 12 and len(list(Path("out").glob("batch-*.json"))) == 1
 
 
-def test_results_that_another_writes_between_two_looks_are_no_obstacle(clips, capfd, monkeypatch):
-    check = jobs.check_folder
+def test_results_that_another_writes_between_two_looks_are_no_obstacle(run, monkeypatch):
+    check, codes = jobs.check_folder, []
 
     def late(*given, **more):
         monkeypatch.setattr(jobs, "check_folder", check)
-        assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 0
+        codes.append(run(*BOTH)[0])
         check(*given, **more)
 
     monkeypatch.setattr(jobs, "check_folder", late)
-    assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 0
-    assert capfd.readouterr().err.count("done before") == 2
+    code, lines = run(*BOTH)
+    assert (code, codes) == (0, [0]) and sum("done before" in line for line in lines) == 2
 
 
 @posix
-def test_clips_of_another_machine_are_waited_for(clips, capfd, monkeypatch):
-    monkeypatch.setattr("facetrack_cli.runs.batch.SETTLE_S", 0.2)
+def test_clips_of_another_machine_are_waited_for(run, monkeypatch):
+    monkeypatch.setattr("facetrack_cli.runs.batch.SETTLE_S", 0.1)
+    monkeypatch.setattr("facetrack_cli.runs.batch.LOOK_S", 0.05)
+    monkeypatch.setattr(locks, "LEASE_S", 1.0)
     folder = Path("out/c0-face")
     folder.mkdir(parents=True)
-    monkeypatch.setattr(locks, "LEASE_S", 3.0)
     leave(folder, ELSEWHERE)
-    assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 0
-    lines = capfd.readouterr().err.splitlines()
-    assert [line.partition(" -> ")[0] for line in lines] == [
+    code, lines = run(*BOTH)
+    assert code == 0 and [line.partition(" -> ")[0] for line in lines] == [
         "clips/c1.mp4",
         "1 clip is being tracked by another facetrack on node7; waiting for it",
-        "facetrack: out/c0-face: whoever writes here is silent; waiting 3 s for it",
+        "facetrack: out/c0-face: whoever writes here is silent; waiting 1 s for it",
         "clips/c0.mp4",
     ]
 
 
 @pytest.mark.nightly
 @posix
-def test_ctrl_c_ends_the_waiting(clips):
+def test_ctrl_c_ends_the_waiting(run):
     with FolderLease(Path("out/c0-face")):
-        command = [*FACETRACK, "run", "clips/c0.mp4", "clips/c1.mp4", "-o", "out", *OPTIONS]
-        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-        assert process.stderr is not None
+        process = subprocess.Popen([*FACETRACK, "run", *BOTH, *OPTIONS], stderr=subprocess.PIPE, text=True)
         while "waiting for it" not in process.stderr.readline():
             assert process.poll() is None
         process.send_signal(signal.SIGINT)
@@ -116,80 +132,46 @@ def test_ctrl_c_ends_the_waiting(clips):
         process.stderr.close()
 
 
-@pytest.mark.nightly
-@posix
-def test_one_that_was_suspended_and_taken_over_replaces_nothing(tmp_path, monkeypatch):
-    clip, out = make_clip(tmp_path / "sway.mp4", 300), tmp_path / "out"
-    code = "from facetrack_cli.run_folder import lease; lease.LEASE_S = 0.6; "
-    code += "import sys; from facetrack_cli.__main__ import main; sys.exit(main())"
-    command = [sys.executable, "-c", code, "run", clip, "-o", out, *OPTIONS]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 60
-    while not (parts := list(out.glob(".trajectory-*.part.csv"))) or parts[0].stat().st_size < 10_000:
-        assert process.poll() is None and time.monotonic() < deadline
-        time.sleep(0.002)
-    process.send_signal(signal.SIGSTOP)
-    time.sleep(0.8)
-    monkeypatch.setattr(locks, "LEASE_S", 0.6)
-    assert run(clip, "-o", out, "-q") == 0
-    before = {path.name: path.read_bytes() for path in out.iterdir() if not path.name.startswith(".")}
-    process.send_signal(signal.SIGCONT)
-    said = process.communicate(timeout=60)[1]
-    assert process.returncode == 2 and "another facetrack has taken this folder over" in said
-    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
-    assert (read_manifest(out).stopped, read_manifest(out).frames) == (None, 300)
-
-
 # --- what failed ---
 
 
-def test_what_failed_is_told_and_tried_again_only_if_asked(clips, capfd):
+def test_what_failed_is_told_and_tried_again_only_if_asked(run):
     Path("clips/c0.mp4").write_text("no video")
-    inputs = ["clips/c0.mp4", "clips/c1.mp4", "-o", "out"]
-    assert run(*inputs) == 5
-    known = read_manifest(Path("out/c0-face"))
-    assert known.error == "clips/c0.mp4: not a video; give a video file or a folder of images"
-    assert (known.exit_code, known.files, known.frames) == (3, {}, 0)
-    before = Path("out/c0-face/run.json").stat().st_mtime_ns
-    capfd.readouterr()
-    assert run(*inputs) == 5
-    lines = capfd.readouterr().err.splitlines()
-    assert f"facetrack: error: {known.error}" in lines
+    known = Path("out/c0-face/run.json")
+    assert run(*BOTH)[0] == 5
+    failed = read_manifest(known.parent)
+    assert failed.error == "clips/c0.mp4: not a video; give a video file or a folder of images"
+    assert (failed.exit_code, failed.files, failed.frames) == (3, {}, 0)
+    before = known.stat().st_mtime_ns
+    code, lines = run(*BOTH)
+    assert code == 5 and f"facetrack: error: {failed.error}" in lines and known.stat().st_mtime_ns == before
     assert lines[-1] == "1 of 2 inputs failed, 1 of them before; --retry-failed tries those again"
-    assert Path("out/c0-face/run.json").stat().st_mtime_ns == before
-    assert run(*inputs, "--retry-failed") == 5
-    assert Path("out/c0-face/run.json").stat().st_mtime_ns > before
+    assert run(*BOTH, "--retry-failed")[0] == 5 and known.stat().st_mtime_ns > before
     shutil.copy("clips/c1.mp4", "clips/c0.mp4")
-    assert run(*inputs) == 0, "the clip has changed"
-    assert read_manifest(Path("out/c0-face")).error is None
-
-
-def test_what_failed_does_not_keep_another_recipe_out(clips):
+    assert run(*BOTH)[0] == 0 and read_manifest(known.parent).error is None, "the clip has changed"
     Path("clips/c0.init.yaml").write_text("frame: 900\npoints: {nose: [1, 1]}")
-    assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 5
+    assert run(*BOTH[:2], "-o", "other")[0] == 5
     shutil.copy("clips/c1.init.yaml", "clips/c0.init.yaml")
-    assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 0, "what is asked has changed"
+    assert run(*BOTH[:2], "-o", "other")[0] == 0, "what is asked has changed"
 
 
-def test_a_failure_leaves_other_results_alone(clips):
-    assert run("clips/c0.mp4", "-o", "out/c0-face", "--seed", 5) == 0
-    before = tracked(Path("out"))
+def test_a_failure_leaves_other_results_alone(run):
+    assert run("clips/c0.mp4", "-o", "out/c0-face", "--seed", 5)[0] == 0
+    before = tracked()
     Path("clips/c0.mp4").write_text("no video")
-    assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 5
-    assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out", "--overwrite") == 5
-    assert read_manifest(Path("out/c0-face")).error is None
-    assert tracked(Path("out"))["c0-face"] == before["c0-face"]
+    assert run(*BOTH)[0] == run(*BOTH, "--overwrite")[0] == 5
+    assert read_manifest(Path("out/c0-face")).error is None and tracked()["c0-face"] == before["c0-face"]
 
 
-def test_an_error_in_the_middle_is_a_failure_with_frames(clips, monkeypatch):
-    def count(outcome, result):
-        original(outcome, result)
+def test_an_error_in_the_middle_is_a_failure_with_frames(run, monkeypatch):
+    def counted(outcome, result):
+        count(outcome, result)
         if outcome.frames == 3:
             raise RuntimeError("three")
 
-    original = Outcome.count
-    monkeypatch.setattr(Outcome, "count", count)
-    assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 5
+    count = Outcome.count
+    monkeypatch.setattr(Outcome, "count", counted)
+    assert run(*BOTH)[0] == 5
     known = read_manifest(Path("out/c0-face"))
     assert "RuntimeError: three" in known.error and known.frames == 3 and known.exit_code == 1 and known.files
 
@@ -197,18 +179,20 @@ def test_an_error_in_the_middle_is_a_failure_with_frames(clips, monkeypatch):
 # --- shards ---
 
 
-def test_shards_are_disjoint_and_complete(clips, capfd):
+def test_shards_are_disjoint_and_complete(run):
     seen = set()
-    for i in range(1, 6):
-        assert run("@list", "--shard", f"{i}/5", "-o", "out") == 3, "the list is not there"
+    assert run("@list", "--shard", "1/5", "-o", "out")[0] == 3, "the list is not there"
     Path("list").write_text("clips\n" + "clips/../clips/c3.mp4\n")
     for i in range(1, 6):
-        assert run("@list", "--shard", f"{i}/5", "-o", "out") == 0
-        found = set(tracked(Path("out"))) - seen
+        assert run("@list", "--shard", f"{i}/5", "-o", "out")[0] == 0
+        found = {*tracked()} - seen
         assert len(found) == (3 if i <= 2 else 2)
         seen |= found
     assert seen == {f"c{i}-face" for i in range(12)} and len(list(Path("out").glob("batch-*"))) == 1
-    assert run("clips/c0.mp4", "--shard", "2/2", "-o", "out") == 0, "there may be none"
+    assert run("clips/c0.mp4", "--shard", "2/2", "-o", "out")[0] == 0, "there may be none"
+    for path in Path("clips").glob("c[1-9]*"):
+        path.unlink()
+    assert run("clips", "-o", "one")[0] == 0 and [*tracked(Path("one"))] == ["c0-face"], "a folder is a batch"
 
 
 @pytest.mark.parametrize(
@@ -220,75 +204,58 @@ def test_shards_are_disjoint_and_complete(clips, capfd):
         ("a/b", "I/N"),
     ],
 )
-def test_a_shard_that_is_none(clips, capfd, shard, words):
-    assert run("clips", "--shard", shard) == 2
-    assert words in capfd.readouterr().err
-
-
-def test_a_folder_of_one_clip_is_a_batch(clips):
-    for path in sorted(clips.glob("c[1-9]*")):
-        path.unlink()
-    assert run("clips", "-o", "out") == 0
-    assert list(tracked(Path("out"))) == ["c0-face"]
+def test_a_shard_that_is_none(facetrack, shard, words):
+    code, _, err = facetrack("run", "clips", "--shard", shard)
+    assert code == 2 and words in err
 
 
 # --- how far it is ---
 
 
-def test_status_in_each_state(clips, capsys):
+def test_status_in_each_state(run, status, facetrack):
     Path("clips/c1.mp4").write_text("no video")
-    three = ["clips/c0.mp4", "clips/c1.mp4", "clips/c2.mp4", "clips/c3.mp4", "clips/c4.mp4", "-o", "out"]
-    shutil.copytree("clips", "moved")
     for i in (2, 3, 4):
         Path(f"clips/c{i}.mp4").unlink()
-    assert run(*three) == 5
+    assert run(*(f"clips/c{i}.mp4" for i in range(5)), "-o", "out")[0] == 5
     for i in (2, 3, 4):
         shutil.rmtree(f"out/c{i}-face")
-    capsys.readouterr()
     Path("out/c2-face").mkdir()
     leave(Path("out/c2-face"), ELSEWHERE, silent_s=1e6)
     before = {path: path.stat().st_mtime_ns for path in Path("out").rglob("*")}
     with FolderLease(Path("out/c3-face")) as claim:
         claim.note({"clip": "clips/c3.mp4", "frame": 3, "frames": 6})
-        found = status("out", capsys)
-        assert main(["status", "out"]) == 0
-    text = capsys.readouterr().out
+        found, text = status("out"), facetrack("status", "out")[1]
     assert found["schema"] == "facetrack-status" and found["version"] == 1
     assert found["counts"] == {"done": 1, "running": 1, "interrupted": 1, "failed": 1, "not begun": 1}
-    by_clip = {one["clip"]: one for one in found["clips"]}
     assert [one["state"] for one in found["clips"]] == ["done", "failed", "interrupted", "running", "not begun"]
-    running = by_clip["clips/c3.mp4"]
+    done, _, _, running, _ = found["clips"]
     assert (running["frames"], running["of"], running["host"]) == (3, 6, locks.here()[0])
-    done = by_clip["clips/c0.mp4"]
     assert done["frames"] == 6 and done["seconds"] > 0 and done["ended"] >= done["since"] > "2"
-    assert found["work_s"] == pytest.approx(2.5 * done["seconds"], abs=0.1)
-    assert found["remaining_s"] == found["work_s"]
+    assert found["remaining_s"] == found["work_s"] == pytest.approx(2.5 * done["seconds"], abs=0.1)
     assert "out: 5 clips" in text and "c1-face       0     –  failed: clips/c1.mp4: not a video" in text
     assert f"running: clips/c3.mp4: on {locks.here()[0]} since 2" in text and "3 of about 6 frames" in text
     assert "interrupted: clips/c2.mp4: what it had tracked is kept" in text
     assert "3 clips left: about" in text and ", 1 at a time" in text
     after = {path: path.stat().st_mtime_ns for path in Path("out").rglob("*") if "c3" not in str(path)}
     assert after.items() <= before.items() | {(Path("out"), Path("out").stat().st_mtime_ns)}, "nothing is written"
-    assert main(["status", "out"]) == 0
-    assert "of work; nothing is running: give the command again" in capsys.readouterr().out
+    assert "of work; nothing is running: give the command again" in facetrack("status", "out")[1]
 
 
-def test_status_of_one_run_and_of_none(clips, capsys):
-    assert run("clips/c0.mp4", "-o", "one", "-q") == 0
-    found = status("one", capsys)
-    assert [one["state"] for one in found["clips"]] == ["done"] and found["clips"][0]["folder"] == "."
-    assert run("clips/c0.mp4", "clips/c1.mp4", "-q") == 0, "in the working directory there is no file of the batch"
-    assert [one["folder"] for one in status(".", capsys)["clips"]] == ["c0-face", "c1-face", "one"]
+def test_status_of_one_run_and_of_none(run, status, facetrack):
+    assert run("clips/c0.mp4", "-o", "one", "-q")[0] == 0
+    [found] = status("one")["clips"]
+    assert (found["state"], found["folder"]) == ("done", ".")
+    assert run(*BOTH[:2], "-q")[0] == 0, "in the working directory there is no file of the batch"
+    assert [one["folder"] for one in status(".")["clips"]] == ["c0-face", "c1-face", "one"]
     for what in ("clips", "gone", "clips/c0.mp4"):
-        assert main(["status", what]) == 3
-        assert len(capsys.readouterr().err.splitlines()) == 1
+        code, _, err = facetrack("status", what)
+        assert code == 3 and len(err.splitlines()) == 1
     Path("one/run.json").write_text("[]")
-    assert [one["state"] for one in status("one", capsys)["clips"]] == ["failed"]
+    assert status("one")["clips"][0]["state"] == "failed"
     Path("killed").mkdir()
     leave(Path("killed"), {**ELSEWHERE, "clip": "clips/c9.mp4"}, silent_s=1e6)
-    assert [(one["clip"], one["state"]) for one in status("killed", capsys)["clips"]] == [
-        ("clips/c9.mp4", "interrupted")
-    ]
+    [found] = status("killed")["clips"]
+    assert (found["clip"], found["state"]) == ("clips/c9.mp4", "interrupted")
 
 
 def test_the_table_has_the_clip_that_is_lost_most_first():
@@ -300,43 +267,35 @@ def test_the_table_has_the_clip_that_is_lost_most_first():
         "c-face      10   10%  face nose is lost in 9",
     ]
     assert [*worst([never])] == []
-    doubtful = replace(once, folder="e-face", doubtful=True)
-    assert next(line for line in [*worst([often, doubtful])][1:]).startswith("e-face")
-    cut = replace(often, folder="d-face", lost=0.0, complete=False, look="cut short")
-    assert next(line for line in [*worst([often, cut])][1:]).startswith("d-face")
-    *_, more = worst([often] * (MAX_ROWS + 3))
-    assert more.startswith("and 3 more")
+    for first in (replace(once, doubtful=True), replace(once, complete=False)):
+        assert [*worst([often, first])][1].startswith("c-face")
+    assert [*worst([often] * (MAX_ROWS + 3))][-1].startswith("and 3 more")
 
 
-def test_a_batch_ends_with_the_clips_to_look_at(clips, capsys):
-    for name in ("c0", "c1"):
-        folder = Path("out") / f"{name}-face"
-        assert run(f"clips/{name}.mp4", "-o", folder, "-q") == 0
-        known = read_manifest(folder)
-        said = replace(known, lost_frames={"face/nose": 5, "face/box": 2}, lost_at_end=("face/nose",))
-        said = replace(said, look=((1, 4), (5, 5)), resumed=2, seconds=2.0)
-        if name == "c1":
-            (folder / "run.json").write_text(json.dumps(said.record()))
-    capsys.readouterr()
-    found = {one["folder"]: one for one in status("out", capsys)["clips"]}
+def test_a_batch_ends_with_the_clips_to_look_at(run, status):
+    assert run(*BOTH, "-q")[0] == 0
+    known = read_manifest(Path("out/c1-face"))
+    said = replace(known, lost_frames={"face/nose": 5, "face/box": 2}, lost_at_end=("face/nose",))
+    said = replace(said, look=((1, 4), (5, 5)), resumed=2, seconds=2.0)
+    Path("out/c1-face/run.json").write_text(json.dumps(said.record()))
+    found = {one["folder"]: one for one in status("out")["clips"]}
     assert found["c1-face"]["lost"] == round(5 / 6, 4) and found["c0-face"]["look"] == ""
     assert found["c1-face"]["still"] == 2 and found["c1-face"]["frames_per_s"] == 2.0, "of the frames since it went on"
-    assert run("clips/c0.mp4", "clips/c1.mp4", "-o", "out") == 0
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert last == "c1-face       6   83%  face nose is lost in 5 and at the end, frames 1 to 4, 5"
+    code, lines = run(*BOTH)
+    assert code == 0 and lines[-1] == "c1-face       6   83%  face nose is lost in 5 and at the end, frames 1 to 4, 5"
 
 
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [(0.2, "0 s"), (99, "99 s"), (150, "2 min"), (7000, "1.9 h"), (80_000, "22 h"), (400_000, "4.6 days")],
-)
-def test_durations(seconds, words):
-    assert duration(seconds) == words
+def test_durations():
+    seconds = (0.2, 99, 150, 7000, 80_000, 400_000)
+    assert [*map(duration, seconds)] == ["0 s", "99 s", "2 min", "1.9 h", "22 h", "4.6 days"]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a kill needs POSIX")
-@pytest.mark.parametrize("moment", [1.0, pytest.param(4.0, marks=pytest.mark.nightly), 8.0])
-@pytest.mark.parametrize("how", ["-j", "--split"])
+@pytest.mark.parametrize(
+    ("how", "moment"),
+    [("-j", 1.0), ("--split", 5.0)]
+    + [pytest.param(how, moment, marks=pytest.mark.nightly) for how in ("-j", "--split") for moment in (2.0, 4.0, 8.0)],
+)
 def test_a_batch_that_is_killed_leaves_no_process(tmp_path, how, moment):
     """Workers, and the server that forks them, end by themselves, whatever they were doing."""
     psutil = pytest.importorskip("psutil")
@@ -350,7 +309,201 @@ def test_a_batch_that_is_killed_leaves_no_process(tmp_path, how, moment):
     children = psutil.Process(process.pid).children(recursive=True)
     process.kill()
     process.wait()
-    deadline = time.monotonic() + 8  # five seconds, and what a busy machine takes
-    while [one for one in children if one.is_running() and one.status() != psutil.STATUS_ZOMBIE]:
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
+
+    def gone():
+        return not [one for one in children if one.is_running() and one.status() != psutil.STATUS_ZOMBIE]
+
+    until(gone, seconds=8)  # five seconds, and what a busy machine takes
+
+
+# --- what a command line names ---
+
+
+FILES = """
+day1/b10.mp4 day1/b2.MP4 day1/notes.txt day1/.hidden.mp4 day1/cover.jpg day2/c.mkv faces/0.png faces/1.png
+tree/x/1.jpg tree/y/a.mp4 tree/y/deep/z.mp4 tree/r/run.json tree/r/annotated.mp4 tree/empty/no.txt empty/no.txt
+"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in (*FILES.split(), "sub/day3/d [1].mp4"):
+        touch(name)
+
+
+def touch(name):
+    Path(name).parent.mkdir(parents=True, exist_ok=True)
+    Path(name).touch()
+
+
+def expanded(*inputs):
+    said = []
+    clips, several = expand([Path(one) for one in inputs], said.append)
+    return [clip.as_posix() for clip in clips], several, said
+
+
+@pytest.mark.parametrize(
+    ("inputs", "clips", "several"),
+    [
+        (["day2/c.mkv"], ["day2/c.mkv"], False),
+        (["gone.mp4"], ["gone.mp4"], False),
+        (["faces"], ["faces"], False),
+        (["faces/*.png"], ["faces/*.png"], False),
+        (["empty"], ["empty"], False),
+        (["tree/r"], ["tree/r"], False),
+        (["day2/c.mkv", "./day2/c.mkv"], ["day2/c.mkv"], False),
+        (["day2"], ["day2/c.mkv"], True),
+        (["day2/c.mkv", "faces"], ["day2/c.mkv", "faces"], True),
+        (["tree"], ["tree/x", "tree/y/a.mp4"], True),
+        (["sub"], ["sub/day3/d [1].mp4"], True),
+        (["sub/day3/d [1].mp4"], ["sub/day3/d [1].mp4"], False),
+        (["day1/*.mp4"], ["day1/b10.mp4"], True),
+        (["day?/*.m*"], ["day1/b10.mp4", "day2/c.mkv"], True),
+        (["tree/*"], ["tree/x", "tree/y/a.mp4"], True),
+        (["**/c.mkv"], ["day2/c.mkv"], True),
+    ],
+)
+def test_inputs(here, inputs, clips, several):
+    assert expanded(*inputs) == (clips, several, [])
+
+
+def test_images_beside_videos_are_left_out_with_a_line(here):
+    clips, several, said = expanded("day1")
+    assert (clips, several) == (["day1/b2.MP4", "day1/b10.mp4"], True), "by their numbers"
+    assert said == [
+        "facetrack: warning: day1: 1 image beside the videos is left out; give images a folder of their own"
+    ]
+    touch("day1/other.png")
+    assert "day1: 2 images beside the videos are left out" in expanded("day1")[2][0]
+
+
+def test_animations_and_archives_are_clips(here):
+    still, *others = [Image.new("L", (8, 8), level) for level in (10, 60, 110)]
+    Path("mixed").mkdir()
+    for name in ("mixed/b.gif", "mixed/c10.png"):
+        still.save(name, save_all=True, append_images=others)
+    still.save("mixed/c2.png")
+    for name, inside in (("mixed/d.zip", "1.png"), ("mixed/e.zip", "notes.txt")):
+        with ZipFile(name, "w") as packed:
+            packed.write("mixed/c2.png", inside)
+    Path("mixed/f.zip").write_bytes(b"PK")  # which is told once it is opened
+    clips, several, said = expanded("mixed")
+    assert (clips, several) == (["mixed/b.gif", "mixed/c10.png", "mixed/d.zip", "mixed/f.zip"], True)
+    assert len(said) == 1 and "mixed: 1 image beside the videos is left out" in said[0]
+    assert expanded("mixed/*.png")[0] == ["mixed/c10.png"]
+    assert expanded("mixed/c10.png", "mixed/b.gif")[0] == ["mixed/c10.png", "mixed/b.gif"]
+    rates = {name: brings_rate(Path("mixed") / name) for name in ("b.gif", "c10.png", "c2.png", "d.zip", "*.png", "")}
+    assert [name for name, own in rates.items() if own] == ["b.gif", "c10.png"]
+
+
+def test_lists(here, monkeypatch):
+    Path("list.txt").write_bytes(b"\xef\xbb\xbfday2/c.mkv\r\n\n  \n# day1/b10.mp4\nfaces\nday1/*.mp4\nday2/c.mkv\n")
+    clips = ["day2/c.mkv", "faces", "day1/b10.mp4"]
+    assert expanded("@list.txt") == (clips, True, [])
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(b"day2/c.mkv")))
+    assert expanded("@-") == (["day2/c.mkv"], True, [])
+    touch("@odd.mp4")
+    assert expanded("./@odd.mp4") == (["@odd.mp4"], False, [])
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "words"),
+    [
+        (["@gone.txt"], InputError, "gone.txt: cannot be read as a list of clips: No such file or directory"),
+        (["@day1"], InputError, "day1: cannot be read as a list of clips: Is a directory"),
+        (["@empty/no.txt"], InputError, "empty/no.txt: names no clip; it has a path a line"),
+        (["@zeros"], InputError, "zeros: is not a list of clips"),
+        (["gone/*.mp4"], InputError, "gone/*.mp4: matches no file"),
+        (["faces/0.png", "faces/1.png", "day2/c.mkv"], UsageError, "faces/0.png and 1 more are single images; give "),
+    ],
+)
+def test_what_cannot_be_meant(here, given, error, words):
+    Path("zeros").write_bytes(b"a\0b")
+    with pytest.raises(error) as raised:
+        expanded(*given)
+    assert str(raised.value).startswith(words) and "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (["GX010042.MP4", "GX020042.MP4", "GX030042.MP4"], "GX010042.MP4 to GX030042.MP4"),
+        (["GOPR0042.MP4", "GP010042.MP4"], "GOPR0042.MP4 to GP010042.MP4"),
+        ([f"00{n:03}.MTS" for n in range(10)], "00000.MTS to 00009.MTS"),
+        (["DJI_0001.MP4", "DJI_0002.MP4"], "DJI_0001.MP4 to DJI_0002.MP4"),
+        (["p1.mp4", "p7.mp4"], ""),
+        (["anna.mp4", "ben.mp4"], ""),
+        (["1.png", "2.png"], ""),
+    ],
+)
+def test_what_may_be_chapters_of_one_recording_is_told_how_to_join(here, names, told):
+    for name in names:
+        touch(f"card/{name}")
+    said = expanded("card")[2]
+    assert bool(said) == bool(told)
+    if told:
+        assert said[0].startswith(f"facetrack: {told}: each is a clip of its own") and "-f concat" in said[0]
+    shutil.rmtree("card")
+
+
+# --- programs that start jobs, as docs/pipelines.md has them ---
+
+
+CLIPS = 3
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty folder with clips, in which `facetrack` is this one, and tracks few frames."""
+    (tmp_path / "clips").mkdir()
+    for i in range(CLIPS):
+        make_clip(tmp_path / "clips" / f"{i}.mp4", 6)
+    program = tmp_path / "bin" / "facetrack"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m facetrack_cli "$@"\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{program.parent}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("FACETRACK_RUN_CONFIG", "factorized")
+    monkeypatch.setenv("FACETRACK_RUN_SET", "filter.particles=20")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def block(kind, word):
+    [found] = [text for text in blocks(ROOT / "docs" / "pipelines.md", kind) if word in text]
+    return found
+
+
+def done(folder):
+    tables = sorted((folder / "results").glob("*/trajectory.csv"))
+    return len(tables) == CLIPS and all(len(table.read_text().splitlines()) == 1 + 6 * 5 for table in tables)
+
+
+@pytest.mark.skipif(shutil.which("parallel") is None, reason="GNU parallel is not installed")
+def test_gnu_parallel(folder):
+    said = subprocess.run(["sh", "-ec", block("sh", "| parallel")], capture_output=True, text=True, check=False)
+    assert said.returncode == 0, said.stderr
+    assert done(folder) and re.search(rf"done +{CLIPS}\n", said.stdout)
+
+
+@pytest.mark.skipif(shutil.which("snakemake") is None, reason="Snakemake is not installed")
+def test_snakemake(folder):
+    Path("Snakefile").write_text(block("python", "rule track"))
+    words = ["snakemake", "--cores", "2"]
+    said = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert said.returncode == 0, said.stderr
+    assert done(folder) and len(list(Path("shards").iterdir())) == 4
+
+
+def test_a_slurm_array(folder):
+    """Without SLURM: the script with the variables that SLURM sets."""
+    script = block("sh", "SBATCH --array")
+    (folder / "list.txt").write_text("clips/\n")
+    script = script.replace("/shared/results", "results").replace("--config adaptive_robust ", "")
+    script = script.replace("export NUMBA_CACHE_DIR", "unused")  # or all kernels would be compiled again
+    for task in ("1", "2"):
+        given = {"SLURM_ARRAY_TASK_ID": task, "SLURM_ARRAY_TASK_COUNT": "2"}
+        subprocess.run(["bash", "-ec", script], env={**os.environ, **given}, check=True)
+    assert done(folder)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import pickle
 import shutil
 import signal
 import sys
 import threading
-import time
 from concurrent.futures import CancelledError
 from pathlib import Path
 from types import SimpleNamespace
@@ -28,13 +28,12 @@ from facetrack_cli.runs import cluster  # noqa: E402
 from facetrack_cli.runs.plan import Job, Outcome  # noqa: E402
 from facetrack_cli.runs.progress import Progress  # noqa: E402
 from facetrack_cli.runs.signals import Stop  # noqa: E402
-from tests.runs.test_run import make_clip  # noqa: E402
-from tests.support.dask import Dask, until  # noqa: E402
+from tests.support.dask import Dask  # noqa: E402
+from tests.support.sway import TABLES, make_clip, until  # noqa: E402
 from tests.support.terminal import refusal  # noqa: E402
 
-FILES = ["trajectory.csv", "trajectory.json"]
 SIR = ["--no-video", "--config", "sir"]
-COUNT, FRAMES = 3, 250
+COUNT, FRAMES = 3, 200
 
 
 @pytest.fixture(scope="module")
@@ -66,8 +65,8 @@ def check_equal(place, out):
     """All clips are done, as without a cluster, and nothing else lies beside their files."""
     for i in range(COUNT):
         folder = place / out / f"c{i}-sir"
-        assert sorted(one.name for one in folder.iterdir()) == [NAME, *FILES]
-        for name in FILES:
+        assert sorted(one.name for one in folder.iterdir()) == [NAME, *TABLES]
+        for name in TABLES:
             assert (folder / name).read_bytes() == (place / "plain" / name).read_bytes().replace(b"c0.", b"c%d." % i)
 
 
@@ -96,7 +95,7 @@ def test_the_results_are_those_of_a_plain_run_and_are_not_made_twice(dask, place
     words = ["run", *SIR, "--init", "c0.init.yaml", "-o", "first", "--cluster"]
     assert main([*words, str(dask.file), "--", *names(), "bad.mp4", "-odd, name.mp4"]) == 5
     lines = capfd.readouterr().err.splitlines()
-    assert sum(f"({', '.join(FILES)}): {FRAMES} frames" in line for line in lines) == COUNT + 1, lines
+    assert sum(f"({', '.join(TABLES)}): {FRAMES} frames" in line for line in lines) == COUNT + 1, lines
     [error] = [line for line in lines if line.startswith("facetrack: error: ")]
     assert error.startswith("facetrack: error: bad.mp4: not a video") and lines[-1] == "1 of 5 inputs failed"
     for i in range(COUNT):
@@ -134,39 +133,34 @@ def test_ctrl_c_closes_the_files_on_the_workers(dask, place):
     check_equal(place, "stopped")
 
 
-class Killing(threading.Thread):
+@contextlib.contextmanager
+def killing(folder):
     """Kills each worker that begins a clip."""
+    killed, ended = set(), threading.Event()
 
-    def __init__(self, folder):
-        super().__init__(daemon=True)
-        self.folder, self.killed, self.ended = folder, set(), False
-
-    def run(self):
-        while not self.ended:
-            worker = holder(self.folder)
-            if worker is not None and worker.pid not in self.killed:
+    def kill():
+        while not ended.wait(0.002):
+            worker = holder(folder)
+            if worker is not None and worker.pid not in killed:
                 worker.kill()
-                self.killed.add(worker.pid)
-            time.sleep(0.002)
+                killed.add(worker.pid)
 
-    def __enter__(self):
-        self.start()
-        return self
-
-    def __exit__(self, *_):
-        self.ended = True
-        self.join()
+    thread = threading.Thread(target=kill, daemon=True)
+    thread.start()
+    yield killed
+    ended.set()
+    thread.join()
 
 
 @pytest.mark.nightly
 def test_a_clip_that_ends_its_workers_is_alone_at_fault(dask, place):
-    with Killing(place / "worse" / "c1-sir") as killing:
-        done = dask.run(*SIR, "-o", "worse", "--cluster", dask.file, *names(), cwd=place)
-    assert done.returncode == 5 and len(killing.killed) <= 6, done.said
+    words = [*SIR, "-o", "worse", "--cluster", dask.file, *names()]
+    with killing(place / "worse" / "c1-sir") as killed:
+        done = dask.run(*words, cwd=place)
+    assert done.returncode == 5 and len(killed) <= 6, done.said
     assert "facetrack: error: c1.mp4: it ended worker after worker" in done.said
     assert "ended worker after worker" in read_manifest(place / "worse" / "c1-sir").error
-    words = [*SIR, "-o", "worse", "--retry-failed", "--cluster", dask.file, *names()]
-    assert dask.run(*words, cwd=place).returncode == 0
+    assert dask.run(*words, "--retry-failed", cwd=place).returncode == 0
     check_equal(place, "worse")
 
 
@@ -246,16 +240,16 @@ def test_what_a_worker_refuses(worker, tmp_path, monkeypatch):
     assert cluster._on_worker(__version__, str(tmp_path), "batch", sent) is None
 
 
-@pytest.mark.parametrize(("error", "again"), [(FacetrackError("no space left"), True), (InputError("no video"), False)])
-def test_dask_tries_again_what_is_not_the_clip_s_fault(worker, tmp_path, monkeypatch, error, again):
-    monkeypatch.setattr(cluster, "attempt", lambda job, stop: Outcome(error=error))
+def test_dask_tries_again_what_is_not_the_clip_s_fault(worker, tmp_path, monkeypatch):
     sent = pickle.dumps((Job(tmp_path / "a.mp4", load_recipe("sir"), tmp_path / "a"), None))
     monkeypatch.chdir(tmp_path)
-    if not again:
-        assert cluster._on_worker(__version__, str(tmp_path), "batch", sent).error is error
-        return
-    with pytest.raises(FacetrackError, match="no space left"):
-        cluster._on_worker(__version__, str(tmp_path), "batch", sent)
+    for error in (InputError("no video"), FacetrackError("no space left")):
+        monkeypatch.setattr(cluster, "attempt", lambda job, stop, error=error: Outcome(error=error))
+        if isinstance(error, InputError):
+            assert cluster._on_worker(__version__, str(tmp_path), "batch", sent).error is error
+            continue
+        with pytest.raises(FacetrackError, match="no space left"):
+            cluster._on_worker(__version__, str(tmp_path), "batch", sent)
 
 
 class Answer(SimpleNamespace):

@@ -1,4 +1,7 @@
-"""What comes from a pipe or a camera: a line a frame, with its age; bounded, and refused in one line."""
+"""What comes from a pipe or a camera: a line a frame, with its age; bounded, and refused in one line.
+
+Of everybody in a film that is still shown: names when looks allow them, and the cast at the end.
+"""
 
 import contextlib
 import io
@@ -11,6 +14,8 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from urllib.request import urlopen
@@ -25,9 +30,13 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs import live
-from facetrack_cli.runs.live import follow, is_live, piped, received
+from facetrack_cli.runs.live import LiveCast, follow, is_live, piped, received
 from facetrack_cli.trackers.face.points import check_cascades
 from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.people import read_people
+from facetrack_cli.video.shots import find_cuts, passing_shots
+from facetrack_cli.video.source import open_source
+from tests.support.film_run import FILM, film_run
 from tests.support.rtsp import camera
 from tests.support.samples import FOLDER
 from tests.test_docs import ROOT, blocks
@@ -77,12 +86,12 @@ def container(images, form):
     return data.getvalue()
 
 
-def mpegts(images):
-    return container(images, "mpegts")
+mpegts, matroska = partial(container, form="mpegts"), partial(container, form="matroska")
+PLACE = (40.0, 30.0, 24.0, 24.0)
 
 
-def matroska(images):
-    return container(images, "matroska")
+def followed(images, write, *more, **asked):
+    return follow(images, load_recipe("correlation_filter"), PLACE, write, *more, **asked)
 
 
 @pytest.mark.parametrize("encoded", [mjpeg, y4m, mpegts, matroska])
@@ -156,7 +165,7 @@ def test_lines_come_as_the_frames_do_with_their_age():
             time.sleep(0.01)
             yield image
 
-    assert follow(slowly(), load_recipe("correlation_filter"), (40.0, 30.0, 24.0, 24.0), lines.append) == 6
+    assert followed(slowly(), lines.append) == 6
     assert seen[-1] >= 4, "no line waits for a later frame"
     told = [json.loads(line) for line in lines]
     assert [one["frame"] for one in told] == list(range(6)) and all(one["age_s"] >= 0 for one in told)
@@ -176,11 +185,11 @@ def test_a_tracker_is_told_when_images_came_and_not_their_count(monkeypatch):
     lines, times, clock = [], [], iter(range(100, 200))
     monkeypatch.setattr(live.time, "monotonic", lambda: next(clock) / 4)
     monkeypatch.setattr(live, "record", lambda result, time_s, age_s: times.append((result.frame.time_s, time_s)) or {})
-    assert follow(iter(IMAGES), load_recipe("correlation_filter"), (40.0, 30.0, 24.0, 24.0), lines.append) == 6
+    assert followed(iter(IMAGES), lines.append) == 6
     # the clock is asked when an image comes and when its line is written
     assert times == [(0.5 * n, 0.5 * n) for n in range(6)]
     frames = [Frame(n, 7 + n / 10, image) for n, image in enumerate(IMAGES)]
-    assert follow(iter(frames), load_recipe("correlation_filter"), (40.0, 30.0, 24.0, 24.0), lines.append) == 6
+    assert followed(iter(frames), lines.append) == 6
     assert [time_s for time_s, _ in times[6:]] == [7 + n / 10 for n in range(6)]
 
 
@@ -205,26 +214,30 @@ def test_a_pipe_from_which_nothing_comes_is_ended():
     out, into = os.pipe()
     until = time.monotonic() + 0.3
     with open(out, "rb") as stream:  # noqa: PTH123 -- a number
-        recipe = load_recipe("correlation_filter")
-        count = follow(piped(stream), recipe, (40.0, 30.0, 24.0, 24.0), print, lambda: time.monotonic() > until)
-        assert count == 0 and time.monotonic() < until + 2
+        assert followed(piped(stream), print, lambda: time.monotonic() > until) == 0
+        assert time.monotonic() < until + 2
         os.close(into)  # the thread that reads ends
 
 
-def test_what_live_cannot_be(capfd, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["-"], 2, "has no end; give --live"),
+        (["0"], 2, "0: has no end; give --live"),
+        (["7", "--live", "--box", "1,1,9,9"], 3, "7: there is no camera of this number"),  # OpenCV says nothing
+        (["-", "--live", "-o", "x"], 2, "leave --out out"),
+        (["0", "--live", "--stop", "3"], 2, "--live has no --stop"),
+        *(
+            ([str(FILM), "--faces", "all", "--live", *more], 2, "--faces all --live looks for every face; leave out")
+            for more in (["--box", "1,1,9,9"], ["--config", "signer"], ["--config", "correlation_filter"])
+        ),
+    ],
+)
+def test_what_live_cannot_be(capfd, tmp_path, monkeypatch, words, code, said):
     monkeypatch.chdir(tmp_path)
-    assert main(["run", "-"]) == 2 and "has no end; give --live" in capfd.readouterr().err
-    assert main(["run", "7", "--live", "--box", "1,1,9,9"]) == 3
+    assert main(["run", *words]) == code
     err = capfd.readouterr().err
-    assert "7: there is no camera of this number" in err and err.count("\n") == 1  # OpenCV says nothing
-    assert main(["run", "-", "--live", "-o", "x"]) == 2 and "leave --out out" in capfd.readouterr().err
-
-
-def test_options_that_live_has_none_of_are_refused(capsys):
-    assert main(["run", "0", "--live", "--stop", "3"]) == 2
-    assert "--live has no --stop" in capsys.readouterr().err
-    assert main(["run", "0"]) == 2
-    assert "0: has no end; give --live" in capsys.readouterr().err
+    assert said in err and (code == 2 or err.count("\n") == 1)
 
 
 def test_a_camera_of_rtsp_is_followed_and_said_when_it_ends(monkeypatch, capsys):
@@ -232,9 +245,7 @@ def test_a_camera_of_rtsp_is_followed_and_said_when_it_ends(monkeypatch, capsys)
     address, lines, said = camera(IMAGES), [], []
     monkeypatch.setattr(live, "LEAST_WAIT_S", 0.01)
     images = received(address, said.append)
-    found = follow(
-        images, load_recipe("correlation_filter"), (40.0, 30.0, 24.0, 24.0), lines.append, lambda: len(said) > 1
-    )
+    found = followed(images, lines.append, lambda: len(said) > 1)
     assert found == 6 and [json.loads(line)["frame"] for line in lines] == list(range(6))
     assert json.loads(lines[-1])["targets"][0]["parts"][0]["x"] == pytest.approx(56.5, abs=2)
     assert said[0] == f"{address}: it has ended; it is opened again in 0.01 s"
@@ -272,3 +283,84 @@ def _asked(port, until):
                 return told
         time.sleep(0.1)
     return None
+
+
+# --- everybody in a film ---
+
+STOP = 150  # after the two people were seen together
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory):
+    """The lines of the sample film."""
+    lines = []
+    with open_source(FILM, stop=STOP) as source:
+        count = follow(iter(source), load_recipe("face"), None, lines.append, cast=LiveCast(None, 25.0, {}))
+    *frames, last = map(json.loads, lines)
+    assert count == len(frames) and all(len(line) > 1 for line in frames)
+    return frames, last["people"]
+
+
+def seen(frames):
+    """Of each track that is seen on a face of the truth: its frame, its name, its name then, who it truly is."""
+    truth = read_truth(FOLDER / "film.truth.csv")
+    for line in frames:
+        there = truth.at(line["frame"])
+        for one in line["targets"]:
+            [box] = [part for part in one["parts"] if part["part"] == "box"]
+            near = [
+                there.names[which][0]
+                for x, y, w, which in zip(there.x, there.y, there.w, there.which, strict=True)
+                if box["status"] != "lost" and abs(x - box["x"]) + abs(y - box["y"]) < 0.6 * w
+            ]
+            if near:
+                yield line["frame"], one["target"], line["people"][one["target"]], near[0]
+
+
+def test_each_frame_has_its_line_and_each_face_of_it_its_track(told):
+    frames, _ = told
+    assert [line["frame"] for line in frames] == list(range(len(frames)))
+    truth = read_truth(FOLDER / "film.truth.csv")
+    assert len([*seen(frames)]) > 0.95 * (truth.between(0, STOP).status == "visible").sum()
+
+
+def test_a_name_that_was_told_is_right_and_comes_soon(told):
+    frames, cast = told
+    rows = [*seen(frames)]
+    who = Counter((name, true) for _, _, name, true in rows if name)
+    assert len({name for name, _ in who}) == len({true for _, true in who}) == len(who) == 2, who
+    assert sum(who.values()) > 0.7 * len(rows)
+    begun = {track: frame for frame, track, _, _ in reversed(rows)}
+    named = {track: frame for frame, track, name, _ in reversed(rows) if name}
+    assert all(named[track] - begun[track] <= 20 for track in named)
+    assert {(cast[track], true) for _, track, _, true in rows} == set(who), "the cast at the end is of the same people"
+
+
+def test_the_cast_at_the_end_is_that_of_the_run_of_a_file(told, tmp_path_factory):
+    people = read_people(film_run(tmp_path_factory))
+    assert set(told[1].values()) == set(people.names)
+
+
+def test_a_cut_is_known_when_its_first_frame_comes_out():
+    with open_source(FILM) as source:
+        shots = [(shot, frame.index) for shot, frame in passing_shots(iter(source))]
+    with open_source(FILM) as source:
+        cuts = [cut.frame for cut in find_cuts(iter(source)) if not cut.dissolve]
+    begins = dict(reversed(shots))
+    assert [frame for _, frame in shots] == list(range(len(shots))) and cuts and {*cuts} <= {*begins.values()}
+
+
+def test_a_film_that_is_stopped_tells_its_cast():
+    lines = []
+    with open_source(FILM, stop=60) as source:
+        cast = LiveCast(None, 25.0, {})
+        follow(iter(source), load_recipe("face"), None, lines.append, lambda: len(lines) > 20, cast)
+    assert 20 < len(lines) < 40 and json.loads(lines[-1]) == {"people": cast.cast()} and cast.names
+
+
+def test_what_is_kept_of_a_stream_is_bounded(monkeypatch):
+    monkeypatch.setattr(live, "KEPT", 1)
+    cast = LiveCast(None, 25.0, {})
+    with open_source(FILM, stop=100) as source:
+        for _ in cast.follow(iter(source), load_recipe("face")):
+            assert len(cast.names) <= 3 and len(cast._past) <= 1, "those that are there, and the one that was"

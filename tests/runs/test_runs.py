@@ -56,45 +56,40 @@ def test_a_run_is_the_one_that_facetrack_run_writes(tmp_path):
 
 
 def test_seeds_differ_and_do_not_disturb_each_other():
-    together = runs_of(plan(seeds=(0, 1, 2)))
-    assert [one.seed for one in together] == [0, 1, 2]
+    together = runs_of(plan(seeds=(0, 1)))
+    assert [one.seed for one in together] == [0, 1]
     assert not np.array_equal(together[0].trajectory.parts[0].x, together[1].trajectory.parts[0].x)
     for one in together:
-        [alone] = runs_of(plan(seeds=(one.seed,)))
-        assert_same(one, alone)
+        assert_same(one, *runs_of(plan(seeds=(one.seed,))))
 
 
 def test_processes_change_nothing_but_the_time():
     plans = [plan(), plan("independent", (5,), overrides=["filter.particles=50"])]
-    told = []
-    shared = list(run_plans(plans, 2, None, lambda done, total: told.append((done, total))))
-    for alone, ended in zip(run_plans(plans), shared, strict=True):
-        for one, other in zip(alone.runs, ended.runs, strict=True):
-            assert_same(one, other)
+    told, alone = [], []
+    shared = run_plans(plans, 2, None, lambda *done: told.append(done))
+    for one, other in zip(run_plans(plans, 1, None, lambda *done: alone.append(done)), list(shared), strict=True):
+        for mine, theirs in zip(one.runs, other.runs, strict=True):
+            assert_same(mine, theirs)
     assert told and {total for _, total in told} == {30} and max(done for done, _ in told) <= 30
-
-
-def test_progress_counts_frames_of_all_seeds():
-    told = []
-    list(run_plans([plan()], 1, None, lambda done, total: told.append((done, total))))
-    assert told == [(2 * n, 20) for n in range(1, 11)]
+    assert alone[:10] == [(2 * n, 30) for n in range(1, 11)], "frames of all seeds are counted"
 
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_plan_that_cannot_run_says_why_and_the_others_go_on(tmp_path, workers):
     start = Start(0, {"face": TargetStart(points={"nose": (3.0, 4.0)})}, "clip.init.yaml")
-    bad = SeedPlan("bad", CLIP, load_recipe("factorized"), start, (0, 1))
-    gone = SeedPlan("gone", tmp_path / "none.mp4", load_recipe("factorized"), plan().start, (0,))
-    ended = list(run_plans([bad, plan(seeds=(0,)), gone], workers))
-    assert [(len(one.runs), one.error is None) for one in ended] == [(0, False), (1, True), (0, False)]
+    good = plan(seeds=(0,))
+    plans = [
+        SeedPlan("bad", CLIP, load_recipe("factorized"), start, (0, 1)),
+        good,
+        replace(good, clip=tmp_path / "none.mp4"),
+        replace(good, start=Start(9999, good.start.targets, "late.yaml"), stop=None),
+        plan(seeds=(0,), overrides=["prior.file=none.npz"]),
+    ]
+    ended = list(run_plans(plans, workers))
+    assert [(len(one.runs), one.error is None) for one in ended] == [(0, False), (1, True)] + 3 * [(0, False)]
     assert ended[0].plan.label == "bad" and "clip.init.yaml: no point for mouth_left" in str(ended[0].error)
-    assert "none.mp4" in str(ended[2].error)
-
-
-def test_a_recipe_error_survives_the_way_between_processes():
-    wrong = plan(overrides=["prior.file=none.npz"])
-    [ended] = run_plans([wrong, wrong][:1], 2)
-    assert isinstance(ended.error, RecipeError) and "none.npz" in str(ended.error)
+    assert "none.mp4" in str(ended[2].error) and isinstance(ended[3].error, InputError)
+    assert isinstance(ended[4].error, RecipeError) and "none.npz" in str(ended[4].error)
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -106,12 +101,6 @@ def test_a_wish_to_stop_ends_it(workers):
             stop.code = ExitCode.INTERRUPTED
 
     assert list(run_plans([plan(stop=200), plan(stop=200)], workers, stop, report)) == []
-
-
-def test_a_start_beyond_the_clip_is_told():
-    late = Start(9999, plan().start.targets, "late.yaml")
-    [ended] = run_plans([SeedPlan("late", CLIP, load_recipe("factorized"), late, (0,))])
-    assert not ended.runs and isinstance(ended.error, InputError)
 
 
 WORK = seeds._work
@@ -150,56 +139,61 @@ def test_a_process_that_ends_costs_no_result_that_is_there(monkeypatch, tmp_path
     assert list(run_plans([dead, dead], 2, stop, report)) == [], "a signal comes first"
 
 
-# where it begins
+# --- where it begins ---
+
+BOX = (106.0, 74.0, 106.0, 106.0)
 
 
-def truth(*parts, status=("visible", "visible"), target="face"):
-    made = [
-        one_part(target, part, [4, 5], x=[10.0, 11.0], y=[20.0, 21.0], status=status, **more) for part, more in parts
-    ]
-    return joined(made, path=Path("t.csv"))
+def truth(part, status="visible", target="face", **more):
+    made = one_part(target, part, [4, 5], x=[10.0, 11.0], y=[20.0, 21.0], status=[status, "visible"], **more)
+    return joined([made], path=Path("t.csv"))
 
 
-def test_the_truth_starts_at_its_first_frame_with_all_points_visible():
-    points = ("nose", "chin")
-    made = [truth(("nose", {})), truth(("chin", {}), status=("hidden", "visible"))]
-    table = joined(made, path=Path("t.csv"))
-    start = truth_start(table, points)
+def test_the_truth_starts_at_its_first_frame_with_all_that_is_followed_visible():
+    table = joined([truth("nose"), truth("chin", "hidden")], path=Path("t.csv"))
+    start = truth_start(table, ("nose", "chin"))
     assert (start.frame, start.origin) == (5, "t.csv")
     assert start.targets["face"].points == {"nose": (11.0, 21.0), "chin": (11.0, 21.0)}
     with pytest.raises(InputError, match=r"t.csv: no frame shows nose, ear of every target"):
         truth_start(table, ("nose", "ear"))
-
-
-def test_a_box_of_the_truth_is_given_by_its_corner():
-    start = truth_start(truth(("box", {"w": [5.0, 5.0], "h": [3.0, 3.0]}), target=""), ())
-    assert start.frame == 4 and start.targets["face"].box == (8.0, 19.0, 5.0, 3.0)
+    start = truth_start(truth("box", target="", w=[5.0, 5.0], h=[3.0, 3.0]), ())
+    assert start.frame == 4 and start.targets["face"].box == (8.0, 19.0, 5.0, 3.0), "a box is given by its corner"
     with pytest.raises(InputError, match="no frame shows a box"):
-        truth_start(truth(("box", {})), ())
+        truth_start(truth("box"), ())
 
 
 def test_the_init_file_beside_the_clip_goes_before_the_truth(tmp_path):
-    known = read_trajectory(SAMPLES / "expressions.truth.csv")
-    recipe = load_recipe("factorized")
-    assert ClipRequest(CLIP).find(recipe, known).origin.endswith("expressions.init.yaml")
+    known, recipe = read_trajectory(SAMPLES / "expressions.truth.csv"), load_recipe("factorized")
     alone = tmp_path / "clip.mp4"
-    alone.write_bytes(CLIP.read_bytes())
-    assert ClipRequest(alone).find(recipe, known).origin.endswith("expressions.truth.csv")
-    assert ClipRequest(alone).find(recipe).origin == detector().name
-    assert ClipRequest(alone, init="haar").find(recipe).origin == "haar"
-    boxed = ClipRequest(alone, box=(106.0, 74.0, 106.0, 106.0)).find(recipe, known)
-    assert boxed.origin == "--box" and set(boxed.targets["face"].points) == set(recipe.points)
-
-
-def test_a_start_outside_of_the_frames_asked_for_is_refused():
-    recipe = load_recipe("factorized")
-    with pytest.raises(InputError, match=r"begins at frame 0, but frames from 3 on were asked for; change --start"):
-        ClipRequest(CLIP, start=3).find(recipe)
-    for stop in (1, 200):
-        assert ClipRequest(CLIP, stop=stop).find(recipe).frame == 0
-    boxed = (106.0, 74.0, 106.0, 106.0)
-    with pytest.raises(
-        InputError, match=r"--box begins at frame 3, but frames 3 to 2 were asked for; change --start or --stop"
+    alone.symlink_to(CLIP)
+    for request, table, origin in (
+        (ClipRequest(CLIP), known, str(CLIP.with_suffix(".init.yaml"))),
+        (ClipRequest(alone), known, str(known.path)),
+        (ClipRequest(alone), None, detector().name),
+        (ClipRequest(alone, init="haar"), None, "haar"),
+        (ClipRequest(alone, box=BOX), known, "--box"),
     ):
-        ClipRequest(CLIP, box=boxed, start=3, stop=3).find(recipe)
-    assert ClipRequest(CLIP, box=boxed, start=3, stop=9).find(recipe).frame == 3
+        start = request.find(recipe, table)
+        assert start.origin == origin and {*start.targets["face"].points} == {*recipe.points}
+
+
+@pytest.mark.parametrize(
+    ("asked", "begins"),
+    [
+        ({"start": 3}, r"begins at frame 0, but frames from 3 on were asked for; change --start"),
+        (
+            {"box": BOX, "start": 3, "stop": 3},
+            r"--box begins at frame 3, but frames 3 to 2 were asked for; change --st",
+        ),
+        ({"stop": 1}, 0),
+        ({"stop": 200}, 0),
+        ({"box": BOX, "start": 3, "stop": 9}, 3),
+    ],
+)
+def test_a_start_outside_of_the_frames_asked_for_is_refused(asked, begins):
+    request, recipe = ClipRequest(CLIP, **asked), load_recipe("factorized")
+    if isinstance(begins, int):
+        assert request.find(recipe).frame == begins
+        return
+    with pytest.raises(InputError, match=begins):
+        request.find(recipe)

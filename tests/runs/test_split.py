@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,12 +31,12 @@ CLIP = SAMPLES / "expressions.mp4"  # 275 frames
 HIDDEN = range(105, 180)  # frames of dark.mp4 that show nothing
 SMALL = 0.625  # of its size, so that faces are found sooner
 POINTS = {
-    "nose": (159.0 * SMALL, 141.0 * SMALL),
-    "mouth_left": (138.5 * SMALL, 153.6 * SMALL),
-    "mouth_right": (180.0 * SMALL, 154.4 * SMALL),
-    "lip_upper": (159.0 * SMALL, 153.6 * SMALL),
-    "lip_lower": (159.0 * SMALL, 168.6 * SMALL),
-}
+    name: (x * SMALL, y * SMALL)
+    for name, x, y in (
+        ("nose", 159.0, 141.0), ("mouth_left", 138.5, 153.6), ("mouth_right", 180.0, 154.4),
+        ("lip_upper", 159.0, 153.6), ("lip_lower", 159.0, 168.6),
+    )
+}  # fmt: skip
 SPLIT = ("--config", "factorized", "--init", "haar", "--split", "75f")
 # at 5 frames/s chunks overlap by 25 frames
 
@@ -44,9 +45,9 @@ SPLIT = ("--config", "factorized", "--init", "haar", "--split", "75f")
 def clips(tmp_path_factory):
     """expressions.mp4 at 5 frames/s, so that it lasts for 55 s, and the same with a dark stretch."""
     folder = tmp_path_factory.mktemp("clips")
-    slow, dark = f"scale={320 * SMALL}:-1,setpts=5*PTS", f"drawbox=t=fill:color=black:enable='{_dark()}'"
-    filters = {"slow.mp4": slow, "dark.mp4": f"{slow},{dark}"}
-    for name, text in filters.items():
+    slow = f"scale={320 * SMALL}:-1,setpts=5*PTS"
+    black = f"drawbox=t=fill:color=black:enable='between(n,{HIDDEN[0]},{HIDDEN[-1]})'"
+    for name, text in (("slow.mp4", slow), ("dark.mp4", f"{slow},{black}")):
         options = ("-r", "5", "-c:v", "libx264", "-preset", "veryfast", "-g", "20", "-bf", "2")
         media.ffmpeg("-i", CLIP, "-vf", text, *options, folder / name)
     given = TargetStart(points=POINTS)
@@ -54,73 +55,60 @@ def clips(tmp_path_factory):
     return folder
 
 
-def _dark():
-    return f"between(n,{HIDDEN[0]},{HIDDEN[-1]})"
-
-
-def lines(folder):
-    return (folder / "trajectory.csv").read_text().splitlines()
-
-
 def frames_of(folder):
-    return [line for line in (folder / "trajectory.json").read_text().splitlines() if line.startswith('{"frame":')]
+    text = (folder / "trajectory.json").read_text()
+    return [line.rstrip(",") for line in text.splitlines() if line.startswith('{"frame":')]
 
 
-def test_chunks_are_tracked_and_joined(facetrack, clips, tmp_path):
-    assert facetrack("run", "IN/slow.mp4", *SPLIT[:4], "--no-video", "-o", "whole")[0] == 0
-    code, _, err = facetrack("run", "IN/slow.mp4", *SPLIT, "--no-video", "-o", "out")
+def header_of(folder):
+    return json.loads((folder / "trajectory.json").read_text())
+
+
+def test_chunks_are_tracked_and_joined(facetrack, clips):
+    command, out, whole = ("run", "IN/slow.mp4", "--stop", "200", "--no-video", "-o"), Path("out"), Path("whole")
+    assert facetrack(*command, "whole", *SPLIT[:4])[0] == 0
+    code, _, err = facetrack(*command, "out", *SPLIT)
     assert code == 0, err
-    out, work = tmp_path / "work/out", tmp_path / "work"
-    header = json.loads((out / "trajectory.json").read_text())
-    assert [chunk["first"] for chunk in header["chunks"]] == [0, 60, 120, 180]
-    seams = header["seams"]
-    assert [seam["agrees"] for seam in seams] == [True] * 3
-    assert [seam["frame"] for seam in seams] == [72, 132, 192]  # the middle of the frames that both have
-    assert header["complete"] and header["frames_tracked"] == 275
-    assert header["split"] == {"length": "75f"}
+    header = header_of(out)
+    assert [chunk["first"] for chunk in header["chunks"]] == [0, 60, 120]
+    assert [seam["agrees"] for seam in header["seams"]] == [True] * 2
+    assert [seam["frame"] for seam in header["seams"]] == [72, 132]  # the middle of the frames that both have
+    assert header["complete"] and header["frames_tracked"] == 200 and header["split"] == {"length": "75f"}
     # the rows are those of the chunks, the first of which is as the whole run
     rows = frames_of(out)
-    assert len(rows) == 275
-    assert [line.rstrip(",") for line in rows[:72]] == [line.rstrip(",") for line in frames_of(work / "whole")[:72]]
-    for chunk, (first, stop) in enumerate([(0, 72), (72, 132), (132, 192), (192, 275)]):
-        there = {line.rstrip(",") for line in frames_of(out / "chunks" / f"{chunk:05d}")}
-        assert {line.rstrip(",") for line in rows[first:stop]} <= there
-    whole, joined = read_trajectory(work / "whole"), read_trajectory(out)
-    assert np.array_equal(whole.frame, joined.frame)
+    assert len(rows) == 200 and rows[:72] == frames_of(whole)[:72]
+    for chunk, (first, stop) in enumerate([(0, 72), (72, 132), (132, 200)]):
+        assert {*rows[first:stop]} <= {*frames_of(out / "chunks" / f"{chunk:05d}")}
+    alone, joined = read_trajectory(whole), read_trajectory(out)
+    assert np.array_equal(alone.frame, joined.frame) and np.array_equal(alone.time_s, joined.time_s)
     lost = len(np.unique(joined.frame[joined.status == "lost"]))
-    assert f"some part called lost in {lost} of 275 frames; begins in frame 0" in err
-    assert np.array_equal(whole.time_s, joined.time_s)
-    assert np.hypot(whole.x - joined.x, whole.y - joined.y).mean() < 2.5
-    # and again
-    code, _, err = facetrack("run", "IN/slow.mp4", *SPLIT, "--no-video", "-o", "out")
-    assert code == 0
-    assert "done before" in err
+    assert f"some part called lost in {lost} of 200 frames; begins in frame 0" in err
+    assert np.hypot(alone.x - joined.x, alone.y - joined.y).mean() < 2.5
+    code, _, err = facetrack(*command, "out", *SPLIT)
+    assert code == 0 and "done before" in err
 
 
-def test_shards_share_the_chunks_and_the_last_joins_them(facetrack, clips, tmp_path):
-    command = ("run", "IN/slow.mp4", *SPLIT, "--stop", "135", "--no-video", "-o", "out")
-    code, _, err = facetrack(*command, "--shard", "1/2")
-    assert code == 0
-    assert "1 of 2 chunks are not done; who ends the last one joins them" in err
-    work = tmp_path / "work"
-    assert not (work / "out/run.json").exists()
-    assert facetrack(*command, "--shard", "2/2")[0] == 0
-    assert facetrack(*command[:-1], "alone", "-j", "2")[0] == 0
-    assert lines(work / "out") == lines(work / "alone")
-    assert frames_of(work / "out") == frames_of(work / "alone")
+def test_shards_share_the_chunks_and_the_last_joins_them(facetrack, clips):
+    command = ("run", "IN/slow.mp4", *SPLIT, "--stop", "135", "--no-video", "-o")
+    code, _, err = facetrack(*command, "out", "--shard", "1/2")
+    assert code == 0 and "1 of 2 chunks are not done; who ends the last one joins them" in err
+    assert not Path("out/run.json").exists()
+    code, _, err = facetrack(*command, "out", "--seed", "3")
+    assert code == 2 and "holds chunks of another --split" in err
+    assert facetrack(*command, "out", "--shard", "2/2")[0] == facetrack(*command, "alone", "-j", "2")[0] == 0
+    assert frames_of(Path("out")) == frames_of(Path("alone"))
+    both = (Path(folder, "trajectory.csv").read_text() for folder in ("out", "alone"))
+    assert len({*both}) == 1
+    assert facetrack(*command, "out", "--seed", "3", "--overwrite")[0] == 0
 
 
-def test_what_no_chunk_found_is_missing_and_said(facetrack, clips, tmp_path):
-    command = ("run", "IN/dark.mp4", *SPLIT, "-o", "out")
-    code, _, err = facetrack(*command)
+def test_what_no_chunk_found_is_missing_and_said(facetrack, clips):
+    code, _, err = facetrack("run", "IN/dark.mp4", *SPLIT, "-o", "out")
     assert code == 0, err
-    out = tmp_path / "work/out"
-    header = json.loads((out / "trajectory.json").read_text())
-    assert not header["complete"]
-    assert header["chunks"][2]["first"] in range(HIDDEN[-1] + 1, HIDDEN[-1] + 8)  # it was looked for until then
-    seam = header["seams"][1]
-    table = read_trajectory(out)
-    first = header["chunks"][2]["first"]
+    out = Path("out")
+    header, table = header_of(out), read_trajectory(out)
+    first, seam = header["chunks"][2]["first"], header["seams"][1]
+    assert not header["complete"] and first in range(HIDDEN[-1] + 1, HIDDEN[-1] + 8)  # it was looked for until then
     assert seam["frame"] == first or (not seam["agrees"] and seam["frame"] > first)
     assert (table.at(seam["frame"]).status == "init").all()
     assert any("two chunks differ" in line or "no rows of frames" in line for line in header["warnings"])
@@ -136,7 +124,7 @@ def test_what_no_chunk_found_is_missing_and_said(facetrack, clips, tmp_path):
         assert sum(1 for _ in source) == 275
 
 
-def test_a_chunk_that_fails_does_not_stop_the_others(facetrack, clips, tmp_path, monkeypatch):
+def test_a_chunk_that_fails_does_not_stop_the_others(facetrack, clips, monkeypatch):
     run = batch.run
 
     def breaking(job, *others):
@@ -148,14 +136,10 @@ def test_a_chunk_that_fails_does_not_stop_the_others(facetrack, clips, tmp_path,
     with monkeypatch.context() as patch:
         patch.setattr(batch, "run", breaking)
         code, _, err = facetrack(*command)
-    assert code == 5
-    assert "chunks/00001: " in err
-    header = json.loads((tmp_path / "work/out/trajectory.json").read_text())
-    assert not header["complete"]
-    assert header["frames_tracked"] < 200
+    assert code == 5 and "chunks/00001: " in err
+    assert not header_of(Path("out"))["complete"] and header_of(Path("out"))["frames_tracked"] < 200
     code, _, err = facetrack(*command, "--retry-failed")
-    assert code == 0, err
-    assert json.loads((tmp_path / "work/out/trajectory.json").read_text())["frames_tracked"] == 200
+    assert code == 0 and header_of(Path("out"))["frames_tracked"] == 200, err
 
 
 @pytest.mark.parametrize(
@@ -178,15 +162,6 @@ def test_what_cannot_be_split_is_refused_in_a_line(facetrack, clips, options, sa
     code, _, err = facetrack("run", "IN/slow.mp4", *options, *(() if "-o" in options else ("-o", "out")))
     assert code == 2
     assert said in err.replace("\n", " ")
-
-
-def test_chunks_of_another_split_are_not_mixed(facetrack, clips, tmp_path):
-    command = ("run", "IN/slow.mp4", "--stop", "130", "--no-video", "-o", "out", *SPLIT)
-    assert facetrack(*command, "--shard", "1/2")[0] == 0
-    code, _, err = facetrack(*command, "--seed", "3")
-    assert code == 2
-    assert "holds chunks of another --split" in err
-    assert facetrack(*command, "--seed", "3", "--overwrite")[0] == 0
 
 
 @given(
@@ -234,48 +209,50 @@ def face(first, stop, dx=0.0, **more):
     return joined(parts)
 
 
-def test_boxes_agree_where_they_overlap_by_half():
-    assert agreeing(box("a", 0, 9), box("a", 5, 12)).tolist() == [True] * 4
-    assert agreeing(box("a", 0, 9), box("a", 5, 12, x=56.5)).all()  # 13.5 of 26.5
-    assert not agreeing(box("a", 0, 9), box("a", 5, 12, x=57)).any()  # 13 of 27
-    assert len(agreeing(box("a", 0, 9), box("a", 9, 12))) == 0
+def mouth(*corners):
+    return joined([one_part("face", str(i), [0], x=[x], y=[y]) for i, (x, y) in enumerate(corners)])
 
 
-@pytest.mark.parametrize(("dx", "agrees"), [(9.9, True), (-9.9, True), (10.1, False)])
-def test_points_agree_within_half_the_distance_between_the_eyes(dx, agrees):
-    assert agreeing(face(0, 9), face(3, 12, dx)).tolist() == [agrees] * 6
+def nose(x, **size):
+    return one_part("face", "nose", [0], x=[x], y=[40.0], **size)
 
 
-def test_other_points_agree_within_half_of_their_shape():
-    mouth = [one_part("face", name, [0], x=[x], y=[40.0]) for name, x in (("left", 40.0), ("right", 64.0))]
-    moved = [one_part("face", name, [0], x=[x], y=[52.5]) for name, x in (("left", 40.0), ("right", 64.0))]
-    assert agreeing(joined(mouth), joined(mouth)).all()
-    assert not agreeing(joined(mouth), joined(moved)).any()
-    one, other = (one_part("face", "nose", [0], x=[x], y=[40.0], w=[20.0], h=[20.0]) for x in (40.0, 49.9))
-    assert agreeing(one, other).all()
-    assert not agreeing(one, one_part("face", "nose", [0], x=[50.1], y=[40.0])).any()
+BLIND = face(0, 9, nose=(np.nan, np.nan))
 
 
-def test_what_one_of_them_alone_shows_differs_and_what_none_shows_does_not_count():
-    hidden = face(0, 9, nose=(np.nan, np.nan))
-    assert not agreeing(hidden, face(0, 9)).any()
-    assert agreeing(hidden, hidden).all()
-    none = box("a", 0, 9, x=np.nan)
-    assert len(agreeing(none, none)) == 0
+@pytest.mark.parametrize(
+    ("ours", "theirs", "agree"),
+    [
+        # boxes overlap by half
+        (box("a", 0, 9), box("a", 5, 12), [True] * 4),
+        (box("a", 0, 9), box("a", 5, 12, x=56.5), [True] * 4),  # 13.5 of 26.5
+        (box("a", 0, 9), box("a", 5, 12, x=57), [False] * 4),  # 13 of 27
+        (box("a", 0, 9), box("a", 9, 12), []),
+        # points are within half the distance between the eyes, or of their shape, or of the window of a single one
+        (face(0, 9), face(3, 12, 9.9), [True] * 6),
+        (face(0, 9), face(3, 12, -9.9), [True] * 6),
+        (face(0, 9), face(3, 12, 10.1), [False] * 6),
+        (mouth((40.0, 40.0), (64.0, 40.0)), mouth((40.0, 51.9), (64.0, 51.9)), [True]),
+        (mouth((40.0, 40.0), (64.0, 40.0)), mouth((40.0, 52.5), (64.0, 52.5)), [False]),
+        (nose(40.0, w=[20.0], h=[20.0]), nose(49.9), [True]),
+        (nose(40.0, w=[20.0], h=[20.0]), nose(50.1), [False]),
+        # what one of them alone shows differs, and what none shows does not count
+        (BLIND, face(0, 9), [False] * 9),
+        (BLIND, BLIND, [True] * 9),
+        (box("a", 0, 9, x=np.nan), box("a", 0, 9, x=np.nan), []),
+    ],
+)
+def test_where_two_tracks_agree(ours, theirs, agree):
+    assert agreeing(ours, theirs).tolist() == agree
 
 
 def test_chunks_meet_in_the_middle_of_the_frames_that_both_have():
     met = stitch(face(10, 20), face(14, 40), {"face"}, matched=False)
     assert met == (Seam(17, 1.0, True), {"face": "face"}, frozenset())
     met = stitch(face(10, 20), face(14, 40, dx=30.0), {"face"}, matched=False)
-    assert met.seam == Seam(17, 0.0, False)
-    assert met.names == {"face": "face"}
-    met = stitch(face(10, 20), face(25, 40), {"face"}, matched=False)
-    assert met.seam == Seam(25, None, False)
-
-
-def test_most_of_the_frames_must_agree():
-    for wrong, agrees in ((2, True), (3, False)):
+    assert met.seam == Seam(17, 0.0, False) and met.names == {"face": "face"}
+    assert stitch(face(10, 20), face(25, 40), {"face"}, matched=False).seam == Seam(25, None, False)
+    for wrong, agrees in ((2, True), (3, False)):  # most of the frames must agree
         later = joined([box("face", 10, 10 + wrong, x=99.0), box("face", 10 + wrong, 20)])
         met = stitch(box("face", 0, 20), later, {"face"}, matched=False)
         assert met.seam == Seam(15, 1 - wrong / 10, agrees)
@@ -287,13 +264,14 @@ def test_faces_take_the_names_of_those_they_agree_with():
     met = stitch(earlier, later, {"face", "face_2", "face_3"}, matched=True)
     # somebody else was called face_3 before
     assert met.names == {"face": "face_2", "face_2": "face", "face_3": "face_4"}
-    assert met.seam.agrees
-    assert met.begun == {"face_4"}
-    rows = renamed(later, met.names)
-    assert [part.x[0] for part in rows.of_target("face")] == [51]
+    assert met.seam.agrees and met.begun == {"face_4"}
+    assert [part.x[0] for part in renamed(later, met.names).of_target("face")] == [51]
     # one who was lost all the while may have left, one who was not may not
-    gone = joined([box("face", 0, 20, x=50), box("face_2", 0, 20, x=150, status="lost")])
-    assert stitch(gone, box("face", 10, 30, x=50), {"face", "face_2"}, matched=True).seam.agrees
-    assert not stitch(earlier, box("face", 10, 30, x=50), {"face", "face_2"}, matched=True).seam.agrees
+    gone, one = (
+        joined([box("face", 0, 20, x=50), box("face_2", 0, 20, x=150, status="lost")]),
+        box("face", 10, 30, x=50),
+    )
+    assert stitch(gone, one, {"face", "face_2"}, matched=True).seam.agrees
+    assert not stitch(earlier, one, {"face", "face_2"}, matched=True).seam.agrees
     # and after a gap nobody is known again
     assert stitch(earlier, box("face", 40, 50), {"face", "face_2"}, matched=True).names == {"face": "face_3"}

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facetrack_cli.__main__ import main
 from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
@@ -14,8 +13,7 @@ from facetrack_cli.runs.plan import lost_words
 from facetrack_cli.runs.verdict import EVERY_FRAMES, RunMonitor
 from facetrack_cli.trackers.face.detectors import Found
 from tests.support.results import part, result, target
-
-SAMPLES = Path(__file__).parents[2] / "sample_videos"
+from tests.support.samples import FOLDER
 
 
 class Sees:
@@ -34,13 +32,19 @@ class Sees:
         return [one for one in [self.measure(frame.bgr, (0.0, 0.0, 9.0, 9.0))] if one is not None]
 
 
+BLACK = np.zeros((60, 80, 3), np.uint8)
+
+
+def frame_of(i, pixels=BLACK):
+    return Frame(i, i / 25, pixels)
+
+
 def watched(statuses, confidences, *, sees=None, first=0, origin="--box", calibrated=True):
     start = Start(first, {"face": TargetStart((30.0, 20.0, 20.0, 20.0))}, origin)
     watch = RunMonitor(start, calibrated=calibrated, fitted=calibrated, detector=sees)
-    for i, (status, confidence) in enumerate(zip(statuses, confidences, strict=True)):
-        frame = Frame(first + i, (first + i) / 25, np.zeros((60, 80, 3), np.uint8))
+    for i, (status, confidence) in enumerate(zip(statuses, confidences, strict=True), first):
         box = part("box", 40, 30, 20, 20, confidence=confidence, status=status)
-        watch.write(result(frame, [target("face", [box])]))
+        watch.write(result(frame_of(i), [target("face", [box])]))
     return watch
 
 
@@ -51,21 +55,25 @@ def test_where_it_began_and_which_frames_to_look_at():
         "called lost in 6 of 21 frames; begins in frame 18 (0:00.72), by --box, 18 frames of the clip are before it; "
         "look at frames 28 to 32, 38 (lost), 27 (lowest confidence, 0.60)"
     )
+    many = watched(["lost", "tracked"] * 400, [0.1, 0.9] * 400)
+    assert len(many.lost) <= 3 and many.lost_frames == 400, "memory does not grow with the clip"
 
 
-def test_a_track_that_no_detector_confirms_is_doubtful():
-    n = 10 * EVERY_FRAMES
-    good = watched(["tracked"] * n, [1.0] * n, sees=Sees(1), origin="haar")
-    assert not good.doubts() and "haar sees a face there in 10 of 10 looks" in good.line()
-    bad = watched(["tracked"] * n, [1.0] * n, sees=Sees(4), origin="haar")
-    assert bad.line().startswith("doubtful: haar sees a face there in 2 of 10 looks alone")
-    assert good.line().count("looks") == 1
-    gone = watched(["tracked"] * 5 * EVERY_FRAMES + ["lost"] * 4 * EVERY_FRAMES, [1.0] * 9 * EVERY_FRAMES, sees=Sees(1))
-    assert (
-        "followed, haar sees a face there in 5 of 5 looks; while it is lost, haar sees a face in 4 of 4" in gone.line()
-    )
-    few = watched(["tracked"] * EVERY_FRAMES, [1.0] * EVERY_FRAMES, sees=Sees(0), origin="haar")
-    assert not few.doubts()
+@pytest.mark.parametrize(
+    ("looks", "lost_looks", "every", "doubtful", "said"),
+    [
+        (10, 0, 1, False, "haar sees a face there in 10 of 10 looks"),
+        (10, 0, 4, True, "doubtful: haar sees a face there in 2 of 10 looks alone"),
+        (5, 4, 1, False, "haar sees a face there in 5 of 5 looks; while it is lost, haar sees a face in 4 of 4 looks"),
+        (1, 0, 0, False, "never called lost"),
+        (2, 0, 0, False, "never called lost"),
+        (3, 0, 0, True, "doubtful: haar sees"),
+    ],
+)
+def test_a_track_that_no_detector_confirms_is_doubtful(looks, lost_looks, every, doubtful, said):
+    statuses = ["tracked"] * looks * EVERY_FRAMES + ["lost"] * lost_looks * EVERY_FRAMES
+    watch = watched(statuses, [1.0] * len(statuses), sees=Sees(every), origin="haar")
+    assert bool(watch.doubts()) == doubtful and said in watch.line()
 
 
 def test_a_low_calibrated_confidence_is_doubtful():
@@ -74,11 +82,6 @@ def test_a_low_calibrated_confidence_is_doubtful():
     raw = watched(*low, calibrated=False).line()
     assert raw.startswith("never called lost") and raw.endswith("(lowest confidence, 0.49, not calibrated)")
     assert not watched(["init"] + ["tracked"] * 3, [1.0] + [float("nan")] * 3).doubts()  # it says nothing
-
-
-def test_memory_does_not_grow_with_the_clip():
-    watch = watched(["lost", "tracked"] * 400, [0.1, 0.9] * 400)
-    assert len(watch.lost) <= 3 and watch.lost_frames == 400
 
 
 def test_of_points_alone_the_box_of_the_start_moves_with_them():
@@ -93,30 +96,34 @@ def test_of_points_alone_the_box_of_the_start_moves_with_them():
     start = Start(0, {"face": TargetStart((20.0, 30.0, 40.0, 40.0), {"nose": (40.0, 50.0)})}, "haar")
     watch = RunMonitor(start, calibrated=False, fitted=False, detector=Looks(0))
     for i in range(EVERY_FRAMES):
-        nose = part("nose", 90, 70, 5, 5, confidence=1.0)
-        watch.write(result(Frame(i, i / 25, picture), [target("face", [nose])]))
+        watch.write(result(frame_of(i, picture), [target("face", [part("nose", 90, 70, 5, 5, confidence=1.0)])]))
     assert seen == [255.0]
 
 
-def test_a_hand_that_is_taken_for_a_face_is_said_to_be_doubtful(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    clip = str(SAMPLES / "hands.mp4")  # shows no face
-    few = ["--set", "filter.particles=30"]
-    assert (
-        main(["run", clip, "--init", "haar", "--config", "ncc", *few, "--no-video", "--stop", "110", "-o", "a b"]) == 0
-    )
-    said = capsys.readouterr().err.splitlines()
-    assert "doubtful: haar sees a face there in" in said[-2] and "43 frames of the clip are before it" in said[-2]
+@pytest.fixture
+def clips():
+    return FOLDER
+
+
+def test_a_hand_that_is_taken_for_a_face_is_said_to_be_doubtful(facetrack):
+    few = ["--set", "filter.particles=30", "--no-video", "--stop", "110", "-o", "a b"]
+    code, _, err = facetrack("run", "IN/hands.mp4", "--init", "haar", "--config", "ncc", *few)  # which shows no face
+    said = err.splitlines()
+    assert code == 0 and "doubtful: haar sees a face there in" in said[-2]
+    assert "43 frames of the clip are before it" in said[-2]
     assert said[-1] == "look: facetrack report 'a b'; correct: facetrack fix 'a b'"
-    (warning,) = json.loads((tmp_path / "a b" / "trajectory.json").read_text())["warnings"]  # for the report
+    [warning] = json.loads(Path("a b/trajectory.json").read_text())["warnings"]  # for the report
     assert f"doubtful: {warning};" in said[-2] and not any("warning" in line for line in said)
-    begin = ["run", clip, "--box", "10,20,60,60", "--stop", "3", "--no-video"]
-    assert main([*begin, "-o", "c", "-q"]) == 0
-    assert capsys.readouterr() == ("", "")
-    assert main([*begin, "--format", "csv", "-o", "d"]) == 0
-    assert "facetrack fix" not in capsys.readouterr().err  # which needs the JSON
-    assert main([*begin, "-o", "e"]) == 0
-    assert "others: facetrack recipes" not in capsys.readouterr().err, "nothing is doubtful"
+    start = ["run", "IN/hands.mp4", "--box", "10,20,60,60", "--stop", "3", "--no-video", "-o"]
+    assert facetrack(*start, "c", "-q") == (0, "", "")
+    assert "facetrack fix" not in facetrack(*start, "d", "--format", "csv")[2], "which needs the JSON"
+    assert "others: facetrack recipes" not in facetrack(*start, "e")[2], "nothing is doubtful"
+
+
+def test_hands_of_everybody_are_refused_in_one_line(facetrack):
+    code, _, err = facetrack("run", "IN/signing.mp4", "--config", "signer", "--faces", "all", "--init", "yunet")
+    assert code == 2 and "--faces all: recipe signer follows the hands of one person" in err
+    assert "--box X,Y,W,H" in err and "Traceback" not in err and not [*Path().iterdir()]
 
 
 def test_what_was_lost_is_told_once_a_target_worst_first():
@@ -132,15 +139,15 @@ def test_the_face_of_a_recipe_is_looked_at(recipe):
     assert watch.detector is not None and RunMonitor.of(load_recipe(recipe), Start(0, {}, "--box")).detector is None
 
 
-def signing(named, statuses, *, present=0.9):
+def signing(named, statuses):
     start = Start(0, {"head": TargetStart((30.0, 20.0, 20.0, 20.0))}, "--box")
     watch = RunMonitor(start, calibrated=False, fitted=False, detector=None)
     for i, (p, status) in enumerate(zip(named, statuses, strict=True)):
         head = target("head", [part("box", 40, 30, 20, 20, confidence=1.0, status="tracked")])
         place = (None, None) if status == "absent" else (20, 50)
         hand = part("box", *place, 9, 9, confidence=0.95, status=status)
-        hands = [target(name, [hand], reported={"named": p, "present": present}) for name in HANDS]
-        watch.write(result(Frame(i, i / 25, np.zeros((60, 80, 3), np.uint8)), [head, *hands]))
+        hands = [target(name, [hand], reported={"named": p, "present": 0.9}) for name in HANDS]
+        watch.write(result(frame_of(i), [head, *hands]))
     return watch
 
 
@@ -158,12 +165,3 @@ def test_frames_in_which_names_of_hands_are_in_doubt_are_told():
     assert "which hand is which is in doubt in frames 10 to 14, 30 to 32, 40 to 49" in watch.line()
     assert "which hand is which" not in signing([0.99] * 30, ["tracked"] * 30).line()
     assert "which hand is which" not in signing([0.5] * 30, ["lost"] * 30).line(), "there is no row to doubt"
-
-
-def test_hands_of_everybody_are_refused_in_one_line(tmp_path, capsys):
-    clip = SAMPLES / "signing.mp4"
-    words = ["run", str(clip), "--config", "signer", "--faces", "all", "--init", "yunet", "-o", str(tmp_path / "out")]
-    assert main(words) == 2
-    told = capsys.readouterr().err
-    assert "--faces all: recipe signer follows the hands of one person" in told and "--box X,Y,W,H" in told
-    assert "Traceback" not in told and not (tmp_path / "out").exists()

@@ -7,22 +7,13 @@ import os
 import secrets
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import psutil
 
+from tests.support.sway import until
+
 ROOT = Path(__file__).parents[2]
-
-
-def until(true: Callable[[], object], seconds: float = 60.0) -> object:
-    """Wait until something is true, and return it."""
-    deadline = time.monotonic() + seconds
-    while not (found := true()):
-        assert time.monotonic() < deadline, "it never came"
-        time.sleep(0.01)
-    return found
 
 
 class Dask:

@@ -253,8 +253,7 @@ def _live(
     who: tuple[str, str | None],
 ) -> int:
     """Track what comes from a camera, a pipe or a clip; the exit code."""
-    from facetrack_cli.runs.live import follow, images_of
-    from facetrack_cli.runs.live_people import LiveCast
+    from facetrack_cli.runs.live import LiveCast, follow, images_of
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trackers.people.descriptor import load_people
 
@@ -467,7 +466,7 @@ def _report(outcome: Outcome, shown: Progress, *, named: bool = False, why: str 
     shown.say(outcome.summary())
     if outcome.stopped or outcome.error is not None:
         return
-    if outcome.verdict and not (named and not outcome.doubtful):
+    if outcome.verdict and not (named and not outcome.doubts):
         shown.say(f"{outcome.clip}: {outcome.verdict}")
     if not named and (what := outcome.next_step()):
-        shown.say(f"{what}{why if outcome.doubtful else ''}")
+        shown.say(f"{what}{why if outcome.doubts else ''}")
