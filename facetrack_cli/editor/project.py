@@ -18,7 +18,16 @@ from typing import IO, Annotated, Any, Final, Literal, TypeAlias
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
-from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, UsageError, reading
+from facetrack_cli.core.errors import (
+    BusyError,
+    ExitCode,
+    FacetrackError,
+    InputError,
+    OutputError,
+    UsageError,
+    flat,
+    reading,
+)
 from facetrack_cli.core.files import absolute, make_folder, read_bounded, write_new, writing
 from facetrack_cli.core.log import VARIABLE
 from facetrack_cli.core.types import checked_name
@@ -209,7 +218,7 @@ class Project:
                             break
                         clip.wanted = state != "done"  # by a process that was left by a kill
                     except (FacetrackError, OSError) as e:  # as of a full disk
-                        clip.error, clip.wanted = " ".join(str(e).splitlines()), False
+                        clip.error, clip.wanted = flat(str(e)), False
                 else:
                     self._work.wait(1.0 if waiting else None)
 

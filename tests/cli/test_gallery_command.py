@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import UsageError
-from facetrack_cli.report.figures.gallery import calibrated, gallery_figure, kept
+from facetrack_cli.report.figures.models import calibrated, gallery_figure, kept
 from facetrack_cli.report.figures.style import DPI, WIDTH, render
 from facetrack_cli.trackers.appearance.gallery import load_gallery
 from facetrack_cli.trackers.appearance.gallery_fit import fit_gallery

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.files import digest
 from facetrack_cli.core.types import Correction
-from facetrack_cli.editor.retrack import Store, Track
+from facetrack_cli.editor.history import Store, Track
 from facetrack_cli.editor.web.fix_session import doubtful, overview
 from facetrack_cli.run_folder.finished import STATUS, read_files, write_rows
 from facetrack_cli.run_folder.manifest import NAME, File, Manifest
@@ -107,10 +107,10 @@ def test_what_is_spliced_is_what_a_run_would_have_written(seed, pieces, forms):
     with (
         tempfile.TemporaryDirectory() as one,
         tempfile.TemporaryDirectory() as other,
-        contextlib.closing(Store()) as store,
+        contextlib.ExitStack() as stack,
     ):
         files = write(Path(one), lambda target, frame: seed, forms=forms)
-        recorded = read_files(files)
+        store = stack.enter_context(contextlib.closing(Store(read_files(files))))
         tracks = {name: [Track(name, None, FIRST, FIRST + FRAMES)] for name in PARTS}
         for name, first, number in sorted(pieces, key=lambda one: one[1]):
             collected = Collector()
@@ -118,7 +118,7 @@ def test_what_is_spliced_is_what_a_run_would_have_written(seed, pieces, forms):
                 collected.add(result(frame, [said(name, frame, number)]).rows)
             at = store.add(as_written(collected.trajectory()))
             tracks[name].append(Track(name, Correction(first, name, absent=True), first, FIRST + FRAMES, at))
-        rows = store.spliced(recorded, tracks)
+        rows = store.spliced(tracks)
 
         def seeds(target, frame):
             return max(((f, s) for t, f, s in pieces if t == target and f <= frame), default=(0, seed))[1]

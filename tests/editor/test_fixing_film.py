@@ -9,9 +9,8 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Correction, TargetStart
-from facetrack_cli.editor.film_track import open_track
 from facetrack_cli.editor.history import Fixer
-from facetrack_cli.editor.save import keep, save
+from facetrack_cli.editor.save import keep, open_track, save
 from facetrack_cli.runs.people import people_in, recast, rows_in
 from facetrack_cli.trackers.face.target import FaceTarget
 from facetrack_cli.trajectory import people as changes

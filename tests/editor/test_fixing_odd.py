@@ -18,8 +18,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor import save as saving
-from facetrack_cli.editor.history import Fixer, corrections_of
-from facetrack_cli.editor.retrack import Task, frames_of, recorded_footprint
+from facetrack_cli.editor.history import Fixer, Task, corrections_of, recorded_footprint, spans_of
 from facetrack_cli.editor.save import keep, save
 from facetrack_cli.editor.web.fix_session import overview
 from facetrack_cli.run_folder.finished import open_run
@@ -144,7 +143,7 @@ def test_rows_before_a_correction_stay_though_its_frame_is_tracked_once_more(sho
     """To see where the parts are that the new one leaves open."""
     with fixing(copied(short, tmp_path / "out")) as fixer:
         fixer.apply((nose(5, 159, 140),))
-        assert [(track.first, track.at is None) for track in fixer._step.tracks["face"]] == [(0, True), (5, False)]
+        assert [(track.first, track.place is None) for track in fixer._step.tracks["face"]] == [(0, True), (5, False)]
         recorded, now = ([*csv_frames(rows.between(0, 5))] for rows in (fixer.run.rows, fixer.rows))
         assert now == recorded
         kept = fixer.run.start.corrections[0]
@@ -268,7 +267,7 @@ def test_a_report_that_is_there_is_said_to_be_of_before(short, tmp_path):
 
 def test_frames_that_several_tasks_want_are_read_once():
     def frames(*wanted):
-        return frames_of([Task("a", None, first, stop) for first, stop in wanted])
+        return spans_of([Task("a", None, first, stop) for first, stop in wanted])
 
     assert frames((5, 20), (6, 10)) == frames((6, 10), (5, 20)) == [(5, 20)]
     assert frames((5, 8), (8, 10)) == frames((5, 9), (7, 10)) == [(5, 10)]
@@ -287,12 +286,12 @@ def test_targets_that_are_tracked_together_see_each_other_as_they_are_now(hands,
     with fixing(hands) as fixer:
         seen = {}
 
-        class Spy(type(fixer._tracking)):
-            def _footprints(self, live, now, rows, index):
-                seen[index, live.task.target] = footprints = super()._footprints(live, now, rows, index)
+        class Spy(Fixer):
+            def _footprints(self, live, now, index):
+                seen[index, live.task.target] = footprints = super()._footprints(live, now, index)
                 return footprints
 
-        monkeypatch.setattr(fixer._tracking, "__class__", Spy)
+        monkeypatch.setattr(fixer, "__class__", Spy)
         left, right = (95.0, 120.0, 40.0, 46.0), (180.0, 110.0, 44.0, 50.0)
         given = {"left_hand": left, "right_hand": right}
         fixer.put([Correction(4, name, TargetStart(box=box)) for name, box in given.items()])

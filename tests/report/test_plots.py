@@ -12,11 +12,9 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.report import figures as plots
-from facetrack_cli.report.figures import lines as plot_lines
 from facetrack_cli.report.figures import style as plot_style
-from facetrack_cli.report.figures.lines import MAX_LINES, columns_for, lines_of
 from facetrack_cli.report.figures.page import USUAL
-from facetrack_cli.report.figures.style import numbers
+from facetrack_cli.report.figures.style import MAX_LINES, columns_for, lines_of, numbers
 from facetrack_cli.trajectory.analysis.measures import MEASURES
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.support.face_shape import moving_face
@@ -82,7 +80,7 @@ def drawn(axes):
 )
 def test_envelope_keeps_every_peak_and_invents_nothing(values, bins):
     value = np.array(values)
-    x, y, *_ = plot_lines.envelope(np.arange(len(value)), value, bins)
+    x, y, *_ = plot_style.envelope(np.arange(len(value)), value, bins)
     known = value[np.isfinite(value)]
     if not known.size:
         assert np.isnan(y).all()
@@ -96,41 +94,41 @@ def test_envelope_keeps_every_peak_and_invents_nothing(values, bins):
 def test_envelope_thins_long_series_alone_and_shows_a_peak_of_one_frame():
     value = np.zeros(100_000)
     value[70_007] = 9
-    thin = plot_lines.envelope(np.arange(100_000), value, 500)
+    thin = plot_style.envelope(np.arange(100_000), value, 500)
     assert len(thin.y) <= 1000 and thin.y.max() == 9
     assert abs(thin.x[thin.y.argmax()] - 70_007) <= 200
     assert thin.means[1].max() == pytest.approx(9 / 200)
-    assert plot_lines.envelope(np.arange(1000), value[:1000], 500).means is None
+    assert plot_style.envelope(np.arange(1000), value[:1000], 500).means is None
 
 
 @pytest.mark.parametrize("bins", [3, 1000])
 def test_lines_break_where_frames_or_values_are_missing(bins):
     frame = np.r_[0:40, 80:120]
     value = np.ones(80)
-    x, y, *_ = plot_lines.envelope(frame, value, bins)
+    x, y, *_ = plot_style.envelope(frame, value, bins)
     assert np.isnan(y).sum() == 1 and np.isnan(x[np.isnan(y)]).all()
     holes = np.ones(120)
     holes[40:80] = np.nan
-    assert np.isnan(plot_lines.envelope(np.arange(120), holes, bins).y).sum() == 1
-    assert not np.isnan(plot_lines.envelope(np.arange(0, 400, 5), value, bins).y).any(), "every fifth frame is no gap"
+    assert np.isnan(plot_style.envelope(np.arange(120), holes, bins).y).sum() == 1
+    assert not np.isnan(plot_style.envelope(np.arange(0, 400, 5), value, bins).y).any(), "every fifth frame is no gap"
 
 
 def test_single_points_and_spans():
-    assert plot_lines.alone(np.array([1, np.nan, 2, 3, np.nan, 4])).tolist() == [True, False, False, False, False, True]
+    assert plot_style.alone(np.array([1, np.nan, 2, 3, np.nan, 4])).tolist() == [True, False, False, False, False, True]
     frame = np.arange(10)
     mask = np.isin(frame, [0, 1, 2, 5, 9])
-    assert plot_lines.frame_spans(frame, mask) == [(-0.5, 2.5), (4.5, 5.5), (8.5, 9.5)]
-    assert plot_lines.frame_spans(frame, mask, 3.0) == [(-0.5, 10.5)], "near ones join"
-    assert plot_lines.frame_spans(np.arange(10_000), np.arange(10_000) == 50, 20) == [(40, 60)], "one frame is seen"
-    assert plot_lines.frame_spans(frame * 10, mask)[0] == (-5, 25)
-    assert plot_lines.frame_spans(frame, ~(mask | ~mask)) == []
+    assert plot_style.frame_spans(frame, mask) == [(-0.5, 2.5), (4.5, 5.5), (8.5, 9.5)]
+    assert plot_style.frame_spans(frame, mask, 3.0) == [(-0.5, 10.5)], "near ones join"
+    assert plot_style.frame_spans(np.arange(10_000), np.arange(10_000) == 50, 20) == [(40, 60)], "one frame is seen"
+    assert plot_style.frame_spans(frame * 10, mask)[0] == (-5, 25)
+    assert plot_style.frame_spans(frame, ~(mask | ~mask)) == []
 
 
 @given(st.lists(st.lists(st.one_of(st.floats(-9, 9), st.just(np.nan)), min_size=4, max_size=4), min_size=1, max_size=9))
 def test_quantiles_are_those_of_numpy(rows):
     values = np.array(rows)
     known = np.isfinite(values).any(axis=0)
-    for share, found in zip((0, 0.1, 0.5, 0.9, 1), plot_lines.quantiles(values, (0, 0.1, 0.5, 0.9, 1)), strict=True):
+    for share, found in zip((0, 0.1, 0.5, 0.9, 1), plot_style.quantiles(values, (0, 0.1, 0.5, 0.9, 1)), strict=True):
         np.testing.assert_allclose(found[known], np.nanquantile(values[:, known], share, axis=0), atol=1e-12)
         assert np.isnan(found[~known]).all()
 

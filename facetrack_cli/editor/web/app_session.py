@@ -11,19 +11,18 @@ from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, flat
 from facetrack_cli.core.files import make_folder, write_new, writing
 from facetrack_cli.core.types import Array, Correction, checked_name
-from facetrack_cli.editor.film_track import open_track
 from facetrack_cli.editor.history import Fixer, corrections_of
 from facetrack_cli.editor.project import RECIPES, Clip, Project, What, call, free
+from facetrack_cli.editor.save import open_track
 from facetrack_cli.editor.web.cast_session import CastSession
 from facetrack_cli.editor.web.fix_session import FixSession
-from facetrack_cli.editor.web.frame import Json, Proposer, jpeg
 from facetrack_cli.editor.web.pick_session import PickSession
-from facetrack_cli.editor.web.session import Answer, Page, RefusedError, Route
+from facetrack_cli.editor.web.session import Answer, Json, Page, Proposer, RefusedError, Route, jpeg
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.run_folder.finished import Run, open_run, stamp
+from facetrack_cli.run_folder.finished import open_run, stamp
 from facetrack_cli.run_folder.manifest import NAME as MANIFEST
 from facetrack_cli.run_folder.manifest import VIDEO, read_run
 from facetrack_cli.runs.batch import expand
@@ -74,7 +73,6 @@ class AppSession(Page):
     def __init__(self, project: Project) -> None:
         super().__init__()
         self.project = project
-        self._open: dict[str, contextlib.ExitStack] = {}
         self._look = lru_cache(4)(looked)
         self._exporting = threading.Lock()
         self._new = threading.Event()  # clips that nobody has looked at yet
@@ -105,14 +103,14 @@ class AppSession(Page):
         self._new.set()
         self.project.close()
         self._looker.join()
-        for name in [*self._open]:
+        for name in [*self.opened]:
             self._shut(name)
 
     def state(self) -> Json:
         self._shut_of()
         project = self.project
         with project.lock:
-            clips = [self._told(one) for one in project.clips.values()]
+            clips = [self._shown(one) for one in project.clips.values()]
             rate = next((one["rate"] for one in clips if one.get("rate")), None)
             left = sum(max(one["frames"] - one["done"], 0) for one in clips if one["state"] in ("queued", "running"))
             return {
@@ -125,25 +123,22 @@ class AppSession(Page):
                 "ended": self.ended,
             }
 
-    def _told(self, clip: Clip) -> Json:
+    def _shown(self, clip: Clip) -> Json:
         """A clip as the page shows it."""
-        project, error, more = self.project, clip.error, dict[str, Any]()
+        project, error, done, more = self.project, clip.error, 0, dict[str, Any]()
         try:
-            found = project.status(clip)
-            state, done, more["look"] = str(found.state), found.frames, found.look
-            error = error or found.error
+            status = project.status(clip)
+            state, done, more["look"] = str(status.state), status.frames, status.look
+            error = error or status.error
         except FacetrackError as e:
-            state, done, error = "failed", 0, str(e)
+            state, error = "failed", str(e)
         start = project.start_of(clip).is_file()
         if clip is project.running:
-            told = project.progress
-            tracks = told.get("doing") == ""  # else it does something before or after
-            state, done, rate = (
-                "running",
-                int(told.get("done") or 0) * tracks,
-                told.get("frames_per_s") if tracks else None,
-            )
-            more |= {"doing": told.get("doing", "starting"), "rate": rate}
+            progress = project.progress
+            tracks = progress.get("doing") == ""  # else it does something before or after
+            state, done = "running", int(progress.get("done") or 0) * tracks
+            rate = progress.get("frames_per_s") if tracks else None
+            more |= {"doing": progress.get("doing", "starting"), "rate": rate}
         elif clip.wanted and state != "running":
             state = "paused" if project.paused else "queued"
         elif error:
@@ -154,11 +149,9 @@ class AppSession(Page):
             state = "needs box" if clip.what == "box" and not start else "ready"
         movie = stamp(project.run_of(clip) / VIDEO)
         more["movie"] = None if movie is None else str(movie)  # changes when it is drawn again
-        return {
-            "id": clip.id, "name": project.place(clip).name, "path": str(project.place(clip)), "what": clip.what,
-            "likely": clip.likely, "size": clip.size, "seconds": clip.seconds, "frames": clip.frames, "state": state,
-            "done": done, "error": error, "start": start, **more,
-        }  # fmt: skip
+        more |= {"state": state, "done": done, "error": error, "start": start}
+        known = clip.model_dump(include={"id", "what", "likely", "size", "seconds", "frames"})
+        return {**known, "name": project.place(clip).name, "path": str(project.place(clip)), **more}
 
     # adding
 
@@ -211,7 +204,7 @@ class AppSession(Page):
                 try:
                     self._look_at(clip)
                 except FacetrackError as e:
-                    clip.error = " ".join(str(e).splitlines())
+                    clip.error = flat(str(e))
                 except Exception as e:
                     clip.error = self.record(e)
 
@@ -271,31 +264,26 @@ class AppSession(Page):
         self, clip: int, page: Literal["fix", "people", "start"], person: str | None = None, frame: int = 0
     ) -> Json:
         """Open the page that corrects a run, or a `person` of a film, or who is who in it, or that chooses a start."""
-        found = self.project.find(clip)
-        folder, name = self.project.run_of(found), f"{page}-{clip}"
-        if person is not None:
-            name += f"-{frame}"
+        name = f"{page}-{clip}" + ("" if person is None else f"-{frame}")
         with self.lock, contextlib.ExitStack() as stack:
             self._shut_of()
-            if found.wanted:
-                raise RefusedError(409, f"{found.name} is being tracked; stop it first")
+            chosen = self.project.find(clip)
+            if chosen.wanted:
+                raise RefusedError(409, f"{chosen.name} is being tracked; stop it first")
             if name not in self.opened:
+                folder = self.project.run_of(chosen)
                 if page == "start":
-                    self.opened[name] = self._start_page(found, stack)
+                    opened = self._start_page(chosen, stack)
                 elif page == "people":
-                    film, how = film_of(people_in(folder), rows_in(folder), None)
-                    if film is None:
-                        raise InputError(f"{folder}: does not name its clip")
-                    frames = stack.enter_context(Frames(film, **how))
-                    self.opened[name] = CastSession(folder, frames, film, video=True)
+                    opened = _cast_page(folder, stack)
                 else:
-                    run = open_run(folder) if person is None else open_track(folder, person, frame)
-                    self.opened[name] = fix_page(run, stack)
-                stack.callback(self.opened[name].close)
-                self._open[name] = stack.pop_all()
+                    opened = _fix_page(folder, stack, person, frame)
+                stack.push(opened.resources.pop_all())
+                opened.resources = stack.pop_all()
+                self.opened[name] = opened
         return {"url": f"{name}/"}
 
-    def _start_page(self, clip: Clip, stack: contextlib.ExitStack) -> PickSession:
+    def _start_page(self, clip: Clip, stack: contextlib.ExitStack) -> Page:
         place, out = self.project.place(clip), self.project.start_of(clip)
         make_folder(out.parent)
         begun = read_init(out) if out.is_file() else None
@@ -311,11 +299,8 @@ class AppSession(Page):
 
     def _shut(self, name: str) -> None:
         """Close a page that was opened; what was corrected and not saved is kept beside the run."""
-        with self.lock:
-            self.opened.pop(name, None)
-            stack = self._open.pop(name, None)
-        if stack is not None:
-            stack.close()
+        if (page := self.opened.pop(name, None)) is not None:
+            page.close()
 
     # exporting
 
@@ -343,11 +328,18 @@ class AppSession(Page):
         return Answer(path, kind="application/octet-stream", headers=how)
 
 
-def fix_page(run: Run, stack: contextlib.ExitStack) -> FixSession:
-    """The page that corrects a run; it is at an end before what `stack` holds."""
+def _cast_page(folder: Path, stack: contextlib.ExitStack) -> Page:
+    film, how = film_of(people_in(folder), rows_in(folder), None)
+    if film is None:
+        raise InputError(f"{folder}: does not name its clip")
+    return CastSession(folder, stack.enter_context(Frames(film, **how)), film, video=True)
+
+
+def _fix_page(folder: Path, stack: contextlib.ExitStack, person: str | None, frame: int) -> Page:
+    run = open_run(folder) if person is None else open_track(folder, person, frame)
     frames = stack.enter_context(Frames(run.clip, fps=run.fps, stream=run.header.source.stream))
     fixer = stack.enter_context(contextlib.closing(Fixer(run, frames.read)))
-    kept, unsaved = run.folder / UNSAVED, tuple[Correction, ...]()
+    kept, unsaved = folder / UNSAVED, tuple[Correction, ...]()
     with contextlib.suppress(FacetrackError):  # of another track
         unsaved = corrections_of(kept, run) if kept.is_file() else ()
     return FixSession(fixer, frames, unsaved=unsaved)

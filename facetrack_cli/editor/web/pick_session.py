@@ -6,22 +6,14 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import ClassVar, Final, Literal
 
-from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.core.errors import FacetrackError, flat
 from facetrack_cli.core.types import Box, Start, TargetStart
-from facetrack_cli.editor.web.frame import MAX_POINTS, Draft, Json, Proposer, draft_of
-from facetrack_cli.editor.web.session import RefusedError, Session
+from facetrack_cli.editor.web.session import MAX_POINTS, Draft, Json, Proposer, RefusedError, Session, draft_of
 from facetrack_cli.engine.checks import check_size, check_start
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
 from facetrack_cli.report.text import names as listed
-from facetrack_cli.start.init_file import (
-    KEYS,
-    OF_CORRECTIONS,
-    OF_FILES,
-    TARGET,
-    WHAT_PARTS_ARE,
-    write_init,
-)
+from facetrack_cli.start.init_file import KEYS, OF_CORRECTIONS, OF_FILES, TARGET, WHAT_PARTS_ARE, write_init
 from facetrack_cli.start.preview import write_preview
 from facetrack_cli.start.targets import name_targets
 from facetrack_cli.trackers.face.detectors import PARTS, detector
@@ -69,13 +61,15 @@ class PickSession(Session):
         required = requirements(recipe)
         proposer = Proposer(frames, recipe, required[0]["points"])
         shown = frame if frame is not None else begun.frame if begun is not None else 0
-        first = frames.read(shown)  # raises InputError before anything is served
-        given = draft_of(shown, begun.targets if begun is not None else {})
-        draft = given if box is None else proposer.in_box(first, box, str(clip))
-        self._unchanged = draft if box is None else None
-        self._given: list[tuple[Draft, str]] = [] if box is None else [(draft, detector().name)]
+        image = frames.read(shown)  # raises InputError before anything is served
+        self._placed: list[tuple[Draft, str]] = []  # drafts that a detector has placed, and its name
         if begun is not None:
-            self._given.append((draft_of(begun.frame, begun.targets), begun.placed_by))
+            self._placed.append((draft_of(begun.frame, begun.targets), begun.placed_by))
+        draft = draft_of(shown, begun.targets if begun is not None else {})
+        self._unchanged = draft if box is None else None
+        if box is not None:
+            draft = proposer.in_box(image, box, str(clip))
+            self._placed.append((draft, detector().name))
         about = {
             "clip": clip.name or str(clip),
             "recipe": None if recipe is None else recipe.name,
@@ -94,7 +88,7 @@ class PickSession(Session):
             self.frames.read(start.frame)  # how long the clip is may be known only then
         by = self._placed_by(draft)
         start = replace(start, detector=by, placed=by != "")
-        self.begin("writing the init file", lambda _: self._write(start), saves=draft)
+        self.start_job("writing the init file", lambda _: self._write(start), saves=draft)
 
     def unsaved(self) -> Start | None:
         """The start that was chosen and not saved; None if nothing was chosen since the beginning."""
@@ -107,7 +101,7 @@ class PickSession(Session):
 
     def _placed_by(self, chosen: Draft) -> str:
         """The detector that has placed all chosen parts; "" if the user has moved or drawn one of them."""
-        known = [*self._given, *((draft, detector().name) for draft in self._proposer.proposed(chosen.frame))]
+        known = [*self._placed, *((draft, detector().name) for draft in self._proposer.proposed(chosen.frame))]
         same = chosen.frame, chosen.placed()
         return max((by for draft, by in known if (draft.frame, draft.placed()) == same), default="")
 
@@ -139,14 +133,15 @@ def requirements(recipe: Recipe | None) -> list[Json]:
     if not isinstance(recipe, ParticlesRecipe):
         points = PARTS if recipe is None else recipe.points
         return [requirement(TARGET, points, _box_for(points))]
-    first, *_ = recipe.filters
     # the first target's face is where the others are looked for, and a cloud learns its colours from a box
-    clouds = {
-        name: one.likelihood for name, one in recipe.filters.items() if isinstance(one.likelihood, SkinCloudSettings)
-    }
-    boxed = {first, *(one.learn_from or name for name, one in clouds.items())}
-    points_of = {name: one.points for name, one in recipe.filters.items()}
-    found = [requirement(name, p, "needed" if name in boxed else _box_for(p)) for name, p in points_of.items()]
+    boxed = {next(iter(recipe.filters))}
+    for name, one in recipe.filters.items():
+        if isinstance(one.likelihood, SkinCloudSettings):
+            boxed.add(one.likelihood.learn_from or name)
+    found = [
+        requirement(name, one.points, "needed" if name in boxed else _box_for(one.points))
+        for name, one in recipe.filters.items()
+    ]
     return [*found, *(requirement(name, (), "optional") for name in recipe.later)]
 
 
@@ -162,13 +157,12 @@ def start_of(
 
     `frames` is the number of frames where it is certain. Raises RefusedError (422) that names all missing parts.
     """
-    chosen = draft.placed()
-    if recipe is not None:
-        chosen = {name: one for name, one in chosen.items() if name not in recipe.left_out}
+    left_out = () if recipe is None else recipe.left_out
+    chosen = {name: one for name, one in draft.placed().items() if name not in left_out}
     _check_complete(chosen, requirements(recipe), free=recipe is None or not recipe.followed)
-    reserved = [name for name in chosen if get_close_matches(name, _RESERVED, n=1, cutoff=0.7)]
-    if reserved:
-        raise RefusedError(422, f"a target cannot be called {reserved[0]}, too like a key of init files; rename it")
+    for name in chosen:
+        if get_close_matches(name, _RESERVED, n=1, cutoff=0.7):
+            raise RefusedError(422, f"a target cannot be called {name}, too like a key of init files; rename it")
     start = carried(Start(draft.frame, chosen, ORIGIN), begun)
     try:
         if recipe is not None:
@@ -179,7 +173,7 @@ def start_of(
                 check_size(ORIGIN, name, target.box)
         _check_build(start, size, recipe if recipe is not None else load_recipe(DEFAULT))
     except FacetrackError as e:
-        raise RefusedError(422, " ".join(str(e).splitlines()).removeprefix(f"{ORIGIN}: ")) from None
+        raise RefusedError(422, flat(str(e)).removeprefix(f"{ORIGIN}: ")) from None
     return start
 
 

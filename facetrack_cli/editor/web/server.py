@@ -24,7 +24,7 @@ from urllib.parse import parse_qs
 
 from pydantic import TypeAdapter, ValidationError
 
-from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, flat
 from facetrack_cli.editor.web.session import Answer, Page, RefusedError, internal_error
 
 ADDRESS: Final = "127.0.0.1"
@@ -172,10 +172,10 @@ class _Handler(BaseHTTPRequestHandler):
         except ValidationError as e:
             first = e.errors(include_url=False)[0]
             reason = ": ".join(filter(None, [".".join(map(str, first["loc"])), first["msg"]]))
-            answer = Answer({"error": " ".join(reason.splitlines())}, 400)
+            answer = Answer({"error": flat(reason)}, 400)
         except FacetrackError as e:
             missing = self.command == "GET" and isinstance(e, InputError)  # as a frame that cannot be decoded
-            answer = Answer({"error": " ".join(str(e).splitlines())}, 404 if missing else 422)
+            answer = Answer({"error": flat(str(e))}, 404 if missing else 422)
         except (ConnectionError, TimeoutError):  # the page has gone
             raise
         except Exception as e:

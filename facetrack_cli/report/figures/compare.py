@@ -14,8 +14,7 @@ from facetrack_cli.evaluation.points import FAILURE
 from facetrack_cli.evaluation.reliability import ReliabilityBin, calibration_error
 from facetrack_cli.evaluation.sheet import clip_name
 from facetrack_cli.report.figures import style
-from facetrack_cli.report.figures.lines import Pen, columns_for, quantiles
-from facetrack_cli.report.figures.style import Axes, Figure, render
+from facetrack_cli.report.figures.style import Axes, Figure, Pen, columns_for, quantiles, render
 
 Curves = Mapping[str, tuple[Array, Array]]
 BINS = 1000

@@ -9,8 +9,7 @@ import numpy as np
 
 from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.evaluation.rows import Pair
-from facetrack_cli.report.figures.lines import Line, Panel, Pen
-from facetrack_cli.report.figures.style import COLOURS, GUIDE, STATUS, TRUTH, Axes, clean, limit
+from facetrack_cli.report.figures.style import COLOURS, GUIDE, STATUS, TRUTH, Axes, Line, Panel, Pen, clean, limit
 from facetrack_cli.trajectory.diagnostics import AFFINE, EVIDENCE, POSTERIOR, SURE, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.header import said
 from facetrack_cli.trajectory.trajectory import Trajectory

@@ -17,8 +17,7 @@ from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.diagnostics import adaptation, known, panels
-from facetrack_cli.report.figures.lines import MAX_LINES, Line, Panel, Pen, columns_for, lines_of, quantiles, stacked
-from facetrack_cli.report.figures.style import Axes, Figure
+from facetrack_cli.report.figures.style import Axes, Figure, Line, Panel, Pen
 from facetrack_cli.trajectory.analysis.face_events import KINDS
 from facetrack_cli.trajectory.analysis.hands import HAND_MEASURES
 from facetrack_cli.trajectory.analysis.measures import DEGREES, MEASURES, Measured
@@ -117,9 +116,9 @@ def _title(table: Trajectory) -> str:
 class _Page:
     def __init__(self, table: Trajectory, pairs: Sequence[Pair], width: float) -> None:
         self.table, self.width, self.frames = table, width, table.frames
-        self.lines = lines_of(table, pairs)
+        self.lines = style.lines_of(table, pairs)
         self.paired = [(line, line.pair, error(line.pair)) for line in self.lines if line.pair is not None]
-        self.many = len(self.lines) > MAX_LINES
+        self.many = len(self.lines) > style.MAX_LINES
         bins = max(300, min(BINS, 60_000 // len(self.lines))) if self.many else BINS  # more take long, show no more
         self.pen = Pen(bins, float(self.frames[-1] - self.frames[0] + 1) / BINS)
         self.judged = bool((table.status != "").any())
@@ -135,7 +134,7 @@ class _Page:
         if not panels:
             raise InputError(f"{self.table.path}: has no number that could be drawn in any row")
         legend = self._legend()
-        columns, rows = columns_for(list(legend), self.width)
+        columns, rows = style.columns_for(list(legend), self.width)
         lines = _wrap(self._summary(), int(self.width * 15))
         above = 0.31 + 0.16 * len(lines)
         top = above + 0.185 * rows
@@ -359,8 +358,8 @@ class _Page:
             return
         for target in dict.fromkeys(line.ours.target for line, _, _ in shown):
             group = [one for one in shown if one[0].ours.target == target]
-            frame, values = stacked([one[1:] for one in group])
-            least, low, middle, high, most = quantiles(values, (0.0, 0.1, 0.5, 0.9, 1.0))
+            frame, values = style.stacked([one[1:] for one in group])
+            least, low, middle, high, most = style.quantiles(values, (0.0, 0.1, 0.5, 0.9, 1.0))
             colour = group[0][0].group
             self.pen.band(axes, frame, least, most, colour, 0.14)
             self.pen.band(axes, frame, low, high, colour, 0.28)
