@@ -255,7 +255,8 @@ def test_a_part_beyond_the_border_is_kept_there(tmp_path):
 def test_the_video_is_painted_as_a_run_from_the_corrected_init_file_paints_it(fixed, tmp_path, monkeypatch):
     """Without the particles: what is by hand is marked, and no trail leads there."""
     painted, write = [], VideoWriter.write
-    one, two = fixed("face"), fixed("face", fixed("face").folder)
+    one = fixed("face")
+    two = fixed("copy", one.folder)
     before = (two.folder / "annotated.mp4").read_bytes()
     two.put(NOSE)
     said = save(two.fixer, video=False)

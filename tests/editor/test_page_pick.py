@@ -1,19 +1,12 @@
 """facetrack init --pick without a browser: what the page receives and sends, what is saved, how the command ends."""
 
 import json
-import os
-import re
 import signal
 import socket
-import stat
-from _thread import interrupt_main
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from threading import Thread
 from types import SimpleNamespace
-from urllib.parse import urlsplit
-from urllib.request import url2pathname
 
 import cv2
 import numpy as np
@@ -34,7 +27,7 @@ from facetrack_cli.start.targets import name_targets
 from facetrack_cli.trackers.face.detectors import PARTS, detector
 from facetrack_cli.video.seek import Frames
 from tests.support.media import write_pictures
-from tests.support.page_client import Client, wait_for
+from tests.support.page_client import Client, drive, wait_for
 from tests.support.samples import read_pictures
 from tests.support.terminal import refusal
 
@@ -221,8 +214,7 @@ def test_what_is_saved_is_what_was_chosen(clips, tmp_path, config, targets, suff
         assert found.box == (None if "box" not in chosen else tuple(round(value, 2) for value in chosen["box"]))
         assert found.points == {part: tuple(at) for part, at in chosen.get("points", {}).items()}
     if suffix == ".yaml":
-        first = "head" if config == "head_hands" else "face"
-        assert out.read_text().startswith(f"# Where the track of {first} begins, picked on the page.\n")
+        assert out.read_text().startswith("# Where the track of face begins, picked on the page.\n")
 
 
 def test_a_file_that_appears_meanwhile_is_not_replaced(clips, tmp_path):
@@ -345,32 +337,6 @@ def test_any_draft_is_a_start_that_is_read_back_or_lacks_something(config, tmp_p
 
 
 # --- the command -----------------------------------------------------------------------------------------------------
-
-
-def drive(monkeypatch, home, act):
-    """Have the page that the command serves visited by `act`, instead of a browser."""
-
-    def visited(client):
-        try:
-            act(client)
-        except BaseException:
-            interrupt_main()  # nobody else ends the command
-            raise
-        finally:
-            client.close()
-
-    def visit(address):
-        # everybody may read the command line of a browser: it has no token, but a file of the user's own
-        file = Path(url2pathname(urlsplit(address).path))
-        assert address.startswith("file://") and file.parent == home
-        assert os.name != "posix" or stat.S_IMODE(file.stat().st_mode) == 0o600
-        [url] = re.findall(r"url=(http://127\.0\.0\.1:[0-9]+/[^\"]+)", file.read_text())
-        assert urlsplit(url).path.strip("/") not in address
-        Thread(target=visited, args=(Client(url),)).start()
-        return False
-
-    monkeypatch.setattr(Path, "home", lambda: home)
-    monkeypatch.setattr(server_module.webbrowser, "open", visit)
 
 
 def choose(client):

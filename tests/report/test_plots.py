@@ -50,15 +50,15 @@ def pairs_of(table, off=(3.0, 4.0), status="visible"):
     return [Pair(s, truth) for s, truth in zip(table.parts, truths, strict=True)]
 
 
+def headings(axes):
+    """The title and the note above a panel; [] without."""
+    boxes = [a for a in axes.artists if hasattr(a, "get_child")]
+    return [area.get_text() for area in boxes[0].get_child().get_children()] if boxes else []
+
+
 def panels(figure):
     """Axes by the first word of their headings."""
-    found = {}
-    for axes in figure.axes:
-        boxes = [a for a in axes.artists if hasattr(a, "get_child")]
-        if boxes:
-            words = [area.get_text() for area in boxes[0].get_child().get_children()]
-            found[words[0].split(" (")[0]] = axes
-    return found
+    return {words[0].split(" (")[0]: axes for axes in figure.axes if (words := headings(axes))}
 
 
 def said(figure):
@@ -165,14 +165,12 @@ def test_labels_of_ticks_have_equal_decimals():
     assert numbers([-0.0, 1000, -2000]) == ["0", "1,000", "−2,000"]
 
 
-@pytest.mark.one_in(3)
-@pytest.mark.parametrize("names", [12, 15, 31])
-def test_legends_stand_in_the_page(names):
-    labels = ["a name of some length", *(f"part {i}" for i in range(names))]
+def test_legends_stand_in_the_page():
+    labels = ["a name of some length", *(f"part {i}" for i in range(15))]
     columns, rows = columns_for(labels, 10.0)
     assert 1 < rows <= 4 and columns * rows >= len(labels)
-    table = track(4, names)
-    figure = plots.page_figure(joined(table.parts[:MAX_LINES], path=table.path), pairs_of(table, status="hidden"))
+    table = track(4, MAX_LINES)
+    figure = plots.page_figure(table, pairs_of(table, status="hidden"))
     plots.render(figure, dpi=50)
     head = figure.subfigs[0]
     box = head.legends[0].get_window_extent()
@@ -225,12 +223,13 @@ def test_page_draws_the_values():
     assert len({tuple(axes.get_xlim()) for axes in found.values()}) == 1
 
 
-def test_boxes_have_their_overlap_with_the_truth():
-    table = track(parts=1)
-    table = table.renamed("face", "box")
+def test_boxes_have_their_overlap_with_the_truth_and_absent_parts_no_error():
+    table = track(parts=1).renamed("face", "box")
     found = panels(plots.page_figure(table, pairs_of(table, off=(6.0, 0.0))))
     assert list(found)[-2:] == ["error", "overlap"]
     assert np.allclose(drawn(found["overlap"])[0][:, 1], 6 / 18)
+    table = track(parts=1)
+    assert "error" not in panels(plots.page_figure(table, pairs_of(table, status="absent")))
 
 
 def test_page_shades_what_is_lost_and_hidden():
@@ -250,11 +249,6 @@ def test_page_shades_what_is_lost_and_hidden():
     assert "lost in 14 % of rows, 3 of 3 parts" in texts[1] and "median error 5.00 px" in texts[1]
 
 
-def test_absent_parts_have_no_error():
-    table = track(parts=1)
-    assert "error" not in panels(plots.page_figure(table, pairs_of(table, status="absent")))
-
-
 def test_page_names_itself():
     assert said(plots.page_figure(track()))[0][0] == "clip-sir"
     named = replace(
@@ -270,18 +264,15 @@ def test_page_names_itself():
     ("frames", "parts", "targets"),
     [
         (1, 5, ("face",)),
-        (9, 9, ("_a", "b_", "漢")),
+        (9, 3, ("_a", "b_", "漢")),
         pytest.param(2, 1, ("",), marks=pytest.mark.nightly),
         pytest.param(40, 68, ("face",), marks=pytest.mark.nightly),
-        pytest.param(40, 3, ("a", "b", "c"), marks=pytest.mark.nightly),
     ],
 )
 def test_page_of_any_shape(frames, parts, targets):
     table = track(frames, parts, targets)
-    pages = [plots.page_figure(table), plots.page_figure(table, pairs_of(table, status="hidden"), width=4.6)]
-    for figure in pages:
-        assert plots.render(figure, "png", dpi=50).startswith(b"\x89PNG")
-        assert len(panels(figure)) >= 7
+    figure = plots.page_figure(table, pairs_of(table, status="hidden"), width=4.6)
+    assert plots.render(figure, "png", dpi=50).startswith(b"\x89PNG") and len(panels(figure)) >= 7
 
 
 def test_lines_of_one_target_differ_by_colour_and_of_several_by_their_target():
@@ -309,10 +300,10 @@ def test_many_parts_are_drawn_as_bands():
 
 
 def test_lost_from_start_to_end_and_nonsense_numbers():
-    gone = track(status=np.full(60, "lost"), confidence=np.zeros(60))
-    assert "lost in 100 %" in said(plots.page_figure(gone))[0][1]
     wild = np.r_[np.full(59, -1e300), 1e300]
-    assert plots.render(plots.page_figure(track(x=wild, w=wild, ess=wild, std_x=wild)), dpi=50)
+    gone = track(status=np.full(60, "lost"), confidence=np.zeros(60), x=wild, w=wild, ess=wild, std_x=wild)
+    figure = plots.page_figure(gone)
+    assert "lost in 100 %" in said(figure)[0][1] and plots.render(figure, dpi=50)
 
 
 def test_a_run_away_for_a_moment_does_not_press_the_others_flat():

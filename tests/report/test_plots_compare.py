@@ -1,17 +1,20 @@
-"""Figures that set recipes and seeds side by side."""
+"""Figures that set recipes and seeds side by side, and what all figures share: colours, equal bytes, a quiet import."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from facetrack_cli.cli.types import FIGURES
 from facetrack_cli.evaluation.reliability import reliability_bins
 from facetrack_cli.report import figures as plots
-from tests.report.test_plots import drawn
+from facetrack_cli.report.figures import style
+from tests.report.test_plots import drawn, headings, track
 
 pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
-
-
-def panel_note(axes):
-    return axes.artists[0].get_child().get_children()[1].get_text()
 
 
 def legend(figure):
@@ -74,7 +77,7 @@ def test_calibration_shows_share_and_count():
     assert np.allclose(points["right"], [(0.15, 0), (0.95, 0.8)])
     assert np.allclose(points["visible in the ground truth"], [(0.15, 0), (0.95, 1)])
     assert [bar.get_height() for bar in lower.patches] == [10, 30]
-    assert "0.150" in panel_note(upper)
+    assert "0.150" in headings(upper)[1]
 
 
 def test_many_recipes_and_frames():
@@ -83,3 +86,43 @@ def test_many_recipes_and_frames():
     figure = plots.error_over_time_figure(frames, errors, frames < 0)
     assert len(figure.subfigs[0].legends[0].texts) == 12
     assert max(len(line) for line in drawn(figure.subfigs[1].axes[0])) <= 2000
+
+
+def test_twelve_lines_differ_in_colour_or_dash():
+    looks = {str(style.line_style(i)) for i in range(12)}
+    assert len(looks) == 12
+    assert not {style.line_style(i)["color"] for i in range(12)} & {style.STATUS["lost"]}
+
+
+@pytest.mark.one_in(2)
+@pytest.mark.parametrize("form", FIGURES)
+def test_same_numbers_give_the_same_bytes_whatever_the_user_has_set(form):
+    import matplotlib
+
+    table = track(parts=1)
+    first = plots.render(plots.page_figure(table), form)
+    with matplotlib.rc_context(
+        {"lines.linewidth": 9, "font.size": 20, "svg.hashsalt": "other", "figure.dpi": 30, "xtick.direction": "in"}
+    ):
+        assert plots.render(plots.page_figure(table), form) == first
+        assert matplotlib.rcParams["lines.linewidth"] == 9, "the user's settings come back"
+    assert not re.search(rb"(?i)date>|CreationDate|20[2-9]\d-\d\d", first)
+
+
+def test_the_first_import_says_nothing_and_no_pyplot(tmp_path):
+    """With a home folder that cannot be written, no font cache, and a backend that does not exist."""
+    (tmp_path / "file").touch()
+    home = str(tmp_path / "file" / "home")
+    script = (
+        "import numpy as np, sys\n"
+        "from facetrack_cli.report import figures as plots\n"
+        "assert 'matplotlib' not in sys.modules\n"
+        "plots.render(plots.success_figure({'a': (np.arange(2.0), np.ones((1, 2)))}))\n"
+        "assert 'matplotlib.pyplot' not in sys.modules"
+    )
+    settings = {"PATH": "", "HOME": home, "MPLCONFIGDIR": home, "MPLBACKEND": "none_such", "TMPDIR": str(tmp_path)}
+    run = [sys.executable, "-W", "error", "-c", script]
+    done = subprocess.run(
+        run, env=settings, capture_output=True, text=True, check=False, cwd=Path(plots.__file__).parents[3]
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -56,8 +56,7 @@ def test_an_open_mouth_a_smile_and_a_blink_are_shown():
     assert [event.kind for _, event in history_of(quiet, Clock(quiet, 25.0)).peaks] == ["opening", "smile"]
 
 
-@pytest.mark.one_in(3)
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(2))
 def test_key_frames_are_few_and_far_apart(tmp_path, monkeypatch, seed):
     rng = np.random.default_rng(seed)
     lost = {name: set(np.flatnonzero(np.repeat(rng.random(100) < 0.4, 20)).tolist()) for name in "ab"}

@@ -40,7 +40,7 @@ MAX_TARGETS: Final = 20
 MAX_POINTS: Final = 500
 MAX_FACES: Final = 12
 CropSide: TypeAlias = Annotated[int, Field(ge=1, le=1024)]
-Json: TypeAlias = "dict[str, Any]"
+Json: TypeAlias = dict[str, Any]
 Name: TypeAlias = Annotated[str, Field(pattern=f"^(?:{NAME.pattern})$")]
 
 
