@@ -1,5 +1,6 @@
 """facetrack fix without a browser: what the page requests, the command, and what is interrupted."""
 
+import json
 import os
 import shutil
 import signal
@@ -11,19 +12,21 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
+from facetrack_cli.core.types import Correction
 from facetrack_cli.editor import save as saving
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.web import session as session_module
-from facetrack_cli.editor.web.fix_session import FixSession
+from facetrack_cli.editor.web.fix_session import FixSession, doubtful, overview
 from facetrack_cli.editor.web.server import run_page, serving
 from facetrack_cli.run_folder.finished import open_run, write_rows
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
+from facetrack_cli.trajectory.trajectory import Collector
 from facetrack_cli.video.seek import Frames
+from tests.support import results
 from tests.support.browser import READY
 from tests.support.hands_run import hands_run
 from tests.support.page_client import Client, wait_for
-from tests.support.results import file_rows
 from tests.support.samples import FOLDER
 from tests.support.terminal import refusal
 
@@ -137,7 +140,7 @@ def test_what_the_page_receives_of_the_run(page, out):
     assert one.client.get("api/frame/19.jpg").status == 200 and one.client.get("api/frame/20.jpg").status == 404
     got = one.client.get("api/rows?first=5&last=9999").json
     assert got["first"] == 5 and len(got["frames"]) == STOP - 5 and got["parts"][0] == ["face", "nose"]
-    row = file_rows(out / "trajectory.csv")[5 * 5]
+    row = results.file_rows(out / "trajectory.csv")[5 * 5]
     assert got["frames"][0][0] == [row.x, row.y, row.w, row.h, None, row.confidence, "tracked", False, None]
     assert [one.client.get(f"api/rows?first={query}").status for query in ("a&last=9", "1")] == [400, 400]
     found = one.client.get("api/overview?bins=7").json
@@ -302,6 +305,29 @@ def test_what_is_called_lost_and_lies_right_is_confirmed(page, out):
         assert got.status == 422 and why in got.json["error"]
     assert one.post("confirm", frame=0, target="face", part="nose").status == 202
     assert "cannot be corrected, in which it begins" in one.idle()["message"]
+
+
+def test_the_overview_tells_where_a_run_is_least_certain():
+    sure = [0.9, 0.9, 0.4, 0.2, 0.9, 0.6, 0.1, None, 0.1, 0.3]
+    status = ["init", *["tracked"] * 4, "lost", "tracked", "absent", "tracked", "tracked"]
+    collected = Collector()
+    for frame, (one, how) in enumerate(zip(sure, status, strict=True)):
+        parts = results.part("box", 1, 1, 1, 1, how, one), results.part("odd", 1, 1, 1, 1, "tracked")
+        collected.add(results.result(frame + 5, [results.target("a", parts, 1)]).rows)
+    rows = collected.trajectory()
+    found = overview(rows, 5, (Correction(8, "a", absent=True),), {"a": 0.5})
+    assert (found["first"], found["last"], found["bins"]) == (5, 14, 5)
+    first, second = found["parts"]
+    assert first["least"] == [0.9, 0.2, 0.6, 0.1, 0.1] and second["least"] == [None] * 5
+    assert first["lost"] == [0, 0, 0.5, 0, 0] and first["absent"] == [0, 0, 0, 0.5, 0]
+    assert found["corrections"] == [{"frame": 8, "target": "a", "parts": [], "absent": True}]
+    # frames 2 and 3, 5 and 6 (lost, then doubtful), and the last two, of which the last begins no other
+    told = [(one["frame"], one["confidence"], one["status"]) for one in found["doubtful"]]
+    assert told == [(11, 0.1, "tracked"), (13, 0.1, "tracked"), (8, 0.2, "tracked")]
+    assert {one["part"] for one in found["doubtful"]} == {"box"}
+    assert [one["frame"] for one in doubtful(rows, {"a": 0.15})] == [11, 13]
+    assert overview(rows, 999, (), {"a": 0.5})["bins"] == 10
+    json.dumps(found)
 
 
 # --- the command -----------------------------------------------------------------------------------------------------

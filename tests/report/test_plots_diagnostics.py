@@ -132,7 +132,7 @@ def test_eta_is_equation_13_of_a_recipe_with_adaptive_noise():
 @pytest.mark.one_in(2)
 @pytest.mark.parametrize(("people", "frames", "width"), [(2, 1, 10), (1, 2, 4.6), (10, 5000, 10), (29, 30, 4.6)])
 def test_page_of_any_shape_and_of_nonsense_numbers(people, frames, width):
-    wild = np.r_[np.full(frames - 1, 1e-300), 1e300]
+    wild = np.r_[np.full(frames - 1, 1e-300), 1e300 if frames > 1 else 1.0]
     header = {"recipe": {"motion": {"noise": {"least": 1, "most": 1, "rate": 1e-9}}}}
     one = reported(people, frames, scale=wild, noise=wild, error=wild if people > 1 else np.zeros(frames))
     figure = plots.page_figure(table(one, frames=frames, header=header), width=width)
