@@ -289,24 +289,15 @@ def test_pages_below_have_the_guards_of_the_page(app, clips):
     one = app()
     one.add(clips / "smile.mp4")
     url = one.post("open", clip=1, page="start").json["url"]
-    port, base = one.client.port, one.client.base
-    for method, path in (
-        ("GET", f"{url}api/state"), ("PUT", "api/upload?name=a&offset=0&total=1"), ("GET", "api/video/1.mp4"),
-        ("POST", "api/want"), ("POST", f"{url}api/save"),
-    ):  # fmt: skip
+    for path in (f"{url}api/save", "api/want"):
         for address, headers in (
             (f"/wrong/{path}", {}),
-            (base + path, {"Host": f"evil.example:{port}"}),
-            (base + path, {"Origin": "http://evil.example"}),
+            (one.client.base + path, {"Host": f"evil.example:{one.client.port}"}),
+            (one.client.base + path, {"Origin": "http://evil.example"}),
         ):
-            got = one.client.ask(method, address, None if method == "GET" else b"{}", headers)
-            assert got.status == 403, (path, headers)
-    assert not list((one.session.project.folder).glob("clips/*"))
-    assert one.client.get("start-99/api/state").status == 404
-    assert one.client.get(f"{url}../api/state").status == 404
-    policy = one.client.get("").headers["Content-Security-Policy"]
-    assert policy.startswith("default-src 'self'") and b"home.js" in one.client.get("").data
-    assert set(PROGRAMS) == set(one.state()["programs"])
+            assert one.client.ask("POST", address, b"{}", headers).status == 403, (path, headers)
+    assert [one.client.get(path).status for path in ("start-99/api/state", f"{url}../api/state")] == [404, 404]
+    assert b"home.js" in one.client.get("").data and set(PROGRAMS) == set(one.state()["programs"])
 
 
 def test_it_ends_by_its_button(tmp_path, monkeypatch, capsys):

@@ -91,16 +91,13 @@ def test_what_was_corrected_is_known_again_and_goes_with_its_person(film, fixer)
     assert [one.frame for one in open_track(film, "Eileen", first).start.corrections] == [first + 2, first + 8]
 
 
-def test_a_corrected_face_is_not_found_again_as_somebody_else(fixer, monkeypatch):
-    seen = []
-    real = FaceTarget.advance
+def test_what_changed_meanwhile_is_not_written_over_and_a_face_not_found_again_as_somebody_else(
+    film, fixer, monkeypatch
+):
+    seen, real = [], FaceTarget.advance
     monkeypatch.setattr(FaceTarget, "advance", lambda self, *rest: (seen.append(self.alone), real(self, *rest))[1])
     fixer.put([moved(fixer.run, fixer.rows, fixer.run.first + 8)])
     assert seen and not any(seen)
-
-
-def test_what_changed_meanwhile_is_not_written_over(film, fixer):
-    fixer.put([moved(fixer.run, fixer.rows, fixer.run.first + 8)])
     assert keep(fixer) == film / UNSAVED
     recast(film, [("rename", lambda tracks: changes.rename(tracks, "person_1", "Eileen"))], video=False)
     before = (film / "trajectory.json").read_bytes()

@@ -1,9 +1,4 @@
-"""facetrack init --pick in a real browser: a start is chosen by mouse, keys and fingers; how the page looks and feels;
-and that it runs and requests nothing but its own files.
-"""
-
-import http.server
-import threading
+"""facetrack init --pick in a real browser: a start is chosen by mouse, keys and fingers; how the page looks and feels."""
 
 import cv2
 import numpy as np
@@ -406,7 +401,7 @@ def test_a_4k_frame_is_sent_as_small_as_it_is_shown(clips, pick, windows):
     assert np.abs(np.subtract(window.face()["points"]["nose"], (1003, 998))).max() <= 0.6
 
 
-# --- how it looks, and what it may do --------------------------------------------------------------------------------
+# --- how it looks ----------------------------------------------------------------------------------------------------
 
 
 def through(window):
@@ -447,64 +442,6 @@ def test_all_is_in_the_window_large_enough_and_legible(clips, pick, windows, tmp
     window.expected = ["422"]
     found = [(face, *one) for face in through(window) for one in wrong_looks(window, screens)]
     assert found == []
-
-
-def test_nothing_but_the_page_itself_is_run_or_requested(clips, pick, windows):
-    """Without its content security policy, a part of the page could be made to do this."""
-    requested = []
-
-    class Other(http.server.BaseHTTPRequestHandler):
-        def do_GET(self):
-            requested.append(self.path)
-            self.send_response(200)
-            self.send_header("Access-Control-Allow-Origin", "*")
-            self.end_headers()
-
-        def log_message(self, *arguments):
-            pass
-
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Other) as other:
-        other.block_on_close = False  # a browser may connect ahead, and say nothing
-        thread = threading.Thread(target=other.serve_forever, args=(0.01,))
-        thread.start()
-        try:
-            _, url = pick(clips / "face")
-            window = windows(url)
-            assert window.evaluate("performance.getEntriesByType('resource').length") > 10
-            window.expected = ["CSP: ", "Content Security Policy", "violates the following", "script-src"]
-            at = f"http://127.0.0.1:{other.server_port}"
-            window.evaluate(
-                # later, since what runs here at once is not under the policy
-                """(at) => void setTimeout(() => {
-                  const put = (name, what) => document.body.append(Object.assign(document.createElement(name), what));
-                  put("script", {textContent: "window.ran = 'inline'"});
-                  put("script", {src: `${at}/script`});
-                  put("img", {src: `${at}/img`});
-                  put("iframe", {src: `${at}/iframe`});
-                  put("style", {textContent: "#save {display: none}"});
-                  put("div", {innerHTML: "<p id=styled style='display: none' onclick='window.ran = 1'>p</p>"});
-                  fetch(`${at}/fetch`).catch(() => { window.refused = true; });
-                  styled.click();
-                  try { new Function("window.ran = 'eval'")(); } catch { window.evaluated = false; }
-                })""",
-                at,
-            )
-            window.until("window.refused && window.evaluated === false")
-            kinds = {"script-src-elem", "script-src-attr", "script-src", "style-src-elem", "style-src-attr", "img-src",
-                     "frame-src", "connect-src"}  # fmt: skip
-            until(
-                lambda: {one.rpartition("CSP: ")[2] for one in window.errors} >= kinds,
-                "what the policy refuses",
-                window.page.wait_for_timeout,
-            )
-            assert window.evaluate("window.ran === undefined && styled.checkVisibility()")
-            assert window.visible("save")
-            window.evaluate("styled.click()")
-            assert window.evaluate("window.ran === undefined")
-        finally:
-            other.shutdown()
-            thread.join()
-    assert requested == []
 
 
 @pytest.mark.nightly

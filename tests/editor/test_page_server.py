@@ -22,6 +22,10 @@ from tests.support.page_client import Client, wait_for
 
 LARGE = b"\xff" * 40_000_000  # more than the buffers of any connection hold
 EMPTY = {"frame": 0, "targets": {}}
+POLICY = (
+    "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'"
+)
 SIZE = (83, 46)  # divisible by none of the reductions but 2, and that only its height
 
 
@@ -212,7 +216,7 @@ def test_every_answer_has_the_headers(client):
         assert got.status == status, path
         assert {name: got.headers[name] for name in HEADERS} == HEADERS
         assert got.headers["Cache-Control"] == "no-store" and got.headers["X-Content-Type-Options"] == "nosniff"
-        assert "default-src 'self'" in got.headers["Content-Security-Policy"]
+        assert got.headers["Content-Security-Policy"] == POLICY
         assert "Access-Control-Allow-Origin" not in got.headers and "Python" not in got.headers["Server"]
 
 

@@ -21,37 +21,24 @@ def legend(figure):
     return [text.get_text() for text in figure.legends[0].texts]
 
 
+def curves(of, measure="AUC", mark=None):
+    return plots.curves_figure(of, "Success", ("threshold", "share"), measure, mark)
+
+
 def test_success_ranks_by_area_and_keeps_a_recipe_its_colour():
     at = np.linspace(0, 1, 21)
-    curves = {"poor": (at, np.tile(1 - at, (3, 1))), "good": (at, np.stack([np.ones(21), np.full(21, 0.9)]))}
-    figure = plots.success_figure(curves)
+    figure = curves({"poor": (at, np.tile(1 - at, (3, 1))), "good": (at, np.stack([np.ones(21), np.full(21, 0.9)]))})
     assert legend(figure) == ["0.950  good", "0.500  poor"]
-    axes = figure.axes[0]
+    axes, handles = figure.axes[0], figure.legends[0].legend_handles
     assert np.allclose(drawn(axes)[1][:, 1], 0.95)
-    assert [line.get_color() for line in axes.lines] == [
-        handle.get_color() for handle in figure.legends[0].legend_handles
-    ][::-1]
+    assert [line.get_color() for line in axes.lines] == [handle.get_color() for handle in handles][::-1]
     assert len(axes.collections) == 2, "bands over seeds"
-    assert not plots.success_figure({"one": (at, at[None])}).axes[0].collections
-    assert figure.legends[0].get_title().get_text() == "AUC"
+    assert not curves({"one": (at, at[None])}).axes[0].collections
+    assert (axes.get_xlabel(), figure.legends[0].get_title().get_text()) == ("threshold", "AUC")
     assert plots.render(figure).startswith(b"\x89PNG")
-
-
-def test_precision_is_read_off_at_20_px():
-    at = np.arange(51.0)
-    figure = plots.precision_figure({"a": (at, np.tile(at / 50, (2, 1)))})
-    assert legend(figure) == ["0.400  a"]
-    assert figure.legends[0].get_title().get_text() == "at 20 px"
-    assert any(np.allclose(line.get_xdata(), 20) for line in figure.axes[0].lines)
-
-
-def test_cumulative_error_at_its_threshold():
-    at = np.linspace(0, 0.25, 101)
-    curves = {"_a": (at, np.clip(at / 0.2, 0, 1)[None])}
-    figure = plots.cumulative_error_figure(curves, threshold=0.1, unit="of the mouth's width")
-    assert legend(figure) == ["0.500   _a"]
-    assert figure.axes[0].get_xlabel() == "error (of the mouth's width)"
-    assert figure.legends[0].get_title().get_text() == "below 0.1 of the mouth's width"
+    marked = curves({"_a": (50 * at, np.tile(at, (2, 1)))}, "at 20 px", 20)  # read off there
+    assert legend(marked) == ["0.400   _a"] and marked.legends[0].get_title().get_text() == "at 20 px"
+    assert any(np.allclose(line.get_xdata(), 20) for line in marked.axes[0].lines)
 
 
 def test_error_over_time_has_the_median_and_what_is_hidden():
@@ -117,7 +104,7 @@ def test_the_first_import_says_nothing_and_no_pyplot(tmp_path):
         "import numpy as np, sys\n"
         "from facetrack_cli.report import figures as plots\n"
         "assert 'matplotlib' not in sys.modules\n"
-        "plots.render(plots.success_figure({'a': (np.arange(2.0), np.ones((1, 2)))}))\n"
+        "plots.render(plots.curves_figure({'a': (np.arange(2.0), np.ones((1, 2)))}, 'a', ('x', 'y')))\n"
         "assert 'matplotlib.pyplot' not in sys.modules"
     )
     settings = {"PATH": "", "HOME": home, "MPLCONFIGDIR": home, "MPLBACKEND": "none_such", "TMPDIR": str(tmp_path)}
