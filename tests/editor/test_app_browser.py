@@ -192,10 +192,8 @@ def test_fifty_clips_are_in_the_list(open_app, clips, tmp_path, monkeypatch, scr
         look_at(window)
 
 
-def test_without_a_server_it_says_so(served, windows, tmp_path):
-    window = windows(**DESK)
-    window.expected = ["ERR_CONNECTION", "Failed to load"]
-    with serving(AppSession(Project(tmp_path / "study"))) as server:
-        window.page.goto(server.url)
-        window.until("document.body.classList.contains('ready')")
+def test_without_a_server_it_says_so(open_app, tmp_path):
+    _, window = open_app(tmp_path / "study")
+    window.expected = ["ERR_FAILED", "Failed to load"]
+    window.page.route("**/api/state", lambda route: route.abort())
     window.until_visible("offline")

@@ -272,7 +272,7 @@ def test_the_slower_of_two_windows_shows_the_draft_of_the_other(fix, windows, ou
     other.expected = ["409"]
     move(other, "lip_lower", (0, 12))
     other.until_message("Another window was faster")
-    assert other.get("draft") == one.get("draft") == session.draft.to_json()
+    assert other.get("draft") == one.get("draft") == session.state()["draft"]
     assert set(other.face()["points"]) == {"nose"}
 
     move(one, "nose", (0, 4))
@@ -282,7 +282,7 @@ def test_the_slower_of_two_windows_shows_the_draft_of_the_other(fix, windows, ou
     other.until_visible("problem")
     assert session.rows_revision == 0 and other.get("corrections") == []
     other.until("!window.facetrack.busy")
-    assert other.get("draft") == one.get("draft") == session.draft.to_json()
+    assert other.get("draft") == one.get("draft") == session.state()["draft"]
     other.press("t")
     for window in (one, other):
         idle(window, 1)

@@ -1,4 +1,4 @@
-"""facetrack init --pick in a real browser: a start is chosen by mouse, keys and fingers; how the page looks and feels."""
+"""facetrack init --pick in a real browser: a start is chosen by mouse, keys and fingers; how the page looks."""
 
 import cv2
 import numpy as np
@@ -146,7 +146,7 @@ def test_every_change_is_undone_and_redone(clips, pick, windows):
         assert window.get("draft") == draft
     assert window.here("redo").is_disabled()
     window.until_sent()
-    assert session.draft.to_json() == drafts[-1]
+    assert session.state()["draft"] == drafts[-1]
 
 
 def add(window, name):
