@@ -2,6 +2,7 @@
 
 import math
 from bisect import bisect
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple, TypeAlias, get_args
@@ -109,18 +110,16 @@ class RunHistory:
     @property
     def events(self) -> dict[tuple[int, Kind], Event]:
         """The events after the start, by frame and kind."""
-        found: dict[tuple[int, Kind], Event] = {}
+        spans: dict[tuple[int, Kind], list[LostSpan]] = defaultdict(list)
         for span in self.spans:
-            ends: list[tuple[int | None, Kind]] = [(span.first, "lost"), (None if span.by_hand else span.back, "back")]
-            for frame, kind in ends:
-                if frame is not None:
-                    before = found.get((frame, kind), Event(kind))
-                    found[frame, kind] = Event(kind, (*before.spans, span))
-        for span in sorted(one for part in self.parts for one in part.hidings):
-            before = found.get((span.first, "hidden"), Event("hidden"))
-            found[span.first, "hidden"] = Event("hidden", (*before.spans, span))
-        found |= {(one.frame, "seam"): Event("seam", seam=one) for one in self.seams if not one.agrees}
-        return found | {(one.frame, "corrected"): Event("corrected", corrected=one) for one in self.corrections}
+            spans[span.first, "lost"].append(span)
+            if span.back is not None and not span.by_hand:
+                spans[span.back, "back"].append(span)
+        for span in sorted(hiding for part in self.parts for hiding in part.hidings):
+            spans[span.first, "hidden"].append(span)
+        events = {(frame, kind): Event(kind, tuple(each)) for (frame, kind), each in spans.items()}
+        events |= {(seam.frame, "seam"): Event("seam", seam=seam) for seam in self.seams if not seam.agrees}
+        return events | {(one.frame, "corrected"): Event("corrected", corrected=one) for one in self.corrections}
 
 
 def history_of(table: Trajectory, clock: Clock, seams: tuple[SeamHeader, ...] = ()) -> RunHistory:

@@ -62,7 +62,7 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
     what = whose if each else f"{count(len(history.parts), 'part')} of {whose}"
     long = f"{count(frames, 'frame')}, {lasting(clock.duration)}"
     found = [f"The recipe {header.recipe_name} looked for {what} in {header.clip_name} over {long}."]
-    lost = [part.name for part in history.parts if part.spans]
+    who, lost = "It" if one else "At least one part", [part.name for part in history.parts if part.spans]
     gone, absent = history.ending("lost"), history.ending("absent")
     if not any(part.judged for part in history.parts):
         found.append("The tracker does not report when it is lost.")
@@ -71,19 +71,16 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
     else:
         n = len(history.episodes)
         times = {1: "one stretch", 2: "two stretches"}.get(n, count(n, "stretch", "stretches"))
-        who = "It" if one else "At least one part"
         those = "" if one else f": {names(lost)}"
         share = f"{count(history.frames_lost, 'frame')} ({percent(history.frames_lost / frames)})"
         found.append(f"{who} was called lost in {share}, in {times}{those}.")
         end = f"{_are(gone)} called lost" if gone else f"{'no other' if absent else 'no'} part is called lost"
+        if one and not absent:
+            end = "it is called lost" if gone else "it is not called lost"
         if not one or not absent:
-            found.append(
-                f"In the last frame {('it is called lost' if gone else 'it is not called lost') if one else end}."
-            )
+            found.append(f"In the last frame {end}.")
     if hidden := len({at for part in history.parts for one in part.hidings for at in range(one.first, one.last + 1)}):
-        found.append(
-            f"{'It' if one else 'At least one part'} was hidden, at a likely place, in {count(hidden, 'frame')}."
-        )
+        found.append(f"{who} was hidden, at a likely place, in {count(hidden, 'frame')}.")
     if (mean := confidence_of(table)) is not None:
         found.append(_trust(calibrated(header.recipe), mean))
     if history.seams:
@@ -104,20 +101,18 @@ def to_look_at(table: Trajectory, history: RunHistory, clock: Clock) -> list[tup
     """Frames to look at first, as the run names them, each with the words: the longest stretches in which a part is
     called lost, and the frame of the lowest confidence where that is low.
     """
-    found = []
+    looks = []
     for first, last in sorted(sorted(history.episodes, key=lambda one: one.first - one.last)[:3]):
         lost = dict.fromkeys(span.name for span in history.spans if span.first <= last and span.last >= first)
-        frames = f"{first} to {last}" if last > first else str(first)
-        found.append(
-            (first, f"{at_clock(clock.at(first))}, frame{'s' * (last > first)} {frames}: {names([*lost], 3)} lost")
-        )
+        frames = f"frames {first} to {last}" if last > first else f"frame {first}"
+        looks.append((first, f"{at_clock(clock.at(first))}, {frames}: {names([*lost], 3)} lost"))
     if history.worst is not None:
         rows = table.at(history.worst)
         mean = mean_confidence(rows.confidence[np.isfinite(rows.confidence) & (rows.status != "init")])
         if mean < LOW:
             at = f"{at_clock(clock.at(history.worst))}, frame {history.worst}"
-            found.append((history.worst, f"{at}: the lowest confidence, {number(mean)}"))
-    return found
+            looks.append((history.worst, f"{at}: the lowest confidence, {number(mean)}"))
+    return looks
 
 
 def confidence_of(table: Trajectory) -> float | None:
@@ -180,18 +175,15 @@ def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) 
                 share = None if event.seam is None else event.seam.agreement
                 agree = f"they agree in {percent(share)} of the frames that both have"
                 return "Two chunks differ", "none of the frames is in both" if share is None else agree
-            case "hidden":
-                covered = [
-                    f"{s.name} for {lasting(s.seconds)} (confidence {number(confidence.get(s.name))})"
+            case "hidden" | "lost" | "back":
+                heading, after = {"hidden": ("Hidden", " for {}"), "lost": ("Called lost", "")}.get(
+                    event.kind, ("No longer called lost", " after {}")
+                )
+                each = [
+                    f"{s.name}{after.format(lasting(s.seconds))} (confidence {number(confidence.get(s.name))})"
                     for s in event.spans
                 ]
-                return "Hidden", names(covered, 5)
-            case "lost":
-                lost = [f"{s.name} (confidence {number(confidence.get(s.name))})" for s in event.spans]
-                return "Called lost", names(lost, 5)
-            case "back":
-                back = [(s.name, lasting(s.seconds), number(confidence.get(s.name))) for s in event.spans]
-                return "No longer called lost", names([f"{name} after {s} (confidence {c})" for name, s, c in back], 5)
+                return heading, names(each, 5)
             case "opening" | "smile" | "blink":
                 return {"opening": "Mouth open widest", "smile": "Widest smile"}.get(event.kind, "Blink"), event.words
             case "worst":
