@@ -3,7 +3,8 @@
 import contextlib
 import re
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
@@ -75,10 +76,8 @@ class AppSession(Page):
         self.project = project
         self._look = lru_cache(4)(looked)
         self._exporting = threading.Lock()
-        self._new = threading.Event()  # clips that nobody has looked at yet
-        self._new.set()
-        self._looker = threading.Thread(target=self._look_at_new, name="looks", daemon=True)
-        self._looker.start()
+        self._looks = ThreadPoolExecutor(1, "looks")  # at clips, as they come
+        self._look_at([clip for clip in project.clips.values() if not clip.frames])
 
     def routes(self) -> Sequence[Route]:
         return (
@@ -100,9 +99,8 @@ class AppSession(Page):
 
     def close(self) -> None:
         super().close()
-        self._new.set()
         self.project.close()
-        self._looker.join()
+        self._looks.shutdown(cancel_futures=True)
         for name in [*self.opened]:
             self._shut(name)
 
@@ -110,7 +108,7 @@ class AppSession(Page):
         self._shut_of()
         project = self.project
         with project.lock:
-            clips = [self._shown(one) for one in project.clips.values()]
+            clips = [self._shown(clip) for clip in project.clips.values()]
             rate = next((one["rate"] for one in clips if one.get("rate")), None)
             left = sum(max(one["frames"] - one["done"], 0) for one in clips if one["state"] in ("queued", "running"))
             return {
@@ -190,34 +188,30 @@ class AppSession(Page):
 
     def _added(self, paths: Sequence[Path]) -> Json:
         added = self.project.add(paths)
-        self._new.set()
-        return {"added": [one.id for one in added]}
+        self._look_at(added)
+        return {"added": [clip.id for clip in added]}
 
-    def _look_at_new(self) -> None:
-        """Look at clips as they come: a picture, how long they are, and what is likely to be tracked."""
-        while not self.stopping.is_set():
-            self._new.wait()
-            self._new.clear()
-            for clip in [one for one in [*self.project.clips.values()] if not one.frames]:
-                if self.stopping.is_set():
-                    return
-                try:
-                    self._look_at(clip)
-                except FacetrackError as e:
-                    clip.error = flat(str(e))
-                except Exception as e:
-                    clip.error = self.record(e)
+    def _look_at(self, clips: Iterable[Clip]) -> None:
+        """Look at clips in a thread: a picture, how long they are, and what is likely to be tracked."""
 
-    def _look_at(self, clip: Clip) -> None:
-        with Frames(self.project.place(clip)) as frames:
-            thumb = self._thumb(clip.id)
-            make_folder(thumb.parent)
-            write_new(thumb, jpeg(frames, 0, max(round(max(frames.size) / THUMB_PIXELS), 1)), overwrite=True)
-            likely = likely_in(frames)
-            with self.project.lock:
-                clip.size, clip.frames, clip.likely = frames.size, max(frames.count, 1), likely
-                clip.seconds, clip.what = round(frames.count / float(frames.fps), 2), likely
-                self.project.save()
+        def look(clip: Clip) -> None:
+            try:
+                with Frames(self.project.place(clip)) as frames:
+                    thumb = self._thumb(clip.id)
+                    make_folder(thumb.parent)
+                    write_new(thumb, jpeg(frames, 0, max(round(max(frames.size) / THUMB_PIXELS), 1)), overwrite=True)
+                    likely, size, count = likely_in(frames), frames.size, frames.count
+                with self.project.lock:
+                    clip.size, clip.frames, clip.likely, clip.what = size, max(count, 1), likely, likely
+                    clip.seconds = round(count / float(frames.fps), 2)
+                    self.project.save()
+            except FacetrackError as e:
+                clip.error = flat(str(e))
+            except Exception as e:
+                clip.error = self.record(e)
+
+        for clip in clips:
+            self._looks.submit(look, clip)
 
     def _thumb(self, clip: int) -> Path:
         return self.project.folder / "thumbs" / f"{clip}.jpg"
@@ -309,23 +303,25 @@ class AppSession(Page):
         known = [name for name, one in PROGRAMS.items() if one.many or clip is not None]
         if program not in known:
             raise RefusedError(400, f"{program}: choose among {', '.join(known)}")
-        one, folder = PROGRAMS[program], self.project.folder / "exports"
-        found = None if clip is None else self.project.find(clip)
-        source = self.project.folder / "runs" if found is None else self.project.run_of(found)
+        how, folder = PROGRAMS[program], self.project.folder / "exports"
+        source, name = self.project.folder / "runs", self.project.folder.name
+        if clip is not None:
+            chosen = self.project.find(clip)
+            source, name = self.project.run_of(chosen), chosen.name
         make_folder(folder, "free some space")
-        path = folder / f"{self.project.folder.name if found is None else found.name}.{one.ending}"
+        path = folder / f"{name}.{how.ending}"
         with self._exporting, writing(path, "close what uses it"):
             try:
                 with path.open("wb") as file:
-                    file.write(BOM if one.ending.endswith("csv") and one.name.startswith("Excel") else b"")
+                    file.write(BOM if how.ending.endswith("csv") and how.name.startswith("Excel") else b"")
                     file.flush()
-                    call(["export", str(source), "--to", *one.how.split(), "-o", "-"], file, folder)
+                    call(["export", str(source), "--to", *how.how.split(), "-o", "-"], file, folder)
             except FacetrackError as e:
                 path.unlink(missing_ok=True)
                 raise UsageError(str(e)) from None  # 422: the page says why
         saved_as = re.sub(r'[^ -~]|["\\]', "_", path.name)
-        how = (("Content-Disposition", f'attachment; filename="{saved_as}"'),)
-        return Answer(path, kind="application/octet-stream", headers=how)
+        headers = (("Content-Disposition", f'attachment; filename="{saved_as}"'),)
+        return Answer(path, kind="application/octet-stream", headers=headers)
 
 
 def _cast_page(folder: Path, stack: contextlib.ExitStack) -> Page:

@@ -85,7 +85,10 @@ class FixSession(Session):
                 [face] = targets.values()
                 faces = {f"{label}: {name}" if len(self._parts) > 1 else label: {name: face} for name in self._parts}
             for text, each in faces.items():
-                fitted = {name: self._fitted(name, target) for name, target in each.items()}
+                fitted = {}
+                for name, target in each.items():  # the points of a target, if it follows any, else the box
+                    placed = {} if self._parts[name] == (BOX,) else target["points"]
+                    fitted[name] = {"box": None if placed else target["box"], "points": placed}
                 proposals.append({"label": text, "targets": fitted})
         return {**found, "proposals": proposals}
 
@@ -223,11 +226,6 @@ class FixSession(Session):
             undo = {"can_undo": self.fixer.can_undo, "rows_revision": self.rows_revision}
             saved = {"saves": self.saves, "saved": self.saved, "unsaved": self.fixer.changed}
             return {**super().state(), **undo, **saved}
-
-    def _fitted(self, name: str, target: Json) -> Json:
-        """A proposal has the points of a target, if it follows any, else the box."""
-        points = {} if self._parts[name] == (BOX,) else target["points"]
-        return {"box": None if points else target["box"], "points": points}
 
 
 def _requirement(target: str, parts: tuple[str, ...]) -> Json:

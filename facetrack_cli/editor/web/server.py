@@ -214,7 +214,11 @@ class _Handler(BaseHTTPRequestHandler):
         if method not in matches:
             raise RefusedError(405, f"{method} is not for this address")
         route, match, handler = matches[method]
-        body = {} if method == "GET" else {"data": self._raw()} if route.raw else self._body()
+        body: dict[str, Any] = {}
+        if route.raw:
+            body = {"data": self._raw(MAX_REFUSED_BYTES)}
+        elif method != "GET":
+            body = _BODY.validate_json(self._raw(MAX_BODY_BYTES) or b"{}")
         fields = parse_qs(query, keep_blank_values=True)  # a list, if given twice, is refused by any handler
         once = {name: values[0] if len(values) == 1 else values for name, values in fields.items()}
         answer = handler(**{**once, **body, **match.groupdict()})
@@ -229,16 +233,13 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _body_length(self) -> int | None:
         """Bytes of the body that follows; None if that is unknown."""
-        found = self.headers.get_all("Content-Length", [])
-        if self.headers.get("Transfer-Encoding") is not None or len(found) > 1:
+        lengths = self.headers.get_all("Content-Length", ["0"])
+        if self.headers.get("Transfer-Encoding") is not None or len(lengths) > 1:
             return None
-        text = found[0].strip() if found else "0"
+        text = lengths[0].strip()
         return int(text) if text.isascii() and text.isdigit() and len(text) < 16 else None
 
-    def _body(self) -> dict[str, Any]:
-        return _BODY.validate_json(self._raw(MAX_BODY_BYTES) or b"{}")
-
-    def _raw(self, most: int = MAX_REFUSED_BYTES) -> bytes:
+    def _raw(self, most: int) -> bytes:
         if self._length is None:
             raise RefusedError(411, "the length of the body must be given, once")
         if self._length > most:

@@ -340,6 +340,7 @@ class Session(Page):
 
     def proposals(self, frame: int) -> Json:
         """{"frame", "proposals", "note"} of a frame."""
+        self._check_frame(frame)
         return self._proposer(frame)
 
     def change(self, draft: Draft) -> None:
@@ -372,14 +373,14 @@ class Session(Page):
             Route("PUT", "api/draft", self._put_draft),
             Route("GET", "api/frame/{frame}.jpg", self._frame),
             Route("GET", "api/crop/{frame}.png", self._crop),
-            Route("GET", "api/proposals/{frame}", self._proposals),
+            Route("GET", "api/proposals/{frame}", self.proposals),
             Route("POST", "api/save", self._save),
         )
 
     def about(self) -> Json:
         """What does not change while the page is open, but that the clip's last frame may become known later."""
-        fps = float(self.frames.fps)
-        return {"mode": self.mode, **self._about, "size": self.frames.size, "fps": fps, "frames": self._range()}
+        clip = {"size": self.frames.size, "fps": float(self.frames.fps), "frames": self._range()}
+        return {"mode": self.mode, **self._about, **clip}
 
     def state(self) -> Json:
         with self.lock:
@@ -390,9 +391,9 @@ class Session(Page):
         return {"first": self.first, "last": last, "exact": self.frames.exact or self.last is not None}
 
     def _check_frame(self, frame: int) -> None:
-        known = self._range()
-        if frame < self.first or (known["exact"] and frame > known["last"]):
-            raise RefusedError(404, f"there is no frame {frame}; they go from {self.first} to {known['last']}")
+        frames = self._range()
+        if frame < self.first or (frames["exact"] and frame > frames["last"]):
+            raise RefusedError(404, f"there is no frame {frame}; they go from {self.first} to {frames['last']}")
 
     def _put_draft(self, base: StrictInt, draft: Draft) -> Json:
         with self.lock:
@@ -418,10 +419,6 @@ class Session(Page):
     def _crop(self, frame: int, x: int, y: int, w: CropSide, h: CropSide) -> Answer:
         self._check_frame(frame)
         return Answer(crop(self.frames, frame, x, y, w, h), kind="image/png")
-
-    def _proposals(self, frame: int) -> Json:
-        self._check_frame(frame)
-        return self.proposals(frame)
 
 
 def internal_error(error: Exception) -> str:

@@ -135,7 +135,11 @@ class _Page:
             raise InputError(f"{self.table.path}: has no number that could be drawn in any row")
         legend = self._legend()
         columns, rows = style.columns_for(list(legend), self.width)
-        lines = _wrap(self._summary(), int(self.width * 15))
+        first, *others = self._summary()
+        lines = [first]
+        for fact in others:
+            longer = f"{lines[-1]}   ·   {fact}"
+            lines[-1:] = [longer] if len(longer) <= int(self.width * 15) else [lines[-1], fact]
         above = 0.31 + 0.16 * len(lines)
         top = above + 0.185 * rows
         body = sum(panel.height + 0.27 for panel in panels) + 0.55
@@ -364,14 +368,6 @@ class _Page:
             self.pen.band(axes, frame, least, most, colour, 0.14)
             self.pen.band(axes, frame, low, high, colour, 0.28)
             self.pen.line(axes, frame, middle, color=colour, linewidth=1.2)
-
-
-def _wrap(said: Sequence[str], most: int) -> list[str]:
-    lines = [said[0]]
-    for one in said[1:]:
-        longer = f"{lines[-1]}   ·   {one}"
-        lines = [*lines[:-1], longer] if len(longer) <= most else [*lines, one]
-    return lines
 
 
 def _reach(value: Array) -> float:
