@@ -312,7 +312,7 @@ class Fixer:
             ahead, other = place > one.place, now.get(name)
             if place == one.place:
                 continue
-            if other is not None and (other.begun or not ahead):
+            if other is not None and (other.started or not ahead):
                 footprint = other.target.footprint(other.state, ahead=ahead)
             else:
                 footprint = recorded_footprint(self.rows, max(index - ahead, self.run.first), name)
@@ -334,15 +334,15 @@ class _Live:
         if task.begin is not None:
             assert isinstance(self.target, CorrectedTarget)
             self.target = self.target.resumed(first)
-        self.begun, self.state, self.collected = False, None, Collector()
+        self.started, self.state, self.collected = False, None, Collector()
         self._rng = stream(run.recipe.seed, self.place)
 
     def step(self, frame: Frame, footprints: Sequence[Footprint]) -> None:
-        if self.begun:
+        if self.started:
             self.state, result = self.target.advance(self._rng, self.state, frame, footprints)
         else:
             self.state, result = self.target.begin(self._rng, frame)
-            self.begun = True
+            self.started = True
         self.collected.add(result.rows)
 
 

@@ -47,11 +47,11 @@ def number(value: float | None, decimals: int = 2) -> str:
     return "–" if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"
 
 
-def names(those: Sequence[str], most: int = 8) -> str:
+def names(items: Sequence[str], most: int = 8) -> str:
     """`a, b and c`; of many, the first and how many more."""
-    if len(those) > most:
-        return f"{', '.join(those[: most - 1])} and {len(those) - most + 1} more"
-    return " and ".join(filter(None, (", ".join(those[:-1]), *those[-1:])))
+    if len(items) > most:
+        return f"{', '.join(items[: most - 1])} and {len(items) - most + 1} more"
+    return " and ".join(filter(None, (", ".join(items[:-1]), *items[-1:])))
 
 
 def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHistory) -> str:
@@ -61,40 +61,40 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
     each = len(history.parts) == len(table.targets)  # a box of each, or the only part
     what = whose if each else f"{count(len(history.parts), 'part')} of {whose}"
     long = f"{count(frames, 'frame')}, {lasting(clock.duration)}"
-    found = [f"The recipe {header.recipe_name} looked for {what} in {header.clip_name} over {long}."]
+    facts = [f"The recipe {header.recipe_name} looked for {what} in {header.clip_name} over {long}."]
     who, lost = "It" if one else "At least one part", [part.name for part in history.parts if part.spans]
     gone, absent = history.ending("lost"), history.ending("absent")
     if not any(part.judged for part in history.parts):
-        found.append("The tracker does not report when it is lost.")
+        facts.append("The tracker does not report when it is lost.")
     elif not lost:
-        found.append("It was never called lost." if one else "No part was ever called lost.")
+        facts.append("It was never called lost." if one else "No part was ever called lost.")
     else:
         n = len(history.episodes)
         times = {1: "one stretch", 2: "two stretches"}.get(n, count(n, "stretch", "stretches"))
-        those = "" if one else f": {names(lost)}"
+        parts = "" if one else f": {names(lost)}"
         share = f"{count(history.frames_lost, 'frame')} ({percent(history.frames_lost / frames)})"
-        found.append(f"{who} was called lost in {share}, in {times}{those}.")
+        facts.append(f"{who} was called lost in {share}, in {times}{parts}.")
         end = f"{_are(gone)} called lost" if gone else f"{'no other' if absent else 'no'} part is called lost"
         if one and not absent:
             end = "it is called lost" if gone else "it is not called lost"
         if not one or not absent:
-            found.append(f"In the last frame {end}.")
+            facts.append(f"In the last frame {end}.")
     if hidden := len({at for part in history.parts for one in part.hidings for at in range(one.first, one.last + 1)}):
-        found.append(f"{who} was hidden, at a likely place, in {count(hidden, 'frame')}.")
+        facts.append(f"{who} was hidden, at a likely place, in {count(hidden, 'frame')}.")
     if (mean := confidence_of(table)) is not None:
-        found.append(_trust(calibrated(header.recipe), mean))
+        facts.append(_trust(calibrated(header.recipe), mean))
     if history.seams:
         differ = sum(not seam.agrees for seam in history.seams)
-        those = f"{differ or 'none'} of the {count(len(history.seams), 'place')} where they meet"
-        found.append(f"It was tracked in chunks, which differ at {those}.")
+        where = f"{differ or 'none'} of the {count(len(history.seams), 'place')} where they meet"
+        facts.append(f"It was tracked in chunks, which differ at {where}.")
     if history.corrections:
-        found.append(f"It was corrected by hand in {count(len(history.corrections), 'frame')}.")
+        facts.append(f"It was corrected by hand in {count(len(history.corrections), 'frame')}.")
     if missing := [part for part in history.parts if part.frames_absent]:
         rows = sum(part.frames_absent for part in missing)
         over = count(rows, "frame" if len(missing) == 1 else "row")
         said = "Absent" if any(part.vanishes for part in missing) else "Marked as absent"
-        found.append(f"{said}: {names([part.name for part in missing])}, in {over}.")
-    return " ".join(found)
+        facts.append(f"{said}: {names([part.name for part in missing])}, in {over}.")
+    return " ".join(facts)
 
 
 def to_look_at(table: Trajectory, history: RunHistory, clock: Clock) -> list[tuple[int, str]]:
@@ -191,11 +191,11 @@ def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) 
             case _:
                 ends = [(kind, [parts[i] for i in np.flatnonzero(rows.status == kind)]) for kind in ("lost", "absent")]
                 words = {"lost": "called lost", "absent": "absent"}
-                found = "; ".join(f"{words[kind]}: {names(those, 5)}" for kind, those in ends if those)
+                found = "; ".join(f"{words[kind]}: {names(gone, 5)}" for kind, gone in ends if gone)
                 return "End", found or ("not called lost" if len(parts) == 1 else "no part is called lost")
 
     return [(event.kind, *words(event)) for event in key.events]
 
 
-def _are(those: Sequence[str], most: int = 8) -> str:
-    return f"{names(those, most)} {'is' if len(those) == 1 else 'are'}"
+def _are(items: Sequence[str], most: int = 8) -> str:
+    return f"{names(items, most)} {'is' if len(items) == 1 else 'are'}"

@@ -230,7 +230,7 @@ def test_windows_and_corrections_of_the_file_before_are_kept(clips, tmp_path):
         tuple(Correction(frame, name, given) for frame, name in ((1, "face"), (2, "face"))),
     )  # fmt: skip
     out = tmp_path / "a.init.yaml"
-    with picking(clips / "face", out, begun=begun) as (client, _):
+    with picking(clips / "face", out, previous=begun) as (client, _):
         state = client.get("api/state").json
         assert state["draft"]["targets"]["face"]["points"]["nose"] == POINTS["nose"]
         assert state["message"] == "taken from old.yaml"
@@ -246,7 +246,7 @@ def test_windows_and_corrections_of_the_file_before_are_kept(clips, tmp_path):
 def test_what_the_page_begins_with(clips):
     for names in (["face"], ["head", "foot"]):  # a file of another recipe is fitted to this one
         begun = Start(0, {name: TargetStart(box=(10, 10, 40, 40)) for name in names}, "old.yaml")
-        with picking(clips / "face", config="head_hands", begun=begun) as (client, _):
+        with picking(clips / "face", config="head_hands", previous=begun) as (client, _):
             assert list(client.get("api/state").json["draft"]["targets"]) == ["head"]
     with picking(clips / "face", frame=1, box=(112, 79, 98, 98)) as (client, session):  # a box has its points
         draft = client.get("api/state").json["draft"]
@@ -280,9 +280,9 @@ def test_the_file_says_which_detector_has_placed_what_nobody_moved(clips, tmp_pa
     assert begun.detector == here and begun.placed
     assert [saved(change).detector for change in ("point", "box")] == ["", ""]
     assert [saved(change, box=(112, 79, 98, 98), frame=1).detector for change in (None, "point")] == [here, ""]
-    assert [saved(change, begun=begun).detector for change in (None, "point")] == [here, ""]
+    assert [saved(change, previous=begun).detector for change in (None, "point")] == [here, ""]
     by_hand = replace(begun, detector="", placed=False)
-    assert saved(begun=by_hand).detector == ""
+    assert saved(previous=by_hand).detector == ""
 
 
 NAMES = ["face", "frame", "box", "corrections", "windows_", "null", "yes", "On", "Infinity", "nan", "hand-2", "_"]

@@ -69,7 +69,7 @@ def test_a_box_and_five_points_are_picked_and_saved(pick, windows, tmp_path):
 
 
 def test_arrows_nudge_by_exact_steps(clips, pick, windows):
-    session, url = pick(clips / "face", frame=1, begun=BEGUN)
+    session, url = pick(clips / "face", frame=1, previous=BEGUN)
     window = windows(url)
     window.click(160, 138)
     for key, step in [("ArrowRight", (1, 0)), ("Shift+ArrowDown", (0, 10)), ("Alt+ArrowLeft", (-0.25, 0)),
@@ -233,7 +233,7 @@ def test_slider_and_keys_show_the_right_frame(clips, pick, windows):
 
 
 def test_marks_stay_with_their_frame_until_one_begins_elsewhere(clips, pick, windows, tmp_path):
-    _, url = pick(clips / "face", tmp_path / "a.yaml", frame=1, begun=BEGUN)
+    _, url = pick(clips / "face", tmp_path / "a.yaml", frame=1, previous=BEGUN)
     window = windows(url)
     window.until_message("taken from a file")
     before = window.get("draft")
@@ -318,7 +318,7 @@ def test_targets_are_renamed_added_and_removed(clips, pick, windows, tmp_path):
 def test_the_marks_of_a_small_face_do_not_hide_it(clips, pick, windows, tmp_path):
     points = {part: (1900 + (x - 160) / 3, 1000 + (y - 138) / 3) for part, (x, y) in POINTS.items()}
     begun = Start(0, {"face": TargetStart((1880, 980, 40, 40), points)}, "a file")
-    _, url = pick(clips / "large", tmp_path / "a.yaml", "factorized", begun=begun)
+    _, url = pick(clips / "large", tmp_path / "a.yaml", "factorized", previous=begun)
     window = windows(url)
     assert window.get("zoom") > 5, "they could not be told apart"
     apart = window.on_screen(points["mouth_left"], points["mouth_right"])

@@ -280,10 +280,10 @@ class AppSession(Page):
     def _start_page(self, clip: Clip, stack: contextlib.ExitStack) -> Page:
         place, out = self.project.place(clip), self.project.start_of(clip)
         make_folder(out.parent)
-        begun = read_init(out) if out.is_file() else None
+        previous = read_init(out) if out.is_file() else None
         frames = stack.enter_context(Frames(place))
         recipe = load_recipe(RECIPES[clip.what])
-        return PickSession(place, frames, out=out, overwrite=True, recipe=recipe, begun=begun)
+        return PickSession(place, frames, out=out, overwrite=True, recipe=recipe, previous=previous)
 
     def _shut_of(self, clip: int | None = None) -> None:
         """Close the pages of a clip, or those that have ended."""

@@ -33,8 +33,8 @@ _ABOUT_BOXES: Final = {
 class PickSession(Session):
     """The choice of a start. The page first shows `frame`, where the `box` of a face may give the first draft.
 
-    `begun` is the start in the file to be replaced. Save writes to `out`, and an image to `preview`; without `out` the
-    start is left in `saved`. Raises InputError for a frame that does not exist or a box outside of it.
+    `previous` is the start in the file to be replaced. Save writes to `out`, and an image to `preview`; without `out`
+    the start is left in `saved`. Raises InputError for a frame that does not exist or a box outside of it.
     """
 
     mode: ClassVar[Literal["pick"]] = "pick"
@@ -49,23 +49,23 @@ class PickSession(Session):
         recipe: Recipe | None = None,
         frame: int | None = None,
         box: Box | None = None,
-        begun: Start | None = None,
+        previous: Start | None = None,
         next_: str | None = None,
         preview: Path | None = None,
     ) -> None:
         self.clip, self.out, self.overwrite, self.recipe = clip, out, overwrite, recipe
         self.next, self.preview = next_, preview
-        self.begun = begun = None if begun is None else fitted(begun, recipe)
+        self.previous = previous = None if previous is None else fitted(previous, recipe)
         self.saved: Start | None = None
         self._previewed = False
         required = requirements(recipe)
         proposer = Proposer(frames, recipe, required[0]["points"])
-        shown = frame if frame is not None else begun.frame if begun is not None else 0
+        shown = frame if frame is not None else previous.frame if previous is not None else 0
         image = frames.read(shown)  # raises InputError before anything is served
         self._placed: list[tuple[Draft, str]] = []  # drafts that a detector has placed, and its name
-        if begun is not None:
-            self._placed.append((draft_of(begun.frame, begun.targets), begun.placed_by))
-        draft = draft_of(shown, begun.targets if begun is not None else {})
+        if previous is not None:
+            self._placed.append((draft_of(previous.frame, previous.targets), previous.placed_by))
+        draft = draft_of(shown, previous.targets if previous is not None else {})
         self._unchanged = draft if box is None else None
         if box is not None:
             draft = proposer.in_box(image, box, str(clip))
@@ -78,12 +78,12 @@ class PickSession(Session):
             "saves_to": "standard output" if out is None else str(out),
         }
         super().__init__(frames, proposer, draft, about)
-        if begun is not None and box is None:
-            self.message = f"taken from {begun.origin}"
+        if previous is not None and box is None:
+            self.message = f"taken from {previous.origin}"
 
     def save(self, draft: Draft) -> None:
         frames = self.frames.count if self.frames.exact else None
-        start = start_of(draft, self.frames.size, frames, self.recipe, self.begun)
+        start = start_of(draft, self.frames.size, frames, self.recipe, self.previous)
         if frames is None:
             self.frames.read(start.frame)  # how long the clip is may be known only then
         by = self._placed_by(draft)
@@ -97,7 +97,7 @@ class PickSession(Session):
             if self.ended is not None or draft == self._unchanged:
                 return None
         chosen = draft.placed()
-        return carried(Start(draft.frame, chosen, ORIGIN), self.begun) if chosen else None
+        return carried(Start(draft.frame, chosen, ORIGIN), self.previous) if chosen else None
 
     def _placed_by(self, chosen: Draft) -> str:
         """The detector that has placed all chosen parts; "" if the user has moved or drawn one of them."""
@@ -115,7 +115,7 @@ class PickSession(Session):
         if self.out is not None:
             write_init(self.out, start, clip=self.clip.name, overwrite=self.overwrite)
         messages.append(f"{self.out}: written" if self.out is not None else "standard output: what was chosen")
-        if self.begun is not None and (lost := len(self.begun.corrections) - len(start.corrections)):
+        if self.previous is not None and (lost := len(self.previous.corrections) - len(start.corrections)):
             messages.append(f"corrections left out, since they come before the start or have no target: {lost}")
         self.saved = start
         self.end(messages, self.next)
@@ -151,9 +151,9 @@ def _box_for(points: Sequence[str]) -> Literal["needed", "optional"]:
 
 
 def start_of(
-    draft: Draft, size: tuple[int, int], frames: int | None, recipe: Recipe | None, begun: Start | None
+    draft: Draft, size: tuple[int, int], frames: int | None, recipe: Recipe | None, previous: Start | None
 ) -> Start:
-    """The start of a draft, to 0.01 px, as a run accepts it, with windows and corrections `carried` from `begun`.
+    """The start of a draft, to 0.01 px, as a run accepts it, with windows and corrections `carried` from `previous`.
 
     `frames` is the number of frames where it is certain. Raises RefusedError (422) that names all missing parts.
     """
@@ -163,7 +163,7 @@ def start_of(
     for name in chosen:
         if get_close_matches(name, _RESERVED, n=1, cutoff=0.7):
             raise RefusedError(422, f"a target cannot be called {name}, too like a key of init files; rename it")
-    start = carried(Start(draft.frame, chosen, ORIGIN), begun)
+    start = carried(Start(draft.frame, chosen, ORIGIN), previous)
     try:
         if recipe is not None:
             start = name_targets(start, recipe.followed, None, left_out=recipe.left_out, later=recipe.later)
@@ -189,15 +189,15 @@ def fitted(start: Start, recipe: Recipe | None) -> Start:
     return replace(start, targets=targets, corrections=kept)
 
 
-def carried(start: Start, begun: Start | None) -> Start:
-    """The start with the windows and corrections of `begun` that still have their target and come after it."""
-    if begun is None:
+def carried(start: Start, previous: Start | None) -> Start:
+    """The start with the windows and corrections of `previous` that still have their target and come after it."""
+    if previous is None:
         return start
     targets = {}
     for name, target in start.targets.items():
-        before = begun.targets.get(name, TargetStart())
+        before = previous.targets.get(name, TargetStart())
         targets[name] = replace(target, windows={p: w for p, w in before.windows.items() if p in target.points})
-    kept = tuple(one for one in begun.corrections if one.target in targets and one.frame > start.frame)
+    kept = tuple(one for one in previous.corrections if one.target in targets and one.frame > start.frame)
     return replace(start, targets=targets, corrections=kept)
 
 
