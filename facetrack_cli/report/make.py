@@ -28,10 +28,10 @@ from facetrack_cli.evaluation.rows import Pair, match
 from facetrack_cli.evaluation.summary import Options, evaluate
 from facetrack_cli.recipe.calibrated import calibrated
 from facetrack_cli.report import figures as plots
-from facetrack_cli.report import text
+from facetrack_cli.report import story
 from facetrack_cli.report.command_line import command, init_yaml, recipe_yaml
-from facetrack_cli.report.events import LostSpan, Stretch, history_of, key_frames
 from facetrack_cli.report.frames import Image, Report, key_images
+from facetrack_cli.report.story import LostSpan, Stretch, history_of, key_frames
 from facetrack_cli.run_folder.manifest import REPORT, VIDEO, read_manifest, read_run, trajectory_of
 from facetrack_cli.run_folder.status import ClipStatus, badness, name_of, survey
 from facetrack_cli.trajectory.clock import Clock
@@ -98,7 +98,7 @@ def make_report(
     keys = key_frames(history, first, last)
     shown = [key.frame for key in keys]
     images = key_images(table, header, shown, clip, _video(run), report)
-    mean, looks = text.confidence_of(table), text.to_look_at(followed, history, clock)
+    mean, looks = story.confidence_of(table), story.to_look_at(followed, history, clock)
     longest = sorted(history.spans, key=lambda s: -s.seconds)[:MAX_SPANS]
     again = command(header, last, run)
     network = f" Its points were placed {manifest.network}." if manifest is not None and manifest.network else ""
@@ -113,7 +113,7 @@ def make_report(
         header=header,
         clock=clock,
         history=history,
-        summary=text.sentences(table, header, clock, history) + network,
+        summary=story.sentences(table, header, clock, history) + network,
         cast=people,
         seen=lambda person: [Stretch(begin, stop - 1) for begin, stop in person.intervals],
         picture=picture,
@@ -121,10 +121,10 @@ def make_report(
         parts=[one for one in history.parts if one.spans or one.hidings or one.absences],
         looks=looks,
         leading=next((frame for frame in (*(at for at, _ in looks), *shown) if frame in images.found), None),
-        identities=list(text.identities(table, clock)),
+        identities=list(story.identities(table, clock)),
         mean=mean,
         calibrated=calibrated(header.recipe),
-        warnings=[*text.doubts(header, mean), *header.warnings, *images.notes],
+        warnings=[*story.doubts(header, mean), *header.warnings, *images.notes],
         bars=lambda spans: _bars(spans, first, _BINS / (last - first + 1)),
         events=sorted(sorted(table.events, key=lambda event: -event.probability)[:MAX_SPANS]),
         several=len(table.targets) > 1,
@@ -133,7 +133,7 @@ def make_report(
         images=images.found,
         from_clip=images.origin == "clip",
         some_left_out=not {frame for frame, _ in history.events} <= {*shown},
-        reasons={key.frame: text.reasons(key, followed, history, header.init.origin) for key in keys},
+        reasons={key.frame: story.reasons(key, followed, history, header.init.origin) for key in keys},
         plot=_plot(table, pairs, title),
         reported=reported or bool((table.identity != "").any()),
         truth=measured,
@@ -208,7 +208,7 @@ def page_template(name: str) -> Any:
     loader, strict = jinja2.FileSystemLoader(folder), jinja2.StrictUndefined
     trim: Any = {"trim_blocks": True, "lstrip_blocks": True}
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=strict, **trim)
-    filters = (text.count, text.lasting, text.names, text.number, text.percent)
+    filters = (story.count, story.lasting, story.names, story.number, story.percent)
     environment.filters |= {"clock": at_clock, **{one.__name__: one for one in filters}}
     style = (folder / "report.css").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")

@@ -10,7 +10,7 @@ import pytest
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.report.events import history_of
+from facetrack_cli.report.story import history_of
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.reader import read_trajectory

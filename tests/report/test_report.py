@@ -25,7 +25,7 @@ from facetrack_cli.report import frames as report_frames
 from facetrack_cli.report import make as report
 from facetrack_cli.report.frames import MAX_BYTES, Image, _jpeg, key_images
 from facetrack_cli.report.make import make_report
-from facetrack_cli.report.text import identities
+from facetrack_cli.report.story import identities
 from facetrack_cli.run_folder.manifest import read_manifest
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import read_header

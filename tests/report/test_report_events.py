@@ -14,8 +14,7 @@ from facetrack_cli.recipe.calibrated import _shipped, calibrated
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.report.command_line import command, recipe_yaml
-from facetrack_cli.report.events import history_of, key_frames
-from facetrack_cli.report.text import _trust, doubts, number, reasons, to_look_at
+from facetrack_cli.report.story import _trust, doubts, history_of, key_frames, number, reasons, to_look_at
 from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import read_header

@@ -12,7 +12,7 @@ from facetrack_cli.editor.web.session import MAX_POINTS, Draft, Json, Proposer, 
 from facetrack_cli.engine.checks import check_size, check_start
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
-from facetrack_cli.report.text import names as listed
+from facetrack_cli.report.story import names as listed
 from facetrack_cli.start.init_file import KEYS, OF_CORRECTIONS, OF_FILES, TARGET, WHAT_PARTS_ARE, write_init
 from facetrack_cli.start.preview import write_preview
 from facetrack_cli.start.targets import name_targets
