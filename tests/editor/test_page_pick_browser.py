@@ -35,6 +35,17 @@ def clips(tmp_path_factory):
     return folder
 
 
+@pytest.fixture
+def page(pick, windows):
+    """Opens a page: its session, and a window."""
+
+    def make(*where, screen=DESK, **more):
+        session, url = pick(*where, **more)
+        return session, windows(url, **screen)
+
+    return make
+
+
 def corners(box):
     """The pixels in two corners of a box."""
     left, top, width, height = box
@@ -68,9 +79,8 @@ def test_a_box_and_five_points_are_picked_and_saved(pick, windows, tmp_path):
     near(face.points, POINTS, 0.6)
 
 
-def test_arrows_nudge_by_exact_steps(clips, pick, windows):
-    session, url = pick(clips / "face", frame=1, previous=BEGUN)
-    window = windows(url)
+def test_arrows_nudge_by_exact_steps(clips, page):
+    session, window = page(clips / "face", frame=1, previous=BEGUN)
     window.click(160, 138)
     for key, step in [("ArrowRight", (1, 0)), ("Shift+ArrowDown", (0, 10)), ("Alt+ArrowLeft", (-0.25, 0)),
                       ("Alt+ArrowUp", (0, -0.25)), ("Shift+ArrowLeft", (-10, 0)), ("ArrowUp", (0, -1))]:  # fmt: skip
@@ -86,9 +96,8 @@ def test_arrows_nudge_by_exact_steps(clips, pick, windows):
     assert window.get("frame") == session.draft.frame, "no arrow went through the clip, or back in the history"
 
 
-def test_a_proposal_is_taken_corrected_and_saved(clips, pick, windows, tmp_path):
-    _, url = pick(clips / "face", tmp_path / "a.yaml", frame=1)
-    window = windows(url)
+def test_a_proposal_is_taken_corrected_and_saved(clips, page, tmp_path):
+    _, window = page(clips / "face", tmp_path / "a.yaml", frame=1)
     window.until("window.facetrack.proposals.length")
     [left, top, width, _] = window.get("proposals")[0]["targets"]["face"]["box"]
 
@@ -111,9 +120,8 @@ def test_a_proposal_is_taken_corrected_and_saved(clips, pick, windows, tmp_path)
     near(face.points, taken["points"], 0)
 
 
-def test_every_change_is_undone_and_redone(clips, pick, windows):
-    session, url = pick(clips / "face", frame=1)
-    window = windows(url)
+def test_every_change_is_undone_and_redone(clips, page):
+    session, window = page(clips / "face", frame=1)
     right, bottom = 209, 176
     actions = [
         lambda: window.drag((112, 79), (right, bottom)),
@@ -158,9 +166,8 @@ def add(window, name):
 # --- by keys alone, and through the clip -----------------------------------------------------------------------------
 
 
-def test_by_keys_alone(clips, pick, windows, tmp_path):
-    _, url = pick(clips / "face", tmp_path / "a.yaml")
-    window = windows(url)
+def test_by_keys_alone(clips, page, tmp_path):
+    _, window = page(clips / "face", tmp_path / "a.yaml")
     window.press("ArrowRight")
     window.until_shown(1)
     # by hand: the box in the list, and the parts that follow
@@ -188,9 +195,8 @@ def test_by_keys_alone(clips, pick, windows, tmp_path):
     near(start.targets["face"].points, expected, 0.01)
 
 
-def test_every_control_is_reached_by_tab_and_has_a_name(clips, pick, windows):
-    _, url = pick(clips / "face", frame=1)
-    window = windows(url)
+def test_every_control_is_reached_by_tab_and_has_a_name(clips, page):
+    _, window = page(clips / "face", frame=1)
     window.until("window.facetrack.proposals.length")
     reached = []
     where = "(document.activeElement.dataset.slot ? 'a part' : document.activeElement.dataset.testid) ?? 'BODY'"
@@ -204,9 +210,8 @@ def test_every_control_is_reached_by_tab_and_has_a_name(clips, pick, windows):
     assert window.evaluate(nameless) == []
 
 
-def test_slider_and_keys_show_the_right_frame(clips, pick, windows):
-    _, url = pick(clips / "numbered.mp4")
-    window = windows(url)
+def test_slider_and_keys_show_the_right_frame(clips, page):
+    _, window = page(clips / "numbered.mp4")
     for key, frame in [("ArrowRight", 1), ("Shift+ArrowRight", 26), (".", 27), ("PageDown", 52), ("ArrowLeft", 51),
                        (",", 50), ("End", 199), ("PageUp", 174), ("Home", 0), ("ArrowLeft", 0)]:  # fmt: skip
         window.press(key)
@@ -232,9 +237,8 @@ def test_slider_and_keys_show_the_right_frame(clips, pick, windows):
     assert window.get("draft.frame") == shown, "without marks, a start would be in this frame"
 
 
-def test_marks_stay_with_their_frame_until_one_begins_elsewhere(clips, pick, windows, tmp_path):
-    _, url = pick(clips / "face", tmp_path / "a.yaml", frame=1, previous=BEGUN)
-    window = windows(url)
+def test_marks_stay_with_their_frame_until_one_begins_elsewhere(clips, page, tmp_path):
+    _, window = page(clips / "face", tmp_path / "a.yaml", frame=1, previous=BEGUN)
     window.until_message("taken from a file")
     before = window.get("draft")
     window.click_on("following")
@@ -268,9 +272,8 @@ def test_marks_stay_with_their_frame_until_one_begins_elsewhere(clips, pick, win
 # --- several targets -------------------------------------------------------------------------------------------------
 
 
-def test_head_and_hands_with_their_boxes(clips, pick, windows, tmp_path):
-    _, url = pick(clips / "sign", tmp_path / "a.yaml", "head_hands")
-    window = windows(url)
+def test_head_and_hands_with_their_boxes(clips, page, tmp_path):
+    _, window = page(clips / "sign", tmp_path / "a.yaml", "head_hands")
     assert not window.visible("add-target") and not window.visible("rename-head")
     window.click_on("take-0")
     assert set(window.get("draft.targets")) == set(HANDS) and window.text("progress") == "3 of 3"
@@ -287,9 +290,8 @@ def test_head_and_hands_with_their_boxes(clips, pick, windows, tmp_path):
     assert saved == {**HANDS, "right_hand": [left, top, width + 6, height + 4]}
 
 
-def test_targets_are_renamed_added_and_removed(clips, pick, windows, tmp_path):
-    _, url = pick(clips / "face", tmp_path / "a.yaml", "contour_histogram", frame=1)
-    window = windows(url)
+def test_targets_are_renamed_added_and_removed(clips, page, tmp_path):
+    _, window = page(clips / "face", tmp_path / "a.yaml", "contour_histogram", frame=1)
     window.drag(*corners(BOX))
     window.click_on("rename-face")
     for name, why in [("points", "a key of init files"), ("1st", "letters, digits"), ("a/b", "letters, digits")]:
@@ -315,11 +317,10 @@ def test_targets_are_renamed_added_and_removed(clips, pick, windows, tmp_path):
 # --- fingers, large frames and small faces ---------------------------------------------------------------------------
 
 
-def test_the_marks_of_a_small_face_do_not_hide_it(clips, pick, windows, tmp_path):
+def test_the_marks_of_a_small_face_do_not_hide_it(clips, page, tmp_path):
     points = {part: (1900 + (x - 160) / 3, 1000 + (y - 138) / 3) for part, (x, y) in POINTS.items()}
     begun = Start(0, {"face": TargetStart((1880, 980, 40, 40), points)}, "a file")
-    _, url = pick(clips / "large", tmp_path / "a.yaml", "factorized", previous=begun)
-    window = windows(url)
+    _, window = page(clips / "large", tmp_path / "a.yaml", "factorized", previous=begun)
     assert window.get("zoom") > 5, "they could not be told apart"
     apart = window.on_screen(points["mouth_left"], points["mouth_right"])
     assert apart[1][0] - apart[0][0] > 60
@@ -333,9 +334,8 @@ def test_the_marks_of_a_small_face_do_not_hide_it(clips, pick, windows, tmp_path
     assert window.get("zoom") > 5
 
 
-def test_fingers_draw_place_move_and_zoom(clips, pick, windows, tmp_path):
-    _, url = pick(clips / "face", tmp_path / "a.yaml", "factorized", frame=1)
-    window = windows(url, **PHONE)
+def test_fingers_draw_place_move_and_zoom(clips, page, tmp_path):
+    _, window = page(clips / "face", tmp_path / "a.yaml", "factorized", frame=1, screen=PHONE)
     window.here("part-face-box").tap()
     window.touch("start", (112, 79))
     window.touch("move", (150, 100))
@@ -376,9 +376,8 @@ def test_fingers_draw_place_move_and_zoom(clips, pick, windows, tmp_path):
     assert set(read_init(tmp_path / "a.yaml").targets["face"].points) == set(POINTS)
 
 
-def test_a_4k_frame_is_sent_as_small_as_it_is_shown(clips, pick, windows):
-    session, url = pick(clips / "large")
-    window = windows(url)
+def test_a_4k_frame_is_sent_as_small_as_it_is_shown(clips, page):
+    session, window = page(clips / "large")
     window.until("!window.facetrack.proposals.length")
     frames = [one.partition("/frame/")[2] for one in window.requests() if "/frame/" in one]
     assert frames == ["0.jpg?reduce=4"] and window.scale() < 0.26
@@ -436,9 +435,8 @@ def through(window):
 
 
 @pytest.mark.parametrize("screens", [[DESK], [PHONE, SMALL, TABLET]], ids=["mouse", "fingers"])
-def test_all_is_in_the_window_large_enough_and_legible(clips, pick, windows, tmp_path, screens):
-    _, url = pick(clips / "face", tmp_path / "a.yaml", frame=1)
-    window = windows(url, **screens[0])
+def test_all_is_in_the_window_large_enough_and_legible(clips, page, tmp_path, screens):
+    _, window = page(clips / "face", tmp_path / "a.yaml", frame=1, screen=screens[0])
     window.expected = ["422"]
     found = [(face, *one) for face in through(window) for one in wrong_looks(window, screens)]
     assert found == []
