@@ -1,5 +1,6 @@
 """facetrack fix without a browser: what the page requests, the command, and what is interrupted."""
 
+import contextlib
 import json
 import os
 import shutil
@@ -16,17 +17,16 @@ from facetrack_cli.core.types import Correction
 from facetrack_cli.editor import save as saving
 from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.web import session as session_module
-from facetrack_cli.editor.web.fix_session import FixSession, doubtful, overview
-from facetrack_cli.editor.web.server import run_page, serving
+from facetrack_cli.editor.web.fix_session import doubtful, overview
+from facetrack_cli.editor.web.server import run_page
 from facetrack_cli.run_folder.finished import open_run, write_rows
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
 from facetrack_cli.trajectory.trajectory import Collector
-from facetrack_cli.video.seek import Frames
 from tests.support import results
 from tests.support.browser import READY
 from tests.support.hands_run import hands_run
-from tests.support.page_client import Client, wait_for
+from tests.support.page_client import Client, fixing, wait_for
 from tests.support.samples import FOLDER
 from tests.support.terminal import refusal
 
@@ -54,13 +54,10 @@ def out(clips, tmp_path):
 class Page:
     """A run's page and one window of it."""
 
-    def __init__(self, folder):
-        self.run = open_run(folder)
-        self.frames = Frames(self.run.clip)
-        self.fixer = Fixer(self.run, self.frames.read)
-        self.session = FixSession(self.fixer, self.frames)
-        self._serving = serving(self.session)
-        self.client = Client(self._serving.__enter__().url)
+    def __init__(self, folder, stack):
+        self.session, url = stack.enter_context(fixing(folder))
+        self.client = stack.enter_context(contextlib.closing(Client(url)))
+        self.fixer, self.frames = self.session.fixer, self.session.frames
 
     def post(self, path, **body):
         """What is answered, once the job that it begins is done."""
@@ -83,27 +80,18 @@ class Page:
     def rows(self, first=0, last=STOP - 1):
         return self.client.get(f"api/rows?first={first}&last={last}").json["frames"]
 
-    def close(self):
-        self.client.close()
-        self._serving.__exit__(None, None, None)
-        self.fixer.close()
-        self.frames.close()
-
 
 @pytest.fixture
 def page(out, clips, tmp_path):
     """Opens a run's page: page(name)."""
-    pages = []
+    with contextlib.ExitStack() as stack:
 
-    def make(name="out"):
-        if name != "out":
-            shutil.copytree(clips / name, tmp_path / name)
-        pages.append(Page(tmp_path / name))
-        return pages[-1]
+        def make(name="out"):
+            if name != "out":
+                shutil.copytree(clips / name, tmp_path / name)
+            return Page(tmp_path / name, stack)
 
-    yield make
-    for one in pages:
-        one.close()
+        yield make
 
 
 # --- the page --------------------------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 import json
 import signal
 import socket
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,14 +18,13 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
 from facetrack_cli.editor.web import server as server_module
 from facetrack_cli.editor.web import session as session_module
-from facetrack_cli.editor.web.pick_session import PickSession, start_of
-from facetrack_cli.editor.web.server import serving
+from facetrack_cli.editor.web.pick_session import start_of
 from facetrack_cli.editor.web.session import Draft, DraftTarget, RefusedError
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.init_file import read_init, write_init
 from facetrack_cli.start.targets import name_targets
 from facetrack_cli.trackers.face.detectors import PARTS, detector
-from facetrack_cli.video.seek import Frames
+from tests.support import page_client
 from tests.support.media import write_pictures
 from tests.support.page_client import Client, drive, wait_for
 from tests.support.samples import read_pictures
@@ -51,16 +50,10 @@ def clips(tmp_path_factory):
 
 
 @contextmanager
-def picking(clip, out=None, config=None, **more):
-    recipe = None if config is None else load_recipe(config)
-    with Frames(clip) as frames:
-        session = PickSession(clip, frames, out=out, recipe=recipe, **more)
-        with serving(session) as server:
-            client = Client(server.url)
-            try:
-                yield client, session
-            finally:
-                client.close()
+def picking(*where, **more):
+    """A client of a page, and its session."""
+    with page_client.picking(*where, **more) as (session, url), closing(Client(url)) as client:
+        yield client, session
 
 
 @pytest.fixture(autouse=True)

@@ -1,5 +1,6 @@
-"""Requests to the page's server, without a browser."""
+"""Pages that are served in this process, and requests to them without a browser."""
 
+import contextlib
 import http.client
 import json
 import os
@@ -13,7 +14,33 @@ from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
+from facetrack_cli.editor.history import Fixer
 from facetrack_cli.editor.web import server
+from facetrack_cli.editor.web.fix_session import FixSession
+from facetrack_cli.editor.web.pick_session import PickSession
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.run_folder.finished import open_run
+from facetrack_cli.video.seek import Frames
+
+
+@contextlib.contextmanager
+def picking(clip, out=None, config=None, **more):
+    """The session and the address of `facetrack init --pick`."""
+    recipe = None if config is None else load_recipe(config)
+    with Frames(clip) as frames:
+        session = PickSession(clip, frames, out=out, recipe=recipe, **more)
+        with server.serving(session) as page:
+            yield session, page.url
+
+
+@contextlib.contextmanager
+def fixing(folder, **more):
+    """The session and the address of `facetrack fix`."""
+    run = open_run(folder)
+    with Frames(run.clip) as frames, contextlib.closing(Fixer(run, frames.read)) as fixer:
+        session = FixSession(fixer, frames, **more)
+        with server.serving(session) as page:
+            yield session, page.url
 
 
 class Got(NamedTuple):
