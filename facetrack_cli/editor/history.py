@@ -156,14 +156,14 @@ class Fixer:
         for correction in given:
             self.check(correction)
         new = {(one.frame, one.target): completed_by(one, self.rows) for one in given}
-        others = [one for one in self.corrections if (one.frame, one.target) not in new]
+        others = [correction for correction in self.corrections if (correction.frame, correction.target) not in new]
         self._become([*others, *new.values()], report, stop)
 
     def remove(self, frame: int, target: str, *, report: Report = silent, stop: Stopped = never) -> None:
         """Remove a correction. The target is tracked from the correction before, if these rows are not known yet."""
         if (removed := self.find(frame, target)) is None:
             raise InputError(f"{target} has no correction at frame {frame}")
-        self._become([one for one in self.corrections if one is not removed], report, stop)
+        self._become([correction for correction in self.corrections if correction is not removed], report, stop)
 
     def undo(self) -> None:
         """Undo the last step; nothing is tracked for it."""
@@ -233,7 +233,7 @@ class Fixer:
                 plan.pop(0)
             done += length_of(tasks)
         placed = [track.begin for each in tracks.values() for track in each if track.begin is not None]
-        others = (one for one in corrections if one.frame > self.run.last or one.confirmed)
+        others = (correction for correction in corrections if correction.frame > self.run.last or correction.confirmed)
         became = self._ordered([*placed, *others])
         for name, each in tracks.items():
             self._known[name] += [track for track in each if track not in self._known[name]]
@@ -255,8 +255,12 @@ class Fixer:
         """
         plan: list[Task] = []
         begin, first, last = None, self.run.first, self.run.last
-        ours = (one for one in corrections if one.target == target and not one.confirmed and one.frame <= last)
-        for correction in sorted(ours, key=lambda one: one.frame):
+        ours = (
+            correction
+            for correction in corrections
+            if correction.target == target and not correction.confirmed and correction.frame <= last
+        )
+        for correction in sorted(ours, key=lambda correction: correction.frame):
             more = 0 if is_complete(correction, self.run.parts[target]) else 1
             plan.append(Task(target, begin, first, correction.frame + more))
             begin, first = correction, correction.frame
@@ -278,7 +282,7 @@ class Fixer:
 
         Raises StoppedError once `stop` says so, InputError if the clip is not the run's.
         """
-        live = [_Live(self.run, task, self._first) for task in tasks]
+        targets = [_Live(self.run, task, self._first) for task in tasks]
         recipe, total = self.run.recipe, length_of(tasks)
         exclusive = isinstance(recipe, ParticlesRecipe) and recipe.exclusion is not None
         frames = (index for span in spans_of(tasks) for index in range(*span))
@@ -286,11 +290,11 @@ class Fixer:
             if stop():
                 raise StoppedError
             frame = self._frame(index)
-            now = {one.task.target: one for one in live if one.task.first <= index < one.task.stop}
-            for one in sorted(now.values(), key=lambda one: one.place):
-                one.step(frame, self._footprints(one, now, index) if exclusive else [])
+            now = {live.task.target: live for live in targets if live.task.first <= index < live.task.stop}
+            for live in sorted(now.values(), key=lambda live: live.place):
+                live.step(frame, self._footprints(live, now, index) if exclusive else [])
             report(done, total)
-        rows = [as_written(one.collected.trajectory()) for one in live]
+        rows = [as_written(live.collected.trajectory()) for live in targets]
         return [Track(**vars(task), place=self._store.add(each)) for task, each in zip(tasks, rows, strict=True)]
 
     @cached_property
@@ -404,15 +408,15 @@ def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:
 def _named(start: Start, run: Run) -> Start:
     """The start with the targets that the recipe follows; the run gives the targets that the file does not have."""
     names, out = run.recipe.followed, run.recipe.left_out
-    given = {name: one for name, one in start.targets.items() if name not in out}
+    given = {name: target for name, target in start.targets.items() if name not in out}
     if not names or not given:
         return start
     if len(given) == 1 and not given.keys() & set(names):
         [called] = given
         given = {TARGET: given[called]}
-        corrections = (replace(one, target=TARGET) for one in start.corrections if one.target == called)
-        start = replace(start, corrections=tuple(corrections))
-    rest = {name: one for name, one in run.start.targets.items() if name not in given and name != names[0]}
+        ours = (correction for correction in start.corrections if correction.target == called)
+        start = replace(start, corrections=tuple(replace(correction, target=TARGET) for correction in ours))
+    rest = {name: target for name, target in run.start.targets.items() if name not in given and name != names[0]}
     if not given.keys() & {names[0], TARGET}:
         rest[names[0]] = run.start.targets[names[0]]
     return name_targets(replace(start, targets={**given, **rest}), names, None, left_out=out, later=run.recipe.later)

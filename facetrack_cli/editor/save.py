@@ -123,7 +123,7 @@ def open_track(folder: Path, person: str, frame: int, clip: Path | None = None) 
     Raises InputError where the person is not seen in the frame, or the film is gone.
     """
     people, whole = people_in(folder), rows_in(folder)
-    track = next((one for one in people.tracks if one.person == person and one.first <= frame < one.stop), None)
+    track = next((each for each in people.tracks if each.person == person and each.first <= frame < each.stop), None)
     if track is None:
         raise InputError(f"{folder}: {person} is not seen in frame {frame}; facetrack people {folder} says who is when")
     where, how = film_of(people, whole, clip)

@@ -49,21 +49,21 @@ class CastSession(Page):
 
     def state(self) -> Json:
         with self.lock:
-            records = [one for _, one in self.tracks]
+            records = [track for _, track in self.tracks]
             still = changes.photographs(self.before, self.tracks)
             people = changes.people_of(self._clock, self.before.shots, records, {}, still)
             return {
                 **super().state(),
                 "clip": self.clip.name,
                 "folder": str(self.folder),
-                "people": [one.model_dump(mode="json") for one in people.people],
-                "tracks": [one.model_dump(mode="json") for one in people.tracks],
-                "doubts": [one.model_dump(mode="json") for one in people.doubts],
-                "cuts": [one.first for one in people.shots[1:]],
+                "people": [person.model_dump(mode="json") for person in people.people],
+                "tracks": [track.model_dump(mode="json") for track in people.tracks],
+                "doubts": [doubt.model_dump(mode="json") for doubt in people.doubts],
+                "cuts": [shot.first for shot in people.shots[1:]],
                 "fps": people.fps,
                 "clock": self._clock.points(),
                 "first": people.shots[0].first,
-                "last": max(int(self._rows.frame.max()), *(one.stop - 1 for one in people.tracks)),
+                "last": max(int(self._rows.frame.max()), *(track.stop - 1 for track in people.tracks)),
                 "changes": [words for (words, _), _ in self._steps],
             }
 
@@ -139,7 +139,7 @@ class CastSession(Page):
 
     def _still_of(self, first: int, stop: int, person: str) -> Answer:
         with self.lock:
-            targets = {(one.person, one.first, one.stop): target for target, one in self.tracks}
+            targets = {(track.person, track.first, track.stop): target for target, track in self.tracks}
         if (person, first, stop) not in targets:
             raise RefusedError(404, "there is no such track any more")
         return Answer(self._still(targets[person, first, stop], first, stop), kind="image/jpeg")

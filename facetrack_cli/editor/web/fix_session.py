@@ -93,10 +93,10 @@ class FixSession(Session):
         return {**found, "proposals": proposals}
 
     def check_draft(self, draft: Draft) -> None:
-        for name, one in draft.targets.items():
+        for name, target in draft.targets.items():
             if name not in self._parts:
                 raise RefusedError(400, f"the run has no {name}; it has {', '.join(self._parts)}")
-            named = [*one.points, *(() if one.absent is True else one.absent)]
+            named = [*target.points, *(() if target.absent is True else target.absent)]
             if unknown := [part for part in named if part not in self._parts[name]]:
                 raise RefusedError(400, f"{name} has no {unknown[0]}; it has {', '.join(self._parts[name])}")
 
@@ -124,13 +124,15 @@ class FixSession(Session):
         draft = self.current(base)
         self.refuse_if_busy()
         given = []
-        for name, one in draft.targets.items():
-            if not one.empty:
-                new = Correction(draft.frame, name, one.rounded(), absent=one.absent)
+        for name, target in draft.targets.items():
+            if not target.empty:
+                new = Correction(draft.frame, name, target.rounded(), absent=target.absent)
                 given.append(merged(new, self.fixer.find(draft.frame, name), self._parts[name]))
         if not given:
             raise RefusedError(422, f"nothing is corrected in frame {draft.frame}; move a part, or mark it as absent")
-        return self._put(given if learn == "keep" else [replace(one, learn=learn) for one in given], draft)
+        return self._put(
+            given if learn == "keep" else [replace(correction, learn=learn) for correction in given], draft
+        )
 
     def _put(self, given: Sequence[Correction], draft: Draft | None = None) -> Answer:
         """Have corrections tracked; the draft that they are made of becomes empty."""
@@ -143,7 +145,7 @@ class FixSession(Session):
                 if draft is not None and self.draft is draft:  # else somebody continues with another one
                     self.change(Draft(draft.frame, {}))
 
-        return self._begin(f"tracking {', '.join(one.target for one in given)}", work)
+        return self._begin(f"tracking {', '.join(correction.target for correction in given)}", work)
 
     def _remove(self, frame: FrameNumber, target: str) -> Answer:
         if self.fixer.find(frame, target) is None:
@@ -255,12 +257,14 @@ def overview(
         }
         shares = {status: (count / sizes).round(4).tolist() for status, count in counts.items()}
         parts.append({"target": part.target, "part": part.part, "least": least, **shares})
-    for one in corrections:
-        if one.frame <= last:
-            placed = ["box"] if one.given.box is not None else list(one.given.points)
-            absent, sure = (names is True or list(names) for names in (one.absent, one.confirmed))
+    for correction in corrections:
+        if correction.frame <= last:
+            placed = ["box"] if correction.given.box is not None else list(correction.given.points)
+            absent, sure = (names is True or list(names) for names in (correction.absent, correction.confirmed))
             more = {"confirmed": sure} if sure else {}
-            corrected.append({"frame": one.frame, "target": one.target, "parts": placed, "absent": absent, **more})
+            corrected.append(
+                {"frame": correction.frame, "target": correction.target, "parts": placed, "absent": absent, **more}
+            )
     found = {"first": first, "last": last, "bins": bins, "parts": parts}
     return {**found, "doubtful": doubtful(rows, lost_below), "corrections": corrected}
 

@@ -135,12 +135,12 @@ def requirements(recipe: Recipe | None) -> list[Json]:
         return [requirement(TARGET, points, _box_for(points))]
     # the first target's face is where the others are looked for, and a cloud learns its colours from a box
     boxed = {next(iter(recipe.filters))}
-    for name, one in recipe.filters.items():
-        if isinstance(one.likelihood, SkinCloudSettings):
-            boxed.add(one.likelihood.learn_from or name)
+    for name, followed in recipe.filters.items():
+        if isinstance(followed.likelihood, SkinCloudSettings):
+            boxed.add(followed.likelihood.learn_from or name)
     found = [
-        requirement(name, one.points, "needed" if name in boxed else _box_for(one.points))
-        for name, one in recipe.filters.items()
+        requirement(name, followed.points, "needed" if name in boxed else _box_for(followed.points))
+        for name, followed in recipe.filters.items()
     ]
     return [*found, *(requirement(name, (), "optional") for name in recipe.later)]
 
@@ -158,7 +158,7 @@ def start_of(
     `frames` is the number of frames where it is certain. Raises RefusedError (422) that names all missing parts.
     """
     left_out = () if recipe is None else recipe.left_out
-    chosen = {name: one for name, one in draft.placed().items() if name not in left_out}
+    chosen = {name: target for name, target in draft.placed().items() if name not in left_out}
     _check_complete(chosen, requirements(recipe), free=recipe is None or not recipe.followed)
     for name in chosen:
         if get_close_matches(name, _RESERVED, n=1, cutoff=0.7):
@@ -206,11 +206,11 @@ def _check_complete(chosen: Mapping[str, TargetStart], required: Sequence[Json],
     if not chosen:
         first = listed(_missing(TargetStart(), required[0]), MAX_POINTS)
         raise RefusedError(422, f"nothing is chosen yet; choose {first}")
-    by_name = dict.fromkeys(chosen, required[0]) if free else {one["target"]: one for one in required}
+    by_name = dict.fromkeys(chosen, required[0]) if free else {asked["target"]: asked for asked in required}
     unknown = [name for name in chosen if name not in by_name]
     if unknown:
         raise RefusedError(422, f"the recipe follows {', '.join(by_name)}, and no {', '.join(unknown)}; remove it")
-    missing = {name: _missing(chosen.get(name, TargetStart()), one) for name, one in by_name.items()}
+    missing = {name: _missing(chosen.get(name, TargetStart()), asked) for name, asked in by_name.items()}
     if any(missing.values()):
         open_ = "; ".join(f"{listed(parts, MAX_POINTS)} of {name}" for name, parts in missing.items() if parts)
         raise RefusedError(422, f"still to choose: {open_}")
@@ -230,6 +230,6 @@ def _check_build(start: Start, size: tuple[int, int], recipe: Recipe) -> None:
     if isinstance(recipe, ParticleRecipe):
         recipe = recipe.model_copy(update=nobody)
     elif isinstance(recipe, ParticlesRecipe):
-        targets = {name: one and one.model_copy(update=nobody) for name, one in recipe.targets.items()}
+        targets = {name: target and target.model_copy(update=nobody) for name, target in recipe.targets.items()}
         recipe = recipe.model_copy(update={"targets": targets})
     check_windows(recipe, build_tracker(recipe, start), size, start.origin)

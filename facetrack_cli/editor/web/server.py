@@ -226,7 +226,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _same_origin(self, host: str) -> bool:
         """Whether the origin, if there is one, is that of this page, also through a tunnel."""
-        origins = [one.strip().lower() for one in self.headers.get_all("Origin", [])]
+        origins = [origin.strip().lower() for origin in self.headers.get_all("Origin", [])]
         # a browser that hides the origin sends null; no page can forge the other header
         hidden = origins == ["null"] and self.headers.get_all("Sec-Fetch-Site") == ["same-origin"]
         return not origins or hidden or origins == [f"http://{host}"]
