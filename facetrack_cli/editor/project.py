@@ -23,7 +23,6 @@ from facetrack_cli.core.errors import (
     ExitCode,
     FacetrackError,
     InputError,
-    OutputError,
     UsageError,
     flat,
     reading,
@@ -37,7 +36,6 @@ from facetrack_cli.run_folder.status import ClipStatus, clip_status
 NAME: Final = "project.json"
 MAX_CLIPS: Final = 2000
 RECIPES: Final = {"face": "face", "everybody": "face", "signer": "signer", "box": "correlation_filter"}
-FACETRACK: Final = (sys.executable, "-m", "facetrack_cli")
 STOPPED: Final = (ExitCode.INTERRUPTED, ExitCode.TERMINATED)
 What: TypeAlias = Literal["face", "everybody", "signer", "box"]
 
@@ -225,7 +223,7 @@ class Project:
     def _run(self, clip: Clip) -> None:
         """Run one clip; the lock is given back meanwhile."""
         again, clip.again = clip.again, False  # what it has tracked stays if it is stopped
-        command = [*FACETRACK, *self.command(clip)] + ["--overwrite"] * again
+        command = [sys.executable, "-m", "facetrack_cli", *self.command(clip)] + ["--overwrite"] * again
         self.save()
         self._child = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
@@ -269,12 +267,3 @@ def free(stem: str, taken: Iterable[str], suffix: str = "") -> str:
     known = {name.casefold() for name in taken}
     names = (f"{stem}-{k}{suffix}" if k > 1 else f"{stem}{suffix}" for k in count(1))
     return next(name for name in names if name.casefold() not in known)
-
-
-def call(arguments: Sequence[str], out: IO[bytes], cwd: Path) -> None:
-    """A short command of facetrack, whose standard output goes to a file. Its error is an OutputError."""
-    command = [*FACETRACK, *arguments]
-    done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.PIPE, cwd=cwd)
-    if done.returncode:
-        lines = done.stderr.decode(errors="replace").strip().splitlines() or [f"exit code {done.returncode}"]
-        raise OutputError(re.sub(r"^(facetrack: )?(error: )?(.*trajectory\.\w+: )?", "", lines[-1]))

@@ -1,10 +1,10 @@
 """The page of `facetrack app`: clips are added, tracked, looked at, corrected and exported."""
 
-import contextlib
 import re
 import threading
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing, nullcontext, suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
@@ -16,7 +16,7 @@ from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, fl
 from facetrack_cli.core.files import make_folder, write_new, writing
 from facetrack_cli.core.types import Array, Correction, checked_name
 from facetrack_cli.editor.history import Fixer, corrections_of
-from facetrack_cli.editor.project import RECIPES, Clip, Project, What, call, free
+from facetrack_cli.editor.project import RECIPES, Clip, Project, What, free
 from facetrack_cli.editor.save import open_track
 from facetrack_cli.editor.web.cast_session import CastSession
 from facetrack_cli.editor.web.fix_session import FixSession
@@ -27,9 +27,12 @@ from facetrack_cli.run_folder.finished import open_run, stamp
 from facetrack_cli.run_folder.manifest import NAME as MANIFEST
 from facetrack_cli.run_folder.manifest import VIDEO, read_run
 from facetrack_cli.runs.batch import expand
+from facetrack_cli.runs.export import content, encoded
 from facetrack_cli.runs.people import film_of, people_in, rows_in
 from facetrack_cli.start.init_file import read_init
-from facetrack_cli.trajectory.header import UNSAVED
+from facetrack_cli.trajectory.formats import events
+from facetrack_cli.trajectory.header import UNSAVED, clip_of
+from facetrack_cli.trajectory.select import Around
 from facetrack_cli.video.seek import Frames
 
 LOOKS: Final = 5  # frames of a clip in which faces are sought, in its first seconds
@@ -42,12 +45,13 @@ Ids = Annotated[list[int], Field(max_length=2000)]
 
 
 class Program(NamedTuple):
-    """What a file is for: how it is exported, how its name ends, and whether it may be of `many` clips."""
+    """What a file is for: its format, how its name ends, and whether it may be of `many` clips."""
 
     name: str
-    how: str
+    form: str
     ending: str
     many: bool = False
+    box: Around | None = None
 
 
 PROGRAMS: Final = {
@@ -61,7 +65,7 @@ PROGRAMS: Final = {
     "subtitles": Program("Subtitles", "srt", "srt"),
     "dlc": Program("DeepLabCut", "dlc", "dlc.csv"),
     "openface": Program("OpenFace", "openface", "openface.csv"),
-    "coco": Program("COCO", "coco --box points", "coco.json"),
+    "coco": Program("COCO", "coco", "coco.json", box="points"),
 }
 BOM: Final = b"\xef\xbb\xbf"  # by which Excel knows that a CSV is UTF-8
 
@@ -259,7 +263,7 @@ class AppSession(Page):
     ) -> Json:
         """Open the page that corrects a run, or a `person` of a film, or who is who in it, or that chooses a start."""
         name = f"{page}-{clip}" + ("" if person is None else f"-{frame}")
-        with self.lock, contextlib.ExitStack() as stack:
+        with self.lock, ExitStack() as stack:
             self._shut_of()
             chosen = self.project.find(clip)
             if chosen.wanted:
@@ -277,7 +281,7 @@ class AppSession(Page):
                 self.opened[name] = opened
         return {"url": f"{name}/"}
 
-    def _start_page(self, clip: Clip, stack: contextlib.ExitStack) -> Page:
+    def _start_page(self, clip: Clip, stack: ExitStack) -> Page:
         place, out = self.project.place(clip), self.project.start_of(clip)
         make_folder(out.parent)
         previous = read_init(out) if out.is_file() else None
@@ -303,40 +307,45 @@ class AppSession(Page):
         known = [name for name, one in PROGRAMS.items() if one.many or clip is not None]
         if program not in known:
             raise RefusedError(400, f"{program}: choose among {', '.join(known)}")
-        how, folder = PROGRAMS[program], self.project.folder / "exports"
-        source, name = self.project.folder / "runs", self.project.folder.name
+        kind, project = PROGRAMS[program], self.project
+        name, runs = project.folder.name, sorted({path.parent for path in project.folder.glob("runs/*/trajectory.*")})
         if clip is not None:
-            chosen = self.project.find(clip)
-            source, name = self.project.run_of(chosen), chosen.name
-        make_folder(folder, "free some space")
-        path = folder / f"{name}.{how.ending}"
+            chosen = project.find(clip)
+            name, runs = chosen.name, [project.run_of(chosen)]
+        path = project.folder / "exports" / f"{name}.{kind.ending}"
+        make_folder(path.parent, "free some space")
+        try:
+            clips = []
+            for run in runs:
+                with suppress(InputError) if clip is None else nullcontext():  # of many, those that can be read
+                    table = read_run(run)
+                    where = clip_of(table)
+                    clips.append(events.Clip(where.name if where else run.name, table))
+            if not clips:
+                raise InputError("no run can be read yet")
+            data = encoded(content(clips, kind.form, path, box=kind.box, many=clip is None))
+        except FacetrackError as e:
+            raise UsageError(flat(str(e))) from None  # 422: the page says why
         with self._exporting, writing(path, "close what uses it"):
-            try:
-                with path.open("wb") as file:
-                    file.write(BOM if how.ending.endswith("csv") and how.name.startswith("Excel") else b"")
-                    file.flush()
-                    call(["export", str(source), "--to", *how.how.split(), "-o", "-"], file, folder)
-            except FacetrackError as e:
-                path.unlink(missing_ok=True)
-                raise UsageError(str(e)) from None  # 422: the page says why
+            path.write_bytes(BOM * kind.name.startswith("Excel") + data)
         saved_as = re.sub(r'[^ -~]|["\\]', "_", path.name)
         headers = (("Content-Disposition", f'attachment; filename="{saved_as}"'),)
         return Answer(path, kind="application/octet-stream", headers=headers)
 
 
-def _cast_page(folder: Path, stack: contextlib.ExitStack) -> Page:
+def _cast_page(folder: Path, stack: ExitStack) -> Page:
     film, how = film_of(people_in(folder), rows_in(folder), None)
     if film is None:
         raise InputError(f"{folder}: does not name its clip")
     return CastSession(folder, stack.enter_context(Frames(film, **how)), film, video=True)
 
 
-def _fix_page(folder: Path, stack: contextlib.ExitStack, person: str | None, frame: int) -> Page:
+def _fix_page(folder: Path, stack: ExitStack, person: str | None, frame: int) -> Page:
     run = open_run(folder) if person is None else open_track(folder, person, frame)
     frames = stack.enter_context(Frames(run.clip, fps=run.fps, stream=run.header.source.stream))
-    fixer = stack.enter_context(contextlib.closing(Fixer(run, frames.read)))
+    fixer = stack.enter_context(closing(Fixer(run, frames.read)))
     kept, unsaved = folder / UNSAVED, tuple[Correction, ...]()
-    with contextlib.suppress(FacetrackError):  # of another track
+    with suppress(FacetrackError):  # of another track
         unsaved = corrections_of(kept, run) if kept.is_file() else ()
     return FixSession(fixer, frames, unsaved=unsaved)
 
@@ -348,7 +357,7 @@ def likely_in(frames: Frames) -> What:
     try:
         last = min(max(frames.count - 1, 0), LOOKS_WITHIN)
         for at in sorted({last * k // (LOOKS - 1) for k in range(LOOKS)}):
-            with contextlib.suppress(InputError):
+            with suppress(InputError):
                 found = [one["targets"] for one in proposer(at)["proposals"]]
                 faces, several = faces + bool(found), several + (len(found) > 1)
                 hands += len(found) == 1 and len(found[0]) > 1
