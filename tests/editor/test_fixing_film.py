@@ -65,7 +65,7 @@ def test_a_track_is_corrected_and_takes_its_place_in_the_film(film, fixer):
     assert people_in(film).corrections == (f"fix person_1@{run.first}f",)
     assert all((film / one.still).is_file() for one in people_in(film).people)
     assert not (film / UNSAVED).exists()
-    assert main(["report", str(film), "-q"]) == 0, "all else reads it as before"
+    assert main(["people", str(film)]) == 0, "all else reads it as before"
 
 
 def test_what_was_corrected_is_known_again_and_goes_with_its_person(film, fixer):
