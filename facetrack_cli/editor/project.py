@@ -18,7 +18,15 @@ from typing import IO, Annotated, Any, Final, Literal, TypeAlias
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
-from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, UsageError, reading
+from facetrack_cli.core.errors import (
+    BusyError,
+    ExitCode,
+    FacetrackError,
+    InputError,
+    UsageError,
+    flat,
+    reading,
+)
 from facetrack_cli.core.files import absolute, make_folder, read_bounded, write_new, writing
 from facetrack_cli.core.log import VARIABLE
 from facetrack_cli.core.types import checked_name
@@ -74,12 +82,12 @@ class Project:
             raise UsageError(f"{self.folder}: is open already; go to its page, or name another folder") from None
         self._path = self.folder / NAME
         try:
-            found = read_bounded(self._path) if self._path.exists() else b"{}"
-            self.clips = {one.id: one for one in Listed.model_validate_json(found).clips}
+            data = read_bounded(self._path) if self._path.exists() else b"{}"
+            self.clips = {clip.id: clip for clip in Listed.model_validate_json(data).clips}
         except ValidationError as e:
             self._held.close()
             raise InputError(f"{self._path}: is not as facetrack app writes it; move it away, and add the clips") from e
-        self.paused = any(one.wanted for one in self.clips.values())
+        self.paused = any(clip.wanted for clip in self.clips.values())
         self.running: Clip | None = None
         self.progress: dict[str, Any] = {}  # of what runs, as its lines say
         self._child: subprocess.Popen[str] | None = None
@@ -108,16 +116,15 @@ class Project:
     def add(self, paths: Sequence[Path]) -> list[Clip]:
         """Add clips that are not in the list yet. Raises UsageError for too many."""
         with self.lock:
-            there = {self.place(one) for one in self.clips.values()}
+            there = {self.place(clip) for clip in self.clips.values()}
             new = [path for path in map(absolute, paths) if path not in there]
-            if len(self.clips) + len(new) > MAX_CLIPS:
-                raise UsageError(f"{len(self.clips) + len(new)} clips are too many for a list; at most {MAX_CLIPS}")
+            if (count := len(self.clips) + len(new)) > MAX_CLIPS:
+                raise UsageError(f"{count} clips are too many for a list; at most {MAX_CLIPS}")
             added = []
             for path in new:
-                inside = path.is_relative_to(self.folder)
                 stem = re.sub(r"[^\w .()-]", "_", path.stem)[:80].strip(" .") or "clip"
-                name = free(stem, [one.name for one in self.clips.values()])
-                kept = path.relative_to(self.folder).as_posix() if inside else str(path)
+                name = free(stem, [clip.name for clip in self.clips.values()])
+                kept = path.relative_to(self.folder).as_posix() if path.is_relative_to(self.folder) else str(path)
                 clip = Clip(id=max(self.clips, default=0) + 1, path=kept, name=name)
                 self.clips[clip.id] = clip
                 added.append(clip)
@@ -131,12 +138,12 @@ class Project:
             while self.running is clip:
                 self._work.wait()
             del self.clips[clip.id]
-            made = self.folder / "removed"
-            for one in (place(clip, what) for what in RECIPES for place in (self.run_of, self.start_of)):
-                if one.exists():
-                    make_folder(made)
-                    with writing(one, "close what uses it"):
-                        one.rename(made / free(one.name, (path.name for path in made.iterdir())))
+            removed = self.folder / "removed"
+            for path in (place(clip, what) for what in RECIPES for place in (self.run_of, self.start_of)):
+                if path.exists():
+                    make_folder(removed)
+                    with writing(path, "close what uses it"):
+                        path.rename(removed / free(path.name, (other.name for other in removed.iterdir())))
             self.save()
 
     def place(self, clip: Clip) -> Path:
@@ -160,7 +167,7 @@ class Project:
     def want(self, clips: Sequence[Clip], wanted: bool, *, again: bool = False) -> None:
         """Queue clips, or stop them. Those that lack their box are left out; UsageError if no other is given."""
         with self.lock:
-            able = [one for one in clips if not wanted or one.what != "box" or self.start_of(one).is_file()]
+            able = [clip for clip in clips if not wanted or clip.what != "box" or self.start_of(clip).is_file()]
             if clips and not able:
                 raise UsageError(f"{clips[0].name}: draw the box first")
             for clip in able:
@@ -191,7 +198,7 @@ class Project:
         start = self.start_of(clip)
         how = ["--faces", "all"] if clip.what == "everybody" else ["--config", RECIPES[clip.what]]
         how += ["--init", str(start)] if start.is_file() else []
-        return ["run", str(self.place(clip)), *how, "--out", str(self.run_of(clip))] + ["--overwrite"] * clip.again
+        return ["run", str(self.place(clip)), *how, "--out", str(self.run_of(clip))]
 
     def _terminate(self) -> None:
         if self._child is not None:
@@ -201,7 +208,7 @@ class Project:
         """Run what is wanted, one after another, until it is closed."""
         with self.lock:
             while not self._closed:
-                waiting = [] if self.paused else [one for one in self.clips.values() if one.wanted]
+                waiting = [] if self.paused else [clip for clip in self.clips.values() if clip.wanted]
                 for clip in waiting:
                     try:
                         if clip.again or (state := self.status(clip).state) not in ("done", "running"):
@@ -209,68 +216,54 @@ class Project:
                             break
                         clip.wanted = state != "done"  # by a process that was left by a kill
                     except (FacetrackError, OSError) as e:  # as of a full disk
-                        clip.error, clip.wanted = " ".join(str(e).splitlines()), False
+                        clip.error, clip.wanted = flat(str(e)), False
                 else:
                     self._work.wait(1.0 if waiting else None)
 
     def _run(self, clip: Clip) -> None:
         """Run one clip; the lock is given back meanwhile."""
-        environment = {**os.environ, VARIABLE: "json"}
-        given = [sys.executable, "-m", "facetrack_cli", *self.command(clip)]
-        clip.again = False  # what it has tracked stays if it is stopped
+        again, clip.again = clip.again, False  # what it has tracked stays if it is stopped
+        command = [sys.executable, "-m", "facetrack_cli", *self.command(clip)] + ["--overwrite"] * again
         self.save()
         self._child = subprocess.Popen(
-            given, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-            encoding="utf-8", errors="replace", env=environment,
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+            encoding="utf-8", errors="replace", env={**os.environ, VARIABLE: "json"},
         )  # fmt: skip
         self.running, self.progress = clip, {}
         self._work.release()
         try:
             with self._child:
-                said = self._listen(self._child.stderr)
+                message = self._listen(self._child.stderr)
         finally:
             self._work.acquire()
         code, self.running, self._child = self._child.returncode, None, None
         self.paused = self.paused or (clip.wanted and code in STOPPED)  # as by Ctrl-C in the terminal
         stopped = self._closed or self.paused or not clip.wanted
-        clip.error = None if stopped or code in (ExitCode.DONE, ExitCode.LOST) else said or f"exit code {code}"
+        clip.error = None if stopped or code in (ExitCode.DONE, ExitCode.LOST) else message or f"exit code {code}"
         clip.wanted = clip.wanted and stopped
         self.save()
         self._work.notify_all()
 
     def _listen(self, lines: IO[str] | None) -> str:
         """Follow what a run says, each line an object of JSON; the last error, or the last line."""
-        said = error = ""
+        message = error = ""
         for line in lines or ():
             try:
-                told = json.loads(line)
-            except ValueError:
-                told = None
-            if not isinstance(told, dict):
-                said = line.strip() or said
-            elif str(told.get("message", "")).startswith("progress"):
-                doing = str(told["message"]).removeprefix("progress").strip(", ")  # "" while it tracks
-                with self.lock:
-                    self.progress = {**told, "doing": doing}
+                record = dict(json.loads(line))
+            except (TypeError, ValueError):
+                message = line.strip() or message
+                continue
+            text = str(record.get("message", ""))
+            if text.startswith("progress"):
+                with self.lock:  # "" while it tracks
+                    self.progress = {**record, "doing": text.removeprefix("progress").strip(", ")}
             else:
-                said = str(told.get("message", ""))
-                error = said if told.get("level") == "error" else error
-        return error or said
+                message, error = text, text if record.get("level") == "error" else error
+        return error or message
 
 
 def free(stem: str, taken: Iterable[str], suffix: str = "") -> str:
     """The name, or the first one with a number, that is not taken, in whatever letters."""
-    known = {one.casefold() for one in taken}
+    known = {name.casefold() for name in taken}
     names = (f"{stem}-{k}{suffix}" if k > 1 else f"{stem}{suffix}" for k in count(1))
-    return next(one for one in names if one.casefold() not in known)
-
-
-def call(arguments: Sequence[str], out: IO[bytes] | None, cwd: Path) -> None:
-    """A short command of facetrack, whose standard output goes to a file. Its error is an OutputError."""
-    done = subprocess.run(
-        [sys.executable, "-m", "facetrack_cli", *arguments], stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL if out is None else out, stderr=subprocess.PIPE, cwd=cwd,
-    )  # fmt: skip
-    if done.returncode:
-        lines = done.stderr.decode(errors="replace").strip().splitlines() or [f"exit code {done.returncode}"]
-        raise OutputError(re.sub(r"^(facetrack: )?(error: )?(.*trajectory\.\w+: )?", "", lines[-1]))
+    return next(name for name in names if name.casefold() not in known)

@@ -1,26 +1,36 @@
-"""Saves a corrected run: all files are written beside the old files, and then replace them together."""
+"""Saves a corrected run: all files are written beside the old files, and then replace them together.
+
+In the film of a run the track of one person in one shot is corrected as a run of its own: its start is its first row,
+and its corrections are what its rows say is by hand. Saved, its rows take their place in the film's; who is who stays.
+"""
 
 import contextlib
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from facetrack_cli.core.errors import OutputError
-from facetrack_cli.editor.film_track import save_track
+from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.types import BOX, Correction, Start, TargetStart
 from facetrack_cli.editor.history import Fixer
+from facetrack_cli.engine.corrected import all_or, correctable_parts
 from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.smoothing import Belief
-from facetrack_cli.run_folder.finished import Run, stamp
+from facetrack_cli.run_folder.finished import Run, recipe_of, run_files, stamp
+from facetrack_cli.run_folder.lease import FolderLease
 from facetrack_cli.run_folder.manifest import FILTERED, outdated, read_manifest, write_rows
 from facetrack_cli.runs.clip import past_end
+from facetrack_cli.runs.people import ORIGIN, film_of, painted, people_in, rows_in, write_people
 from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stopped, StoppedError, never
 from facetrack_cli.runs.smooth import Write, given_all, repaint, replace_files
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.init_file import as_yaml, write_init
 from facetrack_cli.trackers.smoothed import lagged
-from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
-from facetrack_cli.trajectory.trajectory import Collector, Trajectory
+from facetrack_cli.trajectory.header import CORRECTED, UNSAVED, read_header
+from facetrack_cli.trajectory.people import read_still
+from facetrack_cli.trajectory.select import choose
+from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successive
 from facetrack_cli.trajectory.writers import summary_of
 from facetrack_cli.video.source import open_source
 
@@ -35,26 +45,24 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
         forget(run)
         return [f"{folder}: nothing was corrected, all is as it was"]
     if run.film:
-        lines = save_track(run, rows, video=video, report=report, stop=stop)
+        lines = _save_track(run, rows, video=video, report=report, stop=stop)
         forget(run)
         fixer.saved()
         return lines
     files: dict[Path, Write] = {}
     if "smoothed" in rows.header:
-        filtered, rows = _given_all(fixer, report, stop)
+        filtered, rows = _smoothed(fixer, report, stop)
         if filtered is not None:
             files[folder / FILTERED] = partial(write_rows, "csv", rows=filtered)
-    files |= {
-        path: partial(write_rows, form, rows=rows, corrections=fixer.corrections)
-        for form, (path, _) in run.files.items()
-    }
+    for form, (path, _) in run.files.items():
+        files[path] = partial(write_rows, form, rows=rows, corrections=fixer.corrections)
     files[folder / CORRECTED] = lambda write: write(as_yaml(fixer.start, run.clip.name).encode())
-    known = read_manifest(folder)
-    ended = known and replace(known, lost_frames=summary_of(rows).lost_frames)
-    paint = (
-        partial(repaint, run.painted, rows=rows, report=report, stop=stop) if video and run.video is not None else None
-    )
-    written, notes = replace_files(folder, files, ended, [folder / UNSAVED], paint, lambda: _check(run))
+    manifest, paint = read_manifest(folder), None
+    if manifest is not None:
+        manifest = replace(manifest, lost_frames=summary_of(rows).lost_frames)
+    if video and run.video is not None:
+        paint = partial(repaint, run.painted, rows=rows, report=report, stop=stop)
+    written, notes = replace_files(folder, files, manifest, [folder / UNSAVED], paint, lambda: _check(run))
     notes += past_end(fixer.corrections, run.last, str(folder / CORRECTED))
     if run.video is not None and not video:
         notes.append(f"{run.video}: left as it was, it shows the track of before")
@@ -62,10 +70,10 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     return [*(f"{path}: written" for path in written), *notes, *outdated(folder)]
 
 
-def _given_all(fixer: Fixer, report: Report, stop: Stopped) -> tuple[Trajectory | None, Trajectory]:
+def _smoothed(fixer: Fixer, report: Report, stop: Stopped) -> tuple[Trajectory | None, Trajectory]:
     """The rows of a smoothed run, whose clip is tracked again with the corrections: the filter's, and the smoothed.
 
-    Of a run with a lag there are no others. Raises StoppedError once `stop` says so.
+    A run with a lag keeps no rows of the filter. Raises StoppedError once `stop` says so.
     """
     run, lag = fixer.run, fixer.run.rows.header["smoothed"]["lag"]
     collected, beliefs = Collector(), {name: list[tuple[Belief, ...]]() for name in run.rows.targets}
@@ -107,3 +115,61 @@ def forget(run: Run) -> None:
     """Remove the file that `keep` wrote."""
     with contextlib.suppress(OSError):
         (run.folder / UNSAVED).unlink(missing_ok=True)
+
+
+def open_track(folder: Path, person: str, frame: int, clip: Path | None = None) -> Run:
+    """The track of a person in the film of a run that has this frame; `clip` is where the film is now.
+
+    Raises InputError where the person is not seen in the frame, or the film is gone.
+    """
+    people, whole = people_in(folder), rows_in(folder)
+    track = next((each for each in people.tracks if each.person == person and each.first <= frame < each.stop), None)
+    if track is None:
+        raise InputError(f"{folder}: {person} is not seen in frame {frame}; facetrack people {folder} says who is when")
+    where, how = film_of(people, whole, clip)
+    if where is None or not where.exists():
+        raise InputError(f"{where or folder}: the film is not there; name it with --clip")
+    rows = choose(whole, person).between(track.first, track.stop)
+    recipe = recipe_of(whole.path, whole.header["recipe"], [Path(), folder, folder.parent, where.parent])
+    first = {part: rows.parts[k].take(slice(0, 1)) for k, (_, part) in enumerate(rows.names)}
+    left, top, width, height = first[BOX].boxes[0].round(2).tolist()
+    points = {part: (round(float(first[part].x[0]), 2), round(float(first[part].y[0]), 2)) for part in recipe.points}
+    target = TargetStart((left, top, width, height), points)
+    start = Start(track.first, {person: target}, ORIGIN, tuple(_by_hand(rows, person)))
+    files = {form: (path, stamp(path)) for form, path in run_files(folder).items()}
+    return Run(folder, rows, read_header(whole), recipe, start, where, how["fps"], files, film=True)
+
+
+def _by_hand(rows: Trajectory, person: str) -> Iterator[Correction]:
+    """The corrections that the rows say are by hand."""
+    for frame in sorted({*rows.frame[rows.by_hand].tolist()} - {int(rows.frame[0])}):
+        now = rows.at(frame)
+        parts = [name for _, name in now.names]
+        cells = zip(parts, now.status.tolist(), now.x.tolist(), now.y.tolist(), now.by_hand.tolist(), strict=True)
+        hand = {part: (status, (x, y)) for part, status, x, y, by_hand in cells if by_hand}
+        points = {part: place for part, (status, place) in hand.items() if status == "init" and part != BOX}
+        absent = [part for part, (status, _) in hand.items() if status == "absent"]
+        if points or absent:
+            yield Correction(frame, person, TargetStart(points=points), absent=all_or(absent, parts))
+        else:
+            yield Correction(frame, person, confirmed=all_or([*hand], correctable_parts(parts)))
+
+
+def _save_track(run: Run, rows: Trajectory, *, video: bool, report: Report, stop: Stopped) -> list[str]:
+    """Write the film of a run with these rows of one of its tracks; a line on each file. Raises as `save` does."""
+    folder, [person] = run.folder, rows.targets
+    with FolderLease(folder) as lease:
+        people, whole = people_in(folder), rows_in(folder)
+        if not any((one.person, one.first, one.stop) == (person, run.first, run.last + 1) for one in people.tracks):
+            raise InputError(f"{folder}: who is who was changed meanwhile; open the page again")
+        pieces = [choose(whole, name) for name in whole.targets]
+        at = whole.targets.index(person)
+        before, after = pieces[at].between(0, run.first), pieces[at].between(run.last + 1, int(whole.frame.max()) + 1)
+        pieces[at : at + 1] = [piece for piece in (before, rows, after) if len(piece)]
+        film = replace(successive(pieces), header=whole.header, path=whole.path)
+        people = people.model_copy(update={"corrections": (*people.corrections, f"fix {person}@{run.first}f")})
+        names = {one.still for one in people.people} | {one.still for one in people.tracks}
+        stills = {name: read_still(folder, name) for name in names if name}
+        paint = painted(folder, people, whole, run.clip) if video else None
+        notes = write_people(folder, film, people, stills, paint, report, stop, lease)
+    return [*(f"{path}: written" for path, _ in run.files.values()), *notes]

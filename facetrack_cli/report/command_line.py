@@ -1,17 +1,14 @@
 """A run's recipe and start as YAML, and the command that repeats the run."""
 
 import contextlib
-import io
+import json
+import re
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
-
-from ruamel.yaml import YAML
-from ruamel.yaml.comments import CommentedMap, CommentedSeq
-from ruamel.yaml.representer import RoundTripRepresenter
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.face_points import DETECTORS
@@ -24,38 +21,28 @@ from facetrack_cli.trajectory.header import CORRECTED, ClipHeader, Header, InitH
 from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.source import FOLDER_FPS
 
-
-class _Representer(RoundTripRepresenter):
-    """Null as a word."""
-
-
-_Representer.add_representer(type(None), lambda self, _: self.represent_scalar("tag:yaml.org,2002:null", "null"))
+# texts that YAML reads as such without quotes, also within brackets; but for words that it reads as something else
+_PLAIN = re.compile("(?!(?:null|true|false|yes|no|on|off|y|n)$)[a-z_][a-z0-9_./-]*", re.IGNORECASE)
 
 
 def recipe_yaml(recipe: Mapping[str, Any]) -> str:
     """A recipe file of these settings; lists and inner mappings stand on one line each."""
-    return _dump(_tree({key: value for key, value in recipe.items() if key != "name"}, 0))
+    lines = []
+    for key, value in recipe.items():
+        if isinstance(value, Mapping) and value:
+            lines += [f"{key}:", *(f"  {_flow(inner)}: {_flow(each)}" for inner, each in value.items())]
+        elif key != "name":
+            lines.append(f"{key}: {_flow(value)}")
+    return "\n".join(lines) + "\n"
 
 
-def _dump(tree: Any) -> str:
-    yaml = YAML()
-    yaml.Representer = _Representer
-    yaml.width = 10_000
-    text = io.StringIO()
-    yaml.dump(tree, text)
-    return text.getvalue()
-
-
-def _tree(value: Any, depth: int) -> Any:
+def _flow(value: Any) -> str:
+    """A value as YAML on one line."""
     if isinstance(value, Mapping):
-        found: Any = CommentedMap((key, _tree(inner, depth + 1)) for key, inner in value.items())
-    elif isinstance(value, list | tuple):
-        found = CommentedSeq(_tree(inner, depth + 1) for inner in value)
-    else:
-        return value
-    if depth > 1 or isinstance(found, CommentedSeq):
-        found.fa.set_flow_style()
-    return found
+        return f"{{{', '.join(f'{_flow(key)}: {_flow(inner)}' for key, inner in value.items())}}}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_flow, value))}]"
+    return value if isinstance(value, str) and _PLAIN.fullmatch(value) else json.dumps(value, ensure_ascii=False)
 
 
 def init_yaml(header: Header) -> str:
@@ -97,7 +84,7 @@ def _differences(ours: Mapping[str, Any], wanted: Mapping[str, Any], above: str 
         if isinstance(value, Mapping) and isinstance(own, Mapping) and value.keys() == own.keys():
             yield from _differences(own, value, f"{above}{key}.")
         elif value != own:
-            yield f"{above}{key}", _dump(CommentedSeq([_tree(value, 2)])).strip().removeprefix("- ")
+            yield f"{above}{key}", _flow(value)
 
 
 def _init_words(init: InitHeader, folder: Path | None) -> list[str]:

@@ -96,9 +96,8 @@ class _Maker:
         try:
             if annotated:
                 check_belongs(path)
-            for frame in _frames(
-                path, size, self._clip.fps, sorted(place), report, None if annotated else self._clip.stream
-            ):
+            stream = None if annotated else self._clip.stream
+            for frame in _frames(path, size, self._clip.fps, sorted(place), report, stream):
                 index = place[frame.index]
                 then = self._clock.at(index)
                 late = abs(frame.time_s - then) > _APART_S + 0.05 / self._clip.fps
@@ -106,7 +105,7 @@ class _Maker:
                     times = f"is at {frame.time_s:.3f} s, in the run it was at {then:.3f} s"
                     done.notes.append(f"{path}: frame {index} {times}; is it the same clip?")
                 view, out = self._layout(index)
-                whole = _scaled(frame.bgr[:height, :width], view, out)
+                whole = _scaled(frame.bgr, view, out)
                 drawn = whole if annotated else self.draw(Frame(index, then, whole, aspect=frame.aspect), view)
                 done.found[index] = Image(_jpeg(drawn), out, view=view)
             missing = [index for index in wanted if index not in done.found]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame
-from facetrack_cli.report.figures.gallery import calibrated, gallery_figure, kept
+from facetrack_cli.report.figures.models import calibrated, gallery_figure, kept
 from facetrack_cli.report.figures.style import DPI, WIDTH, render
 from facetrack_cli.start.gallery_images import (
     SHIFT,

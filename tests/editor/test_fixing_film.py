@@ -9,9 +9,8 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Correction, TargetStart
-from facetrack_cli.editor.film_track import open_track
 from facetrack_cli.editor.history import Fixer
-from facetrack_cli.editor.save import keep, save
+from facetrack_cli.editor.save import keep, open_track, save
 from facetrack_cli.runs.people import people_in, recast, rows_in
 from facetrack_cli.trackers.face.target import FaceTarget
 from facetrack_cli.trajectory import people as changes
@@ -66,7 +65,7 @@ def test_a_track_is_corrected_and_takes_its_place_in_the_film(film, fixer):
     assert people_in(film).corrections == (f"fix person_1@{run.first}f",)
     assert all((film / one.still).is_file() for one in people_in(film).people)
     assert not (film / UNSAVED).exists()
-    assert main(["report", str(film), "-q"]) == 0, "all else reads it as before"
+    assert main(["people", str(film)]) == 0, "all else reads it as before"
 
 
 def test_what_was_corrected_is_known_again_and_goes_with_its_person(film, fixer):
@@ -92,16 +91,13 @@ def test_what_was_corrected_is_known_again_and_goes_with_its_person(film, fixer)
     assert [one.frame for one in open_track(film, "Eileen", first).start.corrections] == [first + 2, first + 8]
 
 
-def test_a_corrected_face_is_not_found_again_as_somebody_else(fixer, monkeypatch):
-    seen = []
-    real = FaceTarget.advance
+def test_what_changed_meanwhile_is_not_written_over_and_a_face_not_found_again_as_somebody_else(
+    film, fixer, monkeypatch
+):
+    seen, real = [], FaceTarget.advance
     monkeypatch.setattr(FaceTarget, "advance", lambda self, *rest: (seen.append(self.alone), real(self, *rest))[1])
     fixer.put([moved(fixer.run, fixer.rows, fixer.run.first + 8)])
     assert seen and not any(seen)
-
-
-def test_what_changed_meanwhile_is_not_written_over(film, fixer):
-    fixer.put([moved(fixer.run, fixer.rows, fixer.run.first + 8)])
     assert keep(fixer) == film / UNSAVED
     recast(film, [("rename", lambda tracks: changes.rename(tracks, "person_1", "Eileen"))], video=False)
     before = (film / "trajectory.json").read_bytes()

@@ -25,14 +25,12 @@ def facetrack(*words):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """The folders of a run of points and of one of a box, each exported to both tools."""
+    """The folders of runs of points, of a box, and of a face with both, each exported to both tools."""
     folder = tmp_path_factory.mktemp("made")
     few = ["--set", "filter.particles=20", "--stop", FRAMES, "--no-video", "-q", "--format", "csv,json"]
-    clip = FOLDER / "expressions.mp4"
-    assert facetrack("run", clip, "-o", folder / "points", "--config", "factorized", *few) == 0
-    box = ["--config", "histogram", "--box", "115,80,90,110"]
-    assert facetrack("run", clip, "-o", folder / "box", *box, *few) == 0
-    for name in ("points", "box"):
+    boxed = ["--config", "histogram", "--box", "115,80,90,110"]
+    for name, how in (("points", ["--config", "factorized"]), ("box", boxed), ("face", ["--config", "face"])):
+        assert facetrack("run", FOLDER / "expressions.mp4", "-o", folder / name, *how, *few) == 0
         for form in ("cvat", "labelstudio"):
             assert facetrack("export", folder / name, "--to", form) == 0
     return folder
@@ -40,8 +38,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture
 def runs(made, tmp_path):
-    shutil.copytree(made, tmp_path / "runs")
-    return tmp_path / "runs"
+    return shutil.copytree(made, tmp_path / "runs")
 
 
 def found(run, file):
@@ -49,10 +46,15 @@ def found(run, file):
     return imported_corrections(file, opened, opened.rows)
 
 
-def in_cvat(run, change):
+def in_cvat(run, **change):
+    """Attributes of shapes are set: LABEL_FRAME, `__` for a slash."""
     path = run / "trajectory.cvat.xml"
     tree = ET.parse(path)
-    change({(track.get("label"), int(one.get("frame"))): one for track in tree.iter("track") for one in track})
+    shapes = {(track.get("label"), int(one.get("frame"))): one for track in tree.iter("track") for one in track}
+    for name, attributes in change.items():
+        label, frame = name.rsplit("_", 1)
+        for key, value in attributes.items():
+            shapes[label.replace("__", "/"), int(frame)].set(key, value)
     tree.write(path)
     return path
 
@@ -70,22 +72,17 @@ def in_label_studio(run, change):
 def test_what_was_not_touched_is_no_correction(runs, capsys, name):
     before = (runs / name / "trajectory.csv").read_bytes()
     for file in ("trajectory.cvat.xml", "trajectory.labelstudio.json"):
-        assert found(runs / name, runs / name / file) == ()
         assert facetrack("fix", runs / name, "--import", runs / name / file) == 0
         assert "is as the run has it; nothing was written" in capsys.readouterr().err
     assert (runs / name / "trajectory.csv").read_bytes() == before
 
 
 def test_points_that_were_moved_or_hidden_in_cvat(runs):
-    def change(shapes):
-        shapes["face/nose", 3].set("points", "160.50,141.00")
-        shapes["face/lip_upper", 3].set("points", "150.50,151.00")
-        for frame in (5, 6, 7):
-            shapes["face/mouth_left", frame].set("outside", "1")
-        shapes["face/nose", 8].set("keyframe", "0")  # interpolated: nobody has put it there
-        shapes["face/nose", 8].set("points", "1,1")
-
-    one, two, three = found(runs / "points", in_cvat(runs / "points", change))
+    hidden = {f"face__mouth_left_{frame}": {"outside": "1"} for frame in (5, 6, 7)}
+    interpolated = {"keyframe": "0", "points": "1,1"}  # nobody has put it there
+    moved = {"face__nose_3": {"points": "160.50,141.00"}, "face__lip_upper_3": {"points": "150.50,151.00"}}
+    file = in_cvat(runs / "points", **moved, **hidden, face__nose_8=interpolated)
+    one, two, three = found(runs / "points", file)
     assert one == Correction(3, "face", TargetStart(points={"nose": (160.0, 140.5), "lip_upper": (150.0, 150.5)}))
     assert two == Correction(5, "face", absent=("mouth_left",))
     row = read_trajectory(runs / "points").find("face", "mouth_left")
@@ -93,8 +90,18 @@ def test_points_that_were_moved_or_hidden_in_cvat(runs):
     assert three.given.points["mouth_left"] == pytest.approx((row.x[8], row.y[8]), abs=0.006)
 
 
+def test_the_box_of_a_head_that_carries_points_is_moved_and_never_absent_alone(runs):
+    left, top, w, h = read_trajectory(runs / "face").find("face", "box").boxes[3]
+    far = ET.parse(runs / "face" / "trajectory.cvat.xml").find("track[@label='face']/box[@frame='3']").get("xbr")
+    moved = {"face_2": {"outside": "1"}, "face_3": {"xbr": str(float(far) + 8)}}
+    (one,) = found(runs / "face", in_cvat(runs / "face", **moved))
+    assert one.frame == 3 and one.absent == () and not one.given.points
+    assert one.given.box == pytest.approx((left, top, w + 8, h), abs=0.011)
+
+
 def test_boxes_that_were_moved_or_switched_off_in_label_studio(runs):
     def change(places):
+        places["face", 2] |= {"x": places["face", 2]["x"] + 5, "auto": True}  # interpolated
         places["face", 4] |= {"x": 25.0, "y": 25.0, "width": 25.0, "height": 50.0}
         for frame in (6, 7, 8, 9):
             places["face", frame]["enabled"] = False
@@ -105,58 +112,24 @@ def test_boxes_that_were_moved_or_switched_off_in_label_studio(runs):
     assert (one.frame, two) == (4, Correction(6, "face", absent=True))
 
 
-def test_what_label_studio_interpolates_is_no_correction(runs):
-    path = runs / "box" / "trajectory.labelstudio.json"
-    tasks = json.loads(path.read_text())
-    value = tasks[0]["annotations"][0]["result"][0]["value"]
-    for place in value["sequence"][2:9]:
-        place |= {"x": place["x"] + 5, "auto": True}
-    value["sequence"][9]["x"] += 5
-    path.write_text(json.dumps(tasks))
-    (one,) = found(runs / "box", path)
-    assert one.frame == 9
-
-
 @pytest.mark.parametrize("form", ["cvat", "labelstudio"])
-@pytest.mark.parametrize("unseen", ["hidden", "beyond the picture"])
+@pytest.mark.parametrize("unseen", [{"status": "hidden"}, {"x": -20.0}], ids=["hidden", "beyond the picture"])
 def test_rows_that_are_not_seen_come_back_as_no_correction(runs, form, unseen):
     """An annotator has not touched them; Label Studio has no other word for them than not enabled."""
     run, edited = runs / "box", runs / "edited.json"
     doc = json.loads((run / "trajectory.json").read_text())
     for frame in doc["frames"][4:7]:
-        part = frame["targets"][0]["parts"][0]
-        part |= {"status": "hidden"} if unseen == "hidden" else {"x": -20.0}
+        frame["targets"][0]["parts"][0] |= unseen
     edited.write_text(json.dumps(doc))
     assert facetrack("export", edited, "--to", form, "-o", runs / "there") == 0
     assert imported_corrections(runs / "there", open_run(run), read_trajectory(edited)) == ()
 
 
-def test_the_box_of_a_head_that_carries_points_is_moved_and_never_absent_alone(tmp_path):
-    run, few = tmp_path / "run", ["--set", "filter.particles=20", "--stop", 5, "--no-video", "-q"]
-    assert facetrack("run", FOLDER / "expressions.mp4", "-o", run, "--config", "face", *few) == 0
-    assert facetrack("export", run, "--to", "cvat") == 0
-
-    def change(shapes):
-        shapes["face", 2].set("outside", "1")
-        shapes["face", 3].set("xbr", str(float(shapes["face", 3].get("xbr")) + 8))
-
-    (one,) = found(run, in_cvat(run, change))
-    left, top, w, h = read_trajectory(run).find("face", "box").boxes[3]
-    assert one.frame == 3 and one.absent == () and not one.given.points
-    assert one.given.box == pytest.approx((left, top, w + 8, h), abs=0.011)
-
-
 def test_fix_tracks_again_from_what_was_corrected(runs, capsys):
     run = runs / "points"
-
-    def change(shapes):
-        shapes["face/nose", 4].set("points", "158.50,140.50")
-
-    file = in_cvat(run, change)
-    before = read_trajectory(run)
+    file, before = in_cvat(run, face__nose_4={"points": "158.50,140.50"}), read_trajectory(run)
     assert facetrack("fix", run, "--import", file, "--no-video", "-q") == 0
-    after = read_trajectory(run)
-    nose = after.find("face", "nose")
+    nose = read_trajectory(run).find("face", "nose")
     assert nose.by_hand.tolist() == [n == 4 for n in range(FRAMES)] and (nose.x[4], nose.y[4]) == (158, 140)
     assert before.find("face", "nose").x[:4].tolist() == nose.x[:4].tolist()
     said = (run / CORRECTED).read_text()
@@ -170,23 +143,6 @@ def test_fix_tracks_again_from_what_was_corrected(runs, capsys):
     assert facetrack("fix", run, "--import", in_label_studio(run, more), "--no-video") == 0
     assert "1 correction, in frames 7; export the run again before" in capsys.readouterr().err
     assert [one.frame for one in open_run(run).start.corrections] == [4, 7]
-
-
-def test_what_the_run_does_not_have_is_refused(runs, capsys):
-    run = runs / "points"
-    file = run / "trajectory.cvat.xml"
-    file.write_text(file.read_text().replace('label="face/nose"', 'label="face/chin"'))
-    assert facetrack("fix", run, "--import", file) == 3
-    assert "face/chin is not in the run, which has face/nose, face/mouth_left" in capsys.readouterr().err
-
-    def first(shapes):
-        shapes["face/mouth_left", 0].set("points", "1,1")
-
-    assert facetrack("export", run, "--to", "cvat", "--overwrite") == 0
-    assert facetrack("fix", run, "--import", in_cvat(run, first)) == 3
-    assert "frame 0 cannot be corrected, in which it begins" in capsys.readouterr().err
-    assert facetrack("fix", run, "--import", file, "--init", file) == 2
-    assert "--import adds to the run's corrections, --init replaces them" in capsys.readouterr().err
 
 
 def in_elan(run, *tiers):
@@ -230,9 +186,7 @@ def test_segments_that_were_moved_in_elan_move_what_is_absent(runs, capsys):
     own = in_elan(run, ("seen@face", "face", [(0, 160, "seen"), (280, 400, "")]))
     assert facetrack("fix", run, "--import", own, "--no-video", "-q") == 0
     assert [*open_run(run).rows.find("face", "box").status[3:8]] == ["tracked", "absent", "absent", "absent", "init"]
-    whole = in_elan(run)
-    capsys.readouterr()
-    assert found(run, whole) == ()
+    assert found(run, in_elan(run)) == ()
     # its end moves to frame 8, where it was seen; in frame 6 it has no place, which must be given on the page
     moved = in_elan(run, ("absent@face", "face", [(160, 320, "absent")]))
     box = open_run(run).rows.find("face", "box").boxes[8]
@@ -245,13 +199,21 @@ def test_segments_that_were_moved_in_elan_move_what_is_absent(runs, capsys):
     assert "face/box is there in frame 6, and the run has no place of it; place it there" in capsys.readouterr().err
 
 
-def test_what_elan_s_file_does_not_have_is_refused(runs, capsys):
+def test_what_the_run_does_not_have_is_refused(runs, capsys):
     run = runs / "points"
-    file = in_elan(run, ("absent@face", "face", [(120, 240, "chin")]))
-    assert facetrack("fix", run, "--import", file) == 3
-    assert "'chin' is no part; there are nose, mouth_left" in capsys.readouterr().err
-    assert facetrack("fix", run, "--import", in_elan(run)) == 3
-    assert "has no tier seen or absent of face; add a tier absent@face there" in capsys.readouterr().err
+
+    def refused(file, said, *more, code=3):
+        assert facetrack("fix", run, "--import", file, *more) == code
+        assert said in capsys.readouterr().err
+
+    refused(in_cvat(run, face__mouth_left_0={"points": "1,1"}), "frame 0 cannot be corrected, in which it begins")
+    file = run / "trajectory.cvat.xml"
+    file.write_text(file.read_text().replace('label="face/nose"', 'label="face/chin"'))
+    refused(file, "face/chin is not in the run, which has face/nose, face/mouth_left")
+    refused(file, "--import adds to the run's corrections, --init replaces them", "--init", file, code=2)
+    chin = in_elan(run, ("absent@face", "face", [(120, 240, "chin")]))
+    refused(chin, "'chin' is no part; there are nose, mouth_left")
+    refused(in_elan(run), "has no tier seen or absent of face; add a tier absent@face there")
 
 
 def test_participants_in_elan_are_the_names_of_a_film_s_people(tmp_path):
@@ -259,12 +221,11 @@ def test_participants_in_elan_are_the_names_of_a_film_s_people(tmp_path):
     tier = '<TIER TIER_ID="{}@{}" PARTICIPANT="{}" LINGUISTIC_TYPE_REF="seen"/>'
     tiers = [("seen", "person_1", "Anna"), ("mouth", "person_1", "Anna"), ("seen", "person_2", "person_2")]
 
-    def write(*tiers):
-        body = "".join(tier.format(*one) for one in tiers)
+    def renamed(*more):
+        body = "".join(tier.format(*one) for one in (*tiers, *more))
         path.write_text(f'<ANNOTATION_DOCUMENT FORMAT="3.0"><TIME_ORDER/>{body}</ANNOTATION_DOCUMENT>')
+        return renames(path, names, "clip.mp4")
 
-    write(*tiers, ("gloss", "Zoe", "Zoe"))
-    assert renames(path, names, "clip.mp4") == {"person_1": "Anna"}
-    write(*tiers, ("blinks", "person_1", "Ben"))
+    assert renamed(("gloss", "Zoe", "Zoe")) == {"person_1": "Anna"}
     with pytest.raises(InputError, match="the tiers of person_1 have the participants Anna and Ben; give them one"):
-        renames(path, names, "clip.mp4")
+        renamed(("blinks", "person_1", "Ben"))

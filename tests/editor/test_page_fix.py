@@ -1,5 +1,7 @@
 """facetrack fix without a browser: what the page requests, the command, and what is interrupted."""
 
+import contextlib
+import json
 import os
 import shutil
 import signal
@@ -11,25 +13,26 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
+from facetrack_cli.core.types import Correction
 from facetrack_cli.editor import save as saving
 from facetrack_cli.editor.history import Fixer
-from facetrack_cli.editor.retrack import Tracking
 from facetrack_cli.editor.web import session as session_module
-from facetrack_cli.editor.web.fix_session import FixSession
-from facetrack_cli.editor.web.server import run_page, serving
+from facetrack_cli.editor.web.fix_session import doubtful, overview
+from facetrack_cli.editor.web.server import run_page
 from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.run_folder.manifest import write_rows
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
-from facetrack_cli.video.seek import Frames
+from facetrack_cli.trajectory.trajectory import Collector
+from tests.support import results
 from tests.support.browser import READY
 from tests.support.hands_run import hands_run
-from tests.support.page_client import Client, wait_for
-from tests.support.results import file_rows
+from tests.support.page_client import Client, fixing, wait_for
 from tests.support.samples import FOLDER
 from tests.support.terminal import refusal
 
 CLIP = FOLDER / "expressions.mp4"
+INIT = CLIP.with_suffix(".init.yaml").read_text()
 STOP = 20
 NOSE = {"points": {"nose": [150.0, 130.5]}}
 MADE = ("--config", "factorized", "--set", "filter.particles=20", "--stop", str(STOP), "-q")
@@ -37,39 +40,37 @@ MADE = ("--config", "factorized", "--set", "filter.particles=20", "--stop", str(
 
 @pytest.fixture(scope="module")
 def clips(tmp_path_factory):
-    """The folder of a run, `out`."""
+    """The folders of two runs: `out`, of a face, and `hands`."""
     folder = tmp_path_factory.mktemp("clips")
     assert main(["run", str(CLIP), "-o", str(folder / "out"), *MADE, "--no-video"]) == 0
+    hands_run(folder / "hands")
     return folder
 
 
 @pytest.fixture
 def out(clips, tmp_path):
-    shutil.copytree(clips / "out", tmp_path / "out")
-    return tmp_path / "out"
+    return shutil.copytree(clips / "out", tmp_path / "out")
 
 
 class Page:
     """A run's page and one window of it."""
 
-    def __init__(self, folder, **options):
-        self.run = open_run(folder)
-        self.frames = Frames(self.run.clip)
-        self.fixer = Fixer(self.run, self.frames.read)
-        self.session = FixSession(self.fixer, self.frames, **options)
-        self._serving = serving(self.session)
-        self.client = Client(self._serving.__enter__().url)
+    def __init__(self, folder, stack):
+        self.session, url = stack.enter_context(fixing(folder))
+        self.client = stack.enter_context(contextlib.closing(Client(url)))
+        self.fixer, self.frames = self.session.fixer, self.session.frames
 
     def post(self, path, **body):
-        return self.client.ask("POST", f"api/{path}", body)
-
-    def track(self, frame, **targets):
-        """Drag, and have it tracked."""
-        assert self.client.put_draft(frame, **targets).status == 200
-        got = self.post("track", base=self.state()["revision"])
+        """What is answered, once the job that it begins is done."""
+        got = self.client.ask("POST", f"api/{path}", body)
         if got.status == 202:
             self.idle()
         return got
+
+    def track(self, frame, learn=None, **targets):
+        """Drag, and have it tracked."""
+        assert self.client.put_draft(frame, **targets).status == 200
+        return self.post("track", base=self.state()["revision"], **(learn or {}))
 
     def state(self):
         return self.client.get("api/state").json
@@ -77,63 +78,49 @@ class Page:
     def idle(self):
         return self.client.until(lambda state: state["job"] is None)
 
-    def rows(self, first, last):
+    def rows(self, first=0, last=STOP - 1):
         return self.client.get(f"api/rows?first={first}&last={last}").json["frames"]
-
-    def close(self):
-        self.client.close()
-        self._serving.__exit__(None, None, None)
-        self.fixer.close()
-        self.frames.close()
 
 
 @pytest.fixture
-def page(out):
-    pages = []
+def page(out, clips, tmp_path):
+    """Opens a run's page: page(name)."""
+    with contextlib.ExitStack() as stack:
 
-    def make(**options):
-        pages.append(Page(out, **options))
-        return pages[-1]
+        def make(name="out"):
+            if name != "out":
+                shutil.copytree(clips / name, tmp_path / name)
+            return Page(tmp_path / name, stack)
 
-    yield make
-    for one in pages:
-        one.close()
-
-
-# --- the names of hands ----------------------------------------------------------------------------------------------
-
-
-def test_two_hands_change_their_names_from_a_frame_on(tmp_path):
-    out = hands_run(tmp_path / "out")
-    one = Page(out)
-    try:
-        before = one.fixer.rows
-        assert one.post("exchange", frame=5).status == 202
-        one.idle()
-        after = one.fixer.rows
-        for name, other in (("left_hand", "right_hand"), ("right_hand", "left_hand")):
-            was, now = before.find(other, "box"), after.find(name, "box")
-            np.testing.assert_allclose(now.boxes[5], was.boxes[5], atol=0.02)
-            np.testing.assert_array_equal(now.x[:5], before.find(name, "box").x[:5])
-            assert np.hypot(now.x[7] - was.x[7], now.y[7] - was.y[7]) < 0.5 * was.w[7]
-        assert [(c.frame, c.target) for c in one.fixer.corrections] == [(5, "left_hand"), (5, "right_hand")]
-        assert one.post("exchange", frame=0).status == 422
-    finally:
-        one.close()
-
-
-def test_a_face_has_no_hands_to_exchange(page):
-    got = page().post("exchange", frame=5)
-    assert got.status == 422 and "there are no two hands in frame 5" in got.json["error"]
+        yield make
 
 
 # --- the page --------------------------------------------------------------------------------------------------------
 
 
+def test_two_hands_change_their_names_from_a_frame_on_and_a_box_is_confirmed_whole(page):
+    one = page("hands")
+    before = one.fixer.rows
+    assert one.post("exchange", frame=5).status == 202
+    after = one.fixer.rows
+    for name, other in (("left_hand", "right_hand"), ("right_hand", "left_hand")):
+        was, now = before.find(other, "box"), after.find(name, "box")
+        np.testing.assert_allclose(now.boxes[5], was.boxes[5], atol=0.02)
+        np.testing.assert_array_equal(now.x[:5], before.find(name, "box").x[:5])
+        assert np.hypot(now.x[7] - was.x[7], now.y[7] - was.y[7]) < 0.5 * was.w[7]
+    assert [(c.frame, c.target) for c in one.fixer.corrections] == [(5, "left_hand"), (5, "right_hand")]
+    assert one.post("exchange", frame=0).status == 422
+    assert one.post("confirm", frame=3, target="left_hand", part="box").status == 202
+    assert one.fixer.find(3, "left_hand").confirmed is True
+    assert one.fixer.rows.find("left_hand", "box").by_hand.nonzero()[0].tolist() == [3, 5]
+    got = page().post("exchange", frame=5)
+    assert got.status == 422 and "there are no two hands in frame 5" in got.json["error"]
+
+
 def test_what_the_page_receives_of_the_run(page, out):
     one = page()
     about = one.client.get("api/session").json
-    assert (about["mode"], about["clip"], about["recipe"]) == ("fix", CLIP.name, "factorized")
+    assert (about["mode"], about["clip"], about["recipe"], about["learns"]) == ("fix", CLIP.name, "factorized", True)
     assert about["size"] == [320, 240] and about["saves_to"] == str(out) and not about["free"]
     assert about["frames"] == {"first": 0, "last": STOP - 1, "exact": True}
     [required] = about["requirements"]
@@ -142,28 +129,25 @@ def test_what_the_page_receives_of_the_run(page, out):
     assert one.client.get("api/frame/19.jpg").status == 200 and one.client.get("api/frame/20.jpg").status == 404
     got = one.client.get("api/rows?first=5&last=9999").json
     assert got["first"] == 5 and len(got["frames"]) == STOP - 5 and got["parts"][0] == ["face", "nose"]
-    row = file_rows(out / "trajectory.csv")[5 * 5]
+    row = results.file_rows(out / "trajectory.csv")[5 * 5]
     assert got["frames"][0][0] == [row.x, row.y, row.w, row.h, None, row.confidence, "tracked", False, None]
-    assert one.client.get("api/rows?first=a&last=9").status == 400
-    assert one.client.get("api/rows?first=1").status == 400
+    assert [one.client.get(f"api/rows?first={query}").status for query in ("a&last=9", "1")] == [400, 400]
     found = one.client.get("api/overview?bins=7").json
     assert (found["bins"], found["last"], len(found["parts"]), found["corrections"]) == (7, STOP - 1, 5, [])
 
 
-def test_what_is_dragged_is_tracked_and_undone(page):
+def test_what_is_dragged_is_tracked_undone_and_removed(page):
     one = page()
-    before = one.rows(0, STOP - 1)
+    before = one.rows()
     assert one.track(8, face=NOSE).status == 202
     state = one.state()
     assert (state["rows_revision"], state["can_undo"], state["message"]) == (1, True, None)
     assert state["draft"] == {"frame": 8, "targets": {}}  # it has become a correction
-    after = one.rows(0, STOP - 1)
+    after = one.rows()
     assert after[:8] == before[:8] and all(new != old for new, old in zip(after[8:], before[8:], strict=True))
-    nose, corner = after[8][0], after[8][1]
-    assert (nose[:2], nose[6:8]) == ([150.0, 130.5], ["init", True]) and (corner[:2], corner[7]) == (
-        before[8][1][:2],
-        False,
-    )
+    nose, corner = after[8][:2]
+    assert (nose[:2], nose[6:8]) == ([150.0, 130.5], ["init", True])
+    assert (corner[:2], corner[7]) == (before[8][1][:2], False)
     [correction] = one.client.get("api/overview").json["corrections"]
     assert correction == {"frame": 8, "target": "face", "parts": ["nose"], "absent": []}
     assert one.track(8, face={"absent": ["lip_upper"]}).status == 202  # over what is there
@@ -171,53 +155,27 @@ def test_what_is_dragged_is_tracked_and_undone(page):
     assert hidden[0][:2] == [150.0, 130.5] and hidden[3] == [None] * 6 + ["absent", True, None]
     for expected in (after, before):
         assert one.post("undo").status == 202
-        one.idle()
-        assert one.rows(0, STOP - 1) == expected
+        assert one.rows() == expected
     assert one.post("undo").status == 422 and not one.state()["can_undo"]
-
-
-def test_what_something_covers_is_not_learned(page):
-    one = page()
-    assert one.client.get("api/session").json["learns"] is True
     for said, learn in (({"learn": False}, False), ({"learn": None}, None), ({"learn": False}, False), ({}, False)):
-        assert one.client.put_draft(8, face=NOSE).status == 200
-        assert one.post("track", base=one.state()["revision"], **said).status == 202
-        one.idle()
-        [correction] = one.fixer.corrections
-        assert correction.learn is learn
-    assert one.client.put_draft(8, face=NOSE).status == 200
-    refused = one.post("track", base=one.state()["revision"], learn="no")
+        assert one.track(8, said, face=NOSE).status == 202
+        assert [c.learn for c in one.fixer.corrections] == [learn], "what something covers is not learned"
+    refused = one.track(8, {"learn": "no"}, face=NOSE)
     assert refused.status == 400 and refused.json["error"].startswith("learn.")
+    for frame, target, status in ((8, "ben", 422), ("8", "face", 400), (8, "face", 202)):
+        assert one.post("remove", frame=frame, target=target).status == status
+    assert one.rows() == before and one.client.get("api/overview").json["corrections"] == []
 
 
-def test_a_correction_is_removed(page):
+def test_what_cannot_be_tracked_is_refused_in_one_line(page):
     one = page()
-    before = one.rows(0, STOP - 1)
-    one.track(8, face=NOSE)
-    assert one.post("remove", frame=8, target="ben").status == 422
-    assert one.post("remove", frame="8", target="face").status == 400
-    assert one.post("remove", frame=8, target="face").status == 202
-    one.idle()
-    assert one.rows(0, STOP - 1) == before and one.client.get("api/overview").json["corrections"] == []
-
-
-@pytest.mark.parametrize(
-    ("frame", "target", "code", "said"),
-    [
-        (0, NOSE, 422, "frame 0 cannot be corrected, in which it begins"),
-        (5, {"points": {"nose": [999, 5]}}, 422, "outside"),
-        (5, {}, 422, "nothing is corrected in frame 5"),
-    ],
-)
-def test_what_cannot_be_tracked_is_refused_in_one_line(page, frame, target, code, said):
-    one = page()
-    got = one.track(frame, face=target)
-    assert got.status == code and said in got.json["error"] and "\n" not in got.json["error"]
-    assert one.state()["rows_revision"] == 0
-
-
-def test_drafts_of_what_is_not_in_the_run_are_refused(page):
-    one = page()
+    for frame, target, said in (
+        (0, NOSE, "frame 0 cannot be corrected, in which it begins"),
+        (5, {"points": {"nose": [999, 5]}}, "outside"),
+        (5, {}, "nothing is corrected in frame 5"),
+    ):
+        got = one.track(frame, face=target)
+        assert got.status == 422 and said in got.json["error"] and "\n" not in got.json["error"]
     for frame, targets, status, said in (
         (STOP, {"face": NOSE}, 404, "there is no frame 20; they go from 0 to 19"),
         (5, {"ben": NOSE}, 400, "the run has no ben; it has face"),
@@ -226,20 +184,20 @@ def test_drafts_of_what_is_not_in_the_run_are_refused(page):
     ):
         got = one.client.put_draft(frame, **targets)
         assert got.status == status and said in got.json["error"]
-    assert one.post("track", base=77).status == 409
+    assert one.post("track", base=77).status == 409 and one.state()["rows_revision"] == 0
 
 
-def test_while_a_job_runs_nothing_else_is_begun_and_rows_are_read(page, monkeypatch):
+def test_while_a_job_runs_nothing_else_is_begun_and_an_error_leaves_all_as_it_was(page, monkeypatch):
     one, go = page(), threading.Event()
-    whole = Tracking.track
-
-    def held(self, *args, **options):
-        assert go.wait(60)
-        return whole(self, *args, **options)
-
-    monkeypatch.setattr(Tracking, "track", held)
-    one.client.put_draft(8, face=NOSE)
-    assert one.post("track", base=1).status == 202
+    before, read, whole = one.rows(), one.frames.read, Fixer._track
+    monkeypatch.setattr(one.fixer, "_read", lambda n: read(n) if n < 12 else read(99_999))
+    one.track(8, face=NOSE)
+    state = one.state()
+    assert "there is no frame 99999" in state["message"] and state["draft"]["frame"] == 8
+    assert (state["rows_revision"], state["can_undo"]) == (0, False) and one.rows() == before
+    monkeypatch.setattr(one.fixer, "_read", read)
+    monkeypatch.setattr(Fixer, "_track", lambda *args: go.wait(60) and whole(*args))
+    assert one.client.ask("POST", "api/track", {"base": 1}).status == 202
     assert one.state()["job"]["what"] == "tracking face"
     for path, body in (("track", {"base": 1}), ("undo", {}), ("save", {"base": 1})):
         assert one.post(path, **body).status in (409, 422)
@@ -250,19 +208,13 @@ def test_while_a_job_runs_nothing_else_is_begun_and_rows_are_read(page, monkeypa
     assert one.state()["draft"]["frame"] == 9 and one.state()["rows_revision"] == 1
 
 
-def test_an_error_while_tracking_leaves_all_as_it_was(page, monkeypatch):
-    one = page()
-    before = one.rows(0, STOP - 1)
-    read = one.frames.read
-    monkeypatch.setattr(one.fixer._tracking, "_read", lambda n: read(n) if n < 12 else read(99_999))
-    one.track(8, face=NOSE)
-    state = one.state()
-    assert "there is no frame 99999" in state["message"] and state["draft"]["frame"] == 8
-    assert (state["rows_revision"], state["can_undo"]) == (0, False) and one.rows(0, STOP - 1) == before
-
-
 def test_save_writes_the_run_and_goes_on_until_done(page, out, monkeypatch):
     one = page()
+
+    def saved(times):
+        assert one.client.save().status == 202
+        return one.client.until(lambda state: state["saves"] == times and not state["job"])
+
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     one.track(8, face=NOSE)
     assert (out / UNSAVED).is_file()
@@ -271,33 +223,27 @@ def test_save_writes_the_run_and_goes_on_until_done(page, out, monkeypatch):
     got = one.client.save()
     assert got.status == 422 and "what was moved in frame 9 is not tracked yet" in got.json["error"]
     one.client.put_draft(9)
-    real = saving.as_yaml
-    monkeypatch.setattr(saving, "as_yaml", lambda *_, **__: (_ for _ in ()).throw(OSError(28, "No space left")))
-    assert one.client.save().status == 202
-    state = one.idle()
+    with monkeypatch.context() as patch:
+        patch.setattr(saving, "as_yaml", lambda *_, **__: (_ for _ in ()).throw(OSError(28, "No space left")))
+        assert one.client.save().status == 202
+        state = one.idle()
     assert "No space left; free some space, and save again" in state["message"] and state["ended"] is None
-    monkeypatch.setattr(saving, "as_yaml", real)
-    assert one.client.save().status == 202
-    state = one.client.until(lambda state: state["saves"] == 1 and not state["job"])
+    state = saved(1)
     assert f"{out / CORRECTED}: written" in state["saved"] and not state["unsaved"] and state["ended"] is None
     assert sorted(path.name for path in out.iterdir()) == [CORRECTED, "run.json", "trajectory.csv", "trajectory.json"]
     first = (out / "trajectory.csv").read_bytes()
     one.track(12, face={"points": {"lip_lower": [160.0, 170.0]}})
-    assert one.state()["unsaved"] and one.client.save().status == 202
-    one.client.until(lambda state: state["saves"] == 2 and not state["job"])
+    assert one.state()["unsaved"]
+    saved(2)
     assert [one.frame for one in read_init(out / CORRECTED).corrections] == [8, 12]
-    assert one.post("undo").status == 202 and one.idle()["unsaved"], "what was saved can be undone, and saved again"
-    assert one.client.save().status == 202
-    one.client.until(lambda state: state["saves"] == 3 and not state["job"])
+    assert one.post("undo").status == 202 and one.state()["unsaved"], "what was saved can be undone, and saved again"
+    saved(3)
     assert (out / "trajectory.csv").read_bytes() == first
     one.track(9, face=NOSE)
     ended = one.post("done").json["ended"]
     assert f"{out / UNSAVED}: corrections that are not saved" in ended["messages"][-1]
     assert ended["next"] == f"facetrack report {out} --overwrite" and (out / UNSAVED).is_file()
     assert one.post("undo").status == 409
-
-
-# --- what lies right -------------------------------------------------------------------------------------------------
 
 
 def called_lost(folder, first, stop, part):
@@ -315,171 +261,145 @@ def called_lost(folder, first, stop, part):
 def test_what_is_called_lost_and_lies_right_is_confirmed(page, out):
     called_lost(out, 6, 10, "nose")
     one = page()
+
+    def confirm(frame, part="nose", **more):
+        assert one.post("confirm", frame=frame, target="face", part=part, **more).status == 202
+        return one.fixer.rows.find("face", "nose")
+
     before = one.fixer.rows
-    assert one.post("confirm", frame=7, target="face", part="nose").status == 202
-    one.idle()
-    nose, was = one.fixer.rows.find("face", "nose"), before.find("face", "nose")
+    nose = confirm(7)
     assert nose.status[6:10].tolist() == ["lost", "tracked", "lost", "lost"]
     assert nose.by_hand.nonzero()[0].tolist() == [7] and nose.confidence[7] == 1
-    others = one.fixer.rows.take(~one.fixer.rows.by_hand)
-    assert others.x.tolist() == before.take(~one.fixer.rows.by_hand).x.tolist(), "nothing is tracked again"
-    assert nose.x.tolist() == was.x.tolist()
-    assert one.post("confirm", frame=8, target="face", part="nose", stretch=True).status == 202
-    one.idle()
-    assert one.fixer.rows.find("face", "nose").status[6:10].tolist() == ["lost", "tracked", "tracked", "tracked"]
+    assert one.fixer.rows.x.tolist() == before.x.tolist(), "nothing is tracked again"
+    assert confirm(8, stretch=True).status[6:10].tolist() == ["lost", "tracked", "tracked", "tracked"]
     one.post("undo")
-    one.idle()
     assert [c.frame for c in one.fixer.corrections] == [7]
-    assert one.post("confirm", frame=6, target="face", part="nose", stretch=True).status == 202
-    one.idle()
-    assert one.post("confirm", frame=7, target="face", part="lip_upper").status == 202
-    one.idle()
-    assert one.fixer.find(7, "face").confirmed == ("nose", "lip_upper")
+    confirm(6, stretch=True)
+    confirm(7, "lip_upper")
     assert one.client.get("api/overview").json["corrections"][1]["confirmed"] == ["nose", "lip_upper"]
     one.client.save()
     one.client.until(lambda state: state["saves"] == 1 and not state["job"])
     said = read_init(out / CORRECTED).corrections
     assert [(c.frame, c.confirmed) for c in said] == [(6, ("nose",)), (7, ("nose", "lip_upper"))]
     assert "it lies right there, whatever the tracker says" in (out / CORRECTED).read_text()
-    assert open_run(out).start.corrections == said
-    again = open_run(out).rows.find("face", "nose")
-    assert again.status[6:10].tolist() == ["tracked", "tracked", "lost", "lost"]
-
-
-def test_a_run_says_of_what_is_confirmed_what_fix_says(facetrack, out):
-    init = Path("c.yaml")
-    start = CLIP.with_suffix(".init.yaml").read_text()
-    init.write_text(start + "corrections:\n- {frame: 6, points: {nose: [150, 130]}}\n- {frame: 9, confirmed: true}\n")
-    assert facetrack("fix", out, "--init", init)[0] == 0
-    assert facetrack("run", CLIP, "--init", out / CORRECTED, "-o", "again", *MADE, "--no-video")[0] == 0
-    assert Path("again/trajectory.csv").read_bytes() == (out / "trajectory.csv").read_bytes()
-    rows = open_run(out).rows
-    assert rows.find("face", "lip_upper").by_hand.nonzero()[0].tolist() == [9]
-    assert rows.find("face", "nose").by_hand.nonzero()[0].tolist() == [6, 9]
-
-
-def test_a_box_is_confirmed_whole(tmp_path):
-    out = hands_run(tmp_path / "out")
-    one = Page(out)
-    try:
-        box = one.fixer.rows.find("left_hand", "box")
-        frame = int(box.frame[box.x == box.x][3])
-        assert one.post("confirm", frame=frame, target="left_hand", part="box").status == 202
-        one.idle()
-        assert one.fixer.find(frame, "left_hand").confirmed is True
-        assert one.fixer.rows.find("left_hand", "box").by_hand.nonzero()[0].tolist() == [frame]
-    finally:
-        one.close()
-
-
-def test_what_is_confirmed_is_corrected_instead_and_the_other_way_round_refused(page):
-    one = page()
-    one.post("confirm", frame=8, target="face", part="nose")
-    one.idle()
-    one.track(8, face=NOSE)
-    [found] = one.fixer.corrections
+    again = open_run(out)
+    assert again.start.corrections == said
+    assert again.rows.find("face", "nose").status[6:10].tolist() == ["tracked", "tracked", "lost", "lost"]
+    # what is confirmed is corrected instead, and the other way round refused
+    one.track(7, face=NOSE)
+    found = one.fixer.find(7, "face")
     assert found.given.points == {"nose": (150.0, 130.5)} and not found.confirmed
-    got = one.post("confirm", frame=8, target="face", part="lip_upper")
-    assert got.status == 422 and "corrected in frame 8 already" in got.json["error"]
-    assert "has no place" in one.post("confirm", frame=8, target="face", part="ear").json["error"]
+    for part, why in (("lip_upper", "corrected in frame 7 already"), ("ear", "has no place")):
+        got = one.post("confirm", frame=7, target="face", part=part)
+        assert got.status == 422 and why in got.json["error"]
     assert one.post("confirm", frame=0, target="face", part="nose").status == 202
     assert "cannot be corrected, in which it begins" in one.idle()["message"]
+
+
+def test_the_overview_tells_where_a_run_is_least_certain():
+    sure = [0.9, 0.9, 0.4, 0.2, 0.9, 0.6, 0.1, None, 0.1, 0.3]
+    status = ["init", *["tracked"] * 4, "lost", "tracked", "absent", "tracked", "tracked"]
+    collected = Collector()
+    for frame, (one, how) in enumerate(zip(sure, status, strict=True)):
+        parts = results.part("box", 1, 1, 1, 1, how, one), results.part("odd", 1, 1, 1, 1, "tracked")
+        collected.add(results.result(frame + 5, [results.target("a", parts, 1)]).rows)
+    rows = collected.trajectory()
+    found = overview(rows, 5, (Correction(8, "a", absent=True),), {"a": 0.5})
+    assert (found["first"], found["last"], found["bins"]) == (5, 14, 5)
+    first, second = found["parts"]
+    assert first["least"] == [0.9, 0.2, 0.6, 0.1, 0.1] and second["least"] == [None] * 5
+    assert first["lost"] == [0, 0, 0.5, 0, 0] and first["absent"] == [0, 0, 0, 0.5, 0]
+    assert found["corrections"] == [{"frame": 8, "target": "a", "parts": [], "absent": True}]
+    # frames 2 and 3, 5 and 6 (lost, then doubtful), and the last two, of which the last begins no other
+    told = [(one["frame"], one["confidence"], one["status"]) for one in found["doubtful"]]
+    assert told == [(11, 0.1, "tracked"), (13, 0.1, "tracked"), (8, 0.2, "tracked")]
+    assert {one["part"] for one in found["doubtful"]} == {"box"}
+    assert [one["frame"] for one in doubtful(rows, {"a": 0.15})] == [11, 13]
+    assert overview(rows, 999, (), {"a": 0.5})["bins"] == 10
+    json.dumps(found)
 
 
 # --- the command -----------------------------------------------------------------------------------------------------
 
 
 def test_an_init_file_is_applied_without_a_page(facetrack, out):
-    init = Path("c.yaml")
-    init.write_text(
-        CLIP.with_suffix(".init.yaml").read_text() + "corrections:\n- {frame: 9, points: {nose: [150, 130]}}\n"
+    Path("c.yaml").write_text(
+        f"{INIT}corrections:\n- {{frame: 6, points: {{nose: [150, 130]}}}}\n- {{frame: 9, confirmed: true}}\n"
     )
-    code, said, err = facetrack("fix", out, "--init", init)
+    code, said, err = facetrack("fix", out, "--init", "c.yaml")
     assert (code, said) == (0, "") and f"{out / 'trajectory.csv'}: written" in err.splitlines()
     assert facetrack("run", CLIP, "--init", out / CORRECTED, "-o", "again", *MADE, "--no-video")[0] == 0
     assert Path("again/trajectory.csv").read_bytes() == (out / "trajectory.csv").read_bytes()
-    code, said, err = facetrack("fix", out, "--init", init)
+    rows = open_run(out).rows
+    assert rows.find("face", "lip_upper").by_hand.nonzero()[0].tolist() == [9]
+    assert rows.find("face", "nose").by_hand.nonzero()[0].tolist() == [6, 9]
+    code, said, err = facetrack("fix", out, "--init", "c.yaml")
     assert (code, err.splitlines()[-1]) == (0, f"{out}: nothing was corrected, all is as it was")
 
 
-def test_what_is_wrong_is_said_in_one_line(facetrack, out, tmp_path):
-    assert "no such folder" in refusal(facetrack("fix", "nowhere"), 3)
-    assert "gone.mp4: no such file" in refusal(facetrack("fix", out, "--clip", "gone.mp4"), 3)
-    assert "is 64x48" not in refusal(facetrack("fix", out, "--init", "i.yaml"), 3)
-    assert "--port is for the page" in refusal(facetrack("fix", out, "--init", "i.yaml", "--port", 9000), 2)
-    assert "--quiet goes with --init" in refusal(facetrack("fix", out, "-q"), 2)
-    Path("late.yaml").write_text(
-        CLIP.with_suffix(".init.yaml").read_text() + "corrections:\n- {frame: 9, points: {nose: [950, 130]}}\n"
-    )
-    assert "nose of face at frame 9 at [950, 130] is outside" in refusal(
-        facetrack("fix", out, "--init", "late.yaml"), 3
-    )
+def test_what_is_wrong_is_said_in_one_line(facetrack, out):
+    Path("late.yaml").write_text(f"{INIT}corrections:\n- {{frame: 9, points: {{nose: [950, 130]}}}}\n")
+    for words, code, said in (
+        (["nowhere"], 3, "no such folder"),
+        ([out, "--clip", "gone.mp4"], 3, "gone.mp4: no such file"),
+        ([out, "--init", "i.yaml"], 3, "i.yaml"),
+        ([out, "--init", "i.yaml", "--port", 9000], 2, "--port is for the page"),
+        ([out, "-q"], 2, "--quiet goes with --init"),
+        ([out, "--init", "late.yaml"], 3, "nose of face at frame 9 at [950, 130] is outside"),
+    ):
+        assert said in refusal(facetrack("fix", *words), code)
     (out / UNSAVED).write_text("frame: 0\n")
     assert "corrections that were not saved are there" in refusal(facetrack("fix", out, "--init", "late.yaml"), 2)
 
 
 def test_interrupted_without_a_page_leaves_the_run_as_it_was(facetrack, out, monkeypatch):
     before = {path.name: path.read_bytes() for path in out.iterdir()}
-    write = saving.write_rows
 
-    def interrupted(*args, **options):
-        os.kill(os.getpid(), signal.SIGINT)
-        return write(*args, **options)
+    def interrupting(call):
+        return lambda *args, **options: os.kill(os.getpid(), signal.SIGINT) or call(*args, **options)
 
-    track = Tracking.track
-
-    def stopped(self, *args, **options):
-        os.kill(os.getpid(), signal.SIGINT)
-        return track(self, *args, **options)
-
-    Path("c.yaml").write_text(
-        CLIP.with_suffix(".init.yaml").read_text() + "corrections:\n- {frame: 9, points: {nose: [150, 130]}}\n"
-    )
-    monkeypatch.setattr(Tracking, "track", stopped)
-    code, _, err = facetrack("fix", out, "--init", "c.yaml")
+    Path("c.yaml").write_text(f"{INIT}corrections:\n- {{frame: 9, points: {{nose: [150, 130]}}}}\n")
+    with monkeypatch.context() as patch:
+        patch.setattr(Fixer, "_track", interrupting(Fixer._track))
+        code, _, err = facetrack("fix", out, "--init", "c.yaml")
     assert code == 130 and err.splitlines()[-1] == f"facetrack: interrupted; {out} is as it was"
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     # once files are being written, they are all written
-    monkeypatch.setattr(Tracking, "track", track)
-    monkeypatch.setattr(saving, "write_rows", interrupted)
+    monkeypatch.setattr(saving, "write_rows", interrupting(saving.write_rows))
     assert facetrack("fix", out, "--init", "c.yaml", "-q")[0] == 0
     assert (out / CORRECTED).is_file()
 
 
 @pytest.mark.nightly
 def test_interrupted_it_keeps_the_corrections_and_goes_on_with_them(command, out):
+    kept = out / UNSAVED
+
+    def interrupted(running, client):
+        client.close()
+        running.process.send_signal(signal.SIGINT)
+        code, _, err = running.ended()
+        return code, err.splitlines()[-1].removeprefix("facetrack: interrupted; ")
+
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     running = command("fix", out)
     client = Client(running.url)
     client.put_draft(8, face=NOSE)
     client.ask("POST", "api/track", {"base": 1})
     client.until(lambda state: state["rows_revision"] == 1 and state["job"] is None)
-    running.process.send_signal(signal.SIGINT)
-    code, _, err = running.ended()
-    client.close()
-    kept = out / UNSAVED
-    assert code == 130
-    assert err.splitlines()[-1] == (
-        f"facetrack: interrupted; the corrections are kept in {kept}, all else is as it was; "
-        f"facetrack fix {out} goes on with them"
-    )
+    on = f"the corrections are kept in {kept}, all else is as it was; facetrack fix {out} goes on with them"
+    assert interrupted(running, client) == (130, on)
     assert {path.name: path.read_bytes() for path in out.iterdir() if path != kept} == before
     assert [one.frame for one in read_init(kept).corrections] == [8]
 
     running = command("fix", out)
     client = Client(running.url)
     assert running.said == [f"{kept}: one correction was not saved the last time; the page begins with it\n"]
-    client.until(lambda state: state["rows_revision"] == 1 and state["job"] is None)
-    message = client.get("api/state").json["message"]
-    assert message.startswith("the corrections of the last session, which were not saved, are applied")
+    state = client.until(lambda state: state["rows_revision"] == 1 and state["job"] is None)
+    assert state["message"].startswith("the corrections of the last session, which were not saved, are applied")
     assert client.get("api/rows?first=8&last=8").json["frames"][0][0][:2] == [150.0, 130.5]
     client.ask("POST", "api/undo", {})
     client.until(lambda state: state["rows_revision"] == 2)
-    client.close()
-    running.process.send_signal(signal.SIGINT)
-    code, _, err = running.ended()
-    assert err.splitlines()[-1] == "facetrack: interrupted; nothing was written"
-    assert not kept.exists()
+    assert interrupted(running, client) == (130, "nothing was written") and not kept.exists()
 
 
 def test_the_page_ends_with_its_session(page, monkeypatch):

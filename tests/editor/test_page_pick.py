@@ -1,16 +1,12 @@
 """facetrack init --pick without a browser: what the page receives and sends, what is saved, how the command ends."""
 
 import json
-import os
-import re
 import signal
-import stat
-from contextlib import contextmanager
+import socket
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from urllib.parse import urlsplit
-from urllib.request import url2pathname
 
 import cv2
 import numpy as np
@@ -22,17 +18,15 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
 from facetrack_cli.editor.web import server as server_module
 from facetrack_cli.editor.web import session as session_module
-from facetrack_cli.editor.web.frame import Draft, DraftTarget
-from facetrack_cli.editor.web.pick_session import PickSession, start_of
-from facetrack_cli.editor.web.server import serving
-from facetrack_cli.editor.web.session import RefusedError
+from facetrack_cli.editor.web.pick_session import start_of
+from facetrack_cli.editor.web.session import Draft, DraftTarget, RefusedError
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import name_targets
 from facetrack_cli.start.init_file import read_init, write_init
 from facetrack_cli.trackers.face.detectors import PARTS, detector
-from facetrack_cli.video.seek import Frames
+from tests.support import page_client
 from tests.support.media import write_pictures
-from tests.support.page_client import Client, wait_for
+from tests.support.page_client import Client, drive, wait_for
 from tests.support.samples import read_pictures
 from tests.support.terminal import refusal
 
@@ -42,7 +36,6 @@ POINTS = {"nose": [160, 138.37], "mouth_left": [137.65, 153.77], "mouth_right": 
 FACE = {"box": [112, 79, 98, 98], "points": POINTS}
 HANDS = {"head": {"box": [135, 44, 50, 50]}, "left_hand": {"box": [82, 138, 48, 57]},
          "right_hand": {"box": [188, 131, 50, 60]}}  # fmt: skip
-LIGHT = ("errors", "options")
 
 
 @pytest.fixture(scope="module")
@@ -57,16 +50,10 @@ def clips(tmp_path_factory):
 
 
 @contextmanager
-def picking(clip, out=None, config=None, **more):
-    recipe = None if config is None else load_recipe(config)
-    with Frames(clip) as frames:
-        session = PickSession(clip, frames, out=out, recipe=recipe, **more)
-        with serving(session) as server:
-            client = Client(server.url)
-            try:
-                yield client, session
-            finally:
-                client.close()
+def picking(*where, **more):
+    """A client of a page, and its session."""
+    with page_client.picking(*where, **more) as (session, url), closing(Client(url)) as client:
+        yield client, session
 
 
 @pytest.fixture(autouse=True)
@@ -78,27 +65,24 @@ def hurry(monkeypatch):
 # --- what is required ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("config", "expected"),
-    [
+def test_what_a_recipe_requires(clips):
+    hands = [(name, "needed", []) for name in ("head", "left_hand", "right_hand")]
+    for config, expected in (
         (None, [("face", "optional", list(PARTS))]),
         ("factorized", [("face", "optional", list(PARTS))]),
         ("contour_histogram", [("face", "needed", [])]),
-        ("adaptive_recognition", [("face", "needed", [])]),
         ("mil", [("face", "needed", [])]),
-        ("head_hands", [(name, "needed", []) for name in ("head", "left_hand", "right_hand")]),
-    ],
-)
-def test_what_a_recipe_requires(clips, config, expected):
-    with picking(clips / "face", config=config) as (client, _):
-        about = client.get("api/session").json
-    assert [(one["target"], one["box"], one["points"]) for one in about["requirements"]] == expected
-    assert about["free"] == (config != "head_hands")
-    assert (about["mode"], about["clip"], about["recipe"], about["size"]) == ("pick", "face", config, [320, 240])
-    assert about["frames"] == {"first": 0, "last": 2, "exact": True}
-    for one in about["requirements"]:
-        assert set(one["about"]) == {*one["points"], "box"} and all(one["about"].values())
-    assert "brows to the chin" in about["requirements"][0]["about"]["box"]
+        ("head_hands", hands),
+    ):
+        with picking(clips / "face", config=config) as (client, _):
+            about = client.get("api/session").json
+        assert [(one["target"], one["box"], one["points"]) for one in about["requirements"]] == expected
+        assert about["free"] == (config != "head_hands")
+        assert (about["mode"], about["clip"], about["recipe"], about["size"]) == ("pick", "face", config, [320, 240])
+        assert about["frames"] == {"first": 0, "last": 2, "exact": True}
+        for one in about["requirements"]:
+            assert set(one["about"]) == {*one["points"], "box"} and all(one["about"].values())
+        assert "brows to the chin" in about["requirements"][0]["about"]["box"]
 
 
 # --- proposals -------------------------------------------------------------------------------------------------------
@@ -106,7 +90,7 @@ def test_what_a_recipe_requires(clips, config, expected):
 
 def looking(monkeypatch, find):
     """The page finds faces so."""
-    monkeypatch.setattr("facetrack_cli.editor.web.frame.detector", lambda: SimpleNamespace(find=find))
+    monkeypatch.setattr("facetrack_cli.editor.web.session.detector", lambda: SimpleNamespace(find=find))
 
 
 def test_the_faces_of_a_frame_are_proposed_once(clips, monkeypatch):
@@ -135,13 +119,6 @@ def test_the_faces_of_a_frame_are_proposed_once(clips, monkeypatch):
         assert np.hypot(*np.subtract(face["points"][part], at)) < 7
 
 
-def test_a_recipe_of_boxes_has_no_points_proposed(clips):
-    with picking(clips / "two", config="contour_histogram") as (client, _):
-        got = client.get("api/proposals/0").json
-    assert [one["label"] for one in got["proposals"]] == ["face 1", "face 2"]
-    assert [one["targets"]["face"]["points"] for one in got["proposals"]] == [{}, {}]
-
-
 def test_hands_are_proposed_with_the_head(clips):
     with picking(clips / "sign", config="head_hands") as (client, session):
         got = client.get("api/proposals/0").json
@@ -155,14 +132,16 @@ def test_hands_are_proposed_with_the_head(clips):
     }
     assert [list(one["targets"]) for one in grey["proposals"]] == [["head"]], "without colours there is no skin"
     assert "colour" in grey["note"]
+    with picking(clips / "two", config="contour_histogram") as (client, _):  # of a recipe of boxes there are no points
+        two = client.get("api/proposals/0").json["proposals"]
+    assert [(one["label"], one["targets"]["face"]["points"]) for one in two] == [("face 1", {}), ("face 2", {})]
 
 
 # --- what may be saved -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("config", "targets", "said"),
-    [
+def test_what_a_draft_lacks_is_said_in_one_line(clips, tmp_path):
+    cases = [
         (None, {}, "nothing is chosen yet; choose nose, mouth_left, mouth_right, lip_upper and lip_lower"),
         (None, {"face": {"box": [112, 79, 98, 98]}}, "still to choose: nose, mouth_left, mouth_right, lip_"),
         (None, {"face": {"points": {**POINTS, "nose": [400, 20]}}}, "nose of face at [400, 20] is outside the"),
@@ -176,37 +155,34 @@ def test_hands_are_proposed_with_the_head(clips):
         ("head_hands", {}, "nothing is chosen yet; choose the box"),
         ("head_hands", {"head": HANDS["head"]}, "still to choose: the box of left_hand; the box of right_hand"),
         ("head_hands", {**HANDS, "foot": FACE}, "the recipe follows head, left_hand, right_hand, and no foot; "),
-    ],
-)  # fmt: skip
-def test_what_a_draft_lacks_is_said_in_one_line(clips, tmp_path, config, targets, said):
-    out = tmp_path / "a.init.yaml"
-    with picking(clips / "face", out, config) as (client, session):
-        assert client.put_draft(1, **targets).status == 200
-        got = client.save()
-        assert got.status == 422 and said in got.json["error"], got.json
-        assert "the page:" not in got.json["error"] and len(got.json["error"].splitlines()) == 1
-        state = client.get("api/state").json
-        assert state["job"] is None and state["ended"] is None
-    assert session.first_error is None
-    assert not list(tmp_path.iterdir())
+    ]
+    for config in dict.fromkeys(case[0] for case in cases):
+        with picking(clips / "face", tmp_path / "a.init.yaml", config) as (client, session):
+            for targets, said in [case[1:] for case in cases if case[0] == config]:
+                assert client.put_draft(1, **targets).status == 200
+                got = client.save()
+                assert got.status == 422 and said in got.json["error"], got.json
+                assert "the page:" not in got.json["error"] and len(got.json["error"].splitlines()) == 1
+                state = client.get("api/state").json
+                assert state["job"] is None and state["ended"] is None
+        assert session.first_error is None and not list(tmp_path.iterdir())
 
 
-@pytest.mark.one_in(3)
 @pytest.mark.parametrize(
-    ("config", "targets"),
+    ("config", "targets", "suffix"),
     [
-        (None, {"face": FACE}),
-        ("factorized", {"face": {"points": POINTS}, "lena": FACE}),
-        ("contour_histogram", {"face": {"box": [110.123456, 79, 98.004, 98]}, "other": {"box": [10, 10, 60, 60]}}),
-        ("adaptive_recognition", {"face": {"box": [112, 79, 98, 98]}}),
-        ("head_hands", HANDS),
-        ("csrt", {"face": {"box": [112, 79, 98, 98]}}),
+        (None, {"face": FACE}, ".json"),
+        ("factorized", {"face": {"points": POINTS}, "lena": FACE}, ".yaml"),
+        (
+            "contour_histogram",
+            {"face": {"box": [110.123456, 79, 98.004, 98]}, "other": {"box": [9, 9, 60, 60]}},
+            ".json",
+        ),
+        ("head_hands", HANDS, ".yaml"),
+        ("mil", {"face": {"box": [112, 79, 98, 98]}}, ".yaml"),
     ],
-)  # fmt: skip
-@pytest.mark.parametrize("suffix", [".yaml", ".json"])
+)
 def test_what_is_saved_is_what_was_chosen(clips, tmp_path, config, targets, suffix):
-    if config == "csrt" and not hasattr(cv2, "TrackerCSRT"):
-        config = "mil"
     out = tmp_path / f"a.init{suffix}"
     with picking(clips / "face", out, config, next_="facetrack run x") as (client, session):
         assert client.put_draft(1, **targets).status == 200
@@ -247,7 +223,7 @@ def test_windows_and_corrections_of_the_file_before_are_kept(clips, tmp_path):
         tuple(Correction(frame, name, given) for frame, name in ((1, "face"), (2, "face"))),
     )  # fmt: skip
     out = tmp_path / "a.init.yaml"
-    with picking(clips / "face", out, begun=begun) as (client, _):
+    with picking(clips / "face", out, previous=begun) as (client, _):
         state = client.get("api/state").json
         assert state["draft"]["targets"]["face"]["points"]["nose"] == POINTS["nose"]
         assert state["message"] == "taken from old.yaml"
@@ -260,15 +236,12 @@ def test_windows_and_corrections_of_the_file_before_are_kept(clips, tmp_path):
     assert messages[1] == "corrections left out, since they come before the start or have no target: 1"
 
 
-@pytest.mark.parametrize("names", [["face"], ["head", "foot"]])
-def test_a_file_of_another_recipe_is_fitted_to_this_one(clips, names):
-    begun = Start(0, {name: TargetStart(box=(10, 10, 40, 40)) for name in names}, "old.yaml")
-    with picking(clips / "face", config="head_hands", begun=begun) as (client, _):
-        assert list(client.get("api/state").json["draft"]["targets"]) == ["head"]
-
-
-def test_a_box_to_begin_with_has_its_points(clips):
-    with picking(clips / "face", frame=1, box=(112, 79, 98, 98)) as (client, session):
+def test_what_the_page_begins_with(clips):
+    for names in (["face"], ["head", "foot"]):  # a file of another recipe is fitted to this one
+        begun = Start(0, {name: TargetStart(box=(10, 10, 40, 40)) for name in names}, "old.yaml")
+        with picking(clips / "face", config="head_hands", previous=begun) as (client, _):
+            assert list(client.get("api/state").json["draft"]["targets"]) == ["head"]
+    with picking(clips / "face", frame=1, box=(112, 79, 98, 98)) as (client, session):  # a box has its points
         draft = client.get("api/state").json["draft"]
         assert draft["frame"] == 1 and set(draft["targets"]["face"]["points"]) == set(PARTS)
         assert session.unsaved() is not None
@@ -300,17 +273,9 @@ def test_the_file_says_which_detector_has_placed_what_nobody_moved(clips, tmp_pa
     assert begun.detector == here and begun.placed
     assert [saved(change).detector for change in ("point", "box")] == ["", ""]
     assert [saved(change, box=(112, 79, 98, 98), frame=1).detector for change in (None, "point")] == [here, ""]
-    assert [saved(change, begun=begun).detector for change in (None, "point")] == [here, ""]
+    assert [saved(change, previous=begun).detector for change in (None, "point")] == [here, ""]
     by_hand = replace(begun, detector="", placed=False)
-    assert saved(begun=by_hand).detector == ""
-
-
-def test_what_the_page_cannot_check_is_checked_by_the_engine(clips):
-    recipe = load_recipe("contour_histogram")
-    draft = Draft(0, {"face": DraftTarget((1, 1, 40, 40))})
-    assert start_of(draft, (320, 240), None, recipe, None).targets["face"].box == (1, 1, 40, 40)
-    with pytest.raises(RefusedError, match="starts at frame 0, but the clip ends with frame -1"):
-        start_of(draft, (320, 240), 0, recipe, None)
+    assert saved(previous=by_hand).detector == ""
 
 
 NAMES = ["face", "frame", "box", "corrections", "windows_", "null", "yes", "On", "Infinity", "nan", "hand-2", "_"]
@@ -330,6 +295,14 @@ TARGETS = a_target(INSIDE, SIDES) | st.builds(DraftTarget) | a_target(INSIDE | O
 @pytest.mark.parametrize("config", [None, "contour_histogram"])
 def test_any_draft_is_a_start_that_is_read_back_or_lacks_something(config, tmp_path):
     recipe = None if config is None else load_recipe(config)
+    with pytest.raises(RefusedError, match="starts at frame 0, but the clip ends with frame -1"):
+        start_of(
+            Draft(0, {"face": DraftTarget((1, 1, 40, 40), {p: (k, 5) for k, p in enumerate(PARTS)})}),
+            (320, 240),
+            0,
+            recipe,
+            None,
+        )
 
     @given(st.builds(Draft, st.integers(0, 4), st.dictionaries(st.sampled_from(NAMES), TARGETS, max_size=3)))
     def check(draft):
@@ -349,45 +322,34 @@ def test_any_draft_is_a_start_that_is_read_back_or_lacks_something(config, tmp_p
 # --- the command -----------------------------------------------------------------------------------------------------
 
 
-def free_port():
-    import socket
+def choose(client):
+    client.put_draft(1, face=FACE)
+    client.save()
+    client.until(lambda state: state["ended"])
 
+
+def test_picked_saved_and_run(clips, command, tmp_path, monkeypatch, facetrack):
     with socket.socket() as link:
         link.bind(("127.0.0.1", 0))
-        return link.getsockname()[1]
-
-
-def test_picked_saved_and_run(clips, command, tmp_path, facetrack):
-    port = free_port()
-    pick = ("init", clips / "face", "--pick")
-    saved = command(*pick, "--port", port, "-o", tmp_path / "a.init.yaml", "--preview", tmp_path / "look.png")
-    printed = command(*pick, "-o", "-", "--config", "factorized")
-    for one in (saved, printed):
-        client = Client(one.url)
-        assert not one.said
-        assert (client.port == port) == (one is saved)
-        assert client.put_draft(1, face=FACE).status == 200
-        assert client.save().status == 202
-        client.until(lambda state: state["ended"])
-        client.close()
-    code, out, err = saved.ended()
-    assert (code, out) == (0, "")
-    assert saved.hint.startswith(f"from another machine: ssh -L {port}:127.0.0.1:{port} HOST, then")
-    assert err.splitlines() == [
-        f"{tmp_path / 'look.png'}: the start drawn on frame 1", f"{tmp_path / 'a.init.yaml'}: written",
-        f"next: facetrack run {clips / 'face'} --init {tmp_path / 'a.init.yaml'}",
-    ]  # fmt: skip
-    assert cv2.imread(str(tmp_path / "look.png")) is not None
-    code, out, err = printed.ended()
-    assert code == 0 and out == (tmp_path / "a.init.yaml").read_text()
+        port = link.getsockname()[1]
+    out, look = tmp_path / "a.init.yaml", tmp_path / "look.png"
+    running = command("init", clips / "face", "--pick", "--port", port, "-o", out, "--preview", look)
+    client = Client(running.url)
+    assert not running.said and client.port == port
+    choose(client)
+    client.close()
+    assert running.ended() == (0, "", f"{look}: the start drawn on frame 1\n{out}: written\n"
+                               f"next: facetrack run {clips / 'face'} --init {out}\n")  # fmt: skip
+    assert running.hint.startswith(f"from another machine: ssh -L {port}:127.0.0.1:{port} HOST, then")
+    assert cv2.imread(str(look)) is not None
+    drive(monkeypatch, tmp_path, choose)
+    code, printed, err = facetrack("init", "IN/face", "--pick", "--open", "-o", "-", "--config", "factorized")
+    assert code == 0 and printed == out.read_text()
     assert err.splitlines()[-1] == f"next: facetrack run {clips / 'face'} --init FILE --config factorized"
-
-    code, out, err = facetrack(
-        *("run", "IN/face", "--init", tmp_path / "a.init.yaml", "--set", "filter.particles=50", "--no-video", "-q"),
-        *("-o", "-", "--format", "json"),
-    )
+    few = ("--set", "filter.particles=50", "--no-video", "-q", "-o", "-", "--format", "json")
+    code, text, err = facetrack("run", "IN/face", "--init", out, *few)
     assert (code, err) == (0, "")
-    run = json.loads(out)
+    run = json.loads(text)
     assert run["init"]["frame"] == 1
     [target] = run["frames"][0]["targets"]
     *points, box = target["parts"][: len(POINTS) + 1]  # and then the eyes, which nobody has picked
@@ -397,38 +359,25 @@ def test_picked_saved_and_run(clips, command, tmp_path, facetrack):
 
 
 @pytest.mark.nightly
-def test_stopped_before_it_is_saved(clips, command, tmp_path):
-    interrupted, terminated = (130, "interrupted"), (143, "terminated")
-    cases = [("SIGINT", *interrupted, True), ("SIGTERM", *terminated, True), ("SIGINT", *interrupted, False)]
-    folders = [tmp_path / str(number) for number in range(len(cases))]
-    for folder in folders:
-        folder.mkdir()
-    running = [command("init", clips / "face", "--pick", "-o", folder / "a.init.yaml") for folder in folders]
-    for one, folder, (number, code, said, chosen) in zip(running, folders, cases, strict=True):
-        client = Client(one.url)
-        assert not one.said
-        if chosen:
-            client.put_draft(1, face={"points": {"nose": [3.14159, 4]}})
-        one.process.send_signal(getattr(signal, number))
-        *ended, err = one.ended()
-        assert ended == [code, ""]
-        last = err.splitlines()[-1]
-        client.close()
-        kept = folder / "a.init.unsaved.yaml"
-        if not chosen:
-            assert last == f"facetrack: {said}; nothing was written" and not list(folder.iterdir())
-            continue
-        assert last == f"facetrack: {said}; what was chosen is kept in {kept}; the same command goes on with it"
-        assert [path.name for path in folder.iterdir()] == [kept.name]
+@pytest.mark.parametrize(("number", "code", "said", "chosen"), [
+    ("SIGINT", 130, "interrupted", True), ("SIGTERM", 143, "terminated", True), ("SIGINT", 130, "interrupted", False),
+])  # fmt: skip
+def test_stopped_before_it_is_saved(clips, command, tmp_path, number, code, said, chosen):
+    running = command("init", clips / "face", "--pick", "-o", tmp_path / "a.init.yaml")
+    client = Client(running.url)
+    assert not running.said
+    if chosen:
+        client.put_draft(1, face={"points": {"nose": [3.14159, 4]}})
+    running.process.send_signal(getattr(signal, number))
+    *ended, err = running.ended()
+    client.close()
+    kept = tmp_path / "a.init.unsaved.yaml"
+    what = f"what was chosen is kept in {kept}; the same command goes on with it" if chosen else "nothing was written"
+    assert ended == [code, ""] and err.splitlines()[-1] == f"facetrack: {said}; {what}"
+    assert list(tmp_path.iterdir()) == [kept] * chosen
+    if chosen:
         again = read_init(kept)
         assert (again.frame, again.targets["face"].points) == (1, {"nose": (3.14, 4)})
-
-
-def test_without_overwrite_nothing_is_served(clips, tmp_path, monkeypatch, facetrack):
-    monkeypatch.setattr(server_module, "serving", None)
-    (tmp_path / "a.yaml").write_text("mine")
-    said = refusal(facetrack("init", "IN/face", "--pick", "-o", tmp_path / "a.yaml"), 2)
-    assert "a.yaml: exists already" in said
 
 
 @pytest.mark.parametrize(
@@ -441,59 +390,21 @@ def test_without_overwrite_nothing_is_served(clips, tmp_path, monkeypatch, facet
         (["--pick", "--config", "nothing"], 2, "nothing"),
         (["--pick", "--box", "900,5,10,10"], 3, "not in the frame"),
         (["--pick", "-o", "a.txt"], 2, ".yaml"),
+        (["--pick", "-o", "there.yaml"], 2, "there.yaml: exists already"),
     ],
 )
-def test_what_is_wrong_is_said_before_anything_is_served(facetrack, arguments, code, said):
+def test_what_is_wrong_is_said_before_anything_is_served(facetrack, monkeypatch, arguments, code, said):
+    monkeypatch.setattr(server_module, "serving", None)
+    Path("there.yaml").write_text("mine")
     assert said in refusal(facetrack("init", "IN/face", *arguments), code)
 
 
-def test_a_port_that_is_taken_is_refused(clips, facetrack):
-    with picking(clips / "face") as (client, _):
-        assert "in use" in refusal(facetrack("init", "IN/face", "--pick", "--port", client.port), 2)
-
-
-def drive(monkeypatch, home, act):
-    """Have the page that the command serves visited by `act`, instead of a browser."""
-    from _thread import interrupt_main
-    from threading import Thread
-
-    def visited(client):
-        try:
-            act(client)
-        except BaseException:
-            interrupt_main()  # nobody else ends the command
-            raise
-
-    def visit(address):
-        # everybody may read the command line of a browser: it has no token, but a file of the user's own
-        file = Path(url2pathname(urlsplit(address).path))
-        assert address.startswith("file://") and file.parent == home
-        assert os.name != "posix" or stat.S_IMODE(file.stat().st_mode) == 0o600
-        [url] = re.findall(r"url=(http://127\.0\.0\.1:[0-9]+/[^\"]+)", file.read_text())
-        assert urlsplit(url).path.strip("/") not in address
-        Thread(target=visited, args=(Client(url),)).start()
-        return False
-
-    monkeypatch.setattr(Path, "home", lambda: home)
-    monkeypatch.setattr(server_module.webbrowser, "open", visit)
-
-
-def test_overwrite_begins_with_the_file(clips, tmp_path, monkeypatch, facetrack):
-    out = tmp_path / "a.yaml"
+def test_overwrite_begins_with_the_file(tmp_path, monkeypatch, facetrack):
+    out, seen = tmp_path / "a.yaml", []
+    drive(monkeypatch, tmp_path, lambda client: (seen.append(client.get("api/state").json["draft"]), choose(client)))
     out.write_text("frame: 2\nface: {points: {nose: [1, 2]}, windows: {nose: [9, 9]}}\n")
-    seen = []
-
-    def act(client):
-        seen.append(client.get("api/state").json["draft"])
-        client.put_draft(1, face=FACE)
-        client.save()
-        client.until(lambda state: state["ended"])
-        client.close()
-
-    drive(monkeypatch, tmp_path, act)
     code, printed, err = facetrack("init", "IN/face", "--pick", "--open", "--overwrite", "-o", out)
-    assert (code, printed) == (0, "")
-    assert "no browser can be opened from here" in err
+    assert (code, printed) == (0, "") and "no browser can be opened from here" in err
     assert not list(tmp_path.glob("*.html")), "the file is removed"
     assert seen[0]["frame"] == 2 and seen[0]["targets"]["face"]["points"] == {"nose": [1, 2]}
     assert read_init(out).targets["face"].windows == {"nose": (9, 9)}
@@ -503,37 +414,22 @@ def test_overwrite_begins_with_the_file(clips, tmp_path, monkeypatch, facetrack)
     assert seen[1] == {"frame": 1, "targets": {}}
 
 
-def test_what_was_not_saved_is_continued(clips, tmp_path, monkeypatch, facetrack):
-    kept = tmp_path / "a.unsaved.yaml"
+def test_what_was_not_saved_is_continued_and_an_internal_error_reported_at_the_end(tmp_path, monkeypatch, facetrack):
+    kept, out = tmp_path / "a.unsaved.yaml", tmp_path / "a.yaml"
     kept.write_text(json.dumps({"frame": 1, "face": FACE}))
-
-    def act(client):
-        state = client.get("api/state").json
-        assert state["message"] == f"taken from {kept}"
-        client.save()
-        client.until(lambda state: state["ended"])
-        client.close()
-
-    drive(monkeypatch, tmp_path, act)
-    code, _, err = facetrack("init", "IN/face", "--pick", "--open", "-o", tmp_path / "a.yaml")
-    assert code == 0, err
-    assert read_init(tmp_path / "a.yaml").targets["face"].points["nose"] == (160, 138.37)
-    assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["a.yaml"], "what is saved is not kept twice"
-
-
-def test_an_internal_error_is_reported_at_the_end(clips, tmp_path, monkeypatch, facetrack):
-    def act(client):
-        assert client.get("api/proposals/0").status == 500
-        client.put_draft(1, face=FACE)
-        client.save()
-        client.until(lambda state: state["ended"])
-        client.close()
 
     def broken(frame):
         raise ZeroDivisionError("odd")
 
+    def act(client):
+        assert client.get("api/state").json["message"] == f"taken from {kept}"
+        assert client.get("api/proposals/0").status == 500
+        client.save()
+        client.until(lambda state: state["ended"])
+
     looking(monkeypatch, broken)
     drive(monkeypatch, tmp_path, act)
-    code, _, err = facetrack("init", "IN/face", "--pick", "--open", "-o", tmp_path / "a.yaml")
+    code, _, err = facetrack("init", "IN/face", "--pick", "--open", "-o", out)
     assert code == 0 and "while the page was open: internal error; please report it: ZeroDivisionError: odd" in err
-    assert "Traceback" not in err
+    assert "Traceback" not in err and read_init(out).targets["face"].points["nose"] == (160, 138.37)
+    assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["a.yaml"], "what is saved is not kept twice"

@@ -1,16 +1,14 @@
-"""facetrack init --pick as its users meet it: a start is chosen in a real browser, by mouse and by keys."""
+"""facetrack init --pick in a real browser: a start is chosen by mouse, keys and fingers; how the page looks."""
 
-import re
-import threading
-
+import cv2
 import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Start, TargetStart
-from facetrack_cli.editor.web import session as session_module
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.face.detectors import PARTS
-from tests.support.browser import until
+from tests.support.browser import DESK, PHONE, SMALL, until
+from tests.support.browser_looks import wrong_looks
 from tests.support.media import write_pictures, write_video
 from tests.support.samples import FOLDER, read_pictures
 
@@ -21,19 +19,31 @@ POINTS = {"nose": (160.3, 138.4), "mouth_left": (137.6, 153.8), "mouth_right": (
 HANDS = {"head": [135, 44, 50, 50], "left_hand": [82, 138, 48, 57], "right_hand": [188, 131, 50, 60]}
 NOBODY = np.full((240, 320, 3), 90, np.uint8)
 BEGUN = Start(0, {"face": TargetStart((112, 79, 98, 98), {"nose": (160.0, 138.0)})}, "a file")
+TABLET = {"viewport": {"width": 820, "height": 1180}, "has_touch": True}
 
 
 @pytest.fixture(scope="module")
 def clips(tmp_path_factory):
     """`face`: nobody, then a face; `sign`: somebody who signs, with two hands; `numbered`: 200 frames that can be read;
-    `grain`: no two pixels beside each other are alike."""
+    `large`: a 4K frame."""
     folder = tmp_path_factory.mktemp("clips")
     write_pictures(folder / "face", [NOBODY, *read_pictures("expressions")[:2]])
     write_pictures(folder / "sign", read_pictures("signing")[:2])
     write_video(folder / "numbered.mp4", frames=200, options=("-g", "25"))
-    grain = np.random.default_rng(1).integers(0, 256, (2, 240, 320, 3), np.uint8)
-    write_pictures(folder / "grain", grain)
+    grain = np.random.default_rng(1).integers(0, 256, (216, 384, 3), np.uint8)
+    write_pictures(folder / "large", [cv2.resize(grain, (3840, 2160), interpolation=cv2.INTER_NEAREST)])
     return folder
+
+
+@pytest.fixture
+def page(pick, windows):
+    """Opens a page: its session, and a window."""
+
+    def make(*where, screen=DESK, **more):
+        session, url = pick(*where, **more)
+        return session, windows(url, **screen)
+
+    return make
 
 
 def corners(box):
@@ -51,10 +61,9 @@ def near(points, others, within):
 # --- by the mouse ----------------------------------------------------------------------------------------------------
 
 
-def test_a_box_and_five_points_are_picked_and_saved(command, windows, tmp_path):
+def test_a_box_and_five_points_are_picked_and_saved(pick, windows, tmp_path):
     saved = tmp_path / "a.init.yaml"
-    running = command("init", CLIP, "--pick", "-o", saved)
-    window = windows(running.url)
+    window = windows(pick(CLIP, saved, next_=f"facetrack run {CLIP} --init {saved}")[1])
     assert (window.text("clip-name"), window.text("progress")) == (CLIP.name, "0 of 5")
     window.drag(*corners(BOX))
     for part, at in POINTS.items():
@@ -68,60 +77,10 @@ def test_a_box_and_five_points_are_picked_and_saved(command, windows, tmp_path):
     face = start.targets["face"]
     assert (start.frame, list(start.targets), list(face.box)) == (0, ["face"], BOX)
     near(face.points, POINTS, 0.6)
-    code, _, err = running.ended()
-    assert code == 0 and not running.said and f"{saved}: written" in err
 
 
-@pytest.mark.nightly
-def test_a_point_is_dragged_under_the_magnifier(clips, pick, windows):
-    session, url = pick(clips / "grain", begun=BEGUN)
-    window = windows(url)
-    truth = session.frames.read(0).bgr.astype(int)
-    at = (160, 138)
-    for goal in [(0, 1), (319, 239), (319, 0), (0, 239), (163.5, 141.25)]:
-        window.drag(at, goal, drop=False)
-        assert window.visible("magnifier") and window.get("draft.targets.face.points.nose") == list(goal)
-        box = window.here("magnifier").bounding_box()
-        assert box["x"] >= 0 and box["x"] + box["width"] <= 1280, goal
-        assert box["y"] >= 0 and box["y"] + box["height"] <= 800, goal
-        x, y = window.at(*goal)
-        assert not (box["x"] <= x <= box["x"] + box["width"] and box["y"] <= y <= box["y"] + box["height"]), goal
-        until(lambda goal=goal: magnified(window, truth, goal), f"the exact pixels around {goal}")
-        window.mouse.up()
-        window.until("document.getElementById('magnifier').hidden")
-        at = goal
-    window.until_sent()
-    assert session.draft.targets["face"].points == {"nose": (163.5, 141.25)}
-    assert session.draft.targets["face"].box == BEGUN.targets["face"].box
-
-
-def magnified(window, truth, at):
-    """Whether the magnifier shows the exact pixels around a place, larger than the window does."""
-    side = window.evaluate("document.getElementById('magnifier').width")
-    row = side * (5 if at[1] < truth.shape[0] / 2 else 3) // 8  # one that is within the frame
-    line = window.pixels("magnifier", [(x + 0.5, row) for x in range(side)])
-    edges = np.flatnonzero((line[1:] != line[:-1]).any(axis=1))
-    steps = np.diff(edges)
-    times = int(np.bincount(steps).argmax()) if len(steps) else 0
-    if not times > window.scale():
-        return False
-    # the middles of pixels beside the cross hair, and above the text
-    reach = int(side / 2 / times - 1)
-    places = [(i, j) for i in range(-reach, reach + 1) for j in range(-reach, reach // 2) if abs(i) > 1 and abs(j) > 1]
-    centre = np.round(at)
-    shown, expected = [], []
-    for i, j in places:
-        x, y = int(centre[0] + i), int(centre[1] + j)
-        if 0 <= x < truth.shape[1] and 0 <= y < truth.shape[0]:
-            shown.append((side / 2 + (x - at[0]) * times, side / 2 + (y - at[1]) * times))
-            expected.append(truth[y, x])
-    assert len(shown) > 3
-    return np.array_equal(window.pixels("magnifier", shown), expected)
-
-
-def test_arrows_nudge_by_exact_steps(clips, pick, windows):
-    session, url = pick(clips / "face", frame=1, begun=BEGUN)
-    window = windows(url)
+def test_arrows_nudge_by_exact_steps(clips, page):
+    session, window = page(clips / "face", frame=1, previous=BEGUN)
     window.click(160, 138)
     for key, step in [("ArrowRight", (1, 0)), ("Shift+ArrowDown", (0, 10)), ("Alt+ArrowLeft", (-0.25, 0)),
                       ("Alt+ArrowUp", (0, -0.25)), ("Shift+ArrowLeft", (-10, 0)), ("ArrowUp", (0, -1))]:  # fmt: skip
@@ -137,9 +96,8 @@ def test_arrows_nudge_by_exact_steps(clips, pick, windows):
     assert window.get("frame") == session.draft.frame, "no arrow went through the clip, or back in the history"
 
 
-def test_a_proposal_is_taken_corrected_and_saved(clips, pick, windows, tmp_path):
-    _, url = pick(clips / "face", tmp_path / "a.yaml", frame=1)
-    window = windows(url)
+def test_a_proposal_is_taken_corrected_and_saved(clips, page, tmp_path):
+    _, window = page(clips / "face", tmp_path / "a.yaml", frame=1)
     window.until("window.facetrack.proposals.length")
     [left, top, width, _] = window.get("proposals")[0]["targets"]["face"]["box"]
 
@@ -162,9 +120,8 @@ def test_a_proposal_is_taken_corrected_and_saved(clips, pick, windows, tmp_path)
     near(face.points, taken["points"], 0)
 
 
-def test_every_change_is_undone_and_redone(clips, pick, windows):
-    session, url = pick(clips / "face", frame=1)
-    window = windows(url)
+def test_every_change_is_undone_and_redone(clips, page):
+    session, window = page(clips / "face", frame=1)
     right, bottom = 209, 176
     actions = [
         lambda: window.drag((112, 79), (right, bottom)),
@@ -197,7 +154,7 @@ def test_every_change_is_undone_and_redone(clips, pick, windows):
         assert window.get("draft") == draft
     assert window.here("redo").is_disabled()
     window.until_sent()
-    assert session.draft.to_json() == drafts[-1]
+    assert session.state()["draft"] == drafts[-1]
 
 
 def add(window, name):
@@ -206,12 +163,11 @@ def add(window, name):
     window.press("Enter")
 
 
-# --- by keys alone ---------------------------------------------------------------------------------------------------
+# --- by keys alone, and through the clip -----------------------------------------------------------------------------
 
 
-def test_by_keys_alone(clips, pick, windows, tmp_path):
-    _, url = pick(clips / "face", tmp_path / "a.yaml")
-    window = windows(url)
+def test_by_keys_alone(clips, page, tmp_path):
+    _, window = page(clips / "face", tmp_path / "a.yaml")
     window.press("ArrowRight")
     window.until_shown(1)
     # by hand: the box in the list, and the parts that follow
@@ -239,9 +195,8 @@ def test_by_keys_alone(clips, pick, windows, tmp_path):
     near(start.targets["face"].points, expected, 0.01)
 
 
-def test_every_control_is_reached_by_tab_and_has_a_name(clips, pick, windows):
-    _, url = pick(clips / "face", frame=1)
-    window = windows(url)
+def test_every_control_is_reached_by_tab_and_has_a_name(clips, page):
+    _, window = page(clips / "face", frame=1)
     window.until("window.facetrack.proposals.length")
     reached = []
     where = "(document.activeElement.dataset.slot ? 'a part' : document.activeElement.dataset.testid) ?? 'BODY'"
@@ -255,12 +210,8 @@ def test_every_control_is_reached_by_tab_and_has_a_name(clips, pick, windows):
     assert window.evaluate(nameless) == []
 
 
-# --- through the clip ------------------------------------------------------------------------------------------------
-
-
-def test_slider_and_keys_show_the_right_frame(clips, pick, windows):
-    _, url = pick(clips / "numbered.mp4")
-    window = windows(url)
+def test_slider_and_keys_show_the_right_frame(clips, page):
+    _, window = page(clips / "numbered.mp4")
     for key, frame in [("ArrowRight", 1), ("Shift+ArrowRight", 26), (".", 27), ("PageDown", 52), ("ArrowLeft", 51),
                        (",", 50), ("End", 199), ("PageUp", 174), ("Home", 0), ("ArrowLeft", 0)]:  # fmt: skip
         window.press(key)
@@ -286,44 +237,8 @@ def test_slider_and_keys_show_the_right_frame(clips, pick, windows):
     assert window.get("draft.frame") == shown, "without marks, a start would be in this frame"
 
 
-@pytest.mark.nightly
-def test_fast_dragging_requests_few_frames_and_ends_with_the_right_one(clips, pick, windows, monkeypatch):
-    _, url = pick(clips / "numbered.mp4")
-    go, jpeg = threading.Event(), session_module.jpeg
-
-    def held(frames, index, reduce):
-        assert index == 0 or go.wait(60), "only the first image arrives before `go`"
-        return jpeg(frames, index, reduce)
-
-    monkeypatch.setattr(session_module, "jpeg", held)
-    window = windows(url)
-    box = window.here("frame-slider").bounding_box()
-    middle = box["y"] + box["height"] / 2
-    window.mouse.move(box["x"] + 12, middle)
-    window.mouse.down()
-    passed = set()
-    for share in [*np.linspace(0.05, 0.95, 40), *np.linspace(0.95, 0.4, 20)]:
-        window.mouse.move(box["x"] + share * box["width"], middle)
-        passed.add(window.get("frame"))
-    window.mouse.up()
-    frame = window.get("frame")
-    assert len(passed) > 30 and 60 < frame < 100 and window.get("image.index") == 0
-    x, y = window.at(32, 24)
-    window.mouse.click(x, y)
-    assert window.get("draft.targets") == {}, "nothing can be placed in an image that is not there"
-    go.set()
-    window.until_shown(frame)
-    until(lambda: window.number() == frame, f"frame {frame}")
-    requested = [int(found[1]) for one in window.requests() if (found := re.search(r"/frame/(\d+)\.jpg", one))]
-    on_the_way = [one for one in requested if one and abs(one - frame) > 2]
-    assert frame in requested and len(on_the_way) <= 4, "one at a time, and only the latest"
-    window.mouse.click(x, y)
-    assert len(window.get("draft.targets.face.points")) == 1
-
-
-def test_marks_stay_with_their_frame_until_one_begins_elsewhere(clips, pick, windows, tmp_path):
-    _, url = pick(clips / "face", tmp_path / "a.yaml", frame=1, begun=BEGUN)
-    window = windows(url)
+def test_marks_stay_with_their_frame_until_one_begins_elsewhere(clips, page, tmp_path):
+    _, window = page(clips / "face", tmp_path / "a.yaml", frame=1, previous=BEGUN)
     window.until_message("taken from a file")
     before = window.get("draft")
     window.click_on("following")
@@ -354,12 +269,11 @@ def test_marks_stay_with_their_frame_until_one_begins_elsewhere(clips, pick, win
     assert start.frame == 2 and start.targets["face"].points["nose"] == (160, 138)
 
 
-# --- several targets, and none with points ---------------------------------------------------------------------------
+# --- several targets -------------------------------------------------------------------------------------------------
 
 
-def test_head_and_hands_with_their_boxes(clips, pick, windows, tmp_path):
-    _, url = pick(clips / "sign", tmp_path / "a.yaml", "head_hands")
-    window = windows(url)
+def test_head_and_hands_with_their_boxes(clips, page, tmp_path):
+    _, window = page(clips / "sign", tmp_path / "a.yaml", "head_hands")
     assert not window.visible("add-target") and not window.visible("rename-head")
     window.click_on("take-0")
     assert set(window.get("draft.targets")) == set(HANDS) and window.text("progress") == "3 of 3"
@@ -376,9 +290,8 @@ def test_head_and_hands_with_their_boxes(clips, pick, windows, tmp_path):
     assert saved == {**HANDS, "right_hand": [left, top, width + 6, height + 4]}
 
 
-def test_targets_are_renamed_added_and_removed(clips, pick, windows, tmp_path):
-    _, url = pick(clips / "face", tmp_path / "a.yaml", "contour_histogram", frame=1)
-    window = windows(url)
+def test_targets_are_renamed_added_and_removed(clips, page, tmp_path):
+    _, window = page(clips / "face", tmp_path / "a.yaml", "contour_histogram", frame=1)
     window.drag(*corners(BOX))
     window.click_on("rename-face")
     for name, why in [("points", "a key of init files"), ("1st", "letters, digits"), ("a/b", "letters, digits")]:
@@ -401,7 +314,132 @@ def test_targets_are_renamed_added_and_removed(clips, pick, windows, tmp_path):
     assert saved == {"somebody": BOX, "hand": [20, 20, 40, 50]}
 
 
-# --- more than one window, and none ----------------------------------------------------------------------------------
+# --- fingers, large frames and small faces ---------------------------------------------------------------------------
+
+
+def test_the_marks_of_a_small_face_do_not_hide_it(clips, page, tmp_path):
+    points = {part: (1900 + (x - 160) / 3, 1000 + (y - 138) / 3) for part, (x, y) in POINTS.items()}
+    begun = Start(0, {"face": TargetStart((1880, 980, 40, 40), points)}, "a file")
+    _, window = page(clips / "large", tmp_path / "a.yaml", "factorized", previous=begun)
+    assert window.get("zoom") > 5, "they could not be told apart"
+    apart = window.on_screen(points["mouth_left"], points["mouth_right"])
+    assert apart[1][0] - apart[0][0] > 60
+    window.press("0")
+    assert window.get("zoom") == 1 and window.scale() < 0.5
+    window.press("z")
+    assert window.get("zoom") > 5
+    window.click_on("zoom-fit")
+    assert window.get("zoom") == 1
+    window.click_on("zoom-fit")
+    assert window.get("zoom") > 5
+
+
+def test_fingers_draw_place_move_and_zoom(clips, page, tmp_path):
+    _, window = page(clips / "face", tmp_path / "a.yaml", "factorized", frame=1, screen=PHONE)
+    window.here("part-face-box").tap()
+    window.touch("start", (112, 79))
+    window.touch("move", (150, 100))
+    window.touch("move", (209, 176))
+    window.touch("end")
+    assert np.abs(np.subtract(window.face()["box"], (112, 79, 98, 98))).max() <= 1
+    # a finger that stays down moves the point, and does not cover the magnifier
+    window.touch("start", (170, 120))
+    window.touch("move", (165, 130))
+    window.touch("move", POINTS["nose"])
+    box, (x, y) = window.here("magnifier").bounding_box(), window.at(*POINTS["nose"])
+    assert box["x"] >= 0 and box["x"] + box["width"] <= 390 and box["y"] >= 0 and box["y"] + box["height"] <= 844
+    assert min(abs(x - box["x"]), abs(x - box["x"] - box["width"])) > 40 or y - box["y"] - box["height"] > 40
+    window.touch("end")
+    assert not window.visible("magnifier") or window.until("document.getElementById('magnifier').hidden")
+    for part, at in list(POINTS.items())[1:]:
+        assert window.get("current.part") == part
+        window.tap(*at)
+    before = window.face()
+    assert window.get("current") is None
+    assert max(np.abs(np.subtract(before["points"][part], at)).max() for part, at in POINTS.items()) <= 0.6
+
+    (left, y), (right, _) = window.at(140, 130), window.at(180, 130)
+    window.fingers("start", (left, y), (right, y))
+    for k in range(1, 5):
+        window.fingers("move", (left - 5 * k, y), (right + 5 * k, y))
+    window.fingers("end")
+    assert 1.3 < window.get("zoom") < 2.5 and window.face() == before, "two fingers zoom, and mark nothing"
+    nose = before["points"]["nose"]
+    window.touch("start", nose)
+    window.touch("move", (nose[0] + 2, nose[1]))
+    window.touch("move", (nose[0] + 10, nose[1] - 5))
+    window.touch("end")
+    assert np.abs(np.subtract(window.face()["points"]["nose"], (nose[0] + 10, nose[1] - 5))).max() <= 0.6
+    window.click_on("zoom-fit")
+    assert window.get("zoom") == 1
+    window.save()
+    assert set(read_init(tmp_path / "a.yaml").targets["face"].points) == set(POINTS)
+
+
+def test_a_4k_frame_is_sent_as_small_as_it_is_shown(clips, page):
+    session, window = page(clips / "large")
+    window.until("!window.facetrack.proposals.length")
+    frames = [one.partition("/frame/")[2] for one in window.requests() if "/frame/" in one]
+    assert frames == ["0.jpg?reduce=4"] and window.scale() < 0.26
+    # the magnifier has the exact pixels all the same; each of the grains is ten by ten of them
+    window.mouse.move(*window.at(1003, 998))
+    truth = session.frames.read(0).bgr
+    side = window.evaluate("document.getElementById('magnifier').width")
+
+    def magnified():
+        """Whether the upper left and right show the exact pixels, eight times as large."""
+        pointed = window.evaluate("(at) => window.facetrack.toImage(...at)", list(window.at(1003, 998)))
+        places = np.array([(0.2, 0.2), (0.8, 0.2)]) * side
+        spots = np.round(pointed + (places - side / 2) / 8).astype(int)
+        return np.array_equal(window.pixels("magnifier", places), [truth[spot[1], spot[0]] for spot in spots])
+
+    until(magnified, "the exact pixels", window.page.wait_for_timeout)
+    window.mouse.wheel(0, -1500)
+    window.until("window.facetrack.image.reduce === 1")
+    window.click(1003, 998)
+    assert np.abs(np.subtract(window.face()["points"]["nose"], (1003, 998))).max() <= 0.6
+
+
+# --- how it looks ----------------------------------------------------------------------------------------------------
+
+
+def through(window):
+    """Has the page show each of its states; their names."""
+    window.until("window.facetrack.proposals.length")
+    yield "proposed"
+    window.click_on("part-face-nose")
+    window.press("Enter", "Control+s")
+    window.until_visible("problem")
+    yield "missing"
+    window.press("Escape", ".")
+    window.until_shown(2)
+    window.press("b", ",")
+    window.until_shown(1)
+    yield "elsewhere"
+    window.click_on("go-back")
+    window.until_shown(2)
+    window.click_on("rename-face")
+    yield "renaming"
+    window.here("name-field").press("Escape")
+    window.click_on("help-open")
+    yield "help"
+    window.press("Escape")
+    for k, part in enumerate(list(POINTS)[1:]):
+        window.click_on(f"part-face-{part}")
+        window.press("Enter", "Shift+ArrowLeft", *["Shift+ArrowDown"] * k)
+    yield "all there"
+    window.save()
+    yield "saved"
+    window.click_on("saved-close")
+    yield "over"
+
+
+@pytest.mark.parametrize("screens", [[DESK], [PHONE, SMALL, TABLET]], ids=["mouse", "fingers"])
+def test_all_is_in_the_window_large_enough_and_legible(clips, page, tmp_path, screens):
+    _, window = page(clips / "face", tmp_path / "a.yaml", frame=1, screen=screens[0])
+    window.expected = ["422"]
+    found = [(face, *one) for face in through(window) for one in wrong_looks(window, screens)]
+    assert found == []
 
 
 @pytest.mark.nightly

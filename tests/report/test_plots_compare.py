@@ -1,54 +1,44 @@
-"""Figures that set recipes and seeds side by side."""
+"""Figures that set recipes and seeds side by side, and what all figures share: colours, equal bytes, a quiet import."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from facetrack_cli.cli.types import FIGURES
 from facetrack_cli.evaluation.reliability import reliability_bins
 from facetrack_cli.report import figures as plots
-from tests.report.test_plots import drawn
+from facetrack_cli.report.figures import style
+from tests.report.test_plots import drawn, headings, track
 
 pytest.importorskip("matplotlib", reason="needs the extra: pip install -e '.[plot]'")
-
-
-def panel_note(axes):
-    return axes.artists[0].get_child().get_children()[1].get_text()
 
 
 def legend(figure):
     return [text.get_text() for text in figure.legends[0].texts]
 
 
+def curves(of, measure="AUC", mark=None):
+    return plots.curves_figure(of, "Success", ("threshold", "share"), measure, mark)
+
+
 def test_success_ranks_by_area_and_keeps_a_recipe_its_colour():
     at = np.linspace(0, 1, 21)
-    curves = {"poor": (at, np.tile(1 - at, (3, 1))), "good": (at, np.stack([np.ones(21), np.full(21, 0.9)]))}
-    figure = plots.success_figure(curves)
+    figure = curves({"poor": (at, np.tile(1 - at, (3, 1))), "good": (at, np.stack([np.ones(21), np.full(21, 0.9)]))})
     assert legend(figure) == ["0.950  good", "0.500  poor"]
-    axes = figure.axes[0]
+    axes, handles = figure.axes[0], figure.legends[0].legend_handles
     assert np.allclose(drawn(axes)[1][:, 1], 0.95)
-    assert [line.get_color() for line in axes.lines] == [
-        handle.get_color() for handle in figure.legends[0].legend_handles
-    ][::-1]
+    assert [line.get_color() for line in axes.lines] == [handle.get_color() for handle in handles][::-1]
     assert len(axes.collections) == 2, "bands over seeds"
-    assert not plots.success_figure({"one": (at, at[None])}).axes[0].collections
-    assert figure.legends[0].get_title().get_text() == "AUC"
+    assert not curves({"one": (at, at[None])}).axes[0].collections
+    assert (axes.get_xlabel(), figure.legends[0].get_title().get_text()) == ("threshold", "AUC")
     assert plots.render(figure).startswith(b"\x89PNG")
-
-
-def test_precision_is_read_off_at_20_px():
-    at = np.arange(51.0)
-    figure = plots.precision_figure({"a": (at, np.tile(at / 50, (2, 1)))})
-    assert legend(figure) == ["0.400  a"]
-    assert figure.legends[0].get_title().get_text() == "at 20 px"
-    assert any(np.allclose(line.get_xdata(), 20) for line in figure.axes[0].lines)
-
-
-def test_cumulative_error_at_its_threshold():
-    at = np.linspace(0, 0.25, 101)
-    curves = {"_a": (at, np.clip(at / 0.2, 0, 1)[None])}
-    figure = plots.cumulative_error_figure(curves, threshold=0.1, unit="of the mouth's width")
-    assert legend(figure) == ["0.500   _a"]
-    assert figure.axes[0].get_xlabel() == "error (of the mouth's width)"
-    assert figure.legends[0].get_title().get_text() == "below 0.1 of the mouth's width"
+    marked = curves({"_a": (50 * at, np.tile(at, (2, 1)))}, "at 20 px", 20)  # read off there
+    assert legend(marked) == ["0.400   _a"] and marked.legends[0].get_title().get_text() == "at 20 px"
+    assert any(np.allclose(line.get_xdata(), 20) for line in marked.axes[0].lines)
 
 
 def test_error_over_time_has_the_median_and_what_is_hidden():
@@ -74,7 +64,7 @@ def test_calibration_shows_share_and_count():
     assert np.allclose(points["right"], [(0.15, 0), (0.95, 0.8)])
     assert np.allclose(points["visible in the ground truth"], [(0.15, 0), (0.95, 1)])
     assert [bar.get_height() for bar in lower.patches] == [10, 30]
-    assert "0.150" in panel_note(upper)
+    assert "0.150" in headings(upper)[1]
 
 
 def test_many_recipes_and_frames():
@@ -83,3 +73,43 @@ def test_many_recipes_and_frames():
     figure = plots.error_over_time_figure(frames, errors, frames < 0)
     assert len(figure.subfigs[0].legends[0].texts) == 12
     assert max(len(line) for line in drawn(figure.subfigs[1].axes[0])) <= 2000
+
+
+def test_twelve_lines_differ_in_colour_or_dash():
+    looks = {str(style.line_style(i)) for i in range(12)}
+    assert len(looks) == 12
+    assert not {style.line_style(i)["color"] for i in range(12)} & {style.STATUS["lost"]}
+
+
+@pytest.mark.one_in(2)
+@pytest.mark.parametrize("form", FIGURES)
+def test_same_numbers_give_the_same_bytes_whatever_the_user_has_set(form):
+    import matplotlib
+
+    table = track(parts=1)
+    first = plots.render(plots.page_figure(table), form)
+    with matplotlib.rc_context(
+        {"lines.linewidth": 9, "font.size": 20, "svg.hashsalt": "other", "figure.dpi": 30, "xtick.direction": "in"}
+    ):
+        assert plots.render(plots.page_figure(table), form) == first
+        assert matplotlib.rcParams["lines.linewidth"] == 9, "the user's settings come back"
+    assert not re.search(rb"(?i)date>|CreationDate|20[2-9]\d-\d\d", first)
+
+
+def test_the_first_import_says_nothing_and_no_pyplot(tmp_path):
+    """With a home folder that cannot be written, no font cache, and a backend that does not exist."""
+    (tmp_path / "file").touch()
+    home = str(tmp_path / "file" / "home")
+    script = (
+        "import numpy as np, sys\n"
+        "from facetrack_cli.report import figures as plots\n"
+        "assert 'matplotlib' not in sys.modules\n"
+        "plots.render(plots.curves_figure({'a': (np.arange(2.0), np.ones((1, 2)))}, 'a', ('x', 'y')))\n"
+        "assert 'matplotlib.pyplot' not in sys.modules"
+    )
+    settings = {"PATH": "", "HOME": home, "MPLCONFIGDIR": home, "MPLBACKEND": "none_such", "TMPDIR": str(tmp_path)}
+    run = [sys.executable, "-W", "error", "-c", script]
+    done = subprocess.run(
+        run, env=settings, capture_output=True, text=True, check=False, cwd=Path(plots.__file__).parents[3]
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

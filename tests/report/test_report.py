@@ -1,12 +1,15 @@
-"""The report page: the right frames in its images, sound HTML whatever names hold, and one line for what is wrong."""
-
-from __future__ import annotations
+"""Report pages: the right frames in their images, sound HTML whatever names hold, one line for what is wrong; who it
+is, in words and on the images; and the page of a batch.
+"""
 
 import base64
 import hashlib
+import html
 import json
 import re
+import shutil
 from collections import Counter
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -17,13 +20,18 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode
+from facetrack_cli.core.geometry import corners
 from facetrack_cli.report import frames as report_frames
 from facetrack_cli.report import make as report
-from facetrack_cli.report.frames import MAX_BYTES, _jpeg, key_images
-from facetrack_cli.report.make import Image, make_report
+from facetrack_cli.report.frames import MAX_BYTES, Image, _jpeg, key_images
+from facetrack_cli.report.make import make_report
+from facetrack_cli.report.story import identities
+from facetrack_cli.run_folder.manifest import read_manifest
+from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import read_header
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.writers import RunSummary
+from tests.runs.test_run import SMALL, make_clip
 from tests.support.media import number, numbered, write_pictures, write_video
 from tests.support.report_run import KEYS, LOST, write_run
 
@@ -35,6 +43,19 @@ def no_plot(monkeypatch):
     """The plots have their own tests, and take most of the time."""
     dot = Image(PIXEL, (1, 1), "image/png")
     monkeypatch.setattr(report, "_plot", lambda *_: dot)
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory):
+    """Thirty frames with their numbers."""
+    return write_video(tmp_path_factory.mktemp("clips") / "clip.mp4", frames=30)
+
+
+def image_of(run, frame):
+    """The image of a frame of a run, and its pixels."""
+    table = read_trajectory(run)
+    found = key_images(table, read_header(table), [frame], None, None, lambda *_: None).found[frame]
+    return found, cv2.imdecode(np.frombuffer(found.data, np.uint8), cv2.IMREAD_COLOR)
 
 
 def shown(html: bytes) -> dict[int, np.ndarray]:
@@ -83,8 +104,7 @@ class Reader(HTMLParser):
 
 
 @pytest.mark.usefixtures("no_plot")
-def test_key_frames_are_drawn_from_the_clip(tmp_path):
-    clip = write_video(tmp_path / "clip.mp4", frames=30)
+def test_key_frames_are_drawn_from_the_clip(tmp_path, clip):
     page = make_report(write_run(tmp_path / "run", clip))
     assert seen(page.html) == {frame: frame for frame in KEYS}
     assert not page.notes
@@ -142,15 +162,13 @@ def test_large_clips_are_cut_out_around_the_target_and_windows_stay_in_place(tmp
         for part, x in zip(frame["targets"][0]["parts"], (900, 1000), strict=True):
             part.update(x=x, y=500, w=40, h=40)
     (run / "trajectory.json").write_text(json.dumps(data))
-    table = read_trajectory(run)
-    found = key_images(table, read_header(table), [6], None, None, lambda *_: None).found[6]
+    found, picture = image_of(run, 6)
     left, top, width, height = found.view
     assert (width, height) == (350, 263)
     assert left < 900 < 1000 < left + width
     assert top < 500 < top + height
     # what was drawn is where the windows are: their edges, 20 px from the centres
-    picture = cv2.imdecode(np.frombuffer(found.data, np.uint8), cv2.IMREAD_COLOR).astype(int)
-    drawn = np.abs(picture - 90).sum(axis=2) > 120
+    drawn = np.abs(picture.astype(int) - 90).sum(axis=2) > 120
     zoom = found.size[0] / width
     x0, y0 = round((880 - left + 0.5) * zoom), round((480 - top + 0.5) * zoom)
     along, down = drawn[y0 - 2 : y0 + 3].any(axis=0), drawn[:, x0 - 2 : x0 + 3].any(axis=1)
@@ -168,17 +186,13 @@ def test_pictures_stay_small_whatever_they_show():
 # --- the page ----------------------------------------------------------------------------------------------------
 
 
-def hostile_run(tmp_path: Path) -> Path:
+@pytest.mark.usefixtures("no_plot")
+def test_whatever_names_hold_is_text(tmp_path):
     name = "a<b>&\"'$style\n\ud800ü.mp4"
     recipe = {"name": "</style><script>alert(1)</script>", "description": "<!-- & ${body}", "x": [1, {"y": None}]}
     footer = RunSummary(complete=False, stopped="<disk> & full", warnings=("<b>one</b>", "two\x00\x1b"))
-    targets = ("<anna>", 'b"en')
-    return write_run(tmp_path / "run", Path(name), recipe=recipe, targets=targets, footer=footer)
-
-
-@pytest.mark.usefixtures("no_plot")
-def test_whatever_names_hold_is_text(tmp_path):
-    page = make_report(hostile_run(tmp_path), title="<i>T</i> & $title")
+    run = write_run(tmp_path / "run", Path(name), recipe=recipe, targets=("<anna>", 'b"en'), footer=footer)
+    page = make_report(run, title="<i>T</i> & $title")
     read = Reader(page.html)
     assert not {tag for tag, _ in read.all} & {"script", "i", "b", "anna"}
     for text in ("a<b>&\"'$style", "</style><script>", "<disk> & full", "<b>one</b>", "<anna>/a", "<i>T</i> & $title"):
@@ -187,8 +201,7 @@ def test_whatever_names_hold_is_text(tmp_path):
     assert not re.search("[\x00-\x08\x0b-\x1f]", page.html.decode())
 
 
-def test_the_page_is_whole_accessible_and_alone(tmp_path):
-    clip = write_video(tmp_path / "clip.mp4", frames=30)
+def test_the_page_is_whole_accessible_and_alone(tmp_path, clip):
     page = make_report(write_run(tmp_path / "run", clip, targets=("anna", "ben")))
     read = Reader(page.html)
     tags = Counter(tag for tag, _ in read.all)
@@ -212,8 +225,6 @@ def test_the_page_is_whole_accessible_and_alone(tmp_path):
     assert policy == f"default-src 'none'; img-src data:; style-src 'sha256-{digest}'"
     assert not any("style" in attributes or "onclick" in attributes for _, attributes in read.all)
 
-
-def test_the_template_escapes_what_is_put_into_it():
     environment = report.page_template("report.html.j2").environment
     made = environment.from_string('<a href="{{ x }}">{{ y }}{{ z | names }}</a>').render(x='"', y="<&>", z=["<b>"])
     assert made == '<a href="&#34;">&lt;&amp;&gt;&lt;b&gt;</a>'
@@ -253,8 +264,7 @@ def test_the_truth_brings_its_measures(tmp_path, no_plot):
 
 
 @pytest.mark.usefixtures("no_plot")
-def test_report_writes_beside_the_trajectory_and_never_over_a_file(tmp_path, capsys):
-    clip = write_video(tmp_path / "clip.mp4", frames=30)
+def test_report_writes_beside_the_trajectory_and_never_over_a_file(tmp_path, capsys, clip):
     run = write_run(tmp_path / "run", clip)
     assert main(["report", str(run)]) == 0
     said = capsys.readouterr()
@@ -276,27 +286,28 @@ def refused(capsys, *words, code=ExitCode.INPUT) -> str:
     return said
 
 
-def test_bad_input_gets_one_line(tmp_path, capsys):
-    clip = write_video(tmp_path / "clip.mp4", frames=30)
+def test_bad_input_gets_one_line(tmp_path, capsys, clip):
     run = write_run(tmp_path / "run", clip)
     trajectory = run / "trajectory.json"
     whole = trajectory.read_text()
-    assert "no such folder" in refused(capsys, tmp_path / "none")
-    assert "name the folder" in refused(capsys, trajectory)
-    assert "no trajectory.json" in refused(capsys, tmp_path)
-    assert "no folder" in refused(capsys, run, "-o", tmp_path / "no" / "x.html", code=ExitCode.USAGE)
-    assert "is a folder" in refused(capsys, run, "-o", tmp_path, code=ExitCode.USAGE)
-    assert "is not one of" in refused(capsys, run, "--truth-format", "xml", code=ExitCode.USAGE)
-    assert "give its file with --truth" in refused(capsys, run, "--truth-format", "otb", code=ExitCode.USAGE)
-    assert "no such file" in refused(capsys, run, "--clip", tmp_path / "none.mp4")
     small = write_video(tmp_path / "small.mp4", frames=30, size=(32, 24))
-    assert "is 32x24, not 64x48" in refused(capsys, run, "--clip", small)
     short = write_video(tmp_path / "short.mp4", frames=12)
-    assert "has no frame 12" in refused(capsys, run, "--clip", short)
-    trajectory.write_text(whole[:-300])
-    assert "is not JSON" in refused(capsys, run)
-    trajectory.write_text(whole.replace('"size":[64,48]', '"size":[64,0]'))
-    assert "source.size.1" in refused(capsys, run)
+    for words, code, said in (
+        ([tmp_path / "none"], ExitCode.INPUT, "no such folder"),
+        ([trajectory], ExitCode.INPUT, "name the folder"),
+        ([tmp_path], ExitCode.INPUT, "no trajectory.json"),
+        ([run, "-o", tmp_path / "no" / "x.html"], ExitCode.USAGE, "no folder"),
+        ([run, "-o", tmp_path], ExitCode.USAGE, "is a folder"),
+        ([run, "--truth-format", "xml"], ExitCode.USAGE, "is not one of"),
+        ([run, "--truth-format", "otb"], ExitCode.USAGE, "give its file with --truth"),
+        ([run, "--clip", tmp_path / "none.mp4"], ExitCode.INPUT, "no such file"),
+        ([run, "--clip", small], ExitCode.INPUT, "is 32x24, not 64x48"),
+        ([run, "--clip", short], ExitCode.INPUT, "has no frame 12"),
+    ):
+        assert said in refused(capsys, *words, code=code)
+    for text, said in ((whole[:-300], "is not JSON"), (whole.replace("[64,48]", "[64,0]"), "source.size.1")):
+        trajectory.write_text(text)
+        assert said in refused(capsys, run)
     trajectory.rename(run / "trajectory.csv")
     assert "--format csv,json" in refused(capsys, run)
     assert [path.name for path in run.iterdir()] == ["trajectory.csv"]
@@ -313,8 +324,7 @@ def test_a_clip_that_changed_is_passed_over_with_a_warning(tmp_path, capsys, no_
     assert "is 32x24" in Reader(page).text
 
 
-def test_an_interrupt_leaves_nothing(tmp_path, capsys, monkeypatch, no_plot):
-    clip = write_video(tmp_path / "clip.mp4", frames=30)
+def test_an_interrupt_leaves_nothing(tmp_path, capsys, monkeypatch, no_plot, clip):
     run = write_run(tmp_path / "run", clip)
 
     def interrupted(*_):
@@ -324,3 +334,94 @@ def test_an_interrupt_leaves_nothing(tmp_path, capsys, monkeypatch, no_plot):
     assert main(["report", str(run)]) == ExitCode.INTERRUPTED
     assert capsys.readouterr().err.split() == ["facetrack:", "interrupted"]
     assert [path.name for path in run.iterdir()] == ["trajectory.json"]
+
+
+# --- who it is -------------------------------------------------------------------------------------------------------
+
+
+def identified(folder, *, target="face", clip="clip.mp4", targets=("face",), **more):
+    """A run of a part a target, with identities, and in every frame what else is given."""
+    path = write_run(folder, folder.parent / clip, targets=targets) / "trajectory.json"
+    whole = json.loads(path.read_text())
+    for record in whole["frames"]:
+        for one in record["targets"]:
+            del one["parts"][1:]
+            if one["target"] == target:
+                sure = 0.4 if record["frame"] < 9 else 0.95
+                one |= {"identity": "anna" if record["frame"] > 6 else "<b>", "identity_prob": sure, **more}
+    path.write_text(json.dumps(whole))
+    return folder
+
+
+def test_who_it_is_since_when(tmp_path):
+    named, since = "is named anna at the end", "that passed 0.9 in frame 9, at 0:00.36."
+    for k, (more, said) in enumerate((
+        ({}, [f"It {named}, with a probability of 95.0\u00a0%; {since}"]),
+        ({"target": "b", "targets": ("a", "b")}, [f"b {named}, with a probability of 95.0\u00a0%; {since}"]),
+        ({"identity_prob": 0.6}, [f"It {named}, with a probability of 60.0\u00a0%; that never passed 0.9."]),
+        ({"identity_prob": None}, [f"It {named}."]),
+        ({"target": ""}, []),
+    )):  # fmt: skip
+        table = read_trajectory(identified(tmp_path / str(k), **more))
+        assert list(identities(table, Clock(table, 25.0))) == said
+
+
+@pytest.mark.usefixtures("no_plot")
+def test_the_page_and_its_pictures_have_the_name_and_the_parallelogram(tmp_path, clip):
+    shutil.copy(clip, tmp_path / "clip.mp4")
+
+    def drawn(name, **more):
+        return image_of(identified(tmp_path / name, **more), 10)[1].astype(float)
+
+    plain, named = drawn("plain", identity=None, identity_prob=None), drawn("named")
+    upright, lean = (drawn(name, affine=[1, a, 0, 1, 12, 44]) for name, a in (("upright", 0), ("lean", 0.8)))
+    assert np.abs(plain - named).max() > 100
+    assert np.abs(lean - named).mean() > 2 * np.abs(upright - named).mean(), "half a pixel aside, a box is a box"
+    assert b"is named" not in make_report(tmp_path / "plain").html
+    page = make_report(tmp_path / "named").html.decode()
+    assert "It is named anna at the end" in html.unescape(page) and "what the tracker reported of identity" in page
+
+
+def test_corners_follow_the_affine_map():
+    def outline(*affine):
+        (found,) = corners(np.array([affine]), np.array([(10.0, 20.0)]), np.array([(4.0, 6.0)]))
+        return found
+
+    assert outline(2.0, 0, 0, 3, 0, 0).tolist() == [[8, 17], [12, 17], [12, 23], [8, 23]]
+    # a quarter turn: x goes down, y to the left
+    assert outline(0.0, -1, 1, 0, 0, 0).tolist() == [[13, 18], [13, 22], [7, 22], [7, 18]]
+    lean = outline(1.0, 1, 0, 1, 0, 0)
+    assert np.linalg.norm(np.diff(lean, axis=0), axis=1)[:2] == pytest.approx([4, 6])
+    assert np.isnan(outline(0.0, 1, 0, 1, 0, 0)).all() and np.isnan(outline(*[np.nan] * 6)).all()
+    several = corners(np.array([(1.0, 0, 0, 1, 0, 0), (0.0,) * 6]), np.zeros((2, 2)), np.full((2, 2), 2.0))
+    assert several[0].tolist() == [[-1, -1], [1, -1], [1, 1], [-1, 1]] and np.isnan(several[1]).all()
+
+
+# --- a batch ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_page_of_a_batch_shows_each_clip_the_worst_first(tmp_path, monkeypatch, capsys):
+    """Of three clips: one is lost at its end, one is no video."""
+    monkeypatch.chdir(tmp_path)
+    Path("clips").mkdir()
+    for name in ("a b", "c"):
+        make_clip(Path(f"clips/{name}.mp4"), 6)
+    Path("clips/d.mp4").write_bytes(b"no video")
+    shutil.copy("clips/c.init.yaml", "clips/d.init.yaml")
+    assert main(["run", "clips", "-o", "out", "-q", *SMALL]) == 5
+    said = replace(read_manifest(Path("out/c-face")), lost_frames={"face/nose": 5}, look=((1, 4),))
+    Path("out/c-face/run.json").write_text(json.dumps(said.record()))
+    assert main(["report", "out"]) == 0
+    page = Path("out/batch.html").read_bytes()
+    Reader(page)
+    text = page.decode()
+    assert re.findall(r'<th scope="row"[^>]*>([^<]*)<', text) == ["d-face", "c-face", "a b-face"]
+    assert "not a video" in text and "face nose is lost in 5, frames 1 to 4" in text
+    assert text.count("<img ") == 2 and 'href="a%20b-face/annotated.mp4"' in text
+    for link in re.findall(r'href="([^"]+)"', text):
+        assert (Path("out") / link.replace("%20", " ")).is_file()
+    assert main(["report", "out"]) == 2, "it is not replaced"
+    assert main(["report", "out", "-o", "elsewhere.html", "--title", "Mine", "-q"]) == 0
+    assert 'href="out/c-face/annotated.mp4"' in Path("elsewhere.html").read_text(encoding="utf-8")
+    capsys.readouterr()
+    assert "--truth and --clip are of one run" in refused(capsys, "out", "--truth", "x.csv", code=ExitCode.USAGE)

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Correction, Start, TargetStart
-from facetrack_cli.report.events import history_of, key_frames
 from facetrack_cli.report.make import make_report
+from facetrack_cli.report.story import history_of, key_frames
 from facetrack_cli.runs import batch
 from facetrack_cli.runs.plan import Split
 from facetrack_cli.runs.split import OVERLAP_S, ChunkPlan, Seam, agreeing, cut_by_length, read_plan, renamed, stitch

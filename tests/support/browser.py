@@ -21,14 +21,8 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from facetrack_cli.editor.history import Fixer
-from facetrack_cli.editor.web.fix_session import FixSession
-from facetrack_cli.editor.web.pick_session import PickSession
-from facetrack_cli.editor.web.server import serving
-from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.run_folder.finished import open_run
-from facetrack_cli.video.seek import Frames
 from tests.support.media import number
+from tests.support.page_client import fixing, picking
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 QUIET = ("--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
@@ -443,29 +437,13 @@ def command(served):
 @pytest.fixture
 def pick(served):
     """Serves `facetrack init --pick` in this process: pick(clip, out, config, ...) gives its session and its URL."""
-
-    def serve(clip, out=None, config=None, **more):
-        recipe = None if config is None else load_recipe(config)
-        frames = served.enter_context(Frames(clip))
-        session = PickSession(clip, frames, out=out, recipe=recipe, **more)
-        return session, served.enter_context(serving(session)).url
-
-    return serve
+    return lambda *where, **more: served.enter_context(picking(*where, **more))
 
 
 @pytest.fixture
 def fix(served):
     """Serves `facetrack fix` in this process: fix(folder) gives its session and its URL."""
-
-    def serve(folder, **more):
-        run = open_run(folder)
-        frames = served.enter_context(Frames(run.clip))
-        fixer = Fixer(run, frames.read)
-        served.callback(fixer.close)
-        session = FixSession(fixer, frames, **more)
-        return session, served.enter_context(serving(session)).url
-
-    return serve
+    return lambda folder, **more: served.enter_context(fixing(folder, **more))
 
 
 def go_to(window, frame):

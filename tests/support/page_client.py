@@ -1,10 +1,46 @@
-"""Requests to the page's server, without a browser."""
+"""Pages that are served in this process, and requests to them without a browser."""
 
+import contextlib
 import http.client
 import json
+import os
+import re
+import stat
 import time
+from _thread import interrupt_main
+from pathlib import Path
+from threading import Thread
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
+from urllib.request import url2pathname
+
+from facetrack_cli.editor.history import Fixer
+from facetrack_cli.editor.web import server
+from facetrack_cli.editor.web.fix_session import FixSession
+from facetrack_cli.editor.web.pick_session import PickSession
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.run_folder.finished import open_run
+from facetrack_cli.video.seek import Frames
+
+
+@contextlib.contextmanager
+def picking(clip, out=None, config=None, **more):
+    """The session and the address of `facetrack init --pick`."""
+    recipe = None if config is None else load_recipe(config)
+    with Frames(clip) as frames:
+        session = PickSession(clip, frames, out=out, recipe=recipe, **more)
+        with server.serving(session) as page:
+            yield session, page.url
+
+
+@contextlib.contextmanager
+def fixing(folder, **more):
+    """The session and the address of `facetrack fix`."""
+    run = open_run(folder)
+    with Frames(run.clip) as frames, contextlib.closing(Fixer(run, frames.read)) as fixer:
+        session = FixSession(fixer, frames, **more)
+        with server.serving(session) as page:
+            yield session, page.url
 
 
 class Got(NamedTuple):
@@ -59,3 +95,29 @@ def wait_for(look, what: str, at_most_s: float = 60.0) -> Any:
         assert time.monotonic() < ends, f"waited in vain for {what}"
         time.sleep(0.01)
     return found
+
+
+def drive(monkeypatch, home, act):
+    """Have the page that the command serves visited by `act`, instead of a browser."""
+
+    def visited(client):
+        try:
+            act(client)
+        except BaseException:
+            interrupt_main()  # nobody else ends the command
+            raise
+        finally:
+            client.close()
+
+    def visit(address):
+        # everybody may read the command line of a browser: it has no token, but a file of the user's own
+        file = Path(url2pathname(urlsplit(address).path))
+        assert address.startswith("file://") and file.parent == home
+        assert os.name != "posix" or stat.S_IMODE(file.stat().st_mode) == 0o600
+        [url] = re.findall(r"url=(http://127\.0\.0\.1:[0-9]+/[^\"]+)", file.read_text())
+        assert urlsplit(url).path.strip("/") not in address
+        Thread(target=visited, args=(Client(url),)).start()
+        return False
+
+    monkeypatch.setattr(Path, "home", lambda: home)
+    monkeypatch.setattr(server.webbrowser, "open", visit)

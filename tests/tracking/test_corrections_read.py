@@ -21,8 +21,8 @@ from facetrack_cli.evaluation.summary import evaluate
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report import make
 from facetrack_cli.report.command_line import command, init_yaml
-from facetrack_cli.report.events import history_of, key_frames
 from facetrack_cli.report.frames import Image
+from facetrack_cli.report.story import history_of, key_frames
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot

@@ -10,7 +10,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, RecipeError, UsageError
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.report.figures.shape_prior import prior_figure
+from facetrack_cli.report.figures.models import prior_figure
 from facetrack_cli.report.figures.style import COLOURS, FAINT, render
 from facetrack_cli.trackers.face.shape_prior import StudentPrior
 from facetrack_cli.trackers.points.shape_kernels import LANES, PADDING, parzen

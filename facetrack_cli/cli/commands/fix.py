@@ -99,7 +99,7 @@ def command(
 
 def _track(folder: Path, clip: Path | None, name: str, at: str) -> Run:
     """The track of a person of a film."""
-    from facetrack_cli.editor.film_track import open_track
+    from facetrack_cli.editor.save import open_track
     from facetrack_cli.runs.people import people_in, rows_in
     from facetrack_cli.trajectory.clock import Clock
 

@@ -133,7 +133,7 @@ def show(file: Path, out: Path | None, overwrite: bool) -> None:
       facetrack gallery show
       facetrack gallery show people.npz -o people.pdf
     """
-    from facetrack_cli.report.figures.gallery import gallery_figure
+    from facetrack_cli.report.figures.models import gallery_figure
     from facetrack_cli.trackers.appearance.gallery import load_gallery
 
     gallery = load_gallery(file)
@@ -152,7 +152,7 @@ def show(file: Path, out: Path | None, overwrite: bool) -> None:
 
 
 def _summary(gallery: Gallery) -> list[str]:
-    from facetrack_cli.report.figures.gallery import calibrated, kept, stranger
+    from facetrack_cli.report.figures.models import calibrated, kept, stranger
 
     spaces = (("frontal faces", gallery.frontal), ("intra-personal", gallery.intra), ("extra-personal", gallery.extra))
     lines = [f"{name}: {kept(space)}" for name, space in spaces]

@@ -164,7 +164,7 @@ def _pick(
             recipe=recipe,
             frame=frame,
             box=box,
-            begun=begun,
+            previous=begun,
             next_=run,
             preview=preview,
         )

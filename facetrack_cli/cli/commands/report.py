@@ -46,8 +46,7 @@ def command(
     """
     from facetrack_cli.core.errors import UsageError
     from facetrack_cli.core.files import check_new, check_plain, write_new
-    from facetrack_cli.report.batch import PAGE, make_batch_report
-    from facetrack_cli.report.make import TruthFile, make_report
+    from facetrack_cli.report.make import BATCH_PAGE, TruthFile, make_batch_report, make_report
     from facetrack_cli.run_folder.manifest import REPORT, trajectory_of
     from facetrack_cli.run_folder.status import is_batch
     from facetrack_cli.runs.progress import progress
@@ -60,7 +59,7 @@ def command(
         raise UsageError("--truth and --clip are of one run; name its folder, or leave them out")
     if not batch:
         trajectory_of(folder)
-    to = folder / (PAGE if batch else REPORT) if out is None else out
+    to = folder / (BATCH_PAGE if batch else REPORT) if out is None else out
     if out is None:
         check_plain(to)
     check_new(to, overwrite=overwrite, inputs=(truth, clip))

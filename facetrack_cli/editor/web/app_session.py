@@ -1,9 +1,10 @@
 """The page of `facetrack app`: clips are added, tracked, looked at, corrected and exported."""
 
-import contextlib
 import re
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing, nullcontext, suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
@@ -11,25 +12,27 @@ from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, flat
 from facetrack_cli.core.files import make_folder, write_new, writing
 from facetrack_cli.core.types import Array, Correction, checked_name
-from facetrack_cli.editor.film_track import open_track
 from facetrack_cli.editor.history import Fixer, corrections_of
-from facetrack_cli.editor.project import RECIPES, Clip, Project, What, call, free
+from facetrack_cli.editor.project import RECIPES, Clip, Project, What, free
+from facetrack_cli.editor.save import open_track
 from facetrack_cli.editor.web.cast_session import CastSession
 from facetrack_cli.editor.web.fix_session import FixSession
-from facetrack_cli.editor.web.frame import Json, Proposer, jpeg
 from facetrack_cli.editor.web.pick_session import PickSession
-from facetrack_cli.editor.web.session import Answer, Page, RefusedError, Route
+from facetrack_cli.editor.web.session import Answer, Json, Page, Proposer, RefusedError, Route, jpeg
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.run_folder.finished import Run, open_run, stamp
+from facetrack_cli.run_folder.finished import open_run, stamp
 from facetrack_cli.run_folder.manifest import NAME as MANIFEST
 from facetrack_cli.run_folder.manifest import VIDEO, read_run
 from facetrack_cli.runs.batch import expand
+from facetrack_cli.runs.export import content, encoded
 from facetrack_cli.runs.people import film_of, people_in, rows_in
 from facetrack_cli.start.init_file import read_init
-from facetrack_cli.trajectory.header import UNSAVED
+from facetrack_cli.trajectory.formats import tables
+from facetrack_cli.trajectory.header import UNSAVED, clip_of
+from facetrack_cli.trajectory.select import Around
 from facetrack_cli.video.seek import Frames
 
 LOOKS: Final = 5  # frames of a clip in which faces are sought, in its first seconds
@@ -42,12 +45,13 @@ Ids = Annotated[list[int], Field(max_length=2000)]
 
 
 class Program(NamedTuple):
-    """What a file is for: how it is exported, how its name ends, and whether it may be of `many` clips."""
+    """What a file is for: its format, how its name ends, and whether it may be of `many` clips."""
 
     name: str
-    how: str
+    form: str
     ending: str
     many: bool = False
+    box: Around | None = None
 
 
 PROGRAMS: Final = {
@@ -61,7 +65,7 @@ PROGRAMS: Final = {
     "subtitles": Program("Subtitles", "srt", "srt"),
     "dlc": Program("DeepLabCut", "dlc", "dlc.csv"),
     "openface": Program("OpenFace", "openface", "openface.csv"),
-    "coco": Program("COCO", "coco --box points", "coco.json"),
+    "coco": Program("COCO", "coco", "coco.json", box="points"),
 }
 BOM: Final = b"\xef\xbb\xbf"  # by which Excel knows that a CSV is UTF-8
 
@@ -74,13 +78,10 @@ class AppSession(Page):
     def __init__(self, project: Project) -> None:
         super().__init__()
         self.project = project
-        self._open: dict[str, contextlib.ExitStack] = {}
         self._look = lru_cache(4)(looked)
         self._exporting = threading.Lock()
-        self._new = threading.Event()  # clips that nobody has looked at yet
-        self._new.set()
-        self._looker = threading.Thread(target=self._look_at_new, name="looks", daemon=True)
-        self._looker.start()
+        self._looks = ThreadPoolExecutor(1, "looks")  # at clips, as they come
+        self._look_at([clip for clip in project.clips.values() if not clip.frames])
 
     def routes(self) -> Sequence[Route]:
         return (
@@ -102,17 +103,16 @@ class AppSession(Page):
 
     def close(self) -> None:
         super().close()
-        self._new.set()
         self.project.close()
-        self._looker.join()
-        for name in [*self._open]:
+        self._looks.shutdown(cancel_futures=True)
+        for name in [*self.opened]:
             self._shut(name)
 
     def state(self) -> Json:
         self._shut_of()
         project = self.project
         with project.lock:
-            clips = [self._told(one) for one in project.clips.values()]
+            clips = [self._shown(clip) for clip in project.clips.values()]
             rate = next((one["rate"] for one in clips if one.get("rate")), None)
             left = sum(max(one["frames"] - one["done"], 0) for one in clips if one["state"] in ("queued", "running"))
             return {
@@ -125,25 +125,22 @@ class AppSession(Page):
                 "ended": self.ended,
             }
 
-    def _told(self, clip: Clip) -> Json:
+    def _shown(self, clip: Clip) -> Json:
         """A clip as the page shows it."""
-        project, error, more = self.project, clip.error, dict[str, Any]()
+        project, error, done, more = self.project, clip.error, 0, dict[str, Any]()
         try:
-            found = project.status(clip)
-            state, done, more["look"] = str(found.state), found.frames, found.look
-            error = error or found.error
+            status = project.status(clip)
+            state, done, more["look"] = str(status.state), status.frames, status.look
+            error = error or status.error
         except FacetrackError as e:
-            state, done, error = "failed", 0, str(e)
+            state, error = "failed", str(e)
         start = project.start_of(clip).is_file()
         if clip is project.running:
-            told = project.progress
-            tracks = told.get("doing") == ""  # else it does something before or after
-            state, done, rate = (
-                "running",
-                int(told.get("done") or 0) * tracks,
-                told.get("frames_per_s") if tracks else None,
-            )
-            more |= {"doing": told.get("doing", "starting"), "rate": rate}
+            progress = project.progress
+            tracks = progress.get("doing") == ""  # else it does something before or after
+            state, done = "running", int(progress.get("done") or 0) * tracks
+            rate = progress.get("frames_per_s") if tracks else None
+            more |= {"doing": progress.get("doing", "starting"), "rate": rate}
         elif clip.wanted and state != "running":
             state = "paused" if project.paused else "queued"
         elif error:
@@ -154,11 +151,9 @@ class AppSession(Page):
             state = "needs box" if clip.what == "box" and not start else "ready"
         movie = stamp(project.run_of(clip) / VIDEO)
         more["movie"] = None if movie is None else str(movie)  # changes when it is drawn again
-        return {
-            "id": clip.id, "name": project.place(clip).name, "path": str(project.place(clip)), "what": clip.what,
-            "likely": clip.likely, "size": clip.size, "seconds": clip.seconds, "frames": clip.frames, "state": state,
-            "done": done, "error": error, "start": start, **more,
-        }  # fmt: skip
+        more |= {"state": state, "done": done, "error": error, "start": start}
+        known = clip.model_dump(include={"id", "what", "likely", "size", "seconds", "frames"})
+        return {**known, "name": project.place(clip).name, "path": str(project.place(clip)), **more}
 
     # adding
 
@@ -197,34 +192,30 @@ class AppSession(Page):
 
     def _added(self, paths: Sequence[Path]) -> Json:
         added = self.project.add(paths)
-        self._new.set()
-        return {"added": [one.id for one in added]}
+        self._look_at(added)
+        return {"added": [clip.id for clip in added]}
 
-    def _look_at_new(self) -> None:
-        """Look at clips as they come: a picture, how long they are, and what is likely to be tracked."""
-        while not self.stopping.is_set():
-            self._new.wait()
-            self._new.clear()
-            for clip in [one for one in [*self.project.clips.values()] if not one.frames]:
-                if self.stopping.is_set():
-                    return
-                try:
-                    self._look_at(clip)
-                except FacetrackError as e:
-                    clip.error = " ".join(str(e).splitlines())
-                except Exception as e:
-                    clip.error = self.record(e)
+    def _look_at(self, clips: Iterable[Clip]) -> None:
+        """Look at clips in a thread: a picture, how long they are, and what is likely to be tracked."""
 
-    def _look_at(self, clip: Clip) -> None:
-        with Frames(self.project.place(clip)) as frames:
-            thumb = self._thumb(clip.id)
-            make_folder(thumb.parent)
-            write_new(thumb, jpeg(frames, 0, max(round(max(frames.size) / THUMB_PIXELS), 1)), overwrite=True)
-            likely = likely_in(frames)
-            with self.project.lock:
-                clip.size, clip.frames, clip.likely = frames.size, max(frames.count, 1), likely
-                clip.seconds, clip.what = round(frames.count / float(frames.fps), 2), likely
-                self.project.save()
+        def look(clip: Clip) -> None:
+            try:
+                with Frames(self.project.place(clip)) as frames:
+                    thumb = self._thumb(clip.id)
+                    make_folder(thumb.parent)
+                    write_new(thumb, jpeg(frames, 0, max(round(max(frames.size) / THUMB_PIXELS), 1)), overwrite=True)
+                    likely, size, count = likely_in(frames), frames.size, frames.count
+                with self.project.lock:
+                    clip.size, clip.frames, clip.likely, clip.what = size, max(count, 1), likely, likely
+                    clip.seconds = round(count / float(frames.fps), 2)
+                    self.project.save()
+            except FacetrackError as e:
+                clip.error = flat(str(e))
+            except Exception as e:
+                clip.error = self.record(e)
+
+        for clip in clips:
+            self._looks.submit(look, clip)
 
     def _thumb(self, clip: int) -> Path:
         return self.project.folder / "thumbs" / f"{clip}.jpg"
@@ -271,37 +262,32 @@ class AppSession(Page):
         self, clip: int, page: Literal["fix", "people", "start"], person: str | None = None, frame: int = 0
     ) -> Json:
         """Open the page that corrects a run, or a `person` of a film, or who is who in it, or that chooses a start."""
-        found = self.project.find(clip)
-        folder, name = self.project.run_of(found), f"{page}-{clip}"
-        if person is not None:
-            name += f"-{frame}"
-        with self.lock, contextlib.ExitStack() as stack:
+        name = f"{page}-{clip}" + ("" if person is None else f"-{frame}")
+        with self.lock, ExitStack() as stack:
             self._shut_of()
-            if found.wanted:
-                raise RefusedError(409, f"{found.name} is being tracked; stop it first")
+            chosen = self.project.find(clip)
+            if chosen.wanted:
+                raise RefusedError(409, f"{chosen.name} is being tracked; stop it first")
             if name not in self.opened:
+                folder = self.project.run_of(chosen)
                 if page == "start":
-                    self.opened[name] = self._start_page(found, stack)
+                    opened = self._start_page(chosen, stack)
                 elif page == "people":
-                    film, how = film_of(people_in(folder), rows_in(folder), None)
-                    if film is None:
-                        raise InputError(f"{folder}: does not name its clip")
-                    frames = stack.enter_context(Frames(film, **how))
-                    self.opened[name] = CastSession(folder, frames, film, video=True)
+                    opened = _cast_page(folder, stack)
                 else:
-                    run = open_run(folder) if person is None else open_track(folder, person, frame)
-                    self.opened[name] = fix_page(run, stack)
-                stack.callback(self.opened[name].close)
-                self._open[name] = stack.pop_all()
+                    opened = _fix_page(folder, stack, person, frame)
+                stack.push(opened.resources.pop_all())
+                opened.resources = stack.pop_all()
+                self.opened[name] = opened
         return {"url": f"{name}/"}
 
-    def _start_page(self, clip: Clip, stack: contextlib.ExitStack) -> PickSession:
+    def _start_page(self, clip: Clip, stack: ExitStack) -> Page:
         place, out = self.project.place(clip), self.project.start_of(clip)
         make_folder(out.parent)
-        begun = read_init(out) if out.is_file() else None
+        previous = read_init(out) if out.is_file() else None
         frames = stack.enter_context(Frames(place))
         recipe = load_recipe(RECIPES[clip.what])
-        return PickSession(place, frames, out=out, overwrite=True, recipe=recipe, begun=begun)
+        return PickSession(place, frames, out=out, overwrite=True, recipe=recipe, previous=previous)
 
     def _shut_of(self, clip: int | None = None) -> None:
         """Close the pages of a clip, or those that have ended."""
@@ -311,11 +297,8 @@ class AppSession(Page):
 
     def _shut(self, name: str) -> None:
         """Close a page that was opened; what was corrected and not saved is kept beside the run."""
-        with self.lock:
-            self.opened.pop(name, None)
-            stack = self._open.pop(name, None)
-        if stack is not None:
-            stack.close()
+        if (page := self.opened.pop(name, None)) is not None:
+            page.close()
 
     # exporting
 
@@ -324,31 +307,45 @@ class AppSession(Page):
         known = [name for name, one in PROGRAMS.items() if one.many or clip is not None]
         if program not in known:
             raise RefusedError(400, f"{program}: choose among {', '.join(known)}")
-        one, folder = PROGRAMS[program], self.project.folder / "exports"
-        found = None if clip is None else self.project.find(clip)
-        source = self.project.folder / "runs" if found is None else self.project.run_of(found)
-        make_folder(folder, "free some space")
-        path = folder / f"{self.project.folder.name if found is None else found.name}.{one.ending}"
+        kind, project = PROGRAMS[program], self.project
+        name, runs = project.folder.name, sorted({path.parent for path in project.folder.glob("runs/*/trajectory.*")})
+        if clip is not None:
+            chosen = project.find(clip)
+            name, runs = chosen.name, [project.run_of(chosen)]
+        path = project.folder / "exports" / f"{name}.{kind.ending}"
+        make_folder(path.parent, "free some space")
+        try:
+            clips = []
+            for run in runs:
+                with suppress(InputError) if clip is None else nullcontext():  # of many, those that can be read
+                    table = read_run(run)
+                    where = clip_of(table)
+                    clips.append(tables.Clip(where.name if where else run.name, table))
+            if not clips:
+                raise InputError("no run can be read yet")
+            data = encoded(content(clips, kind.form, path, box=kind.box, many=clip is None))
+        except FacetrackError as e:
+            raise UsageError(flat(str(e))) from None  # 422: the page says why
         with self._exporting, writing(path, "close what uses it"):
-            try:
-                with path.open("wb") as file:
-                    file.write(BOM if one.ending.endswith("csv") and one.name.startswith("Excel") else b"")
-                    file.flush()
-                    call(["export", str(source), "--to", *one.how.split(), "-o", "-"], file, folder)
-            except FacetrackError as e:
-                path.unlink(missing_ok=True)
-                raise UsageError(str(e)) from None  # 422: the page says why
+            path.write_bytes(BOM * kind.name.startswith("Excel") + data)
         saved_as = re.sub(r'[^ -~]|["\\]', "_", path.name)
-        how = (("Content-Disposition", f'attachment; filename="{saved_as}"'),)
-        return Answer(path, kind="application/octet-stream", headers=how)
+        headers = (("Content-Disposition", f'attachment; filename="{saved_as}"'),)
+        return Answer(path, kind="application/octet-stream", headers=headers)
 
 
-def fix_page(run: Run, stack: contextlib.ExitStack) -> FixSession:
-    """The page that corrects a run; it is at an end before what `stack` holds."""
+def _cast_page(folder: Path, stack: ExitStack) -> Page:
+    film, how = film_of(people_in(folder), rows_in(folder), None)
+    if film is None:
+        raise InputError(f"{folder}: does not name its clip")
+    return CastSession(folder, stack.enter_context(Frames(film, **how)), film, video=True)
+
+
+def _fix_page(folder: Path, stack: ExitStack, person: str | None, frame: int) -> Page:
+    run = open_run(folder) if person is None else open_track(folder, person, frame)
     frames = stack.enter_context(Frames(run.clip, fps=run.fps, stream=run.header.source.stream))
-    fixer = stack.enter_context(contextlib.closing(Fixer(run, frames.read)))
-    kept, unsaved = run.folder / UNSAVED, tuple[Correction, ...]()
-    with contextlib.suppress(FacetrackError):  # of another track
+    fixer = stack.enter_context(closing(Fixer(run, frames.read)))
+    kept, unsaved = folder / UNSAVED, tuple[Correction, ...]()
+    with suppress(FacetrackError):  # of another track
         unsaved = corrections_of(kept, run) if kept.is_file() else ()
     return FixSession(fixer, frames, unsaved=unsaved)
 
@@ -360,7 +357,7 @@ def likely_in(frames: Frames) -> What:
     try:
         last = min(max(frames.count - 1, 0), LOOKS_WITHIN)
         for at in sorted({last * k // (LOOKS - 1) for k in range(LOOKS)}):
-            with contextlib.suppress(InputError):
+            with suppress(InputError):
                 found = [one["targets"] for one in proposer(at)["proposals"]]
                 faces, several = faces + bool(found), several + (len(found) > 1)
                 hands += len(found) == 1 and len(found[0]) > 1

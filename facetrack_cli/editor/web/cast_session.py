@@ -3,20 +3,17 @@
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Literal
 
 from pydantic import StrictInt
 
-from facetrack_cli.core.errors import UsageError
-from facetrack_cli.editor.web.frame import jpeg
-from facetrack_cli.editor.web.session import Answer, Page, RefusedError, Route
+from facetrack_cli.editor.web.session import Answer, Json, Page, RefusedError, Route, jpeg
 from facetrack_cli.runs.people import people_in, recast, rows_in, still_of
 from facetrack_cli.trajectory import people as changes
 from facetrack_cli.trajectory.clock import Clock
-from facetrack_cli.trajectory.people import People, Tracks
+from facetrack_cli.trajectory.people import Tracks
 from facetrack_cli.video.seek import Frames
 
-MAX_CHANGES: Final = 2000
 Change = tuple[str, Callable[[Tracks], Tracks]]
 
 
@@ -39,12 +36,6 @@ class CastSession(Page):
         """Each track, with the target of the run's rows that it belongs to."""
         return self._steps[-1][1] if self._steps else changes.tracks_of(self.before)
 
-    def people(self) -> People:
-        """As they are now."""
-        records = [one for _, one in self.tracks]
-        still = changes.photographs(self.before, self.tracks)
-        return changes.people_of(self._clock, self.before.shots, records, {}, still)
-
     def routes(self) -> Sequence[Route]:
         return (
             Route("GET", "api/state", self.state),
@@ -56,25 +47,24 @@ class CastSession(Page):
             Route("POST", "api/done", self._done),
         )
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> Json:
         with self.lock:
-            people = self.people()
+            records = [track for _, track in self.tracks]
+            still = changes.photographs(self.before, self.tracks)
+            people = changes.people_of(self._clock, self.before.shots, records, {}, still)
             return {
-                "revision": self.revision,
+                **super().state(),
                 "clip": self.clip.name,
                 "folder": str(self.folder),
-                "people": [one.model_dump(mode="json") for one in people.people],
-                "tracks": [one.model_dump(mode="json") for one in people.tracks],
-                "doubts": [one.model_dump(mode="json") for one in people.doubts],
-                "cuts": [one.first for one in people.shots[1:]],
+                "people": [person.model_dump(mode="json") for person in people.people],
+                "tracks": [track.model_dump(mode="json") for track in people.tracks],
+                "doubts": [doubt.model_dump(mode="json") for doubt in people.doubts],
+                "cuts": [shot.first for shot in people.shots[1:]],
                 "fps": people.fps,
                 "clock": self._clock.points(),
                 "first": people.shots[0].first,
-                "last": max(int(self._rows.frame.max()), *(one.stop - 1 for one in people.tracks)),
+                "last": max(int(self._rows.frame.max()), *(track.stop - 1 for track in people.tracks)),
                 "changes": [words for (words, _), _ in self._steps],
-                "job": self._job,
-                "ended": self.ended,
-                "message": self.message,
             }
 
     def _change(
@@ -84,7 +74,7 @@ class CastSession(Page):
         name: str,
         to: str | None = None,
         frame: StrictInt = 0,
-    ) -> dict[str, Any]:
+    ) -> Json:
         """`name` is merged into `to`, renamed to it, split at `frame`, or its track in `frame` is given to `to`."""
         change: Callable[[Tracks], Tracks]
         if what == "merge":
@@ -97,13 +87,11 @@ class CastSession(Page):
             words, change = f"give {name}@{frame}f={to or ''}", partial(changes.give, name=name, frame=frame, to=to)
         with self.lock:
             self._check(base)
-            if len(self._steps) >= MAX_CHANGES:
-                raise UsageError(f"there are {MAX_CHANGES} changes; save them first")
             self._steps.append(((words, change), change(self.tracks)))
             self.revision += 1
             return self.state()
 
-    def _undo(self, base: StrictInt) -> dict[str, Any]:
+    def _undo(self, base: StrictInt) -> Json:
         with self.lock:
             self._check(base)
             if self._steps:
@@ -114,7 +102,7 @@ class CastSession(Page):
     def _save(self, base: StrictInt) -> Answer:
         with self.lock:
             self._check(base)
-            self.start_job("saving", self._write, saves=True)
+            self.start_job("saving", self._write)
             return Answer(self.state(), 202)
 
     def _write(self, report: Callable[[int, int | None], None]) -> None:
@@ -134,7 +122,7 @@ class CastSession(Page):
     def _said(self) -> str:
         return f"{self.folder}: {self.saved} change{'s' if self.saved != 1 else ''} saved"
 
-    def _done(self, base: StrictInt) -> dict[str, Any]:
+    def _done(self, base: StrictInt) -> Json:
         """End the session; changes that are not saved are gone."""
         with self.lock:
             self._check(base)
@@ -144,19 +132,17 @@ class CastSession(Page):
     def _check(self, base: int) -> None:
         """RefusedError (409) while a job runs, after the end, and for what was meant for an earlier state."""
         self.refuse_if_busy()
-        self.refuse_if_stale(base)
+        self.refuse_unless(base == self.revision)
 
     def _frame(self, frame: int, reduce: Literal["1", "2", "4", "8"] = "1") -> Answer:
         return Answer(jpeg(self.frames, frame, int(reduce)), kind="image/jpeg")
 
     def _still_of(self, first: int, stop: int, person: str) -> Answer:
         with self.lock:
-            found = [
-                target for target, one in self.tracks if (one.person, one.first, one.stop) == (person, first, stop)
-            ]
-        if not found:
+            targets = {(track.person, track.first, track.stop): target for target, track in self.tracks}
+        if (person, first, stop) not in targets:
             raise RefusedError(404, "there is no such track any more")
-        return Answer(self._still(found[0], first, stop), kind="image/jpeg")
+        return Answer(self._still(targets[person, first, stop], first, stop), kind="image/jpeg")
 
     def _picture(self, target: str, first: int, stop: int) -> bytes:
         return still_of(self._rows, target, first, stop, self.frames.read)

@@ -11,12 +11,11 @@ from pydantic import Field, StrictBool, StrictInt
 
 from facetrack_cli.core.errors import FacetrackError, InputError
 from facetrack_cli.core.numbers import spans
-from facetrack_cli.core.types import BOX, Correction, Mask, TargetStart
+from facetrack_cli.core.types import BOX, Correction, TargetStart
 from facetrack_cli.editor.history import Fixer, merged
 from facetrack_cli.editor.save import keep, save
-from facetrack_cli.editor.web.frame import Draft, Json, Proposer
 from facetrack_cli.editor.web.pick_session import requirement
-from facetrack_cli.editor.web.session import Answer, RefusedError, Route, Session
+from facetrack_cli.editor.web.session import Answer, Draft, Json, Proposer, RefusedError, Route, Session
 from facetrack_cli.engine.corrected import correctable_parts
 from facetrack_cli.recipe.model import OpenCvRecipe
 from facetrack_cli.runs.plan import Report
@@ -45,7 +44,7 @@ class FixSession(Session):
         run = fixer.run
         self.fixer, self.video = fixer, video
         self.saved: list[str] = []  # a line on each file, of the last save
-        self.saves = 0
+        self.saves = self.rows_revision = 0
         self._parts = run.parts
         about = {
             "clip": run.header.clip_name + f": {run.rows.targets[0]}" * run.film,
@@ -78,21 +77,26 @@ class FixSession(Session):
         """Proposals for the targets of the run. Where the recipe names no targets, a face may be any of them."""
         found = super().proposals(frame)
         proposals = []
-        for one in found["proposals"]:
+        for proposal in found["proposals"]:
+            label, targets = proposal["label"], proposal["targets"]
             if self.fixer.run.recipe.followed:
-                proposals.append((one["label"], {n: t for n, t in one["targets"].items() if n in self._parts}))
+                faces = {label: {name: target for name, target in targets.items() if name in self._parts}}
             else:
-                [face] = one["targets"].values()
-                of = ": {}" if len(self._parts) > 1 else ""
-                proposals += [(one["label"] + of.format(name), {name: face}) for name in self._parts]
-        fitted = [(label, {name: self._fitted(name, one) for name, one in those.items()}) for label, those in proposals]
-        return {**found, "proposals": [{"label": label, "targets": targets} for label, targets in fitted]}
+                [face] = targets.values()
+                faces = {f"{label}: {name}" if len(self._parts) > 1 else label: {name: face} for name in self._parts}
+            for text, each in faces.items():
+                fitted = {}
+                for name, target in each.items():  # the points of a target, if it follows any, else the box
+                    placed = {} if self._parts[name] == (BOX,) else target["points"]
+                    fitted[name] = {"box": None if placed else target["box"], "points": placed}
+                proposals.append({"label": text, "targets": fitted})
+        return {**found, "proposals": proposals}
 
     def check_draft(self, draft: Draft) -> None:
-        for name, one in draft.targets.items():
+        for name, target in draft.targets.items():
             if name not in self._parts:
                 raise RefusedError(400, f"the run has no {name}; it has {', '.join(self._parts)}")
-            named = [*one.points, *(() if one.absent is True else one.absent)]
+            named = [*target.points, *(() if target.absent is True else target.absent)]
             if unknown := [part for part in named if part not in self._parts[name]]:
                 raise RefusedError(400, f"{name} has no {unknown[0]}; it has {', '.join(self._parts[name])}")
 
@@ -100,7 +104,7 @@ class FixSession(Session):
         if not draft.empty:
             frame = draft.frame
             raise RefusedError(422, f"what was moved in frame {frame} is not tracked yet; track it, or discard it")
-        self.begin("saving", self._write, saves=draft)
+        self.start_job("saving", self._write, saves=draft)
 
     def _rows(self, first: int, last: int) -> Json:
         """The rows of frames `first` to `last`, both included."""
@@ -113,25 +117,35 @@ class FixSession(Session):
 
     def _overview(self, bins: Annotated[int, Field(ge=1, le=4000)] = 400) -> Json:
         corrections, rows = self.fixer.now
-        return overview(rows, bins, corrections, lost_below=self._about["lost_below"])
+        return overview(rows, bins, corrections, self._about["lost_below"])
 
     def _track(self, base: StrictInt, learn: StrictBool | Literal["keep"] | None = "keep") -> Answer:
         """Make the draft a correction of its frame. `learn` as of Correction; "keep" leaves that as it is."""
         draft = self.current(base)
         self.refuse_if_busy()
-        given = self._corrections(draft)
-        if learn != "keep":
-            given = [replace(one, learn=learn) for one in given]
-        for one in given:
-            self.fixer.check(one)
+        given = []
+        for name, target in draft.targets.items():
+            if not target.empty:
+                new = Correction(draft.frame, name, target.rounded(), absent=target.absent)
+                given.append(merged(new, self.fixer.find(draft.frame, name), self._parts[name]))
+        if not given:
+            raise RefusedError(422, f"nothing is corrected in frame {draft.frame}; move a part, or mark it as absent")
+        return self._put(
+            given if learn == "keep" else [replace(correction, learn=learn) for correction in given], draft
+        )
+
+    def _put(self, given: Sequence[Correction], draft: Draft | None = None) -> Answer:
+        """Have corrections tracked; the draft that they are made of becomes empty."""
+        for correction in given:
+            self.fixer.check(correction)
 
         def work(**options: Any) -> None:
             self.fixer.put(given, **options)
             with self.lock:
-                if self.draft is draft:  # else somebody continues with another one
+                if draft is not None and self.draft is draft:  # else somebody continues with another one
                     self.change(Draft(draft.frame, {}))
 
-        return self._begin(f"tracking {', '.join(one.target for one in given)}", work)
+        return self._begin(f"tracking {', '.join(correction.target for correction in given)}", work)
 
     def _remove(self, frame: FrameNumber, target: str) -> Answer:
         if self.fixer.find(frame, target) is None:
@@ -141,17 +155,16 @@ class FixSession(Session):
     def _exchange(self, frame: FrameNumber) -> Answer:
         """From a frame on each of two hands is where the other is: a correction of both."""
         hands, rows = [name for name in HANDS if name in self._parts], self.fixer.rows.at(frame)
-        given = []
-        for name, other in zip(hands, hands[::-1], strict=True):
-            box = choose(rows, other).boxes[0]
-            there = bool(np.isfinite(box).all())
-            at = tuple(np.round(box, 2).tolist())
-            given.append(Correction(frame, name, TargetStart(at)) if there else Correction(frame, name, absent=True))
-        if len(hands) < 2 or all(one.given.box is None for one in given):
+        boxes = {name: choose(rows, other).boxes[0] for name, other in zip(hands, hands[::-1], strict=True)}
+        seen = {
+            name: TargetStart(tuple(box.round(2).tolist())) for name, box in boxes.items() if np.isfinite(box).all()
+        }
+        if len(hands) < 2 or not seen:
             raise RefusedError(422, f"there are no two hands in frame {frame}")
-        for one in given:
-            self.fixer.check(one)
-        return self._begin(f"tracking {' and '.join(hands)}", partial(self.fixer.put, given))
+        none = TargetStart()
+        return self._put(
+            [Correction(frame, hand, seen.get(hand, none), absent=hand not in seen or ()) for hand in hands]
+        )
 
     def _confirm(self, frame: FrameNumber, target: str, part: str, stretch: StrictBool = False) -> Answer:
         """A part lies right in a frame, or in the whole `stretch` around it in which it is called lost."""
@@ -191,22 +204,10 @@ class FixSession(Session):
             work(report=report, stop=self.stopping.is_set)
             with self.lock:
                 self.rows_revision += 1
-                self.can_undo = self.fixer.can_undo
             keep(self.fixer)
 
-        self.begin(what, job)
+        self.start_job(what, job)
         return Answer({}, 202)
-
-    def _corrections(self, draft: Draft) -> list[Correction]:
-        """The corrections of the draft, merged with those of its frame. RefusedError (422) if it corrects nothing."""
-        found = []
-        for name, one in draft.targets.items():
-            if not one.empty:
-                new = Correction(draft.frame, name, one.rounded(), absent=one.absent)
-                found.append(merged(new, self.fixer.find(draft.frame, name), self._parts[name]))
-        if not found:
-            raise RefusedError(422, f"nothing is corrected in frame {draft.frame}; move a part, or mark it as absent")
-        return found
 
     def _resume(self, corrections: Sequence[Correction], **options: Any) -> None:
         """Apply the corrections that the last session did not save."""
@@ -224,12 +225,9 @@ class FixSession(Session):
 
     def state(self) -> Json:
         with self.lock:
-            return {**super().state(), "saves": self.saves, "saved": self.saved, "unsaved": self.fixer.changed}
-
-    def _fitted(self, name: str, target: Json) -> Json:
-        """A proposal has the points of a target, if it follows any, else the box."""
-        points = {} if self._parts[name] == (BOX,) else target["points"]
-        return {"box": None if points else target["box"], "points": points}
+            undo = {"can_undo": self.fixer.can_undo, "rows_revision": self.rows_revision}
+            saved = {"saves": self.saves, "saved": self.saved, "unsaved": self.fixer.changed}
+            return {**super().state(), **undo, **saved}
 
 
 def _requirement(target: str, parts: tuple[str, ...]) -> Json:
@@ -241,51 +239,51 @@ def _requirement(target: str, parts: tuple[str, ...]) -> Json:
 
 
 def overview(
-    rows: Trajectory, bins: int, corrections: tuple[Correction, ...] = (), *, lost_below: Mapping[str, float]
+    rows: Trajectory, bins: int, corrections: Sequence[Correction], lost_below: Mapping[str, float]
 ) -> dict[str, Any]:
     """Ready for JSON: of each part and each of `bins` equal spans the least confidence, None if unknown, and the shares
     of frames in which it is lost and absent; the doubtful frames; the corrections.
     """
     first, last = int(rows.frame[0]), int(rows.frame[-1])
     count = last - first + 1
-    bins = max(1, min(bins, count))
+    bins = min(bins, count)
     edges = np.arange(bins) * count // bins
     sizes = np.diff([*edges.tolist(), count])
-
-    def shares(those: Mask) -> list[float]:
-        return [round(share, 4) for share in (np.add.reduceat(those.astype(np.int64), edges) / sizes).tolist()]
-
     parts, corrected = [], []
     for part in rows.parts:
         least = [None if sure != sure else sure for sure in np.fmin.reduceat(part.confidence, edges).tolist()]
-        gone = {status: shares(part.status == status) for status in ("lost", "absent")}
-        parts.append({"target": part.target, "part": part.part, "least": least, **gone})
-    for one in corrections:
-        if one.frame <= last:
-            given = ["box"] if one.given.box is not None else list(one.given.points)
-            absent, sure = (those is True or list(those) for those in (one.absent, one.confirmed))
-            more = {"parts": given, "absent": absent} | ({"confirmed": sure} if sure else {})
-            corrected.append({"frame": one.frame, "target": one.target, **more})
+        counts = {
+            status: np.add.reduceat(part.status == status, edges, dtype=np.int64) for status in ("lost", "absent")
+        }
+        shares = {status: (count / sizes).round(4).tolist() for status, count in counts.items()}
+        parts.append({"target": part.target, "part": part.part, "least": least, **shares})
+    for correction in corrections:
+        if correction.frame <= last:
+            placed = ["box"] if correction.given.box is not None else list(correction.given.points)
+            absent, sure = (names is True or list(names) for names in (correction.absent, correction.confirmed))
+            more = {"confirmed": sure} if sure else {}
+            corrected.append(
+                {"frame": correction.frame, "target": correction.target, "parts": placed, "absent": absent, **more}
+            )
     found = {"first": first, "last": last, "bins": bins, "parts": parts}
     return {**found, "doubtful": doubtful(rows, lost_below), "corrections": corrected}
 
 
 def doubtful(rows: Trajectory, lost_below: Mapping[str, float]) -> list[dict[str, Any]]:
     """The worst frame of each span in which a part is lost, or its confidence below that of its target, worst first."""
-    found = []
-    for column, one in enumerate(rows.parts):
-        sure = one.confidence
-        doubt = (
-            np.isfinite(sure) & (one.status != "absent") & ((one.status == "lost") | (sure < lost_below[one.target]))
-        )
-        worst = [begin + int(np.argmin(sure[begin:end])) for begin, end in spans(doubt)]
-        found += sorted((float(sure[at]), at, column) for at in worst)[:MAX_DOUBTFUL]
+    worst = []
+    for column, part in enumerate(rows.parts):
+        sure = part.confidence
+        low = (part.status == "lost") | (sure < lost_below[part.target])
+        doubts = spans(np.isfinite(sure) & (part.status != "absent") & low)
+        rows_of = [begin + int(np.argmin(sure[begin:end])) for begin, end in doubts]
+        worst += sorted((float(sure[row]), row, column) for row in rows_of)[:MAX_DOUBTFUL]
     keys, first = ("frame", "target", "part", "confidence", "status"), int(rows.frame[0])
-    values = [
-        (first + at, *rows.names[column], sure, str(rows.parts[column].status[at]))
-        for sure, at, column in sorted(found)[:MAX_DOUBTFUL]
-    ]
-    return [dict(zip(keys, one, strict=True)) for one in values]
+    cells = (
+        (first + row, *rows.names[column], sure, str(rows.parts[column].status[row]))
+        for sure, row, column in sorted(worst)[:MAX_DOUBTFUL]
+    )
+    return [dict(zip(keys, cell, strict=True)) for cell in cells]
 
 
 def cells(rows: Trajectory, first: int, stop: int) -> list[list[list[Any]]]:
@@ -293,8 +291,8 @@ def cells(rows: Trajectory, first: int, stop: int) -> list[list[list[Any]]]:
     some = rows.between(first, stop)
     numbers = np.stack([getattr(some, name) for name in ("x", "y", "w", "h", "angle", "confidence")], axis=1).tolist()
     shapes: list[Any] = [None] * len(some)
-    if (found := outlines(some)) is not None:
-        shapes = [None if math.isnan(shape[0][0]) else shape for shape in np.round(found, 2).tolist()]
+    if (corners := outlines(some)) is not None:
+        shapes = [None if math.isnan(shape[0][0]) else shape for shape in corners.round(2).tolist()]
     lines = [
         [*(None if math.isnan(value) else value for value in row), *others]
         for row, *others in zip(numbers, some.status.tolist(), some.by_hand.tolist(), shapes, strict=True)

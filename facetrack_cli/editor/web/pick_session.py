@@ -6,14 +6,13 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import ClassVar, Final, Literal
 
-from facetrack_cli.core.errors import FacetrackError
+from facetrack_cli.core.errors import FacetrackError, flat
 from facetrack_cli.core.types import Box, Start, TargetStart
-from facetrack_cli.editor.web.frame import MAX_POINTS, Draft, Json, Proposer, draft_of
-from facetrack_cli.editor.web.session import RefusedError, Session
+from facetrack_cli.editor.web.session import MAX_POINTS, Draft, Json, Proposer, RefusedError, Session, draft_of
 from facetrack_cli.engine.spaces import check_size
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
-from facetrack_cli.report.text import names as listed
+from facetrack_cli.report.story import names as listed
 from facetrack_cli.start.assembly import name_targets
 from facetrack_cli.start.init_file import (
     KEYS,
@@ -42,8 +41,8 @@ _ABOUT_BOXES: Final = {
 class PickSession(Session):
     """The choice of a start. The page first shows `frame`, where the `box` of a face may give the first draft.
 
-    `begun` is the start in the file to be replaced. Save writes to `out`, and an image to `preview`; without `out` the
-    start is left in `saved`. Raises InputError for a frame that does not exist or a box outside of it.
+    `previous` is the start in the file to be replaced. Save writes to `out`, and an image to `preview`; without `out`
+    the start is left in `saved`. Raises InputError for a frame that does not exist or a box outside of it.
     """
 
     mode: ClassVar[Literal["pick"]] = "pick"
@@ -58,25 +57,27 @@ class PickSession(Session):
         recipe: Recipe | None = None,
         frame: int | None = None,
         box: Box | None = None,
-        begun: Start | None = None,
+        previous: Start | None = None,
         next_: str | None = None,
         preview: Path | None = None,
     ) -> None:
         self.clip, self.out, self.overwrite, self.recipe = clip, out, overwrite, recipe
         self.next, self.preview = next_, preview
-        self.begun = begun = None if begun is None else fitted(begun, recipe)
+        self.previous = previous = None if previous is None else fitted(previous, recipe)
         self.saved: Start | None = None
         self._previewed = False
         required = requirements(recipe)
         proposer = Proposer(frames, recipe, required[0]["points"])
-        shown = frame if frame is not None else begun.frame if begun is not None else 0
-        first = frames.read(shown)  # raises InputError before anything is served
-        given = draft_of(shown, begun.targets if begun is not None else {})
-        draft = given if box is None else proposer.in_box(first, box, str(clip))
+        shown = frame if frame is not None else previous.frame if previous is not None else 0
+        image = frames.read(shown)  # raises InputError before anything is served
+        self._placed: list[tuple[Draft, str]] = []  # drafts that a detector has placed, and its name
+        if previous is not None:
+            self._placed.append((draft_of(previous.frame, previous.targets), previous.placed_by))
+        draft = draft_of(shown, previous.targets if previous is not None else {})
         self._unchanged = draft if box is None else None
-        self._given: list[tuple[Draft, str]] = [] if box is None else [(draft, detector().name)]
-        if begun is not None:
-            self._given.append((draft_of(begun.frame, begun.targets), begun.placed_by))
+        if box is not None:
+            draft = proposer.in_box(image, box, str(clip))
+            self._placed.append((draft, detector().name))
         about = {
             "clip": clip.name or str(clip),
             "recipe": None if recipe is None else recipe.name,
@@ -85,17 +86,17 @@ class PickSession(Session):
             "saves_to": "standard output" if out is None else str(out),
         }
         super().__init__(frames, proposer, draft, about)
-        if begun is not None and box is None:
-            self.message = f"taken from {begun.origin}"
+        if previous is not None and box is None:
+            self.message = f"taken from {previous.origin}"
 
     def save(self, draft: Draft) -> None:
         frames = self.frames.count if self.frames.exact else None
-        start = start_of(draft, self.frames.size, frames, self.recipe, self.begun)
+        start = start_of(draft, self.frames.size, frames, self.recipe, self.previous)
         if frames is None:
             self.frames.read(start.frame)  # how long the clip is may be known only then
         by = self._placed_by(draft)
         start = replace(start, detector=by, placed=by != "")
-        self.begin("writing the init file", lambda _: self._write(start), saves=draft)
+        self.start_job("writing the init file", lambda _: self._write(start), saves=draft)
 
     def unsaved(self) -> Start | None:
         """The start that was chosen and not saved; None if nothing was chosen since the beginning."""
@@ -104,11 +105,11 @@ class PickSession(Session):
             if self.ended is not None or draft == self._unchanged:
                 return None
         chosen = draft.placed()
-        return carried(Start(draft.frame, chosen, ORIGIN), self.begun) if chosen else None
+        return carried(Start(draft.frame, chosen, ORIGIN), self.previous) if chosen else None
 
     def _placed_by(self, chosen: Draft) -> str:
         """The detector that has placed all chosen parts; "" if the user has moved or drawn one of them."""
-        known = [*self._given, *((draft, detector().name) for draft in self._proposer.proposed(chosen.frame))]
+        known = [*self._placed, *((draft, detector().name) for draft in self._proposer.proposed(chosen.frame))]
         same = chosen.frame, chosen.placed()
         return max((by for draft, by in known if (draft.frame, draft.placed()) == same), default="")
 
@@ -122,7 +123,7 @@ class PickSession(Session):
         if self.out is not None:
             write_init(self.out, start, clip=self.clip.name, overwrite=self.overwrite)
         messages.append(f"{self.out}: written" if self.out is not None else "standard output: what was chosen")
-        if self.begun is not None and (lost := len(self.begun.corrections) - len(start.corrections)):
+        if self.previous is not None and (lost := len(self.previous.corrections) - len(start.corrections)):
             messages.append(f"corrections left out, since they come before the start or have no target: {lost}")
         self.saved = start
         self.end(messages, self.next)
@@ -140,14 +141,15 @@ def requirements(recipe: Recipe | None) -> list[Json]:
     if not isinstance(recipe, ParticlesRecipe):
         points = PARTS if recipe is None else recipe.points
         return [requirement(TARGET, points, _box_for(points))]
-    first, *_ = recipe.filters
     # the first target's face is where the others are looked for, and a cloud learns its colours from a box
-    clouds = {
-        name: one.likelihood for name, one in recipe.filters.items() if isinstance(one.likelihood, SkinCloudSettings)
-    }
-    boxed = {first, *(one.learn_from or name for name, one in clouds.items())}
-    points_of = {name: one.points for name, one in recipe.filters.items()}
-    found = [requirement(name, p, "needed" if name in boxed else _box_for(p)) for name, p in points_of.items()]
+    boxed = {next(iter(recipe.filters))}
+    for name, followed in recipe.filters.items():
+        if isinstance(followed.likelihood, SkinCloudSettings):
+            boxed.add(followed.likelihood.learn_from or name)
+    found = [
+        requirement(name, followed.points, "needed" if name in boxed else _box_for(followed.points))
+        for name, followed in recipe.filters.items()
+    ]
     return [*found, *(requirement(name, (), "optional") for name in recipe.later)]
 
 
@@ -157,20 +159,19 @@ def _box_for(points: Sequence[str]) -> Literal["needed", "optional"]:
 
 
 def start_of(
-    draft: Draft, size: tuple[int, int], frames: int | None, recipe: Recipe | None, begun: Start | None
+    draft: Draft, size: tuple[int, int], frames: int | None, recipe: Recipe | None, previous: Start | None
 ) -> Start:
-    """The start of a draft, to 0.01 px, as a run accepts it, with windows and corrections `carried` from `begun`.
+    """The start of a draft, to 0.01 px, as a run accepts it, with windows and corrections `carried` from `previous`.
 
     `frames` is the number of frames where it is certain. Raises RefusedError (422) that names all missing parts.
     """
-    chosen = draft.placed()
-    if recipe is not None:
-        chosen = {name: one for name, one in chosen.items() if name not in recipe.left_out}
+    left_out = () if recipe is None else recipe.left_out
+    chosen = {name: target for name, target in draft.placed().items() if name not in left_out}
     _check_complete(chosen, requirements(recipe), free=recipe is None or not recipe.followed)
-    reserved = [name for name in chosen if get_close_matches(name, _RESERVED, n=1, cutoff=0.7)]
-    if reserved:
-        raise RefusedError(422, f"a target cannot be called {reserved[0]}, too like a key of init files; rename it")
-    start = carried(Start(draft.frame, chosen, ORIGIN), begun)
+    for name in chosen:
+        if get_close_matches(name, _RESERVED, n=1, cutoff=0.7):
+            raise RefusedError(422, f"a target cannot be called {name}, too like a key of init files; rename it")
+    start = carried(Start(draft.frame, chosen, ORIGIN), previous)
     try:
         if recipe is not None:
             start = name_targets(start, recipe.followed, None, left_out=recipe.left_out, later=recipe.later)
@@ -180,7 +181,7 @@ def start_of(
                 check_size(ORIGIN, name, target.box)
         _check_build(start, size, recipe if recipe is not None else load_recipe(DEFAULT))
     except FacetrackError as e:
-        raise RefusedError(422, " ".join(str(e).splitlines()).removeprefix(f"{ORIGIN}: ")) from None
+        raise RefusedError(422, flat(str(e)).removeprefix(f"{ORIGIN}: ")) from None
     return start
 
 
@@ -196,15 +197,15 @@ def fitted(start: Start, recipe: Recipe | None) -> Start:
     return replace(start, targets=targets, corrections=kept)
 
 
-def carried(start: Start, begun: Start | None) -> Start:
-    """The start with the windows and corrections of `begun` that still have their target and come after it."""
-    if begun is None:
+def carried(start: Start, previous: Start | None) -> Start:
+    """The start with the windows and corrections of `previous` that still have their target and come after it."""
+    if previous is None:
         return start
     targets = {}
     for name, target in start.targets.items():
-        before = begun.targets.get(name, TargetStart())
+        before = previous.targets.get(name, TargetStart())
         targets[name] = replace(target, windows={p: w for p, w in before.windows.items() if p in target.points})
-    kept = tuple(one for one in begun.corrections if one.target in targets and one.frame > start.frame)
+    kept = tuple(one for one in previous.corrections if one.target in targets and one.frame > start.frame)
     return replace(start, targets=targets, corrections=kept)
 
 
@@ -213,11 +214,11 @@ def _check_complete(chosen: Mapping[str, TargetStart], required: Sequence[Json],
     if not chosen:
         first = listed(_missing(TargetStart(), required[0]), MAX_POINTS)
         raise RefusedError(422, f"nothing is chosen yet; choose {first}")
-    by_name = dict.fromkeys(chosen, required[0]) if free else {one["target"]: one for one in required}
+    by_name = dict.fromkeys(chosen, required[0]) if free else {asked["target"]: asked for asked in required}
     unknown = [name for name in chosen if name not in by_name]
     if unknown:
         raise RefusedError(422, f"the recipe follows {', '.join(by_name)}, and no {', '.join(unknown)}; remove it")
-    missing = {name: _missing(chosen.get(name, TargetStart()), one) for name, one in by_name.items()}
+    missing = {name: _missing(chosen.get(name, TargetStart()), asked) for name, asked in by_name.items()}
     if any(missing.values()):
         open_ = "; ".join(f"{listed(parts, MAX_POINTS)} of {name}" for name, parts in missing.items() if parts)
         raise RefusedError(422, f"still to choose: {open_}")
@@ -236,6 +237,6 @@ def _check_build(start: Start, size: tuple[int, int], recipe: Recipe) -> None:
     if isinstance(recipe, ParticleRecipe):
         recipe = recipe.model_copy(update=nobody)
     elif isinstance(recipe, ParticlesRecipe):
-        targets = {name: one and one.model_copy(update=nobody) for name, one in recipe.targets.items()}
+        targets = {name: target and target.model_copy(update=nobody) for name, target in recipe.targets.items()}
         recipe = recipe.model_copy(update={"targets": targets})
     check_windows(recipe, build_tracker(recipe, start), size, start.origin)

@@ -24,7 +24,7 @@ from urllib.parse import parse_qs
 
 from pydantic import TypeAdapter, ValidationError
 
-from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, flat
 from facetrack_cli.editor.web.session import Answer, Page, RefusedError, internal_error
 
 ADDRESS: Final = "127.0.0.1"
@@ -172,10 +172,10 @@ class _Handler(BaseHTTPRequestHandler):
         except ValidationError as e:
             first = e.errors(include_url=False)[0]
             reason = ": ".join(filter(None, [".".join(map(str, first["loc"])), first["msg"]]))
-            answer = Answer({"error": " ".join(reason.splitlines())}, 400)
+            answer = Answer({"error": flat(reason)}, 400)
         except FacetrackError as e:
             missing = self.command == "GET" and isinstance(e, InputError)  # as a frame that cannot be decoded
-            answer = Answer({"error": " ".join(str(e).splitlines())}, 404 if missing else 422)
+            answer = Answer({"error": flat(str(e))}, 404 if missing else 422)
         except (ConnectionError, TimeoutError):  # the page has gone
             raise
         except Exception as e:
@@ -214,7 +214,11 @@ class _Handler(BaseHTTPRequestHandler):
         if method not in matches:
             raise RefusedError(405, f"{method} is not for this address")
         route, match, handler = matches[method]
-        body = {} if method == "GET" else {"data": self._raw()} if route.raw else self._body()
+        body: dict[str, Any] = {}
+        if route.raw:
+            body = {"data": self._raw(MAX_REFUSED_BYTES)}
+        elif method != "GET":
+            body = _BODY.validate_json(self._raw(MAX_BODY_BYTES) or b"{}")
         fields = parse_qs(query, keep_blank_values=True)  # a list, if given twice, is refused by any handler
         once = {name: values[0] if len(values) == 1 else values for name, values in fields.items()}
         answer = handler(**{**once, **body, **match.groupdict()})
@@ -222,23 +226,20 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _same_origin(self, host: str) -> bool:
         """Whether the origin, if there is one, is that of this page, also through a tunnel."""
-        origins = [one.strip().lower() for one in self.headers.get_all("Origin", [])]
+        origins = [origin.strip().lower() for origin in self.headers.get_all("Origin", [])]
         # a browser that hides the origin sends null; no page can forge the other header
         hidden = origins == ["null"] and self.headers.get_all("Sec-Fetch-Site") == ["same-origin"]
         return not origins or hidden or origins == [f"http://{host}"]
 
     def _body_length(self) -> int | None:
         """Bytes of the body that follows; None if that is unknown."""
-        found = self.headers.get_all("Content-Length", [])
-        if self.headers.get("Transfer-Encoding") is not None or len(found) > 1:
+        lengths = self.headers.get_all("Content-Length", ["0"])
+        if self.headers.get("Transfer-Encoding") is not None or len(lengths) > 1:
             return None
-        text = found[0].strip() if found else "0"
+        text = lengths[0].strip()
         return int(text) if text.isascii() and text.isdigit() and len(text) < 16 else None
 
-    def _body(self) -> dict[str, Any]:
-        return _BODY.validate_json(self._raw(MAX_BODY_BYTES) or b"{}")
-
-    def _raw(self, most: int = MAX_REFUSED_BYTES) -> bytes:
+    def _raw(self, most: int) -> bytes:
         if self._length is None:
             raise RefusedError(411, "the length of the body must be given, once")
         if self._length > most:

@@ -1,23 +1,179 @@
-"""What pages have in common: one job in a thread; of picking and fixing, one draft. All methods are thread-safe."""
+"""What pages have in common: one job in a thread; of picking and fixing one draft, its frames and the proposed faces.
+
+All methods are thread-safe.
+"""
 
 import re
 import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, TypeAlias
 
-from pydantic import Field, StrictInt, validate_call
+import cv2
+import numpy as np
+from pydantic import ConfigDict, Field, StrictInt, validate_call
+from pydantic_core import to_jsonable_python
 
-from facetrack_cli.core.errors import FacetrackError
-from facetrack_cli.editor.web.frame import Draft, Json, Proposer, crop, jpeg
+from facetrack_cli.core.errors import FacetrackError, InputError, flat
+from facetrack_cli.core.geometry import inside
+from facetrack_cli.core.types import Box, Frame, Start, TargetStart
+from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.plan import Report
 from facetrack_cli.runs.signals import StoppedError
+from facetrack_cli.start.assembly import name_targets
+from facetrack_cli.start.init_file import NAME, TARGET
+from facetrack_cli.start.search import box_start
+from facetrack_cli.trackers.face.closer import righted
+from facetrack_cli.trackers.face.detectors import PARTS, NotHereError, detector
+from facetrack_cli.trackers.face.points import named
+from facetrack_cli.trajectory.header import FrameNumber, Pixels, Side
 from facetrack_cli.video.seek import Frames
 
 LINGER_S: Final = 3.0  # the server goes on so long after the end: each page asks for the state once a second
+JPEG_QUALITY: Final = 90
+MAX_TARGETS: Final = 20
+MAX_POINTS: Final = 500
+MAX_FACES: Final = 12
 CropSide: TypeAlias = Annotated[int, Field(ge=1, le=1024)]
+Json: TypeAlias = dict[str, Any]
+Name: TypeAlias = Annotated[str, Field(pattern=f"^(?:{NAME.pattern})$")]
+
+
+@dataclass(frozen=True, slots=True)
+class DraftTarget:
+    """One target of a draft: box (left, top, width, height), points (x, y), and absent parts, True for all of them."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+    box: tuple[Pixels, Pixels, Side, Side] | None = None
+    points: Annotated[Mapping[Name, tuple[Pixels, Pixels]], Field(max_length=MAX_POINTS)] = field(default_factory=dict)
+    absent: Annotated[tuple[Name, ...], Field(max_length=MAX_POINTS)] | Literal[True] = ()
+
+    @property
+    def empty(self) -> bool:
+        return self.box is None and not self.points and not self.absent
+
+    def rounded(self) -> TargetStart:
+        """Its box and points to 0.01 px, as init files have them."""
+        box: Any = self.box and tuple(round(value, 2) for value in self.box)
+        return TargetStart(box, {part: (round(x, 2), round(y, 2)) for part, (x, y) in self.points.items()})
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """What is chosen in one frame, by target: well formed, and not necessarily complete."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+    frame: FrameNumber
+    targets: Annotated[Mapping[Name, DraftTarget], Field(max_length=MAX_TARGETS)]
+
+    @property
+    def empty(self) -> bool:
+        return all(target.empty for target in self.targets.values())
+
+    def placed(self) -> dict[str, TargetStart]:
+        """The targets that have a box or points, to 0.01 px."""
+        return {name: one.rounded() for name, one in self.targets.items() if one.box is not None or one.points}
+
+
+def draft_of(frame: int, targets: Mapping[str, TargetStart]) -> Draft:
+    """The draft of a start or a proposal."""
+    return Draft(frame, {name: DraftTarget(one.box, dict(one.points)) for name, one in targets.items()})
+
+
+def jpeg(frames: Frames, index: int, reduce: int = 1) -> bytes:
+    """A frame as JPEG. Its sides are divided by `reduce` and rounded up, and its pixels are area means.
+
+    Raises what `Frames.read` raises. Nothing is kept here: the page keeps the images that it has received.
+    """
+    image = frames.read(index).bgr
+    if reduce > 1:
+        size = -(-image.shape[1] // reduce), -(-image.shape[0] // reduce)
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return cv2.imencode(".jpg", image, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes()
+
+
+def crop(frames: Frames, index: int, x: int, y: int, w: int, h: int) -> bytes:
+    """The pixels x .. x+w-1, y .. y+h-1 of a frame, as far as it has them, as PNG. InputError if it has none."""
+    width, height = frames.size
+    left, top, right, bottom = max(x, 0), max(y, 0), min(x + w, width), min(y + h, height)
+    if left >= right or top >= bottom:
+        none = f"none of those of {w}x{h} from ({x}, {y}) on"
+        raise InputError(f"the frame has {width}x{height} pixels, and {none}; choose others")
+    part = frames.read(index).bgr[top:bottom, left:right]
+    return cv2.imencode(".png", part, (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes()
+
+
+class Proposer:
+    """Proposes the faces of a frame. One thread looks for them, since it keeps the cascades; a frame is searched once.
+
+    `points` are the points of the first target.
+    """
+
+    def __init__(self, frames: Frames, recipe: Recipe | None, points: Sequence[str]) -> None:
+        self._frames, self._recipe = frames, recipe
+        self._points = [part for part in points if part in PARTS]
+        self._by_hand = [part for part in points if part not in PARTS]
+        self._worker = ThreadPoolExecutor(1, "proposals")
+        self._found: dict[int, Json] = {}
+
+    def __call__(self, index: int) -> Json:
+        """{"frame", "proposals": [{"label", "targets"}], "note"}. Raises InputError if there is no such frame."""
+        return self._worker.submit(self._find, index).result()
+
+    def proposed(self, index: int) -> list[Draft]:
+        """The drafts that were proposed for a frame; none if nobody asked for proposals there."""
+        each = (proposal["targets"].items() for proposal in self._found.get(index, {}).get("proposals", ()))
+        return [Draft(index, {name: DraftTarget(**target) for name, target in targets}) for targets in each]
+
+    def close(self) -> None:
+        self._worker.shutdown(wait=True, cancel_futures=True)
+
+    def in_box(self, frame: Frame, box: Box, clip: str) -> Draft:
+        """The draft of the face in a given box. Raises InputError as `box_start` does."""
+        start = box_start(frame, box, self._points, clip=clip)
+        return draft_of(frame.index, self._complete(frame, start)[0].targets)
+
+    def _find(self, index: int) -> Json:
+        if index in self._found:
+            return self._found[index]
+        frame, faces = self._frames.read(index), detector()
+        notes, proposals = [], []
+        for number, seen in enumerate(faces.find(frame)[:MAX_FACES], start=1):
+            face = righted(faces, frame, seen)
+            placed = named(face.placed(frame))
+            points = {part: (round(placed[part][0], 2), round(placed[part][1], 2)) for part in self._points}
+            visible = {part: at for part, at in points.items() if inside(at, frame.size)}
+            start = Start(index, {TARGET: TargetStart(face.box, visible)}, "the face found")
+            start, note = self._complete(frame, start)
+            targets = {name: {"box": one.box, "points": one.points} for name, one in start.targets.items()}
+            proposals.append({"label": f"face {number}", "targets": targets})
+            notes.append(note)
+        if not proposals:
+            notes.append("no face is found in this frame; draw a box, or look at another frame")
+        elif self._by_hand:
+            notes.append(f"{', '.join(self._by_hand)}: only by hand")
+        note = "; ".join(dict.fromkeys(filter(None, notes)))
+        return self._found.setdefault(index, {"frame": index, "proposals": proposals, "note": note or None})
+
+    def _complete(self, frame: Frame, start: Start) -> tuple[Start, str]:
+        """With the other targets that the recipe names, if they are found; else the first one alone, and why."""
+        recipe = self._recipe
+        if recipe is None or not recipe.followed:
+            return start, ""
+        first, *others = recipe.followed
+        [face] = start.targets.values()
+        alone = Start(start.frame, {first: face}, start.origin)
+        try:
+            return name_targets(alone, recipe.followed, frame, left_out=recipe.left_out, later=recipe.later), ""
+        except NotHereError:
+            return alone, f"{', '.join(others)}: not found by the colour of the skin; draw the boxes"
+        except InputError as e:
+            return alone, flat(str(e))
 
 
 class RefusedError(Exception):
@@ -64,18 +220,20 @@ class Page(ABC):
         self.message: str | None = None
         self.ended: Json | None = None
         self.first_error: Exception | None = None  # of the program itself
+        self.opened: dict[str, Page] = {}  # the pages below this one, by the first part of their addresses
+        self.resources = ExitStack()  # what is closed after the page
         self._job: Json | None = None
         self._worker: threading.Thread | None = None
-        self._saving = False
         self._ended_at = 0.0
-        self.opened: dict[str, Page] = {}  # the pages below this one, by the first part of their addresses
 
     @cached_property
     def table(self) -> list[tuple[Route, re.Pattern[str], Callable[..., Any]]]:
         """The routes, with the pattern of their path, and a handler that checks what it is given."""
-        patterns = (re.sub(r"\\{(\w+)\\}", r"(?P<\1>[0-9]{1,9})", re.escape(one.path)) for one in self.routes())
-        both = zip(self.routes(), patterns, strict=True)
-        return [(one, re.compile(pattern), validate_call(one.handler)) for one, pattern in both]
+        number = r"(?P<\1>[0-9]{1,9})"
+        patterns = [re.compile(re.sub(r"\\{(\w+)\\}", number, re.escape(one.path))) for one in self.routes()]
+        return [
+            (one, pattern, validate_call(one.handler)) for one, pattern in zip(self.routes(), patterns, strict=True)
+        ]
 
     def page_at(self, below: str) -> tuple["Page", str]:
         """Who serves an address below the token: this page, or one that is opened from it; and the rest of it."""
@@ -87,16 +245,16 @@ class Page(ABC):
     def routes(self) -> Sequence[Route]:
         """The addresses of the page."""
 
-    @abstractmethod
     def state(self) -> Json:
         """What the page shows."""
+        with self.lock:
+            return {"revision": self.revision, "job": self._job, "ended": self.ended, "message": self.message}
 
-    def start_job(self, what: str, work: Callable[[Report], None], *, saves: bool = False) -> None:
+    def start_job(self, what: str, work: Callable[[Report], None]) -> None:
         """Run `work` as the job. Its error is shown as the message. RefusedError (409) as of `refuse_if_busy`."""
         with self.lock:
             self.refuse_if_busy()
             self._job = {"what": what, "done": 0, "total": None}
-            self._saving = saves
             self.message = None
             self._worker = threading.Thread(target=self._run, args=(work,), daemon=True)
             self._worker.start()
@@ -109,13 +267,10 @@ class Page(ABC):
             if self._job is not None:
                 raise RefusedError(409, f"busy: {self._job['what']}; wait until it has finished", self.state())
 
-    def refuse_if_stale(self, base: int) -> None:
-        """RefusedError (409) with the state, unless `base` is the revision."""
-        if base != self.revision:
-            raise self._stale()
-
-    def _stale(self) -> RefusedError:
-        return RefusedError(409, f"another window has changed the {self.edits}", self.state())
+    def refuse_unless(self, current: bool) -> None:
+        """RefusedError (409) with the state, for what is meant for an earlier state of the page."""
+        if not current:
+            raise RefusedError(409, f"another window has changed the {self.edits}", self.state())
 
     def end(self, messages: Sequence[str], next_: str | None) -> None:
         """End the session: show the `messages`, a line each, and the command to continue with."""
@@ -129,10 +284,11 @@ class Page(ABC):
             return self.ended is not None and time.monotonic() - self._ended_at >= LINGER_S
 
     def close(self) -> None:
-        """Stop the job, and wait for it."""
+        """Stop the job, wait for it, and close the resources."""
         self.stopping.set()
         if self._worker is not None:
             self._worker.join()
+        self.resources.close()
 
     def record(self, error: Exception) -> str:
         """The line that reports an internal error; the first one is remembered for the end."""
@@ -151,13 +307,12 @@ class Page(ABC):
         except StoppedError:
             pass
         except FacetrackError as e:
-            message = " ".join(str(e).splitlines())
+            message = flat(str(e))
         except Exception as e:
             message = self.record(e)
         finally:
             with self.lock:
                 self._job = None
-                self._saving = False
                 self.message = message or self.message
 
 
@@ -172,11 +327,9 @@ class Session(Page):
         self, frames: Frames, proposer: Proposer, draft: Draft, about: Json, *, first: int = 0, last: int | None = None
     ) -> None:
         super().__init__()
-        self.frames, self.draft = frames, draft
-        self.first, self.last = first, last
-        self.rows_revision = 0
-        self.can_undo = False
-        self._proposer, self._about = proposer, about
+        self.resources.callback(proposer.close)
+        self.frames, self.draft, self.first, self.last = frames, draft, first, last
+        self._proposer, self._about, self._saving = proposer, about, False
 
     @abstractmethod
     def save(self, draft: Draft) -> None:
@@ -187,6 +340,7 @@ class Session(Page):
 
     def proposals(self, frame: int) -> Json:
         """{"frame", "proposals", "note"} of a frame."""
+        self._check_frame(frame)
         return self._proposer(frame)
 
     def change(self, draft: Draft) -> None:
@@ -195,21 +349,21 @@ class Session(Page):
             self.draft = draft
             self.revision += 1
 
-    def begin(self, what: str, work: Callable[[Report], None], *, saves: Draft | None = None) -> None:
-        """As `start_job`; RefusedError (409) if the job `saves` a draft that has changed meanwhile.
+    def start_job(self, what: str, work: Callable[[Report], None], *, saves: Draft | None = None) -> None:
+        """RefusedError (409) if the job `saves` a draft that has changed meanwhile.
 
         While such a job runs, no draft is accepted.
         """
         with self.lock:
             self.refuse_if_busy()
-            if saves is not None and saves is not self.draft:
-                raise self._stale()
-            self.start_job(what, work, saves=saves is not None)
+            self.refuse_unless(saves in (None, self.draft))
+            super().start_job(what, work)
+            self._saving = saves is not None
 
     def current(self, base: int) -> Draft:
         """The draft, if `base` is its revision; else RefusedError (409) with the state."""
         with self.lock:
-            self.refuse_if_stale(base)
+            self.refuse_unless(base == self.revision)
             return self.draft
 
     def routes(self) -> Sequence[Route]:
@@ -219,40 +373,27 @@ class Session(Page):
             Route("PUT", "api/draft", self._put_draft),
             Route("GET", "api/frame/{frame}.jpg", self._frame),
             Route("GET", "api/crop/{frame}.png", self._crop),
-            Route("GET", "api/proposals/{frame}", self._proposals),
+            Route("GET", "api/proposals/{frame}", self.proposals),
             Route("POST", "api/save", self._save),
         )
 
     def about(self) -> Json:
         """What does not change while the page is open, but that the clip's last frame may become known later."""
-        fps = float(self.frames.fps)
-        return {"mode": self.mode, **self._about, "size": self.frames.size, "fps": fps, "frames": self._range()}
+        clip = {"size": self.frames.size, "fps": float(self.frames.fps), "frames": self._range()}
+        return {"mode": self.mode, **self._about, **clip}
 
     def state(self) -> Json:
         with self.lock:
-            return {
-                "revision": self.revision,
-                "draft": self.draft.to_json(),
-                "rows_revision": self.rows_revision,
-                "job": None if self._job is None else dict(self._job),
-                "can_undo": self.can_undo,
-                "ended": self.ended,
-                "frames": self._range(),
-                "message": self.message,
-            }
-
-    def close(self) -> None:
-        super().close()
-        self._proposer.close()
+            return {**super().state(), "draft": to_jsonable_python(self.draft), "frames": self._range()}
 
     def _range(self) -> Json:
         last = max(self.frames.count - 1, self.first) if self.last is None else self.last
         return {"first": self.first, "last": last, "exact": self.frames.exact or self.last is not None}
 
     def _check_frame(self, frame: int) -> None:
-        known = self._range()
-        if frame < self.first or (known["exact"] and frame > known["last"]):
-            raise RefusedError(404, f"there is no frame {frame}; they go from {self.first} to {known['last']}")
+        frames = self._range()
+        if frame < self.first or (frames["exact"] and frame > frames["last"]):
+            raise RefusedError(404, f"there is no frame {frame}; they go from {self.first} to {frames['last']}")
 
     def _put_draft(self, base: StrictInt, draft: Draft) -> Json:
         with self.lock:
@@ -279,11 +420,7 @@ class Session(Page):
         self._check_frame(frame)
         return Answer(crop(self.frames, frame, x, y, w, h), kind="image/png")
 
-    def _proposals(self, frame: int) -> Json:
-        self._check_frame(frame)
-        return self.proposals(frame)
-
 
 def internal_error(error: Exception) -> str:
     """The line that reports an error of the program itself."""
-    return " ".join(f"internal error; please report it: {type(error).__name__}: {error}".splitlines())
+    return flat(f"internal error; please report it: {type(error).__name__}: {error}")

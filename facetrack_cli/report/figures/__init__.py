@@ -4,10 +4,8 @@ matplotlib comes with the extra `plot`; it is imported when the first figure is 
 """
 
 from facetrack_cli.report.figures.compare import calibration_figure as calibration_figure
-from facetrack_cli.report.figures.compare import cumulative_error_figure as cumulative_error_figure
+from facetrack_cli.report.figures.compare import curves_figure as curves_figure
 from facetrack_cli.report.figures.compare import error_over_time_figure as error_over_time_figure
-from facetrack_cli.report.figures.compare import precision_figure as precision_figure
-from facetrack_cli.report.figures.compare import success_figure as success_figure
 from facetrack_cli.report.figures.page import measures_figure as measures_figure
 from facetrack_cli.report.figures.page import page_figure as page_figure
 from facetrack_cli.report.figures.style import need_matplotlib as need_matplotlib

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from operator import attrgetter
 from typing import Any, Final, cast
 
 import numpy as np
 
 from facetrack_cli.core.types import Array, Mask, Whole
 from facetrack_cli.evaluation.boxes import PRECISION_THRESHOLDS, SUCCESS_THRESHOLDS
-from facetrack_cli.evaluation.compare import CUMULATIVE_AT, Comparison, Score, aligned
+from facetrack_cli.evaluation.compare import CUMULATIVE_AT, Comparison, aligned
 from facetrack_cli.evaluation.points import FAILURE
 from facetrack_cli.evaluation.reliability import ReliabilityBin, calibration_error
 from facetrack_cli.evaluation.sheet import clip_name
 from facetrack_cli.report.figures import style
-from facetrack_cli.report.figures.lines import Pen, columns_for, quantiles
-from facetrack_cli.report.figures.style import Axes, Figure, render
+from facetrack_cli.report.figures.style import Figure, Pen, columns_for, quantiles, render
 
 Curves = Mapping[str, tuple[Array, Array]]
 BINS = 1000
@@ -24,30 +24,14 @@ WIDE_INCHES = (10.0, 4.0)
 _MARK: Final[Any] = {**style.GUIDE, "linewidth": 0.9, "linestyle": (0, (3, 2)), "zorder": 1}
 
 
-def success_figure(curves: Curves, *, title: str = "Success") -> Figure:
-    """Share of frames whose overlap with the ground truth is above a threshold, for each recipe.
-
-    `curves` are thresholds (n,) 0..1 and shares (S, n) by label; the band is the range over seeds, the line their mean,
-    and the legend, best first, has the area under the curve as the mean over thresholds and seeds.
-    """
-    return _curves(curves, "AUC", title, ("overlap threshold (IoU)", "share of frames above it"))
-
-
-def precision_figure(curves: Curves, *, title: str = "Precision", at: float = 20.0) -> Figure:
-    """As `success_figure`: the share of centres within a distance (n,) in pixels; the legend has that within `at`."""
-    return _curves(curves, f"at {at:g} px", title, ("distance threshold (px)", "share of frames within it"), at)
-
-
-def cumulative_error_figure(
-    curves: Curves, *, threshold: float, unit: str = "px", title: str = "Cumulative error"
+def curves_figure(
+    curves: Curves, title: str, labels: tuple[str, str], measure: str = "AUC", mark: float | None = None
 ) -> Figure:
-    """As `success_figure`: the share of rows with an error below (n,) in `unit`; the legend: below `threshold`."""
-    names = f"error ({unit})", "share of rows below it"
-    return _curves(curves, f"below {threshold:.3g} {unit}", title, names, threshold)
+    """Shares of frames or rows over thresholds, for each recipe, as success and precision are drawn.
 
-
-def _curves(curves: Curves, measure: str, title: str, names: tuple[str, str], mark: float | None = None) -> Figure:
-    """The legend has the mean over seeds of the share at `mark`, or over the whole curve."""
+    `curves` are thresholds (n,) and shares (S, n) by label; the band is the range over seeds, the line their mean. The
+    legend, best first, has the mean over seeds of the share at the threshold `mark`, or over the whole curve.
+    """
 
     def score(label: str) -> float:
         at, values = curves[label]
@@ -67,15 +51,15 @@ def _curves(curves: Curves, measure: str, title: str, names: tuple[str, str], ma
         if mark is not None:
             axes.axvline(mark, **_MARK)
         axes.margins(x=0)
-        axes.set(ylim=(0, 1.015), xlabel=names[0], ylabel=names[1])
+        axes.set(ylim=(0, 1.015), xlabel=labels[0], ylabel=labels[1])
         axes.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
         several = any(len(values) > 1 for _, values in curves.values())
         style.heading(axes, title, "band: range over seeds" if several else "")
         scores = {label: score(label) for label in curves}
         best = sorted(curves, key=lambda label: -scores[label])
-        labels = [f"{scores[label]:.3f}  {style.clean(label, 40)}" for label in best]
+        names = [f"{scores[label]:.3f}  {style.clean(label, 40)}" for label in best]
         bold: Any = {"title": measure, "title_fontproperties": {"weight": "bold", "size": 9}, "alignment": "left"}
-        figure.legend([handles[label] for label in best], labels, loc="outside right upper", handlelength=2.8, **bold)
+        figure.legend([handles[label] for label in best], names, loc="outside right upper", handlelength=2.8, **bold)
         return figure
 
 
@@ -83,8 +67,19 @@ def error_over_time_figure(
     frames: Whole, errors: Mapping[str, Array], hidden: Mask, unit: str = "px", *, title: str = "Error over time"
 ) -> Figure:
     """Median over seeds of `errors` (S, T) in `unit` by label, in a band of 10 to 90 % of them; `hidden` is shaded."""
+    names = [style.clean(label, 40) for label in errors]
+    columns, rows = columns_for(names, WIDE_INCHES[0])
+    top = 0.1 + 0.2 * rows
+    pen = Pen(BINS, float(frames[-1] - frames[0] + 1) / BINS)
     with style.style():
-        figure, axes, pen = _over_time(frames, list(errors))
+        from matplotlib.lines import Line2D
+
+        figure = style.new_figure(WIDE_INCHES[0], WIDE_INCHES[1] + top)
+        head, body = cast("Any", figure.subfigures(2, 1, height_ratios=[top, WIDE_INCHES[1]]))
+        handles = [Line2D([], [], linewidth=1.5, **style.line_style(number)) for number in range(len(names))]
+        head.legend(handles, names, loc="center left", ncols=columns, handlelength=2.8, borderaxespad=0.3)
+        axes = body.subplots()
+        style.frame_axis(axes, frames)
         pen.shade(axes, frames, hidden, "hidden", 0.2)
         drawn = [quantiles(e.astype(np.float64), (0.1, 0.5, 0.9)) for e in errors.values()]
         several = any(len(e) > 1 for e in errors.values())
@@ -129,39 +124,27 @@ def calibration_figure(bins: Sequence[ReliabilityBin]) -> Figure:
         return figure
 
 
-def _over_time(frames: Whole, labels: Sequence[str]) -> tuple[Figure, Axes, Pen]:
-    """A wide figure with a legend above and frames below."""
-    from matplotlib.lines import Line2D
-
-    names = [style.clean(label, 40) for label in labels]
-    columns, rows = columns_for(names, WIDE_INCHES[0])
-    top = 0.1 + 0.2 * rows
-    figure = style.new_figure(WIDE_INCHES[0], WIDE_INCHES[1] + top)
-    head, body = cast("Any", figure.subfigures(2, 1, height_ratios=[top, WIDE_INCHES[1]]))
-    handles = [Line2D([], [], linewidth=1.5, **style.line_style(number)) for number in range(len(labels))]
-    head.legend(handles, names, loc="center left", ncols=columns, handlelength=2.8, borderaxespad=0.3)
-    axes = body.subplots()
-    style.frame_axis(axes, frames)
-    return figure, axes, Pen(BINS, float(frames[-1] - frames[0] + 1) / BINS)
-
-
 def compare_figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
     """Success, precision, cumulative error and error over time, of what is measured; recipes in their order."""
     entries = [place.entry for place in comparison.places if place.entry.scores]
 
-    def curves(at: Array, of: Callable[[Score], Array | None]) -> dict[str, tuple[Array, Array]]:
-        found = {entry.label: [one for score in entry.scores if (one := of(score)) is not None] for entry in entries}
-        return {label: (at, np.stack(values)) for label, values in found.items() if values}
-
     clip = clip_name(comparison.clip)
-    if success := curves(SUCCESS_THRESHOLDS, lambda score: score.success):
-        yield "success.png", render(success_figure(success, title=f"Success on {clip}"))
-    if precision := curves(PRECISION_THRESHOLDS, lambda score: score.precision):
-        yield "precision.png", render(precision_figure(precision, title=f"Precision on {clip}"))
-    if cumulative := curves(100 * CUMULATIVE_AT, lambda score: score.cumulative):
-        labels = {"unit": "% of the size", "title": f"Cumulative error on {clip}"}
-        figure = cumulative_error_figure(cumulative, threshold=100 * FAILURE, **labels)
-        yield "cumulative.png", render(figure)
+
+    def drawn(
+        name: str, at: Array, title: str, labels: tuple[str, str], measure: str = "AUC", mark: float | None = None
+    ) -> Iterator[tuple[str, bytes]]:
+        of = attrgetter(name)
+        found = {entry.label: [of(score) for score in entry.scores if of(score) is not None] for entry in entries}
+        curves = {label: (at, np.stack(values)) for label, values in found.items() if values}
+        if curves:
+            yield f"{name}.png", render(curves_figure(curves, f"{title} on {clip}", labels, measure, mark))
+
+    yield from drawn("success", SUCCESS_THRESHOLDS, "Success", ("overlap threshold (IoU)", "share of frames above it"))
+    labels = "distance threshold (px)", "share of frames within it"
+    yield from drawn("precision", PRECISION_THRESHOLDS, "Precision", labels, "at 20 px", 20.0)
+    labels, percent = ("error (% of the size)", "share of rows below it"), 100 * FAILURE
+    below = f"below {percent:.3g} % of the size"
+    yield from drawn("cumulative", 100 * CUMULATIVE_AT, "Cumulative error", labels, below, percent)
     frame, errors = aligned(entries)
     hidden = np.unique(np.concatenate([score.hidden for entry in entries for score in entry.scores]))
     figure = error_over_time_figure(frame, errors, np.isin(frame, hidden), title=f"Error on {clip}")

@@ -9,8 +9,7 @@ import numpy as np
 
 from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.evaluation.rows import Pair
-from facetrack_cli.report.figures.lines import Line, Panel, Pen
-from facetrack_cli.report.figures.style import COLOURS, GUIDE, STATUS, TRUTH, Axes, clean, limit
+from facetrack_cli.report.figures.style import COLOURS, GUIDE, STATUS, TRUTH, Axes, Line, Panel, Pen, clean, limit
 from facetrack_cli.trajectory.diagnostics import AFFINE, EVIDENCE, POSTERIOR, SURE, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.trajectory import Trajectory, header_value
 
@@ -18,7 +17,7 @@ MAX_NAMES = 5  # people with a colour and a name, of more the most likely
 MAX_IDENTITY_PANELS = 6  # panels of identities, one for each target
 # drawn in the panel of identities and in the positions of the page; evidence says little but as a sum
 _ELSEWHERE = (POSTERIOR.name, AFFINE.name, EVIDENCE.name)
-# title, note and height in inches of diagnostics that do not have those of their declaration
+# title, note and height in inches of diagnostics that do not have reports of their declaration
 _LOOK: Final[Mapping[str, tuple[str, str, float]]] = {
     "scale": ("scale", "1 at the start", 0.85),
     "noise": ("noise η", "of the motion, relative to its usual", 0.7),
@@ -31,44 +30,48 @@ def panels(table: Trajectory, lines: Sequence[Line], pen: Pen) -> Iterator[Panel
     """A panel for each thing that the tracker reports."""
     first = {line.ours.target: line for line in reversed(lines)}
     yield from _particles(table, first, pen)
-    identities = [target for target in table.targets if known(table.beliefs(target)[2])]
+    identities = [target for target in table.targets if is_known(table.beliefs(target)[2])]
     for target in identities[:MAX_IDENTITY_PANELS]:
         yield _identity(table, target, pen, target if len(first) > 1 else "")
     reported = {target: one for target, one in table.diagnostics.items() if target in first}
     declared = {one.name: one for each in reported.values() for one in each.declared if one.name in each.values}
     for name in [*_LOOK, *(name for name in declared if name not in (*_LOOK, *_ELSEWHERE))]:
-        those = {target: each for target, each in reported.items() if known(each.get(name))}
-        if those and name in declared:
-            yield _curves(table, declared[name], those, lines, pen)
+        reports = {target: each for target, each in reported.items() if is_known(each.get(name))}
+        if reports and name in declared:
+            yield _curves(table, declared[name], reports, lines, pen)
 
 
 def _curves(
-    table: Trajectory, one: Diagnostic, those: Mapping[str, Diagnostics], lines: Sequence[Line], pen: Pen
+    table: Trajectory, diagnostic: Diagnostic, reports: Mapping[str, Diagnostics], lines: Sequence[Line], pen: Pen
 ) -> Panel:
     colours = {line.ours.target: line.group for line in lines}
-    title, note, height = _LOOK.get(one.name, (one.name, one.meaning, 0.7))
-    bounds = bounds_of(table) if one.name == "noise" else None
+    title, note, height = _LOOK.get(diagnostic.name, (diagnostic.name, diagnostic.meaning, 0.7))
+    bounds = bounds_of(table) if diagnostic.name == "noise" else None
     ends = () if bounds is None else bounds[:2]
-    pairs = [line.pair for line in lines if line.pair is not None and one.name == "scale"]
-    truth = [true for pair in pairs if (true := _true_scale(pair, those)) is not None]
+    pairs = [line.pair for line in lines if line.pair is not None and diagnostic.name == "scale"]
+    truth = [true for pair in pairs if (true := _true_scale(pair, reports)) is not None]
     notes = [note, "dashed: its bounds" if ends else ""]
     notes += ["dotted: ground truth, root of width × height"] if truth else []
-    people = max(len(each.labels.get(POSTERIOR.name, ())) for each in those.values())
-    notes += [f"undecided among {people}: {np.log(people):.2f}"] if one.name == "entropy" and people > 1 else []
+    people = max(len(each.labels.get(POSTERIOR.name, ())) for each in reports.values())
+    notes += [f"undecided among {people}: {np.log(people):.2f}"] if diagnostic.name == "entropy" and people > 1 else []
 
     def draw(axes: Axes) -> None:
         # a scale is near 1; what is 0 at best begins there
-        values = [*(each.get(one.name) for each in those.values()), *(value for _, value in truth), np.array(ends)]
-        limit(axes, values, 0.0 if one.least == 0 and one.name != "scale" else None, 3)
-        for target, each in those.items():
-            for column in np.atleast_2d(each.get(one.name).T):
+        values = [
+            *(each.get(diagnostic.name) for each in reports.values()),
+            *(value for _, value in truth),
+            np.array(ends),
+        ]
+        limit(axes, values, 0.0 if diagnostic.least == 0 and diagnostic.name != "scale" else None, 3)
+        for target, each in reports.items():
+            for column in np.atleast_2d(each.get(diagnostic.name).T):
                 pen.line(axes, each.frame, column, color=colours[target], linewidth=1.2)
         for end in ends:
             axes.axhline(end, **GUIDE)
         for frame, value in truth:
             pen.line(axes, frame, value, dot="o", **TRUTH)
 
-    return Panel(title + (f" ({one.unit})" if one.unit else ""), notes, height, draw)
+    return Panel(title + (f" ({diagnostic.unit})" if diagnostic.unit else ""), notes, height, draw)
 
 
 def bounds_of(table: Trajectory) -> tuple[float, float, float] | None:
@@ -127,7 +130,7 @@ def adaptation(table: Trajectory) -> Panel | None:
 def _particles(table: Trajectory, first: Mapping[str, Line], pen: Pen) -> Iterator[Panel]:
     """The number of particles, which the parts of a target share, where it changes."""
     counts = {name: first[name].ours.particles for name in table.targets}
-    changing = [name for name, value in counts.items() if known(value) and np.ptp(value[np.isfinite(value)]) > 0]
+    changing = [name for name, value in counts.items() if is_known(value) and np.ptp(value[np.isfinite(value)]) > 0]
     if not changing:
         return
     settings = header_value(table, "recipe", "filter")
@@ -215,5 +218,5 @@ def _true_scale(pair: Pair, reported: Mapping[str, Diagnostics]) -> tuple[Whole,
     return pair.truth.frame, true * (scale[mine[both[0]]] / true[theirs[both[0]]])
 
 
-def known(value: Array) -> bool:
+def is_known(value: Array) -> bool:
     return bool(np.isfinite(value).any())

@@ -16,9 +16,8 @@ from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Array, Whole
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.report.figures import style
-from facetrack_cli.report.figures.diagnostics import adaptation, known, panels
-from facetrack_cli.report.figures.lines import MAX_LINES, Line, Panel, Pen, columns_for, lines_of, quantiles, stacked
-from facetrack_cli.report.figures.style import Axes, Figure
+from facetrack_cli.report.figures.diagnostics import adaptation, is_known, panels
+from facetrack_cli.report.figures.style import Axes, Figure, Line, Panel, Pen
 from facetrack_cli.trajectory.analysis.face_events import KINDS
 from facetrack_cli.trajectory.analysis.measures import DEGREES, HAND_MEASURES, MEASURES, Measured
 from facetrack_cli.trajectory.trajectory import Trajectory, header_value
@@ -55,31 +54,29 @@ def measures_figure(
     `names` are measures, tiers of events or their values. An event is shown in the panel of the measure that tells it.
     Raises UsageError for a name that the table has not.
     """
-    told = {name: one for found in table.measures.values() for name, one in found.items()}
+    measures = {name: one for found in table.measures.values() for name, one in found.items()}
     events = [one for one in table.events if {one.tier, one.value} & {*names}]
     by = {word: kind.measures[0] for tier, kind in KINDS.items() for word in (tier, kind.value, kind.longer)}
-    rows = list(dict.fromkeys(name if name in told else by.get(name, name) for name in names))
-    if missing := [name for name in rows if name not in told]:
-        known = [*told, *(word for word, measure in by.items() if word and measure in told)]
+    rows = list(dict.fromkeys(name if name in measures else by.get(name, name) for name in names))
+    if missing := [name for name in rows if name not in measures]:
+        known = [*measures, *(word for word, measure in by.items() if word and measure in measures)]
         raise UsageError(f"{table.path}: has no {', '.join(missing)}; choose among {', '.join(known) or 'none'}")
     with style.style():
         figure = style.new_figure(width, 0.7 + 1.3 * len(rows))
         column = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
         for axes, name in zip(column, rows, strict=True):
-            for k, (target, found) in enumerate(one for one in table.measures.items() if name in one[1]):
-                one, colour = found[name], style.COLOURS[k % len(style.COLOURS)]
-                noise = np.nan_to_num(one.noise)
-                axes.fill_between(
-                    one.time_s, one.value - noise, one.value + noise, color=colour, alpha=0.2, linewidth=0
-                )
+            measured = {target: each[name] for target, each in table.measures.items() if name in each}
+            for k, (target, one) in enumerate(measured.items()):
+                colour, noise = style.COLOURS[k % len(style.COLOURS)], np.nan_to_num(one.noise)
+                low, high = one.value - noise, one.value + noise
+                axes.fill_between(one.time_s, low, high, color=colour, alpha=0.2, linewidth=0)
                 axes.plot(one.time_s, one.value, color=colour, linewidth=1.2, label=target)
-                for e in events:
-                    if e.target == target and name in KINDS[e.tier].measures:
-                        axes.axvspan(e.begin_s, e.end_s, color=colour, alpha=0.15, linewidth=0)
-                        axes.plot(e.peak_s, 1, "v", color=colour, markersize=4, transform=axes.get_xaxis_transform())
-            style.heading(
-                axes, name.replace("_", " "), next(f[name].unit for f in table.measures.values() if name in f)
-            )
+                for event in events:
+                    if event.target == target and name in KINDS[event.tier].measures:
+                        axes.axvspan(event.begin_s, event.end_s, color=colour, alpha=0.15, linewidth=0)
+                        peak = {"markersize": 4, "transform": axes.get_xaxis_transform()}
+                        axes.plot(event.peak_s, 1, "v", color=colour, **peak)
+            style.heading(axes, name.replace("_", " "), next(iter(measured.values())).unit)
         if len(table.targets) > 1:
             column[0].legend(loc="upper right")
         column[-1].set_xlabel("seconds")
@@ -115,15 +112,15 @@ def _title(table: Trajectory) -> str:
 class _Page:
     def __init__(self, table: Trajectory, pairs: Sequence[Pair], width: float) -> None:
         self.table, self.width, self.frames = table, width, table.frames
-        self.lines = lines_of(table, pairs)
+        self.lines = style.lines_of(table, pairs)
         self.paired = [(line, line.pair, error(line.pair)) for line in self.lines if line.pair is not None]
-        self.many = len(self.lines) > MAX_LINES
+        self.many = len(self.lines) > style.MAX_LINES
         bins = max(300, min(BINS, 60_000 // len(self.lines))) if self.many else BINS  # more take long, show no more
         self.pen = Pen(bins, float(self.frames[-1] - self.frames[0] + 1) / BINS)
         self.judged = bool((table.status != "").any())
         self.gone = [status for status in ("hidden", "lost", "absent") if (table.status == status).any()]
         self.truth = {status for _, pair, _ in self.paired for status in {*pair.truth.status.tolist()}}
-        self.alone = len(self.lines) == 1 and bool(self.paired) and known(spread(table))
+        self.alone = len(self.lines) == 1 and bool(self.paired) and is_known(spread(table))
         self.corrected = np.unique(np.concatenate([line.ours.frame[line.ours.corrected] for line in self.lines]))
 
     def figure(self, title: str) -> Figure:
@@ -133,8 +130,12 @@ class _Page:
         if not panels:
             raise InputError(f"{self.table.path}: has no number that could be drawn in any row")
         legend = self._legend()
-        columns, rows = columns_for(list(legend), self.width)
-        lines = _wrap(self._summary(), int(self.width * 15))
+        columns, rows = style.columns_for(list(legend), self.width)
+        first, *others = self._summary()
+        lines = [first]
+        for fact in others:
+            longer = f"{lines[-1]}   ·   {fact}"
+            lines[-1:] = [longer] if len(longer) <= int(self.width * 15) else [lines[-1], fact]
         above = 0.31 + 0.16 * len(lines)
         top = above + 0.185 * rows
         body = sum(panel.height + 0.27 for panel in panels) + 0.55
@@ -215,7 +216,7 @@ class _Page:
         if len(self.corrected):
             found.append(f"corrected by hand in {len(self.corrected):,} of them")
         wrong = [error[~np.isin(pair.truth.status, UNSEEN)] for _, pair, error in self.paired]  # as in eval
-        if wrong and known(every := np.concatenate(wrong)):
+        if wrong and is_known(every := np.concatenate(wrong)):
             found.append(f"median error {np.nanmedian(every):.2f} px")
         if self.table.header.get("complete") is False:
             found.append("the run was cut short")
@@ -227,31 +228,31 @@ class _Page:
         table, lines, many = self.table, self.lines, self.many
         truth = "dotted: ground truth" if self.paired and not many else ""
         bands = "median, middle 80 % and range of the parts" if many else ""
-        if known(table.x):
+        if is_known(table.x):
             yield Panel("x (px)", [truth], 1.15, partial(self._values, of=_x))
-        if known(table.y):
+        if is_known(table.y):
             yield Panel("y (px)", ["up is up in the image", truth], 1.15, partial(self._values, of=_y, down=True))
-        if known(size(table)):
+        if is_known(size(table)):
             sizes = [line.ours for line in lines] + [pair.truth for _, pair, _ in self.paired if not many]
             still = all(_reach(size(s)) < 0.01 for s in sizes)
             notes = ["root of width × height", "constant" if still else truth]
             yield Panel("size (px)", notes, 0.45 if still else 0.85, partial(self._values, of=size, floor=0.0))
         if any(_reach(line.ours.angle) > 0 for line in lines):
             yield Panel("angle (°)", [truth], 0.85, partial(self._values, of=_angle))
-        if known(table.confidence):
+        if is_known(table.confidence):
             yield Panel("confidence", [bands, self._shaded(" or ".join(self.gone))], 0.95, self._confidence)
         if self.judged:
             below = "below each row: ground truth" if self.truth & {*UNSEEN} else ""
             notes = ["a row a part, from first to last" if many else below]
             tall = max(0.2, min(0.165 * len(lines), 1.5))
             yield Panel("status", notes, tall, partial(self.pen.status, lines=lines))
-        if known(table.ess):
+        if is_known(table.ess):
             grey = many or len({_particles(line.ours).tobytes() for line in lines}) == 1
-            behind = f"{'grey' if grey else 'pale'}: particles" if known(table.particles) else ""
+            behind = f"{'grey' if grey else 'pale'}: particles" if is_known(table.particles) else ""
             yield Panel("effective sample size", [bands, behind, "log scale"], 0.95, self._particles)
-        elif known(table.particles):
+        elif is_known(table.particles):
             yield Panel("particles", [], 0.6, self._particles)
-        if known(spread(table)):
+        if is_known(spread(table)):
             notes = [bands, "standard deviation of the particles, both axes together"]
             yield Panel("spread (px)", notes, 0.95, partial(self._positive, of=spread))
         for name, unit, formula, *_ in (*MEASURES, *HAND_MEASURES):
@@ -261,7 +262,7 @@ class _Page:
                 notes = ["band: a standard deviation to either side", formula]
                 yield Panel(title, notes, 0.7, partial(self._measure, found=found))
         yield from panels(table, lines, self.pen)
-        if any(known(wrong) for _, _, wrong in self.paired):
+        if any(is_known(wrong) for _, _, wrong in self.paired):
             notes = [bands, self._shaded("hidden in the ground truth" if "hidden" in self.truth else "")]
             notes += ["bands: 50 and 90 % by the spread"] if self.alone else []
             yield Panel("error (px)", notes, 1.15, self._error)
@@ -306,7 +307,7 @@ class _Page:
         from matplotlib.ticker import LogLocator
 
         counts = [_particles(line.ours) for line in self.lines]
-        sampled = known(self.table.ess)
+        sampled = is_known(self.table.ess)
         if sampled:  # whether a few are left, or many
             every = np.concatenate([self.table.particles, self.table.ess])
             high = 1.4 * max(2.0, float(np.nanmax(every)))
@@ -357,20 +358,12 @@ class _Page:
             return
         for target in dict.fromkeys(line.ours.target for line, _, _ in shown):
             group = [one for one in shown if one[0].ours.target == target]
-            frame, values = stacked([one[1:] for one in group])
-            least, low, middle, high, most = quantiles(values, (0.0, 0.1, 0.5, 0.9, 1.0))
+            frame, values = style.stacked([one[1:] for one in group])
+            least, low, middle, high, most = style.quantiles(values, (0.0, 0.1, 0.5, 0.9, 1.0))
             colour = group[0][0].group
             self.pen.band(axes, frame, least, most, colour, 0.14)
             self.pen.band(axes, frame, low, high, colour, 0.28)
             self.pen.line(axes, frame, middle, color=colour, linewidth=1.2)
-
-
-def _wrap(said: Sequence[str], most: int) -> list[str]:
-    lines = [said[0]]
-    for one in said[1:]:
-        longer = f"{lines[-1]}   ·   {one}"
-        lines = [*lines[:-1], longer] if len(longer) <= most else [*lines, one]
-    return lines
 
 
 def _reach(value: Array) -> float:

@@ -1,19 +1,13 @@
 // The page of a film's cast: people are merged, renamed and split, and doubts are settled.
 
 import * as api from "./api.js";
-import { $, HOME, make, showHome } from "./dom.js";
+import { $, drawn, HOME, make, showHome } from "./dom.js";
 
 const POLL = 1000; // ms
-const SVG = "http://www.w3.org/2000/svg";
 let now = null; // the state that the server told last
 let chosen = null; // {name, frame} on the timeline
 let doubt = 0; // index of the doubt that is shown
 
-const drawn = (tag, attributes) => {
-  const made = document.createElementNS(SVG, tag);
-  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-  return made;
-};
 const still = (track) =>
   `api/still/${track.first}/${track.stop}.jpg?person=${encodeURIComponent(track.person)}`;
 const longest = (name) =>

@@ -21,16 +21,17 @@ export function make(tag, attributes = {}, ...children) {
 export const button = (id, attributes, ...children) =>
   make("button", { type: "button", "data-testid": id, ...attributes }, ...children);
 
-/** One of the page's symbols, as an SVG. */
-export function icon(name, className = "icon") {
-  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-  svg.setAttribute("class", className);
-  svg.setAttribute("aria-hidden", "true");
-  const use = document.createElementNS("http://www.w3.org/2000/svg", "use");
-  use.setAttribute("href", `#${name}`);
-  svg.append(use);
-  return svg;
+/** An element of an SVG. */
+export function drawn(tag, attributes = {}, ...children) {
+  const element = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  element.append(...children);
+  return element;
 }
+
+/** One of the page's symbols, as an SVG. */
+export const icon = (name, className = "icon") =>
+  drawn("svg", { class: className, "aria-hidden": "true" }, drawn("use", { href: `#${name}` }));
 
 /** A small square in the colour of a target. */
 export function swatch(colour) {

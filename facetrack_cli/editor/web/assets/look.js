@@ -1,17 +1,11 @@
 // What a run found: the video, and below it measures and events over the same time.
 
 import * as api from "./api.js";
-import { $, button, make, readable, setText } from "./dom.js";
+import { $, button, drawn, make, readable, setText } from "./dom.js";
 
-const SVG = "http://www.w3.org/2000/svg";
 const [WIDTH, HEIGHT] = [1000, 40];
 const FIRST = 8; // curves that are shown at first
 
-function drawn(tag, attributes) {
-  const made = document.createElementNS(SVG, tag);
-  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-  return made;
-}
 const clock = (s) => `${Math.floor(s / 60)}:${(s % 60).toFixed(1).padStart(4, "0")}`;
 
 export class Look {
