@@ -12,8 +12,8 @@ import click
 from click.shell_completion import CompletionItem
 
 from facetrack_cli.cli.options import option, sections
+from facetrack_cli.core import __version__
 from facetrack_cli.core.log import VARIABLE
-from facetrack_cli.core.version import __version__
 
 COMMANDS = {
     "run": "Track faces, heads and hands in videos and image folders.",

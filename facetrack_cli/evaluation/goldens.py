@@ -29,11 +29,11 @@ import numpy as np
 from llvmlite import binding
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError
 
+from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, reading
 from facetrack_cli.core.files import read_bounded, write_new
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.types import Array
-from facetrack_cli.core.version import __version__
 from facetrack_cli.core.yaml_tree import YamlProblems
 from facetrack_cli.recipe.gallery_option import put
 from facetrack_cli.recipe.load import files_of, load_recipe

@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import needed
 from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.core.types import BOX
-from facetrack_cli.core.version import __version__
 from facetrack_cli.evaluation.output import facts, sheets
 from facetrack_cli.evaluation.rows import Pair, match
 from facetrack_cli.evaluation.summary import Options, evaluate

@@ -22,9 +22,8 @@ import numpy as np
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.face_points import DETECTORS, DetectorName
-from facetrack_cli.core.npz import Kind, Stored
+from facetrack_cli.core.npz import Kind, Stored, flat_value, read_value
 from facetrack_cli.core.numbers import dumps
-from facetrack_cli.core.snapshot import flat_value, read_value
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.engine.loop import TrackState, track
 from facetrack_cli.recipe.load import default_recipe, load_recipe

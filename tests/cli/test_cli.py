@@ -11,9 +11,9 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli import app as cli
+from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import ExitCode, InputError, OutputError, RecipeError
 from facetrack_cli.core.models import shipped_recipes
-from facetrack_cli.core.version import __version__
 from facetrack_cli.recipe.load import TAKE, TASKS, default_recipe
 from facetrack_cli.start.init_file import read_init
 from tests.support.terminal import read_all

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from facetrack_cli.core import warp
+from facetrack_cli.core import geometry
 from facetrack_cli.core.errors import UsageError, check_opencv
 from facetrack_cli.trackers.face import points
 
@@ -71,8 +71,8 @@ def test_a_warp_reads_where_opencv_4_reads(monkeypatch: pytest.MonkeyPatch, chan
             )
             seen = []
             for rounds in (True, False):
-                monkeypatch.setattr(warp, "_ROUNDS", rounds)
-                seen.append(warp.warp_affine(image, matrix, (70, 50), border, inverse=inverse))
+                monkeypatch.setattr(geometry, "_ROUNDS", rounds)
+                seen.append(geometry.warp_affine(image, matrix, (70, 50), border, inverse=inverse))
             assert np.array_equal(*seen)
 
 
@@ -83,6 +83,6 @@ def test_a_map_reads_where_opencv_4_reads(monkeypatch: pytest.MonkeyPatch) -> No
     x, y = (rng.uniform(-5, side + 5, (40, 30)).astype(np.float32) for side in (83, 61))
     seen = []
     for rounds in (True, False):
-        monkeypatch.setattr(warp, "_ROUNDS", rounds)
-        seen.append(warp.remap(image, x, y, cv2.BORDER_REPLICATE))
+        monkeypatch.setattr(geometry, "_ROUNDS", rounds)
+        seen.append(geometry.remap(image, x, y, cv2.BORDER_REPLICATE))
     assert np.array_equal(*seen)

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from facetrack_cli.core import snapshot
-from facetrack_cli.core.snapshot import STORED, flatten, restore
+from facetrack_cli.core import npz
+from facetrack_cli.core.npz import STORED, flatten, restore
 from facetrack_cli.core.types import Particles, TargetStart
 
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=5)
@@ -86,7 +86,7 @@ class Kept:
 
 
 def test_what_is_left_out_comes_back_as_none(monkeypatch):
-    monkeypatch.setattr(snapshot, "_PACKAGE", "tests")
+    monkeypatch.setattr(npz, "_PACKAGE", "tests")
     assert back(Kept(3, object())) == Kept(3, None)
 
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Array, Mask
-from facetrack_cli.core.warp import warp_affine
 from facetrack_cli.trackers.appearance import subspaces
 from facetrack_cli.trackers.appearance.gallery import Gallery, logistic, name_problem
 from facetrack_cli.trackers.appearance.subspaces import (

@@ -32,8 +32,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from facetrack_cli.core.geometry import remap
 from facetrack_cli.core.types import Array, Frame, Image, Particles
-from facetrack_cli.core.warp import remap
 from facetrack_cli.engine.independent import averaged, effective_share
 from facetrack_cli.engine.kernels.affine import boxes_extent
 from facetrack_cli.engine.spaces import Context
