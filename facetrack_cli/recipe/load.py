@@ -1,20 +1,32 @@
-"""A recipe: everything a tracker is made of, as a checked, frozen value read from YAML."""
+"""From a name or a path to a checked recipe; the people of `--gallery`; whether the confidence is a probability."""
 
 import json
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from fractions import Fraction
-from pathlib import Path
+from functools import lru_cache
+from pathlib import Path, PurePath
 from typing import Any, Final
 
 from pydantic import ValidationError
 
-from facetrack_cli.core.errors import RecipeError, reading
+from facetrack_cli.core.errors import InputError, RecipeError, UsageError, reading
 from facetrack_cli.core.models import model_path, shipped_folder, shipped_recipes
-from facetrack_cli.core.yaml_tree import Node, Problem, Source, Span, YamlProblems, assign, parse, read_source
+from facetrack_cli.core.yaml_tree import (
+    Node,
+    Problem,
+    Source,
+    Span,
+    YamlProblems,
+    assign,
+    parse,
+    printable,
+    read_source,
+)
 from facetrack_cli.recipe.messages import locate, problems
-from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, above, error_of, to_dict
-from facetrack_cli.recipe.sections import suggest
-from facetrack_cli.recipe.times import FPS, times
+from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, above, completed, error_of, one_error, to_dict
+from facetrack_cli.recipe.sections import FPS, has_times, suggest
+from facetrack_cli.trackers.appearance.settings import AffineSettings
 
 TASKS: Final[Mapping[str, tuple[str, ...]]] = {
     "a face and its features": ("face", "factorized_robust"),
@@ -63,28 +75,24 @@ def find_recipe(name_or_path: str) -> Path:
     raise RecipeError(f'"{name_or_path}" is {what}; {hint}shipped are {", ".join(shipped)}')
 
 
+@one_error()
 def read_recipe(path: Path) -> str:
     """The text of a recipe's file, right or wrong; RecipeError if it is none."""
-    try:
-        return read_file(path).text
-    except YamlProblems as refused:
-        raise error_of(refused.problems) from None
+    return _read_file(path).text
 
 
+@one_error()
 def resolve_file(recipe: Recipe, name: str, key: str) -> Path:
     """A file that the recipe names, at `key` as in `prior.file`: beside it, or shipped; RecipeError if nowhere."""
-    try:
-        return find_file(recipe, name, key)
-    except YamlProblems as refused:
-        raise error_of(refused.problems) from None
+    return _find_file(recipe, name, key)
 
 
-def read_file(path: Path) -> Source:
+def _read_file(path: Path) -> Source:
     with reading(path, "check the file's permissions", RecipeError):
         return read_source(path, str(path))
 
 
-def find_file(recipe: Recipe, name: str, key: str) -> Path:
+def _find_file(recipe: Recipe, name: str, key: str) -> Path:
     span = Span(Source(str(recipe.path), "", recipe.path.parent), 0, 0, 1)
     if recipe._root is not None:
         node, _, exact = locate(recipe._root, tuple(key.split(".")))
@@ -101,6 +109,7 @@ def find_file(recipe: Recipe, name: str, key: str) -> Path:
 OVERRIDES = r",(?=[\w.]+=)"  # a comma before a key, which those in windows=[25,25] are not
 
 
+@one_error()
 def load_recipe(
     name_or_path: str, overrides: Sequence[str] | Mapping[str, Any] = (), *, installed: bool = True
 ) -> Recipe:
@@ -112,10 +121,7 @@ def load_recipe(
     """
     if isinstance(overrides, Mapping):
         overrides = [f"{key}={json.dumps(value)}" for key, value in overrides.items()]
-    try:
-        return _load(find_recipe(name_or_path), overrides, installed=installed)
-    except YamlProblems as refused:
-        raise error_of(refused.problems) from None
+    return _load(find_recipe(name_or_path), overrides, installed=installed)
 
 
 def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Problem]:
@@ -129,7 +135,7 @@ def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Probl
 
 def in_frames(recipe: Recipe, fps: float | Fraction) -> Recipe:
     """The recipe with numbers in place of its times, for a clip of `fps` frames per second; RecipeError for a bound."""
-    if not any(times(recipe)):
+    if not has_times(recipe):
         return recipe
     rate = round(float(fps), 6)  # as a trajectory says it, so that a run that is opened again has the same numbers
     context = {"path": recipe.path, "root": recipe._root, FPS: rate}
@@ -154,11 +160,11 @@ def files_of(recipe: Recipe) -> list[Path]:
         network = None if one.head is None else one.head.landmarks.network
         if network not in (None, "mesh"):
             named[f"{above(name)}head.landmarks.network"] = network
-    return [find_file(recipe, file, key) for key, file in named.items()]
+    return [_find_file(recipe, file, key) for key, file in named.items()]
 
 
 def _load(path: Path, overrides: Sequence[str], *, installed: bool = True) -> Recipe:
-    source = read_file(path)
+    source = _read_file(path)
     root = parse(source)
     if root is None or root.value is None:
         shipped = "start from a shipped recipe: facetrack recipes show factorized"
@@ -198,3 +204,115 @@ def _kind(root: Node) -> type[Recipe]:
         hint = suggest(name, list(KINDS), "it is one of")
         raise YamlProblems([Problem(given.span, f'unknown type of recipe "{name}"; {hint}')])
     return KINDS[name]
+
+
+# --- the people of `--gallery` ---------------------------------------------------------------------------------------
+
+_MADE_BY = "as facetrack gallery fit writes it"
+
+
+def with_gallery(recipes: Sequence[Recipe], file: str | None) -> list[Recipe]:
+    """The recipes, those that recognise with the gallery's people; if none does, all of affine targets.
+
+    A recipe recognises if it has a section `recognition`. Without a file each must have a gallery of its own. Raises
+    UsageError where there is nobody to recognise, or nothing that recognises, and InputError for no such file.
+    """
+    if file is None:
+        for recipe in recipes:
+            if wants_gallery(recipe):
+                remedy = f"give --gallery FILE, {_MADE_BY}, or name one in the recipe, in recognition.gallery"
+                who = f"{recipe.name} says who somebody is, of the people of a gallery"
+                raise UsageError(f"--gallery is missing: {who}; {remedy}")
+        return list(recipes)
+    check_gallery_file(file)
+    recognising = any(_recognising(one) for one in recipes)
+    if not recognising and not any(_affine(one) for one in recipes):
+        types = sorted({given.target.type for given in recipes[0].filters.values()})
+        follows = " and ".join(one if one == "points" else f"a {one}" for one in types)
+        what = f"{recipes[0].name} follows {follows}" if types else f"{recipes[0].name} is one of OpenCV's own trackers"
+        remedy = "take adaptive_recognition, or leave --gallery out"
+        raise UsageError(f"--gallery: {what}, and people are recognised by affine targets alone; {remedy}")
+    return [put_gallery(one, file) if (_recognising if recognising else _affine)(one) else one for one in recipes]
+
+
+def _recognising(recipe: Recipe) -> list[str]:
+    return [name for name, given in recipe.filters.items() if given.recognition is not None]
+
+
+def _affine(recipe: Recipe) -> list[str]:
+    return [name for name, given in recipe.filters.items() if isinstance(given.target, AffineSettings)]
+
+
+def wants_gallery(recipe: Recipe) -> bool:
+    """Whether it recognises and does not say whom."""
+    return any(given.recognition and given.recognition.gallery is None for given in recipe.filters.values())
+
+
+def check_gallery_file(file: str) -> None:
+    """Raises UsageError or InputError for what is no file."""
+    if not file:
+        raise UsageError(f"--gallery is empty; name a gallery, {_MADE_BY}")
+    path, shown = Path(file), f"--gallery {printable(file)}"
+    try:
+        there, folder = path.is_file(), path.is_dir()
+    except (OSError, ValueError):  # a name that the file system does not take
+        there = folder = False
+    if folder:
+        remedy = f"name a file in it, {_MADE_BY}; facetrack gallery fit {printable(file)} makes one of people's folders"
+        raise InputError(f"{shown}: is a folder; {remedy}")
+    if not there:
+        raise InputError(f"{shown}: no such file; correct the name, or make one with facetrack gallery fit")
+
+
+def put_gallery(recipe: Recipe, file: str) -> Recipe:
+    """The recipe with this gallery in place of its own: where it recognises, else wherever it can."""
+    assert recipe._root is not None
+    root = deepcopy(recipe._root)
+    with one_error():  # a name that is not UTF-8
+        for name in _recognising(recipe) or _affine(recipe):
+            assign(root, "--gallery", f"{above(name)}recognition.gallery={json.dumps(file)}")
+    return type(recipe).model_validate(root.plain(), context={"path": recipe.path, "root": root})
+
+
+# --- calibrations ----------------------------------------------------------------------------------------------------
+
+_FREE = frozenset(("name", "description", "seed"))  # what a calibration does not depend on
+
+
+def calibrated(settings: Mapping[str, Any]) -> bool:
+    """Whether all filters of a recipe with these settings name a calibration that was made for it.
+
+    The calibration of a shipped recipe holds for it as it is shipped. Of a file of one's own its name alone is known.
+    """
+    for file in (files := _files(settings)):
+        ours = _shipped(PurePath(file).stem)
+        if ours is not None and file == ours["confidence"]["calibration"] and _bare(completed(settings)) != ours:
+            return False
+    return bool(files)
+
+
+def fitted(settings: Mapping[str, Any]) -> bool:
+    """Whether all filters name a calibration, be it made for other settings."""
+    return bool(_files(settings))
+
+
+def _files(settings: Mapping[str, Any]) -> list[str]:
+    """The calibrations of all filters; none if one has none."""
+    targets = settings.get("targets")
+    those = [one for one in targets.values() if one] if isinstance(targets, Mapping) else [settings]
+    sections = [one.get("confidence") for one in those if isinstance(one, Mapping)]
+    files = [one.get("calibration") if isinstance(one, Mapping) else None for one in sections]
+    return [] if None in files else [str(file) for file in files]
+
+
+@lru_cache
+def _shipped(name: str) -> dict[str, Any] | None:
+    """The settings of the shipped recipe of this name that has a calibration; None if there is none."""
+    if all(file.stem != name for file in shipped_recipes()):
+        return None
+    ours = _bare(to_dict(load_recipe(name, installed=False)))  # whatever networks this machine has
+    return ours if (ours.get("confidence") or {}).get("calibration") else None
+
+
+def _bare(settings: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in settings.items() if key not in _FREE}

@@ -1,28 +1,37 @@
-"""The kinds of recipe; their sections are in the files beside this one. No numerics are imported here."""
+"""The kinds of recipe and their JSON Schema; sections are in the files beside this. No numerics are imported here."""
 
-from collections.abc import Iterable, Mapping, Sequence
+import ast
+import inspect
+import textwrap
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache
+from itertools import pairwise
 from numbers import Integral
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias, TypeVar
 
-from pydantic import Field, PrivateAttr, ValidationError
+from pydantic import BaseModel, Field, PrivateAttr, TypeAdapter, ValidationError
+from pydantic.json_schema import GenerateJsonSchema
 
 from facetrack_cli.core.errors import RecipeError
-from facetrack_cli.core.yaml_tree import Node, Problem
+from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems
 from facetrack_cli.recipe import sections
 from facetrack_cli.recipe.messages import locate
 from facetrack_cli.recipe.sections import (
+    FRAMES,
     Component,
     FilterSettings,
     Kind,
+    Length,
     LikelihoodSettings,
     MotionSettings,
     PriorSettings,
     Refusal,
     Section,
     TargetSettings,
+    type_of,
 )
-from facetrack_cli.recipe.times import FRAMES
 from facetrack_cli.trackers.appearance.settings import RecognitionSettings
 from facetrack_cli.trackers.face.settings import HeadSettings
 from facetrack_cli.trackers.hands.settings import NAMES as HANDS
@@ -300,9 +309,7 @@ class ParticlesRecipe(Recipe):
             yield Refusal(("targets",), message)
 
 
-KINDS: Mapping[str, type[Recipe]] = {
-    sections.type_of(one): one for one in (ParticleRecipe, ParticlesRecipe, OpenCvRecipe)
-}
+KINDS: Mapping[str, type[Recipe]] = {type_of(one): one for one in (ParticleRecipe, ParticlesRecipe, OpenCvRecipe)}
 
 
 def seeded(recipe: Recipe, seed: Any) -> Recipe:
@@ -352,7 +359,63 @@ def completed(settings: Mapping[str, Any]) -> dict[str, Any]:
         return dict(settings)
 
 
+@contextmanager
+def one_error() -> Iterator[None]:
+    """RecipeError in place of YamlProblems: the first problem, and how many more there are."""
+    try:
+        yield
+    except YamlProblems as refused:
+        raise error_of(refused.problems) from None
+
+
 def error_of(found: Sequence[Problem]) -> RecipeError:
     first, others = found[0], len(found) - 1
     more = f" (and {others} more: facetrack recipes check lists all)" if others else ""
     return RecipeError(f"{first}{more}", first.span.excerpt())
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of a recipe, whose fields are described by the docstrings below them.
+
+    They are read from the source when a command asks for the schema: pydantic's `use_attribute_docstrings` reads them
+    whenever the models are imported, at the start of every command.
+    """
+    schema = TypeAdapter(ParticleRecipe | ParticlesRecipe | OpenCvRecipe).json_schema(schema_generator=_Described)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "Recipe", **schema}
+
+
+class _Described(GenerateJsonSchema):
+    """Fields get the docstrings below them, `type` by default that of its class; lengths are written as in recipes."""
+
+    def encode_default(self, dft: Any) -> Any:
+        return super().encode_default(dft.written() if isinstance(dft, Length) else dft)
+
+    def model_schema(self, schema: Any) -> dict[str, Any]:
+        found = super().model_schema(schema)
+        cls = schema["cls"]
+        said = {name: text for base in reversed(cls.__mro__) for name, text in _docstrings(base).items()}
+        if type_of(cls):
+            said.setdefault("type", (inspect.getdoc(cls) or "").partition("\n\n")[0])
+        for name, field in found.get("properties", {}).items():
+            if name in said:
+                field.setdefault("description", said[name])
+        return found
+
+
+@cache
+def _docstrings(model: type) -> dict[str, str]:
+    """The attributes of a model's own body and the docstrings below them; none without its source."""
+    if not issubclass(model, BaseModel) or model is BaseModel:
+        return {}
+    try:
+        source = inspect.getsource(model)
+    except (OSError, TypeError):
+        return {}
+    body = ast.parse(textwrap.dedent(source)).body[0]
+    assert isinstance(body, ast.ClassDef)
+    found = {}
+    for field, below in pairwise(body.body):
+        match field, below:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                found[name] = inspect.cleandoc(text)
+    return found

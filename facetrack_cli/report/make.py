@@ -17,7 +17,7 @@ from facetrack_cli.core.types import BOX
 from facetrack_cli.evaluation.output import facts, sheets
 from facetrack_cli.evaluation.rows import Pair, match
 from facetrack_cli.evaluation.summary import Options, evaluate
-from facetrack_cli.recipe.calibrated import calibrated
+from facetrack_cli.recipe.load import calibrated
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report import text
 from facetrack_cli.report.cast import cast_section

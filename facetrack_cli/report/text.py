@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from facetrack_cli.core.numbers import clock as at_clock
-from facetrack_cli.recipe.calibrated import calibrated, fitted
+from facetrack_cli.recipe.load import calibrated, fitted
 from facetrack_cli.report.events import Event, KeyFrame, RunHistory
 from facetrack_cli.runs.verdict import SURE as LOW
 from facetrack_cli.trajectory.clock import Clock

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 from facetrack_cli.cli.app import cli
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.recipe.schema import json_schema
+from facetrack_cli.recipe.model import json_schema
 from facetrack_cli.start.init_file import read_init
 from tests.support.media import write_pictures
 from tests.support.samples import FOLDER, read_pictures

@@ -12,8 +12,7 @@ from facetrack_cli.core.errors import ExitCode, RecipeError
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.yaml_tree import MAX_BYTES, Source, YamlProblems, parse
 from facetrack_cli.recipe.load import check_recipe, load_recipe, read_recipe, resolve_file
-from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, to_dict
-from facetrack_cli.recipe.schema import json_schema
+from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, json_schema, to_dict
 from facetrack_cli.recipe.sections import Length
 from facetrack_cli.recipe.shared import FactorizedSettings, IndependentSettings, SirSettings
 from facetrack_cli.trackers.points.settings import ColourRatioSettings, PointsSettings

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.models import shipped_recipes
-from facetrack_cli.recipe.gallery_option import with_gallery
-from facetrack_cli.recipe.load import check_recipe, load_recipe
+from facetrack_cli.recipe.load import check_recipe, load_recipe, with_gallery
 from facetrack_cli.trackers.appearance.gallery_fit import fit_gallery
 from tests.support.media import write_pictures
 from tests.support.samples import FOLDER, read_pictures

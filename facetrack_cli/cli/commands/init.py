@@ -126,7 +126,7 @@ def _find(
 
 def _run_with(path: Path | None, clip: Path, config: str | None, recipe: Recipe | None) -> str:
     """The command that begins with the file, once it is there."""
-    from facetrack_cli.recipe.gallery_option import wants_gallery
+    from facetrack_cli.recipe.load import wants_gallery
     from facetrack_cli.start.init_file import default_path, find_init
 
     found = (find_init(clip) or default_path(clip)) == path

@@ -95,7 +95,7 @@ def schema() -> None:
     First line of mine.yaml:
         # yaml-language-server: $schema=recipe.schema.json
     """
-    from facetrack_cli.recipe.schema import json_schema
+    from facetrack_cli.recipe.model import json_schema
 
     click.echo(json.dumps(json_schema(), indent=2, ensure_ascii=False))
 

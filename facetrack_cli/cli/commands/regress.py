@@ -54,8 +54,7 @@ def command(
     from facetrack_cli.core.errors import flat
     from facetrack_cli.core.files import check_new, write_new
     from facetrack_cli.evaluation.goldens import SEEDS, as_json, as_junit, counts, recordable, recorded, regress
-    from facetrack_cli.recipe.gallery_option import check_file
-    from facetrack_cli.recipe.load import load_recipe
+    from facetrack_cli.recipe.load import check_gallery_file, load_recipe
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trackers.appearance.gallery import load_gallery
@@ -69,7 +68,7 @@ def command(
     for path in filter(None, (junit, json)):
         check_new(path, overwrite=overwrite)
     if gallery is not None:  # a mistake in the option is no regression
-        check_file(str(gallery))
+        check_gallery_file(str(gallery))
         load_gallery(gallery)
     given = {load_recipe(name, overrides, installed=False).name: name for name in config}
     asked = recordable(folder, given) if update and given else recorded(folder, given)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 from pydantic import Field
 
 from facetrack_cli.recipe.sections import (
+    SHARE,
     Component,
     FilterSettings,
     Length,
@@ -22,7 +23,6 @@ from facetrack_cli.recipe.sections import (
     Steps,
 )
 from facetrack_cli.recipe.shared import MAX_COMPARED_PARTICLES, Factor, ScaledSettings
-from facetrack_cli.recipe.times import SHARE
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import ParticleFilterSettings

@@ -8,9 +8,17 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import FilterSettings, Length, LikelihoodSettings, MotionSettings, Refusal, Section
+from facetrack_cli.recipe.sections import (
+    FRAMES,
+    SHARE,
+    FilterSettings,
+    Length,
+    LikelihoodSettings,
+    MotionSettings,
+    Refusal,
+    Section,
+)
 from facetrack_cli.recipe.shared import Factor, ScaledSettings
-from facetrack_cli.recipe.times import FRAMES, SHARE
 
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 Rate: TypeAlias = Annotated[float, Field(ge=0, le=1), SHARE]
