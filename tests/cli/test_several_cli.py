@@ -67,9 +67,14 @@ def rows(text):
 # --- where to begin --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("config", ["head_hands", "head_hands_cloud"])
 @pytest.mark.parametrize(
-    "begin", [["--init", "haar"], ["--box", "135,44,50,50"], {"head": HEAD}, {"head": HEAD, "right_hand": RIGHT}]
+    ("config", "begin"),
+    [
+        ("head_hands", ["--init", "haar"]),
+        ("head_hands_cloud", ["--box", "135,44,50,50"]),
+        ("head_hands", {"head": HEAD}),
+        ("head_hands_cloud", {"head": HEAD, "right_hand": RIGHT}),
+    ],
 )
 def test_hands_that_nobody_placed_are_found(facetrack, config, begin):
     code, out, err = run(facetrack, *(init(**begin) if isinstance(begin, dict) else begin), "-o", "-", config=config)

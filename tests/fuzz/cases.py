@@ -94,8 +94,6 @@ def _read(rng: Random, bench: Bench, case: Case, file: str) -> list[str]:
         return ["export", file, "--to", rng.choice(TO), "-o", rng.choice(("-", "out.txt"))]
     if how < 8:
         return ["eval", file, *truth, *rng.choice(([], ["--partial"], ["--json", "out.json"], ["--csv", "-"]))]
-    if how < 9:
-        return ["motion", "fit", file]
     return ["plot", file, "-o", "out.png", "--dpi", "40"]
 
 
@@ -112,8 +110,7 @@ def _truth(rng: Random, bench: Bench, case: Case) -> list[str]:
     else:
         file = case.put(name, hostile.text(rng, bench.text(name)))
     if kind == "facetrack" and rng.random() < 0.4:
-        how = rng.choice((["prior", "fit", file, "-o", "out.npz"], ["motion", "fit", file, "-o", "out.yaml"]))
-        return [*how, *rng.choice(([], ["-q"]))] if how[0] == "prior" else how
+        return ["prior", "fit", file, "-o", "out.npz", *rng.choice(([], ["-q"]))]
     ours = str(bench.path("run" if kind in ("facetrack", "pts") else "box"))
     return ["eval", ours, "--truth", file, *form, *rng.choice(([], ["--partial"], ["--shift", "1"]))]
 

