@@ -12,9 +12,15 @@ excerpt with a caret, in `excerpt`.
 """
 
 import errno
-from collections.abc import Iterator
+import functools
+import inspect
+import re
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import IntEnum
+from typing import Any, TypeVar
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 class ExitCode(IntEnum):
@@ -124,3 +130,20 @@ def needed(what: str, package: str, extra: str = "plot") -> Iterator[None]:
     except (ImportError, ValueError, OSError) as e:
         said = " ".join(str(e).split())
         raise UsageError(f"{package} cannot be loaded: {said}; install it again: {remedy}") from e
+
+
+def named_as_arguments(function: F) -> F:
+    """A decorator: the errors of a function for Python name its arguments in place of options of the command line."""
+    names = {f"--{name.replace('_', '-')}": name for name in inspect.signature(function).parameters}
+    names.setdefault("--box", "a box as init")
+
+    @functools.wraps(function)
+    def call(*args: Any, **more: Any) -> Any:
+        try:
+            return function(*args, **more)
+        except FacetrackError as error:
+            message = re.sub(r"(?<!\S)--[a-z]+(-[a-z]+)*", lambda option: names.get(option[0], option[0]), str(error))
+            error.args = (message, *error.args[1:])
+            raise
+
+    return call  # type: ignore[return-value]

@@ -20,7 +20,7 @@ from typing import Any, Final, Literal, TypeAlias
 import cv2
 import numpy as np
 
-from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, named_as_arguments
 from facetrack_cli.core.face_points import DETECTORS, DetectorName
 from facetrack_cli.core.npz import Kind, Stored, flat_value, read_value
 from facetrack_cli.core.numbers import dumps
@@ -46,6 +46,7 @@ Init: TypeAlias = str | Path | Start | Box
 IMAGES = "the images"
 
 
+@named_as_arguments
 def track_video(
     path: str | Path,
     recipe: str | Path | Recipe | None = None,

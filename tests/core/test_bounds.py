@@ -23,6 +23,7 @@ from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.video.source import open_source
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
+READERS = pytest.mark.parametrize("read", [read_trajectory, read_truth, load_gallery, load_calibration])
 RUN = ["run", SAMPLES / "expressions.mp4", "--stop", "2", "-q"]
 
 
@@ -34,14 +35,14 @@ def said(capsys, *arguments):
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="this system has no /dev/zero")
 @pytest.mark.parametrize("name", ["/dev/zero", "/dev/full"])
-@pytest.mark.parametrize("read", [read_trajectory, read_truth, load_gallery, load_calibration])
+@READERS
 def test_a_file_without_end_is_refused(name, read):
     with pytest.raises(InputError, match="is a device, not a"):
         read(Path(name))
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
-@pytest.mark.parametrize("read", [read_trajectory, read_truth, load_gallery, load_calibration])
+@READERS
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path, read):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(InputError, match="is a pipe, and can be read only once"):

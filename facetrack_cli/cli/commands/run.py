@@ -168,13 +168,14 @@ def run_command(
     if live or any(is_live(path) for path in inputs):
         return _live(inputs, live, out, extent, partial(_recipe, config, overrides, seed), faces, gallery)
     remote, csv_alone = cluster is not None, formats == ("csv",)
+    replaced = "--overwrite would replace what the other shards did; remove the folder before them"
     whole = "goes over the whole clip, --split cuts it in chunks; give one of them"
     refuse(
         (remote and out == "-", "-o - streams one clip from this machine; name a folder, or leave --cluster out"),
         (remote and jobs > 1, "--cluster has workers of its own, -j those of this machine; give one of them"),
         (remote and split, "--split tracks its chunks with -j or --shard; leave --cluster out"),
         (split and out == "-", "--split keeps its chunks in a folder; name one with --out"),
-        (split and shard and overwrite, "--overwrite would replace what other shards did; remove the folder instead"),
+        (split and shard and overwrite, replaced),
         (split and smooth, f"--smooth {whole}"),
         (split and lag, f"--lag {whole}"),
         (smooth and lag, "--lag smooths while it runs, --smooth after it; give one of them"),
