@@ -54,7 +54,7 @@ MODULES = {
     **dict.fromkeys(SECTIONS["Look and share"], "share"),
     **dict.fromkeys(SECTIONS["Measure"], "measure"),
     **dict.fromkeys(("prior", "gallery"), "learn"),
-    **dict.fromkeys(SECTIONS["Others"], "others"),
+    **dict.fromkeys(SECTIONS["Others"], "recipes"),
 }
 """The file in commands/ of a command; others have one of their own name."""
 ALIASES = {"track": "run"}

@@ -14,7 +14,7 @@ from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Particles, Start
 from facetrack_cli.engine.checks import box_of, check_size, size_of_box
 from facetrack_cli.recipe.model import ParticleFilterSettings, Recipe
-from facetrack_cli.recipe.shared import ScaledSettings
+from facetrack_cli.recipe.sections import ScaledSettings
 from facetrack_cli.trajectory.diagnostics import Diagnostic
 
 

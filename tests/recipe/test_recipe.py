@@ -13,8 +13,7 @@ from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.yaml_tree import MAX_BYTES, Source, YamlProblems, parse
 from facetrack_cli.recipe.load import check_recipe, load_recipe, read_recipe, resolve_file
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, json_schema, to_dict
-from facetrack_cli.recipe.sections import Length
-from facetrack_cli.recipe.shared import FactorizedSettings, IndependentSettings, SirSettings
+from facetrack_cli.recipe.sections import FactorizedSettings, IndependentSettings, Length, SirSettings
 from facetrack_cli.trackers.points.settings import ColourRatioSettings, PointsSettings
 
 # from the tracker that Zhou et al. improve on to the whole of theirs, in this order, and what goes beyond it

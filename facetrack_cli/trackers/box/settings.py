@@ -11,14 +11,15 @@ from pydantic import Field
 from facetrack_cli.recipe.sections import (
     FRAMES,
     SHARE,
+    Factor,
     FilterSettings,
     Length,
     LikelihoodSettings,
     MotionSettings,
     Refusal,
+    ScaledSettings,
     Section,
 )
-from facetrack_cli.recipe.shared import Factor, ScaledSettings
 
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 Rate: TypeAlias = Annotated[float, Field(ge=0, le=1), SHARE]
