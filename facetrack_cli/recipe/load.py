@@ -152,14 +152,14 @@ def in_frames(recipe: Recipe, fps: float | Fraction) -> Recipe:
 def files_of(recipe: Recipe) -> list[Path]:
     """The files that a recipe names: priors, galleries, networks, calibrations. YamlProblems for a missing one."""
     named: dict[str, str] = {}
-    for name, one in recipe.filters.items():
-        for section, given in one.components.items():
-            named |= {f"{above(name)}{section}.{key}": file for key, file in given.files.items()}
-        if one.confidence.calibration is not None:
-            named[f"{above(name)}confidence.calibration"] = one.confidence.calibration
-        network = None if one.head is None else one.head.landmarks.network
-        if network not in (None, "mesh"):
-            named[f"{above(name)}head.landmarks.network"] = network
+    for name, settings in recipe.filters.items():
+        for section, part in settings.components.items():
+            named |= {f"{above(name)}{section}.{key}": file for key, file in part.files.items()}
+        if settings.confidence.calibration is not None:
+            named[f"{above(name)}confidence.calibration"] = settings.confidence.calibration
+    for name, head in recipe.heads.items():
+        if head.landmarks.network not in (None, "mesh"):
+            named[f"{above(name)}head.landmarks.network"] = head.landmarks.network
     return [_find_file(recipe, file, key) for key, file in named.items()]
 
 
@@ -179,12 +179,12 @@ def _load(path: Path, overrides: Sequence[str], *, installed: bool = True) -> Re
     except ValidationError as error:
         raise YamlProblems(problems(error, kind, root)) from None
     more = []
-    for name, one in recipe.filters.items():
-        network, key = None if one.head is None else one.head.landmarks.network, f"{above(name)}head.landmarks."
+    for name, head in recipe.heads.items():
+        network, key = head.landmarks.network, f"{above(name)}head.landmarks."
         if network == "auto":
             network = "mesh" if installed and model_path("mesh") else None
             more.append(f"{key}network={network or 'null'}")
-        if one.head is not None and one.head.landmarks.iris == "auto":
+        if head.landmarks.iris == "auto":
             more.append(f"{key}iris={'iris' if network and installed and model_path('iris') else 'null'}")
     # said in the recipe, so that what continues a run uses the same
     return _load(path, [*overrides, *more]) if more else recipe
@@ -193,16 +193,16 @@ def _load(path: Path, overrides: Sequence[str], *, installed: bool = True) -> Re
 def _kind(root: Node) -> type[Recipe]:
     """The model of a recipe by its `type`: a particle filter where none is given."""
     keys = root.value if isinstance(root.value, dict) else {}
-    given, targets = keys.get("type"), keys.get("targets")
-    if targets and "target" not in keys and (given is None or given.value == "particle_filter"):
+    kind, targets = keys.get("type"), keys.get("targets")
+    if targets and "target" not in keys and (kind is None or kind.value == "particle_filter"):
         message = '"targets" is a key of several particle filters; write type: particle_filters'
-        raise YamlProblems([Problem(given.span if given else targets.key or targets.span, message)])
-    if given is None:
+        raise YamlProblems([Problem(kind.span if kind else targets.key or targets.span, message)])
+    if kind is None:
         return ParticleRecipe
-    name = given.value if isinstance(given.value, str) else ""
+    name = kind.value if isinstance(kind.value, str) else ""
     if name not in KINDS:
         hint = suggest(name, list(KINDS), "it is one of")
-        raise YamlProblems([Problem(given.span, f'unknown type of recipe "{name}"; {hint}')])
+        raise YamlProblems([Problem(kind.span, f'unknown type of recipe "{name}"; {hint}')])
     return KINDS[name]
 
 
@@ -225,27 +225,28 @@ def with_gallery(recipes: Sequence[Recipe], file: str | None) -> list[Recipe]:
                 raise UsageError(f"--gallery is missing: {who}; {remedy}")
         return list(recipes)
     check_gallery_file(file)
-    recognising = any(_recognising(one) for one in recipes)
-    if not recognising and not any(_affine(one) for one in recipes):
-        types = sorted({given.target.type for given in recipes[0].filters.values()})
-        follows = " and ".join(one if one == "points" else f"a {one}" for one in types)
+    recognising = any(map(_recognising, recipes))
+    if not recognising and not any(map(_affine, recipes)):
+        types = sorted({settings.target.type for settings in recipes[0].filters.values()})
+        follows = " and ".join(kind if kind == "points" else f"a {kind}" for kind in types)
         what = f"{recipes[0].name} follows {follows}" if types else f"{recipes[0].name} is one of OpenCV's own trackers"
         remedy = "take adaptive_recognition, or leave --gallery out"
         raise UsageError(f"--gallery: {what}, and people are recognised by affine targets alone; {remedy}")
-    return [put_gallery(one, file) if (_recognising if recognising else _affine)(one) else one for one in recipes]
+    takes = _recognising if recognising else _affine
+    return [put_gallery(recipe, file) if takes(recipe) else recipe for recipe in recipes]
 
 
 def _recognising(recipe: Recipe) -> list[str]:
-    return [name for name, given in recipe.filters.items() if given.recognition is not None]
+    return [name for name, settings in recipe.filters.items() if settings.recognition is not None]
 
 
 def _affine(recipe: Recipe) -> list[str]:
-    return [name for name, given in recipe.filters.items() if isinstance(given.target, AffineSettings)]
+    return [name for name, settings in recipe.filters.items() if isinstance(settings.target, AffineSettings)]
 
 
 def wants_gallery(recipe: Recipe) -> bool:
     """Whether it recognises and does not say whom."""
-    return any(given.recognition and given.recognition.gallery is None for given in recipe.filters.values())
+    return any(settings.recognition and settings.recognition.gallery is None for settings in recipe.filters.values())
 
 
 def check_gallery_file(file: str) -> None:
@@ -299,9 +300,9 @@ def fitted(settings: Mapping[str, Any]) -> bool:
 def _files(settings: Mapping[str, Any]) -> list[str]:
     """The calibrations of all filters; none if one has none."""
     targets = settings.get("targets")
-    those = [one for one in targets.values() if one] if isinstance(targets, Mapping) else [settings]
-    sections = [one.get("confidence") for one in those if isinstance(one, Mapping)]
-    files = [one.get("calibration") if isinstance(one, Mapping) else None for one in sections]
+    filters = [target for target in targets.values() if target] if isinstance(targets, Mapping) else [settings]
+    sections = [one.get("confidence") for one in filters if isinstance(one, Mapping)]
+    files = [section.get("calibration") if isinstance(section, Mapping) else None for section in sections]
     return [] if None in files else [str(file) for file in files]
 
 

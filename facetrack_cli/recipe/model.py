@@ -94,16 +94,16 @@ class ParticleFilterSettings(Section):
     @property
     def components(self) -> dict[str, Component]:
         """What the tracker is built from, by key, but for what is not given."""
-        found = {key: getattr(self, key) for key in ("target", *_KINDS)}
-        return {key: one for key, one in found.items() if one is not None}
+        sections = {key: getattr(self, key) for key in ("target", *_KINDS)}
+        return {key: section for key, section in sections.items() if section is not None}
 
     def mistakes(self) -> Iterable[Refusal]:
-        given = self.components
-        if strangers := [key for key in _KINDS if key in given and self.target.type not in given[key].goes_with]:
-            yield from (self._mismatch(key, given[key]) for key in strangers)
+        parts = self.components
+        if strangers := [key for key in _KINDS if key in parts and self.target.type not in parts[key].goes_with]:
+            yield from (self._mismatch(key, parts[key]) for key in strangers)
             return
-        for one in given.values():
-            yield from one.mismatches(self)
+        for part in parts.values():
+            yield from part.mismatches(self)
         if self.confidence.calibration is not None and not self.likelihood.judges:
             message = f'likelihood type "{self.likelihood.type}" gives no confidence; remove the calibration'
             yield Refusal(("confidence", "calibration"), message)
@@ -113,13 +113,15 @@ class ParticleFilterSettings(Section):
             message = f"particles times parts is {self.hypotheses:,}; no more than {MAX_HYPOTHESES:,} fit into memory"
             yield Refusal(("filter", "particles"), message)
 
-    def _mismatch(self, key: str, given: Component) -> Refusal:
+    def _mismatch(self, key: str, section: Component) -> Refusal:
         """The error for a section that does not go with the type of the target."""
-        said = f'does not go with target type "{self.target.type}"'
-        if not isinstance(given, Kind):
-            return Refusal((key,), f"{key} {said}; remove it, or follow an affine target")
-        fitting = [name for name, one in sections.registered(_KINDS[key]).items() if self.target.type in one.goes_with]
-        message = f'{key} type "{given.type}" {said}; write {" or ".join(fitting) or "null"}'
+        why = f'does not go with target type "{self.target.type}"'
+        if not isinstance(section, Kind):
+            return Refusal((key,), f"{key} {why}; remove it, or follow an affine target")
+        fitting = [
+            name for name, kind in sections.registered(_KINDS[key]).items() if self.target.type in kind.goes_with
+        ]
+        message = f'{key} type "{section.type}" {why}; write {" or ".join(fitting) or "null"}'
         return Refusal((key, "type"), message)
 
 
@@ -164,9 +166,13 @@ class Recipe(Section):
         return {}
 
     @property
+    def heads(self) -> Mapping[str, HeadSettings]:
+        """The heads inside of which points are tracked, by target."""
+        return {name: settings.head for name, settings in self.filters.items() if settings.head is not None}
+
+    @property
     def has_head(self) -> bool:
-        """Whether a filter's points are tracked inside of a head."""
-        return any(one.head is not None for one in self.filters.values())
+        return bool(self.heads)
 
     @property
     def points(self) -> tuple[str, ...]:
@@ -191,14 +197,13 @@ class Recipe(Section):
     @property
     def particles(self) -> int | None:
         """Number of particles, None for a tracker without."""
-        heads = (one.head.filter.particles for one in self.filters.values() if one.head is not None)
-        return sum(one.filter.particles for one in self.filters.values()) + sum(heads) or None
+        return sum(one.filter.particles for one in (*self.filters.values(), *self.heads.values())) or None
 
     @property
     def networks(self) -> tuple[str, ...]:
         """The networks that place points: `mesh` or the paths of files, and `iris`."""
-        heads = [one.head.landmarks for one in self.filters.values() if one.head is not None]
-        return tuple(name for one in heads if one.network for name in (one.network, one.iris) if name is not None)
+        landmarks = [head.landmarks for head in self.heads.values() if head.landmarks.network]
+        return tuple(name for one in landmarks for name in (one.network, one.iris) if name is not None)
 
     @property
     def random(self) -> bool:
@@ -212,9 +217,9 @@ class Recipe(Section):
 
     def lost_below(self, target: str) -> float:
         """A part of this target is lost while its confidence stays below this."""
-        one = self.filters.get(target) or next(iter(self.filters.values()), None)
-        judged = ConfidenceSettings() if one is None else one.confidence
-        return judged.lost_below if judged.calibration is None else LIKELY
+        settings = self.filters.get(target) or next(iter(self.filters.values()), None)
+        confidence = ConfidenceSettings() if settings is None else settings.confidence
+        return confidence.lost_below if confidence.calibration is None else LIKELY
 
     def error(self, key: str, message: str) -> RecipeError:
         """An error that points at a key of this recipe, as in `prior.file`; for rules that only building can check."""
@@ -264,7 +269,7 @@ class ParticlesRecipe(Recipe):
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        return tuple(name for name, one in self.targets.items() if one is None)
+        return tuple(name for name, settings in self.targets.items() if settings is None)
 
     @property
     def followed(self) -> tuple[str, ...]:
@@ -283,33 +288,36 @@ class ParticlesRecipe(Recipe):
 
     @property
     def filters(self) -> Mapping[str, ParticleFilterSettings]:
-        return {name: one for name, one in self.targets.items() if one is not None}
+        return {name: settings for name, settings in self.targets.items() if settings is not None}
 
     def mistakes(self) -> Iterable[Refusal]:
         names = list(self.filters)
         if not names:
             yield Refusal(("targets",), "targets has none left; give one of them a particle filter")
             return
-        known = f"there are {', '.join(names)}"
-        for name, one in self.filters.items():
-            if one.points:
+        choice = f"there are {', '.join(names)}"
+        for name, settings in self.filters.items():
+            if settings.points:
                 message = "several targets are regions, clouds or affine; follow points by a recipe of their own"
                 yield Refusal(("targets", name, "target", "type"), message)
-            if isinstance(one.likelihood, SkinCloudSettings) and one.likelihood.learn_from not in (None, *names):
-                message = f'there is no target "{one.likelihood.learn_from}" to learn from; {known}'
+            if isinstance(settings.likelihood, SkinCloudSettings) and settings.likelihood.learn_from not in (
+                None,
+                *names,
+            ):
+                message = f'there is no target "{settings.likelihood.learn_from}" to learn from; {choice}'
                 yield Refusal(("targets", name, "likelihood", "learn_from"), message)
         for i, name in enumerate(self.exclusion.first if self.exclusion is not None else ()):
             if name not in names:
-                yield Refusal(("exclusion", "first", i), f'there is no target "{name}"; {known}')
+                yield Refusal(("exclusion", "first", i), f'there is no target "{name}"; {choice}')
         if self.hands is not None and (taken := [name for name in HANDS if name in self.targets]):
             yield Refusal(("targets", taken[0]), f"{taken[0]} is one of hands; remove it, or hands")
-        hypotheses = sum(one.hypotheses for one in self.filters.values())
+        hypotheses = sum(settings.hypotheses for settings in self.filters.values())
         if hypotheses > MAX_HYPOTHESES:
             message = f"the targets have {hypotheses:,} particles; no more than {MAX_HYPOTHESES:,} fit into memory"
             yield Refusal(("targets",), message)
 
 
-KINDS: Mapping[str, type[Recipe]] = {type_of(one): one for one in (ParticleRecipe, ParticlesRecipe, OpenCvRecipe)}
+KINDS: Mapping[str, type[Recipe]] = {type_of(kind): kind for kind in (ParticleRecipe, ParticlesRecipe, OpenCvRecipe)}
 
 
 def seeded(recipe: Recipe, seed: Any) -> Recipe:
@@ -368,8 +376,8 @@ def one_error() -> Iterator[None]:
         raise error_of(refused.problems) from None
 
 
-def error_of(found: Sequence[Problem]) -> RecipeError:
-    first, others = found[0], len(found) - 1
+def error_of(problems: Sequence[Problem]) -> RecipeError:
+    first, others = problems[0], len(problems) - 1
     more = f" (and {others} more: facetrack recipes check lists all)" if others else ""
     return RecipeError(f"{first}{more}", first.span.excerpt())
 
@@ -391,15 +399,15 @@ class _Described(GenerateJsonSchema):
         return super().encode_default(dft.written() if isinstance(dft, Length) else dft)
 
     def model_schema(self, schema: Any) -> dict[str, Any]:
-        found = super().model_schema(schema)
+        described = super().model_schema(schema)
         cls = schema["cls"]
-        said = {name: text for base in reversed(cls.__mro__) for name, text in _docstrings(base).items()}
+        texts = {name: text for base in reversed(cls.__mro__) for name, text in _docstrings(base).items()}
         if type_of(cls):
-            said.setdefault("type", (inspect.getdoc(cls) or "").partition("\n\n")[0])
-        for name, field in found.get("properties", {}).items():
-            if name in said:
-                field.setdefault("description", said[name])
-        return found
+            texts.setdefault("type", (inspect.getdoc(cls) or "").partition("\n\n")[0])
+        for name, field in described.get("properties", {}).items():
+            if name in texts:
+                field.setdefault("description", texts[name])
+        return described
 
 
 @cache
@@ -413,9 +421,9 @@ def _docstrings(model: type) -> dict[str, str]:
         return {}
     body = ast.parse(textwrap.dedent(source)).body[0]
     assert isinstance(body, ast.ClassDef)
-    found = {}
+    texts = {}
     for field, below in pairwise(body.body):
         match field, below:
             case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
-                found[name] = inspect.cleandoc(text)
-    return found
+                texts[name] = inspect.cleandoc(text)
+    return texts

@@ -64,8 +64,8 @@ class Section(BaseModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if found := list(self.mistakes()):
-            raise PydanticCustomError("refused", "{summary}", {"summary": found[0].message, "refusals": found})
+        if refusals := list(self.mistakes()):
+            raise PydanticCustomError("refused", "{summary}", {"summary": refusals[0].message, "refusals": refusals})
         return self
 
 
@@ -183,19 +183,19 @@ def registered(kind: type[Kind]) -> Mapping[str, type[Kind]]:
 
 def add(section: type[Kind]) -> None:
     """Put a section into the registry. TypeError if it is not a section, ValueError if its name is taken."""
-    kind = next((one for one in KINDS if isinstance(section, type) and issubclass(section, one)), None)
+    kind = next((base for base in KINDS if isinstance(section, type) and issubclass(section, base)), None)
     name = type_of(section) if kind is not None else ""
     if kind is None or not name:
-        bases = ", ".join(one.__name__ for one in KINDS)
+        bases = ", ".join(base.__name__ for base in KINDS)
         raise TypeError(f'{section!r} is no section: derive it from one of {bases}, with type: Literal["its_name"]')
     if kind is not TargetSettings and not section.goes_with:
         raise TypeError(f'{section.__name__} goes with no type of target: add goes_with = ("points",), as it may be')
     if kind is not TargetSettings and not hasattr(section, "engine") and section.build is kind.build:
         raise TypeError(f"{section.__name__} builds nothing: give it a method build(self, context)")
-    known = registered(kind).get(name, section)
-    if (known.__module__, known.__qualname__) != (section.__module__, section.__qualname__):
+    taken = registered(kind).get(name, section)
+    if (taken.__module__, taken.__qualname__) != (section.__module__, section.__qualname__):
         noun = kind.__name__.removesuffix("Settings").lower()
-        raise ValueError(f'the {noun} type "{name}" is taken by {known.__module__}; choose another')
+        raise ValueError(f'the {noun} type "{name}" is taken by {taken.__module__}; choose another')
     _types[kind][name] = section
 
 
@@ -297,15 +297,15 @@ class PerPart(
     def refusals(self, path: Steps, parts: Sequence[str]) -> list[Refusal]:
         if not isinstance(self.root, dict):
             return []
-        where, known, found = ".".join(map(str, path)), [*parts, "default"], []
+        where, names, refusals = ".".join(map(str, path)), [*parts, "default"], []
         for name in self.root:
-            if name not in known:
-                message = f'"{name}" in {where} is no part of the target; {suggest(name, known, "there are")}'
-                found.append(Refusal((*path, name), message, True))
+            if name not in names:
+                message = f'"{name}" in {where} is no part of the target; {suggest(name, names, "there are")}'
+                refusals.append(Refusal((*path, name), message, True))
         lacking = [] if "default" in self.root else [part for part in parts if part not in self.root]
         if lacking:
-            found.append(Refusal(path, f'{where} has no value for {", ".join(lacking)}; add each, or a "default"'))
-        return found
+            refusals.append(Refusal(path, f'{where} has no value for {", ".join(lacking)}; add each, or a "default"'))
+        return refusals
 
 
 class LengthPerPart(PerPart[Length]):
