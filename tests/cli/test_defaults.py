@@ -1,4 +1,4 @@
-"""Defaults that the user sets: the command line, then the environment, then ours. Files of a folder set none."""
+"""Defaults that the user sets: the command line, then the environment, then ours."""
 
 import click
 import pytest
@@ -9,47 +9,34 @@ from tests.support.terminal import refusal
 
 
 @pytest.fixture
-def given(tmp_path, monkeypatch, capfd):
-    """Run a command line below a folder with this pyproject.toml: the options that `run` gets, or what is said."""
-    (tmp_path / "deep" / "er").mkdir(parents=True)
-    monkeypatch.chdir(tmp_path / "deep" / "er")
+def given(monkeypatch, capfd):
+    """Run a command line with these variables: the options that `run` gets, or what is said."""
 
-    def given(*arguments, text="", **variables):
-        (tmp_path / "pyproject.toml").write_text(text)
-        got = {}
+    def given(*arguments, **variables):
+        options = {}
         command = app.cli.get_command(click.Context(app.cli), "run")
-
-        def take(**values):
-            got.update(values)
-
-        monkeypatch.setattr(command, "callback", take)
+        monkeypatch.setattr(command, "callback", lambda **values: options.update(values))
         for name, value in variables.items():
             monkeypatch.setenv(f"FACETRACK_{name}", value)
         code = main(list(arguments))
-        return got if code == 0 else (code, *capfd.readouterr())
+        return options if code == 0 else (code, *capfd.readouterr())
 
     return given
 
 
-def test_the_order_is_command_line_environment_ours(given):
-    got = given("run", "a.mp4", "-j", "2", RUN_JOBS="4", RUN_SEED="5", RUN_SHARD="1/2")
-    assert (got["jobs"], got["seed"], got["shard"], got["quiet"]) == (2, 5, (1, 2), False)
-
-
-@pytest.mark.parametrize("text", ["[tool.facetrack.run]\njobs = 4\nout = 'there'\noverwrite = true\n", "[\n", "\0"])
-def test_a_folder_sets_nothing(given, text, capfd):
-    got = given("run", "a.mp4", text=text)
-    assert (got["jobs"], got["out"], got["overwrite"], got["cluster"]) == (1, None, False, None)
-    assert capfd.readouterr().err == ""
-
-
-def test_variables(given):
-    got = given("run", "a.mp4", RUN_SET="a=1 b=2", RUN_NO_VIDEO="1", RUN_QUIET="0", RUN_JOBS="")
-    assert (got["overrides"], got["no_video"], got["quiet"], got["jobs"]) == (("a=1", "b=2"), True, False, 1)
-
-
-def test_the_other_name_of_a_command_has_the_same_variables(given):
-    assert given("track", "a.mp4", RUN_JOBS="3")["jobs"] == 3
+@pytest.mark.parametrize(
+    ("words", "variables", "options"),
+    [
+        ("run a.mp4", {}, {"jobs": 1, "out": None, "overwrite": False, "cluster": None}),
+        ("run a.mp4 -j 2", {"JOBS": "4", "SEED": "5", "SHARD": "1/2"}, {"jobs": 2, "seed": 5, "shard": (1, 2)}),
+        ("run a.mp4", {"SET": "a=1 b=2", "NO_VIDEO": "1"}, {"overrides": ("a=1", "b=2"), "no_video": True}),
+        ("run a.mp4", {"QUIET": "0", "JOBS": ""}, {"quiet": False, "jobs": 1}),
+        ("track a.mp4", {"JOBS": "3"}, {"jobs": 3}),
+    ],
+)
+def test_the_order_is_command_line_environment_ours(given, words, variables, options):
+    found = given(*words.split(), **{f"RUN_{name}": value for name, value in variables.items()}, DEBUG="yes, please")
+    assert {name: found[name] for name in options} == options
 
 
 @pytest.mark.parametrize(
@@ -75,7 +62,3 @@ def test_help_shows_the_variables_that_are_set(given, capfd):
     given("run", "--help", RUN_JOBS="4")
     said = capfd.readouterr().out
     assert "FACETRACK_RUN_JOBS=4" in said and said.count("FACETRACK_RUN_") == 1
-
-
-def test_the_variable_of_debug_keeps_its_meaning(given):
-    assert given("run", "a.mp4", DEBUG="yes, please")["jobs"] == 1

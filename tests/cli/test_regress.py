@@ -265,7 +265,6 @@ def test_junit_escapes_what_xml_cannot_hold(tmp_path):
 # --- the shipped goldens -------------------------------------------------------------------------------------------
 
 FEW = ["occlusion.factorized", "expressions.sir"]
-ONE_BY_DAY = [FEW[0], *(pytest.param(stem, marks=pytest.mark.nightly) for stem in FEW[1:])]
 
 
 def verdict(stem, monkeypatch, *overrides):
@@ -276,25 +275,19 @@ def verdict(stem, monkeypatch, *overrides):
     return found
 
 
-@pytest.mark.one_in(2)
-@pytest.mark.slow
-@pytest.mark.parametrize("stem", ONE_BY_DAY)
+@pytest.mark.nightly
+@pytest.mark.parametrize("stem", FEW)
 @pytest.mark.parametrize(
-    "change",
-    [
-        "motion.sigma=0.07",
-        "likelihood.sigma=1.95",
-        *(pytest.param(one, marks=pytest.mark.nightly) for one in ("motion.sigma=0.13", "likelihood.sigma=1.05")),
-    ],
+    "change", ["motion.sigma=0.07", "motion.sigma=0.13", "likelihood.sigma=1.95", "likelihood.sigma=1.05"]
 )
 def test_a_sigma_that_is_off_by_30_percent_fails(stem, change, monkeypatch):
     found = verdict(stem, monkeypatch, change)
     assert found.status == "fails" and (found.farthest or 0) > 1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("stem", [*ONE_BY_DAY, pytest.param("map.skin_ncc_robust", marks=pytest.mark.nightly)])
-@pytest.mark.parametrize("first_seed", [300, *(pytest.param(n, marks=pytest.mark.nightly) for n in (400, 500))])
+@pytest.mark.nightly
+@pytest.mark.parametrize("stem", [*FEW, "map.skin_ncc_robust"])
+@pytest.mark.parametrize("first_seed", [300, 400, 500])
 def test_unseen_seeds_pass(stem, first_seed, monkeypatch):
     monkeypatch.setattr(goldens, "UNSEEN", first_seed)
     found = verdict(stem, monkeypatch)
