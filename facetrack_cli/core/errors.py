@@ -98,14 +98,14 @@ def check_opencv(version: str) -> None:
         return
     from importlib import metadata
 
-    found = {str(one.metadata["Name"]).lower(): one.version for one in metadata.distributions()}
-    there = {name: v for name, v in sorted(found.items()) if name.startswith("opencv-")}
-    told = ", ".join(f"{name} {v}" for name, v in there.items()) or "no package of it"
-    wheel = "opencv-contrib-python-headless" if any("contrib" in name for name in there) else "opencv-python-headless"
-    remedy = f"pip uninstall -y {' '.join(there)}; " if there else ""
+    versions = {str(package.metadata["Name"]).lower(): package.version for package in metadata.distributions()}
+    wheels = {name: v for name, v in sorted(versions.items()) if name.startswith("opencv-")}
+    installed = ", ".join(f"{name} {v}" for name, v in wheels.items()) or "no package of it"
+    wheel = "opencv-contrib-python-headless" if any("contrib" in name for name in wheels) else "opencv-python-headless"
+    remedy = f"pip uninstall -y {' '.join(wheels)}; " if wheels else ""
     remedy += f"pip install --force-reinstall '{wheel}>=4.13,<5'"
     raise UsageError(
-        f"OpenCV 4 or 5 is needed, and cv2 is {version} ({told} installed, of which the last one wins): {remedy}"
+        f"OpenCV 4 or 5 is needed, and cv2 is {version} ({installed} installed, of which the last one wins): {remedy}"
     )
 
 

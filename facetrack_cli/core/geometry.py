@@ -66,8 +66,8 @@ def corners(affine: Array, centre: Array, size: Array) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         half = sides * (size / 2 / np.where(lengths > 1e-9, lengths, np.nan))[..., None]
     u, v = half[:, 0], half[:, 1]
-    found: Array = centre[:, None] + np.stack([-u - v, u - v, u + v, v - u], axis=1)
-    return np.where(np.isfinite(found).all(axis=(1, 2), keepdims=True), found, np.nan)
+    places: Array = centre[:, None] + np.stack([-u - v, u - v, u + v, v - u], axis=1)
+    return np.where(np.isfinite(places).all(axis=(1, 2), keepdims=True), places, np.nan)
 
 
 def size_of_points(x0: Array) -> float:
@@ -123,7 +123,7 @@ def places(matrix: Array, size: tuple[int, int], *, inverse: bool) -> tuple[Any,
 
 def remap(image: Any, x: Any, y: Any, border: int) -> Any:
     """`cv2.remap`, linear, at x and y (h, w), float32."""
-    at = (x, y) if _ROUNDS else _split(*(np.rint(one * 32).astype(np.int64) for one in (x, y)))
+    at = (x, y) if _ROUNDS else _split(*(np.rint(coordinates * 32).astype(np.int64) for coordinates in (x, y)))
     return cv2.remap(image, *at, cv2.INTER_LINEAR, None, border)
 
 

@@ -70,11 +70,11 @@ class Kind:
                 file = np.load(raw, allow_pickle=False)
                 if not isinstance(file, np.lib.npyio.NpzFile):
                     raise InputError(f"{path}: is a bare array, not a {self.what}; {remedy}")
-                found = {name: file[name] for name in ("format", "version") if name in file.files}
-                if str(found.get("format")) != self.format:
+                head = {name: file[name] for name in ("format", "version") if name in file.files}
+                if str(head.get("format")) != self.format:
                     raise InputError(f"{path}: is not a {self.what}; {remedy}")
-                if found.get("version") is None or found["version"].ravel()[0] != self.version:
-                    version = f"{found.get('version')}, and this facetrack reads version {self.version}"
+                if head.get("version") is None or head["version"].ravel()[0] != self.version:
+                    version = f"{head.get('version')}, and this facetrack reads version {self.version}"
                     again = f"make it again with `{self.command}`"
                     raise InputError(f"{path}: is a {self.what} of format version {version}; {again}")
                 return make(Stored(file))
@@ -95,7 +95,7 @@ def check_inflated(path: Path, raw: BinaryIO, what: str) -> None:
     """InputError for an archive of a few bytes that holds very many; arrays of numbers are not packed so tightly."""
     check_directory(path, raw)
     with contextlib.suppress(BadZipFile), ZipFile(raw) as archive:
-        whole, packed = sum(one.file_size for one in archive.infolist()), path.stat().st_size
+        whole, packed = sum(member.file_size for member in archive.infolist()), path.stat().st_size
         if whole > MAX_FILE_BYTES and whole > 100 * packed:
             raise InputError(f"{path}: is no {what}: its {packed} bytes hold {whole / 1e6:.0f} MB; name the right file")
     raw.seek(0)
@@ -131,14 +131,14 @@ class Stored:
 
     def reals(self, key: str, ndim: int) -> NDArray[Any]:
         """An array of `ndim` axes, of the precision that it was stored in."""
-        found = self._array(key, "f", ndim)
-        return found.astype(found.dtype.newbyteorder("="))
+        array = self._array(key, "f", ndim)
+        return array.astype(array.dtype.newbyteorder("="))
 
     def _array(self, key: str, kinds: str, ndim: int) -> NDArray[Any]:
-        found: NDArray[Any] = self.file[key]
-        if found.dtype.kind not in kinds or found.ndim != ndim:
-            raise ValueError(f"{key} is of {found.dtype} and {found.ndim} axes")
-        return found
+        array: NDArray[Any] = self.file[key]
+        if array.dtype.kind not in kinds or array.ndim != ndim:
+            raise ValueError(f"{key} is of {array.dtype} and {array.ndim} axes")
+        return array
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], blocks: Sequence[Path] = ()) -> None:
@@ -154,9 +154,9 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], blocks: Sequenc
                 info.compress_type = ZIP_DEFLATED
                 return archive.open(info, "w")
 
-            for name, one in arrays.items():
+            for name, array in arrays.items():
                 with member(f"{name}.npy") as file:
-                    np.lib.format.write_array(file, one, allow_pickle=False)
+                    np.lib.format.write_array(file, array, allow_pickle=False)
             for block in blocks:
                 with ZipFile(block) as before:
                     for name in before.namelist():
@@ -205,17 +205,17 @@ def _flat(value: Any, arrays: Arrays) -> Any:
         state = value.bit_generator.state
         return {"random": state, "seeds": _flat(value.bit_generator.seed_seq, arrays)}
     if dataclasses.is_dataclass(value) and _ours(kind):
-        fields = [one for one in dataclasses.fields(value) if one.metadata.get(STORED, True)]
-        return {"of": _name(kind), "fields": {one.name: _flat(getattr(value, one.name), arrays) for one in fields}}
+        fields = [item for item in dataclasses.fields(value) if item.metadata.get(STORED, True)]
+        return {"of": _name(kind), "fields": {item.name: _flat(getattr(value, item.name), arrays) for item in fields}}
     if isinstance(value, tuple) and hasattr(value, "_fields") and _ours(kind):
         return {"of": _name(kind), "fields": {name: _flat(getattr(value, name), arrays) for name in value._fields}}
     if kind is deque:
-        return {"deque": [_flat(one, arrays) for one in value], "most": value.maxlen}
+        return {"deque": [_flat(item, arrays) for item in value], "most": value.maxlen}
     if kind.__name__ in _KINDS and kind is _KINDS[kind.__name__]:
-        those = sorted(value) if isinstance(value, set | frozenset) else value
-        return {kind.__name__: [_flat(one, arrays) for one in those]}
+        items = sorted(value) if isinstance(value, set | frozenset) else value
+        return {kind.__name__: [_flat(item, arrays) for item in items]}
     if isinstance(value, Mapping):
-        return {"dict": [[_flat(key, arrays), _flat(one, arrays)] for key, one in value.items()]}
+        return {"dict": [[_flat(key, arrays), _flat(item, arrays)] for key, item in value.items()]}
     raise TypeError(f"{kind.__module__}.{kind.__qualname__} cannot be stored")
 
 
@@ -235,13 +235,13 @@ def _value(flat: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
     if "seeds" in flat:
         return np.random.SeedSequence(flat["seeds"][0], spawn_key=flat["seeds"][1])
     if "of" in flat:
-        return _made(flat["of"], {name: _value(one, arrays) for name, one in flat["fields"].items()})
+        return _made(flat["of"], {name: _value(item, arrays) for name, item in flat["fields"].items()})
     if "dict" in flat:
-        return {_value(key, arrays): _value(one, arrays) for key, one in flat["dict"]}
+        return {_value(key, arrays): _value(item, arrays) for key, item in flat["dict"]}
     if "deque" in flat:
-        return deque((_value(one, arrays) for one in flat["deque"]), flat["most"])
-    [(kind, those)] = flat.items()
-    return _KINDS[kind](_value(one, arrays) for one in those)
+        return deque((_value(item, arrays) for item in flat["deque"]), flat["most"])
+    [(kind, items)] = flat.items()
+    return _KINDS[kind](_value(item, arrays) for item in items)
 
 
 def _made(name: str, fields: dict[str, Any]) -> Any:
@@ -249,8 +249,8 @@ def _made(name: str, fields: dict[str, Any]) -> Any:
     if module.partition(".")[0] != _PACKAGE:
         raise ValueError(f"{name} is none of {_PACKAGE}'s")
     kind: Any = import_module(module)
-    for one in path.split("."):
-        kind = getattr(kind, one)
+    for level in path.split("."):
+        kind = getattr(kind, level)
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         made = object.__new__(kind)  # as it was: nothing is computed or checked again
         for field in dataclasses.fields(kind):
@@ -266,10 +266,10 @@ def _name(kind: type) -> str:
 
 
 def _ours(kind: type) -> bool:
-    found: Any = sys.modules.get(kind.__module__)
-    for one in kind.__qualname__.split("."):
-        found = getattr(found, one, None)
-    return kind.__module__.partition(".")[0] == _PACKAGE and found is kind
+    named: Any = sys.modules.get(kind.__module__)
+    for level in kind.__qualname__.split("."):
+        named = getattr(named, level, None)
+    return kind.__module__.partition(".")[0] == _PACKAGE and named is kind
 
 
 def _keep(array: NDArray[Any], arrays: Arrays) -> str:
@@ -289,8 +289,8 @@ def _laid_out(packed: NDArray[Any], axes: list[int]) -> NDArray[Any]:
 
 def flat_value(name: str, value: Any) -> Arrays:
     """The value as arrays of an .npz file, under a name."""
-    text, those = flatten(value)
-    return {name: np.array(text), **{f"{name}/{key}": one for key, one in those.items()}}
+    text, arrays = flatten(value)
+    return {name: np.array(text), **{f"{name}/{key}": array for key, array in arrays.items()}}
 
 
 def read_value(stored: Stored, name: str) -> Any:

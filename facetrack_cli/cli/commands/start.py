@@ -66,8 +66,8 @@ def status_command(results: Path, as_json: bool) -> None:
     """
     from facetrack_cli.run_folder.status import survey
 
-    found = survey(results)
-    click.echo(found.json() if as_json else "\n".join(map(flat, found.lines())), nl=not as_json)
+    batch = survey(results)
+    click.echo(batch.json() if as_json else "\n".join(map(flat, batch.lines())), nl=not as_json)
 
 
 @click.command()
