@@ -80,8 +80,8 @@ def _run(argv: Sequence[str] | None) -> int:
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
         hint = f" (see {context.command_path} --help)" if context is not None else ""
-        said = error.format_message().replace("\n\t", " ")  # Click lists choices a line each
-        _say(f"error: {said.rstrip('.')}{hint}")
+        message = error.format_message().replace("\n\t", " ")  # Click lists choices a line each
+        _say(f"error: {message.rstrip('.')}{hint}")
         return ExitCode.USAGE
     except (KeyboardInterrupt, click.Abort) as error:
         if isinstance(error.__cause__, EOFError):  # which click takes for Ctrl-C at a prompt
@@ -102,18 +102,18 @@ def _failed(error: Exception) -> int:
     """Say what went wrong, with --debug also where; the exit code."""
     code, excerpt = ExitCode.FAULT, ""
     if isinstance(error, FacetrackError):
-        code, said = error.exit_code, str(error)
+        code, message = error.exit_code, str(error)
         excerpt = error.excerpt if isinstance(error, RecipeError) else ""
     elif (of_system := from_system(error)) is not None:
-        code, said = of_system.exit_code, str(of_system)
+        code, message = of_system.exit_code, str(of_system)
     elif _is_of_stdout(error):
         _forget(sys.stdout)
         code = ExitCode.USAGE
-        said = f"standard output: cannot be written: {getattr(error, 'strerror', None) or error}; send it elsewhere"
+        message = f"standard output: cannot be written: {getattr(error, 'strerror', None) or error}; send it elsewhere"
     else:
-        said = f"internal error: {type(error).__name__}{f': {error}' if str(error) else ''}; please report it"
-        said += "" if _debugging() else ", with what facetrack --debug ... prints"
-    _say(f"error: {said}", excerpt)
+        message = f"internal error: {type(error).__name__}{f': {error}' if str(error) else ''}; please report it"
+        message += "" if _debugging() else ", with what facetrack --debug ... prints"
+    _say(f"error: {message}", excerpt)
     if _debugging():
         import traceback
 

@@ -151,16 +151,16 @@ def in_frames(recipe: Recipe, fps: float | Fraction) -> Recipe:
 
 def files_of(recipe: Recipe) -> list[Path]:
     """The files that a recipe names: priors, galleries, networks, calibrations. YamlProblems for a missing one."""
-    named: dict[str, str] = {}
+    files: dict[str, str] = {}
     for name, settings in recipe.filters.items():
         for section, part in settings.components.items():
-            named |= {f"{above(name)}{section}.{key}": file for key, file in part.files.items()}
+            files |= {f"{above(name)}{section}.{key}": file for key, file in part.files.items()}
         if settings.confidence.calibration is not None:
-            named[f"{above(name)}confidence.calibration"] = settings.confidence.calibration
+            files[f"{above(name)}confidence.calibration"] = settings.confidence.calibration
     for name, head in recipe.heads.items():
         if head.landmarks.network not in (None, "mesh"):
-            named[f"{above(name)}head.landmarks.network"] = head.landmarks.network
-    return [_find_file(recipe, file, key) for key, file in named.items()]
+            files[f"{above(name)}head.landmarks.network"] = head.landmarks.network
+    return [_find_file(recipe, file, key) for key, file in files.items()]
 
 
 def _load(path: Path, overrides: Sequence[str], *, installed: bool = True) -> Recipe:

@@ -197,13 +197,13 @@ class Recipe(Section):
     @property
     def particles(self) -> int | None:
         """Number of particles, None for a tracker without."""
-        return sum(one.filter.particles for one in (*self.filters.values(), *self.heads.values())) or None
+        return sum(settings.filter.particles for settings in (*self.filters.values(), *self.heads.values())) or None
 
     @property
     def networks(self) -> tuple[str, ...]:
         """The networks that place points: `mesh` or the paths of files, and `iris`."""
         landmarks = [head.landmarks for head in self.heads.values() if head.landmarks.network]
-        return tuple(name for one in landmarks for name in (one.network, one.iris) if name is not None)
+        return tuple(name for marks in landmarks for name in (marks.network, marks.iris) if name is not None)
 
     @property
     def random(self) -> bool:
@@ -213,7 +213,7 @@ class Recipe(Section):
     @property
     def judges(self) -> bool:
         """Whether it may call a part lost."""
-        return not self.filters or any(one.likelihood.judges for one in self.filters.values())
+        return not self.filters or any(settings.likelihood.judges for settings in self.filters.values())
 
     def lost_below(self, target: str) -> float:
         """A part of this target is lost while its confidence stays below this."""

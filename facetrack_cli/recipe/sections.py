@@ -165,7 +165,7 @@ def registered(kind: type[Kind]) -> Mapping[str, type[Kind]]:
     """The types of a kind, as `FilterSettings`, by name. Raises RecipeError for an entry point that fails."""
     if _types:
         return _types[kind]
-    _types.update({one: {} for one in KINDS})
+    _types.update({base: {} for base in KINDS})
     for family in FAMILIES:
         for section in vars(import_module(f"facetrack_cli.{family}")).values():
             if isinstance(section, type) and issubclass(section, Kind) and type_of(section):
@@ -176,8 +176,8 @@ def registered(kind: type[Kind]) -> Mapping[str, type[Kind]]:
         except Exception as e:
             _types.clear()
             where = f"the entry point {point.name} = {point.value} of {point.dist.name if point.dist else '?'}"
-            said = " ".join(str(e).split()) or type(e).__name__
-            raise RecipeError(f"{where} brings no section: {said}; correct or uninstall that package") from e
+            why = " ".join(str(e).split()) or type(e).__name__
+            raise RecipeError(f"{where} brings no section: {why}; correct or uninstall that package") from e
     return _types[kind]
 
 
@@ -227,17 +227,17 @@ class Length:
         return f"{self.value!r}px".replace(".0px", "px") if self.px else self.value
 
     @classmethod
-    def read(cls, given: object) -> Length:
+    def read(cls, value: object) -> Length:
         """From what stands in a recipe; raises PydanticCustomError (a ValueError)."""
-        if isinstance(given, Length):
-            given = given.written()
-        if cls.least == 0 and isinstance(given, int | float) and given == 0 and not isinstance(given, bool):
+        if isinstance(value, Length):
+            value = value.written()
+        if cls.least == 0 and isinstance(value, int | float) and value == 0 and not isinstance(value, bool):
             return cls(0.0)
         length = cls(math.nan)
-        if isinstance(given, str) and re.fullmatch(NUMBER + " ?px", given):
-            length = cls(float(given.removesuffix("px")), px=True)
-        elif isinstance(given, int | float) and not isinstance(given, bool) and abs(given) < 1e300:
-            length = cls(float(given))
+        if isinstance(value, str) and re.fullmatch(NUMBER + " ?px", value):
+            length = cls(float(value.removesuffix("px")), px=True)
+        elif isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300:
+            length = cls(float(value))
         if not MIN_LENGTH <= length.value <= MAX_LENGTH:  # also nan
             units = "a number in units of the target's size, or pixels as in 12px"
             bound = "a length above 0" if cls.least else "0 or a length"
@@ -255,8 +255,8 @@ class Length:
     def __get_pydantic_json_schema__(
         cls, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        said = "In units of the target's size at the start."
-        units = {"type": "number", "minimum": cls.least, "maximum": MAX_LENGTH, "description": said}
+        meaning = "In units of the target's size at the start."
+        units = {"type": "number", "minimum": cls.least, "maximum": MAX_LENGTH, "description": meaning}
         pixels = {"type": "string", "pattern": f"^{NUMBER} ?px$", "description": "In pixels, as in 12px."}
         return {"title": cls.__name__, "anyOf": [units, pixels]}
 
@@ -342,10 +342,10 @@ class Time:
         return f"{self.value!r}".removesuffix(".0") + self.unit
 
     @classmethod
-    def read(cls, given: str) -> Time | None:
+    def read(cls, text: str) -> Time | None:
         """From what stands in a recipe; None for what is no time."""
-        found = re.fullmatch(f"({NUMBER}) ?(s|ms)", given)
-        time = cls(float(found[1]), found[5]) if found else None
+        match = re.fullmatch(f"({NUMBER}) ?(s|ms)", text)
+        time = cls(float(match[1]), match[5]) if match else None
         return time if time is not None and MIN_S <= time.seconds <= MAX_S else None
 
 
@@ -386,12 +386,12 @@ class OrTime:
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        said = "Time constant" if self.share else "Time"
+        meaning = "Time constant" if self.share else "Time"
         time = {
             "title": "Time",
             "type": "string",
             "pattern": f"^{NUMBER} ?(s|ms)$",
-            "description": f"{said}, as in 1s.",
+            "description": f"{meaning}, as in 1s.",
         }
         return {"anyOf": [handler(schema), time]}
 

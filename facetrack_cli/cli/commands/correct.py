@@ -140,12 +140,12 @@ def _apply(fixer: Fixer, file: Path, quiet: bool, *, adds: bool, video: bool) ->
         say(f"facetrack: {file} is as the run has it; nothing was written")
         return ExitCode.DONE
     else:
-        parts = fixer.run.parts
-        corrections = tuple(merged(one, fixer.find(one.frame, one.target), parts[one.target]) for one in corrections)
+        parts, find = fixer.run.parts, fixer.find
+        corrections = tuple(merged(one, find(one.frame, one.target), parts[one.target]) for one in corrections)
     with working(quiet, folder.name or str(folder), f"{folder} is as it was") as (stop, shown):
         (fixer.put if adds else fixer.apply)(corrections, report=shown.update, stop=stop)
         if adds:
-            frames = ", ".join(str(frame) for frame in sorted({one.frame for one in corrections})[:10])
+            frames = ", ".join(str(frame) for frame in sorted({correction.frame for correction in corrections})[:10])
             count = f"{len(corrections)} correction{'s' if len(corrections) > 1 else ''}, in frames {frames}"
             shown.say(f"{file}: {count}; export the run again before more is corrected there")
         shown.begin("saving")
@@ -306,7 +306,7 @@ def _intervals(people: People) -> str:
     """The frames in which people are seen, and their times in s, in the order of time."""
     from facetrack_cli.core.numbers import csv_text
 
-    each = ((one.name, zip(one.intervals, people.times_of(one), strict=True)) for one in people.people)
+    each = ((person.name, zip(person.intervals, people.times_of(person), strict=True)) for person in people.people)
     spans = sorted((*frames, name, *times) for name, both in each for frames, times in both)
     rows = ([name, first, stop - 1, f"{begin:.3f}", f"{end:.3f}"] for first, stop, name, begin, end in spans)
     return csv_text(["person", "first_frame", "last_frame", "begin_s", "end_s"], rows)
@@ -317,18 +317,18 @@ def _show(people: People, seconds: Clock) -> None:
     from facetrack_cli.core.numbers import clock
     from facetrack_cli.evaluation.sheet import Sheet
 
-    tracks = [one.person for one in people.tracks]
+    tracks = [track.person for track in people.tracks]
     rows = tuple(
         (
-            one.name, f"{one.seconds:.1f}", str(len(one.intervals)), str(tracks.count(one.name)),
-            clock(seconds.at(one.intervals[0][0])), f"{one.p:.2f}", "photograph" if one.photograph else "",
+            person.name, f"{person.seconds:.1f}", str(len(person.intervals)), str(tracks.count(person.name)),
+            clock(seconds.at(person.intervals[0][0])), f"{person.p:.2f}", "photograph" if person.photograph else "",
         )
-        for one in people.people
+        for person in people.people
     )  # fmt: skip
     notes = [
-        f"{clock(seconds.at(one.first))} (frame {one.first}): {one.person} with P = {one.p:.2f}, "
-        f"{one.other or 'somebody new'} with {one.p_other:.2f}"
-        for one in people.doubts
+        f"{clock(seconds.at(track.first))} (frame {track.first}): {track.person} with P = {track.p:.2f}, "
+        f"{track.other or 'somebody new'} with {track.p_other:.2f}"
+        for track in people.doubts
     ]
     title = f"{len(people.people)} people in {len(people.shots)} shots" + ("; in doubt:" if notes else "")
     heads = ("person", "seconds", "times", "tracks", "first seen", "P", "")

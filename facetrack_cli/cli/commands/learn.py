@@ -245,7 +245,7 @@ def show_prior(file: Path | None, out: Path | None, overwrite: bool) -> None:
     sigma = suggested_sigma(prior)
     write_figure(out, lambda: prior_figure(prior, sigma, title=path.name), overwrite=overwrite, inputs=[path])
     figures = zip(prior.parts, prior.shapes.min(0), prior.shapes.max(0), prior.shapes.std(0), strict=True)
-    rows = [(name, *(f"{one[axis]:.3f}" for axis in (0, 1) for one in each)) for name, *each in figures]
+    rows = [(name, *(f"{values[axis]:.3f}" for axis in (0, 1) for values in each)) for name, *each in figures]
     notes = (
         f"registered by {prior.stable}; unit: {' to '.join(prior.scale)} in the first frame",
         f"suggested sigma: {sigma:.3f}",

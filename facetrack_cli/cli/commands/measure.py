@@ -147,8 +147,8 @@ def eval_command(
     notes = [] if other is None else [other]
     persons = None
     if people:
-        ours, persons, named = identified(ours, theirs)
-        notes += named
+        ours, persons, renamed = identified(ours, theirs)
+        notes += renamed
         reference.partial = True
     pairs = reference.pairs(ours, theirs, notes.append)
     settings = Options(normalise, failure, frame_size_of(ours))
@@ -402,14 +402,15 @@ def regress_command(
     fails, began, results = "not recorded" if update else "FAILS", time.monotonic(), []
     with Stop().listening() as stopped, progress(quiet) as shown:
         shown.begin(str(folder))
-        for one in regress(
+        for result in regress(
             folder, asked, update=update, overrides=overrides, seeds=seeds or SEEDS, stop=stop, gallery=gallery,
             stopped=stopped, workers=jobs, report=shown.update,
         ):  # fmt: skip
-            results.append(one)
-            ok = one.message if update else f"ok ({one.message}; {one.seconds:.1f} s)"
-            verdict = {"ok": ok, "fails": f"{fails}: {one.message}", "skipped": f"skipped: {one.message}"}[one.status]
-            for line in (f"{one.clip} {one.recipe}: {verdict}", *(f"    {detail}" for detail in one.details)):
+            results.append(result)
+            why = result.message
+            ok = why if update else f"ok ({why}; {result.seconds:.1f} s)"
+            verdict = {"ok": ok, "fails": f"{fails}: {why}", "skipped": f"skipped: {why}"}[result.status]
+            for line in (f"{result.clip} {result.recipe}: {verdict}", *(f"    {detail}" for detail in result.details)):
                 click.echo(flat(line))
         if stopped.code is not None:
             shown.say(f"{stopped.reason} after {len(results)} of {len(asked)} goldens")

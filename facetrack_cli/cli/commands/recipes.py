@@ -110,10 +110,10 @@ def _list() -> None:
     from facetrack_cli.recipe.load import TAKE, TASKS, load_recipe
 
     recipes = [load_recipe(str(path)) for path in shipped_recipes()]
-    said = {recipe.name: " ".join(recipe.description.split()) for recipe in recipes}
+    descriptions = {recipe.name: " ".join(recipe.description.split()) for recipe in recipes}
     if not sys.stdout.isatty():
         for recipe in recipes:
-            click.echo(f"{recipe.name}\t{recipe.particles or '-'}\t{said[recipe.name]}")
+            click.echo(f"{recipe.name}\t{recipe.particles or '-'}\t{descriptions[recipe.name]}")
         return
     from rich.console import Console
     from rich.table import Table
@@ -126,7 +126,7 @@ def _list() -> None:
         group.add_column(no_wrap=True, style="bold")
         group.add_column()
         for name in names:
-            group.add_row("->" if name in TAKE else "", name, said[name])
+            group.add_row("->" if name in TAKE else "", name, descriptions[name])
         console.print(group)
     console.print("-> is the one to take; docs/recipes.md says when another")
 
