@@ -197,7 +197,8 @@ class Recipe(Section):
     @property
     def particles(self) -> int | None:
         """Number of particles, None for a tracker without."""
-        return sum(settings.filter.particles for settings in (*self.filters.values(), *self.heads.values())) or None
+        own = sum(settings.filter.particles for settings in self.filters.values())
+        return own + sum(head.filter.particles for head in self.heads.values()) or None
 
     @property
     def networks(self) -> tuple[str, ...]:

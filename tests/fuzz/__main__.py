@@ -24,7 +24,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="begin with this seed")
     given = parser.parse_args()
     from tests.fuzz import bench, cases, judge
-    from tests.fuzz.named import NAMED
+    from tests.fuzz.cases import NAMED
 
     by_name = not given.what[0].isdigit()
     every = given.what if by_name else [*NAMED, *cases.names(int(given.what[0]), given.first)]

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from tests.fuzz import guided
-from tests.fuzz.named import NAMED
+from tests.fuzz.cases import NAMED
 from tests.support.samples import FOLDER
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="each case runs in a process that is forked")
