@@ -240,13 +240,21 @@ class TargetStart:
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """What is corrected by hand of one target at one frame, from which it begins again; or what is `confirmed` there.
+    """What a user corrected of one target at one frame, from which it begins again; or what is right there.
 
-    `given` is its box, or points of it, without windows; `kept` says where its other points were: what is neither given
-    nor kept stays where the tracker has it. `absent` are parts that cannot be seen from there on, True for all.
-    `learn`: whether the appearance is learned again there; None: of what is given. None where all is absent.
-    `confirmed` are parts that lie right in that frame, whatever the tracker calls them, True for all: nothing begins
-    again, and nothing else is said then.
+    Parameters
+    ----------
+    given
+        Its box, or some of its points, without windows.
+    kept
+        Where its other points were. A point that is neither given nor kept stays where the tracker has it.
+    absent
+        Parts that cannot be seen from there on; True for all.
+    learn
+        Whether to relearn the appearance at this frame. None: that of the given parts. Always None if all is absent.
+    confirmed
+        Parts that lie right in that frame, whatever the tracker calls them; True for all. Then nothing begins again,
+        and nothing else is said.
     """
 
     frame: int

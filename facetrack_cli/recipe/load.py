@@ -115,9 +115,17 @@ def load_recipe(
 ) -> Recipe:
     """Read a recipe from a path, or by the name of a shipped one.
 
-    `overrides` are values by key, as in `{"filter.particles": 200}`, or `filter.particles=200` of the command line.
-    Unless `installed`, `auto` takes no model that this machine has and others may lack.
-    Raises RecipeError for the first thing that is wrong, and says how many more there are.
+    Parameters
+    ----------
+    overrides
+        Values by key, as in `{"filter.particles": 200}`, or texts such as `filter.particles=200`.
+    installed
+        If False, `auto` takes no model that this machine has and others may lack.
+
+    Raises
+    ------
+    RecipeError
+        The first thing that is wrong, and how many more there are.
     """
     if isinstance(overrides, Mapping):
         overrides = [f"{key}={json.dumps(value)}" for key, value in overrides.items()]
@@ -283,7 +291,7 @@ _FREE = frozenset(("name", "description", "seed"))  # what a calibration does no
 def calibrated(settings: Mapping[str, Any]) -> bool:
     """Whether all filters of a recipe with these settings name a calibration that was made for it.
 
-    The calibration of a shipped recipe holds for it as it is shipped. Of a file of one's own its name alone is known.
+    The calibration of a shipped recipe holds for that recipe, unchanged. Any other file is taken to fit.
     """
     for file in (files := _files(settings)):
         ours = _shipped(PurePath(file).stem)
