@@ -185,7 +185,7 @@ def array(what: str) -> Text:
 
 FILE, INPUT = Text("FILE", Path, _files, "a file"), Text("INPUT", Path, _files)
 PNG, NPZ = Text("FILE.png", Path, _files, "a file"), Text("FILE.npz", Path, _files, "a file")
-FOLDER, PROJECT = Text("DIR", Path, _folders), Text("PROJECT", Path, _folders)
+FOLDER, PROJECT = Text("DIR", Path, _folders, "a folder"), Text("PROJECT", Path, _folders)
 RUN = Text("RUN_DIR", Path, _runs)
 TRAJECTORY = Text("TRAJECTORY", Path, lambda ctx, incomplete: _files(ctx, incomplete) + _runs(ctx, incomplete)[1:])
 FILE_OR_DASH = Text("FILE", complete=_files, what="a file, or - for standard output")
