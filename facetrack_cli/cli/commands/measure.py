@@ -27,7 +27,6 @@ from facetrack_cli.cli.types import (
     FILE,
     FILE_OR_DASH,
     FOLDER,
-    FOLDER_OR_DASH,
     INPUT,
     PNG,
     RECIPE,
@@ -212,7 +211,7 @@ def _plot(evaluation: Evaluation, path: Path) -> bytes:
 @option("--truth", type=FILE, help="Ground truth [default: <clip>.truth.csv, else groundtruth.csv beside the clip].")
 @truth_options
 @extent_options
-@option("-o", "--out", type=FOLDER_OR_DASH, help="Folder for results [default: ./<clip>-compare].")
+@option("-o", "--out", type=FOLDER, help="Folder for results [default: ./<clip>-compare].")
 @flag("--json", "as_json", help="Print JSON instead of the table.")
 @flag("--csv", "as_csv", help="Print CSV instead of the table.")
 @flag("--no-plots", help="Draw nothing.")
@@ -221,7 +220,7 @@ def _plot(evaluation: Evaluation, path: Path) -> bytes:
 @flag("--quiet", "-q", help="Print the table, and nothing else but errors.")
 def compare_command(
     clip: Path, config: tuple[str, ...], seeds: int, rank_by: str | None, overrides: tuple[str, ...],
-    gallery: str | None, truth: Path | None, reference: TruthOptions, extent: Extent, out: str | None, as_json: bool,
+    gallery: str | None, truth: Path | None, reference: TruthOptions, extent: Extent, out: Path | None, as_json: bool,
     as_csv: bool, no_plots: bool, overwrite: bool, jobs: int, quiet: bool,
 ) -> int:  # fmt: skip
     """Run recipes on a clip with ground truth, and rank them.
@@ -267,7 +266,7 @@ def compare_command(
     from facetrack_cli.runs.signals import Stop
 
     extent.check(clip)
-    refuse((out == "-", "--out '-' names no folder; the table goes to standard output in any case"))
+    refuse((out == Path("-"), "--out '-' names no folder; the table goes to standard output in any case"))
     if rank_by is not None:
         compare.check_measure(rank_by)
     asked = [(name, (*overrides, *own)) for name, own in map(variant, config)]
@@ -275,7 +274,7 @@ def compare_command(
     recipes = dict(zip(labels(config), load_recipes(asked, gallery), strict=True))
     file = truth or compare.default_truth(clip)
     rows = reference.read(file)
-    folder = Path(out or f"{title(clip)}-compare")
+    folder = out or Path(f"{title(clip)}-compare")
     check_folder(folder, [*TABLES, *(() if no_plots else PLOTS)], overwrite=overwrite, inputs=[clip])
     made = make_folder(folder)
     try:
