@@ -23,17 +23,7 @@ from facetrack_cli.cli.options import (
     say,
     truth_options,
 )
-from facetrack_cli.cli.types import (
-    FILE,
-    FILE_OR_DASH,
-    FOLDER,
-    INPUT,
-    PNG,
-    RECIPE,
-    TRAJECTORY,
-    Text,
-    Whole,
-)
+from facetrack_cli.cli.types import FILE, FILE_OR_DASH, FOLDER, INPUT, PNG, RECIPE, TRAJECTORY, Text, Whole
 from facetrack_cli.core.errors import ExitCode, InputError, RecipeError, UsageError, flat
 
 if TYPE_CHECKING:
