@@ -1,4 +1,4 @@
-"""What the sections of a recipe are made from, and the registry of those that a recipe names by `type`.
+"""What the sections of a recipe are made from, the registry of their types, and those that several trackers share.
 
 A section declares each setting once: default, bounds, unit and, in the docstring below it, meaning and place in the
 paper. Its engine computes with it. No numerics are imported here: an engine is imported when it is built.
