@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.core.files import BrokenPipeError, FileSink, StreamSink, temporary_path
+from facetrack_cli.core.files import FileSink, StreamSink, temporary_path
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, FrameResult, Trajectory, one_part
 from facetrack_cli.trajectory.writers import FORMATS, WRITERS, RunSummary, as_written, csv_frames
