@@ -117,10 +117,13 @@ class FileSink:
     def __init__(self, path: Path) -> None:
         self.path = path
         with writing(path):
-            self._file: BinaryIO = temporary_path(path).open("wb", buffering=0)
+            self._file: BinaryIO = self._open()
         self._written = self._records = 0  # bytes in the file, and records
         self._ends: deque[int] = deque()  # where the last records end
         self._full = False
+
+    def _open(self) -> BinaryIO:
+        return temporary_path(self.path).open("wb", buffering=0)
 
     def write(self, record: str) -> None:
         data = _bytes(record)
