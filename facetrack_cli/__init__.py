@@ -21,7 +21,7 @@ docs/python.md has the whole of it.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from facetrack_cli.core.version import __version__ as __version__
+from facetrack_cli.core import __version__ as __version__
 from facetrack_cli.engine.kernels.cache import provide_cache
 
 if TYPE_CHECKING:

@@ -1,43 +1,18 @@
 """Run the command line: every error ends in one line on stderr and its exit code (core/errors.py)."""
 
 import contextlib
+import errno
+import gc
+import io
 import os
 import signal
+import sys
+from collections.abc import Sequence
+from typing import TextIO
 
-_CODES = {"SIGINT": 130, "SIGTERM": 143, "SIGHUP": 143}
-
-
-def _end(number: int, _: object) -> None:
-    """While we are loaded nothing is open: a signal ends us at once, with its line and its exit code."""
-    code = _CODES[signal.Signals(number).name]
-    with contextlib.suppress(OSError):
-        os.write(2, b"facetrack: interrupted\n" if code == 130 else b"facetrack: terminated\n")
-    os._exit(code)
-
-
-_before = {}
-with contextlib.suppress(ValueError):  # not in the main thread
-    for _one in signal.Signals:
-        if _one.name in _CODES and signal.getsignal(_one) in (signal.SIG_DFL, signal.default_int_handler):
-            _before[_one] = signal.signal(_one, _end)
-
-import errno  # noqa: E402
-import gc  # noqa: E402
-import io  # noqa: E402
-import sys  # noqa: E402
-from collections.abc import Sequence  # noqa: E402
-from typing import TextIO  # noqa: E402
-
-import click  # noqa: E402
-
-from facetrack_cli.cli.app import READER_GONE, cli  # noqa: E402
-from facetrack_cli.core.errors import ExitCode, FacetrackError, RecipeError, from_system  # noqa: E402
-from facetrack_cli.core.log import as_json, log_line  # noqa: E402
-from facetrack_cli.runs.signals import TerminatedError, raising  # noqa: E402
-
-if __name__ != "__main__":  # a program that imports us keeps its own handlers
-    for _one, _handler in _before.items():
-        signal.signal(_one, _handler)
+from facetrack_cli.core.errors import ExitCode, FacetrackError, RecipeError, from_system
+from facetrack_cli.core.log import as_json, log_line
+from facetrack_cli.runs.signals import TerminatedError, raising
 
 _MAX_MESSAGE = 1000  # characters of an error
 _STREAM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
@@ -46,13 +21,12 @@ _STREAM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line (by default the process's own) and return its exit code."""
     _open_streams()
-    with raising(instead_of=_end):
+    with raising():  # also while the commands are loaded
         code = _run(argv)
-    if argv is None and code in (ExitCode.INTERRUPTED, ExitCode.TERMINATED):
-        # another Ctrl-C while the interpreter shuts down must not change the exit code
-        with contextlib.suppress(ValueError):
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
     if argv is None:
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # while the interpreter ends, they must not change the exit code
+            with contextlib.suppress(ValueError, KeyError):  # not in the main thread; not on Windows
+                signal.signal(signal.Signals[name], signal.SIG_IGN)
         try:
             sys.stderr.flush()
         except OSError:  # a full disk under the log must not change the exit code
@@ -73,6 +47,10 @@ def _open_streams() -> None:
 
 
 def _run(argv: Sequence[str] | None) -> int:
+    import click
+
+    from facetrack_cli.cli.app import READER_GONE, cli
+
     try:
         code = cli.main(None if argv is None else list(argv), prog_name="facetrack", standalone_mode=False)
         sys.stdout.flush()
@@ -80,8 +58,8 @@ def _run(argv: Sequence[str] | None) -> int:
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
         hint = f" (see {context.command_path} --help)" if context is not None else ""
-        said = error.format_message().replace("\n\t", " ")  # Click lists choices a line each
-        _say(f"error: {said.rstrip('.')}{hint}")
+        message = error.format_message().replace("\n\t", " ")  # Click lists choices a line each
+        _say(f"error: {message.rstrip('.')}{hint}")
         return ExitCode.USAGE
     except (KeyboardInterrupt, click.Abort) as error:
         if isinstance(error.__cause__, EOFError):  # which click takes for Ctrl-C at a prompt
@@ -102,18 +80,18 @@ def _failed(error: Exception) -> int:
     """Say what went wrong, with --debug also where; the exit code."""
     code, excerpt = ExitCode.FAULT, ""
     if isinstance(error, FacetrackError):
-        code, said = error.exit_code, str(error)
+        code, message = error.exit_code, str(error)
         excerpt = error.excerpt if isinstance(error, RecipeError) else ""
     elif (of_system := from_system(error)) is not None:
-        code, said = of_system.exit_code, str(of_system)
+        code, message = of_system.exit_code, str(of_system)
     elif _is_of_stdout(error):
         _forget(sys.stdout)
         code = ExitCode.USAGE
-        said = f"standard output: cannot be written: {getattr(error, 'strerror', None) or error}; send it elsewhere"
+        message = f"standard output: cannot be written: {getattr(error, 'strerror', None) or error}; send it elsewhere"
     else:
-        said = f"internal error: {type(error).__name__}{f': {error}' if str(error) else ''}; please report it"
-        said += "" if _debugging() else ", with what facetrack --debug ... prints"
-    _say(f"error: {said}", excerpt)
+        message = f"internal error: {type(error).__name__}{f': {error}' if str(error) else ''}; please report it"
+        message += "" if _debugging() else ", with what facetrack --debug ... prints"
+    _say(f"error: {message}", excerpt)
     if _debugging():
         import traceback
 
@@ -133,6 +111,8 @@ def _is_of_stdout(error: Exception) -> bool:
 def _say(message: str, excerpt: str = "") -> None:
     if len(message) > _MAX_MESSAGE:  # it quotes what a file says; the place stands first, the remedy last
         message = f"{message[: _MAX_MESSAGE // 2]} ... {message[-_MAX_MESSAGE // 2 :]}"
+    import click
+
     with contextlib.suppress(OSError):  # a full disk under the log must not change the exit code
         click.echo(log_line(f"facetrack: {message}", **({"excerpt": excerpt} if excerpt else {})), err=True)
         if excerpt and not as_json():

@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, settings
 from facetrack_cli.__main__ import main
 from facetrack_cli.trackers.face import detectors, points
 from tests.support.models import hide_models, model_file
+from tests.support.samples import FOLDER
 
 # a shell starts what it puts into the background with Ctrl-C ignored, and every process that the tests start inherits
 # that: the tests of Ctrl-C would wait for a signal that never comes
@@ -85,6 +86,12 @@ def pytest_collection_modifyitems(items):
             if seen[of] % marked.args[0]:
                 item.add_marker(pytest.mark.nightly)
             seen[of] += 1
+
+
+@pytest.fixture(scope="module")
+def clips():
+    """What `IN` stands for in command lines, where a module has no clips of its own."""
+    return FOLDER
 
 
 @pytest.fixture

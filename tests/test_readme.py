@@ -20,19 +20,12 @@ from imageio_ffmpeg import get_ffmpeg_exe
 from facetrack_cli.core.models import VARIABLE
 from tests.test_docs import FENCE, PAGES, ROOT
 
-# README and the guides by day, with few frames; with `nightly` all pages, with whole clips and what is printed
-GUIDES = ("index", "film", "signer", "page", "measure", "smooth")
-BY_DAY = ("README.md", *(f"{name}.md" for name in GUIDES))
-SHORT = {
-    "RUN_STOP": "12", "RUN_NO_VIDEO": "1", "EVAL_PARTIAL": "1", "COMPARE_STOP": "12",
-    "COMPARE_SEEDS": "1",
-}  # fmt: skip
-MORE = {
-    "film.md": {"RUN_STOP": "60"},  # until both people are there
+# README and a guide by day, with few frames; with `nightly` all pages, with whole clips and what is printed
+BY_DAY = {
+    "README.md": {},
     "signer.md": {"RUN_STOP": "40"},  # until a hand is corrected
-    "page.md": {"RUN_STOP": "105"},  # until a point is corrected
-    "measure.md": {"PLOT_PARTIAL": "1", "REPORT_PARTIAL": "1"},
 }
+SHORT = {"RUN_STOP": "12", "RUN_NO_VIDEO": "1", "COMPARE_STOP": "12", "COMPARE_SEEDS": "1", "EVAL_PARTIAL": "1"}
 # measurements, most of them of clips that are not here; a reference; code that has its own tests
 OTHERS = ("results.md", "python.md", "extending.md")
 CLIPS = {"signer.md": "signing"}  # what clip.mp4 is there
@@ -135,7 +128,7 @@ def is_printed(shown, printed):
 def test_a_page_is_typed(page, short, folder):
     if page.name in CLIPS:
         shutil.copy(ROOT / "sample_videos" / f"{CLIPS[page.name]}.mp4", folder / "clip.mp4")
-    printed, more = "", SHORT | MORE.get(page.name, {}) if short else {}
+    printed, more = "", SHORT | BY_DAY[page.name] if short else {}
     for language, text, comments in typed(page):
         if language == "text":
             wrong = [] if short else [line for line in text.splitlines() if not is_printed(line, printed)]

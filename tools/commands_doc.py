@@ -77,7 +77,7 @@ def keys_page() -> str:
 
 def keys_tables() -> str:
     """A table of keys for each kind of recipe."""
-    from facetrack_cli.recipe.schema import json_schema
+    from facetrack_cli.recipe.model import json_schema
 
     schema = json_schema()
     kinds = [resolve(schema, one) for one in schema["anyOf"]]

@@ -11,35 +11,52 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from facetrack_cli.cli.options import option, sections
+from facetrack_cli.cli.options import option
+from facetrack_cli.core import __version__
 from facetrack_cli.core.log import VARIABLE
-from facetrack_cli.core.version import __version__
 
-COMMANDS = {
-    "run": "Track faces, heads and hands in videos and image folders.",
-    "app": "Track, look, correct and export on one page.",
-    "init": "Write where the track of a clip begins, as a file to edit.",
-    "status": "Tell how far a batch is: done, running, failed, time left.",
-    "fix": "Correct a finished run, on a page.",
-    "people": "Show and correct who is in a film.",
-    "report": "Write one HTML page about a run.",
-    "plot": "Draw what happened in a trajectory.",
-    "export": "Write a trajectory as other tools read it.",
-    "eval": "Measure a trajectory against ground truth.",
-    "compare": "Run and rank several recipes on a clip with ground truth.",
-    "regress": "Check clips against their golden results, for CI.",
-    "recipes": "List, show and check the recipes of trackers.",
-    "prior": "Learn shape priors from annotated frames, and draw them.",
-    "gallery": "Learn who is who from images and videos, and draw it.",
-    "models": "List and fetch optional networks.",
-    "completion": "Print what makes a shell complete command lines.",
-}
-"""The one-line helps stand here because to ask the commands for theirs would load them."""
 SECTIONS = {
-    "run": "Track", "fix": "Correct", "report": "Look and share", "eval": "Measure", "recipes": "Recipes and models",
-    "models": "Others",
-}  # fmt: skip
-"""The commands with which a section of the help begins."""
+    "Track": {
+        "run": "Track faces, heads and hands in videos and image folders.",
+        "app": "Track, look, correct and export on one page.",
+        "init": "Write where the track of a clip begins, as a file to edit.",
+        "status": "Tell how far a batch is: done, running, failed, time left.",
+    },
+    "Correct": {
+        "fix": "Correct a finished run, on a page.",
+        "people": "Show and correct who is in a film.",
+    },
+    "Look and share": {
+        "report": "Write one HTML page about a run.",
+        "plot": "Draw what happened in a trajectory.",
+        "export": "Write a trajectory as other tools read it.",
+    },
+    "Measure": {
+        "eval": "Measure a trajectory against ground truth.",
+        "compare": "Run and rank several recipes on a clip with ground truth.",
+        "regress": "Check clips against their golden results, for CI.",
+    },
+    "Recipes and models": {
+        "recipes": "List, show and check the recipes of trackers.",
+        "prior": "Learn shape priors from annotated frames, and draw them.",
+        "gallery": "Learn who is who from images and videos, and draw it.",
+    },
+    "Others": {
+        "models": "List and fetch optional networks.",
+        "completion": "Print what makes a shell complete command lines.",
+    },
+}
+"""Commands and their one-line helps, which stand here because to ask the commands for theirs would load them."""
+COMMANDS = {name: text for section in SECTIONS.values() for name, text in section.items()}
+MODULES = {
+    **dict.fromkeys(("app", "init", "status"), "start"),
+    **dict.fromkeys(SECTIONS["Correct"], "correct"),
+    **dict.fromkeys(SECTIONS["Look and share"], "share"),
+    **dict.fromkeys(SECTIONS["Measure"], "measure"),
+    **dict.fromkeys(("prior", "gallery"), "learn"),
+    **dict.fromkeys(SECTIONS["Others"], "recipes"),
+}
+"""The file in commands/ of a command; others have one of their own name."""
 ALIASES = {"track": "run"}
 GONE = {"smooth": "run --smooth", "repeat": "compare --seeds", "tune": "compare", "suggest": "recipes"}
 """Commands of before, and what does their work now."""
@@ -73,14 +90,15 @@ class LazyGroup(click.Group):
         cmd_name = ALIASES.get(cmd_name, cmd_name)
         if cmd_name not in COMMANDS:
             return None
-        command = import_module(f"facetrack_cli.cli.commands.{cmd_name}").command
+        module = import_module(f"facetrack_cli.cli.commands.{MODULES.get(cmd_name, cmd_name)}")
+        command = getattr(module, f"{cmd_name}_command")
         assert isinstance(command, click.Command)
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        for title, rows in sections(COMMANDS.items(), lambda row: SECTIONS.get(row[0]), "Commands"):
+        for title, commands in SECTIONS.items():
             with formatter.section(title):
-                formatter.write_dl(rows, col_max=12)
+                formatter.write_dl([*commands.items()], col_max=12)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -7,17 +7,18 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import click
 
 from facetrack_cli.cli import types
 from facetrack_cli.cli.types import FRAME, Text, Whole
-from facetrack_cli.core.errors import FacetrackError, UsageError
+from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError
 from facetrack_cli.core.log import log_line
 from facetrack_cli.trajectory.formats import TRUTH_FORMATS
 
@@ -27,10 +28,10 @@ if TYPE_CHECKING:
     from facetrack_cli.core.types import Box
     from facetrack_cli.editor.web.session import Page as PageSession
     from facetrack_cli.evaluation.rows import Pair
+    from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trajectory.trajectory import Trajectory
 
-_Row = TypeVar("_Row")
 Decorator: TypeAlias = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
@@ -86,13 +87,18 @@ class Command(click.Command):
         )  # fmt: skip
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        *params, every, own = (one for one in self.get_params(ctx) if isinstance(one, click.Option))
-        params = [own, every, *params] if self.sections else [*params, every, own]  # --help is of no section
-        rows = [(one.name or "", row) for one in params if (row := one.get_help_record(ctx)) is not None]
-        for title, listed in sections(rows, lambda row: self.sections.get(row[0]), "Options"):
-            if shown := [row for name, row in listed if name in self.basic or ctx.meta.get(EVERY)]:
-                with formatter.section(title):
-                    formatter.write_dl(shown)
+        *params, help_all, own = (param for param in self.get_params(ctx) if isinstance(param, click.Option))
+        params = [own, help_all, *params] if self.sections else [*params, help_all, own]  # --help is of no section
+        title = "Options"
+        rows: dict[str, list[tuple[str, str]]] = {}
+        for param in params:
+            name, row = str(param.name), param.get_help_record(ctx)
+            title = self.sections.get(name, title)
+            if row is not None and (name in self.basic or ctx.meta.get(EVERY)):
+                rows.setdefault(title, []).append(row)
+        for title, listed in rows.items():
+            with formatter.section(title):
+                formatter.write_dl(listed)
 
 
 EVERY = f"{__name__}.every"  # in the `meta` of a context: its help shows all options
@@ -105,22 +111,11 @@ def _show_all(ctx: click.Context, _: click.Parameter, value: bool) -> None:
         ctx.exit()
 
 
-def sections(rows: Iterable[_Row], begins: Callable[[_Row], str | None], title: str) -> list[tuple[str, list[_Row]]]:
-    """The rows below titles: that of `begins` where a section begins, `title` before any does."""
-    found: list[tuple[str, list[_Row]]] = [(title, [])]
-    for row in rows:
-        if (begun := begins(row)) is not None:
-            found.append((begun, []))
-        found[-1][1].append(row)
-    return [(name, own) for name, own in found if own]
-
-
-def given_beside(known: set[str]) -> str:
-    """The first option on the command line that is not `known`, as --stop; "" if there is none."""
-    ctx = click.get_current_context()
-    typed = click.core.ParameterSource.COMMANDLINE
-    others = [one for one in ctx.command.params if one.name not in known]
-    return next((max(one.opts, key=len) for one in others if ctx.get_parameter_source(str(one.name)) is typed), "")
+def refuse(*rules: tuple[object, str]) -> None:
+    """UsageError with the message of the first rule whose condition holds."""
+    for condition, message in rules:
+        if condition:
+            raise UsageError(message)
 
 
 def gathered(name: str, kind: type[Any], *options: Decorator) -> Decorator:
@@ -129,10 +124,11 @@ def gathered(name: str, kind: type[Any], *options: Decorator) -> Decorator:
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(command)
         def call(**values: Any) -> Any:
-            return command(**{name: kind(**{one.name: values.pop(one.name) for one in fields(kind)})}, **values)
+            group = kind(**{field.name: values.pop(field.name) for field in fields(kind)})
+            return command(**{name: group}, **values)
 
-        for each in reversed(options):
-            each(call)
+        for add in reversed(options):
+            add(call)
         return call
 
     return decorate
@@ -179,7 +175,7 @@ config = option(
     help="Recipe: a file, or a name [default: face; with --box correlation_filter].",
 )
 gallery = option(
-    "--gallery", type=types.FILE_OR_DASH,
+    "--gallery", type=types.GALLERY,
     help="People to recognise, as facetrack gallery fit writes them; with --faces all as facetrack people --save does.",
 )  # fmt: skip
 clip = option("--clip", type=types.INPUT, help="The clip, if it is elsewhere now.")
@@ -187,6 +183,7 @@ title = option("--title", type=Text("TEXT"), help="Title of the page [default: c
 target = option("--target", type=Text("NAME[/PART]"), help="One target, or one part of it, alone.")
 overwrite = flag("--overwrite", help="Replace files that are there already.")
 quiet = flag("--quiet", "-q", help="Say nothing but errors.")
+port = option("--port", type=Whole(1, 65535), help="Port of the page on this machine [default: any that is free].")
 
 
 @dataclass
@@ -201,16 +198,17 @@ class Extent:
 
     def check(self, *clips: Path) -> None:
         """UsageError where options contradict each other, or have no meaning for these clips."""
-        if self.init is not None and self.box is not None:
-            raise UsageError("--init and --box both say where the track starts; give one of them")
-        if self.stop is not None and self.stop <= self.start:
-            place = f"after --start {self.start}" if self.start else "at all"
-            raise UsageError(f"--stop {self.stop} leaves no frame {place}; it is the frame to stop before")
-        if self.fps is not None and all(one.is_file() for one in clips):
-            from facetrack_cli.video.files import brings_rate
+        from facetrack_cli.video.files import brings_rate
 
-            if all(map(brings_rate, clips)):
-                raise UsageError("--fps is for image folders and archives; a video brings its own rate")
+        both = self.init is not None and self.box is not None
+        empty = self.stop is not None and self.stop <= self.start
+        place = f"after --start {self.start}" if self.start else "at all"
+        rates = self.fps is not None and all(clip.is_file() and brings_rate(clip) for clip in clips)
+        refuse(
+            (both, "--init and --box both say where the track starts; give one of them"),
+            (empty, f"--stop {self.stop} leaves no frame {place}; it is the frame to stop before"),
+            (rates, "--fps is for image folders and archives; a video brings its own rate"),
+        )
 
 
 extent_options = gathered(
@@ -235,14 +233,14 @@ class TruthOptions:
 
     def refuse(self, *, target: bool) -> None:
         """UsageError, since there is no file, for an option that says how to read it; for --target only if `target`."""
-        given = {
+        idle = {
             "--truth-format": self.truth_format != "auto",
-            "--shift": self.shift != 0,
+            "--shift": self.shift,
             "--partial": self.partial,
             "--target": target and self.target,
         }
-        if idle := [name for name, value in given.items() if value]:
-            raise UsageError(f"{idle[0]} says how to use ground truth; give its file with --truth FILE")
+        how = "says how to use ground truth; give its file with --truth FILE"
+        refuse(*((value, f"{name} {how}") for name, value in idle.items()))
 
     def read(self, path: Path, beside: Trajectory | None = None) -> Trajectory:
         from facetrack_cli.trajectory.formats.read import read_truth
@@ -257,7 +255,7 @@ class TruthOptions:
 
 
 truth_options = gathered(
-    "known", TruthOptions,
+    "reference", TruthOptions,
     format_of("--truth-format", f"How to read it: {', '.join(TRUTH_FORMATS[1:])}"),
     option("--shift", type=int, metavar="N", default=0, show_default=False,
            help="Add N to the frame numbers of the ground truth."),
@@ -275,8 +273,7 @@ class Page:
 
     def refuse(self, remedy: str) -> None:
         """UsageError if there is to be no page, but an option of it was given."""
-        if self.port is not None or self.browse:
-            raise UsageError(f"{'--open' if self.port is None else '--port'} is for the page; {remedy}")
+        refuse((self.port, f"--port is for the page; {remedy}"), (self.browse, f"--open is for the page; {remedy}"))
 
     def serve(self, session: PageSession, stop: Stop) -> bool:
         """Serve a page until it is saved or stopped, and say what it did; whether it was saved."""
@@ -292,7 +289,7 @@ class Page:
 
 page_options = gathered(
     "page", Page,
-    option("--port", type=Whole(1, 65535), help="Port of the page on this machine [default: any that is free]."),
+    port,
     flag("--open", "browse", help="Also open the page in the browser."),
 )  # fmt: skip
 
@@ -300,6 +297,21 @@ page_options = gathered(
 def say(line: str) -> None:
     """A line on standard error, also where a name holds line breaks."""
     click.echo(log_line(line), err=True)
+
+
+@contextmanager
+def working(quiet: bool, name: str, stopped: str) -> Iterator[tuple[Stop, Progress]]:
+    """Work on `name` that Ctrl-C ends: then `stopped` says what became of it, and the command leaves."""
+    from facetrack_cli.runs.progress import progress
+    from facetrack_cli.runs.signals import Stop, StoppedError
+
+    with Stop().listening() as stop, progress(quiet) as shown:
+        try:
+            shown.begin(name)
+            yield stop, shown
+        except StoppedError:
+            shown.say(f"facetrack: {stop.reason}; {stopped}")
+            raise click.exceptions.Exit(stop.code or ExitCode.FAULT) from None
 
 
 def write_figure(

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import click
 from click.shell_completion import CompletionItem
 
-from facetrack_cli.core.errors import OutputError, UsageError
+from facetrack_cli.core.errors import UsageError
 from facetrack_cli.core.models import shipped_recipes
 
 if TYPE_CHECKING:
@@ -42,24 +42,32 @@ class Number(click.FloatRange):
     name = "number"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        found = super().convert(value, param, ctx)
-        if not math.isfinite(found):
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
             self.fail(f"{value!r} is no finite number.", param, ctx)
-        return found
+        return number
 
 
 class Text(click.ParamType):  # type: ignore[type-arg]  # it has arguments since Click 8.4
-    """A value that the help calls `metavar`; `parse` reads it and raises BadParameter, `complete` completes it."""
+    """A value that the help calls `metavar`.
+
+    `parse` reads it and raises BadParameter, `complete` completes it. An option that is not to be empty is told to name
+    `what`.
+    """
 
     name = "text"
 
-    def __init__(self, metavar: str, parse: Callable[[str], Any] = str, complete: Complete | None = None) -> None:
-        self.metavar, self.parse, self.complete = metavar, parse, complete
+    def __init__(
+        self, metavar: str, parse: Callable[[str], Any] = str, complete: Complete | None = None, what: str = ""
+    ) -> None:
+        self.metavar, self.parse, self.complete, self.what = metavar, parse, complete, what
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
         return self.metavar
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "" and self.what and isinstance(param, click.Option):
+            raise UsageError(f"{max(param.opts, key=len)} is empty; name {self.what}")
         return self.parse(value) if isinstance(value, str) else value
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
@@ -70,8 +78,8 @@ def words(metavar: str, pattern: str, remedy: str) -> Text:
     """Values that a pattern takes apart into words; `remedy` says what to give."""
 
     def parse(value: str) -> tuple[str, ...]:
-        found = re.fullmatch(pattern, value)
-        each = tuple(word.strip() for word in found.groups()) if found else ()
+        match = re.fullmatch(pattern, value)
+        each = tuple(word.strip() for word in match.groups()) if match else ()
         if not each or not all(each):
             raise click.BadParameter(f"{value!r}: {remedy}")
         return each
@@ -92,13 +100,12 @@ def _folders(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
 
 def _runs(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
     """Folders of runs; without one, any folder."""
-    typed, _, begun = incomplete.rpartition("/")
-    found = []
+    above, slash, prefix = incomplete.rpartition("/")
+    runs: list[Path] = []
     with contextlib.suppress(OSError):
-        for one in sorted(Path(f"{typed}/" if "/" in incomplete else ".").iterdir()):
-            if one.name.startswith(begun) and any((one / name).is_file() for name in ("run.json", "trajectory.json")):
-                found.append(CompletionItem(f"{typed}/{one.name}" if "/" in incomplete else one.name))
-    return _folders(ctx, incomplete) + found
+        folders = sorted(path for path in Path(f"{above}{slash}" or ".").iterdir() if path.name.startswith(prefix))
+        runs = [path for path in folders if (path / "run.json").is_file() or (path / "trajectory.json").is_file()]
+    return _folders(ctx, incomplete) + [CompletionItem(f"{above}{slash}{path.name}") for path in runs]
 
 
 def _recipes(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
@@ -111,14 +118,14 @@ def _recipes(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
 def _keys(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
     """Keys that the recipe of the command line has, or any shipped one."""
     shipped = {path.stem: path for path in shipped_recipes()}
-    given = [ctx.params.get(name) for name in ("config", "recipe")]
-    names = [name for one in given for name in ([one] if isinstance(one, str) else one or ())]
+    values = [ctx.params.get(name) for name in ("config", "recipe")]
+    names = [name for value in values for name in ([value] if isinstance(value, str) else value or ())]
     files = [shipped.get(name.removesuffix(".yaml"), Path(name)) for name in names] or list(shipped.values())
-    found: dict[str, None] = {}
+    keys: dict[str, None] = {}
     for file in files:
         with contextlib.suppress(OSError, ValueError):
-            found.update(dict.fromkeys(_keys_of(file.read_text(encoding="utf-8"))))
-    return [CompletionItem(f"{key}=") for key in found if key.startswith(incomplete)]
+            keys.update(dict.fromkeys(_keys_of(file.read_text(encoding="utf-8"))))
+    return [CompletionItem(f"{key}=") for key in keys if key.startswith(incomplete)]
 
 
 def _keys_of(text: str) -> Iterator[str]:
@@ -151,26 +158,15 @@ def _box(value: str) -> Box:
     return (x, y, w, h)
 
 
-def _init(value: str) -> Path | str:
-    if not value:
-        raise UsageError("--init is empty; name an init file, or haar to look for a face")
-    return value if value in ("haar", "yunet") else Path(value)
-
-
 def _rate(value: str) -> Fraction:
     """Frames per second."""
-    try:
-        found = Fraction(value)
-    except (ValueError, ZeroDivisionError):
-        found = Fraction(0)
-    if not 0 < found <= 100_000:
-        raise click.BadParameter(f"{value!r}: give frames per second as 25, 29.97 or 30000/1001")
-    return found
+    with contextlib.suppress(ValueError, ZeroDivisionError):
+        if 0 < (rate := Fraction(value)) <= 100_000:
+            return rate
+    raise click.BadParameter(f"{value!r}: give frames per second as 25, 29.97 or 30000/1001")
 
 
 def _figure(value: str) -> Path:
-    if not value:
-        raise OutputError("--out is empty; name a file that ends in .png, .svg or .pdf")
     if Path(value).suffix[1:].lower() not in FIGURES:
         raise UsageError(f"{value}: cannot tell the kind of file; let its name end in .png, .svg or .pdf")
     return Path(value)
@@ -187,13 +183,19 @@ def array(what: str) -> Text:
     return Text("FILE", parse, _files)
 
 
-_PATH = click.Path(path_type=Path)
-FILE, PNG, INPUT = Text("FILE", _PATH, _files), Text("FILE.png", _PATH, _files), Text("INPUT", _PATH, _files)
-FOLDER = Text("DIR", _PATH, _folders)
-RUN = Text("RUN_DIR", _PATH, _runs)
-TRAJECTORY = Text("TRAJECTORY", _PATH, lambda ctx, incomplete: _files(ctx, incomplete) + _runs(ctx, incomplete)[1:])
-FILE_OR_DASH, FOLDER_OR_DASH = Text("FILE", complete=_files), Text("DIR", complete=_folders)
-FIGURE, INIT = Text("FILE", _figure, _files), Text("FILE", _init, _files)
+FILE, INPUT = Text("FILE", Path, _files, "a file"), Text("INPUT", Path, _files)
+PNG, NPZ = Text("FILE.png", Path, _files, "a file"), Text("FILE.npz", Path, _files, "a file")
+FOLDER, PROJECT = Text("DIR", Path, _folders, "a folder"), Text("PROJECT", Path, _folders)
+RUN = Text("RUN_DIR", Path, _runs)
+TRAJECTORY = Text("TRAJECTORY", Path, lambda ctx, incomplete: _files(ctx, incomplete) + _runs(ctx, incomplete)[1:])
+FILE_OR_DASH = Text("FILE", complete=_files, what="a file, or - for standard output")
+FOLDER_OR_DASH = Text("DIR", complete=_folders, what="a folder, or - for standard output")
+GALLERY = Text("FILE", complete=_files, what="a gallery, as facetrack gallery fit writes it")
+FIGURE = Text("FILE", _figure, _files, "a file that ends in .png, .svg or .pdf")
+INIT = Text(
+    "FILE", lambda value: value if value in ("haar", "yunet") else Path(value), _files,
+    "an init file, or haar to look for a face",
+)  # fmt: skip
 RECIPE, KEY = Text("RECIPE", complete=_recipes), Text("KEY=VALUE", complete=_keys)
 BOX, RATE = Text("X,Y,W,H", _box), Text("RATE", _rate)
 FRAME = Whole(min=0)

@@ -12,9 +12,15 @@ excerpt with a caret, in `excerpt`.
 """
 
 import errno
-from collections.abc import Iterator
+import functools
+import inspect
+import re
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import IntEnum
+from typing import Any, TypeVar
+
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 class ExitCode(IntEnum):
@@ -92,14 +98,14 @@ def check_opencv(version: str) -> None:
         return
     from importlib import metadata
 
-    found = {str(one.metadata["Name"]).lower(): one.version for one in metadata.distributions()}
-    there = {name: v for name, v in sorted(found.items()) if name.startswith("opencv-")}
-    told = ", ".join(f"{name} {v}" for name, v in there.items()) or "no package of it"
-    wheel = "opencv-contrib-python-headless" if any("contrib" in name for name in there) else "opencv-python-headless"
-    remedy = f"pip uninstall -y {' '.join(there)}; " if there else ""
+    versions = {str(package.metadata["Name"]).lower(): package.version for package in metadata.distributions()}
+    wheels = {name: v for name, v in sorted(versions.items()) if name.startswith("opencv-")}
+    installed = ", ".join(f"{name} {v}" for name, v in wheels.items()) or "no package of it"
+    wheel = "opencv-contrib-python-headless" if any("contrib" in name for name in wheels) else "opencv-python-headless"
+    remedy = f"pip uninstall -y {' '.join(wheels)}; " if wheels else ""
     remedy += f"pip install --force-reinstall '{wheel}>=4.13,<5'"
     raise UsageError(
-        f"OpenCV 4 or 5 is needed, and cv2 is {version} ({told} installed, of which the last one wins): {remedy}"
+        f"OpenCV 4 or 5 is needed, and cv2 is {version} ({installed} installed, of which the last one wins): {remedy}"
     )
 
 
@@ -124,3 +130,20 @@ def needed(what: str, package: str, extra: str = "plot") -> Iterator[None]:
     except (ImportError, ValueError, OSError) as e:
         said = " ".join(str(e).split())
         raise UsageError(f"{package} cannot be loaded: {said}; install it again: {remedy}") from e
+
+
+def named_as_arguments(function: F) -> F:
+    """A decorator: the errors of a function for Python name its arguments in place of options of the command line."""
+    names = {f"--{name.replace('_', '-')}": name for name in inspect.signature(function).parameters}
+    names.setdefault("--box", "a box as init")
+
+    @functools.wraps(function)
+    def call(*args: Any, **more: Any) -> Any:
+        try:
+            return function(*args, **more)
+        except FacetrackError as error:
+            message = re.sub(r"(?<!\S)--[a-z]+(-[a-z]+)*", lambda option: names.get(option[0], option[0]), str(error))
+            error.args = (message, *error.args[1:])
+            raise
+
+    return call  # type: ignore[return-value]

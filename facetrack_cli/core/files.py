@@ -1,4 +1,4 @@
-"""Writing results: files that appear, or are replaced, when they are whole; streams; the folder of a command's results.
+"""Writing results: files that appear, or are replaced, when they are whole; streams; folders.
 
 Every file is written under its temporary path, brought to the disk and then renamed. A symbolic link
 stays one, and the file that it leads to is replaced; in the folder of a run, which may be a stranger's, it is refused,
@@ -30,10 +30,6 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 _SECRET = secrets.token_hex(8)  # a file that lies there already under a name that was guessed is never written to
-
-
-class ReaderGoneError(BrokenPipeError):
-    """The program that reads our standard output has closed it."""
 
 
 def cannot_write(path: Path, error: OSError, remedy: str = "choose another place with --out") -> OutputError:
@@ -143,9 +139,13 @@ class FileSink:
 
     def go_on(self, file: Path, place: Place) -> None:
         """Begin with the contents of a file up to a place. Raises OSError."""
+        left = place.bytes
         with file.open("rb") as before:
-            if copy_bytes(before, self._file, place.bytes) < place.bytes:
-                raise OSError(errno.EIO, f"{file} is too short")
+            while left and (block := before.read(min(left, 1 << 20))):
+                self._file.write(block)
+                left -= len(block)
+        if left:
+            raise OSError(errno.EIO, f"{file} is too short")
         self._written, self._records = place
         self._ends.append(place.bytes)
 
@@ -214,7 +214,7 @@ class BytesSink:
 
 
 class StreamSink:
-    """Records to an open binary stream, each passed on at once. ReaderGoneError when the reader has closed it."""
+    """Records to an open binary stream, each passed on at once. BrokenPipeError when the reader has closed it."""
 
     def __init__(self, stream: BinaryIO) -> None:
         self.path, self._records = None, 0
@@ -227,8 +227,8 @@ class StreamSink:
             rest = memoryview(_bytes(record))
             while rest:
                 rest = rest[self._stream.write(rest) :]
-        except BrokenPipeError as e:
-            raise ReaderGoneError from e
+        except BrokenPipeError:
+            raise
         except OSError as e:
             raise cannot_write(Path("standard output"), e) from e
 
@@ -281,47 +281,38 @@ def write_new(path: Path, data: bytes, *, overwrite: bool) -> None:
 
 def digest(files: Iterable[Path], *, names: bool = False, stopped: Callable[[], bool] = lambda: False) -> str:
     """SHA-256 of the bytes of these files, with `names` of their names too; "" once `stopped`. Raises OSError."""
-    found = hashlib.sha256()
+    total = hashlib.sha256()
     for path in files:
         if names:
-            found.update(path.name.encode(errors="surrogateescape") + b"\0")
+            total.update(path.name.encode(errors="surrogateescape") + b"\0")
         with path.open("rb") as file:
             while block := file.read(1 << 20):
-                found.update(block)
+                total.update(block)
                 if stopped():
                     return ""
-    return found.hexdigest()
+    return total.hexdigest()
 
 
 def sampled(path: Path) -> str:
     """A digest of a file that is soon computed: of its size, its first and last MiB, and 62 places between. OSError."""
     size = path.stat().st_size
-    found = hashlib.sha256(str(size).encode())
+    total = hashlib.sha256(str(size).encode())
     with path.open("rb") as file:
         for place in range(64):
             file.seek(max(size - (1 << 20), 0) * place // 63)
-            found.update(file.read(1 << 20 if place in (0, 63) else 1 << 14))
-    return found.hexdigest()
-
-
-def copy_bytes(file: BinaryIO, to: BinaryIO, most: int) -> int:
-    """Copy so many bytes, or all if there are fewer; their number. OSError."""
-    left = most
-    while left and (block := file.read(min(left, 1 << 20))):
-        to.write(block)
-        left -= len(block)
-    return most - left
+            total.update(file.read(1 << 20 if place in (0, 63) else 1 << 14))
+    return total.hexdigest()
 
 
 def check_readable(path: Path, most: int, what: str = "file") -> None:
     """InputError for a file of more than `most` bytes, and for a device or a pipe, which may never end. OSError."""
-    found = path.stat()
-    if stat.S_ISFIFO(found.st_mode):
+    status = path.stat()
+    if stat.S_ISFIFO(status.st_mode):
         raise InputError(f"{path}: is a pipe, and can be read only once; save it in a file, and name that")
-    if stat.S_ISCHR(found.st_mode) or stat.S_ISBLK(found.st_mode) or stat.S_ISSOCK(found.st_mode):
+    if stat.S_ISCHR(status.st_mode) or stat.S_ISBLK(status.st_mode) or stat.S_ISSOCK(status.st_mode):
         raise InputError(f"{path}: is a device, not a {what}; name a file")
-    if found.st_size > most:
-        size = f"{found.st_size / 1e6:.0f} MB, and at most {most / 1e6:.0f} MB are read"
+    if status.st_size > most:
+        size = f"{status.st_size / 1e6:.0f} MB, and at most {most / 1e6:.0f} MB are read"
         raise InputError(f"{path}: is too large for a {what}: {size}; name the right file, or split it")
 
 
@@ -377,37 +368,3 @@ def remove_folders(made: Sequence[Path]) -> None:
     for folder in made:
         with contextlib.suppress(OSError):
             folder.rmdir()
-
-
-class Folder:
-    """The folder `path` of the results of a command, into which `write` writes files named `names`, in a `with`.
-
-    `out` is the value of --out; without it the folder `default` in the working directory is taken. Raises OutputError
-    as `check_folder` and `make_folder` do. Folders made for it are removed if nothing is written.
-    """
-
-    def __init__(self, out: str | None, default: str, names: Sequence[str], *, overwrite: bool, clip: Path) -> None:
-        if out in ("", "-"):
-            raise OutputError(f"--out {out!r} names no folder; the table goes to standard output in any case")
-        self.path = Path(default if out is None else out)
-        self.written: list[Path] = []
-        self._names, self._overwrite, self._clip = names, overwrite, clip
-
-    def __enter__(self) -> Folder:
-        check_folder(self.path, self._names, overwrite=self._overwrite, inputs=[self._clip])
-        self._made = make_folder(self.path)
-        return self
-
-    def write(self, name: str, data: str | bytes) -> None:
-        """Write one file, whole or not at all."""
-        content = _bytes(data) if isinstance(data, str) else data
-        write_new(self.path / name, content, overwrite=self._overwrite)
-        self.written.append(self.path / name)
-
-    def __exit__(self, *_: object) -> None:
-        if not self.written:
-            remove_folders(self._made)
-
-    def summary(self) -> str:
-        """One line: what was written."""
-        return f"{self.path}{os.sep} ({', '.join(path.name for path in self.written)})" if self.written else "nothing"

@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from facetrack_cli.core import __version__
 from facetrack_cli.core.types import Mask
-from facetrack_cli.core.version import __version__
 
 _FORMULA = re.compile(r"\s*[-=+@]")
 _Number = TypeVar("_Number", int, float)

@@ -117,7 +117,7 @@ class Frame:
         if self.pixels.ndim == 3:  # whether colours were computed meanwhile must not matter
             return None
         whole, own = planes_of(self.pixels), max(factor, 2)
-        found = [(*self._brightness(factor, extent), factor)]
+        reduced = [(*self._brightness(factor, extent), factor)]
         width, height = (max(side // own, 1) for side in self.size)
         x0, x1 = _blocks(extent[0], extent[2], own, width)
         y0, y1 = _blocks(extent[1], extent[3], own, height)
@@ -125,13 +125,13 @@ class Frame:
             part = plane[y0 * own // 2 : y1 * own // 2, x0 * own // 2 : x1 * own // 2]
             if own > 2:
                 part = np.asarray(cv2.resize(part, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA), np.uint8)
-            found.append((part, x0 * own, y0 * own, own))
-        return found
+            reduced.append((part, x0 * own, y0 * own, own))
+        return reduced
 
     def grey(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         """The image in grey (H, W), reduced by `factor` and beginning at (left, top), at least within `extent`."""
-        known = self._grey.get(factor)
-        if known is None or not _within(extent, known[3]):
+        kept = self._grey.get(factor)
+        if kept is None or not _within(extent, kept[3]):
             planes = self.pixels.ndim == 2
             image, left, top = (self._brightness if planes else self.reduced)(factor, extent)
             reduced = self._luma if planes else self._reduced
@@ -141,8 +141,8 @@ class Frame:
             y0, y1 = _blocks((asked[1] - top) / factor, (asked[3] - top) / factor, 1, height)
             part = image[y0:y1, x0:x1]
             grey = cv2.LUT(part, _FULL_RANGE) if planes else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
-            known = self._grey[factor] = np.asarray(grey, np.uint8), left + x0 * factor, top + y0 * factor, asked
-        return known[:3]
+            kept = self._grey[factor] = np.asarray(grey, np.uint8), left + x0 * factor, top + y0 * factor, asked
+        return kept[:3]
 
     def _brightness(self, factor: int, extent: Extent) -> tuple[Image, int, int]:
         """The plane Y, as `reduced`."""
@@ -158,8 +158,8 @@ class Frame:
         extent: Extent,
     ) -> tuple[Image, int, int]:
         """What `reduced` returns; `larger` gives the image at half the factor, `kept` holds what was reduced before."""
-        known = kept.get(factor)
-        if known is None or not _within(extent, known[3]):
+        reduced = kept.get(factor)
+        if reduced is None or not _within(extent, reduced[3]):
             # with a margin, since the next call of this frame asks for nearly the same place
             asked = _widened(extent, 6.0 * factor)
             width, height = (max(side // factor, 1) for side in self.size)
@@ -170,13 +170,13 @@ class Frame:
             dx, dy = 2 * x // factor, 2 * y // factor
             region = image[2 * top - dy : 2 * bottom - dy, 2 * left - dx : 2 * right - dx]
             small = cv2.resize(region, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
-            known = kept[factor] = small.astype(np.uint8, copy=False), left * factor, top * factor, asked
-        return known[:3]
+            reduced = kept[factor] = small.astype(np.uint8, copy=False), left * factor, top * factor, asked
+        return reduced[:3]
 
     def remembered(self, key: Hashable) -> NDArray[np.float32] | None:
         """What was remembered with this key."""
-        known = self._patches.get(key)
-        return None if known is None else known[1]
+        pair = self._patches.get(key)
+        return None if pair is None else pair[1]
 
     def remember(self, key: Hashable, of: object, values: NDArray[np.float32]) -> None:
         """Keep `values` for `remembered`, with the last few others, and `of`, whose id may be part of the key."""
@@ -240,13 +240,21 @@ class TargetStart:
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """What is corrected by hand of one target at one frame, from which it begins again; or what is `confirmed` there.
+    """What a user corrected of one target at one frame, from which it begins again; or what is right there.
 
-    `given` is its box, or points of it, without windows; `kept` says where its other points were: what is neither given
-    nor kept stays where the tracker has it. `absent` are parts that cannot be seen from there on, True for all.
-    `learn`: whether the appearance is learned again there; None: of what is given. None where all is absent.
-    `confirmed` are parts that lie right in that frame, whatever the tracker calls them, True for all: nothing begins
-    again, and nothing else is said then.
+    Parameters
+    ----------
+    given
+        Its box, or some of its points, without windows.
+    kept
+        Where its other points were. A point that is neither given nor kept stays where the tracker has it.
+    absent
+        Parts that cannot be seen from there on; True for all.
+    learn
+        Whether to relearn the appearance at this frame. None: that of the given parts. Always None if all is absent.
+    confirmed
+        Parts that lie right in that frame, whatever the tracker calls them; True for all. Then nothing begins again,
+        and nothing else is said.
     """
 
     frame: int

@@ -10,7 +10,6 @@ from __future__ import annotations
 import codecs
 import math
 import re
-import unicodedata
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -40,10 +39,6 @@ class Source:
     folder: Path
     is_file: bool = True
 
-    def place(self, span: Span) -> str:
-        """`file:line:column`, both counted from 1; the name alone for an option of the command line."""
-        return f"{self.name}:{span.line + 1}:{span.column + 1}" if self.is_file else self.name
-
 
 @dataclass(frozen=True, slots=True)
 class Span:
@@ -56,6 +51,8 @@ class Span:
 
     def excerpt(self) -> str:
         """The line, and carets below the place; "" where there is no text."""
+        from rich.cells import cell_len
+
         if not self.source.text:
             return ""
         lines = _lines(self.source.text)
@@ -66,7 +63,7 @@ class Span:
         under = printable(shown[self.column - first : max(self.end, self.column + 1) - first])
         gutter = f"{self.line + 1:>5} | " if self.source.is_file else "    "
         margin = f"{'|':>7} " if self.source.is_file else gutter
-        return f"{gutter}{printable(shown)}\n{margin}{' ' * _cells(before)}{'^' * max(1, _cells(under))}"
+        return f"{gutter}{printable(shown)}\n{margin}{' ' * cell_len(before)}{'^' * max(1, cell_len(under))}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +74,9 @@ class Problem:
     message: str
 
     def __str__(self) -> str:
-        return f"{self.span.source.place(self.span)}: {self.message}"
+        source = self.span.source
+        place = f":{self.span.line + 1}:{self.span.column + 1}" if source.is_file else ""
+        return f"{source.name}{place}: {self.message}"
 
 
 @dataclass(slots=True)
@@ -189,8 +188,6 @@ class _Reader:
                 if event.version not in (None, (1, 2), [1, 2]):
                     self.refuse(event, "only YAML 1.2 is read; remove the %YAML line")
                 root = self.node(stream, next(stream), 0)
-        except _TooDeep:
-            pass
         except (YAMLError, ValueError, OverflowError) as error:
             self.problems = [self.syntax(error) if isinstance(error, MarkedYAMLError) else self.unreadable(error)]
         if self.problems:
@@ -200,7 +197,7 @@ class _Reader:
     def node(self, stream: Iterator[Any], event: Any, depth: int) -> Node:
         if depth > MAX_DEPTH:
             self.refuse(event, f"nested more than {MAX_DEPTH} deep")
-            raise _TooDeep
+            raise YamlProblems(self.problems)
         span = self.span(event)
         if isinstance(event, events.AliasEvent):
             self.refuse(event, f'"*{event.anchor}" repeats another part of the file; write it out', of_anchors=True)
@@ -221,18 +218,18 @@ class _Reader:
         return Node(span, self.scalar(event))
 
     def mapping(self, stream: Iterator[Any], start: Any, depth: int) -> Node:
-        found: dict[str, Node] = {}
+        children: dict[str, Node] = {}
         while not isinstance(event := next(stream), events.MappingEndEvent):
             key = self.node(stream, event, depth + 1)
             value = self.node(stream, next(stream), depth + 1)
             if not isinstance(event, events.ScalarEvent):
                 self.refuse(event, "a key must be a name")
-            elif (first := found.get(event.value)) is not None and first.key is not None:
+            elif (first := children.get(event.value)) is not None and first.key is not None:
                 also = f" (first on line {first.key.line + 1})" if self.source.is_file else ""
                 self.refuse(event, f'the key "{event.value}" is repeated{also}; remove one of them')
             else:
-                found[event.value] = Node(value.span, value.value, key.span)
-        return Node(self.span(start, event), found)
+                children[event.value] = Node(value.span, value.value, key.span)
+        return Node(self.span(start, event), children)
 
     def scalar(self, event: Any) -> Scalar:
         text: str = event.value
@@ -292,10 +289,6 @@ class _Reader:
         return Problem(span, "a control character, which YAML does not allow; remove it")
 
 
-class _TooDeep(Exception):  # noqa: N818  (never leaves this file)
-    pass
-
-
 @lru_cache(4)  # every problem of a recipe asks for them
 def _lines(text: str) -> Sequence[str]:
     """The lines as YAML counts them, as its marks do; at least one."""
@@ -305,8 +298,3 @@ def _lines(text: str) -> Sequence[str]:
 def printable(text: str) -> str:
     """The text without what would break a line or a terminal."""
     return "".join(char if char.isprintable() else " " if char == "\t" else "?" for char in text)
-
-
-def _cells(text: str) -> int:
-    """Columns of a terminal that the text takes."""
-    return sum(0 if unicodedata.combining(c) else 2 if unicodedata.east_asian_width(c) in "WF" else 1 for c in text)

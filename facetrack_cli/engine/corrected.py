@@ -21,7 +21,7 @@ from typing import Any, Final, Literal, NamedTuple, cast
 import numpy as np
 from numpy.random import Generator
 
-from facetrack_cli.core.snapshot import STORED
+from facetrack_cli.core.npz import STORED
 from facetrack_cli.core.types import BOX, Correction, Frame, TargetStart
 from facetrack_cli.engine.loop import Footprint, Target, Tracker
 from facetrack_cli.trajectory.trajectory import DECIMALS, TargetResult, Trajectory, build

@@ -21,7 +21,7 @@ from facetrack_cli.engine.resampling import (
     summed,
     uniform,
 )
-from facetrack_cli.recipe.shared import AuxiliarySettings, FactorizedSettings, IndependentSettings, SirSettings
+from facetrack_cli.recipe.sections import AuxiliarySettings, FactorizedSettings, IndependentSettings, SirSettings
 
 
 class Prediction(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 from facetrack_cli.core.types import BOX, Array
 from facetrack_cli.engine.protocols import Linear, Motion
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.recipe.shared import RandomWalkSettings
+from facetrack_cli.recipe.sections import RandomWalkSettings
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Particles, Start
 from facetrack_cli.recipe.model import ParticleFilterSettings, Recipe
-from facetrack_cli.recipe.shared import ScaledSettings
+from facetrack_cli.recipe.sections import ScaledSettings
 from facetrack_cli.trajectory.diagnostics import Diagnostic
 
 MIN_BOX_PX: Final = 6  # pixels of a side; in less there is nothing to see

@@ -29,14 +29,13 @@ import numpy as np
 from llvmlite import binding
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError
 
+from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, reading
 from facetrack_cli.core.files import read_bounded, write_new
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.types import Array
-from facetrack_cli.core.version import __version__
 from facetrack_cli.core.yaml_tree import YamlProblems
-from facetrack_cli.recipe.gallery_option import put
-from facetrack_cli.recipe.load import files_of, load_recipe
+from facetrack_cli.recipe.load import files_of, load_recipe, put_gallery
 from facetrack_cli.recipe.model import OpenCvRecipe, Recipe, completed, to_dict
 from facetrack_cli.run_folder.manifest import clip_digest
 from facetrack_cli.runs.plan import ClipRequest
@@ -357,7 +356,7 @@ def _recipe(task: Task, overrides: Sequence[str], people: Path | None) -> Recipe
         return recipe
     if not people.is_file():
         raise InputError(f"the gallery {people} is not there; put it back, or name another with --gallery")
-    return put(recipe, str(people))
+    return put_gallery(recipe, str(people))
 
 
 def _to_record(task: Task, recipe: Recipe, seeds: int, stop: int | None, stopped: Stop) -> SeedPlan:

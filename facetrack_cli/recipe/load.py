@@ -1,20 +1,32 @@
-"""A recipe: everything a tracker is made of, as a checked, frozen value read from YAML."""
+"""From a name or a path to a checked recipe; the people of `--gallery`; whether the confidence is a probability."""
 
 import json
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from fractions import Fraction
-from pathlib import Path
+from functools import lru_cache
+from pathlib import Path, PurePath
 from typing import Any, Final
 
 from pydantic import ValidationError
 
-from facetrack_cli.core.errors import RecipeError, reading
+from facetrack_cli.core.errors import InputError, RecipeError, UsageError, reading
 from facetrack_cli.core.models import model_path, shipped_folder, shipped_recipes
-from facetrack_cli.core.yaml_tree import Node, Problem, Source, Span, YamlProblems, assign, parse, read_source
+from facetrack_cli.core.yaml_tree import (
+    Node,
+    Problem,
+    Source,
+    Span,
+    YamlProblems,
+    assign,
+    parse,
+    printable,
+    read_source,
+)
 from facetrack_cli.recipe.messages import locate, problems
-from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, above, error_of, to_dict
-from facetrack_cli.recipe.sections import suggest
-from facetrack_cli.recipe.times import FPS, times
+from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe, above, completed, error_of, one_error, to_dict
+from facetrack_cli.recipe.sections import FPS, has_times, suggest
+from facetrack_cli.trackers.appearance.settings import AffineSettings
 
 TASKS: Final[Mapping[str, tuple[str, ...]]] = {
     "a face and its features": ("face", "factorized_robust"),
@@ -63,28 +75,24 @@ def find_recipe(name_or_path: str) -> Path:
     raise RecipeError(f'"{name_or_path}" is {what}; {hint}shipped are {", ".join(shipped)}')
 
 
+@one_error()
 def read_recipe(path: Path) -> str:
     """The text of a recipe's file, right or wrong; RecipeError if it is none."""
-    try:
-        return read_file(path).text
-    except YamlProblems as refused:
-        raise error_of(refused.problems) from None
+    return _read_file(path).text
 
 
+@one_error()
 def resolve_file(recipe: Recipe, name: str, key: str) -> Path:
     """A file that the recipe names, at `key` as in `prior.file`: beside it, or shipped; RecipeError if nowhere."""
-    try:
-        return find_file(recipe, name, key)
-    except YamlProblems as refused:
-        raise error_of(refused.problems) from None
+    return _find_file(recipe, name, key)
 
 
-def read_file(path: Path) -> Source:
+def _read_file(path: Path) -> Source:
     with reading(path, "check the file's permissions", RecipeError):
         return read_source(path, str(path))
 
 
-def find_file(recipe: Recipe, name: str, key: str) -> Path:
+def _find_file(recipe: Recipe, name: str, key: str) -> Path:
     span = Span(Source(str(recipe.path), "", recipe.path.parent), 0, 0, 1)
     if recipe._root is not None:
         node, _, exact = locate(recipe._root, tuple(key.split(".")))
@@ -101,21 +109,27 @@ def find_file(recipe: Recipe, name: str, key: str) -> Path:
 OVERRIDES = r",(?=[\w.]+=)"  # a comma before a key, which those in windows=[25,25] are not
 
 
+@one_error()
 def load_recipe(
     name_or_path: str, overrides: Sequence[str] | Mapping[str, Any] = (), *, installed: bool = True
 ) -> Recipe:
     """Read a recipe from a path, or by the name of a shipped one.
 
-    `overrides` are values by key, as in `{"filter.particles": 200}`, or `filter.particles=200` of the command line.
-    Unless `installed`, `auto` takes no model that this machine has and others may lack.
-    Raises RecipeError for the first thing that is wrong, and says how many more there are.
+    Parameters
+    ----------
+    overrides
+        Values by key, as in `{"filter.particles": 200}`, or texts such as `filter.particles=200`.
+    installed
+        If False, `auto` takes no model that this machine has and others may lack.
+
+    Raises
+    ------
+    RecipeError
+        The first thing that is wrong, and how many more there are.
     """
     if isinstance(overrides, Mapping):
         overrides = [f"{key}={json.dumps(value)}" for key, value in overrides.items()]
-    try:
-        return _load(find_recipe(name_or_path), overrides, installed=installed)
-    except YamlProblems as refused:
-        raise error_of(refused.problems) from None
+    return _load(find_recipe(name_or_path), overrides, installed=installed)
 
 
 def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Problem]:
@@ -129,7 +143,7 @@ def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Probl
 
 def in_frames(recipe: Recipe, fps: float | Fraction) -> Recipe:
     """The recipe with numbers in place of its times, for a clip of `fps` frames per second; RecipeError for a bound."""
-    if not any(times(recipe)):
+    if not has_times(recipe):
         return recipe
     rate = round(float(fps), 6)  # as a trajectory says it, so that a run that is opened again has the same numbers
     context = {"path": recipe.path, "root": recipe._root, FPS: rate}
@@ -145,20 +159,20 @@ def in_frames(recipe: Recipe, fps: float | Fraction) -> Recipe:
 
 def files_of(recipe: Recipe) -> list[Path]:
     """The files that a recipe names: priors, galleries, networks, calibrations. YamlProblems for a missing one."""
-    named: dict[str, str] = {}
-    for name, one in recipe.filters.items():
-        for section, given in one.components.items():
-            named |= {f"{above(name)}{section}.{key}": file for key, file in given.files.items()}
-        if one.confidence.calibration is not None:
-            named[f"{above(name)}confidence.calibration"] = one.confidence.calibration
-        network = None if one.head is None else one.head.landmarks.network
-        if network not in (None, "mesh"):
-            named[f"{above(name)}head.landmarks.network"] = network
-    return [find_file(recipe, file, key) for key, file in named.items()]
+    files: dict[str, str] = {}
+    for name, settings in recipe.filters.items():
+        for section, part in settings.components.items():
+            files |= {f"{above(name)}{section}.{key}": file for key, file in part.files.items()}
+        if settings.confidence.calibration is not None:
+            files[f"{above(name)}confidence.calibration"] = settings.confidence.calibration
+    for name, head in recipe.heads.items():
+        if head.landmarks.network not in (None, "mesh"):
+            files[f"{above(name)}head.landmarks.network"] = head.landmarks.network
+    return [_find_file(recipe, file, key) for key, file in files.items()]
 
 
 def _load(path: Path, overrides: Sequence[str], *, installed: bool = True) -> Recipe:
-    source = read_file(path)
+    source = _read_file(path)
     root = parse(source)
     if root is None or root.value is None:
         shipped = "start from a shipped recipe: facetrack recipes show factorized"
@@ -173,12 +187,12 @@ def _load(path: Path, overrides: Sequence[str], *, installed: bool = True) -> Re
     except ValidationError as error:
         raise YamlProblems(problems(error, kind, root)) from None
     more = []
-    for name, one in recipe.filters.items():
-        network, key = None if one.head is None else one.head.landmarks.network, f"{above(name)}head.landmarks."
+    for name, head in recipe.heads.items():
+        network, key = head.landmarks.network, f"{above(name)}head.landmarks."
         if network == "auto":
             network = "mesh" if installed and model_path("mesh") else None
             more.append(f"{key}network={network or 'null'}")
-        if one.head is not None and one.head.landmarks.iris == "auto":
+        if head.landmarks.iris == "auto":
             more.append(f"{key}iris={'iris' if network and installed and model_path('iris') else 'null'}")
     # said in the recipe, so that what continues a run uses the same
     return _load(path, [*overrides, *more]) if more else recipe
@@ -187,14 +201,127 @@ def _load(path: Path, overrides: Sequence[str], *, installed: bool = True) -> Re
 def _kind(root: Node) -> type[Recipe]:
     """The model of a recipe by its `type`: a particle filter where none is given."""
     keys = root.value if isinstance(root.value, dict) else {}
-    given, targets = keys.get("type"), keys.get("targets")
-    if targets and "target" not in keys and (given is None or given.value == "particle_filter"):
+    kind, targets = keys.get("type"), keys.get("targets")
+    if targets and "target" not in keys and (kind is None or kind.value == "particle_filter"):
         message = '"targets" is a key of several particle filters; write type: particle_filters'
-        raise YamlProblems([Problem(given.span if given else targets.key or targets.span, message)])
-    if given is None:
+        raise YamlProblems([Problem(kind.span if kind else targets.key or targets.span, message)])
+    if kind is None:
         return ParticleRecipe
-    name = given.value if isinstance(given.value, str) else ""
+    name = kind.value if isinstance(kind.value, str) else ""
     if name not in KINDS:
         hint = suggest(name, list(KINDS), "it is one of")
-        raise YamlProblems([Problem(given.span, f'unknown type of recipe "{name}"; {hint}')])
+        raise YamlProblems([Problem(kind.span, f'unknown type of recipe "{name}"; {hint}')])
     return KINDS[name]
+
+
+# --- the people of `--gallery` ---------------------------------------------------------------------------------------
+
+_MADE_BY = "as facetrack gallery fit writes it"
+
+
+def with_gallery(recipes: Sequence[Recipe], file: str | None) -> list[Recipe]:
+    """The recipes, those that recognise with the gallery's people; if none does, all of affine targets.
+
+    A recipe recognises if it has a section `recognition`. Without a file each must have a gallery of its own. Raises
+    UsageError where there is nobody to recognise, or nothing that recognises, and InputError for no such file.
+    """
+    if file is None:
+        for recipe in recipes:
+            if wants_gallery(recipe):
+                remedy = f"give --gallery FILE, {_MADE_BY}, or name one in the recipe, in recognition.gallery"
+                who = f"{recipe.name} says who somebody is, of the people of a gallery"
+                raise UsageError(f"--gallery is missing: {who}; {remedy}")
+        return list(recipes)
+    check_gallery_file(file)
+    recognising = any(map(_recognising, recipes))
+    if not recognising and not any(map(_affine, recipes)):
+        types = sorted({settings.target.type for settings in recipes[0].filters.values()})
+        follows = " and ".join(kind if kind == "points" else f"a {kind}" for kind in types)
+        what = f"{recipes[0].name} follows {follows}" if types else f"{recipes[0].name} is one of OpenCV's own trackers"
+        remedy = "take adaptive_recognition, or leave --gallery out"
+        raise UsageError(f"--gallery: {what}, and people are recognised by affine targets alone; {remedy}")
+    takes = _recognising if recognising else _affine
+    return [put_gallery(recipe, file) if takes(recipe) else recipe for recipe in recipes]
+
+
+def _recognising(recipe: Recipe) -> list[str]:
+    return [name for name, settings in recipe.filters.items() if settings.recognition is not None]
+
+
+def _affine(recipe: Recipe) -> list[str]:
+    return [name for name, settings in recipe.filters.items() if isinstance(settings.target, AffineSettings)]
+
+
+def wants_gallery(recipe: Recipe) -> bool:
+    """Whether it recognises and does not say whom."""
+    return any(settings.recognition and settings.recognition.gallery is None for settings in recipe.filters.values())
+
+
+def check_gallery_file(file: str) -> None:
+    """Raises UsageError or InputError for what is no file."""
+    if not file:
+        raise UsageError(f"--gallery is empty; name a gallery, {_MADE_BY}")
+    path, shown = Path(file), f"--gallery {printable(file)}"
+    try:
+        there, folder = path.is_file(), path.is_dir()
+    except (OSError, ValueError):  # a name that the file system does not take
+        there = folder = False
+    if folder:
+        remedy = f"name a file in it, {_MADE_BY}; facetrack gallery fit {printable(file)} makes one of people's folders"
+        raise InputError(f"{shown}: is a folder; {remedy}")
+    if not there:
+        raise InputError(f"{shown}: no such file; correct the name, or make one with facetrack gallery fit")
+
+
+def put_gallery(recipe: Recipe, file: str) -> Recipe:
+    """The recipe with this gallery in place of its own: where it recognises, else wherever it can."""
+    assert recipe._root is not None
+    root = deepcopy(recipe._root)
+    with one_error():  # a name that is not UTF-8
+        for name in _recognising(recipe) or _affine(recipe):
+            assign(root, "--gallery", f"{above(name)}recognition.gallery={json.dumps(file)}")
+    return type(recipe).model_validate(root.plain(), context={"path": recipe.path, "root": root})
+
+
+# --- calibrations ----------------------------------------------------------------------------------------------------
+
+_FREE = frozenset(("name", "description", "seed"))  # what a calibration does not depend on
+
+
+def calibrated(settings: Mapping[str, Any]) -> bool:
+    """Whether all filters of a recipe with these settings name a calibration that was made for it.
+
+    The calibration of a shipped recipe holds for that recipe, unchanged. Any other file is taken to fit.
+    """
+    for file in (files := _files(settings)):
+        ours = _shipped(PurePath(file).stem)
+        if ours is not None and file == ours["confidence"]["calibration"] and _bare(completed(settings)) != ours:
+            return False
+    return bool(files)
+
+
+def fitted(settings: Mapping[str, Any]) -> bool:
+    """Whether all filters name a calibration, be it made for other settings."""
+    return bool(_files(settings))
+
+
+def _files(settings: Mapping[str, Any]) -> list[str]:
+    """The calibrations of all filters; none if one has none."""
+    targets = settings.get("targets")
+    filters = [target for target in targets.values() if target] if isinstance(targets, Mapping) else [settings]
+    sections = [one.get("confidence") for one in filters if isinstance(one, Mapping)]
+    files = [section.get("calibration") if isinstance(section, Mapping) else None for section in sections]
+    return [] if None in files else [str(file) for file in files]
+
+
+@lru_cache
+def _shipped(name: str) -> dict[str, Any] | None:
+    """The settings of the shipped recipe of this name that has a calibration; None if there is none."""
+    if all(file.stem != name for file in shipped_recipes()):
+        return None
+    ours = _bare(to_dict(load_recipe(name, installed=False)))  # whatever networks this machine has
+    return ours if (ours.get("confidence") or {}).get("calibration") else None
+
+
+def _bare(settings: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in settings.items() if key not in _FREE}

@@ -32,9 +32,9 @@ _NAMES = "a name has small letters, digits and _, and begins with a letter"
 def problems(error: ValidationError, model: type[BaseModel], root: Node) -> list[Problem]:
     """Everything that the error lists, in the order of the text."""
     errors = error.errors(include_url=False)
-    found = [problem for details in errors for problem in _problems(details, model, root)]
-    found += _short_lists([details["loc"] for details in errors if details["type"] == "missing"], root)
-    return sorted(found, key=lambda p: (not p.span.source.is_file, p.span.line, p.span.column))
+    listed = [problem for details in errors for problem in _problems(details, model, root)]
+    listed += _short_lists([details["loc"] for details in errors if details["type"] == "missing"], root)
+    return sorted(listed, key=lambda p: (not p.span.source.is_file, p.span.line, p.span.column))
 
 
 def _short_lists(missing: Sequence[Steps], root: Node) -> Iterator[Problem]:
@@ -83,7 +83,7 @@ def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iter
         return
     node, keys, _ = locate(root, path)
     where, at = _dotted(keys), node.key or node.span
-    known = [type_of(member) for member in _models_at(model, tuple(keys))] if kind.startswith("union") else []
+    types = [type_of(member) for member in _models_at(model, tuple(keys))] if kind.startswith("union") else []
     if kind == "too_short" and _length(node) >= context["min_length"]:
         return  # pydantic does not count items that are wrong themselves
     if kind == "missing" and isinstance(path[-1], int):
@@ -94,13 +94,13 @@ def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iter
     elif kind == "extra_forbidden":
         yield Problem(at, _unknown_key(str(path[-1]), path, model, root))
     elif kind == "union_tag_not_found":
-        yield Problem(at, f'"{where}" lacks the key "type"; it is one of: {", ".join(known)}')
+        yield Problem(at, f'"{where}" lacks the key "type"; it is one of: {", ".join(types)}')
     elif kind == "union_tag_invalid":
-        given = node.value["type"] if isinstance(node.value, dict) else Node(node.span, None)
-        message = f"{where}.type cannot be {_shown(given.value)}; it is one of: {', '.join(known)}"
-        if isinstance(given.value, str):
-            message = f'unknown {where} type "{given.value}"; {suggest(given.value, known, "it is one of")}'
-        yield Problem(given.span, message)
+        chosen = node.value["type"] if isinstance(node.value, dict) else Node(node.span, None)
+        message = f"{where}.type cannot be {_shown(chosen.value)}; it is one of: {', '.join(types)}"
+        if isinstance(chosen.value, str):
+            message = f'unknown {where} type "{chosen.value}"; {suggest(chosen.value, types, "it is one of")}'
+        yield Problem(chosen.span, message)
     elif path[-1] == "[key]":  # how pydantic calls the name itself in a mapping from any name
         rule = _NAMES if kind == "string_pattern_mismatch" else f"give {context['max_length']} characters at most"
         yield Problem(at, f'"{keys[-1]}" cannot be one of {_dotted(keys[:-1])}; {rule}')
@@ -125,8 +125,8 @@ def _must(details: ErrorDetails, node: Node) -> str:
         bound = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
         return f"must have {bound} items, not {_length(node)}"
     if kind == "literal_error":
-        known = [word.strip(" '") for word in str(context["expected"]).replace(" or ", ",").split(",")]
-        return f"cannot be {given}; {suggest(str(node.value), known, 'it is one of')}"
+        choices = [word.strip(" '") for word in str(context["expected"]).replace(" or ", ",").split(",")]
+        return f"cannot be {given}; {suggest(str(node.value), choices, 'it is one of')}"
     if kind == "string_pattern_mismatch":
         return f"cannot be {given}; {_NAMES}"
     return f"{details['msg']}, not {given}"
@@ -136,8 +136,8 @@ def _unknown_key(key: str, path: Steps, model: type[BaseModel], root: Node) -> s
     node, keys, _ = locate(root, path[:-1])
     section = _dotted(keys)
     owners = _models_at(model, path[:-1])
-    known = [name for owner in owners[:1] for name in owner.model_fields]
-    homes = [type_of(one) for one in _models_at(model, tuple(keys)) if key in one.model_fields]
+    names = [name for owner in owners[:1] for name in owner.model_fields]
+    homes = [type_of(kind) for kind in _models_at(model, tuple(keys)) if key in kind.model_fields]
     if homes and section:
         mine = type_of(owners[0])
         chosen = node.value.get("type") if isinstance(node.value, dict) else None
@@ -145,7 +145,7 @@ def _unknown_key(key: str, path: Steps, model: type[BaseModel], root: Node) -> s
         remedy = f"give all of it at once: --set '{section}={{type: {mine}, ...}}'" if typed else "remove it"
         return f'"{key}" does not belong to {section} type "{mine}" but to {" and ".join(homes)}; {remedy}'
     inside = f' in "{section}"' if section else ""
-    return f'unknown key "{key}"{inside}; {suggest(key, known, "the keys there are")}'
+    return f'unknown key "{key}"{inside}; {suggest(key, names, "the keys there are")}'
 
 
 def _models_at(model: type[BaseModel], path: Steps) -> list[type[BaseModel]]:
@@ -156,11 +156,11 @@ def _models_at(model: type[BaseModel], path: Steps) -> list[type[BaseModel]]:
         if named_by_user:
             named_by_user = False
             continue
-        named = [one for one in here if len(here) > 1 and type_of(one) == step]
+        named = [kind for kind in here if len(here) > 1 and type_of(kind) == step]
         if named:
             here = named
             continue
-        fields = [one.model_fields[step] for one in here if isinstance(step, str) and step in one.model_fields]
+        fields = [kind.model_fields[step] for kind in here if isinstance(step, str) and step in kind.model_fields]
         named_by_user = any(get_origin(info.annotation) is dict for info in fields)
         here = [below for info in fields for below in _models_in(info.annotation)]
     return here

@@ -1,28 +1,37 @@
-"""The kinds of recipe; their sections are in the files beside this one. No numerics are imported here."""
+"""The kinds of recipe and their JSON Schema; sections are in the files beside this. No numerics are imported here."""
 
-from collections.abc import Iterable, Mapping, Sequence
+import ast
+import inspect
+import textwrap
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache
+from itertools import pairwise
 from numbers import Integral
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias, TypeVar
 
-from pydantic import Field, PrivateAttr, ValidationError
+from pydantic import BaseModel, Field, PrivateAttr, TypeAdapter, ValidationError
+from pydantic.json_schema import GenerateJsonSchema
 
 from facetrack_cli.core.errors import RecipeError
-from facetrack_cli.core.yaml_tree import Node, Problem
+from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems
 from facetrack_cli.recipe import sections
 from facetrack_cli.recipe.messages import locate
 from facetrack_cli.recipe.sections import (
+    FRAMES,
     Component,
     FilterSettings,
     Kind,
+    Length,
     LikelihoodSettings,
     MotionSettings,
     PriorSettings,
     Refusal,
     Section,
     TargetSettings,
+    type_of,
 )
-from facetrack_cli.recipe.times import FRAMES
 from facetrack_cli.trackers.appearance.settings import RecognitionSettings
 from facetrack_cli.trackers.face.settings import HeadSettings
 from facetrack_cli.trackers.hands.settings import NAMES as HANDS
@@ -85,16 +94,16 @@ class ParticleFilterSettings(Section):
     @property
     def components(self) -> dict[str, Component]:
         """What the tracker is built from, by key, but for what is not given."""
-        found = {key: getattr(self, key) for key in ("target", *_KINDS)}
-        return {key: one for key, one in found.items() if one is not None}
+        sections = {key: getattr(self, key) for key in ("target", *_KINDS)}
+        return {key: section for key, section in sections.items() if section is not None}
 
     def mistakes(self) -> Iterable[Refusal]:
-        given = self.components
-        if strangers := [key for key in _KINDS if key in given and self.target.type not in given[key].goes_with]:
-            yield from (self._mismatch(key, given[key]) for key in strangers)
+        parts = self.components
+        if strangers := [key for key in _KINDS if key in parts and self.target.type not in parts[key].goes_with]:
+            yield from (self._mismatch(key, parts[key]) for key in strangers)
             return
-        for one in given.values():
-            yield from one.mismatches(self)
+        for part in parts.values():
+            yield from part.mismatches(self)
         if self.confidence.calibration is not None and not self.likelihood.judges:
             message = f'likelihood type "{self.likelihood.type}" gives no confidence; remove the calibration'
             yield Refusal(("confidence", "calibration"), message)
@@ -104,13 +113,15 @@ class ParticleFilterSettings(Section):
             message = f"particles times parts is {self.hypotheses:,}; no more than {MAX_HYPOTHESES:,} fit into memory"
             yield Refusal(("filter", "particles"), message)
 
-    def _mismatch(self, key: str, given: Component) -> Refusal:
+    def _mismatch(self, key: str, section: Component) -> Refusal:
         """The error for a section that does not go with the type of the target."""
-        said = f'does not go with target type "{self.target.type}"'
-        if not isinstance(given, Kind):
-            return Refusal((key,), f"{key} {said}; remove it, or follow an affine target")
-        fitting = [name for name, one in sections.registered(_KINDS[key]).items() if self.target.type in one.goes_with]
-        message = f'{key} type "{given.type}" {said}; write {" or ".join(fitting) or "null"}'
+        why = f'does not go with target type "{self.target.type}"'
+        if not isinstance(section, Kind):
+            return Refusal((key,), f"{key} {why}; remove it, or follow an affine target")
+        fitting = [
+            name for name, kind in sections.registered(_KINDS[key]).items() if self.target.type in kind.goes_with
+        ]
+        message = f'{key} type "{section.type}" {why}; write {" or ".join(fitting) or "null"}'
         return Refusal((key, "type"), message)
 
 
@@ -155,9 +166,13 @@ class Recipe(Section):
         return {}
 
     @property
+    def heads(self) -> Mapping[str, HeadSettings]:
+        """The heads inside of which points are tracked, by target."""
+        return {name: settings.head for name, settings in self.filters.items() if settings.head is not None}
+
+    @property
     def has_head(self) -> bool:
-        """Whether a filter's points are tracked inside of a head."""
-        return any(one.head is not None for one in self.filters.values())
+        return bool(self.heads)
 
     @property
     def points(self) -> tuple[str, ...]:
@@ -182,14 +197,14 @@ class Recipe(Section):
     @property
     def particles(self) -> int | None:
         """Number of particles, None for a tracker without."""
-        heads = (one.head.filter.particles for one in self.filters.values() if one.head is not None)
-        return sum(one.filter.particles for one in self.filters.values()) + sum(heads) or None
+        own = sum(settings.filter.particles for settings in self.filters.values())
+        return own + sum(head.filter.particles for head in self.heads.values()) or None
 
     @property
     def networks(self) -> tuple[str, ...]:
         """The networks that place points: `mesh` or the paths of files, and `iris`."""
-        heads = [one.head.landmarks for one in self.filters.values() if one.head is not None]
-        return tuple(name for one in heads if one.network for name in (one.network, one.iris) if name is not None)
+        landmarks = [head.landmarks for head in self.heads.values() if head.landmarks.network]
+        return tuple(name for marks in landmarks for name in (marks.network, marks.iris) if name is not None)
 
     @property
     def random(self) -> bool:
@@ -199,13 +214,13 @@ class Recipe(Section):
     @property
     def judges(self) -> bool:
         """Whether it may call a part lost."""
-        return not self.filters or any(one.likelihood.judges for one in self.filters.values())
+        return not self.filters or any(settings.likelihood.judges for settings in self.filters.values())
 
     def lost_below(self, target: str) -> float:
         """A part of this target is lost while its confidence stays below this."""
-        one = self.filters.get(target) or next(iter(self.filters.values()), None)
-        judged = ConfidenceSettings() if one is None else one.confidence
-        return judged.lost_below if judged.calibration is None else LIKELY
+        settings = self.filters.get(target) or next(iter(self.filters.values()), None)
+        confidence = ConfidenceSettings() if settings is None else settings.confidence
+        return confidence.lost_below if confidence.calibration is None else LIKELY
 
     def error(self, key: str, message: str) -> RecipeError:
         """An error that points at a key of this recipe, as in `prior.file`; for rules that only building can check."""
@@ -255,7 +270,7 @@ class ParticlesRecipe(Recipe):
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        return tuple(name for name, one in self.targets.items() if one is None)
+        return tuple(name for name, settings in self.targets.items() if settings is None)
 
     @property
     def followed(self) -> tuple[str, ...]:
@@ -274,35 +289,36 @@ class ParticlesRecipe(Recipe):
 
     @property
     def filters(self) -> Mapping[str, ParticleFilterSettings]:
-        return {name: one for name, one in self.targets.items() if one is not None}
+        return {name: settings for name, settings in self.targets.items() if settings is not None}
 
     def mistakes(self) -> Iterable[Refusal]:
         names = list(self.filters)
         if not names:
             yield Refusal(("targets",), "targets has none left; give one of them a particle filter")
             return
-        known = f"there are {', '.join(names)}"
-        for name, one in self.filters.items():
-            if one.points:
+        choice = f"there are {', '.join(names)}"
+        for name, settings in self.filters.items():
+            if settings.points:
                 message = "several targets are regions, clouds or affine; follow points by a recipe of their own"
                 yield Refusal(("targets", name, "target", "type"), message)
-            if isinstance(one.likelihood, SkinCloudSettings) and one.likelihood.learn_from not in (None, *names):
-                message = f'there is no target "{one.likelihood.learn_from}" to learn from; {known}'
+            if isinstance(settings.likelihood, SkinCloudSettings) and settings.likelihood.learn_from not in (
+                None,
+                *names,
+            ):
+                message = f'there is no target "{settings.likelihood.learn_from}" to learn from; {choice}'
                 yield Refusal(("targets", name, "likelihood", "learn_from"), message)
         for i, name in enumerate(self.exclusion.first if self.exclusion is not None else ()):
             if name not in names:
-                yield Refusal(("exclusion", "first", i), f'there is no target "{name}"; {known}')
+                yield Refusal(("exclusion", "first", i), f'there is no target "{name}"; {choice}')
         if self.hands is not None and (taken := [name for name in HANDS if name in self.targets]):
             yield Refusal(("targets", taken[0]), f"{taken[0]} is one of hands; remove it, or hands")
-        hypotheses = sum(one.hypotheses for one in self.filters.values())
+        hypotheses = sum(settings.hypotheses for settings in self.filters.values())
         if hypotheses > MAX_HYPOTHESES:
             message = f"the targets have {hypotheses:,} particles; no more than {MAX_HYPOTHESES:,} fit into memory"
             yield Refusal(("targets",), message)
 
 
-KINDS: Mapping[str, type[Recipe]] = {
-    sections.type_of(one): one for one in (ParticleRecipe, ParticlesRecipe, OpenCvRecipe)
-}
+KINDS: Mapping[str, type[Recipe]] = {type_of(kind): kind for kind in (ParticleRecipe, ParticlesRecipe, OpenCvRecipe)}
 
 
 def seeded(recipe: Recipe, seed: Any) -> Recipe:
@@ -352,7 +368,63 @@ def completed(settings: Mapping[str, Any]) -> dict[str, Any]:
         return dict(settings)
 
 
-def error_of(found: Sequence[Problem]) -> RecipeError:
-    first, others = found[0], len(found) - 1
+@contextmanager
+def one_error() -> Iterator[None]:
+    """RecipeError in place of YamlProblems: the first problem, and how many more there are."""
+    try:
+        yield
+    except YamlProblems as refused:
+        raise error_of(refused.problems) from None
+
+
+def error_of(problems: Sequence[Problem]) -> RecipeError:
+    first, others = problems[0], len(problems) - 1
     more = f" (and {others} more: facetrack recipes check lists all)" if others else ""
     return RecipeError(f"{first}{more}", first.span.excerpt())
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of a recipe, whose fields are described by the docstrings below them.
+
+    They are read from the source when a command asks for the schema: pydantic's `use_attribute_docstrings` reads them
+    whenever the models are imported, at the start of every command.
+    """
+    schema = TypeAdapter(ParticleRecipe | ParticlesRecipe | OpenCvRecipe).json_schema(schema_generator=_Described)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "Recipe", **schema}
+
+
+class _Described(GenerateJsonSchema):
+    """Fields get the docstrings below them, `type` by default that of its class; lengths are written as in recipes."""
+
+    def encode_default(self, dft: Any) -> Any:
+        return super().encode_default(dft.written() if isinstance(dft, Length) else dft)
+
+    def model_schema(self, schema: Any) -> dict[str, Any]:
+        described = super().model_schema(schema)
+        cls = schema["cls"]
+        texts = {name: text for base in reversed(cls.__mro__) for name, text in _docstrings(base).items()}
+        if type_of(cls):
+            texts.setdefault("type", (inspect.getdoc(cls) or "").partition("\n\n")[0])
+        for name, field in described.get("properties", {}).items():
+            if name in texts:
+                field.setdefault("description", texts[name])
+        return described
+
+
+@cache
+def _docstrings(model: type) -> dict[str, str]:
+    """The attributes of a model's own body and the docstrings below them; none without its source."""
+    if not issubclass(model, BaseModel) or model is BaseModel:
+        return {}
+    try:
+        source = inspect.getsource(model)
+    except (OSError, TypeError):
+        return {}
+    body = ast.parse(textwrap.dedent(source)).body[0]
+    assert isinstance(body, ast.ClassDef)
+    texts = {}
+    for field, below in pairwise(body.body):
+        match field, below:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+                texts[name] = inspect.cleandoc(text)
+    return texts

@@ -1,4 +1,4 @@
-"""What the sections of a recipe are made from, and the registry of those that a recipe names by `type`.
+"""What the sections of a recipe are made from, the registry of their types, and those that several trackers share.
 
 A section declares each setting once: default, bounds, unit and, in the docstring below it, meaning and place in the
 paper. Its engine computes with it. No numerics are imported here: an engine is imported when it is built.
@@ -21,7 +21,6 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, RootModel, Tag
 from pydantic_core import PydanticCustomError, core_schema
 
 from facetrack_cli.core.errors import RecipeError
-from facetrack_cli.recipe.times import NUMBER
 
 if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
@@ -31,10 +30,11 @@ if TYPE_CHECKING:
 
 Steps: TypeAlias = tuple[str | int, ...]
 T = TypeVar("T")
+NUMBER = r"([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?"  # without a sign
 MIN_LENGTH, MAX_LENGTH = 1e-6, 1e6  # lengths; no frame needs more, and squares would overflow
 # the modules that hold sections, in the order in which types are listed
 TRACKERS = ("points", "regions", "skin", "appearance", "box", "face")
-FAMILIES = ("recipe.shared", *(f"trackers.{name}.settings" for name in TRACKERS))
+FAMILIES = ("recipe.sections", *(f"trackers.{name}.settings" for name in TRACKERS))
 GROUP = "facetrack.sections"  # the entry points by which other packages bring sections of their own
 
 
@@ -64,8 +64,8 @@ class Section(BaseModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if found := list(self.mistakes()):
-            raise PydanticCustomError("refused", "{summary}", {"summary": found[0].message, "refusals": found})
+        if refusals := list(self.mistakes()):
+            raise PydanticCustomError("refused", "{summary}", {"summary": refusals[0].message, "refusals": refusals})
         return self
 
 
@@ -165,7 +165,7 @@ def registered(kind: type[Kind]) -> Mapping[str, type[Kind]]:
     """The types of a kind, as `FilterSettings`, by name. Raises RecipeError for an entry point that fails."""
     if _types:
         return _types[kind]
-    _types.update({one: {} for one in KINDS})
+    _types.update({base: {} for base in KINDS})
     for family in FAMILIES:
         for section in vars(import_module(f"facetrack_cli.{family}")).values():
             if isinstance(section, type) and issubclass(section, Kind) and type_of(section):
@@ -176,26 +176,26 @@ def registered(kind: type[Kind]) -> Mapping[str, type[Kind]]:
         except Exception as e:
             _types.clear()
             where = f"the entry point {point.name} = {point.value} of {point.dist.name if point.dist else '?'}"
-            said = " ".join(str(e).split()) or type(e).__name__
-            raise RecipeError(f"{where} brings no section: {said}; correct or uninstall that package") from e
+            why = " ".join(str(e).split()) or type(e).__name__
+            raise RecipeError(f"{where} brings no section: {why}; correct or uninstall that package") from e
     return _types[kind]
 
 
 def add(section: type[Kind]) -> None:
     """Put a section into the registry. TypeError if it is not a section, ValueError if its name is taken."""
-    kind = next((one for one in KINDS if isinstance(section, type) and issubclass(section, one)), None)
+    kind = next((base for base in KINDS if isinstance(section, type) and issubclass(section, base)), None)
     name = type_of(section) if kind is not None else ""
     if kind is None or not name:
-        bases = ", ".join(one.__name__ for one in KINDS)
+        bases = ", ".join(base.__name__ for base in KINDS)
         raise TypeError(f'{section!r} is no section: derive it from one of {bases}, with type: Literal["its_name"]')
     if kind is not TargetSettings and not section.goes_with:
         raise TypeError(f'{section.__name__} goes with no type of target: add goes_with = ("points",), as it may be')
     if kind is not TargetSettings and not hasattr(section, "engine") and section.build is kind.build:
         raise TypeError(f"{section.__name__} builds nothing: give it a method build(self, context)")
-    known = registered(kind).get(name, section)
-    if (known.__module__, known.__qualname__) != (section.__module__, section.__qualname__):
+    taken = registered(kind).get(name, section)
+    if (taken.__module__, taken.__qualname__) != (section.__module__, section.__qualname__):
         noun = kind.__name__.removesuffix("Settings").lower()
-        raise ValueError(f'the {noun} type "{name}" is taken by {known.__module__}; choose another')
+        raise ValueError(f'the {noun} type "{name}" is taken by {taken.__module__}; choose another')
     _types[kind][name] = section
 
 
@@ -227,17 +227,17 @@ class Length:
         return f"{self.value!r}px".replace(".0px", "px") if self.px else self.value
 
     @classmethod
-    def read(cls, given: object) -> Length:
+    def read(cls, value: object) -> Length:
         """From what stands in a recipe; raises PydanticCustomError (a ValueError)."""
-        if isinstance(given, Length):
-            given = given.written()
-        if cls.least == 0 and isinstance(given, int | float) and given == 0 and not isinstance(given, bool):
+        if isinstance(value, Length):
+            value = value.written()
+        if cls.least == 0 and isinstance(value, int | float) and value == 0 and not isinstance(value, bool):
             return cls(0.0)
         length = cls(math.nan)
-        if isinstance(given, str) and re.fullmatch(NUMBER + " ?px", given):
-            length = cls(float(given.removesuffix("px")), px=True)
-        elif isinstance(given, int | float) and not isinstance(given, bool) and abs(given) < 1e300:
-            length = cls(float(given))
+        if isinstance(value, str) and re.fullmatch(NUMBER + " ?px", value):
+            length = cls(float(value.removesuffix("px")), px=True)
+        elif isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300:
+            length = cls(float(value))
         if not MIN_LENGTH <= length.value <= MAX_LENGTH:  # also nan
             units = "a number in units of the target's size, or pixels as in 12px"
             bound = "a length above 0" if cls.least else "0 or a length"
@@ -255,8 +255,8 @@ class Length:
     def __get_pydantic_json_schema__(
         cls, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        said = "In units of the target's size at the start."
-        units = {"type": "number", "minimum": cls.least, "maximum": MAX_LENGTH, "description": said}
+        meaning = "In units of the target's size at the start."
+        units = {"type": "number", "minimum": cls.least, "maximum": MAX_LENGTH, "description": meaning}
         pixels = {"type": "string", "pattern": f"^{NUMBER} ?px$", "description": "In pixels, as in 12px."}
         return {"title": cls.__name__, "anyOf": [units, pixels]}
 
@@ -297,15 +297,15 @@ class PerPart(
     def refusals(self, path: Steps, parts: Sequence[str]) -> list[Refusal]:
         if not isinstance(self.root, dict):
             return []
-        where, known, found = ".".join(map(str, path)), [*parts, "default"], []
+        where, names, refusals = ".".join(map(str, path)), [*parts, "default"], []
         for name in self.root:
-            if name not in known:
-                message = f'"{name}" in {where} is no part of the target; {suggest(name, known, "there are")}'
-                found.append(Refusal((*path, name), message, True))
+            if name not in names:
+                message = f'"{name}" in {where} is no part of the target; {suggest(name, names, "there are")}'
+                refusals.append(Refusal((*path, name), message, True))
         lacking = [] if "default" in self.root else [part for part in parts if part not in self.root]
         if lacking:
-            found.append(Refusal(path, f'{where} has no value for {", ".join(lacking)}; add each, or a "default"'))
-        return found
+            refusals.append(Refusal(path, f'{where} has no value for {", ".join(lacking)}; add each, or a "default"'))
+        return refusals
 
 
 class LengthPerPart(PerPart[Length]):
@@ -314,3 +314,207 @@ class LengthPerPart(PerPart[Length]):
 
 class WindowPerPart(PerPart[Window]):
     """One window for all parts, or `part: window` for each; `default` serves the parts not named."""
+
+
+# --- times ------------------------------------------------------------------------------------------------------------
+
+# A setting that counts frames, or is a share a frame, may also be a time, as in `1 s` or `40 ms`. What is declared as a
+# number with FRAMES or SHARE holds a `Time` where a recipe says so. `load.in_frames` makes numbers of frames of them
+# before a tracker is built.
+MIN_S, MAX_S = 1e-6, 1e6
+UNITS = {"s": 1.0, "ms": 1e-3}
+FPS = "fps"  # of a validation's context: frames per second by which times become numbers
+
+
+@dataclass(frozen=True, slots=True)
+class Time:
+    """A time > 0, as a recipe gives it."""
+
+    value: float
+    unit: str
+
+    @property
+    def seconds(self) -> float:
+        return self.value * UNITS[self.unit]
+
+    def written(self) -> str:
+        """As in a recipe."""
+        return f"{self.value!r}".removesuffix(".0") + self.unit
+
+    @classmethod
+    def read(cls, text: str) -> Time | None:
+        """From what stands in a recipe; None for what is no time."""
+        match = re.fullmatch(f"({NUMBER}) ?(s|ms)", text)
+        time = cls(float(match[1]), match[5]) if match else None
+        return time if time is not None and MIN_S <= time.seconds <= MAX_S else None
+
+
+@dataclass(frozen=True, slots=True)
+class OrTime:
+    """Beside a number's type: a `Time` may stand there."""
+
+    share: bool = False
+    """Whether the number is a share of each frame, and not a count of frames."""
+
+    def at(self, time: Time, fps: float) -> float:
+        """What a time is at `fps` frames per second: frames, at least one, or the share with that time constant."""
+        frames = time.seconds * fps
+        return -math.expm1(-1 / frames) if self.share else max(round(frames), 1)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        def read(
+            given: object, number: core_schema.ValidatorFunctionWrapHandler, info: core_schema.ValidationInfo
+        ) -> Any:
+            fps = (info.context or {}).get(FPS)
+            time = Time.read(given) if isinstance(given, str) else given
+            if isinstance(time, Time):
+                return time if fps is None else number(self.at(time, fps))
+            if isinstance(given, str):
+                wanted = "a share from 0 to 1" if self.share else "a whole number of frames"
+                hint = f"must be {wanted}, or a time (to a million seconds) as in 1s or 40ms"
+                raise PydanticCustomError("time", hint)  # type: ignore[arg-type, unused-ignore]
+            return number(given)
+
+        return core_schema.with_info_wrap_validator_function(
+            read,
+            handler(source),
+            serialization=core_schema.plain_serializer_function_ser_schema(
+                lambda given: given.written() if isinstance(given, Time) else given
+            ),
+        )
+
+    def __get_pydantic_json_schema__(
+        self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        meaning = "Time constant" if self.share else "Time"
+        time = {
+            "title": "Time",
+            "type": "string",
+            "pattern": f"^{NUMBER} ?(s|ms)$",
+            "description": f"{meaning}, as in 1s.",
+        }
+        return {"anyOf": [handler(schema), time]}
+
+
+FRAMES = OrTime()  # as in Annotated[int, Field(ge=1), FRAMES]: bounds come first
+SHARE = OrTime(share=True)  # of a new frame in what is known; as a time, after which 1/e is left of what was known
+
+
+def has_times(value: object) -> bool:
+    """Whether a recipe or a section holds a time."""
+    if isinstance(value, BaseModel):
+        value = dict(value)
+    return isinstance(value, Time) or (isinstance(value, dict) and any(map(has_times, value.values())))
+
+
+# --- sections that several trackers share: filters, the random walk, targets whose scale is bounded ------------------
+
+# `engine/filters.py` has the filters side by side, `engine/motion.py` the walk. Sections and equations are those of
+# Patras & Pantic, "Particle Filtering with Factorized Likelihoods for Tracking Facial Features", FG 2004.
+BOX = "box"  # the one part of a target that is followed as a box
+Factor: TypeAlias = Annotated[float, Field(gt=0, le=100)]
+MAX_COMPARED_PARTICLES = 2_000  # particles that are compared with each other: memory grows with their square
+
+
+class ResampledSettings(FilterSettings):
+    """A filter that picks particles by their weights."""
+
+    particles: Annotated[int, Field(ge=1, le=1_000_000)]
+    """Number of particles, K in the paper; of `independent`: for each part."""
+    resampling: Literal["systematic", "residual", "multinomial", "stratified"] = "systematic"
+    """How particles are picked by their weights."""
+
+
+class SirSettings(ResampledSettings):
+    """Sampling/importance resampling over the joint state (section 2); weights are p(y|s), or p(y|s) p(s)."""
+
+    engine = "facetrack_cli.engine.filters:sir"
+    goes_with = ("points", "region", "cloud", "affine")
+    type: Literal["sir"]
+
+
+class AuxiliarySettings(ResampledSettings):
+    """Auxiliary particle filter over the joint state (Pitt & Shephard 1999); observes p(y|s), or p(y|s) p(s)."""
+
+    engine = "facetrack_cli.engine.filters:auxiliary"
+    goes_with = ("points", "region", "cloud", "affine")
+    type: Literal["auxiliary"]
+    look_ahead: Literal["draw", "mean"] = "draw"
+    """What a particle is picked by: the likelihood at a draw of its transition, as published, or at its mean."""
+
+
+class LooksAheadSettings(ResampledSettings):
+    """A filter that steps each part on its own."""
+
+    look_ahead: Literal["draw", "mean", "none"] = "draw"
+    """What a part is picked by: the likelihood at a draw of its transition, as published, at its mean, or none."""
+
+
+class FactorizedSettings(LooksAheadSettings):
+    """Proposes from g(alpha) = prod_i p(alpha_i|Y), the product of the parts' posteriors; reweights (section 2.1)."""
+
+    engine = "facetrack_cli.engine.filters:factorized"
+    goes_with = ("points",)  # it resamples parts apart, and the other targets are one part
+    type: Literal["factorized"]
+    reweight: Literal["prior", "transition", "both"] = "prior"
+    """By the shape prior (eq. 11), by the particles of the last frame (eq. 7), or, beyond the paper, by both."""
+    from_prior: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Share of a part's sub-particles that is proposed from the prior given the other parts; as published 0."""
+
+    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
+        by_prior, add = self.reweight == "prior", "needs a prior; add a prior section, or write"
+        if not by_prior and self.particles > MAX_COMPARED_PARTICLES:
+            most = f"give {MAX_COMPARED_PARTICLES:,} at most, not {self.particles:,}"
+            yield Refusal(("filter", "particles"), f"reweight: {self.reweight} compares every two particles; {most}")
+        elif self.reweight != "transition" and whole.prior is None:
+            yield Refusal(("filter", "reweight"), f"filter.reweight: {self.reweight} {add} reweight: transition")
+        elif self.from_prior > 0 and whole.prior is None:
+            yield Refusal(("filter", "from_prior"), f"filter.from_prior above 0 {add} 0")
+        elif self.from_prior > 0 and not by_prior:
+            goes = "goes with reweight: prior; eq. 7 knows the motion model alone"
+            yield Refusal(("filter", "from_prior"), f"filter.from_prior above 0 {goes}")
+
+
+class IndependentSettings(LooksAheadSettings):
+    """An auxiliary particle filter for each part on its own (section 4, the paper's baseline)."""
+
+    engine = "facetrack_cli.engine.filters:factorized"
+    goes_with = ("points",)
+    reweight: ClassVar[str] = "none"
+    from_prior: ClassVar[float] = 0.0
+    type: Literal["independent"]
+
+    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
+        if whole.prior is not None:
+            message = 'filter type "independent" makes no use of a prior; remove it, or write prior: null'
+            yield Refusal(("prior",), message)
+
+
+class RandomWalkSettings(MotionSettings):
+    """Zero-order motion with Gaussian noise: p(alpha_i | alpha_i^-) = alpha_i^- + N(0, sigma) (section 3.3)."""
+
+    engine = "facetrack_cli.engine.motion:random_walk"
+    goes_with = ("points", "region", "cloud")
+    type: Literal["random_walk"]
+    sigma: LengthPerPart
+    """Standard deviation of a part's step from frame to frame, along x and along y."""
+    scale: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Of a region: standard deviation of its scale's step, 1 being its size at the start; 0: its size stays."""
+
+    def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
+        yield from self.sigma.refusals(("motion", "sigma"), whole.points or (BOX,))
+        if self.scale and whole.target.type != "region":
+            message = f"motion.scale is that of a region; a target of type {whole.target.type} has none: remove it"
+            yield Refusal(("motion", "scale"), message)
+
+
+class ScaledSettings(TargetSettings):
+    """A target whose scale is bounded, [least, largest], in terms of the size at the start."""
+
+    if TYPE_CHECKING:
+        scale: tuple[float, float]
+
+    def mistakes(self) -> Iterable[Refusal]:
+        if not self.scale[0] < 1 < self.scale[1]:
+            message = "target.scale is [least, largest], with 1, the size at the start, between them"
+            yield Refusal(("scale",), message)

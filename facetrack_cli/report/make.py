@@ -18,14 +18,14 @@ from typing import Any, Final, NamedTuple
 import cv2
 import numpy as np
 
+from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import FacetrackError, InputError, needed
 from facetrack_cli.core.files import TABLES
 from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.core.types import BOX
-from facetrack_cli.core.version import __version__
 from facetrack_cli.evaluation.rows import Pair, match
 from facetrack_cli.evaluation.summary import Options, evaluate, facts, sheets
-from facetrack_cli.recipe.calibrated import calibrated
+from facetrack_cli.recipe.load import calibrated
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report import story
 from facetrack_cli.report.command_line import command, init_yaml, recipe_yaml

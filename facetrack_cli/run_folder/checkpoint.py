@@ -19,8 +19,7 @@ import numpy as np
 
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import check_plain
-from facetrack_cli.core.npz import Kind, Stored
-from facetrack_cli.core.snapshot import Arrays, flat_value, read_value
+from facetrack_cli.core.npz import Arrays, Kind, Stored, flat_value, read_value
 from facetrack_cli.run_folder.lease import sweep
 
 FOLDER: Final = ".checkpoint"

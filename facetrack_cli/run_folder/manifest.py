@@ -27,6 +27,7 @@ from typing import Any, ClassVar, Final, Literal
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
+from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, from_system, reading
 from facetrack_cli.core.files import (
     FULL,
@@ -42,8 +43,6 @@ from facetrack_cli.core.files import (
 )
 from facetrack_cli.core.log import LINES
 from facetrack_cli.core.numbers import dumps
-from facetrack_cli.core.types import Correction
-from facetrack_cli.core.version import __version__
 from facetrack_cli.core.yaml_tree import YamlProblems
 from facetrack_cli.recipe.load import files_of
 from facetrack_cli.recipe.model import Recipe, to_dict

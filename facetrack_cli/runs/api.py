@@ -21,11 +21,10 @@ from typing import Any, Final, Literal, TypeAlias
 import cv2
 import numpy as np
 
-from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, named_as_arguments
 from facetrack_cli.core.face_points import DETECTORS, DetectorName
-from facetrack_cli.core.npz import Kind, Stored
+from facetrack_cli.core.npz import Kind, Stored, flat_value, read_value
 from facetrack_cli.core.numbers import dumps
-from facetrack_cli.core.snapshot import flat_value, read_value
 from facetrack_cli.core.types import Box, Frame, Image, Start, TargetStart
 from facetrack_cli.engine.loop import TrackState, track
 from facetrack_cli.recipe.load import default_recipe, load_recipe
@@ -48,6 +47,7 @@ Init: TypeAlias = str | Path | Start | Box
 IMAGES = "the images"
 
 
+@named_as_arguments
 def track_video(
     path: str | Path,
     recipe: str | Path | Recipe | None = None,

@@ -25,9 +25,9 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 from urllib.parse import urlsplit
 
+from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, UsageError, needed, reason
 from facetrack_cli.core.files import read_bounded
-from facetrack_cli.core.version import __version__
 from facetrack_cli.run_folder.manifest import NAME, as_line
 from facetrack_cli.runs.batch import attempt, outcome_of_crash, run_shared
 from facetrack_cli.runs.pipeline import share_threads

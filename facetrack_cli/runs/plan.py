@@ -18,13 +18,13 @@ from typing import Final, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
+from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import InputError, OutputError, UsageError
 from facetrack_cli.core.face_points import DETECTORS, HANDS, DetectorName
 from facetrack_cli.core.files import check_folder, check_plain
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Box, Frame, Point, Start, TargetStart
-from facetrack_cli.core.version import __version__
 from facetrack_cli.engine.loop import track
 from facetrack_cli.engine.spaces import box_of
 from facetrack_cli.recipe.load import default_recipe

@@ -20,8 +20,7 @@ import numpy as np
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.types import Frame, Start, Whole
 from facetrack_cli.engine.loop import track
-from facetrack_cli.recipe.gallery_option import with_gallery
-from facetrack_cli.recipe.load import OVERRIDES, load_recipe
+from facetrack_cli.recipe.load import OVERRIDES, load_recipe, with_gallery
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, cores, side_by_side

@@ -14,10 +14,10 @@ import numpy as np
 
 from facetrack_cli.core.face_points import DETECTORS, HANDS
 from facetrack_cli.core.geometry import centre, square
+from facetrack_cli.core.npz import STORED
 from facetrack_cli.core.numbers import clock, places
-from facetrack_cli.core.snapshot import STORED
 from facetrack_cli.core.types import BOX, Box, Point, Start
-from facetrack_cli.recipe.calibrated import calibrated, fitted
+from facetrack_cli.recipe.load import calibrated, fitted
 from facetrack_cli.recipe.model import Recipe, to_dict
 from facetrack_cli.runs.plan import Outcome
 from facetrack_cli.runs.record import ClipFacts, Sink

@@ -22,9 +22,8 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.geometry import centre, inside, overlap
+from facetrack_cli.core.geometry import centre, inside, overlap, warp_affine
 from facetrack_cli.core.types import Box, Frame, Image, Point, Start, TargetStart
-from facetrack_cli.core.warp import warp_affine
 from facetrack_cli.trackers.face.closer import everywhere, near, righted
 from facetrack_cli.trackers.face.detectors import (
     MIN_CONTRAST,

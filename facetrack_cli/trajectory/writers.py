@@ -13,9 +13,9 @@ from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
 
+from facetrack_cli.core import __version__
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Array
-from facetrack_cli.core.version import __version__
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, KNOWN, Diagnostics
 from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, SPREAD, Trajectory
 

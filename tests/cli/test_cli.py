@@ -1,3 +1,4 @@
+import json
 import os
 import re
 import signal
@@ -9,13 +10,18 @@ from pathlib import Path
 import click
 import pytest
 
+from facetrack_cli import track_video
 from facetrack_cli.__main__ import main
 from facetrack_cli.cli import app as cli
+from facetrack_cli.core import __version__
 from facetrack_cli.core.errors import ExitCode, InputError, OutputError, RecipeError
 from facetrack_cli.core.models import shipped_recipes
-from facetrack_cli.core.version import __version__
 from facetrack_cli.recipe.load import TAKE, TASKS, default_recipe
 from facetrack_cli.start.init_file import read_init
+from facetrack_cli.video.source import open_source
+from tests.fuzz.bench import PEOPLE
+from tests.support.media import write_pictures
+from tests.support.samples import FOLDER
 from tests.support.terminal import read_all
 
 HEAVY = {"numpy", "cv2", "numba", "pydantic", "rich", "imageio", "imageio_ffmpeg", "ruamel"}
@@ -42,7 +48,7 @@ def boom(monkeypatch):
             return action()
 
         module = types.ModuleType("facetrack_cli.cli.commands.boom")
-        module.command = command
+        module.boom_command = command
         monkeypatch.setitem(sys.modules, module.__name__, module)
         monkeypatch.setitem(cli.COMMANDS, "boom", "Test.")
         monkeypatch.delenv("FACETRACK_DEBUG", raising=False)
@@ -76,6 +82,8 @@ def test_help_lists_the_commands(capsys):
         assert f"  {name} " in listed and text in listed
     assert main([]) == 0
     assert capsys.readouterr().out == listed
+    assert main(["track", "--help"]) == 0
+    assert "Usage: facetrack run" in capsys.readouterr().out
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"facetrack {__version__}\n"
 
@@ -183,17 +191,18 @@ def test_a_reader_that_goes_is_no_error(arguments):
 # recipes
 
 
-def test_shipped_recipes_are_found_from_anywhere(tmp_path):
-    done = facetrack("recipes", cwd=tmp_path)
-    assert done.returncode == 0 and done.stderr == ""
-    rows = [line.split("\t") for line in done.stdout.splitlines()]
+def test_shipped_recipes_are_found_from_anywhere(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["recipes"]) == 0
+    rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()]
     particles = {name: count for name, count, _ in rows}
     assert (particles["factorized"], particles["independent"], particles["mil"]) == ("100", "1000", "-")
     assert len(rows) == len(shipped_recipes())
     assert all(len(text) > 20 for *_, text in rows)
     for name in ("factorized", "factorized.yaml"):
-        done = facetrack("recipes", "show", name, cwd=tmp_path)
-        assert done.stdout.startswith("# Patras & Pantic") and "\x1b" not in done.stdout
+        assert main(["recipes", "show", name]) == 0
+        out = capsys.readouterr().out
+        assert out.startswith("# Patras & Pantic") and "\x1b" not in out
 
 
 def test_show_prints_the_very_text(capsys, tmp_path):
@@ -279,10 +288,9 @@ def test_a_signal_outside_a_run(monkeypatch, capsys):
 
 
 def test_help_has_sections_and_every_option_in_one_of_them(capsys):
-    assert cli.SECTIONS.keys() <= cli.COMMANDS.keys()
     assert main(["--help"]) == 0
     said = capsys.readouterr().out
-    titles = ["Track:", "Correct:", "Look and share:", "Measure:", "Recipes and models:", "Others:"]
+    titles = [f"{title}:" for title in cli.SECTIONS]
     assert sorted(titles, key=said.index) == titles
     for name in cli.COMMANDS:
         command = cli.cli.get_command(click.Context(cli.cli), name)
@@ -311,17 +319,48 @@ def test_help_shows_twelve_options_and_help_all_the_others(name, command, capsys
     assert shown == options if len(options) <= 12 else listed("--help-all") == options
 
 
-def test_track_is_run(capsys):
-    assert main(["track", "--help"]) == 0
-    assert "Usage: facetrack run" in capsys.readouterr().out
-
-
 def test_init_finds_all_faces_of_a_frame(tmp_path, capsys):
-    film = Path(__file__).parents[2] / "sample_videos" / "film.mp4"
+    with open_source(FOLDER / "film.mp4", start=92, stop=96) as source:
+        write_pictures(tmp_path / "two", [frame.bgr for frame in source])
     for faces, targets in (("one", ["face"]), ("all", ["face", "face_2"])):
         path = tmp_path / f"{faces}.init.yaml"
-        assert main(["init", str(film), "--faces", faces, "--init-frame", "92", "-o", str(path)]) == 0
+        assert main(["init", str(tmp_path / "two"), "--faces", faces, "-o", str(path)]) == 0
         assert list(read_init(path).targets) == targets
     capsys.readouterr()
-    assert main(["init", str(film), "--faces", "all", "--box", "1,1,50,50"]) == ExitCode.USAGE
+    assert main(["init", str(tmp_path / "two"), "--faces", "all", "--box", "1,1,50,50"]) == ExitCode.USAGE
     assert "leave out --box" in capsys.readouterr().err
+
+
+def test_errors_for_python_name_its_arguments():
+    with pytest.raises(InputError, match=r"change start or stop, or begin elsewhere with init or a box as init$"):
+        track_video(FOLDER / "map.mp4", "mil", start=5, stop=9)
+
+
+def test_a_project_is_a_folder(capsys):
+    assert main(["app", str(FOLDER / "map.mp4")]) == ExitCode.USAGE
+    assert "map.mp4: is a file; name a folder for the project, and add clips on its page" in capsys.readouterr().err
+
+
+@pytest.fixture
+def film(tmp_path):
+    """The folder of a run of everybody, by its rows and its list of people."""
+    (tmp_path / "people.json").write_text(json.dumps(PEOPLE))
+    rows = "".join(f"{t},{t / 25},face,box,50,50,20,20,tracked\n" for t in range(5))
+    (tmp_path / "trajectory.csv").write_text(f"frame,time_s,target,part,x,y,w,h,status\n{rows}")
+    return tmp_path
+
+
+def test_people_prints_its_table_unless_it_is_to_be_quiet(film, capsys):
+    for words, said in (((), "1 people in 1 shots"), (("-q",), ""), (("-q", "--csv"), "person,first_frame")):
+        assert main(["people", str(film), *words]) == 0
+        out, err = capsys.readouterr()
+        assert out.startswith(said) and bool(out) is bool(said) and err == ""
+    assert main(["people", str(film), "--json", "--csv"]) == ExitCode.USAGE
+
+
+def test_people_saves_nothing_over_a_file_that_is_there(film, capsys):
+    known = film / "known.npz"
+    known.write_text("precious")
+    assert main(["people", str(film), "--rename", "face=Ann", "--save", str(known)]) == ExitCode.USAGE
+    assert "known.npz: exists already; replace it with --overwrite" in capsys.readouterr().err
+    assert known.read_text() == "precious" and '"Ann"' not in (film / "people.json").read_text()

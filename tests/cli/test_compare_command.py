@@ -8,30 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode, UsageError
 from facetrack_cli.evaluation import compare
 from facetrack_cli.report.figures import style
 from facetrack_cli.runs import seeds as runs
+from tests.support.samples import FOLDER
 
-SAMPLES = Path(__file__).parents[2] / "sample_videos"
-CLIP = SAMPLES / "occlusion.mp4"
+CLIP = FOLDER / "occlusion.mp4"
 TWO = ["--config", "sir:filter.particles=30", "--config", "independent:filter.particles=10"]
 SHORT = ["--stop", "12", "--seeds", "2"]
 PNG = b"\x89PNG"
-
-
-@pytest.fixture
-def facetrack(tmp_path, monkeypatch, capfd):
-    """Run in an empty folder: exit code, standard output and error."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments):
-        code = main([str(argument) for argument in arguments])
-        out, err = capfd.readouterr()
-        return code, out, err
-
-    return run
 
 
 def test_compare_writes_a_table_data_and_plots(facetrack):
@@ -56,28 +42,19 @@ def test_compare_writes_a_table_data_and_plots(facetrack):
     assert code == ExitCode.USAGE and "--overwrite" in err and err.count("\n") == 1, "said before anything runs"
 
 
-def test_compare_prints_data(facetrack):
-    code, out, _ = facetrack(
-        "compare", CLIP, *TWO, *SHORT, "--csv", "-q", "--no-plots", "--rank-by", "points.median_px"
-    )
-    rows = list(csv.DictReader(io.StringIO(out)))
-    assert code == 0 and [row["seed"] for row in rows] == ["0", "1", "0", "1"]
-    assert float(rows[0]["points.mean_px"]) > 0 and float(rows[0]["frames_per_s"]) > 0
-    assert not list(Path("occlusion-compare").glob("*.png"))
-    assert out == Path("occlusion-compare/compare.csv").read_text(encoding="utf-8")
-    found = json.loads(Path("occlusion-compare/compare.json").read_text(encoding="utf-8"))
-    assert found["ranked_by"] == "points.median_px"
-
-
-def test_processes_change_no_number(facetrack):
-    arguments = ["compare", CLIP, *TWO, *SHORT, "--csv", "-q", "--no-plots", "-o"]
-
-    def numbers(out):
-        return [{k: v for k, v in row.items() if k != "frames_per_s"} for row in csv.DictReader(io.StringIO(out))]
-
-    one, two = facetrack(*arguments, "one"), facetrack(*arguments, "two", "-j", "2")
-    assert one[0] == two[0] == 0 and len(numbers(one[1])) == 4
-    assert numbers(one[1]) == numbers(two[1])
+def test_data_are_printed_and_processes_change_no_number(facetrack):
+    arguments = ["compare", CLIP, *TWO, *SHORT, "--csv", "-q", "--no-plots", "--rank-by", "points.median_px", "-o"]
+    found = []
+    for folder, more in (("one", []), ("two", ["-j", "2"])):
+        code, out, _ = facetrack(*arguments, folder, *more)
+        assert code == 0 and out == Path(folder, "compare.csv").read_text(encoding="utf-8")
+        assert json.loads(Path(folder, "compare.json").read_text())["ranked_by"] == "points.median_px"
+        assert not list(Path(folder).glob("*.png"))
+        rows = list(csv.DictReader(io.StringIO(out)))
+        assert [row["seed"] for row in rows] == ["0", "1", "0", "1"] and float(rows[0]["points.mean_px"]) > 0
+        assert float(rows[0].pop("frames_per_s")) > 0
+        found.append([{k: v for k, v in row.items() if k != "frames_per_s"} for row in rows])
+    assert found[0] == found[1]
 
 
 def test_a_recipe_that_cannot_run_does_not_stop_the_others(facetrack):
@@ -165,8 +142,8 @@ def test_what_does_not_fit_the_truth_is_told_before_anything_runs(facetrack, mon
 
 
 def test_a_truth_of_other_frames_is_told_after_the_first_recipe(facetrack):
-    Path("cut.mp4").write_bytes((SAMPLES / "expressions.mp4").read_bytes()[:30000])
-    given = ["--truth", SAMPLES / "expressions.truth.csv", "--init", SAMPLES / "expressions.init.yaml", "--no-plots"]
+    Path("cut.mp4").write_bytes((FOLDER / "expressions.mp4").read_bytes()[:30000])
+    given = ["--truth", FOLDER / "expressions.truth.csv", "--init", FOLDER / "expressions.init.yaml", "--no-plots"]
     seen = []
     original = runs._work
 
@@ -205,11 +182,11 @@ def test_of_one_recipe_the_spread_over_seeds_is_told(facetrack):
 
 
 def test_a_truth_is_moved_by_frames(facetrack):
-    lines = (SAMPLES / "expressions.truth.csv").read_text(encoding="utf-8").splitlines()
+    lines = (FOLDER / "expressions.truth.csv").read_text(encoding="utf-8").splitlines()
     moved = [",".join([str(int(frame) - 6), *rest]) for frame, *rest in (line.split(",") for line in lines[1:])]
     kept = [line for line in moved if not line.startswith("-")]
     Path("moved.csv").write_text("\n".join([lines[0], *kept]) + "\n", encoding="utf-8")
-    clip = SAMPLES / "expressions.mp4"
+    clip = FOLDER / "expressions.mp4"
     arguments = ["compare", clip, "--truth", "moved.csv", "--partial", "--config", "factorized:filter.particles=50"]
     arguments += ["--seeds", "1", "--stop", "120", "--no-plots", "-q"]
     code, out, _ = facetrack(*arguments, "--shift", "6", "--json")

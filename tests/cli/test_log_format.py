@@ -28,7 +28,7 @@ def objects(text):
 def test_a_run_says_objects(tmp_path, capfd, monkeypatch):
     monkeypatch.setattr(module, "EVERY_JSON_S", 0.0)
     clip = FOLDER / "expressions.mp4"
-    words = ["run", str(clip), "--config", "fixed_template", "--stop", "5", "--no-video", "-o", str(tmp_path / "out")]
+    words = f"run {clip} --config mil --box 110,60,100,100 --stop 5 --no-video -o {tmp_path / 'out'}".split(" ")
     assert main(["--log-format", "json", *words]) == 0
     out, err = capfd.readouterr()
     said = objects(err)

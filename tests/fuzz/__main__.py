@@ -24,7 +24,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="begin with this seed")
     given = parser.parse_args()
     from tests.fuzz import bench, cases, judge
-    from tests.fuzz.named import NAMED
+    from tests.fuzz.cases import NAMED
 
     by_name = not given.what[0].isdigit()
     every = given.what if by_name else [*NAMED, *cases.names(int(given.what[0]), given.first)]
@@ -32,7 +32,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="facetrack-fuzz-") as place:
         (Path(place) / "bench").mkdir()
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            own = bench.make(Path(place) / "bench", warm=by_name or int(given.what[0]) > 0)
+            own = bench.make(Path(place) / "bench", warm=not NAMED.keys() >= {*every})
         for thread in set(threading.enumerate()) - {threading.main_thread()}:
             thread.join(10)  # that of a claim ends soon after it
         assert [thread.name for thread in threading.enumerate()] == ["MainThread"]

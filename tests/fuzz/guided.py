@@ -24,7 +24,7 @@ FEW = 3  # images of a pipe
 def parsers() -> dict[str, Callable[[Path, bytes], object]]:
     """By name; each gets an empty folder, and bytes. The package is loaded here, under atheris if that guides."""
     from facetrack_cli.core.errors import InputError
-    from facetrack_cli.core.snapshot import read_value
+    from facetrack_cli.core.npz import read_value
     from facetrack_cli.engine.calibration import load_calibration
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.run_folder import lease

@@ -10,8 +10,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import Start
-from facetrack_cli.recipe.calibrated import _shipped, calibrated
-from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.recipe.load import _shipped, calibrated, load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.report.command_line import command, recipe_yaml
 from facetrack_cli.report.story import _trust, doubts, history_of, key_frames, number, reasons, to_look_at

@@ -15,8 +15,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.evaluation.goldens import find_goldens, read_golden
-from facetrack_cli.recipe.gallery_option import with_gallery
-from facetrack_cli.recipe.load import check_recipe, load_recipe
+from facetrack_cli.recipe.load import check_recipe, load_recipe, with_gallery
 from facetrack_cli.trackers.appearance.gallery_fit import fit_gallery
 from facetrack_cli.trajectory.formats.read import read_truth
 from facetrack_cli.trajectory.reader import read_trajectory

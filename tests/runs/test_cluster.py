@@ -19,8 +19,8 @@ distributed = pytest.importorskip("distributed", reason="needs the extra: pip in
 psutil = pytest.importorskip("psutil")
 
 from facetrack_cli.__main__ import main  # noqa: E402
+from facetrack_cli.core import __version__  # noqa: E402
 from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, UsageError  # noqa: E402
-from facetrack_cli.core.version import __version__  # noqa: E402
 from facetrack_cli.recipe.load import load_recipe  # noqa: E402
 from facetrack_cli.run_folder.lease import LOCK, NOTE  # noqa: E402
 from facetrack_cli.run_folder.manifest import NAME, read_manifest  # noqa: E402

@@ -17,7 +17,7 @@ import pytest
 
 import facetrack_cli as facetrack
 from facetrack_cli.__main__ import main
-from facetrack_cli.cli.commands.people import frame_at
+from facetrack_cli.cli.types import frame_at
 from facetrack_cli.core.errors import BusyError, ExitCode, InputError, UsageError
 from facetrack_cli.run_folder import checkpoint
 from facetrack_cli.run_folder.lease import NOTE

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Frame, Start, TargetStart
-from facetrack_cli.core.warp import warp_affine
 from tests.support.samples import TrackClip
 
 SIZE = (320, 240)

@@ -4,8 +4,7 @@ from dataclasses import replace
 from functools import partial
 
 from facetrack_cli.engine import filters as steps
-from facetrack_cli.recipe.sections import type_of
-from facetrack_cli.recipe.shared import AuxiliarySettings, FactorizedSettings, SirSettings
+from facetrack_cli.recipe.sections import AuxiliarySettings, FactorizedSettings, SirSettings, type_of
 from facetrack_cli.trackers.appearance.affine import AffineWalk, PredictedWalk
 from facetrack_cli.trackers.appearance.appearance import Appearance
 from facetrack_cli.trackers.appearance.recognition import Recognition

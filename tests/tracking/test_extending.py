@@ -17,8 +17,7 @@ from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe import FilterSettings, LikelihoodSettings, Refusal, Section, sections
 from facetrack_cli.recipe.load import check_recipe, load_recipe, read_recipe
-from facetrack_cli.recipe.model import completed, rebuild, register, to_dict
-from facetrack_cli.recipe.schema import json_schema
+from facetrack_cli.recipe.model import completed, json_schema, rebuild, register, to_dict
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.diagnostics import EVIDENCE

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 
 from facetrack_cli.core.errors import OutputError
-from facetrack_cli.core.files import ReaderGoneError, StreamSink, temporary_path
+from facetrack_cli.core.files import StreamSink, temporary_path
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import COLUMNS, DECIMALS, FLOATS, Trajectory, one_part
 from facetrack_cli.trajectory.writers import FORMATS, WRITERS, RunSummary, as_written, csv_frames
@@ -242,5 +242,5 @@ def test_a_stream_that_is_full_or_closed():
 
     with pytest.raises(OutputError, match=r"standard output: the disk is full"):
         StreamSink(Stream(OSError(errno.ENOSPC, "No space left on device"))).write("x")
-    with pytest.raises(ReaderGoneError):
+    with pytest.raises(BrokenPipeError):
         StreamSink(Stream(BrokenPipeError())).write("x")

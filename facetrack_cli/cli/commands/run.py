@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import re
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -11,9 +13,9 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import Command, Extent, extent_options, flag, option, say
+from facetrack_cli.cli.options import Command, Extent, extent_options, flag, option, refuse, say
 from facetrack_cli.cli.types import FOLDER_OR_DASH, FRAME, INPUT, Text, Whole
-from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, OutputError, UsageError
+from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, UsageError
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import Recipe
@@ -33,14 +35,14 @@ MAX_DONE_LINES = 20  # for clips that were done before; of more clips there is o
 
 def _shard(value: str) -> tuple[int, int]:
     """The number of one of N jobs, and N."""
-    which, slash, of = value.partition("/")
-    if not (slash and which.isascii() and which.isdigit() and of.isascii() and of.isdigit() and len(value) < 20):
+    if not re.fullmatch("[0-9]{1,9}/[0-9]{1,9}", value):
         raise click.BadParameter(f"{value!r}: give I/N, as 3/20, the third of twenty jobs")
-    if int(which) == 0:
-        raise click.BadParameter(f"{value!r}: counts from 1: the first of {of} jobs is 1/{of}")
-    if int(which) > int(of):
-        raise click.BadParameter(f"{value!r}: of {of} jobs the last is {of}/{of}")
-    return int(which), int(of)
+    number, count = map(int, value.split("/"))
+    if number == 0:
+        raise click.BadParameter(f"{value!r}: counts from 1: the first of {count} jobs is 1/{count}")
+    if number > count:
+        raise click.BadParameter(f"{value!r}: of {count} jobs the last is {count}/{count}")
+    return number, count
 
 
 def _length(value: str) -> tuple[float, bool]:
@@ -48,13 +50,10 @@ def _length(value: str) -> tuple[float, bool]:
     number, unit = value[:-1], value[-1:].lower()
     if unit not in _UNITS:
         raise click.BadParameter(f"{value!r}: give a unit, as in 10m, 90s, 1h, or 5000f for frames")
-    try:
-        found = float(number) * _UNITS[unit]
-    except ValueError:
-        found = 0.0
-    if not 0 < found < 1e9:
-        raise click.BadParameter(f"{value!r}: is no length of a chunk; give one as 10m, 90s, 1h or 5000f")
-    return found, unit == "f"
+    with contextlib.suppress(ValueError):
+        if 0 < (length := float(number) * _UNITS[unit]) < 1e9:
+            return length, unit == "f"
+    raise click.BadParameter(f"{value!r}: is no length of a chunk; give one as 10m, 90s, 1h or 5000f")
 
 
 def _formats(value: str) -> tuple[Format, ...]:
@@ -113,7 +112,7 @@ def _formats(value: str) -> tuple[Format, ...]:
     "--cluster", type=Text("WHERE"),
     help="Workers of Dask: local:N, tcp://HOST:PORT, or a scheduler file; see docs/pipelines.md.",
 )  # fmt: skip
-def command(
+def run_command(
     inputs: tuple[Path, ...], extent: Extent, faces: Literal["one", "all"], init_frame: int | None, stream: int | None,
     config: str | None, overrides: tuple[str, ...], seed: int | None, gallery: str | None, out: str | None,
     no_video: bool, formats: tuple[Format, ...] | None, smooth: bool, lag: int | None, overwrite: bool, no_resume: bool,
@@ -157,49 +156,67 @@ def command(
     """
     from facetrack_cli.engine.kernels import cache
     from facetrack_cli.run_folder.status import check_networks, write_batch
-    from facetrack_cli.runs.batch import expand, run_batch, variant_name
-    from facetrack_cli.runs.cluster import run_cluster
+    from facetrack_cli.runs.batch import expand, folders, run_batch, variant_name
+    from facetrack_cli.runs.cluster import check_cluster, run_cluster
     from facetrack_cli.runs.live import is_live
-    from facetrack_cli.runs.plan import Job, Split, default_reason
+    from facetrack_cli.runs.plan import Job, Split, check_smoothing, default_reason
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.runs.workers import cores
     from facetrack_cli.video.files import brings_rate
 
-    local = None if cluster is None else _check_cluster(cluster, out, jobs, split)
-    recipe_of = partial(_recipe, config, overrides, seed, gallery, extent, faces)
-    if live or any(is_live(one) for one in inputs):
-        return _live(inputs, live, out, extent, recipe_of, (faces, gallery))
+    if live or any(is_live(path) for path in inputs):
+        return _live(inputs, live, out, extent, partial(_recipe, config, overrides, seed), faces, gallery)
+    remote, csv_alone = cluster is not None, formats == ("csv",)
+    replaced = "--overwrite would replace what the other shards did; remove the folder before them"
+    whole = "goes over the whole clip, --split cuts it in chunks; give one of them"
+    refuse(
+        (remote and out == "-", "-o - streams one clip from this machine; name a folder, or leave --cluster out"),
+        (remote and jobs > 1, "--cluster has workers of its own, -j those of this machine; give one of them"),
+        (remote and split, "--split tracks its chunks with -j or --shard; leave --cluster out"),
+        (split and out == "-", "--split keeps its chunks in a folder; name one with --out"),
+        (split and shard and overwrite, replaced),
+        (split and smooth, f"--smooth {whole}"),
+        (split and lag, f"--lag {whole}"),
+        (smooth and lag, "--lag smooths while it runs, --smooth after it; give one of them"),
+        (smooth and out == "-", "--smooth reads the run's files again, and -o - writes none; take --lag, or a folder"),
+        (smooth and csv_alone, "--smooth reads the rows from JSON; give --format csv,json"),
+        (out == "-" and formats and len(formats) > 1, "-o - streams one format; give one with --format"),
+    )
+    local = None if cluster is None else check_cluster(cluster)  # the processes of local:N
     with progress(quiet) as shown:
-        given, several = expand(inputs, shown.say)
-    extent.check(*given)
-    recipe = recipe_of()
-    if fail_on_lost and not recipe.judges:
-        raise UsageError(
-            f"--fail-on-lost: {recipe.name} has correlation alone, which cannot tell when it is lost; "
-            "give likelihood.contour or likelihood.histogram too, or leave the option out"
-        )
-    if split is not None:
-        _check_split(len(given), out, overwrite and shard is not None, {"--smooth": smooth, "--lag": lag})
+        clips, several = expand(inputs, shown.say)
+    extent.check(*clips)
+    recipe = _recipe(config, overrides, seed, gallery, extent, faces)
     several = several or (shard is not None and split is None)
-    places, written = _places(given, several, out, formats, variant_name(recipe.name, overrides))
+    blind = f"{recipe.name} has correlation alone, which cannot tell when it is lost"
+    other = "give likelihood.contour or likelihood.histogram too, or leave the option out"
+    refuse(
+        (fail_on_lost and not recipe.judges, f"--fail-on-lost: {blind}; {other}"),
+        (split and len(clips) > 1, f"--split cuts one clip, and {len(clips)} are given; split one at a time"),
+        (several and out == "-", "-o - streams one clip; give one INPUT, or a folder with --out"),
+    )
     if smooth:
-        _check_smoothing(recipe, lag, out, written)
-    if several and out and not overwrite:
-        check_networks(filter(None, places), recipe.networks)
-    if several and out:
-        write_batch(Path(out), recipe.name, given, [folder.name for folder in places if folder])
+        check_smoothing(recipe)
+    places: list[Path | None] = [None]  # for standard output
+    if out != "-":
+        names = [""] if out and not several else folders(clips, variant_name(recipe.name, overrides))
+        places = [Path(out or ".") / name for name in names]
+        if several and out:
+            if not overwrite:
+                check_networks(filter(None, places), recipe.networks)
+            write_batch(Path(out), recipe.name, clips, names)
     first, step = (1, 1) if split else shard or (1, 1)
-    clips, places = given[first - 1 :: step], places[first - 1 :: step]
+    clips, places = clips[first - 1 :: step], places[first - 1 :: step]
     workers = jobs if split else max(1, min(local or jobs, len(clips)))
-    with Stop().listening() as ending, progress(quiet) as shown:
+    with Stop().listening() as stop, progress(quiet) as shown:
         cache.tell(shown.hint)
         todo = [
             Job(
                 clip=clip,
                 recipe=recipe,
                 out=folder,
-                formats=written,
+                formats=formats or (("csv",) if out == "-" else ("csv", "json")),
                 video=not no_video and folder is not None,
                 init_frame=init_frame,
                 stream=stream,
@@ -221,14 +238,14 @@ def command(
         ]
         after = _smooth if smooth else None
         if split is not None:
-            code = _chunks(todo[0], workers, ending, shown, shard or (1, 1))
-        elif cluster is not None and local is None:
-            there, left = (_smoothed, _smooth_left) if smooth else (None, None)
-            code = _several(todo, partial(run_cluster, where=cluster, after=there), ending, shown, left)
-        elif several or cluster is not None:
-            code = _several(todo, partial(run_batch, workers=workers), ending, shown, after)
+            code = _chunks(todo[0], workers, stop, shown, shard or (1, 1))
+        elif cluster is not None and local is None:  # workers smooth what they track
+            there, here = (_smoothed, partial(_smooth, before=True)) if smooth else (None, None)
+            code = _several(todo, partial(run_cluster, where=cluster, after=there), stop, shown, here)
+        elif several or remote:
+            code = _several(todo, partial(run_batch, workers=workers), stop, shown, after)
         else:  # whose error is the command's
-            code = _one(todo[0], ending, shown, after)
+            code = _one(todo[0], stop, shown, after)
     return ExitCode.DONE if code is ExitCode.LOST and not fail_on_lost else code
 
 
@@ -239,9 +256,9 @@ def _recipe(
     from facetrack_cli.recipe.model import seeded
     from facetrack_cli.runs.seeds import load_recipes
 
-    asked = (default_recipe(box=extent.box is not None) if config is None else config), overrides
-    named = faces == "all" and load_recipe(*asked).has_head  # people are named at the end, by the looks of all
-    return seeded(load_recipes([asked], None if named else gallery)[0], seed)
+    wanted = (default_recipe(box=extent.box is not None) if config is None else config), overrides
+    cast = faces == "all" and load_recipe(*wanted).has_head  # people are named at the end, by the looks of all
+    return seeded(load_recipes([wanted], None if cast else gallery)[0], seed)
 
 
 def _live(
@@ -249,97 +266,41 @@ def _live(
     asked: bool,
     out: str | None,
     extent: Extent,
-    recipe_of: Callable[[], Recipe],
-    who: tuple[str, str | None],
+    recipe_of: Callable[[str | None, Extent, str], Recipe],
+    faces: str,
+    gallery: str | None,
 ) -> int:
     """Track what comes from a camera, a pipe or a clip; the exit code."""
     from facetrack_cli.runs.live import LiveCast, follow, images_of
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trackers.people.descriptor import load_people
 
-    [clip, *more] = inputs
-    if not asked:
-        raise UsageError(f"{clip}: has no end; give --live, which writes results as they come")
-    if more:
-        raise UsageError("--live follows one INPUT; give one")
-    if out not in (None, "-"):
-        raise UsageError("--live writes to stdout; leave --out out")
-    known = {"inputs", "config", "overrides", "seed", "gallery", "init", "box", "out", "live", "faces",
-             "no_video", "quiet"}  # fmt: skip
-    if unfit := options.given_beside(known):
-        raise UsageError(f"--live has no {unfit}: frames are tracked as they come; leave it out")
-    recipe = recipe_of()
+    ctx, typed = click.get_current_context(), click.core.ParameterSource.COMMANDLINE
+    fit = {"inputs", "config", "overrides", "seed", "gallery", "init", "box", "out", "live", "faces", "no_video"}
+    others = [param for param in ctx.command.params if param.name not in fit | {"quiet"}]
+    unfit = [max(param.opts, key=len) for param in others if ctx.get_parameter_source(str(param.name)) is typed]
+    refuse(
+        (not asked, f"{inputs[0]}: has no end; give --live, which writes results as they come"),
+        (len(inputs) > 1, "--live follows one INPUT; give one"),
+        (out not in (None, "-"), "--live writes to stdout; leave --out out"),
+        (unfit, f"--live has no {unfit[0] if unfit else ''}: frames are tracked as they come; leave it out"),
+    )
+    recipe = recipe_of(gallery, extent, faces)
     init, cast = extent.box if extent.box is not None else extent.init, None
-    faces, gallery = who
     if faces == "all":
         if recipe.later or recipe.followed or not recipe.has_head or isinstance(init, Path | tuple):
             raise UsageError("--faces all --live looks for every face; leave out --init, --box, and --config but face")
         cast = LiveCast(init, 25.0, {} if gallery is None else load_people(Path(gallery)))
     with Stop().listening() as stop:
-        follow(images_of(clip, say), recipe, init, lambda line: click.echo(line), stop, cast)
+        follow(images_of(inputs[0], say), recipe, init, click.echo, stop, cast)
     return stop.code or ExitCode.DONE
 
 
-def _check_cluster(where: str, out: str | None, jobs: int, split: tuple[float, bool] | None) -> int | None:
-    """The processes of local:N; None if there is a scheduler."""
-    from facetrack_cli.runs.cluster import check_cluster
-
-    if out == "-":
-        raise UsageError("-o - streams one clip from this machine; name a folder, or leave --cluster out")
-    if jobs > 1:
-        raise UsageError("--cluster has workers of its own, -j those of this machine; give one of them")
-    if split is not None:
-        raise UsageError("--split tracks its chunks with -j or --shard; leave --cluster out")
-    return check_cluster(where)
-
-
-def _check_split(clips: int, out: str | None, replaced: bool, whole: dict[str, object]) -> None:
-    """UsageError where a clip cannot be split; `whole` are options of a whole clip."""
-    if out == "-":
-        raise UsageError("--split keeps its chunks in a folder; name one with --out")
-    if replaced:
-        raise UsageError("--overwrite would replace what the other shards did; remove the folder before them")
-    if unfit := next((name for name, value in whole.items() if value), ""):
-        raise UsageError(f"{unfit} goes over the whole clip, --split cuts it in chunks; give one of them")
-    if clips > 1:
-        raise UsageError(f"--split cuts one clip, and {clips} are given; split one at a time")
-
-
-def _check_smoothing(recipe: Recipe, lag: int | None, out: str | None, formats: tuple[Format, ...]) -> None:
-    from facetrack_cli.runs.plan import check_smoothing
-
-    check_smoothing(recipe)
-    if lag:
-        raise UsageError("--lag smooths while it runs, --smooth after it; give one of them")
-    if out == "-":
-        raise UsageError("--smooth reads the run's files again, and -o - writes none; take --lag, or a folder")
-    if not {"json", "jsonl"} & {*formats}:
-        raise UsageError("--smooth reads the rows from JSON; give --format csv,json")
-
-
-def _places(
-    clips: list[Path], several: bool, out: str | None, formats: tuple[Format, ...] | None, recipe: str
-) -> tuple[list[Path | None], tuple[Format, ...]]:
-    """The folder of each clip's results, None for standard output, and the formats to write."""
-    from facetrack_cli.runs.batch import folders
-
-    if out == "-":
-        if several:
-            raise UsageError("-o - streams one clip; give one INPUT, or a folder with --out")
-        if formats is not None and len(formats) > 1:
-            raise UsageError("-o - streams one format; give one with --format")
-        return [None], formats or ("csv",)
-    if out == "":
-        raise OutputError("--out is empty; name a folder, or - for standard output")
-    names = [""] if out and not several else folders(clips, recipe)
-    return [Path(out or ".") / name for name in names], formats or ("csv", "json")
-
-
-def _smooth(outcome: Outcome, stop: Stop, shown: Progress) -> None:
-    """Smooth what a clip gave."""
+def _smooth(outcome: Outcome, stop: Stop, shown: Progress, *, before: bool = False) -> None:
+    """Smooth what a clip gave; with `before` only what an earlier command tracked, and did not smooth."""
     from facetrack_cli.runs.signals import StoppedError
 
-    if not outcome.files or outcome.error is not None or (outcome.again is not None and outcome.again.smoothed):
+    if not outcome.files or outcome.error is not None or (before if outcome.again is None else outcome.again.smoothed):
         return
     shown.begin(f"{outcome.clip.name}, smoothed")
     try:
@@ -350,12 +311,6 @@ def _smooth(outcome: Outcome, stop: Stop, shown: Progress) -> None:
     for note in notes:
         shown.say(f"facetrack: warning: {note}")
     shown.say(f"{outcome.clip}: smoothed: {', '.join(path.name for path in files)}")
-
-
-def _smooth_left(outcome: Outcome, stop: Stop, shown: Progress) -> None:
-    """Smooth what an earlier batch tracked, and did not smooth: workers smooth what they track."""
-    if outcome.again is not None:
-        _smooth(outcome, stop, shown)
 
 
 def _smoothed(outcome: Outcome, stop: Stop, report: Report | None = None) -> tuple[list[Path], list[str]]:
@@ -438,14 +393,14 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: 
             if outcome.error is not None:
                 failed += 1
                 before += outcome.again is not None
-                named = "" if str(outcome.clip) in str(outcome.error) else f"{outcome.clip}: "
-                shown.error(f"facetrack: error: {named}{outcome.error}")
+                of = "" if str(outcome.clip) in str(outcome.error) else f"{outcome.clip}: "
+                shown.error(f"facetrack: error: {of}{outcome.error}")
     shown.close()
     if stop.code is not None:
         return stop.code
-    found = [clip_status(job.out, job.out.name, str(job.clip)) for job in jobs if job.out is not None]
-    if any(one.look for one in found):  # what failed has been told
-        for line in worst(found):
+    rows = [clip_status(job.out, job.out.name, str(job.clip)) for job in jobs if job.out is not None]
+    if any(row.look for row in rows):  # what failed has been told
+        for line in worst(rows):
             shown.say(line)
     if failed:
         again = f", {before} of them before; --retry-failed tries those again" if before else ""

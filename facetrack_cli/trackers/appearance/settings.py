@@ -12,17 +12,19 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 from pydantic import Field
 
 from facetrack_cli.recipe.sections import (
+    MAX_COMPARED_PARTICLES,
+    SHARE,
     Component,
+    Factor,
     FilterSettings,
     Length,
     LikelihoodSettings,
     MotionSettings,
     Refusal,
+    ScaledSettings,
     Section,
     Steps,
 )
-from facetrack_cli.recipe.shared import MAX_COMPARED_PARTICLES, Factor, ScaledSettings
-from facetrack_cli.recipe.times import SHARE
 
 if TYPE_CHECKING:
     from facetrack_cli.recipe.model import ParticleFilterSettings

@@ -30,8 +30,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Array, Frame, Image, factor_for
-from facetrack_cli.core.warp import warp_affine
 from facetrack_cli.trackers.box.cell_kernels import CHANNELS, gradients, gradients_of_scales, project
 
 Single: TypeAlias = NDArray[np.float32]

@@ -8,9 +8,18 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import FilterSettings, Length, LikelihoodSettings, MotionSettings, Refusal, Section
-from facetrack_cli.recipe.shared import Factor, ScaledSettings
-from facetrack_cli.recipe.times import FRAMES, SHARE
+from facetrack_cli.recipe.sections import (
+    FRAMES,
+    SHARE,
+    Factor,
+    FilterSettings,
+    Length,
+    LikelihoodSettings,
+    MotionSettings,
+    Refusal,
+    ScaledSettings,
+    Section,
+)
 
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 Rate: TypeAlias = Annotated[float, Field(ge=0, le=1), SHARE]

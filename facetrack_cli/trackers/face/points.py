@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.errors import UsageError
+from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Array, Box, Frame, Image, Point
-from facetrack_cli.core.warp import warp_affine
 from facetrack_cli.trackers.face.descent import CORNER, PlacedPoints, load_descent
 from facetrack_cli.trackers.face.stabilized import EYE_LINE, FACE, MIDDLE, Similarity, change_between
 

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from facetrack_cli.core.face_points import DetectorName
 from facetrack_cli.recipe.sections import (
+    FRAMES,
     Length,
     LengthPerPart,
     LikelihoodSettings,
@@ -21,7 +22,6 @@ from facetrack_cli.recipe.sections import (
     Refusal,
     Section,
 )
-from facetrack_cli.recipe.times import FRAMES
 from facetrack_cli.trackers.box.settings import (
     BoxSettings,
     CorrelationFilterSettings,

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from facetrack_cli.core.face_points import EYE_DISTANCE
+from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Array, Frame, Image
-from facetrack_cli.core.warp import warp_affine
 from facetrack_cli.trackers.face.colour_kernels import coloured
 
 SIDE: Final = 160  # sides of the stabilized image, in pixels

@@ -31,8 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Array, Box, Frame, Image, factor_for
-from facetrack_cli.core.warp import warp_affine
 from facetrack_cli.engine.loop import Footprint
 
 Map = NDArray[np.float32]

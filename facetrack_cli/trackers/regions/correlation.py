@@ -38,8 +38,8 @@ from typing import Any
 import cv2
 import numpy as np
 
+from facetrack_cli.core.geometry import remap
 from facetrack_cli.core.types import Array, Frame, Image, Particles
-from facetrack_cli.core.warp import remap
 from facetrack_cli.engine.kernels.affine import boxes_extent
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.resampling import averaged, effective_share

@@ -11,14 +11,15 @@ from pydantic import Field
 
 from facetrack_cli.recipe.sections import (
     Component,
+    Factor,
     Length,
     LengthOrNone,
     LikelihoodSettings,
     MotionSettings,
     Refusal,
+    ScaledSettings,
     Section,
 )
-from facetrack_cli.recipe.shared import Factor, ScaledSettings
 
 MAX_SEARCH_SIZES, MAX_SEARCH_PX = 10.0, 10_000.0  # beyond most frames; every step of it takes time
 Count: TypeAlias = Annotated[int, Field(ge=1, le=64)]

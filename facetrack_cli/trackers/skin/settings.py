@@ -9,8 +9,7 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import LikelihoodSettings, Refusal, Section, TargetSettings
-from facetrack_cli.recipe.times import SHARE
+from facetrack_cli.recipe.sections import SHARE, LikelihoodSettings, Refusal, Section, TargetSettings
 
 Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 MaxSize: TypeAlias = Annotated[int, Field(ge=16)]

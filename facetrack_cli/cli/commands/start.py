@@ -1,4 +1,4 @@
-"""facetrack init: where the track of a clip begins, as a file to edit."""
+"""facetrack app, init and status: the page of all clips; where a track begins; how far a batch is."""
 
 from __future__ import annotations
 
@@ -9,13 +9,65 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import Page, flag, option, page_options, say
-from facetrack_cli.cli.types import FILE_OR_DASH, FRAME, INPUT, PNG, RECIPE
-from facetrack_cli.core.errors import ExitCode, InputError, OutputError, UsageError
+from facetrack_cli.cli.options import Page, flag, option, page_options, refuse, say
+from facetrack_cli.cli.types import FILE_OR_DASH, FOLDER, FRAME, INPUT, PNG, PROJECT, RECIPE
+from facetrack_cli.core.errors import ExitCode, InputError, OutputError, flat
 
 if TYPE_CHECKING:
     from facetrack_cli.core.types import Box, Frame, Start
     from facetrack_cli.recipe.model import Recipe
+
+
+@click.command()
+@click.argument("project", type=PROJECT, required=False, default=lambda: Path.home() / "facetrack")
+@options.port
+@flag("--no-open", help="Do not open the page in the browser.")
+def app_command(project: Path, port: int | None, no_open: bool) -> int:
+    """Track, look, correct and export on one page.
+
+    The page opens in the browser and stays open. Drop clips on it, or name a folder; choose what is tracked in each;
+    run them; look at them, correct them, and export them for other programs. PROJECT is the folder where all of that is
+    kept [default: facetrack, in your home]; the same command again shows it, and goes on with what was not finished.
+
+    It is served to this machine alone, and ends with Quit on the page, or with Ctrl-C.
+
+    \b
+    Examples:
+      facetrack app
+      facetrack app study/
+      facetrack app study/ --port 8800 --no-open
+    """
+    from facetrack_cli.editor.project import Project
+    from facetrack_cli.editor.web.app_session import AppSession
+    from facetrack_cli.editor.web.server import run_page
+    from facetrack_cli.runs.signals import Stop
+
+    refuse((project.is_file(), f"{project}: is a file; name a folder for the project, and add clips on its page"))
+    with Stop().listening() as stop:
+        run_page(AppSession(Project(project)), stop, say, port=port or 0, browse=not no_open)
+    return stop.code or 0
+
+
+@click.command()
+@click.argument("results", type=FOLDER, metavar="RESULTS")
+@flag("--json", "as_json", help="Print JSON.")
+def status_command(results: Path, as_json: bool) -> None:
+    """Tell how far a batch is, and how long it still takes.
+
+    RESULTS is the folder that --out of facetrack run named, or that of a single run. A table names the clips to look
+    at, the worst first: clips that failed, with the reason; incomplete clips; clips in which a part is lost most. What
+    runs is told with its machine, since when, and how far it is. Nothing is written.
+
+    \b
+    Examples:
+      facetrack status results
+      watch -n 60 facetrack status results
+      facetrack status results --json | jq .counts
+    """
+    from facetrack_cli.run_folder.status import survey
+
+    batch = survey(results)
+    click.echo(batch.json() if as_json else "\n".join(map(flat, batch.lines())), nl=not as_json)
 
 
 @click.command()
@@ -35,7 +87,7 @@ if TYPE_CHECKING:
 @flag("--pick", help="Choose on a page in the browser: boxes and points are drawn on the frame.")
 @page_options
 @flag("--overwrite", help="Replace files that are there already; --pick begins with what they hold.")
-def command(
+def init_command(
     clip: Path, out: str | None, init_frame: int | None, faces: Literal["one", "all"], box: Box | None,
     config: str | None, preview: Path | None, pick: bool, page: Page, overwrite: bool,
 ) -> int:  # fmt: skip
@@ -65,10 +117,8 @@ def command(
     from facetrack_cli.start.init_file import default_path, write_init
     from facetrack_cli.start.preview import write_preview
 
-    if out == "":
-        raise OutputError("--out is empty; name a file, or - for standard output")
-    if faces == "all" and (box is not None or pick):
-        raise UsageError("--faces all is of a search; leave out --box and --pick")
+    others = faces == "all" and (box is not None or pick)
+    refuse((others, "--faces all is of a search; leave out --box and --pick"))
     if not pick:
         page.refuse("add --pick")
     path = None if out == "-" else Path(out) if out else default_path(clip)
@@ -117,23 +167,23 @@ def _find(
     from facetrack_cli.trackers.face.detectors import detector
 
     by = None if box is not None else detector().name
-    begin = ClipRequest(clip, init=by, faces=faces, box=box, init_frame=init_frame)
+    request = ClipRequest(clip, init=by, faces=faces, box=box, init_frame=init_frame)
     with progress(quiet) as shown:
         shown.begin(f"{clip.name}: looking for a face")
-        start = begin.find(recipe, looked=shown.update)
-    return start, begin.frame(start.frame)
+        start = request.find(recipe, looked=shown.update)
+    return start, request.frame(start.frame)
 
 
 def _run_with(path: Path | None, clip: Path, config: str | None, recipe: Recipe | None) -> str:
     """The command that begins with the file, once it is there."""
-    from facetrack_cli.recipe.gallery_option import wants_gallery
+    from facetrack_cli.recipe.load import wants_gallery
     from facetrack_cli.start.init_file import default_path, find_init
 
-    found = (find_init(clip) or default_path(clip)) == path
-    named = "" if found else f" --init {'FILE' if path is None else path}"
+    beside = (find_init(clip) or default_path(clip)) == path
+    words = "" if beside else f" --init {'FILE' if path is None else path}"
     if recipe is not None:
-        named += f" --config {config}" + " --gallery FILE" * wants_gallery(recipe)
-    return f"facetrack run {clip}{named}"
+        words += f" --config {config}" + " --gallery FILE" * wants_gallery(recipe)
+    return f"facetrack run {clip}{words}"
 
 
 def _pick(
@@ -147,12 +197,12 @@ def _pick(
     from facetrack_cli.video.seek import Frames
 
     beside = path or default_path(clip)
-    kept = beside.with_name(f"{beside.stem}.unsaved.yaml")  # what was chosen and not saved
-    begun, goes_on = None, box is None and kept.is_file()
-    source = kept if goes_on else path
+    unsaved = beside.with_name(f"{beside.stem}.unsaved.yaml")  # what was chosen and not saved
+    start, goes_on = None, box is None and unsaved.is_file()
+    source = unsaved if goes_on else path
     if source is not None and source.is_file():
         try:
-            begun = read_init(source)
+            start = read_init(source)
         except InputError as e:  # it will be replaced in any case
             say(f"facetrack: warning: {e}; the page begins without it")
     with Frames(clip) as frames, Stop().listening() as stop:
@@ -164,29 +214,29 @@ def _pick(
             recipe=recipe,
             frame=frame,
             box=box,
-            previous=begun,
+            previous=start,
             next_=run,
             preview=preview,
         )
         saved = page.serve(session, stop)
     if not saved:
-        say(f"facetrack: {stop.reason}; {_keep_unsaved(session.unsaved(), clip, kept)}")
+        say(f"facetrack: {stop.reason}; {_keep_unsaved(session.unsaved(), clip, unsaved)}")
         return stop.code or ExitCode.FAULT
     if goes_on:
-        kept.unlink(missing_ok=True)
+        unsaved.unlink(missing_ok=True)
     if path is None and session.saved is not None:
         write_init(sys.stdout, session.saved, clip=clip.name)
     return ExitCode.DONE
 
 
-def _keep_unsaved(start: Start | None, clip: Path, kept: Path) -> str:
+def _keep_unsaved(start: Start | None, clip: Path, unsaved: Path) -> str:
     """Write what was chosen and not saved, if anything was; what became of it."""
     from facetrack_cli.start.init_file import write_init
 
     if start is None:
-        return f"what was chosen the last time is still in {kept}" if kept.is_file() else "nothing was written"
+        return f"what was chosen the last time is still in {unsaved}" if unsaved.is_file() else "nothing was written"
     try:
-        write_init(kept, start, clip=clip.name, overwrite=True)
+        write_init(unsaved, start, clip=clip.name, overwrite=True)
     except OutputError as e:
         return f"what was chosen is lost: {e}"
-    return f"what was chosen is kept in {kept}; the same command goes on with it"
+    return f"what was chosen is kept in {unsaved}; the same command goes on with it"

@@ -1,0 +1,409 @@
+"""facetrack eval, compare and regress: a trajectory, recipes and an installation, against what is known to be right."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from facetrack_cli.cli import options
+from facetrack_cli.cli.app import colour
+from facetrack_cli.cli.options import (
+    Command,
+    Extent,
+    TruthOptions,
+    extent_options,
+    flag,
+    option,
+    refuse,
+    say,
+    truth_options,
+)
+from facetrack_cli.cli.types import FILE, FILE_OR_DASH, FOLDER, INPUT, PNG, RECIPE, TRAJECTORY, Text, Whole
+from facetrack_cli.core.errors import ExitCode, InputError, UsageError, flat
+
+if TYPE_CHECKING:
+    from facetrack_cli.evaluation.compare import Comparison
+    from facetrack_cli.evaluation.summary import Evaluation
+    from facetrack_cli.runs.progress import Progress
+    from facetrack_cli.trajectory.trajectory import Trajectory
+
+TABLES = ("compare.json", "compare.csv", "compare.md")
+PLOTS = ("success.png", "precision.png", "cumulative.png", "error.png")
+
+
+# --- eval ------------------------------------------------------------------------------------------------------------
+
+
+def _failure(value: str) -> float:
+    try:
+        share = float(value)
+    except ValueError:
+        share = 0.0
+    if not 0 < share <= 100:
+        raise click.BadParameter(f"{value!r}: give a normalised error above 0, as 0.1 or 0.08")
+    return share
+
+
+@click.command(cls=Command, basic="truth partial target normalise people json_file csv_file plot overwrite")
+@click.argument("trajectory", type=TRAJECTORY)
+@option(
+    "--truth", type=FILE,
+    help="File or folder of ground truth [default: <clip>.truth.csv beside the clip that a JSON trajectory names].",
+)  # fmt: skip
+@truth_options
+@options.format_of("--format", "How to read TRAJECTORY if another tracker wrote it: one of the same")
+@option(
+    "--normalise", type=Text("LENGTH"), default="size",
+    help="Length that errors are divided by: size (the largest distance between two points in the first frame; of a "
+    "box the root of its area), mouth, eyes, two parts as A:B, or a number of pixels.",
+)  # fmt: skip
+@option(
+    "--failure", type=Text("SHARE", _failure), default="0.1",
+    help="A point has failed above this normalised error; 300-W takes 0.08.",
+)  # fmt: skip
+@flag(
+    "--people",
+    help="Find which target is which person, whatever their names, and measure HOTA, IDF1, switches and fragments; "
+    "other tables are of the rows that both have.",
+)
+@option("--json", "json_file", type=FILE_OR_DASH, help="Write all measures as JSON; - is standard output.")
+@option("--csv", "csv_file", type=FILE_OR_DASH, help="Write a row a part and one of all as CSV; - is standard output.")
+@option("--plot", type=PNG, help="Draw how far confidence can be trusted (needs [plot]).")
+@options.overwrite
+def eval_command(
+    trajectory: Path, truth: Path | None, reference: TruthOptions, format: str, normalise: str, failure: float,
+    people: bool, json_file: str | None, csv_file: str | None, plot: Path | None, overwrite: bool,
+) -> None:  # fmt: skip
+    """Measure a trajectory against ground truth.
+
+    TRAJECTORY is a trajectory.csv, .json or .jsonl, the folder of a run, or what another tracker wrote, in any of the
+    formats of ground truth. It prints the errors of points, or the overlaps of boxes; how long parts take to come back
+    after occlusions; and how far the status lost, the confidence and the spread can be trusted. With --json - or
+    --csv - the data take the place of the tables. The first frame, which the tracker is given, counts among the points;
+    the measures of trust leave it out.
+
+    \b
+    Examples:
+      facetrack eval out/ --truth clip.truth.csv
+      facetrack eval out/ --truth groundtruth_rect.txt --json eval.json
+      facetrack eval out/ --truth annot/ --partial --normalise eyes
+      facetrack eval film/ --truth film.truth.csv --people
+      facetrack eval results/MIL.txt --truth groundtruth_rect.txt
+      for run in runs/*/; do
+        facetrack eval "$run" --truth clip.truth.csv --csv - | tail -n 1
+      done
+
+    \b
+    Exit codes: 0 done, 2 usage or output, 3 a trajectory or ground truth that
+    cannot be read, or that do not belong together, 130 interrupted.
+    """
+    from facetrack_cli.core.files import check_new, write_new
+    from facetrack_cli.evaluation.identities import identified
+    from facetrack_cli.evaluation.rows import check_normalise
+    from facetrack_cli.evaluation.summary import About, Options, evaluate, to_csv, to_json, to_text
+    from facetrack_cli.report.figures.style import need_matplotlib
+    from facetrack_cli.run_folder.manifest import check_run, other_clip
+    from facetrack_cli.trajectory.formats.read import read_results
+    from facetrack_cli.trajectory.header import clip_of, frame_size_of
+
+    outputs = {"--json": json_file, "--csv": csv_file, "--plot": plot}
+    files = {name: Path(file) for name, file in outputs.items() if file is not None and file != "-"}
+    same = len({os.path.realpath(path) for path in files.values()}) < len(files)
+    other_form = plot is not None and plot.suffix.lower() != ".png"
+    refuse(
+        (json_file == csv_file == "-", "--json - and --csv - both name standard output; write one of them to a file"),
+        (same, f"{' and '.join(files)} name the same file; name one for each"),
+        (other_form, f"--plot {plot}: the figure is a PNG; let its name end in .png"),
+    )
+    for path in files.values():
+        check_new(path, overwrite=overwrite)
+    if plot is not None:
+        need_matplotlib()
+    check_normalise(normalise)
+    check_run(trajectory)
+    ours = read_results(trajectory, format)
+    theirs = reference.read(truth or _truth_beside(ours), ours)
+    clip = clip_of(ours)
+    for path in files.values():
+        check_new(path, overwrite=overwrite, inputs=(ours.path, theirs.path, clip))
+    other = None if clip is None else other_clip(ours, clip)
+    notes = [] if other is None else [other]
+    persons = None
+    if people:
+        ours, persons, renamed = identified(ours, theirs)
+        notes += renamed
+        reference.partial = True
+    pairs = reference.pairs(ours, theirs, notes.append)
+    settings = Options(normalise, failure, frame_size_of(ours))
+    evaluation = evaluate(pairs, notes, settings, reference=theirs.parts, people=persons)
+    read_as = str(theirs.header.get("read_as", reference.truth_format))
+    about = About(ours.path, theirs.path, read_as, reference.shift, ours.header.get("read_as"))
+
+    texts = {"--json": to_json, "--csv": to_csv}
+    made = {name: texts[name](evaluation, about).encode(errors="backslashreplace") for name in files if name in texts}
+    if plot is not None:
+        made["--plot"] = _plot(evaluation, ours.path)
+    for name, content in made.items():
+        write_new(files[name], content, overwrite=overwrite)
+        say(f"{trajectory} -> {files[name]}")
+    printed = next((texts[name] for name, to in outputs.items() if to == "-"), None)
+    text = printed(evaluation, about) if printed else to_text(evaluation, about, colour=colour())
+    if not (sys.stdout.encoding or "utf-8").lower().startswith("utf"):
+        text = text.replace("\N{EN DASH}", "-")
+    click.echo(text, nl=False)
+
+
+def _truth_beside(ours: Trajectory) -> Path:
+    """The ground truth beside the clip of a JSON trajectory."""
+    from facetrack_cli.trajectory.header import clip_of, is_there
+
+    clip = clip_of(ours)
+    if clip is None:
+        raise UsageError(
+            f"{ours.path}: does not name its clip, beside which the ground truth might be; give --truth FILE"
+        )
+    beside = clip.with_name(clip.stem + ".truth.csv") if clip.name else clip
+    if not is_there(beside):
+        raise UsageError(f"{ours.path}: beside its clip there is no {beside}; give --truth FILE")
+    return beside
+
+
+def _plot(evaluation: Evaluation, path: Path) -> bytes:
+    from facetrack_cli.report.figures import calibration_figure, render
+
+    confidence = evaluation.all.confidence
+    if confidence is None or not confidence.bins:
+        raise InputError(
+            f"{path}: has no confidence from 0 to 1 in rows with known ground truth to draw; leave --plot out"
+        )
+    return render(calibration_figure(confidence.bins))
+
+
+# --- compare ---------------------------------------------------------------------------------------------------------
+
+
+@click.command(cls=Command, basic="config seeds rank_by overrides truth target init box stop out overwrite jobs")
+@click.argument("clip", type=INPUT)
+@option(
+    "--config", type=RECIPE, multiple=True, required=True,
+    help="Recipe: a file, a name, or either with its own keys, as sir:filter.particles=500; repeat for each.",
+)  # fmt: skip
+@option("--seeds", type=Whole(min=1), default=10, help="Runs of each, seed 0 on.")
+@option("--rank-by", type=Text("MEASURE"), help="Rank by this, as points.median_px or boxes.precision_20.")
+@options.set_("Override a key of all; repeatable.")
+@options.gallery
+@option("--truth", type=FILE, help="Ground truth [default: <clip>.truth.csv, else groundtruth.csv beside the clip].")
+@truth_options
+@extent_options
+@option("-o", "--out", type=FOLDER, help="Folder for results [default: ./<clip>-compare].")
+@flag("--json", "as_json", help="Print JSON instead of the table.")
+@flag("--csv", "as_csv", help="Print CSV instead of the table.")
+@flag("--no-plots", help="Draw nothing.")
+@options.overwrite
+@options.jobs("Processes that share the runs.")
+@flag("--quiet", "-q", help="Print the table, and nothing else but errors.")
+def compare_command(
+    clip: Path, config: tuple[str, ...], seeds: int, rank_by: str | None, overrides: tuple[str, ...],
+    gallery: str | None, truth: Path | None, reference: TruthOptions, extent: Extent, out: Path | None, as_json: bool,
+    as_csv: bool, no_plots: bool, overwrite: bool, jobs: int, quiet: bool,
+) -> int:  # fmt: skip
+    """Run recipes on a clip with ground truth, and rank them.
+
+    Each recipe runs with seeds 0 to N-1; one that cannot run on this clip gets a row that says why. The table has the
+    mean and the standard deviation over seeds, the runs that failed, and the frames/s of the tracker alone, without
+    decoding. All rows are timed in the same run; only ratios between them mean anything (best with -j 1).
+
+    Boxes are ranked by success AUC, points by the mean normalised error. Recipes whose means +- 2 standard errors
+    overlap share their ranks: the runs do not tell them apart.
+
+    \b
+    The folder gets compare.json, compare.csv (a row a recipe and seed),
+    compare.md, and
+      success.png, precision.png    of boxes
+      cumulative.png                of points
+      error.png                     over time: median and 10-90 % of the
+                                    seeds, hidden spans shaded
+
+    \b
+    Examples:
+      facetrack compare clip.mp4 --config factorized --config sir
+      facetrack compare clip.mp4 --config mil --config csrt --seeds 20 -j 2
+      facetrack compare hands.mp4 --target left_hand \\
+        --config histogram --config contour_histogram
+      facetrack compare frames/ --truth groundtruth.txt \\
+        --config sir:filter.particles=100 --config sir:filter.particles=500
+      facetrack compare clip.mp4 --config adaptive --config mine.yaml \\
+        --gallery people.npz
+      facetrack compare clip.mp4 --config a.yaml --config b.yaml --csv -q
+
+    \b
+    Exit codes: 0 done, 2 usage, recipe or output, 3 input,
+    5 some of the recipes could not run, 130 interrupted, 143 terminated.
+    """
+    from facetrack_cli.core.files import check_folder, make_folder, remove_folders
+    from facetrack_cli.evaluation import compare
+    from facetrack_cli.evaluation.compare import Comparison
+    from facetrack_cli.runs.batch import title
+    from facetrack_cli.runs.plan import ClipRequest
+    from facetrack_cli.runs.progress import progress
+    from facetrack_cli.runs.seeds import labels, load_recipes, refuse_seed, variant
+    from facetrack_cli.runs.signals import Stop
+
+    extent.check(clip)
+    refuse((out == Path("-"), "--out '-' names no folder; the table goes to standard output in any case"))
+    if rank_by is not None:
+        compare.check_measure(rank_by)
+    asked = [(name, (*overrides, *own)) for name, own in map(variant, config)]
+    refuse_seed([key for _, keys in asked for key in keys])
+    recipes = dict(zip(labels(config), load_recipes(asked, gallery), strict=True))
+    file = truth or compare.default_truth(clip)
+    rows = reference.read(file)
+    folder = out or Path(f"{title(clip)}-compare")
+    check_folder(folder, [*TABLES, *(() if no_plots else PLOTS)], overwrite=overwrite, inputs=[clip])
+    made = make_folder(folder)
+    try:
+        with Stop().listening() as stop, progress(quiet) as shown:
+            request = ClipRequest(clip, **vars(extent))
+            with request.open() as source:
+                scoring = compare.Scoring(reference.target, reference.partial, extent.stop, source.size)
+            entries = compare.run_recipes(
+                recipes, request, rows, seeds, scoring, rank_by=rank_by, workers=jobs, stop=stop, shown=shown
+            )
+            shown.close()
+            if not any(entry.scores for entry in entries):
+                shown.say(f"facetrack: {stop.reason} before a run was complete; nothing was written")
+                return stop.code or ExitCode.FAULT
+            measure = rank_by or compare.USUAL[compare.kind_of(entries)][0]
+            comparison = Comparison(clip, file, seeds, tuple(entries), measure, jobs, stop.code is None)
+            try:
+                names = _write(comparison, folder, shown, plots=not no_plots, overwrite=overwrite)
+            finally:  # what took long is not lost for a full disk
+                if as_json or as_csv:
+                    click.echo(comparison.json() if as_json else comparison.csv(), nl=False)
+                else:
+                    comparison.sheet().show()
+            shown.say(f"{clip} -> {folder}{os.sep} ({', '.join(names)})")
+            failed = sum(entry.error is not None for entry in entries)
+            if failed:
+                shown.say(f"{failed} of {len(entries)} recipes could not run")
+        return stop.code or (ExitCode.BATCH if failed else ExitCode.DONE)
+    finally:
+        remove_folders(made)  # if they are empty
+
+
+def _write(comparison: Comparison, folder: Path, shown: Progress, *, plots: bool, overwrite: bool) -> list[str]:
+    """Write all files, without matplotlib all but the plots; their names."""
+    from facetrack_cli.core.files import write_new
+    from facetrack_cli.report.figures.compare import compare_figures
+    from facetrack_cli.report.figures.style import need_matplotlib
+
+    texts = comparison.json(), comparison.csv(), comparison.sheet().markdown()
+    files = [(name, text.encode(errors="backslashreplace")) for name, text in zip(TABLES, texts, strict=True)]
+    for name, content in files:
+        write_new(folder / name, content, overwrite=overwrite)
+    if plots:
+        try:
+            need_matplotlib()
+        except UsageError as e:
+            shown.say(f"facetrack: warning: no plots: {e}")
+        else:
+            for name, png in compare_figures(comparison):
+                write_new(folder / name, png, overwrite=overwrite)
+                files.append((name, png))
+    return [name for name, _ in files]
+
+
+# --- regress ---------------------------------------------------------------------------------------------------------
+
+
+@click.command()
+@click.argument("folder", type=FOLDER)
+@option(
+    "--config", type=RECIPE, multiple=True,
+    help="Only this recipe, a file or a name; repeatable [default: all that have goldens].",
+)  # fmt: skip
+@options.set_("Check with this key changed; repeatable.")
+@option("--gallery", type=FILE, help="People that recipes with recognition know; a golden remembers its own.")
+@flag("--update", help="Record goldens instead: of --config, else of all that have one.")
+@option("--seeds", type=Whole(min=5, max=500), help="Runs to record a golden from [default: 10].")
+@option("--stop", type=Whole(min=2), help="Record up to this frame only; for slow trackers.")
+@option("--junit", type=FILE, help="Write JUnit XML, for CI services.")
+@option("--json", type=FILE, help="Write the results as JSON.")
+@options.overwrite
+@options.jobs("Goldens at a time.")
+@flag("--quiet", "-q", help="No progress.")
+def regress_command(
+    folder: Path, config: tuple[str, ...], overrides: tuple[str, ...], gallery: Path | None, update: bool,
+    seeds: int | None, stop: int | None, junit: Path | None, json: Path | None, overwrite: bool, jobs: int, quiet: bool,
+) -> int:  # fmt: skip
+    """Check clips against their golden results.
+
+    Runs every clip in DIR that has a golden, DIR/goldens/<clip>.<recipe>.json. With the recipe and the versions that it
+    was recorded with, a run must give the same rows. With others, also on another processor, four seeds are run: a
+    check fails if all of them are off more than the seeds that were recorded are from each other.
+
+    A recipe that was edited is named, and checked all the same. One that this installation cannot run is skipped.
+
+    \b
+    Examples:
+      facetrack regress sample_videos -j 2 --junit regress.xml
+      facetrack regress clips --config factorized --update
+      facetrack regress clips --config mine.yaml --gallery people.npz --update
+      facetrack regress clips --update --seeds 40
+      facetrack regress sample_videos --config sir --set motion.sigma=0.13
+
+    \b
+    Exit codes: 0 all pass, 2 usage, recipe or output, 3 input, or no goldens,
+    5 some could not be recorded, 6 a regression, 130 interrupted, 143 terminated.
+    """
+    from facetrack_cli.core.files import check_new, write_new
+    from facetrack_cli.evaluation.goldens import SEEDS, as_json, as_junit, counts, regress, tasks
+    from facetrack_cli.recipe.load import check_gallery_file, load_recipe
+    from facetrack_cli.runs.progress import progress
+    from facetrack_cli.runs.signals import Stop
+    from facetrack_cli.trackers.appearance.gallery import load_gallery
+
+    checks, records = overrides or junit or json, seeds is not None or stop is not None
+    refuse(
+        (update and checks, "--update records recipes as they are; leave --set, --junit and --json to a check"),
+        (not update and records, "--seeds and --stop go with --update; a check takes them from the golden"),
+        (junit and junit == json, "--junit and --json name the same file; give two names"),
+    )
+    for path in filter(None, (junit, json)):
+        check_new(path, overwrite=overwrite)
+    if gallery is not None:  # a mistake in the option is no regression
+        check_gallery_file(str(gallery))
+        load_gallery(gallery)
+    names = {load_recipe(name, overrides, installed=False).name: name for name in config}
+    asked = tasks(folder, names, update=update)
+    fails, began, results = "not recorded" if update else "FAILS", time.monotonic(), []
+    with Stop().listening() as stopped, progress(quiet) as shown:
+        shown.begin(str(folder))
+        for result in regress(
+            folder, asked, update=update, overrides=overrides, seeds=seeds or SEEDS, stop=stop, gallery=gallery,
+            stopped=stopped, workers=jobs, report=shown.update,
+        ):  # fmt: skip
+            results.append(result)
+            why = result.message
+            ok = why if update else f"ok ({why}; {result.seconds:.1f} s)"
+            verdict = {"ok": ok, "fails": f"{fails}: {why}", "skipped": f"skipped: {why}"}[result.status]
+            for line in (f"{result.clip} {result.recipe}: {verdict}", *(f"    {detail}" for detail in result.details)):
+                click.echo(flat(line))
+        if stopped.code is not None:
+            shown.say(f"{stopped.reason} after {len(results)} of {len(asked)} goldens")
+            return stopped.code
+    many = counts(results)
+    if update:
+        return ExitCode.BATCH if many["fails"] else ExitCode.DONE
+    for file, text in ((junit, as_junit), (json, as_json)):
+        if file is not None:
+            write_new(file, text(results).encode(), overwrite=overwrite)
+    took = f"{len(results)} golden{'s' * (len(results) != 1)} in {time.monotonic() - began:.0f} s"
+    skipped = f", {many['skipped']} skipped" if many["skipped"] else ""
+    click.echo(f"{took}: {many['ok']} ok, {many['fails']} FAIL{'S' * (many['fails'] == 1)}{skipped}")
+    return ExitCode.REGRESSION if many["fails"] else ExitCode.DONE

@@ -1,0 +1,360 @@
+"""Files: written whole or not at all, bounded before they are read, and values that are stored in them."""
+
+import io
+import json
+import os
+import stat
+import struct
+import threading
+import zipfile
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from facetrack_cli.__main__ import main
+from facetrack_cli.core import files, npz, yaml_tree
+from facetrack_cli.core.errors import InputError, OutputError
+from facetrack_cli.core.files import FileSink, check_new, check_readable, publish, write_new
+from facetrack_cli.core.npz import STORED, flatten, restore
+from facetrack_cli.core.types import Particles, TargetStart
+from facetrack_cli.engine.calibration import load_calibration
+from facetrack_cli.runs.smooth import KIND
+from facetrack_cli.start.init_file import read_init
+from facetrack_cli.trackers.appearance.gallery import load_gallery, name_problem
+from facetrack_cli.trajectory.formats.read import read_truth
+from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.video.source import open_source
+
+HEADER = (
+    '{"schema": "facetrack-trajectory", "version": 1, "source": {"path": "clip.mp4", "size": [64, 48]}, "frames": ['
+)
+FRAME = '{"frame": 0, "time_s": 0, "targets": [{"target": "face", "parts": [{"part": "nose", "x": 1, "y": 2}]}]}]}'
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """A folder with a trajectory, its clip and ground truth, which is the current one."""
+    monkeypatch.chdir(tmp_path)
+    Path("trajectory.json").write_text(HEADER + FRAME)
+    Path("clip.mp4").write_bytes(b"a clip")
+    Path("clip.truth.csv").write_text("frame,target,part,x,y\n0,face,nose,1,2\n")
+    return tmp_path
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_a_pipe_is_written_to_and_stays_one(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    heard = []
+    reader = threading.Thread(target=lambda: heard.append(pipe.read_bytes()))
+    reader.start()
+    check_new(pipe, overwrite=False)  # nothing is replaced, so nobody need agree to it
+    write_new(pipe, b"whole", overwrite=True)
+    reader.join(10)
+    assert heard == [b"whole"]
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+
+
+def test_a_link_stays_one(tmp_path):
+    Path(tmp_path / "far").mkdir()
+    link, real = tmp_path / "link.csv", tmp_path / "far" / "real.csv"
+    link.symlink_to(real)
+    with pytest.raises(OutputError, match="exists already"):
+        write_new(link, b"", overwrite=False)
+    write_new(link, b"new", overwrite=True)
+    assert link.is_symlink()
+    assert real.read_bytes() == b"new"
+    assert [path.name for path in real.parent.iterdir()] == ["real.csv"]
+    sink = FileSink(link)
+    sink.write("records")
+    sink.finish(lambda count: f", {count}")
+    publish(link)
+    assert link.is_symlink()
+    assert real.read_text() == "records, 1"
+    assert [path.name for path in real.parent.iterdir()] == ["real.csv"]
+
+
+def test_nothing_is_left_behind_when_interrupted(tmp_path, monkeypatch):
+    def interrupted(path, target):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_new(tmp_path / "new.csv", b"half", overwrite=False)
+    assert not list(tmp_path.iterdir())
+
+
+def test_names_that_the_system_refuses(tmp_path):
+    for refuse in (lambda path: check_new(path, overwrite=False), lambda path: write_new(path, b"", overwrite=False)):
+        with pytest.raises(OutputError, match=r"a{300}: cannot be written: .*; .*\w"):
+            refuse(tmp_path / ("a" * 300))
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("eval", "trajectory.json", "--json", "clip.mp4"),
+        ("eval", "trajectory.json", "--csv", "clip.truth.csv"),
+        ("eval", "trajectory.json", "--csv", "./trajectory.json"),
+        ("export", "trajectory.json", "--to", "dlc", "-o", "clip.mp4"),
+        ("export", "trajectory.json", "--to", "eaf", "--media", "clip.truth.csv", "-o", "clip.truth.csv"),
+        ("export", ".", "--to", "dlc", "-o", "trajectory.json"),
+    ],
+)
+def test_what_is_read_is_never_replaced(run, capsys, command):
+    before = {path: path.read_bytes() for path in run.iterdir()}
+    assert main([*command, "--overwrite"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith(f"{Path(command[-1])}: is read here, and would be replaced; name another file")
+    assert {path: path.read_bytes() for path in run.iterdir()} == before
+
+
+@pytest.mark.parametrize("name", ["a" * 300, "a\\u0000b", "a\\nb<&>\\u00fc.mp4"])
+def test_whatever_a_header_calls_its_clip(run, capsys, name):
+    Path("trajectory.json").write_text((HEADER + FRAME).replace("clip.mp4", name))
+    assert main(["eval", "trajectory.json"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith("give --truth FILE")
+    assert main(["eval", "trajectory.json", "--truth", "clip.truth.csv", "--csv", "clip.csv"]) == 0
+    assert main(["export", "trajectory.json", "--to", "eaf"]) == 0
+    assert main(["export", "trajectory.json", "--to", "coco", "--box", "points"]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 4  # what eval wrote, a clip that is not there, and two exports
+
+
+SAMPLES = Path(__file__).parents[2] / "sample_videos"
+READERS = pytest.mark.parametrize("read", [read_trajectory, read_truth, load_gallery, load_calibration])
+RUN = ["run", SAMPLES / "expressions.mp4", "--stop", "2", "-q"]
+
+
+def said(capsys, *arguments):
+    code = main([*map(str, arguments)])
+    [line] = capsys.readouterr().err.splitlines()
+    return code, line
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="this system has no /dev/zero")
+@pytest.mark.parametrize("name", ["/dev/zero", "/dev/full"])
+@READERS
+def test_a_file_without_end_is_refused(name, read):
+    with pytest.raises(InputError, match="is a device, not a"):
+        read(Path(name))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+@READERS
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path, read):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="is a pipe, and can be read only once"):
+        read(tmp_path / "pipe")
+
+
+def test_a_file_that_is_too_large(tmp_path):
+    with (tmp_path / "rows.csv").open("wb") as file:
+        file.truncate(files.MAX_TABLE_BYTES + 1)
+    with pytest.raises(InputError, match=r"too large for a table of rows: 1074 MB, and at most 1074 MB are read"):
+        read_trajectory(tmp_path / "rows.csv")
+    with pytest.raises(InputError, match="too large for a file"):
+        check_readable(tmp_path / "rows.csv", files.MAX_FILE_BYTES)
+
+
+@pytest.mark.parametrize("what", ["archive of images", "arrays"])
+def test_an_archive_that_lists_millions_of_files(tmp_path, what):
+    """The list takes a kilobyte of memory for each: it is refused before it is read."""
+    entry, name = struct.pack("<4s6H3L5H2L", b"PK\x01\x02", *[20] * 2, *[0] * 4, 0, 0, 0, 5, *[0] * 4, 0, 0), b"a.png"
+    many = 1_000_000
+    end = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, 0xFFFF, 0xFFFF, many * (len(entry) + 5), 0, 0)
+    path = tmp_path / ("x.zip" if what == "archive of images" else "x.npz")
+    path.write_bytes((entry + name) * many + end)
+    with pytest.raises(InputError, match="lists files in 51 MB, and at most 34 MB are read; unpack it"):
+        open_source(path) if path.suffix == ".zip" else load_gallery(path)
+
+
+@pytest.mark.parametrize("header", ["{'descr': '<f8', 'shape': (3,", '"', "(((((", "{'a': 1", "\t1\n 2"])
+def test_arrays_whose_header_is_cut(tmp_path, header):
+    """NumPy hands it to Python's tokenizer, whose errors are of its own kind."""
+    data = f"{header}\n".encode()
+    with zipfile.ZipFile(tmp_path / "x.npz", "w") as archive:
+        archive.writestr("format.npy", b"\x93NUMPY\x01\x00" + len(data).to_bytes(2, "little") + data)
+    with pytest.raises(InputError, match="is not a usable gallery"):
+        load_gallery(tmp_path / "x.npz")
+
+
+@pytest.mark.nightly
+def test_an_archive_that_inflates(tmp_path):
+    block = io.BytesIO()
+    np.save(block, np.zeros(16 << 20))
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in ("format", "version", "mean"):
+            archive.writestr(f"{name}.npy", block.getvalue())
+    with pytest.raises(InputError, match=r"its \d+ bytes hold 403 MB"):
+        KIND.read(tmp_path / "bomb.npz", lambda stored: stored)
+
+
+@pytest.mark.parametrize("form", ["json", "jsonl"])
+def test_a_number_of_thousands_of_digits(tmp_path, form):
+    header = json.dumps({"type": "header", "schema": "facetrack-trajectory"})
+    path = tmp_path / f"t.{form}"
+    path.write_text(
+        f'{{"seed": {"9" * 5000}}}' if form == "json" else f'{header}\n{{"type": "frame", "frame": {"9" * 5000}}}'
+    )
+    with pytest.raises(InputError, match=r"t.json"):
+        read_trajectory(path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "line"),
+    [
+        (["plot", "x", "--dpi", "nan"], 2, "'nan' is no finite number"),
+        (["plot", "x", "--width", "nan"], 2, "'nan' is no finite number"),
+        ([*RUN, "--threads", "99999999999"], 2, "is not in the range 1<=x<=1000"),
+        ([*RUN, "-j", "99999999999"], 2, "is not in the range 1<=x<=1000"),
+        (["gallery", "show", "."], 3, ".: cannot be read: Is a directory"),
+        (["run", "x/" * 2100 + "clip.mp4"], 3, "File name too long; name another file or folder"),
+        (["compare", "x" * 300 + ".mp4", "--config", "mil"], 3, "File name too long"),
+    ],
+)
+def test_what_is_the_users_is_no_internal_error(capsys, tmp_path, monkeypatch, arguments, code, line):
+    monkeypatch.chdir(tmp_path)
+    found = said(capsys, *arguments)
+    assert found[0] == code and line in found[1]
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError("x"),
+        RuntimeError("can't start new thread"),
+        Exception("(-4:Insufficient memory) Failed to allocate"),
+    ],
+)
+def test_too_little_memory_is_said(capsys, monkeypatch, tmp_path, error):
+    def fails(*_):
+        raise error
+
+    monkeypatch.setattr("facetrack_cli.runs.clip.tracker_for", fails)
+    code, line = said(capsys, *RUN, "-o", tmp_path / "out")
+    assert code == 1 and "not enough memory" in line and "internal" not in line
+
+
+def test_names_and_targets_are_bounded(tmp_path):
+    assert "has 100000 letters, and a name of a person at most 100" in name_problem("x" * 100_000)
+    path = tmp_path / "many.init.yaml"
+    path.write_text("frame: 0\n" + "".join(f"t{i}: {{box: [1, 2, 30, 40]}}\n" for i in range(300)))
+    with pytest.raises(InputError, match="300 targets, and at most 100"):
+        read_init(path)
+
+
+def test_many_unknown_keys_do_not_take_the_square_of_their_number(tmp_path, capsys):
+    path = tmp_path / "recipe.yaml"
+    path.write_text("filter:\n  type: sir\n" + "".join(f"k{i}: 1\n" for i in range(500)))
+    before = yaml_tree._lines.cache_info().misses
+    assert main(["recipes", "check", str(path)]) == 2
+    assert "k499" in capsys.readouterr().out
+    assert yaml_tree._lines.cache_info().misses - before < 10, "the text is split into lines for each of them"
+
+
+TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=5)
+PLAIN = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | TEXTS
+KEYS = st.tuples(TEXTS, st.integers()) | TEXTS
+VALUES = st.recursive(
+    PLAIN | st.frozensets(st.integers(), max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.tuples(inner, inner)
+        | st.dictionaries(KEYS, inner, max_size=3)
+        | st.lists(inner, max_size=3).map(lambda those: deque(those, 5))
+    ),
+    max_leaves=8,
+)
+ARRAYS = arrays.arrays(
+    st.sampled_from([np.float64, np.float32, np.int64, np.uint8, np.bool_, np.complex128, "<U3"]),
+    arrays.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4),
+)
+
+
+def back(value):
+    return restore(*flatten(value))
+
+
+@given(VALUES)
+def test_values_come_back(value):
+    found = back(value)
+    assert found == value and type(found) is type(value) and repr(found) == repr(value)
+
+
+@given(ARRAYS, st.data())
+def test_arrays_come_back_as_they_lay_in_memory(array, data):
+    array = array.transpose(data.draw(st.permutations(range(array.ndim))))
+    found = back(array)
+    assert found.dtype == array.dtype and found.shape == array.shape and found.tobytes() == array.tobytes()
+    if 0 not in array.shape and 1 not in array.shape:
+        assert found.strides == array.strides
+
+
+def test_numbers_that_are_none_and_scalars():
+    found = back((float("nan"), float("-inf"), -0.0, np.float32(0.1), np.int64(3)))
+    assert repr(found) == repr((float("nan"), float("-inf"), -0.0, np.float32(0.1), np.int64(3)))
+
+
+def test_random_numbers_go_on():
+    rng = np.random.default_rng(np.random.SeedSequence(5, spawn_key=(2,)))
+    rng.random(7)
+    rng.integers(3, dtype=np.int32)  # leaves half a word over
+    other = back({"rng": rng})["rng"]
+    assert other.random(5).tolist() == rng.random(5).tolist()
+    assert other.integers(9, size=9, dtype=np.int32).tolist() == rng.integers(9, size=9, dtype=np.int32).tolist()
+    assert other.bit_generator.seed_seq.spawn_key == (2,)
+
+
+def test_our_own_kinds_come_back():
+    particles = Particles(np.ones((2, 1, 3)), np.zeros(2))
+    found = back([particles, TargetStart((1.0, 2.0, 3.0, 4.0), {"nose": (1.0, 2.0)}), Path("a b")])
+    assert isinstance(found[0], Particles) and found[0].x.shape == (2, 1, 3)
+    assert found[1:] == [TargetStart((1.0, 2.0, 3.0, 4.0), {"nose": (1.0, 2.0)}), Path("a b")]
+
+
+class Elsewhere(NamedTuple):
+    x: int
+
+
+@dataclass(frozen=True)
+class Kept:
+    x: int
+    tool: object = field(metadata={STORED: False})
+
+
+def test_what_is_left_out_comes_back_as_none(monkeypatch):
+    monkeypatch.setattr(npz, "_PACKAGE", "tests")
+    assert back(Kept(3, object())) == Kept(3, None)
+
+
+@pytest.mark.parametrize("value", [object(), Elsewhere(1), lambda: 0, np.array([object()]), b"bytes", {1: print}])
+def test_other_kinds_are_refused(value):
+    with pytest.raises(TypeError, match="cannot be stored"):
+        flatten(value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"of": "os:system", "fields": {}}',
+        '{"of": "facetrack_cli.core.files:os.system", "fields": {}}',
+        '{"of": "facetrack_cli.core.types:Particles", "fields": {"x": 1}}',
+        '{"of": "facetrack_cli.nowhere:X", "fields": {}}',
+        '{"array": "7", "axes": []}',
+        '{"odd": [1]}',
+        "{}",
+        "{",
+    ],
+)
+def test_texts_that_we_do_not_write_are_refused(text):
+    with pytest.raises(ValueError):
+        restore(text, {})
