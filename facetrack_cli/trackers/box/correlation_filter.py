@@ -3,7 +3,7 @@
 Ours, of published pieces, in files beside this one:
 
     peak_statistics.py  how high responses are of the target, and of all else
-    trained.py          the filter and how it is learned (2015, SRDCF; 2017, ECO; Li et al. 2018, STRCF)
+    trained.py          the filter and how it is learned (2015, SRDCF; 2017, ECO)
     features.py         gradients, grey and colours of a window, reduced (ECO of Danelljan et al.); scale (2014, DSST);
                         colours of target and surroundings (Bertinetto et al. 2016, Staple)
 
@@ -131,8 +131,7 @@ class CorrelationFilter(Likelihood):
         one = self.settings
         per_pixel = one.cells / (one.window * self._unit)
         box = (max(self.size[0] * per_pixel, 1.0), max(self.size[1] * per_pixel, 1.0))
-        temporal = one.inertia if one.learn == "temporal" else None
-        return Trainer(one.cells, box, max(one.peak * one.cells / one.window, 0.3), temporal=temporal)
+        return Trainer(one.cells, box, max(one.peak * one.cells / one.window, 0.3))
 
     @cached_property
     def _scale_trainer(self) -> ScaleTrainer | None:
@@ -337,8 +336,7 @@ class CorrelationFilter(Likelihood):
         learned, step = learned._replace(last=frame.index), min(step, 2 * one.every)
         centre, scale = state[0, :2], float(state[0, 2])
         x, window = learned.features.read(frame, centre, self._side(scale))
-        rate = min(step * share * one.rate, 1.0) if one.learn == "memory" else share
-        filters = self._trainer.learn(learned.filters, x, rate)
+        filters = self._trainer.learn(learned.filters, x, min(step * share * one.rate, 1.0))
         scales, trainer, colours = learned.scales, self._scale_trainer, learned.colours
         if trainer is not None and one.scales is not None:
             rate = min(step * share * one.scales.rate, 1.0)
