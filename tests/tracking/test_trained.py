@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from facetrack_cli.trackers.box.features import inverse, spectrum
+from facetrack_cli.trackers.box.features import inverse, moved, spectrum
 from facetrack_cli.trackers.box.trained import UPSAMPLED, Trainer, peaks
 from tests.twins import cells as naive
 
@@ -55,6 +55,18 @@ def test_spectrum_and_inverse_undo_each_other(cells, count):
     x = channels(0, cells, count, taper=False)
     assert spectrum(x).shape == (2, count, cells * (cells // 2 + 1))
     np.testing.assert_allclose(inverse(spectrum(x), cells), x, atol=1e-5)
+
+
+@pytest.mark.parametrize("by", [(0, 0), (2, -3), (-1, 4)])
+def test_a_moved_spectrum_is_that_of_the_moved_channels(by):
+    x = channels(0, 8, 3, taper=False)
+    np.testing.assert_allclose(
+        moved(spectrum(x), np.array(by, float), 8), spectrum(np.roll(x, (-by[1], -by[0]), axis=(1, 2))), atol=1e-4
+    )
+    there_and_back = moved(moved(spectrum(channels(1)), np.array([0.3, -0.4]), G), np.array([-0.3, 0.4]), G)
+    few = spectrum(channels(1)).reshape(2, C, G, -1)[:, :, :, : G // 2]
+    kept = [row for row in range(G) if row != G // 2]  # all but the highest frequency
+    np.testing.assert_allclose(there_and_back.reshape(2, C, G, -1)[:, :, kept, : G // 2], few[:, :, kept], atol=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(3))

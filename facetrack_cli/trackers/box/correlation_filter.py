@@ -36,13 +36,22 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Array, Frame, Particles
+from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.resampling import logsumexp
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.box.cell_kernels import read_cubic
-from facetrack_cli.trackers.box.features import ColourModel, Colours, Features, ScaleTrainer, Single, TrainedScale
+from facetrack_cli.trackers.box.features import (
+    ColourModel,
+    Colours,
+    Features,
+    ScaleTrainer,
+    Single,
+    TrainedScale,
+    moved,
+)
 from facetrack_cli.trackers.box.hidden_box import VISIBLE
 from facetrack_cli.trackers.box.peak_statistics import (
     Heights,
@@ -66,6 +75,7 @@ _KEPT = 0.2  # weight of the first frames' response in R
 _MIN_RATIO = 1e-3  # of R / Rm and of S / Sm, whose logarithms are taken
 _SCALE_STD = 0.03
 _OFF = 0.25  # mean sides of the box; a peak further off the middle of the window is looked at once more
+_SAME_PLACE, _SAME_SCALE = 0.5, 0.02  # cells and log scale within which the window that was looked at is learned
 _LEARNS = 0.05  # P(visible) below which nothing is learned
 _SIGHTED = 3.0  # log of how much likelier a detector sees a face there if it is the target
 _LATTICE = 0.4  # distance of two windows of re-detection, in sides of the window
@@ -77,11 +87,17 @@ _SPEED = 0.5  # mean sides of the box a frame, by which re-detection widens
 
 
 class Seen(NamedTuple):
-    """What a frame shows: its modes, with log L at each, and how high responses are at the highest one."""
+    """What a frame shows: its modes, with log L at each, and how high responses are at the highest one.
+
+    `view` is the window that was read at `scale`, and `scales` the spectrum over scales at its highest mode.
+    """
 
     guides: Guides
     heights: Peaks
     candidate: Array | None
+    view: ResponseView
+    scale: float
+    scales: NDArray[np.complex64] | None
 
 
 class CorrelationState(NamedTuple):
@@ -182,7 +198,10 @@ class CorrelationFilter(Likelihood):
         log_l: Any = evidence(learned.heights.now, learned.heights.others, heights.now, one.evidence) + learned.told
         log_l = log_l + one.sharpness * np.log(np.maximum(found[:, 2] / found[0, 2], _MIN_RATIO))
         modes = [self._modes(view, scale, found, log_l)]
-        log_s, std = self._scale_at(learned, frame, modes[0].mean[0, :2], scale)
+        scales = None
+        if self._scale_trainer is not None:
+            scales = self._scale_trainer.read(frame, modes[0].mean[0, :2], scale)
+        log_s, std = self._scale_at(learned, scales)
         modes[0].mean[:, 2] += log_s
         modes[0].std[:, 2] = std
         candidate = None
@@ -191,7 +210,7 @@ class CorrelationFilter(Likelihood):
             modes.append(anew)
             candidate, heights = anew.mean[0], heights._replace(elsewhere=height)
         guides = Guides(*(np.concatenate(column) for column in zip(*modes, strict=True)))
-        return learned._replace(seen=Seen(guides, heights, candidate))
+        return learned._replace(seen=Seen(guides, heights, candidate, view, scale, scales))
 
     def _sample(self, scale: float) -> float:
         """Pixels between two samples of a response."""
@@ -207,7 +226,7 @@ class CorrelationFilter(Likelihood):
                 share = self.settings.colour
                 response = (1 - share) * now + np.float32(share * usual.mean) * score
         response = response + np.float32(_KEPT * usual.mean / max(usual_first.mean, 1e-9)) * first
-        return ResponseView(centre, response, now, first)
+        return ResponseView(centre, x, window, response, now, first)
 
     def _detect(
         self, learned: CorrelationState, frame: Frame, expected: Array, scale: float
@@ -252,12 +271,12 @@ class CorrelationFilter(Likelihood):
         std = np.column_stack([widths * sample / math.sqrt(sharpness), np.full(len(found), _SCALE_STD)])
         return Guides(mean, std, log_l, np.full(len(found), anew))
 
-    def _scale_at(self, learned: CorrelationState, frame: Frame, place: Array, scale: float) -> tuple[float, float]:
-        """Mean and standard deviation of the change of log scale at a place, by S^sharpness times a broad prior."""
+    def _scale_at(self, learned: CorrelationState, scales: NDArray[np.complex64] | None) -> tuple[float, float]:
+        """Mean and standard deviation of the change of log scale, by S^sharpness times a broad prior."""
         trainer, settings = self._scale_trainer, self.settings.scales
-        if trainer is None or settings is None or learned.scales is None:
+        if trainer is None or settings is None or learned.scales is None or scales is None:
             return 0.0, _SCALE_STD
-        response = trainer.respond(learned.scales, trainer.read(frame, place, scale))
+        response = trainer.respond(learned.scales, scales)
         response = response - response.min()
         if float(response.max()) < 1e-9:  # flat, as far outside of the frame
             return 0.0, _SCALE_STD
@@ -335,17 +354,30 @@ class CorrelationFilter(Likelihood):
             return learned
         learned, step = learned._replace(last=frame.index), min(step, 2 * one.every)
         centre, scale = state[0, :2], float(state[0, 2])
-        x, window = learned.features.read(frame, centre, self._side(scale))
+        x, window, across = self._at(learned, frame, centre, scale, seen)
         filters = self._trainer.learn(learned.filters, x, min(step * share * one.rate, 1.0))
         scales, trainer, colours = learned.scales, self._scale_trainer, learned.colours
-        if trainer is not None and one.scales is not None:
-            rate = min(step * share * one.scales.rate, 1.0)
-            scales = trainer.learn(scales, trainer.read(frame, centre, scale), rate)
+        if trainer is not None and one.scales is not None and across is not None:
+            scales = trainer.learn(scales, across, min(step * share * one.scales.rate, 1.0))
         if colours is not None:
             colours = self._colour_model.learn(colours, window, step * share)
         if frames <= FIRST:
             learned = learned._replace(first=filters.filters)
         return learned._replace(filters=filters, scales=scales, colours=colours)
+
+    def _at(
+        self, learned: CorrelationState, frame: Frame, centre: Array, scale: float, seen: Seen | None
+    ) -> tuple[Single, Image, NDArray[np.complex64] | None]:
+        """Spectrum and window of the target, and its spectrum over scales: those `seen`, moved, if they are near."""
+        trainer = self._scale_trainer
+        if seen is not None:
+            grown, cell = math.log(scale / seen.scale), self._side(seen.scale) / self.settings.cells
+            off, mode = (centre - seen.view.centre) / cell, (centre - seen.guides.mean[0, :2]) / cell
+            if abs(grown) < _SAME_SCALE and max(np.abs(off).max(), np.abs(mode).max()) < _SAME_PLACE:
+                across = None if trainer is None or seen.scales is None else trainer.moved(seen.scales, grown)
+                return moved(seen.view.spectrum, off, self.settings.cells), seen.view.image, across
+        x, window = learned.features.read(frame, centre, self._side(scale))
+        return x, window, None if trainer is None else trainer.read(frame, centre, scale)
 
     def distances(self, learned: CorrelationState, frame: Frame, x: Array) -> Array:
         """(N, 1) of zeros: whether the target is visible is part of the state."""
