@@ -75,9 +75,7 @@ from facetrack_cli.video.shots import Passing, small
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
 COMPANY: Final = 2  # looks at several faces, from which the clip has shown somebody else
 LOOK: Final = (3, 9)  # frames between two looks of the head's filter while it is new, and later, where points are seen
-NEW_FILTER: Final = (
-    20  # looks of the head's filter after which it knows its peaks; fewer, and it returns on what is no face
-)
+NEW_FILTER: Final = 20  # looks until it knows how high its peaks are, and takes no other thing for the head
 SETTLED: Final = 0.95  # probability by the head's filter, below which it looks in every frame
 EASY: Final = 8.0  # log odds that the points are seen where they are
 DOUBT: Final = 8.0  # log odds, below which the detector looks at once
