@@ -22,11 +22,12 @@ The volume c makes the ratio a Bayes factor where the target is as likely in one
 tenth of log scale. Far from all peaks L is about 0, and a target there must be hidden.
 
 The window that was looked at is learned, its spectrum moved to the estimate where that lies within half a cell; else a
-window at the estimate. All is learned in proportion to P(visible), and a little while the target is hidden: a face that turns away and one that
-is covered look alike, and after some seconds what is seen is taken for the target. What is visible with a low peak is
-learned slower: it may be partly covered. The filter of the first frames is part of R, so that what covers a target for
-some time does not replace it. While the target is hidden, windows on a lattice over the whole frame, those near the
-last place first, at one size after another, are compared with both filters alike; the best is a mode as well.
+window at the estimate. All is learned in proportion to P(visible), and a little while the target is hidden: a face that
+turns away and one that is covered look alike, and after some seconds what is seen is taken for the target. What is
+visible with a low peak is learned slower: it may be partly covered. The filter of the first frames is part of R, so
+that what covers a target for some time does not replace it. While the target is hidden, windows on a lattice over the
+whole frame, those near the last place first, at one size after another, are compared with both filters alike; the best
+is a mode as well.
 """
 
 from __future__ import annotations
