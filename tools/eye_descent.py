@@ -164,7 +164,7 @@ def patches(model: EyeDescent, one: Drawn, off: Array) -> Array:
     """phi (2, WIDTH) of both eyes, whose corners are found `off` (2,)."""
     found = views(HEAD, model.corners(one.seen, one.parts) + off)
     return np.array(
-        [phi(view.read(one.frame, eyes.SIDE).bgr[:, ::way]) for view, way in zip(found, (1, -1), strict=True)]
+        [phi(view.read_grey(one.frame, eyes.SIDE)[:, ::way]) for view, way in zip(found, (1, -1), strict=True)]
     )
 
 

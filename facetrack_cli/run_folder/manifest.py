@@ -43,6 +43,7 @@ from facetrack_cli.core.files import (
 )
 from facetrack_cli.core.log import LINES
 from facetrack_cli.core.numbers import dumps
+from facetrack_cli.core.types import Correction
 from facetrack_cli.core.yaml_tree import YamlProblems
 from facetrack_cli.recipe.load import files_of
 from facetrack_cli.recipe.model import Recipe, to_dict

@@ -17,7 +17,7 @@ from facetrack_cli.trackers.appearance.settings import (
 )
 from facetrack_cli.trackers.box import filters as box
 from facetrack_cli.trackers.box.hidden_box import VisibleWalk
-from facetrack_cli.trackers.box.settings import GuidedSettings, PeakSettings, VisibleWalkSettings
+from facetrack_cli.trackers.box.settings import GuidedSettings, VisibleWalkSettings
 from facetrack_cli.trackers.points.colour_ratio import ColourRatio
 from facetrack_cli.trackers.points.settings import ColourRatioSettings
 from facetrack_cli.trackers.regions.contour import Contour
@@ -123,7 +123,3 @@ def adaptive(particles, **settings):
 
 def guided(particles, share):
     return partial(box.guided, section(GuidedSettings, particles=particles, guided=share))
-
-
-def peak():
-    return partial(box.peak, section(PeakSettings))

@@ -118,14 +118,6 @@ def test_settings_at_their_bounds_are_survived(key, values):
         assert_finite(run(clip(places, cover=range(6, 10)), start(places[0]), **{key: value}))
 
 
-def test_the_peak_alone_goes_with_the_target():
-    places = path()
-    results = run(clip(places), start(places[0]), filter={"type": "peak"})
-    assert_finite(results)
-    assert set(statuses(results)[1:]) == {"tracked"}, "it is always visible"
-    assert np.abs(off(results, places)).max() < 0.25
-
-
 @pytest.mark.parametrize("by", [(4.0, 0.0), (-4.0, 1.0), (0.0, -4.0)])
 def test_a_target_that_leaves_the_frame_is_lost(by):
     places = [(80 + by[0] * n, 60 + by[1] * n) for n in range(45)]
@@ -135,13 +127,12 @@ def test_a_target_that_leaves_the_frame_is_lost(by):
     assert statuses(results)[-5:] == ["lost"] * 5
 
 
-@pytest.mark.parametrize("learn", ["memory", "temporal"])
-def test_frames_that_turn_black_and_come_back_are_survived(learn):
+def test_frames_that_turn_black_and_come_back_are_survived():
     places = [(60.0, 55.0)] * 40
     frames = clip(places)
     for n in range(10, 20):
         frames[n] = Frame(n, n / 25, np.zeros_like(frames[n].bgr))
-    results = run(frames, start(places[0]), **{"likelihood.learn": learn})
+    results = run(frames, start(places[0]))
     assert_finite(results)
     assert statuses(results)[14:20] == ["lost"] * 6
     assert statuses(results)[-5:] == ["tracked"] * 5

@@ -10,7 +10,7 @@ from facetrack_cli.core.types import Particles
 from facetrack_cli.engine.resampling import logsumexp, normalise, uniform
 from facetrack_cli.trackers.box.hidden_box import VISIBLE
 from facetrack_cli.trackers.box.proposals import Guides
-from tests.support.parts import guided, peak, visible_walk
+from tests.support.parts import guided, visible_walk
 
 SIGMA, HIDDEN = 3.0, 1.5
 WALK = visible_walk(SIGMA, HIDDEN, scale=0.01)
@@ -263,15 +263,6 @@ def test_any_number_of_particles_serves(n, share):
     assert np.isfinite(particles.x).all() and info.ess.shape == (1,)
     assert logsumexp(particles.log_w) == pytest.approx(0.0, abs=1e-9)
     assert np.all((particles.x[:, 0, VISIBLE] >= 0) & (particles.x[:, 0, VISIBLE] <= 1))
-
-
-def test_the_peak_is_the_highest_mode_that_is_not_anew():
-    model = Modes(
-        WALK, [(49, 41, 0.0), (58, 40, 0.1), (99, 9, 0.0)], (2, 2, 0.03), (1.0, 3.0, 9.0), (False, False, True)
-    )
-    particles, info = peak()(np.random.default_rng(0), states(1), model)
-    np.testing.assert_allclose(particles.x[0, 0, :3], (58, 40, np.exp(0.1)))
-    np.testing.assert_array_equal((particles.log_w, info.ess), ([0.0], [1.0]))
 
 
 def test_modes_after_a_prior_are_where_the_product_is_highest_and_those_found_anew_stay():

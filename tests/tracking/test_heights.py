@@ -72,7 +72,7 @@ def test_heights_of_a_view_are_the_highest_within_a_cell(at):
     rng = np.random.default_rng(1)
     now, first = rng.random((2, 40, 40), np.float32)
     column, row = at
-    found = ResponseView(np.zeros(2), now, now, first).heights(np.array([column + 0.3, row - 0.3, 1.0]))
+    found = ResponseView(np.zeros(2), now, now, now, now, first).heights(np.array([column + 0.3, row - 0.3, 1.0]))
     near = [(i, j) for i in range(40) for j in range(40) if abs(i - row) <= UPSAMPLED and abs(j - column) <= UPSAMPLED]
     assert found == Peaks(float(max(now[i, j] for i, j in near)), float(max(first[i, j] for i, j in near)))
     assert not math.isnan(found.now)

@@ -52,7 +52,6 @@ CASES = {
     "appearance, fixed": ("fixed_template",),
     "recognition": ("adaptive_recognition", f"recognition.gallery={FOLDER / 'people.npz'}"),
     "correlation_filter": ("correlation_filter",),
-    "correlation_filter, temporal": ("correlation_filter", "likelihood.learn=temporal"),
 }  # fmt: skip
 # of other light the scores of these say little: one counts skin, others compare frame and frame before
 OF_ONE_LIGHT = ("correlation, ", "product", "skin")

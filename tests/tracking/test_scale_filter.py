@@ -47,6 +47,14 @@ def test_the_peak_is_at_the_scale(size, k):
     assert log_scale(one, response) == pytest.approx(math.log(k), abs=1.01 * math.log(STEP))
 
 
+@pytest.mark.parametrize("steps", [-2, 0, 1])
+def test_a_moved_spectrum_peaks_where_the_scale_moved_to(steps):
+    one, grey = trainer(), texture(120, 160)
+    x = one.read(frame(grey), CENTRE, 1.0)
+    response = one.respond(one.learn(None, x, 1.0), one.moved(x, steps * math.log(STEP)))
+    assert response.argmax() == 16 - steps, "as a window read at a larger scale, in which the target is smaller"
+
+
 def test_what_was_learned_itself_peaks_in_the_middle_with_a_height_of_nearly_1():
     one, grey = trainer(), texture(120, 160)
     x = one.read(frame(grey), CENTRE, 1.0)

@@ -3,7 +3,7 @@
 Ours, of published pieces, in files beside this one:
 
     peak_statistics.py  how high responses are of the target, and of all else
-    trained.py          the filter and how it is learned (2015, SRDCF; 2017, ECO; Li et al. 2018, STRCF)
+    trained.py          the filter and how it is learned (2015, SRDCF; 2017, ECO)
     features.py         gradients, grey and colours of a window, reduced (ECO of Danelljan et al.); scale (2014, DSST);
                         colours of target and surroundings (Bertinetto et al. 2016, Staple)
 
@@ -21,11 +21,13 @@ the place; of the scale, that of the response over scales to the power `scales.s
 The volume c makes the ratio a Bayes factor where the target is as likely in one place as in another within a box and a
 tenth of log scale. Far from all peaks L is about 0, and a target there must be hidden.
 
-All is learned in proportion to P(visible), and a little while the target is hidden: a face that turns away and one that
-is covered look alike, and after some seconds what is seen is taken for the target. What is visible with a low peak is
-learned slower: it may be partly covered. The filter of the first frames is part of R, so that what covers a target for
-some time does not replace it. While the target is hidden, windows on a lattice over the whole frame, those near the
-last place first, at one size after another, are compared with both filters alike; the best is a mode as well.
+The window that was looked at is learned, its spectrum moved to the estimate where that lies within half a cell; else a
+window at the estimate. All is learned in proportion to P(visible), and a little while the target is hidden: a face that
+turns away and one that is covered look alike, and after some seconds what is seen is taken for the target. What is
+visible with a low peak is learned slower: it may be partly covered. The filter of the first frames is part of R, so
+that what covers a target for some time does not replace it. While the target is hidden, windows on a lattice over the
+whole frame, those near the last place first, at one size after another, are compared with both filters alike; the best
+is a mode as well.
 """
 
 from __future__ import annotations
@@ -36,13 +38,22 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Array, Frame, Particles
+from facetrack_cli.core.types import Array, Frame, Image, Particles
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.resampling import logsumexp
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.box.cell_kernels import read_cubic
-from facetrack_cli.trackers.box.features import ColourModel, Colours, Features, ScaleTrainer, Single, TrainedScale
+from facetrack_cli.trackers.box.features import (
+    ColourModel,
+    Colours,
+    Features,
+    ScaleTrainer,
+    Single,
+    TrainedScale,
+    moved,
+)
 from facetrack_cli.trackers.box.hidden_box import VISIBLE
 from facetrack_cli.trackers.box.peak_statistics import (
     Heights,
@@ -66,6 +77,7 @@ _KEPT = 0.2  # weight of the first frames' response in R
 _MIN_RATIO = 1e-3  # of R / Rm and of S / Sm, whose logarithms are taken
 _SCALE_STD = 0.03
 _OFF = 0.25  # mean sides of the box; a peak further off the middle of the window is looked at once more
+_SAME_PLACE, _SAME_SCALE = 0.5, 0.02  # cells and log scale within which the window that was looked at is learned
 _LEARNS = 0.05  # P(visible) below which nothing is learned
 _SIGHTED = 3.0  # log of how much likelier a detector sees a face there if it is the target
 _LATTICE = 0.4  # distance of two windows of re-detection, in sides of the window
@@ -77,11 +89,17 @@ _SPEED = 0.5  # mean sides of the box a frame, by which re-detection widens
 
 
 class Seen(NamedTuple):
-    """What a frame shows: its modes, with log L at each, and how high responses are at the highest one."""
+    """What a frame shows: its modes, with log L at each, and how high responses are at the highest one.
+
+    `view` is the window that was read at `scale`, and `scales` the spectrum over scales at its highest mode.
+    """
 
     guides: Guides
     heights: Peaks
     candidate: Array | None
+    view: ResponseView
+    scale: float
+    scales: NDArray[np.complex64] | None
 
 
 class CorrelationState(NamedTuple):
@@ -131,8 +149,7 @@ class CorrelationFilter(Likelihood):
         one = self.settings
         per_pixel = one.cells / (one.window * self._unit)
         box = (max(self.size[0] * per_pixel, 1.0), max(self.size[1] * per_pixel, 1.0))
-        temporal = one.inertia if one.learn == "temporal" else None
-        return Trainer(one.cells, box, max(one.peak * one.cells / one.window, 0.3), temporal=temporal)
+        return Trainer(one.cells, box, max(one.peak * one.cells / one.window, 0.3))
 
     @cached_property
     def _scale_trainer(self) -> ScaleTrainer | None:
@@ -183,7 +200,10 @@ class CorrelationFilter(Likelihood):
         log_l: Any = evidence(learned.heights.now, learned.heights.others, heights.now, one.evidence) + learned.told
         log_l = log_l + one.sharpness * np.log(np.maximum(found[:, 2] / found[0, 2], _MIN_RATIO))
         modes = [self._modes(view, scale, found, log_l)]
-        log_s, std = self._scale_at(learned, frame, modes[0].mean[0, :2], scale)
+        scales = None
+        if self._scale_trainer is not None:
+            scales = self._scale_trainer.read(frame, modes[0].mean[0, :2], scale)
+        log_s, std = self._scale_at(learned, scales)
         modes[0].mean[:, 2] += log_s
         modes[0].std[:, 2] = std
         candidate = None
@@ -192,7 +212,7 @@ class CorrelationFilter(Likelihood):
             modes.append(anew)
             candidate, heights = anew.mean[0], heights._replace(elsewhere=height)
         guides = Guides(*(np.concatenate(column) for column in zip(*modes, strict=True)))
-        return learned._replace(seen=Seen(guides, heights, candidate))
+        return learned._replace(seen=Seen(guides, heights, candidate, view, scale, scales))
 
     def _sample(self, scale: float) -> float:
         """Pixels between two samples of a response."""
@@ -208,7 +228,7 @@ class CorrelationFilter(Likelihood):
                 share = self.settings.colour
                 response = (1 - share) * now + np.float32(share * usual.mean) * score
         response = response + np.float32(_KEPT * usual.mean / max(usual_first.mean, 1e-9)) * first
-        return ResponseView(centre, response, now, first)
+        return ResponseView(centre, x, window, response, now, first)
 
     def _detect(
         self, learned: CorrelationState, frame: Frame, expected: Array, scale: float
@@ -253,12 +273,12 @@ class CorrelationFilter(Likelihood):
         std = np.column_stack([widths * sample / math.sqrt(sharpness), np.full(len(found), _SCALE_STD)])
         return Guides(mean, std, log_l, np.full(len(found), anew))
 
-    def _scale_at(self, learned: CorrelationState, frame: Frame, place: Array, scale: float) -> tuple[float, float]:
-        """Mean and standard deviation of the change of log scale at a place, by S^sharpness times a broad prior."""
+    def _scale_at(self, learned: CorrelationState, scales: NDArray[np.complex64] | None) -> tuple[float, float]:
+        """Mean and standard deviation of the change of log scale, by S^sharpness times a broad prior."""
         trainer, settings = self._scale_trainer, self.settings.scales
-        if trainer is None or settings is None or learned.scales is None:
+        if trainer is None or settings is None or learned.scales is None or scales is None:
             return 0.0, _SCALE_STD
-        response = trainer.respond(learned.scales, trainer.read(frame, place, scale))
+        response = trainer.respond(learned.scales, scales)
         response = response - response.min()
         if float(response.max()) < 1e-9:  # flat, as far outside of the frame
             return 0.0, _SCALE_STD
@@ -336,18 +356,30 @@ class CorrelationFilter(Likelihood):
             return learned
         learned, step = learned._replace(last=frame.index), min(step, 2 * one.every)
         centre, scale = state[0, :2], float(state[0, 2])
-        x, window = learned.features.read(frame, centre, self._side(scale))
-        rate = min(step * share * one.rate, 1.0) if one.learn == "memory" else share
-        filters = self._trainer.learn(learned.filters, x, rate)
+        x, window, across = self._at(learned, frame, centre, scale, seen)
+        filters = self._trainer.learn(learned.filters, x, min(step * share * one.rate, 1.0))
         scales, trainer, colours = learned.scales, self._scale_trainer, learned.colours
-        if trainer is not None and one.scales is not None:
-            rate = min(step * share * one.scales.rate, 1.0)
-            scales = trainer.learn(scales, trainer.read(frame, centre, scale), rate)
+        if trainer is not None and one.scales is not None and across is not None:
+            scales = trainer.learn(scales, across, min(step * share * one.scales.rate, 1.0))
         if colours is not None:
             colours = self._colour_model.learn(colours, window, step * share)
         if frames <= FIRST:
             learned = learned._replace(first=filters.filters)
         return learned._replace(filters=filters, scales=scales, colours=colours)
+
+    def _at(
+        self, learned: CorrelationState, frame: Frame, centre: Array, scale: float, seen: Seen | None
+    ) -> tuple[Single, Image, NDArray[np.complex64] | None]:
+        """Spectrum and window of the target, and its spectrum over scales: those `seen`, moved, if they are near."""
+        trainer = self._scale_trainer
+        if seen is not None:
+            grown, cell = math.log(scale / seen.scale), self._side(seen.scale) / self.settings.cells
+            off, mode = (centre - seen.view.centre) / cell, (centre - seen.guides.mean[0, :2]) / cell
+            if abs(grown) < _SAME_SCALE and max(np.abs(off).max(), np.abs(mode).max()) < _SAME_PLACE:
+                across = None if trainer is None or seen.scales is None else trainer.moved(seen.scales, grown)
+                return moved(seen.view.spectrum, off, self.settings.cells), seen.view.image, across
+        x, window = learned.features.read(frame, centre, self._side(scale))
+        return x, window, None if trainer is None else trainer.read(frame, centre, scale)
 
     def distances(self, learned: CorrelationState, frame: Frame, x: Array) -> Array:
         """(N, 1) of zeros: whether the target is visible is part of the state."""

@@ -90,6 +90,18 @@ def joined(v: Single) -> NDArray[np.complex64]:
     return found
 
 
+def moved(v: Single, by: Array, cells: int) -> Single:
+    """The spectrum v (2, C, F) of channels as they are at places moved by `by` (x, y) cells."""
+    along = [
+        np.exp(2j * np.pi * k * step)
+        for k, step in zip((np.fft.rfftfreq(cells), np.fft.fftfreq(cells)), by, strict=True)
+    ]
+    for phase, step in zip(along, by, strict=True):  # of the highest frequency only the cosine is there
+        phase[cells // 2] = math.cos(math.pi * step)
+    phase = (along[1][:, None] * along[0]).astype(np.complex64).ravel()
+    return np.stack([v[0] * phase.real - v[1] * phase.imag, v[0] * phase.imag + v[1] * phase.real])
+
+
 @dataclass(frozen=True, eq=False)
 class Features:
     """How windows of `cells` x `cells` cells become channels: `components` (C, L) of L features, tapered by `taper`."""
@@ -251,6 +263,11 @@ class ScaleTrainer:
         gradients_of_scales(grey, at[0], at[1], sides / factor, CELL, signal)
         flat = signal.reshape(self.scales, -1) * self._taper
         return np.fft.rfft(np.fft.ifftshift(flat, axes=0), axis=0).astype(np.complex64, copy=False)
+
+    def moved(self, x: NDArray[np.complex64], by: float) -> NDArray[np.complex64]:
+        """The spectrum x (S / 2 + 1, D) as it is at log scales larger by `by`."""
+        turns = np.fft.rfftfreq(self.scales) * by / math.log(self.step)
+        return np.exp(2j * np.pi * turns).astype(np.complex64)[:, None] * x
 
     def learn(self, known: TrainedScale | None, x: NDArray[np.complex64], rate: float) -> TrainedScale:
         a, b = self._y * x, np.sum(np.abs(x) ** 2, axis=1)

@@ -10,7 +10,7 @@ from numpy.random import Generator
 from facetrack_cli.core.types import Info, Particles
 from facetrack_cli.engine.filters import MIN_LOG, FrameModel, Stepped
 from facetrack_cli.engine.resampling import SCHEMES, effective_sample_size, summed
-from facetrack_cli.trackers.box.settings import GuidedSettings, PeakSettings
+from facetrack_cli.trackers.box.settings import GuidedSettings
 
 
 def guided(settings: GuidedSettings, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
@@ -46,12 +46,3 @@ def guided(settings: GuidedSettings, rng: Generator, particles: Particles, model
     log_w, log_sum = summed(log_ratio)
     evidence = float(log_sum) - math.log(n)
     return Particles(x, log_w), Info(np.full(1, float(effective_sample_size(log_w))), evidence)
-
-
-def peak(settings: PeakSettings, rng: Generator, particles: Particles, model: FrameModel) -> Stepped:
-    """The highest mode, as trackers by correlation filters take it."""
-    guides = model.likelihood.guides(model.learned)
-    z = guides.mean[[int(np.argmax(np.where(guides.anew, -np.inf, guides.log_w)))]]
-    x = model.motion.arrive(rng, z, particles).x
-    x[:, :, 3:-1], x[:, :, -1] = 0.0, 1.0  # no velocity, and always visible
-    return Particles(x, np.zeros(1)), Info(np.ones(1))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from facetrack_cli.core.types import Array
+from facetrack_cli.core.types import Array, Image
 from facetrack_cli.trackers.box.features import Single
 from facetrack_cli.trackers.box.trained import UPSAMPLED
 
@@ -48,9 +48,14 @@ class Peaks(NamedTuple):
 
 
 class ResponseView(NamedTuple):
-    """A window around `centre` (2,): R, the response of the filter of `now`, and that of the first frames."""
+    """A window around `centre` (2,): R, the response of the filter of `now`, and that of the first frames.
+
+    `spectrum` (2, C, F) and `image` are the window itself.
+    """
 
     centre: Array
+    spectrum: Single
+    image: Image
     response: Single
     now: Single
     first: Single

@@ -90,16 +90,12 @@ class CorrelationFilterSettings(LikelihoodSettings):
     """C, how many principal components of the channels are kept (ECO-HC takes 13)."""
     peak: Annotated[float, Field(gt=0, le=1)] = 0.1
     """sigma_y: standard deviation of the response that is wanted, in mean sides of the box."""
-    learn: Literal["memory", "temporal"] = "memory"
-    """What keeps the filter from forgetting: all windows so far (SRDCF, ECO), or a temporal term (STRCF)."""
     rate: Rate = 0.02
     """Learning rate of the memory, at P(visible) = 1."""
     every: Annotated[int, Field(ge=1, le=10), FRAMES] = 3
     """The appearance is learned in every so many frames, as much more at a time (ECO: every 6th)."""
     hidden_rate: Share = 0.05
     """How much is learned while the target is hidden, in terms of what is learned while it is visible."""
-    inertia: Annotated[float, Field(gt=0, le=1e6)] = 16.0
-    """mu of the temporal term."""
     scales: ScalesSettings | None = ScalesSettings()
     """How the scale is found; null: the box keeps the size that the motion gives it."""
     colour: Share = 0.3
@@ -124,13 +120,3 @@ class GuidedSettings(FilterSettings):
     """Number of particles."""
     guided: Annotated[float, Field(ge=0, lt=1)] = 0.7
     """Share of the particles that is drawn around the modes."""
-
-
-class PeakSettings(FilterSettings):
-    """The highest mode alone, as correlation filters are published: always visible, no posterior."""
-
-    engine = "facetrack_cli.trackers.box.filters:peak"
-    goes_with = ("box",)
-    type: Literal["peak"]
-    particles: Literal[1] = 1
-    """There is one."""

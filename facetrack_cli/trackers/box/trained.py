@@ -1,4 +1,4 @@
-"""Spatially regularised correlation filters, kept from forgetting by a memory or by a temporal term.
+"""Spatially regularised correlation filters, kept from forgetting by a memory.
 
 The response of filters f^d to a window with channels x^d is R = sum_d f^d * x^d (circular correlation). It should be
 y(c) = exp(-|c|^2 / (2 sigma_y^2)), a peak where the target is. Sought are the filters of
@@ -13,10 +13,6 @@ the learning rate. So nothing is merged, and memory is the same after any number
     (sum_k pi_k x_k x_k^H) f + F[w^2 F^-1 f] = sum_k pi_k x_k conj(y)
 
 are solved by conjugate gradients from the filters of the last frame on, a few steps each time.
-
-The alternative, of which no memory is needed (Li et al. 2018, STRCF, eq. 4, by ADMM; Galoogahi et al. 2017, BACF):
-
-    |sum_d f^d * x_t^d - y|^2 + sum_d |w f^d|^2 + mu |f - f_{t-1}|^2
 """
 
 from __future__ import annotations
@@ -33,15 +29,14 @@ from facetrack_cli.trackers.box.features import Single, inverse, joined, spectru
 UPSAMPLED = 2  # samples of a response for a cell
 _FIRST_STEPS = 50
 _INSIDE, _OUTSIDE = 0.1, 100.0  # w^2 inside of the target's box, and a whole box around it
-_ADMM_STEPS, _PENALTY, _GROWTH, _WALL = 2, 0.01, 10.0, 1e6
 
 
 class Trained(NamedTuple):
-    """`filters` (2, C, F), and of a memory its matrices (P, 2, F) and its right-hand side (2, C, F)."""
+    """`filters` (2, C, F), and the memory: matrices (P, 2, F), and the right-hand side `target` (2, C, F)."""
 
     filters: Single
-    matrices: Single | None = None
-    target: Single | None = None
+    matrices: Single
+    target: Single
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +47,6 @@ class Trainer:
     box: tuple[float, float]
     sigma: float
     steps: int = 2
-    temporal: float | None = None  # mu, in terms of the number of cells; None: a memory
     y: Single = field(init=False)
     wall: Single = field(init=False)  # w^2 of each cell
     _middle: Single = field(init=False)
@@ -64,27 +58,22 @@ class Trainer:
         half = np.abs(np.arange(g) - (g - 1) / 2)
         # 1 on the border of the box
         out = np.maximum((half / (self.box[1] / 2))[:, None], (half / (self.box[0] / 2))[None])
-        rise = np.clip(out - 1, 0, 1) ** 2 if self.temporal is None else np.clip((out - 1) / 0.3, 0, 1) ** 4
-        inside, outside = (_INSIDE, _OUTSIDE) if self.temporal is None else (0.0, _WALL)
+        rise = np.clip(out - 1, 0, 1) ** 2
         # what moves place 0 into the middle
         signs = (-1.0) ** (np.arange(g)[:, None] + np.arange(g // 2 + 1))
         object.__setattr__(self, "_middle", (UPSAMPLED**2 * signs).astype(np.float32))
         object.__setattr__(self, "y", np.fft.rfft2(y).real.ravel().astype(np.float32))  # y is even
-        object.__setattr__(self, "wall", (inside + (outside - inside) * rise).astype(np.float32))
+        object.__setattr__(self, "wall", (_INSIDE + (_OUTSIDE - _INSIDE) * rise).astype(np.float32))
 
     def begin(self, x: Single) -> Trained:
         """From the first window's spectrum x (2, C, F)."""
-        if self.temporal is not None:
-            return Trained(self._admm(x, None, 0.0))
         channels, frequencies = x.shape[1:]
         matrices = np.zeros((channels * (channels + 1) // 2, 2, frequencies), np.float32)
         remember(matrices, x, np.float32(1.0))
         return self._solve(Trained(np.zeros_like(x), matrices, self.y * x), _FIRST_STEPS)
 
     def learn(self, known: Trained, x: Single, rate: float) -> Trained:
-        """With a window more, of weight `rate` in the memory, or, of a temporal term, at 1 / `rate` of its inertia."""
-        if known.matrices is None or known.target is None:
-            return Trained(self._admm(x, known.filters, 1.0 / max(rate, 1e-3)))
+        """With a window more, of weight `rate` in the memory."""
         matrices = known.matrices.copy()
         remember(matrices, x, np.float32(rate))
         target = np.float32(1 - rate) * known.target + np.float32(rate) * self.y * x
@@ -103,7 +92,6 @@ class Trainer:
 
     def _solve(self, known: Trained, steps: int) -> Trained:
         """Conjugate gradients, preconditioned by the diagonal."""
-        assert known.matrices is not None and known.target is not None
         matrices, v = known.matrices, known.filters
         channels = v.shape[1]
         diagonal = matrices[np.cumsum([0, *range(channels, 1, -1)]), 0]
@@ -131,27 +119,6 @@ class Trainer:
         """The inner product of two real functions by half of their frequencies."""
         product = np.sum(np.multiply(a, b, dtype=np.float64), axis=(0, 1)).reshape(self.cells, -1)
         return float(2 * product.sum() - product[:, 0].sum() - product[:, -1].sum())
-
-    def _admm(self, x: Single, last: Single | None, inertia: float) -> Single:
-        """Two steps of ADMM: f by Sherman and Morrison's formula in each frequency, g by w in each cell."""
-        n = self.cells**2
-        whole = x[0] + 1j * x[1]
-        mu = 0.0 if last is None else (self.temporal or 0.0) * n * min(inertia, 50.0)
-        before = np.zeros_like(whole) if last is None else last[0] + 1j * last[1]
-        energy = np.sum(np.abs(whole) ** 2, axis=0)
-        g = h = np.zeros_like(whole)
-        penalty = _PENALTY
-        for _ in range(_ADMM_STEPS):
-            b = whole * self.y + mu * before + penalty * n * (g - h)
-            weight = mu + penalty * n
-            f = (b - whole * (np.sum(whole.conj() * b, axis=0) / (weight + energy))) / weight
-            both = f + h
-            cells = inverse(np.stack([both.real, both.imag]).astype(np.float32), self.cells)
-            found = spectrum(cells * np.float32(penalty) / (np.float32(penalty) + self.wall))
-            g = found[0] + 1j * found[1]
-            h = h + f - g
-            penalty *= _GROWTH
-        return np.stack([g.real, g.imag]).astype(np.float32)
 
 
 def peaks(response: Single, least: float, most: int) -> Array:

@@ -43,14 +43,15 @@ def _looks(image, greys, colours, out):
             out[1, y, x] = colours[r] - colours[g]
 
 
-def smoothed_channels(image: Image, *, whole: bool = True) -> Single:
-    """(C, H, W + 8): channels of an image (H, W, 3), smoothed down it, with a border on the left and on the right.
+def smoothed_channels(image: Image | Single) -> Single:
+    """(C, H, W + 8): channels of an image, smoothed down it, with a border on the left and on the right.
 
-    In each direction the square of a gradient's share along it, over its length and the usual length: around of the
-    `whole` channels, else in the image. Then redness, brightness and the slope of redness down the image, each relative
-    to what is around, or brightness alone, relative to the image. H and W are 24 or more; the border reflects.
+    In each direction the square of a gradient's share along it, over its length and the usual length. Of colours
+    (H, W, 3) then redness, brightness and the slope of redness down the image; all is relative to what is around. Of
+    grey levels (H, W) then brightness; all is relative to the whole image. H and W are 24 or more; the border reflects.
     """
-    seen = looks(image)
+    whole = image.ndim == 3
+    seen = looks(np.asarray(image, np.uint8)) if whole else _GREY[np.rint(8 * image).astype(np.intp)][None]
     height, width = seen.shape[1:]
     out = np.empty((DIRECTIONS + (3 if whole else 1), height, width + 2 * _REACH), np.float32)
     _channels(seen, _WAYS, whole, np.empty((9, height, width), np.float32), out)

@@ -71,7 +71,7 @@ class EyeDescent(NamedTuple):
         """
         at, odds = np.empty((len(POINTS), 2)), np.empty(len(POINTS))
         for eye, view, way in zip(SIDES, views(head, self.corners(seen, parts)), (1, -1), strict=True):
-            told = phi(view.read(frame, SIDE).bgr[:, ::way]) @ self.lids
+            told = phi(view.read_grey(frame, SIDE)[:, ::way]) @ self.lids
             off = told[:-1].reshape(-1, 2).astype(np.float64) * (way, 1)
             narrow = math.hypot(*(off[0] - off[1])) / (ZOOM * EYES) - NARROW  # turned away
             small = head.scale * EYES / SMALL - 1
@@ -108,8 +108,8 @@ def views(head: Similarity, corners: Array) -> list[Similarity]:
 
 
 def phi(patch: Image) -> NDArray[np.float32]:
-    """(WIDTH,) of a patch (SIDE, SIDE, 3)."""
-    seen = smoothed_channels(np.asarray(cv2.blur(patch, (3, 3)), np.uint8), whole=False)
+    """(WIDTH,) of a patch in grey (SIDE, SIDE)."""
+    seen = smoothed_channels(np.asarray(cv2.blur(patch.astype(np.float32), (3, 3)), np.float32))
     return np.append(read(seen, np.zeros((1, 2)), _GRID).ravel(), np.float32(1))
 
 

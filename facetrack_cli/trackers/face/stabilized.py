@@ -10,7 +10,7 @@ import numpy as np
 
 from facetrack_cli.core.face_points import EYE_DISTANCE
 from facetrack_cli.core.geometry import warp_affine
-from facetrack_cli.core.types import Array, Frame, Image
+from facetrack_cli.core.types import Array, Extent, Frame, Image
 from facetrack_cli.trackers.face.colour_kernels import coloured
 
 SIDE: Final = 160  # sides of the stabilized image, in pixels
@@ -57,16 +57,25 @@ class Similarity(NamedTuple):
 
     def read(self, frame: Frame, side: int = SIDE) -> Frame:
         """The stabilized image, (side, side, 3), of a frame; beyond the frame's border, the border's pixels."""
-        factor = 2 ** min(max(math.floor(math.log2(max(self.scale, 1.0))), 0), 8)
-        far = 0.75 * side * self.scale + 2 * factor
-        x, y = self.centre.tolist()
-        extent = (x - far, y - far, x + far, y + far)
+        factor, extent = self._extent(side)
         if (planes := frame.planes(factor, extent)) is not None:
             colours = coloured(*(self._warped(*one, side) for one in planes))
             still = np.asarray(cv2.merge(tuple(colours)), np.uint8)
         else:
             still = self._warped(*frame.reduced(factor, extent), factor, side)
         return Frame(frame.index, frame.time_s, still)
+
+    def read_grey(self, frame: Frame, side: int) -> Image:
+        """As `read`, in grey (side, side)."""
+        factor, extent = self._extent(side)
+        return self._warped(*frame.grey(factor, extent), factor, side)
+
+    def _extent(self, side: int) -> tuple[int, Extent]:
+        """By which factor the frame is reduced that is read, and where."""
+        factor = 2 ** min(max(math.floor(math.log2(max(self.scale, 1.0))), 0), 8)
+        far = 0.75 * side * self.scale + 2 * factor
+        x, y = self.centre.tolist()
+        return factor, (x - far, y - far, x + far, y + far)
 
     def _warped(self, image: Image, left: int, top: int, factor: int, side: int) -> Image:
         """Of a frame an image, reduced by `factor`, that begins at (left, top)."""

@@ -74,7 +74,9 @@ from facetrack_cli.video.shots import Passing, small
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
 COMPANY: Final = 2  # looks at several faces, from which the clip has shown somebody else
-LOOK: Final = 3  # frames from one look of the head's filter to the next, where the points are seen in between
+LOOK: Final = (3, 9)  # frames between two looks of the head's filter while it is new, and later, where points are seen
+NEW_FILTER: Final = 20  # looks until it knows how high its peaks are, and takes no other thing for the head
+SETTLED: Final = 0.95  # probability by the head's filter, below which it looks in every frame
 EASY: Final = 8.0  # log odds that the points are seen where they are
 DOUBT: Final = 8.0  # log odds, below which the detector looks at once
 STEADY: Final = 2.5  # pixels of the stabilized image, which a face is at most from where it is expected, in between
@@ -204,7 +206,7 @@ class FaceTarget:
         if self.senses.detector is not None and self.settings.detections is not None:
             due |= shown and state.sure <= DOUBT
         view: View | None = None
-        if shown and state.sure >= EASY and state.frames % LOOK:
+        if sure_of(state.head) >= SETTLED and state.sure >= EASY and state.frames % self._every(state):
             view = self._view(state, self.head.motion.expect(state.head.estimated.state[None])[0], frame, due=due)
             if view.parts.sure >= EASY and math.hypot(*view.shift) < STEADY:
                 return self._followed(rng, state, view, frame, None)
@@ -223,6 +225,10 @@ class FaceTarget:
         if view is None or not view.similarity.is_near(self._map(head.estimated.state, state.pose), STEADY):
             view = self._view(state, head.estimated.state, frame, due=due)
         return self._followed(rng, state, view, frame, box)
+
+    def _every(self, state: FaceState) -> int:
+        """Frames between two looks of the head's filter, where the points are seen in between."""
+        return LOOK[state.head.learned.frames > NEW_FILTER]
 
     def _stays(self, state: FaceState, frame: Frame) -> bool:
         """Whether what is followed, after what may be a cut, is the face of before."""
@@ -447,39 +453,35 @@ class FaceTarget:
     def _result(self, state: FaceState, box: Rows, frame: Frame) -> TargetResult:
         """Rows of the points, as last seen in the stabilized image, of the box, and of points without windows."""
         similarity, rows = self._map(state.head.estimated.state, state.pose), state.points.columns
-        scale, points_at, status = similarity.scale, state.features.estimated, rows["status"]
-        confidence = rows.get("confidence", np.full(len(status), np.nan))
+        estimated, status, k = state.features.estimated, rows["status"], len(self.features.parts)
+        confidence = rows.get("confidence", np.full(k, np.nan))
         visible = np.where(np.isnan(confidence), 1.0, confidence)
-        points = self._rows(state, points_at.state, points_at.cov, visible, status == "lost")
-        since = np.where(status == "init", "init" if not state.frames else "tracked", status)
-        points["status"] = np.where(points["status"] == "lost", "lost", since)
-        points["confidence"] = points["confidence"] if state.frames else confidence
-        points |= {"w": rows["w"] * scale, "h": rows["h"] * scale, "ess": rows["ess"]}
-        if (gone := status == "absent").any():
-            nothing = {name: "absent" if name == "status" else np.nan for name in points}
-            points = {name: np.where(gone, nothing[name], values) for name, values in points.items()}
-        face = {name: box.columns[name] for name in points} | self._face(box.columns, similarity)
-        blank = {name: np.full((1, *one.shape[1:]), np.nan) for name, one in face.items() if name != "status"}
-        sections = [points, face]
+        places = [(estimated.state, estimated.cov, visible, status == "lost")]
         for names, one in self._without_windows(state):
             if one is None:
-                sections.append({"status": np.full(len(names), "lost")})
+                nothing = np.full((len(names), 2, 2), np.nan)
+                places.append((nothing[0], nothing, nothing[:, 0, 0], np.ones(len(names), np.bool_)))
             else:
-                covered = one.visible < self.settings.lost_below
-                sections.append(self._rows(state, one.at, one.cov, one.visible, covered, placed=True))
-        counts = len(status), 1, *(len(names) for names, _ in self._without_windows(state))
-        columns = {
-            name: np.concatenate(
-                [
-                    section[name] if name in section else np.repeat(blank[name], n, axis=0)
-                    for section, n in zip(sections, counts, strict=True)
-                ]
-            )
-            for name in face
-        }
+                places.append((one.at, one.cov, one.visible, one.visible < self.settings.lost_below))
+        points = self._rows(state, similarity, *map(np.concatenate, zip(*places, strict=True)))
+        nan = np.full(len(points["x"]) - k, np.nan)
+        points |= {name: np.append(values, nan) for name, values in (
+            ("w", rows["w"] * similarity.scale), ("h", rows["h"] * similarity.scale), ("ess", rows["ess"]),
+        )}  # fmt: skip
+        if not state.frames:
+            begun = (points["status"][:k] != "lost") & (status == "init")
+            points["status"][:k][begun], points["confidence"][:k] = "init", confidence
+        if (gone := status == "absent").any():
+            for name, values in points.items():
+                values[:k][gone] = "absent" if name == "status" else np.nan
+        face = {name: box.columns[name] for name in points} | self._face(box.columns, similarity)
+        columns = {}
+        for name, of_box in face.items():
+            others = points[name] if name in points else np.full((k + len(nan), *of_box.shape[1:]), np.nan)
+            columns[name] = np.concatenate([others[:k], of_box, others[k:]])
         # of a target one number: both filters' together
         columns["particles"] = np.full(len(self.parts), float(rows["particles"].max() + box.columns["particles"][0]))
-        values = {SCALE.name: scale * FACE / self.side, ROLL.name: math.degrees(state.pose[0])}
+        values = {SCALE.name: similarity.scale * FACE / self.side, ROLL.name: math.degrees(state.pose[0])}
         # both likelihoods are ratios, which are 1 where the head is lost and nothing is compared
         values[EVIDENCE.name] = sum(one.evidence for one in (box, state.points) if one.frame == frame.index)
         values[NETWORK.name] = float(state.sensors[2].right.mean())
@@ -492,26 +494,26 @@ class FaceTarget:
         return TargetResult(faces, cloud, (), box.notes, lambda: self.beliefs(state, unseen))
 
     def _rows(
-        self, state: FaceState, at: Array, cov: Array, visible: Array, unseen: Mask, *, placed: bool = False
+        self, state: FaceState, similarity: Similarity, at: Array, cov: Array, visible: Array, unseen: Mask
     ) -> dict[str, Any]:
         """Columns of points of the stabilized image: places (K, 2), covariances (K, 2, 2), visibility, seen or not.
 
-        With `placed` the confidence is that of the place alone, and what is not seen is hidden.
+        The confidence of points without windows is that of the place alone, and where they are not seen they are
+        hidden. Points at nan are lost.
         """
-        similarity = self._map(state.head.estimated.state, state.pose)
         shown = state.facing.shown * sure_of(state.head)
-        known = visible * shown
+        known, windows = visible * shown, np.arange(len(at)) < len(self.features.parts)
         cov = similarity.matrix @ cov @ similarity.matrix.T
         cov = cov + (1 - known)[:, None, None] * state.head.estimated.cov[0]  # of what is hidden, the head alone says
         var = cov.reshape(-1, 4)[:, ::3]
         near = 1 - np.exp(-((OFF * EYES * similarity.scale) ** 2) / np.maximum(var.sum(axis=1), 1e-9))
         x, y = similarity.to_frame(at).T
         std_x, std_y = np.sqrt(var).T
-        status = np.where(unseen, "hidden" if placed else "lost", "tracked")
-        status = np.where(shown * near < self.settings.lost_below, "lost", status)
+        status = np.where(unseen, np.where(windows, "lost", "hidden"), "tracked")
+        status[~(shown * near >= self.settings.lost_below)] = "lost"
         return {
             "x": x, "y": y, "std_x": std_x, "std_y": std_y, "cov_xy": cov[:, 0, 1],
-            "confidence": (shown if placed else known) * near, "status": status,
+            "confidence": np.where(windows, known, shown) * near, "status": status,
         }  # fmt: skip
 
     def beliefs(self, state: FaceState, unseen: Mask) -> tuple[Belief, ...]:
