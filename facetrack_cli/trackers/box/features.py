@@ -267,7 +267,7 @@ class ScaleTrainer:
     def moved(self, x: NDArray[np.complex64], by: float) -> NDArray[np.complex64]:
         """The spectrum x (S / 2 + 1, D) as it is at log scales larger by `by`."""
         turns = np.fft.rfftfreq(self.scales) * by / math.log(self.step)
-        return np.exp(2j * np.pi * turns).astype(np.complex64)[:, None] * x
+        return np.asarray(np.exp(2j * np.pi * turns)[:, None] * x, np.complex64)
 
     def learn(self, known: TrainedScale | None, x: NDArray[np.complex64], rate: float) -> TrainedScale:
         a, b = self._y * x, np.sum(np.abs(x) ** 2, axis=1)

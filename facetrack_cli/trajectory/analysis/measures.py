@@ -179,7 +179,8 @@ class Measured(NamedTuple):
 
     def between(self, begin: int, end: int) -> "Measured":
         """The rows from `begin` to before `end`."""
-        return Measured(self.name, self.unit, *(column[begin:end] for column in self[2:]))
+        columns: list[Any] = [column[begin:end] for column in self[2:]]
+        return Measured(self.name, self.unit, *columns)
 
     @property
     def noise(self) -> Array:
