@@ -179,7 +179,7 @@ class Measured(NamedTuple):
 
     def between(self, begin: int, end: int) -> "Measured":
         """The rows from `begin` to before `end`."""
-        return Measured(self.name, self.unit, *(column[begin:end] for column in self[2:]))
+        return self._replace(**{name: getattr(self, name)[begin:end] for name in self._fields[2:]})
 
     @property
     def noise(self) -> Array:
