@@ -179,8 +179,7 @@ class Measured(NamedTuple):
 
     def between(self, begin: int, end: int) -> "Measured":
         """The rows from `begin` to before `end`."""
-        columns: list[Any] = [column[begin:end] for column in self[2:]]
-        return Measured(self.name, self.unit, *columns)
+        return self._replace(**{name: getattr(self, name)[begin:end] for name in self._fields[2:]})
 
     @property
     def noise(self) -> Array:

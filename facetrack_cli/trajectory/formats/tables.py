@@ -112,7 +112,8 @@ def _measured(measures: Mapping[str, Measured], names: Sequence[str], frames: Wh
     values = np.full((len(names), len(STD), len(frames)), np.nan)
     for k, name in enumerate(names):
         if name in measures:
-            values[k][:, np.searchsorted(frames, measures[name].frame)] = measures[name][4:]
+            measure = measures[name]
+            values[k][:, np.searchsorted(frames, measure.frame)] = measure.value, measure.std, measure.noise
     return texts(values.reshape(-1, len(frames)).T, 4)
 
 
