@@ -269,9 +269,7 @@ def test_what_was_moved_and_not_tracked_is_kept(page):
     folder, session, _, window = page()
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     window.click_on("save")
-    window.until("document.getElementById('confirm').open")
-    assert window.text("confirm-title") == "There is nothing to save"
-    window.click_on("confirm-no")
+    window.until_message("There is nothing to save")
     go_to(window, 12)
     x, y = window.get("rows")[0][:2]
     window.press("]", "ArrowRight", "Shift+ArrowUp", "Alt+ArrowRight")
