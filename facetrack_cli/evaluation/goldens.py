@@ -389,7 +389,7 @@ def compared(verdict: Verdict, golden: Golden, now: Golden, changed: list[str], 
         texts = (f"{', '.join(p)} in frames {f[0]}-{f[1]}" for p, f in ((own, now.frames), (parts, golden.frames)))
         return replace(verdict, status="fails", message=f"tracks {'; recorded were '.join(texts)}; {UPDATE}")
     rows, spreads, away = [], [], np.stack([distances(run, golden.rows) for run in runs])
-    loose = 1 if any(reach for *_, reach in golden.rows) else 10  # of a tracker without chance no spread is known
+    loose = 1 if any(reach for *_, reach in golden.rows) else 10  # a deterministic tracker has no spread over seeds
     for (frame, part, *_, reach), each in zip(golden.rows, away.T, strict=True):
         text = f"{part}: {_ends(each)} px from its golden row of frame {frame}, recorded seeds up to {reach:.4g} px"
         rows.append((float(each.min()) / (reach * (1 + MARGIN) + LEAST_PX * loose), text))

@@ -213,7 +213,7 @@ def measure_coverage(parts: Sequence[Rows]) -> CoverageMeasures | None:
         return None
     offset, spread = offset[counted & known], std[counted & known]
     squared = mahalanobis_squared(offset, spread, cov_xy[counted & known])
-    # the distance of a row, which the 50 % ellipse would have to reach
+    # the median distance, which the 50 % ellipse would have to reach
     half = float(np.quantile(squared, 0.5, method="inverted_cdf")) if len(squared) else math.inf
     return CoverageMeasures(
         rows=len(squared),

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _DEFAULT_FPS: Final = Fraction(25)
 _LOOKED_PACKETS: Final = 100  # of a file with several video streams
-_DEFAULT_PIXELS: Final = 5_000_000  # what a stream that is marked default counts more, as in FFmpeg
+_DEFAULT_PIXELS: Final = 5_000_000  # a stream that is marked default counts as so much larger, as in FFmpeg
 MIN_JUMP_FRAMES: Final = 16  # decoding fewer frames takes less time than a jump over them
 _CHECKED_FRAMES: Final = 24  # so many frames from the start must agree with the packets
 _MAX_TRIES: Final = 3  # a seek that arrives too late is repeated from an earlier keyframe
@@ -42,8 +42,8 @@ _MAX_THREADS: Final = 8  # of the decoder, each of which holds frames
 _MAX_ALONE_PIXELS: Final = 1_000_000
 _LEVEL_FRAMES: Final = 50  # by which the range of 16-bit grey is measured
 _PRIMING_S: Final = 0.05  # of AAC and MP3
-_OBLONG: Final = 8  # a pixel that is told to be more oblong is told wrong
-_SHAPE: Final = 1.03  # of sides that are rounded
+_OBLONG: Final = 8  # a ratio of the sides of a pixel beyond this is a mistake in the file
+_SHAPE: Final = 1.03  # ratio of two scales up to which an image is stretched: sides are rounded
 _BT601: Final = 5
 # by H.273's numbers of matrices, the luma weights of red and blue
 _LUMA: Final = {

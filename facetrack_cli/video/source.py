@@ -93,9 +93,8 @@ class VideoSource(Source):
     """A video file, decoded by PyAV. Where its packets allow it, frames long before `start` are not decoded."""
 
     def __init__(self, path: Path, start: int, stop: int | None, stream: int | None = None):
-        self._length = _length(path)
         try:
-            self._decoder = Decoder(path, stream)
+            self._bytes, self._decoder = path.stat().st_size, Decoder(path, stream)
         except (OSError, ValueError):
             raise _why_not(path) from None
         super().__init__(path, self._decoder.size, self._decoder.fps, start, stop)
@@ -160,7 +159,7 @@ class VideoSource(Source):
     def _judge(self, frames: int, last_s: float) -> None:
         """Say so if frames are missing after the last one that was decoded, or are not what the clip showed."""
         # one that was removed is read to its end
-        if self.path.exists() and _length(self.path) != self._length:
+        if self.path.exists() and self.path.stat().st_size != self._bytes:
             self._cut(f"{self.path}: changed while it was read, after {frames} frames; run it again")
             return
         decoder, missing = self._decoder, ""
@@ -206,13 +205,6 @@ def _why_not(path: Path) -> InputError:
     else:
         why = "not a video; give a video file or a folder of images"
     return InputError(f"{path}: {why}")
-
-
-def _length(path: Path) -> int:
-    try:
-        return path.stat().st_size
-    except OSError:
-        return -1
 
 
 class FolderSource(Source):

@@ -26,8 +26,8 @@ from facetrack_cli.core.files import discard, publish, sync, temporary_path
 from facetrack_cli.core.types import Image
 from facetrack_cli.video.decode import FORMATS, sound_of, weights
 
-_TICK_S = 1e-6  # of the pipe to the encoder
-_LARGE = 3_000_000  # pixels of a frame of which the encoder holds few others, each of which takes it 60 MB
+_TICK_S = 1e-6  # by which the pipe to the encoder counts time
+_LARGE = 3_000_000  # pixels: of larger frames x264 buffers few, because each needs 60 MB
 _STRIP = 1 << 18  # pixels that are converted at a time, which bounds memory
 
 
@@ -48,7 +48,7 @@ def cause(text: str) -> str:
 
 
 class Program(contextlib.AbstractContextManager["Program"]):
-    """A running ffmpeg, which the terminal's Ctrl-C does not reach. OSError or RuntimeError if it cannot be started."""
+    """A running ffmpeg, which Ctrl-C does not reach. OSError or RuntimeError if it cannot be started."""
 
     def __init__(self, arguments: Sequence[str], *, stdin: int = subprocess.DEVNULL):
         words = [imageio_ffmpeg.get_ffmpeg_exe(), "-nostdin", "-hide_banner", *arguments]
@@ -246,7 +246,7 @@ def _matroska_block(ticks: int, size: int) -> bytes:
 
 
 _COPIED_AUDIO = frozenset(("aac", "mp3", "ac3", "eac3", "alac"))  # what players expect in an MP4; the rest becomes AAC
-_KNOWN = ("-protocol_whitelist", "file", "-format_whitelist")  # as PyAV opens a clip
+_LOCAL_CLIPS = ("-protocol_whitelist", "file", "-format_whitelist")  # as PyAV opens a clip
 _SNAP_S = 0.0011  # containers that keep whole milliseconds move a frame by up to half of one, at either end
 _LONGEST = 2**29  # ticks that a frame is shown at most: an MP4 holds 2**31, over several frames that are reordered
 _SLOW_S = 60  # frames that are shown for longer have a coarser clock
@@ -430,7 +430,7 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
                     if end is not None:
                         lines.append(f"duration {(end - start) / self._timescale:.6f}")
                 names.write_text("\n".join(lines) + "\n", encoding="utf-8")
-                command = ["-v", "error", "-y", "-f", "concat", "-safe", "0", *_KNOWN, f"concat,{FORMATS}"]
+                command = ["-v", "error", "-y", "-f", "concat", "-safe", "0", *_LOCAL_CLIPS, f"concat,{FORMATS}"]
                 command += ["-i", str(names.absolute()), "-map", "0:v:0", "-c", "copy"]
                 code, messages = run_ffmpeg([*command, *as_mp4(self._target, self._timescale)])
         finally:
@@ -453,7 +453,7 @@ class VideoWriter(contextlib.AbstractContextManager["VideoWriter"]):
             ticks = self._at.last_tick - self._at.pieces[0]
             length = float(ticks / Fraction(self._timescale) + 1 / self._fps)
             command = ["-v", "error", "-y", "-i", str(silent.absolute())]
-            command += ["-itsoffset", f"{-start:.6f}", *_KNOWN, FORMATS, "-i", str(source.absolute())]
+            command += ["-itsoffset", f"{-start:.6f}", *_LOCAL_CLIPS, FORMATS, "-i", str(source.absolute())]
             command += ["-map", "0:v:0", "-map", "1:a:0", "-map_metadata", "-1", "-c:v", "copy"]
             # copying drops what comes before time 0 by itself
             recode = ["-af", "atrim=start=0", "-c:a", "aac", "-b:a", "160k"]

@@ -208,7 +208,7 @@ def test_an_edit_list_that_hides_frames_and_sound_that_outlasts_the_images(tmp_p
     media.ffmpeg("-ss", "0.9", "-i", whole, "-c", "copy", tmp_path / "cut.mp4")  # the container still counts them
     check_whole(tmp_path / "cut.mp4", 0, least=20)
     b_frames = media.write_video(tmp_path / "b.mp4", frames=30, options=("-c:v", "libx264", "-bf", "3"))
-    tone = ("-f", "lavfi", "-i", "sine=d=40:r=8000", "-c:v", "copy", "-c:a", "aac")
+    tone = ("-f", "lavfi", "-i", "sine=d=20:r=8000", "-c:v", "copy", "-c:a", "aac")
     for suffix in (".mp4", ".mkv"):
         media.ffmpeg("-i", b_frames, *tone, tmp_path / f"long{suffix}")
         check_whole(tmp_path / f"long{suffix}", 30)
