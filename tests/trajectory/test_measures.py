@@ -173,6 +173,11 @@ def test_the_noise_is_less_than_the_spread_unless_the_head_moves():
     t = np.arange(200)
     one = moving_face(200, std=2.0, noise=0.2, open=0.1 * (t > 100)).measures["face"]["mouth_opening"]
     assert (one.noise > 0).all() and (one.noise < one.std).all()
+    table = moving_face(200, std=2.0, noise=0.2, open=0.1 * (t > 100))
+    column = [
+        float(row["mouth_opening_noise"]) for row in csv.DictReader(io.StringIO(write_measures([Clip("", table)])))
+    ]
+    np.testing.assert_allclose(column, one.noise, atol=1e-4)
     nearer = moving_face(200, std=2.0, noise=0.2)
     grown = replace(nearer, w=np.where(np.arange(len(nearer)) % 200 >= 100, nearer.w * 1.4, nearer.w))
     grown = grown.measures["face"]["mouth_opening"]
