@@ -181,12 +181,7 @@ def _load(path: Path, overrides: Sequence[str], *, installed: bool = True) -> Re
         raise YamlProblems([Problem(root.span, "a recipe is a mapping of keys such as target: and filter:, not this")])
     for override in overrides:
         assign(root, "--set", override)
-    kind = _kind(root)
-    try:
-        recipe = kind.model_validate(root.plain(), context={"path": path, "root": root})
-    except ValidationError as error:
-        raise YamlProblems(problems(error, kind, root)) from None
-    more = []
+    recipe, more = _validated(path, root), []
     for name, head in recipe.heads.items():
         network, key = head.landmarks.network, f"{above(name)}head.landmarks."
         if network == "auto":
@@ -194,8 +189,17 @@ def _load(path: Path, overrides: Sequence[str], *, installed: bool = True) -> Re
             more.append(f"{key}network={network or 'null'}")
         if head.landmarks.iris == "auto":
             more.append(f"{key}iris={'iris' if network and installed and model_path('iris') else 'null'}")
-    # said in the recipe, so that what continues a run uses the same
-    return _load(path, [*overrides, *more]) if more else recipe
+    for override in more:  # in the recipe, so that what continues a run uses the same networks
+        assign(root, "--set", override)
+    return _validated(path, root) if more else recipe
+
+
+def _validated(path: Path, root: Node) -> Recipe:
+    kind = _kind(root)
+    try:
+        return kind.model_validate(root.plain(), context={"path": path, "root": root})
+    except ValidationError as error:
+        raise YamlProblems(problems(error, kind, root)) from None
 
 
 def _kind(root: Node) -> type[Recipe]:
