@@ -460,7 +460,7 @@ class FaceTarget:
         for names, one in self._without_windows(state):
             if one is None:
                 nothing = np.full((len(names), 2, 2), np.nan)
-                places.append((nothing[0], nothing, nothing[:, 0, 0], np.ones(len(names), np.bool_)))
+                places.append((nothing[:, 0], nothing, nothing[:, 0, 0], np.ones(len(names), np.bool_)))
             else:
                 places.append((one.at, one.cov, one.visible, one.visible < self.settings.lost_below))
         points = self._rows(state, similarity, *map(np.concatenate, zip(*places, strict=True)))
