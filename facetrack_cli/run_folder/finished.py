@@ -157,33 +157,33 @@ def read_files(files: Mapping[Format, Path]) -> Trajectory:
 def check_size(run: Run, size: tuple[int, int]) -> None:
     """InputError if a clip of this (width, height) is not the run's."""
     if size != run.header.source.size:
-        found, expected = (f"{width}x{height}" for width, height in (size, run.header.source.size))
-        raise InputError(f"{run.clip}: is {found}, not {expected} pixels as in the run; name its clip with --clip")
+        actual, expected = (f"{width}x{height}" for width, height in (size, run.header.source.size))
+        raise InputError(f"{run.clip}: is {actual}, not {expected} pixels as in the run; name its clip with --clip")
 
 
 def stamp(path: Path) -> object:
     """What changes when a file is written again."""
     try:
-        found = path.stat()
+        stats = path.stat()
     except OSError:
         return None
-    return found.st_ino, found.st_size, found.st_mtime_ns
+    return stats.st_ino, stats.st_size, stats.st_mtime_ns
 
 
 def recipe_of(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) -> Recipe:
     """The run's recipe; the files that it names are looked for in `folders` and among the shipped ones."""
     name = str(settings.get("name", "recipe"))
-    known: dict[str, Any] = {key: deepcopy(value) for key, value in settings.items() if key != "name"}
+    values: dict[str, Any] = {key: deepcopy(value) for key, value in settings.items() if key != "name"}
     if any(file.stem == name for file in shipped_recipes()):
         folders = [shipped_folder(), *folders]
-    for one in [known, *_mappings(known.get("targets"))]:
+    for section_values in [values, *_mappings(values.get("targets"))]:
         for section, key in (("prior", "file"), ("recognition", "gallery"), ("confidence", "calibration")):
-            for place in _mappings({section: one.get(section)}):
+            for place in _mappings({section: section_values.get(section)}):
                 if isinstance(file := place.get(key), str):
                     place[key] = str(_sought(main, file, [*folders, shipped_folder()]))
-    kind = KINDS.get(str(known.get("type", "particle_filter")), ParticleRecipe)
+    kind = KINDS.get(str(values.get("type", "particle_filter")), ParticleRecipe)
     try:
-        return kind.model_validate(known, context={"path": main.parent / f"{name}.yaml", "root": None})
+        return kind.model_validate(values, context={"path": main.parent / f"{name}.yaml", "root": None})
     except ValidationError as e:
         first = e.errors()[0]
         wrong = f"{'.'.join(map(str, first['loc']))}: {first['msg'].lower()}"
@@ -204,9 +204,9 @@ def _sought(main: Path, name: str, folders: Sequence[Path]) -> Path:
 
 def _check_rows(main: Path, run: Run) -> None:
     """InputError if the corrections are not in order, or the rows are not what this recipe makes of this start."""
-    start, places = run.start, [(one.frame, one.target) for one in run.start.corrections]
-    known = {*start.targets, *run.recipe.later}
-    ours = all(one.target in known and one.frame > start.frame for one in start.corrections)
+    start, places = run.start, [(correction.frame, correction.target) for correction in run.start.corrections]
+    followed = {*start.targets, *run.recipe.later}
+    ours = all(correction.target in followed and correction.frame > start.frame for correction in start.corrections)
     if not ours or places != sorted(set(places), key=lambda place: (place[0], places.index(place))):
         raise InputError(f"{main}: init.corrections is not as facetrack run writes it; {_AGAIN}")
     try:

@@ -124,9 +124,9 @@ def film_of(people: People, rows: Trajectory, clip: Path | None) -> tuple[Path |
 
 def cast_in(job: Job, rows: Trajectory, stop: Stopped, looked: Report) -> NamedFilm:
     """Who the tracks of a job's `rows` are of. InputError where the film shows nobody; raises StoppedError."""
-    first, told = int(rows.frame.min()), rows.header.get("shots")
-    shots = [Shot(*shot) for shot in told] if told else film_shots(job, job.first, stop, looked)
-    known = {} if job.gallery is None else load_people(job.gallery)
+    first, stored = int(rows.frame.min()), rows.header.get("shots")
+    shots = [Shot(*shot) for shot in stored] if stored else film_shots(job, job.first, stop, looked)
+    gallery = {} if job.gallery is None else load_people(job.gallery)
     frames, tracks = len(rows.frames), list[TrackSummary]()
     boxes = {name: box for name, box in _boxes(rows).items() if (~box.unseen).sum() >= min(MIN_FRAMES, frames)}
     with job.open(first) as source:
@@ -141,7 +141,7 @@ def cast_in(job: Job, rows: Trajectory, stop: Stopped, looked: Report) -> NamedF
             tracks.append(TrackSummary(name, start, stop_frame, ends[0], ends[1], shot, readers[name].looks()))
     if not tracks:
         raise InputError(f"{job.clip}: no face is seen in {MIN_FRAMES} frames of {frames}; is this the right film?")
-    cast, names = cast_of(tracks, list(known.values()), fps), [*known]
+    cast, names = cast_of(tracks, list(gallery.values()), fps), [*gallery]
     while len(names) <= cast.person.max(initial=-1):
         names.append(new_name(names))
     return _named(tracks, cast, names, readers, shots, Clock(rows, fps))
@@ -346,7 +346,7 @@ def people_in(folder: Path) -> People:
 def still_of(rows: Trajectory, target: str, first: int, stop: int, read: Callable[[int], Frame]) -> bytes:
     """The JPEG of the best view of a target in the frames [first, stop). InputError without any."""
     box = rows.find(target, BOX)
-    best = max(views_of(box.between(first, stop)) if box else [], key=lambda one: one.quality, default=None)
+    best = max(views_of(box.between(first, stop)) if box else [], key=lambda view: view.quality, default=None)
     if best is None:
         raise InputError(f"{rows.path}: {target} is seen in none of the frames {first} to {stop - 1}")
     return _jpeg(still(read(best.frame), best.face))
@@ -354,8 +354,9 @@ def still_of(rows: Trajectory, target: str, first: int, stop: int, read: Callabl
 
 def cast_line(people: People) -> str:
     """Who is in a film, in one line."""
-    known = sorted((one for one in people.people if not one.name.startswith(NOBODY)), key=lambda one: -one.seconds)
-    shown, more = ", ".join(f"{person.name} {person.seconds:.1f} s" for person in known[:6]), len(known) - 6
+    known = [person for person in people.people if not person.name.startswith(NOBODY)]
+    longest = sorted(known, key=lambda person: -person.seconds)[:6]
+    shown, more = ", ".join(f"{person.name} {person.seconds:.1f} s" for person in longest), len(known) - 6
     doubts, unknown = len(people.doubts), sum(track.person.startswith(NOBODY) for track in people.tracks)
     unsure = f"; {doubts} of {len(people.tracks)} tracks are in doubt (P < {SURE:g})" if doubts else ""
     unsure += f"; {unknown} show{'s' * (unknown == 1)} no face that could be told again ({NOBODY})" if unknown else ""

@@ -196,17 +196,17 @@ class RunFolder:
 
     def resume(self, start: Start, sinks: Sequence[Sink]) -> tuple[RunState, Any] | None:
         """The last checkpoint of the same job, and of its video; None if there is none, or it is not to be used."""
-        job, found = self.plan.job, None
+        job, last = self.plan.job, None
         if job.recipe.filters and not job.lag:
             clip = clip_stat(job.clip)
             same = [self._run.asked, _versions(), to_record(start), clip and (clip.bytes, clip.changed_ns)]
             key = hashlib.sha256(dumps(same).encode(errors="surrogateescape")).hexdigest()
             self.checkpoints = Checkpoints(self.path, key, video=self.plan.draws)
-            found = self.checkpoints.find() if job.resume and not job.overwrite else None
-        marks = found[0].sinks if found is not None and isinstance(found[0], RunState) else ()
-        if found and len(marks) == len(sinks) and all(sink.fits(mark) for sink, mark in zip(sinks, marks, strict=True)):
-            found[0].outcome.resumed = found[0].frame
-            return found
+            last = self.checkpoints.find() if job.resume and not job.overwrite else None
+        marks = last[0].sinks if last is not None and isinstance(last[0], RunState) else ()
+        if last and len(marks) == len(sinks) and all(sink.fits(mark) for sink, mark in zip(sinks, marks, strict=True)):
+            last[0].outcome.resumed = last[0].frame
+            return last
         remove_checkpoints(self.path)
         return None
 
@@ -420,7 +420,8 @@ def record(results: Results, into: Recorder, stop: Stop, report: Report = silent
 def header_of(job: Job, clip: ClipFacts, start: Start, more: Header, rows: Trajectory) -> Header:
     """What JSON says at its beginning, with `more`; `rows` are those of the first frame."""
     # those that every facetrack knows are not declared
-    declared = {one.name: one for each in rows.diagnostics.values() for one in each.declared if one.name not in KNOWN}
+    kinds = [kind for reported in rows.diagnostics.values() for kind in reported.declared if kind.name not in KNOWN]
+    declared = {kind.name: kind for kind in kinds}
     return {
         "versions": _versions(),
         "source": clip.record(),
@@ -428,7 +429,7 @@ def header_of(job: Job, clip: ClipFacts, start: Start, more: Header, rows: Traje
         "seed": job.recipe.seed,
         "init": {"from": start.origin, **to_record(start)},
         **({"smoothed": {"lag": job.lag}} if job.lag else {}),
-        **({"diagnostics": [one.record() for one in declared.values()]} if declared else {}),
+        **({"diagnostics": [kind.record() for kind in declared.values()]} if declared else {}),
         **more,
     }
 

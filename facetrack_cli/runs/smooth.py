@@ -200,10 +200,10 @@ class PosteriorWriter(Sink):
         for i, kept in enumerate(self.state.kept):
             arrays[f"{number}/{i}/frame"] = np.array([frame for frame, _ in kept], "<i8")
             for j, group in enumerate(zip(*(beliefs for _, beliefs in kept), strict=True)):
-                flat = [(one.mean, one.cov, *one.motion, one.doubt) for one in group]
+                flat = [(belief.mean, belief.cov, *belief.motion, belief.doubt) for belief in group]
                 for name, values in zip(_NAMES, zip(*flat, strict=True), strict=True):
                     arrays[f"{number}/{i}/{j}/{name}"] = np.stack(values).astype("<f8")
-                if named := [one.named for one in group if one.named is not None]:
+                if named := [belief.named for belief in group if belief.named is not None]:
                     arrays[f"{number}/{i}/{j}/named"] = np.stack(named).astype("<f8")
             kept.clear()
         *_, block = self._blocks(number + 1)

@@ -75,9 +75,9 @@ def run_chunks(
             return
 
     def join(jobs: Sequence[Job]) -> Iterator[tuple[Job, Outcome]]:
-        for one in jobs:
-            progress.begin(f"[1/1] {one.clip.name}")
-            yield one, attempt(one, stop, progress.update, progress.looked, join_chunks)
+        for clip_job in jobs:
+            progress.begin(f"[1/1] {clip_job.clip.name}")
+            yield clip_job, attempt(clip_job, stop, progress.update, progress.looked, join_chunks)
 
     for outcome in run_shared([job], join, stop, progress):
         yield "", outcome
