@@ -26,7 +26,7 @@ from facetrack_cli.core.types import Frame
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs import live
 from facetrack_cli.runs.live import follow, is_live, piped, received
-from facetrack_cli.trackers.face.points import check_cascades
+from facetrack_cli.trackers.face.detectors import check_cascades
 from facetrack_cli.trajectory.formats.read import read_truth
 from tests.support.rtsp import camera
 from tests.support.samples import FOLDER

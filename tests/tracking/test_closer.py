@@ -12,7 +12,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.search import ALONE_S, STILL_S, box_start, search_start
 from facetrack_cli.trackers.face.closer import again, everywhere, righted
-from facetrack_cli.trackers.face.detectors import Found, Haar, YuNet, yunet_model
+from facetrack_cli.trackers.face.detectors import Detection, Haar, YuNet, yunet_model
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity
 from tests.support import moving_face as moving
 from tests.support.moving_face import EYES, PARTS, Pose
@@ -132,7 +132,7 @@ def test_nothing_is_seen_where_nobody_is():
     empty = moving.frame(0, moving.ground())
     for detector in INSTALLED:
         assert everywhere(detector, empty) == []
-        nobody = Found((100.0, 60.0, 80.0, 80.0))
+        nobody = Detection((100.0, 60.0, 80.0, 80.0))
         assert righted(detector, empty, nobody) is nobody
 
 
@@ -155,7 +155,7 @@ class Known:
             return []
         (dx, dy) = self.moved(frame.time_s)
         boxes = ((p.x + dx - p.side / 2, p.y + dy - p.side / 2, p.side, p.side) for p in (POSTER, PERSON))
-        return [Found(box, sure=True) for box in boxes]
+        return [Detection(box, sure=True) for box in boxes]
 
 
 def room(fps, seconds, speaks, moved=lambda t: (0, 0)):
@@ -199,6 +199,6 @@ def test_of_two_posters_the_larger_one_is_taken_and_it_says_so():
 def test_one_that_keeps_still_alone_is_waited_for_less():
     frames = [Frame(i, i / 25, moving.clip([POSE])[0].bgr) for i in range(40)]
     known = Known()
-    known.find = lambda frame: known.looks.append(frame.time_s) or [Found((110.0, 70.0, 100.0, 100.0), sure=True)]
+    known.find = lambda frame: known.looks.append(frame.time_s) or [Detection((110.0, 70.0, 100.0, 100.0), sure=True)]
     assert search_start(frames, detector=known).frame == 0
     assert ALONE_S <= max(known.looks) < ALONE_S + 0.3 and len(known.looks) < 15

@@ -9,7 +9,7 @@ from facetrack_cli.core.types import Frame
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
-from facetrack_cli.trackers.face.descent import load_descent, seen_in
+from facetrack_cli.trackers.face.cascaded_regression import face_channels, load_regression
 from facetrack_cli.trackers.face.eyes import CORNERS, POINTS, SMALL, load_eyes, openings
 from facetrack_cli.trackers.face.mesh import Iris
 from facetrack_cli.trackers.face.stabilized import EYES
@@ -27,7 +27,7 @@ def found(pose, change=lambda picture, to_frame: picture):
     head = head_of(pose)
     frame = Frame(0, 0.0, change(frame.bgr.copy(), head.to_frame))
     still = head.read(frame).bgr
-    return load_eyes().fit(frame, head, seen_in(still), load_descent().fit(still).at), frame
+    return load_eyes().fit(frame, head, face_channels(still), load_regression().fit(still).at), frame
 
 
 def squeezed(picture, to_frame, to=0.15):

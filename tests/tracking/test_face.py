@@ -16,7 +16,7 @@ from facetrack_cli.runs.plan import ClipRequest
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import write_init
 from facetrack_cli.trackers.face import detectors
-from facetrack_cli.trackers.face.points import place
+from facetrack_cli.trackers.face.detectors import place
 from facetrack_cli.trackers.face.stabilized import BOX as STILL_BOX
 from facetrack_cli.trackers.face.stabilized import EYES, FACE, MIDDLE, SIDE, Similarity, change_between
 from facetrack_cli.trajectory.header import StartRecord, to_record
@@ -232,8 +232,8 @@ def test_the_detector_is_that_of_the_start_and_else_the_better_one(tmp_path):
         assert again == start
     of_others = replace(by_file, detector="haar"), replace(by_file, detector=""), replace(by_box, origin="haar")
     built = [build_tracker(recipe, start)[0] for start in (by_file, by_box, *of_others)]
-    assert [one.senses.detector.name for one in built] == [best, best, "haar", "haar", "haar"]
-    assert [one.senses.searched for one in built] == [False, True, False, False, True]
+    assert [one.sensors.detector.name for one in built] == [best, best, "haar", "haar", "haar"]
+    assert [one.sensors.searched for one in built] == [False, True, False, False, True]
 
 
 @pytest.mark.parametrize("box", [None, (115, 75, 90, 90)])

@@ -8,8 +8,8 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.start.search import MIN_LOOKS, SEARCHED_FRAMES, search_start
-from facetrack_cli.trackers.face.descent import PlacedPoints, load_descent
-from facetrack_cli.trackers.face.detectors import Found
+from facetrack_cli.trackers.face.cascaded_regression import PlacedPoints, load_regression
+from facetrack_cli.trackers.face.detectors import Detection
 from tests.support import moving_face as moving
 from tests.support.moving_face import PARTS, Pose
 
@@ -25,7 +25,7 @@ class Fake:
         self.found, self.sure = found, sure
 
     def find(self, frame):
-        return [Found((x, y, side, side), sure=self.sure) for x, y, side in self.found(frame.index)]
+        return [Detection((x, y, side, side), sure=self.sure) for x, y, side in self.found(frame.index)]
 
     def measure(self, image, box):
         return None
@@ -92,10 +92,10 @@ def placing(monkeypatch):
     def use(at):
         def placed(face, frame):
             x, y, w, h = face.box
-            places = [np.array([x, y]) + np.multiply(at(frame.index, part), [w, h]) for part in load_descent().parts]
+            places = [np.array([x, y]) + np.multiply(at(frame.index, part), [w, h]) for part in load_regression().parts]
             return PlacedPoints(np.array(places), np.full(len(places), 4.0))
 
-        monkeypatch.setattr(Found, "placed", placed)
+        monkeypatch.setattr(Detection, "placed", placed)
         return search_start(noise(30), detector=Fake(lambda t: [(40 + 2 * t, 30, 50)]))
 
     return use

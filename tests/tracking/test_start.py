@@ -21,8 +21,7 @@ from facetrack_cli.engine.checks import check_start
 from facetrack_cli.start.init_file import find_init, read_init, write_init
 from facetrack_cli.start.preview import draw_start
 from facetrack_cli.start.search import box_start, search_start
-from facetrack_cli.trackers.face.detectors import PARTS, find_faces
-from facetrack_cli.trackers.face.points import mean_eyes, place
+from facetrack_cli.trackers.face.detectors import PARTS, find_faces, mean_eyes, place
 
 SAMPLES = Path(__file__).parents[2] / "sample_videos"
 CLIPS = Path(os.environ.get("FACETRACK_CLIPS", "clips"))

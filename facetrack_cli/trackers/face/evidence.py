@@ -29,7 +29,7 @@ import numpy as np
 
 from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Frame
-from facetrack_cli.trackers.face.detectors import Found
+from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.stabilized import BOX, FACE, Similarity
 from facetrack_cli.trackers.people.identity import same_person
 from facetrack_cli.trackers.people.looks import Picture, together
@@ -65,7 +65,7 @@ class Sighting(NamedTuple):
     views: int = 1
 
     @classmethod
-    def of(cls, face: Found, frame: Frame) -> Sighting:
+    def of(cls, face: Detection, frame: Frame) -> Sighting:
         return cls(face.box, face.roll, frame.time_s)
 
     @property

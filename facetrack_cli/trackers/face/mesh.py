@@ -50,7 +50,7 @@ class Mesh:
 
     def measure(self, frame: Frame, head: Similarity, crops: tuple[tuple[float, float], ...] = CROPS) -> Array | None:
         """The points (C, 468, 2) of a face by each crop, in pixels of the stabilized image; None without a face."""
-        net, found = _mesh(self.path, get_ident()), []
+        net, crops_seen = _mesh(self.path, get_ident()), []
         for side, below in crops:
             zoom = side * EYES / CROP
             middle = np.array([MIDDLE, EYE_LINE + below * EYES])
@@ -59,8 +59,8 @@ class Mesh:
             points, presence = sorted(net.forward(net.getUnconnectedOutLayersNames()), key=np.size, reverse=True)
             if 1 / (1 + math.exp(-float(presence.ravel()[0]))) < PRESENT:
                 return None
-            found.append((points.reshape(COUNT, 3)[:, :2] - (CROP - 1) / 2) * zoom + middle)
-        return np.asarray(found, np.float64)
+            crops_seen.append((points.reshape(COUNT, 3)[:, :2] - (CROP - 1) / 2) * zoom + middle)
+        return np.asarray(crops_seen, np.float64)
 
 
 class Iris:
@@ -83,8 +83,8 @@ class Iris:
             zoom = EYE_CROP * math.hypot(*(ends[1] - ends[0]).tolist()) / EYE
             view = Similarity(head.to_frame(ends.mean(axis=0)), head.scale * zoom, head.angle + slope(ends))
             net.setInput(cv2.dnn.blobFromImage(view.read(frame, EYE).bgr[:, ::way], 1 / 255, swapRB=True))
-            told = sorted(net.forward(net.getUnconnectedOutLayersNames()), key=np.size, reverse=True)
-            points = np.concatenate([one.reshape(-1, 3)[:, :2] for one in told])[[*LIDS, IRIS]]
+            outputs = sorted(net.forward(net.getUnconnectedOutLayersNames()), key=np.size, reverse=True)
+            points = np.concatenate([output.reshape(-1, 3)[:, :2] for output in outputs])[[*LIDS, IRIS]]
             points = head.to_stabilized(view.to_frame((points - (EYE - 1) / 2) * (way, 1) + MIDDLE))
             eyes[eye], irises[k] = points[:-1], points[-1]
         return eyes, irises
@@ -105,9 +105,9 @@ def _net(path: Path, thread: int, side: int, sizes: tuple[int, ...], what: str, 
     try:
         net = cv2.dnn.readNetFromTFLite(str(path), **_ENGINE)
         net.setInput(np.zeros((1, 3, side, side), np.float32))
-        found = tuple(sorted(one.size for one in net.forward(net.getUnconnectedOutLayersNames())))
+        outputs = tuple(sorted(output.size for output in net.forward(net.getUnconnectedOutLayersNames())))
     except cv2.error:
         raise InputError(f"{path}: is no network that OpenCV reads; {remedy}") from None
-    if found != sizes:
+    if outputs != sizes:
         raise InputError(f"{path}: is another network than {what}; {remedy}")
     return net

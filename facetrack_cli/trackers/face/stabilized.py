@@ -11,7 +11,7 @@ import numpy as np
 from facetrack_cli.core.face_points import EYE_DISTANCE
 from facetrack_cli.core.types import Array, Extent, Frame, Image
 from facetrack_cli.core.warp import warp_affine
-from facetrack_cli.trackers.face.colour_kernels import coloured
+from facetrack_cli.trackers.face.image_kernels import coloured
 
 SIDE: Final = 160  # sides of the stabilized image, in pixels
 FACE: Final = 112.0  # sides of the face's box in it
