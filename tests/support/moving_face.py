@@ -1,5 +1,6 @@
 """A real face cut out of a sample clip, which moves, grows and rolls over another ground; its points are known."""
 
+from functools import cache
 from typing import NamedTuple
 
 import cv2
@@ -25,6 +26,7 @@ class Pose(NamedTuple):
     roll: float = 0.0
 
 
+@cache  # it takes longer than to paste a face, and a clip has it in each frame
 def ground(seed=0):
     """(H, W, 3): blobs of all sizes."""
     rng = np.random.default_rng(seed)

@@ -182,27 +182,26 @@ def said(z, var, sure):
     return SensorReading(np.asarray(z, float), np.full(3, var), np.full(3, sure), SIDE**2 / 4)
 
 
-def test_two_sensors_that_agree_are_one_that_is_more_exact():
-    """As the product of their normal densities, where both are sure."""
-    both = joined(said(PLACES, 4.0, 1.0), said(PLACES + 1.0, 1.0, 1.0))
-    np.testing.assert_allclose(both.z, PLACES + 0.8)
-    np.testing.assert_allclose(both.var, 1 / (1 / 4 + 1))
-    np.testing.assert_allclose(both.sure, 1.0)
+@pytest.mark.parametrize(
+    ("first", "second", "at", "sure"),
+    [
+        ((0.0, 4.0, 1.0), (1.0, 1.0, 1.0), 0.8, 1.0),  # the product of their normal densities
+        ((0.0, 4.0, 0.9), (1.0, 1.0, 0.0), 0.0, 0.9),  # one that says nothing does not count
+        ((1.0, 1.0, 0.0), (0.0, 4.0, 0.9), 0.0, 0.9),
+        ((0.0, 4.0, 0.9), (FAR_AWAY, 1.0, 0.9), FAR_AWAY, 0.9),  # far apart, the second is believed
+    ],
+)
+def test_two_readings_in_one(first, second, at, sure):
+    both = joined(*(said(PLACES + off, *rest) for off, *rest in (first, second)))
+    np.testing.assert_allclose(both.z, PLACES + at)
+    np.testing.assert_allclose(both.sure, sure)
+    if np.all(at == 0.8):
+        np.testing.assert_allclose(both.var, 1 / (1 / 4 + 1))
 
 
-def test_of_two_sensors_the_one_that_says_nothing_does_not_count():
-    one, other = said(PLACES, 4.0, 0.9), said(PLACES + 1.0, 1.0, 0.0)
-    np.testing.assert_allclose(joined(one, other).z, PLACES)
-    np.testing.assert_allclose(joined(one, other).sure, 0.9)
-    np.testing.assert_allclose(joined(other, one).z, PLACES)
-    neither = joined(other, other)
+def test_two_readings_that_say_nothing_say_nothing():
+    neither = joined(*2 * [said(PLACES, 1.0, 0.0)])
     assert np.isfinite([*neither.z.ravel(), *neither.var]).all() and (neither.sure == 0).all()
-
-
-def test_where_two_sensors_are_far_apart_the_second_is_believed():
-    far = joined(said(PLACES, 4.0, 0.9), said(PLACES + FAR_AWAY, 1.0, 0.9))
-    np.testing.assert_allclose(far.z, PLACES + FAR_AWAY)
-    np.testing.assert_allclose(far.sure, 0.9)
 
 
 def test_what_all_parts_move_together_is_the_head_s_and_what_one_moves_is_not():
@@ -264,9 +263,8 @@ def test_facing_is_the_exact_chain_of_two_states(looks, unseen):
     """The forward pass over [shown, away], with the rate of finds as it was counted; None: a frame without a look."""
     one = Facing().undetected() if unseen else Facing()
     p, (yes, no) = np.array([1.0, 0.0]), one.counts
-    moves = np.array(
-        [[1 - landmark_filters._HIDE, landmark_filters._HIDE], [landmark_filters._SHOW, 1 - landmark_filters._SHOW]]
-    )
+    hide, show = landmark_filters._HIDE, landmark_filters._SHOW
+    moves = np.array([[1 - hide, hide], [show, 1 - show]])
     for found in looks:
         one = one.predicted()
         p = p @ moves

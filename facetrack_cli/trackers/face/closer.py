@@ -16,7 +16,7 @@ from facetrack_cli.core.types import Array, Box, Frame, Point, factor_for
 from facetrack_cli.trackers.face.detectors import MAX_SEARCHED_PX, MIN_SEARCHED_PX, Detection, Detector
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity
 
-FACE_PX: Final = 67  # pixels of a face's box in the view of a face that is known
+FACE_PX: Final = 67  # pixels of a face's box in the view around a detected face
 NEAR: Final = 3  # sizes of the face's box that this view shows
 ROOM: Final = 1.5  # sizes of the frame that the view with room around it shows
 SHARED_PX: Final = 96  # pixels that neighbouring tiles share; larger faces are seen in the coarser view

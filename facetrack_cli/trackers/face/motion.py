@@ -19,9 +19,10 @@ ANY: Final = 0.3  # share of draws that do not follow what a sensor and the last
 
 
 class SensorReading(NamedTuple):
-    """What a sensor says of K parts in one frame: z (K, 2) = part + N(0, var I) with probability `sure` (K,).
+    """What a sensor says of K parts in one frame, in pixels of the stabilized image.
 
-    Otherwise it says nothing: z is then anywhere in `area` square pixels. `var` (K,) in square pixels.
+    With probability `sure` (K,), z (K, 2) is the part's place plus N(0, var I); `var` (K,) is in square pixels.
+    Otherwise z is anywhere in an `area` of so many square pixels.
     """
 
     z: Array
@@ -154,21 +155,20 @@ def jumping_walk(settings: JumpingWalkSettings, context: Context) -> JumpingWalk
 
 
 @dataclass(frozen=True)
-class MeasuredWalk(Motion):
+class MeasuredWalk(JumpingWalk):
     """A jumping walk in one frame, in which sensors have `measured` the parts.
 
     With `windows`, which score the parts, draws are weighed as they are drawn; `draws` keeps both by id.
     """
 
-    walk: JumpingWalk
     measured: Sequence[SensorReading]
-    windows: ScoredMaps | None = None
+    windows: ScoredMaps | None
     draws: dict[int, tuple[Array, Array]] = field(default_factory=dict)
 
     def propagate(self, rng: np.random.Generator, x: Array) -> Array:
         if self.windows is None:
-            return self.walk.propagate_given(rng, x, self.measured)
-        drawn, log_p = self.walk.propose(rng, x, self.measured, self.windows)
+            return self.propagate_given(rng, x, self.measured)
+        drawn, log_p = self.propose(rng, x, self.measured, self.windows)
         self.draws[id(drawn)] = drawn, log_p
         return drawn
 
@@ -176,13 +176,4 @@ class MeasuredWalk(Motion):
         return self.draws[id(x)][1] if id(x) in self.draws else None
 
     def log_importance(self, x: Array, parents: Array) -> Array:
-        return self.walk.log_measured(x, parents, self.measured)
-
-    def expect(self, x: Array) -> Array:
-        return self.walk.expect(x)
-
-    def log_transition(self, x: Array, parents: Array) -> Array:
-        return self.walk.log_transition(x, parents)
-
-    def linear(self, state: Array) -> Linear:
-        return self.walk.linear(state)
+        return self.log_measured(x, parents, self.measured)

@@ -309,7 +309,7 @@ class FaceTarget(FaceParts):
             if not isinstance(walk, JumpingWalk):
                 return walk
             windows = likelihood.scored(learned) if isinstance(likelihood, window_ncc.WindowNcc) else None
-            return MeasuredWalk(walk, view.readings, windows)
+            return MeasuredWalk(**vars(walk), measured=view.readings, windows=windows)
 
         return self.features.advanced(rng, features, view.image, (), measured)
 
