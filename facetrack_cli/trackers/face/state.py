@@ -210,7 +210,7 @@ class FaceParts:
         for names, landmarks in self._without_windows(state):
             if landmarks is None:
                 nothing = np.full((len(names), 2, 2), np.nan)
-                groups.append((nothing[0], nothing, nothing[:, 0, 0], np.ones(len(names), np.bool_)))
+                groups.append((nothing[:, 0], nothing, nothing[:, 0, 0], np.ones(len(names), np.bool_)))
             else:
                 hidden = landmarks.visible < self.settings.lost_below
                 groups.append((landmarks.at, landmarks.cov, landmarks.visible, hidden))
