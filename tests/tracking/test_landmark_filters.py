@@ -150,21 +150,6 @@ def test_a_part_that_the_sensor_does_not_know_has_no_bias_and_is_not_measured():
     assert np.isfinite([*after.bias.ravel(), *after.var, *after.noise]).all() and after.noise[1] == one.noise[1]
 
 
-def test_a_sensor_that_takes_something_else_for_a_part_is_believed_again_when_it_is_back():
-    """Of the part alone; how often it does is learned."""
-    rng, astray = np.random.default_rng(4), np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 10.0]])
-    good = fed(begun(PLACES, PLACES, 2.0), 0.0, 100, rng)
-    gone = fed(good, astray, 3, rng)
-    assert (gone.reliability > 0.5).tolist() == [True, True, False] and gone.reading(PLACES, VISIBLE).sure[2] < 0.2
-    back = fed(fed(good, astray, 30, rng), 0.0, 4, rng)
-    assert (back.reading(PLACES, VISIBLE).sure > 0.9).all()
-    np.testing.assert_allclose(back.bias, good.bias, atol=1.0)
-    often = good
-    for _ in range(10):
-        often = fed(fed(often, astray, 20, rng), 0.0, 10, rng)
-    assert often.error_rate[2] > 0.5 > 0.02 > often.error_rate[:2].max()
-
-
 def test_windows_that_see_a_part_elsewhere_speak_against_a_sensor():
     sensor = begun(PLACES, PLACES, 2.0)
     after = [
@@ -283,7 +268,6 @@ def test_facing_is_the_exact_chain_of_two_states(looks, unseen):
 
 REST = MIDDLE + 30 * np.random.default_rng(7).standard_normal((30, 2))
 SHOWN = np.full(30, 4.0)
-HIDDEN = np.where(np.arange(30) < 6, -4.0, 4.0)
 TURN = Similarity(np.array([83.0, 71.0]), 1.0, 0.3)
 
 
@@ -343,26 +327,6 @@ def test_each_point_is_the_kalman_filter_that_is_written():
     for mine, written in ((one.rest, rest), (one.motion_var, s2), (one.noise_var, r2), (one.last, np.stack(before))):
         np.testing.assert_allclose(mine, written)
     np.testing.assert_allclose(one.cov[:, 0, 0], var + BIAS**2)
-
-
-def test_hidden_points_are_led_by_the_visible_ones_and_known_less_and_less():
-    rng = np.random.default_rng(3)
-    one = LandmarkFilter.begin(REST)
-    for _ in range(8):
-        one = one.after(REST, HIDDEN)
-    for t in range(12):
-        true = Similarity(np.array([MIDDLE + t, MIDDLE - t]), 1 + 0.01 * t, 0.02 * t).to_frame(REST)
-        z = np.where(HIDDEN[:, None] < 0, true + rng.uniform(20, 40, REST.shape), true)
-        one = one.after(z, HIDDEN)
-        np.testing.assert_allclose(one.at, true, atol=0.03 * EYES)
-    np.testing.assert_allclose(one.var[:6], one.motion_var[:6], rtol=0.01)
-    assert one.var[6:].max() < 0.3 * one.var[:6].min()
-    np.testing.assert_array_equal(one.belief().doubt, HIDDEN < 0)
-    # where they are seen again, they are where they are measured
-    for _ in range(4):
-        one = one.after(z, SHOWN)
-    np.testing.assert_allclose(one.at[:6], z[:6], atol=0.1 * EYES)
-    assert not one.belief().doubt.any()
 
 
 def test_in_another_stabilized_image_all_is_as_it_would_have_been_there():

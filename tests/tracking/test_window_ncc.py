@@ -12,7 +12,6 @@ from facetrack_cli.trackers.face.settings import Length, ShiftPerPart, WindowNcc
 from facetrack_cli.trackers.face.window_ncc import NEW_BELOW, YOUNG, WindowNcc
 from tests.support.images import frame
 from tests.support.parts import section
-from tests.support.samples import TrackClip
 from tests.twins import window_ncc as naive
 
 PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
@@ -87,20 +86,6 @@ def test_the_peak_is_at_the_truth_whatever_the_light(gain):
     score = model.score(learned, frame(moved), x0 + offsets, x0 + offsets)
     np.testing.assert_array_equal(offsets[score.argmax(axis=0), 0], [shift, shift])
     assert model.correlation(learned, (x0 + shift)[None]).min() > 0.97
-
-
-def test_the_peak_on_a_real_face_is_at_the_truth():
-    clip = TrackClip("expressions", 40)
-    at = np.array([[(row.x, row.y) for row in (clip.truth[t, part] for part in PARTS)] for t in range(40)])
-    model = built([[20, 20], *[[15, 15]] * 4], reach=18.0)
-    learned = model.init(clip.frames[0], at[0])
-    offsets = np.stack(np.meshgrid(*2 * [np.arange(-14, 14.01, 0.5)]), axis=2).reshape(-1, 1, 2)
-    off = []
-    for t in range(4, 40, 5):
-        learned = model.look(learned, clip.frames[t], at[t])
-        score = model.score(learned, clip.frames[t], at[t] + offsets, at[t] + offsets)
-        off.append(np.hypot(*offsets[score.argmax(axis=0), 0].T))
-    assert np.median(off) < 1.5 and np.mean(np.array(off) < 4) > 0.9
 
 
 def test_a_shifted_window_lies_beside_its_part():
@@ -264,10 +249,3 @@ def test_where_a_track_begins_again_the_frame_is_looked_at_and_not_the_first_one
     np.testing.assert_array_equal(again.good, seen.good)
     np.testing.assert_array_equal(again.beside, seen.beside)
     assert again.maps is None and again.good[0] < learned.good[0]
-
-
-def test_one_template_alone_stays_the_first_one():
-    model, learned, x = one_part(texture(0), templates=1)
-    for _ in range(3):
-        learned = step(model, learned, with_patch(texture(0), texture(1)), x, says=4.0)
-    assert learned.templates.number[0] == 1

@@ -94,7 +94,7 @@ class Iris:
         return eyes, irises
 
 
-def _outputs(net: cv2.dnn.Net, image: Image | NDArray[np.float32]) -> list[Array]:
+def _outputs(net: cv2.dnn.Net, image: Image | NDArray[np.float32]) -> list[Any]:
     """The network's outputs for an image (H, W, 3), the largest first."""
     net.setInput(cv2.dnn.blobFromImage(image, 1 / 255, swapRB=True))
     return sorted(net.forward(net.getUnconnectedOutLayersNames()), key=np.size, reverse=True)
