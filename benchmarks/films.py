@@ -27,7 +27,7 @@ import facetrack_cli as facetrack
 from facetrack_cli.core.geometry import overlap
 from facetrack_cli.core.types import Array
 from facetrack_cli.evaluation.identities import SAME, Seen, measure_people
-from facetrack_cli.trackers.face.detectors import Found, detector
+from facetrack_cli.trackers.face.detectors import Detection, detector
 from facetrack_cli.trackers.face.stabilized import Similarity, slope
 from facetrack_cli.trackers.people import descriptor as looks
 from facetrack_cli.trackers.people import identity
@@ -65,7 +65,8 @@ def tracked(clip: Path, faces: str) -> Faces:
 
 def detected(clip: Path) -> Faces:
     """Tracks by overlap, and people by clusters of mean embeddings."""
-    look, open_, done = detector("yunet"), list[list[tuple[int, Found, Any]]](), list[list[tuple[int, Found, Any]]]()
+    look, open_ = detector("yunet"), list[list[tuple[int, Detection, Any]]]()
+    done = list[list[tuple[int, Detection, Any]]]()
     with open_source(clip) as source:
         for frame in source:
             faces = look.find(frame)
@@ -90,7 +91,7 @@ def detected(clip: Path) -> Faces:
     return found
 
 
-def chip(frame: Any, face: Found) -> Any:
+def chip(frame: Any, face: Detection) -> Any:
     x, y, w, h = face.box
     turn = 0.0 if face.eyes is None else slope(np.array(face.eyes))
     return looks.Picture.of(frame, Similarity(np.array([x + w / 2, y + h / 2]), w, turn)).chip

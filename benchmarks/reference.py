@@ -9,12 +9,12 @@ from typing import Final
 import numpy as np
 
 from facetrack_cli.core.types import Array, Box
-from facetrack_cli.trackers.face import descent, eyes
+from facetrack_cli.trackers.face import cascaded_regression, eyes
 
 MESH: Final = "mesh.csv"
 EYES: Final = "eyes.csv"
 HANDS: Final = "hands.csv"
-SHIPPED: Final = descent.DEFAULT, eyes.DEFAULT
+SHIPPED: Final = cascaded_regression.DEFAULT, eyes.DEFAULT
 
 
 def points_in(path: Path) -> dict[int, dict[str, tuple[float, float, float]]]:
@@ -46,11 +46,11 @@ def take_regression(folder: Path | None, name: str) -> None:
     """Let recipes use the regressions of a folder that have not seen the clip: without_NAME.npz and, where it is there,
     eyes_without_NAME.npz. None: the package's.
     """
-    descent.DEFAULT, eyes.DEFAULT = SHIPPED
-    descent.load_descent.cache_clear()
+    cascaded_regression.DEFAULT, eyes.DEFAULT = SHIPPED
+    cascaded_regression.load_regression.cache_clear()
     eyes.load_eyes.cache_clear()
     if folder is not None:
-        descent.DEFAULT = str((folder / f"without_{name}.npz").resolve())
+        cascaded_regression.DEFAULT = str((folder / f"without_{name}.npz").resolve())
         if (lids := folder / f"eyes_without_{name}.npz").exists():
             eyes.DEFAULT = str(lids.resolve())
 

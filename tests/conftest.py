@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.trackers.face import detectors, points
+from facetrack_cli.trackers.face import detectors
 from tests.support.models import hide_models, model_file
 from tests.support.samples import FOLDER
 
@@ -38,16 +38,16 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 _ASKED = []  # whether the test that runs has asked for Haar cascades in vain, beside an OpenCV without them, as 5 is
 _IN_VAIN = set()  # files of tests in which a fixture did
-_check = points.check_cascades
+_check = detectors.check_cascades
 
 
 def _checked():
-    if not points.has_cascades():
+    if not detectors.has_cascades():
         _ASKED.append(True)
     _check()
 
 
-points.check_cascades = detectors.check_cascades = _checked
+detectors.check_cascades = _checked
 
 
 def _skips_without_cascades(item):

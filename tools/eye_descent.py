@@ -42,8 +42,15 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.types import Array, Frame
 from facetrack_cli.trackers.face import eyes
-from facetrack_cli.trackers.face.descent import CORNER, SIDE, Descent, channels, load_descent, read
-from facetrack_cli.trackers.face.eyes import CORNERS, POINTS, SIDES, EyeDescent, openings, phi, views
+from facetrack_cli.trackers.face.cascaded_regression import (
+    CORNER,
+    SIDE,
+    CascadedRegression,
+    channels,
+    load_regression,
+    read,
+)
+from facetrack_cli.trackers.face.eyes import CORNERS, POINTS, SIDES, EyeRegression, openings, phi, views
 from facetrack_cli.trackers.face.mesh import Iris, Mesh
 from facetrack_cli.trackers.face.stabilized import EYES, MIDDLE, Similarity
 
@@ -141,7 +148,7 @@ class Drawn(NamedTuple):
 
 
 def draw(
-    rng: np.random.Generator, mouth: Descent, clip: Clip, others: Sequence[Clip] = (), share: float = 0.0
+    rng: np.random.Generator, mouth: CascadedRegression, clip: Clip, others: Sequence[Clip] = (), share: float = 0.0
 ) -> Drawn:
     one = sample(rng, clip, others, share)
     one = shades(rng, one) if rng.random() < SHADES * share else one
@@ -150,17 +157,17 @@ def draw(
     covered = one.covered[IN_NAMES][np.array(SIDES)].mean(axis=1)
     true = HEAD.to_stabilized(one.points[IN_NAMES])
     upper = seen[: SIDE // 2].copy()  # holds the eyes; the whole takes gigabytes
-    return Drawn(Frame(0, 0.0, one.picture), upper, mouth.descended(seen) + CORNER, true, covered)
+    return Drawn(Frame(0, 0.0, one.picture), upper, mouth.run_stages(seen) + CORNER, true, covered)
 
 
-def drawn_of(mouth: Descent, clip: Clip, clips: Sequence[Clip]) -> tuple[list[Drawn], list[Drawn]]:
+def drawn_of(mouth: CascadedRegression, clip: Clip, clips: Sequence[Clip]) -> tuple[list[Drawn], list[Drawn]]:
     """Samples of a clip: of eyes that are free, and of eyes some of which are covered."""
     rng = np.random.default_rng(0)
     free = [draw(rng, mouth, clip) for _ in range(SAMPLES)]
     return free, [draw(rng, mouth, clip, clips, COVERED) for _ in range(SAMPLES // 2)]
 
 
-def patches(model: EyeDescent, one: Drawn, off: Array) -> Array:
+def patches(model: EyeRegression, one: Drawn, off: Array) -> Array:
     """phi (2, WIDTH) of both eyes, whose corners are found `off` (2,)."""
     found = views(HEAD, model.corners(one.seen, one.parts) + off)
     return np.array(
@@ -168,7 +175,7 @@ def patches(model: EyeDescent, one: Drawn, off: Array) -> Array:
     )
 
 
-def train(mouth: Descent, clips: Sequence[tuple[list[Drawn], list[Drawn]]]) -> EyeDescent:
+def train(mouth: CascadedRegression, clips: Sequence[tuple[list[Drawn], list[Drawn]]]) -> EyeRegression:
     rng = np.random.default_rng(1)
     free, some = ([one for clip in clips for one in clip[i]] for i in (0, 1))
     true = np.array([one.true[CORNERS] for one in free]) - CORNER
@@ -181,7 +188,7 @@ def train(mouth: Descent, clips: Sequence[tuple[list[Drawn], list[Drawn]]]) -> E
         stages.append(solved(seen, (true - x).reshape(len(x), -1), ridge))
         x = x + (seen @ stages[-1]).reshape(x.shape)
     blind = np.zeros((eyes.WIDTH, 9), np.float32)
-    model = EyeDescent(mouth.mean, mean, first, np.array(SCALES), np.ones(4), np.array(stages, np.float32), blind)
+    model = EyeRegression(mouth.mean, mean, first, np.array(SCALES), np.ones(4), np.array(stages, np.float32), blind)
     looks, wanted = [], []
     for one in free:
         off = rng.normal(0, JITTER * EYES, 2)
@@ -207,7 +214,7 @@ class Errors(NamedTuple):
     covered: Array
 
 
-def errors(model: EyeDescent, clip: tuple[list[Drawn], list[Drawn]]) -> Errors:
+def errors(model: EyeRegression, clip: tuple[list[Drawn], list[Drawn]]) -> Errors:
     """What a model that has not seen the clip makes of it."""
     free, some = ([model.fit(one.frame, HEAD, one.seen, one.parts) for one in each] for each in clip)
     off = np.array([found.at - one.true for found, one in zip(free, clip[0], strict=True)])
@@ -215,7 +222,7 @@ def errors(model: EyeDescent, clip: tuple[list[Drawn], list[Drawn]]) -> Errors:
     return Errors(off, odds, np.array([one.covered for one in clip[1]]))
 
 
-def calibrated(model: EyeDescent, found: Sequence[Errors]) -> EyeDescent:
+def calibrated(model: EyeRegression, found: Sequence[Errors]) -> EyeRegression:
     """The model with the errors of clips left out, and scores as logarithms of the likelihood ratio (Platt 1999)."""
     odds, covered = (np.concatenate([getattr(one, key).ravel() for one in found]) for key in ("odds", "covered"))
     known = (covered > HIDDEN) | (covered < HIDDEN / 2)
@@ -231,7 +238,7 @@ def main() -> None:
     args = arguments(__doc__, "models", eyes.DEFAULT)
     mesh, iris = Mesh(args.models / "face_landmark.tflite"), Iris(args.models / "iris_landmark.tflite")
     found = (load(path, mesh, iris) for path in clips_in(args.clips, args.without))
-    clips, mouth = [clip for clip in found if clip is not None], load_descent()
+    clips, mouth = [clip for clip in found if clip is not None], load_regression()
     drawn = [drawn_of(mouth, clip, clips) for clip in clips]
     model = train(mouth, drawn)
     if not args.quick:

@@ -34,8 +34,8 @@ from facetrack_cli.core.face_points import MESH as NUMBERS
 from facetrack_cli.core.face_points import POINTS
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.types import Array, Frame, Image, Mask
-from facetrack_cli.trackers.face import descent
-from facetrack_cli.trackers.face.descent import SIDE, Descent, channels, read
+from facetrack_cli.trackers.face import cascaded_regression
+from facetrack_cli.trackers.face.cascaded_regression import SIDE, CascadedRegression, channels, read
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.face.mesh import Mesh
 from facetrack_cli.trackers.face.stabilized import EYE_LINE, EYES, MIDDLE, Similarity
@@ -114,7 +114,7 @@ def faces_in(path: Path, mesh: Mesh, more: Container[int] = ()) -> Iterator[tupl
 
 def picture_of(frame: Frame, head: Similarity, at: Array, zoom: int = 1) -> tuple[Image, Array]:
     """The picture of a face, as in `Clip`, and the points `at` (K, 2) of the frame in it."""
-    corner = descent.CORNER - PAD
+    corner = cascaded_regression.CORNER - PAD
     middle = corner + (SIDE + 2 * PAD - 1) / 2
     crop = Similarity(head.to_frame(middle), head.scale / zoom, head.angle).read(frame, (SIDE + 2 * PAD) * zoom)
     return crop.bgr, (head.to_stabilized(at) - corner + 0.5) * zoom - 0.5
@@ -235,7 +235,7 @@ def shape(rng: np.random.Generator, points: Array, side: int) -> NDArray[np.floa
     return mask
 
 
-def train(clips: Sequence[Clip], seed: int = 0) -> Descent:
+def train(clips: Sequence[Clip], seed: int = 0) -> CascadedRegression:
     rng = np.random.default_rng(seed)
     drawn = [sample(rng, clip) for clip in clips for _ in range(SAMPLES)]
     seen, points = [channels(one.picture) for one in drawn], np.array([one.points[: len(PARTS)] for one in drawn])
@@ -249,18 +249,18 @@ def train(clips: Sequence[Clip], seed: int = 0) -> Descent:
         x = x + (phi @ stages[-1]).reshape(x.shape)
     std = np.sqrt(((x - points[which]) ** 2).sum(axis=2).mean(axis=0) / 2)
     blind = np.zeros((1, len(NAMES)), np.float32)
-    model = Descent(NAMES, mean, np.array(stages, np.float32), np.array(SCALES), std, blind)
+    model = CascadedRegression(NAMES, mean, np.array(stages, np.float32), np.array(SCALES), std, blind)
     return model._replace(odds=odds_of(rng, model, clips))
 
 
-def odds_of(rng: np.random.Generator, model: Descent, clips: Sequence[Clip]) -> NDArray[np.float32]:
+def odds_of(rng: np.random.Generator, model: CascadedRegression, clips: Sequence[Clip]) -> NDArray[np.float32]:
     """The regressions that tell whether points are visible, around parts where the model has placed them."""
     drawn = [sample(rng, clip, clips, COVERED) for clip in clips for _ in range(SAMPLES // 2)]
     found, visible = [], np.array([1 - 2 * one.covered for one in drawn])
     for one in drawn:
         seen, at = channels(one.picture), one.points + rng.normal(0, JITTER * EYES, one.points.shape)
-        at[: len(PARTS)] = model.descended(seen)
-        found.append(read(seen, at, descent.ODDS_SCALE)[:-1].reshape(len(at), -1))
+        at[: len(PARTS)] = model.run_stages(seen)
+        found.append(read(seen, at, cascaded_regression.ODDS_SCALE)[:-1].reshape(len(at), -1))
     phi = np.array(found)
     phi = np.concatenate([phi, np.ones_like(phi[..., :1])], axis=2)
     odds = [solved(phi[:, j], visible[:, j], ODDS_RIDGE) for j in range(len(NAMES))]
@@ -282,9 +282,9 @@ class Errors(NamedTuple):
     covered: Array
 
 
-def errors(model: Descent, clip: Clip, others: Sequence[Clip]) -> Errors:
+def errors(model: CascadedRegression, clip: Clip, others: Sequence[Clip]) -> Errors:
     """What a model that has not seen the clip makes of it."""
-    rng, corner = np.random.default_rng(1), descent.CORNER.astype(int)
+    rng, corner = np.random.default_rng(1), cascaded_regression.CORNER.astype(int)
     off, scores, covers = [], [], []
     for share in (0.0,) * 50 + (1.0,) * 50:
         one = sample(rng, clip, others, share)
@@ -295,12 +295,12 @@ def errors(model: Descent, clip: Clip, others: Sequence[Clip]) -> Errors:
         if not share:
             off.append(placed.at - at[:k])
         at[:k] = placed.at
-        scores.append(model.visible(descent.seen_in(still), at))
+        scores.append(model.visible(cascaded_regression.face_channels(still), at))
         covers.append(one.covered)
     return Errors(np.sqrt(np.var(off, axis=0).mean(axis=1)), np.array(scores), np.array(covers))
 
 
-def calibrated(model: Descent, found: Sequence[Errors]) -> Descent:
+def calibrated(model: CascadedRegression, found: Sequence[Errors]) -> CascadedRegression:
     """The model with the errors of clips left out, and scores as logarithms of the likelihood ratio (Platt 1999)."""
     odds = model.odds.copy()
     scores, covers = (np.concatenate([getattr(one, key) for one in found]) for key in ("scores", "covered"))
@@ -342,7 +342,7 @@ def arguments(about: str | None, networks: str, output: str) -> argparse.Namespa
 
 
 def main() -> None:
-    args = arguments(__doc__, "mesh", descent.DEFAULT)
+    args = arguments(__doc__, "mesh", cascaded_regression.DEFAULT)
     mesh = Mesh(args.mesh)
     found = (load(path, mesh) for path in clips_in(args.clips, args.without))
     clips = [clip for clip in found if clip is not None]

@@ -25,8 +25,7 @@ from facetrack_cli.engine.loop import Target, TrackState
 from facetrack_cli.recipe.model import Recipe
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.trackers.face.closer import everywhere, near, righted
-from facetrack_cli.trackers.face.detectors import MIN_FACE_SHARE, Detector, Found
-from facetrack_cli.trackers.face.points import EYES_IN_BOX, MOUTH_Y, named
+from facetrack_cli.trackers.face.detectors import EYES_IN_BOX, MIN_FACE_SHARE, MOUTH_Y, Detection, Detector, named
 from facetrack_cli.trackers.face.target import FaceTarget
 from facetrack_cli.trajectory.trajectory import UNSEEN, FrameResult, TargetResult
 from facetrack_cli.video.shots import Shot
@@ -55,7 +54,7 @@ class Track:
     rng: Generator
     state: Any
     odds: float = _BEGINS
-    closer: Found | None = None  # as it was found, where that took a closer look
+    closer: Detection | None = None  # as it was found, where that took a closer look
     box: Box | None = None  # where it is; None while it is lost
 
     def see(self, rows: TargetResult) -> None:
@@ -181,7 +180,7 @@ class MultiFaceTracker:
             track.see(first)
             film.tracks.append(track)
 
-    def _is_new(self, face: Found, kept: Sequence[Track], frames: Sequence[Frame], *, nobody: bool) -> bool:
+    def _is_new(self, face: Detection, kept: Sequence[Track], frames: Sequence[Frame], *, nobody: bool) -> bool:
         """Whether a face in the picture is of no track, and seen in an earlier frame, too, if there is one.
 
         Where `nobody` else is seen it may be small.
@@ -197,7 +196,7 @@ class MultiFaceTracker:
             return near(self.detector, before, face.box, face.turn) is not None
         return _taken(face, self.detector.find(before))
 
-    def _new_track(self, film: FilmState, face: Found, frame: Frame) -> tuple[Track, TargetResult] | None:
+    def _new_track(self, film: FilmState, face: Detection, frame: Frame) -> tuple[Track, TargetResult] | None:
         """A track that begins with a face; None where its points are not in the picture."""
         face = righted(self.detector, frame, face)
         points = named(face.placed(frame))
@@ -235,7 +234,7 @@ def in_view(face: Box, size: tuple[int, int]) -> bool:
     return share_inside((x + left * w, y + top * h, (right - left) * w, down * h), size) >= INSIDE
 
 
-def _taken(face: Found, others: Sequence[Found]) -> bool:
+def _taken(face: Detection, others: Sequence[Detection]) -> bool:
     return any(overlap(one.box, face.box) >= SAME_FACE for one in others)
 
 

@@ -28,14 +28,15 @@ from facetrack_cli.trackers.face.closer import everywhere, near, righted
 from facetrack_cli.trackers.face.detectors import (
     MIN_CONTRAST,
     PARTS,
+    Detection,
     Detector,
-    Found,
     Haar,
     NotHereError,
     check_parts,
     detector,
+    named,
+    shows_eye,
 )
-from facetrack_cli.trackers.face.points import named, shows_eye
 from facetrack_cli.trackers.face.stabilized import Similarity
 
 SEARCHED_FRAMES: Final = 250  # frames that are searched, of images that are all kept
@@ -69,7 +70,7 @@ class _Candidate:
     it was found first.
     """
 
-    face: Found
+    face: Detection
     boxes: list[tuple[int, Box]] = field(default_factory=list)
     points: list[dict[str, Point]] = field(default_factory=list)
     contrast: list[float] = field(default_factory=list)
@@ -251,7 +252,7 @@ class _Search:
                         self.candidates.remove(candidate)
                 self._add(_Candidate(face), frame, face)
 
-    def _add(self, candidate: _Candidate, frame: Frame, face: Found) -> None:
+    def _add(self, candidate: _Candidate, frame: Frame, face: Detection) -> None:
         placed = face.placed(frame)
         points = named(placed)
         if not all(inside(points[part], frame.size) for part in self.parts):
@@ -264,7 +265,7 @@ class _Search:
         candidate.points.append(points)
         candidate.contrast.append(float(grey.std()))
         candidate.see(frame, alone=len(self.candidates) < 2)
-        candidate.certain = candidate.certain or placed.sure > 0
+        candidate.certain = candidate.certain or placed.log_odds > 0
         candidate.features = candidate.features or face.sure or candidate.certain or shows_eye(frame.bgr, face.box)
         start = Start(frame.index, {"face": TargetStart(face.box, points)}, self.detector.name)
         try:
@@ -375,7 +376,7 @@ def box_start(
         wrong = f"is not in {size}; give left, top, width and height in pixels of the frame"
     else:
         look = detector(by)
-        face = righted(look, frame, Found(box))
+        face = righted(look, frame, Detection(box))
         points = named(face.placed(frame)) if face.turn else look.place(frame.bgr, box)
         outside = [part for part in parts if not inside(points[part], frame.size)]
         if not outside:

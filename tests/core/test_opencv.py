@@ -12,7 +12,7 @@ import pytest
 
 from facetrack_cli.core import geometry
 from facetrack_cli.core.errors import UsageError, check_opencv
-from facetrack_cli.trackers.face import points
+from facetrack_cli.trackers.face import detectors
 
 needs_4 = pytest.mark.skipif(not cv2.__version__.startswith("4."), reason="compares with OpenCV 4")
 
@@ -49,13 +49,13 @@ def test_haar_beside_an_opencv_without_it_ends_in_one_line_with_the_remedy(tmp_p
     if missing == "class":
         monkeypatch.delattr(cv2, "CascadeClassifier", raising=False)
     else:  # as in contrib 5
-        monkeypatch.setattr(points, "_file", lambda name: tmp_path / name)
-    points.has_cascades.cache_clear()
+        monkeypatch.setattr(detectors, "_file", lambda name: tmp_path / name)
+    detectors.has_cascades.cache_clear()
     try:
         with pytest.raises(UsageError, match=r"^the installed OpenCV .* has no Haar cascades; pip install .*detect"):
-            points.check_cascades()
+            detectors.check_cascades()
     finally:
-        points.has_cascades.cache_clear()
+        detectors.has_cascades.cache_clear()
 
 
 def both(monkeypatch, see):

@@ -93,7 +93,7 @@ def test_a_run_is_built_and_recorded_with_the_network(mesh_model, tmp_path, monk
     assert run(capfd)[0] == 0
     monkeypatch.setenv("FACETRACK_MODELS", str(mesh_model.parent))
     [target] = build_tracker(load_recipe("face"), TrackClip("expressions", 1).start)
-    assert target.senses.mesh.path == mesh_model
+    assert target.sensors.mesh.path == mesh_model
     code, lines = run(capfd, "filter.particles=100")
     assert (code, lines) == (0, [])
     found = {one.parent.name: json.loads(one.read_text())["networks"] for one in tmp_path.glob("*/run.json")}

@@ -11,7 +11,7 @@ from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import lost_words
 from facetrack_cli.runs.verdict import EVERY_FRAMES, RunMonitor
-from facetrack_cli.trackers.face.detectors import Found
+from facetrack_cli.trackers.face.detectors import Detection
 from tests.support.results import part, result, target
 from tests.support.samples import FOLDER
 
@@ -26,7 +26,7 @@ class Sees:
 
     def measure(self, image, box):
         self.count += 1
-        return Found(box, {}) if self.every and self.count % self.every == 0 else None
+        return Detection(box, {}) if self.every and self.count % self.every == 0 else None
 
     def find(self, frame):
         return [one for one in [self.measure(frame.bgr, (0.0, 0.0, 9.0, 9.0))] if one is not None]

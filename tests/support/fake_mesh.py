@@ -1,5 +1,6 @@
 """In place of the network `mesh`: it knows where the face of `moving_face` is and says so with noise, or sees none."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ def head_of(pose: Pose) -> Similarity:
     return Similarity(np.array([pose.x, pose.y]), pose.side / FACE, np.radians(pose.roll))
 
 
+@cache
 def layout() -> np.ndarray:
     """(468, 2): the mesh in the first frame of the sample clip; points without a name lie between others."""
     known = np.array([_AT[part] for part in MESH], float)

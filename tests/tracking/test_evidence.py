@@ -6,7 +6,7 @@ import pytest
 
 from facetrack_cli.core.types import Frame
 from facetrack_cli.trackers.face import evidence
-from facetrack_cli.trackers.face.detectors import Found
+from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.evidence import (
     AWAY,
     BOUND,
@@ -59,7 +59,7 @@ def look(box, seed, **how):
 def seen(box, turn=0.0):
     x, y = box[0] + box[2] / 2, box[1] + box[2] / 2
     along = 10 * np.array([np.cos(turn), np.sin(turn)])
-    return Found(box, eyes=((x - along[0], y - along[1]), (x + along[0], y + along[1])))
+    return Detection(box, eyes=((x - along[0], y - along[1]), (x + along[0], y + along[1])))
 
 
 OWN = (look(BOX, 1),)

@@ -6,16 +6,13 @@ import pytest
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
-from facetrack_cli.engine.loop import track
-from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.start.assembly import build_tracker
-from facetrack_cli.trackers.face.descent import load_descent, seen_in
+from facetrack_cli.trackers.face.cascaded_regression import face_channels, load_regression
 from facetrack_cli.trackers.face.eyes import CORNERS, POINTS, SMALL, load_eyes, openings
 from facetrack_cli.trackers.face.mesh import Iris
 from facetrack_cli.trackers.face.stabilized import EYES
 from tests.support import moving_face as moving
 from tests.support.fake_mesh import _AT, IN_CLIP, head_of
-from tests.support.moving_face import PARTS, Pose
+from tests.support.moving_face import Pose
 
 TRUE = np.array([_AT[point] for point in POINTS], float)  # in the stabilized image
 POSES = [IN_CLIP, Pose(120, 110, 60), Pose(180, 125, 130, 12), Pose(160, 120, 90, -20)]
@@ -27,7 +24,7 @@ def found(pose, change=lambda picture, to_frame: picture):
     head = head_of(pose)
     frame = Frame(0, 0.0, change(frame.bgr.copy(), head.to_frame))
     still = head.read(frame).bgr
-    return load_eyes().fit(frame, head, seen_in(still), load_descent().fit(still).at), frame
+    return load_eyes().fit(frame, head, face_channels(still), load_regression().fit(still).at), frame
 
 
 def squeezed(picture, to_frame, to=0.15):
@@ -79,19 +76,6 @@ def test_eyes_that_are_too_small_are_not_seen():
     assert np.all(found(small)[0].odds < 0)
 
 
-def test_a_run_has_rows_of_eyes_though_its_start_has_none():
-    poses = [IN_CLIP] * 6
-    tracker = build_tracker(load_recipe("face", ["head.detections=null"]), moving.start(poses[0]))
-    assert tracker[0].parts == (*PARTS, "box", *POINTS)
-    one = list(track(tracker, iter(moving.clip(poses)), 0))
-    names = [part for _, part in one[-1].rows.names]
-    rows = one[-1].rows
-    index = [names.index(part) for part in POINTS]
-    assert np.all(rows.status[index] == "tracked") and np.all(rows.std_x[index] > 0)
-    at = head_of(IN_CLIP).to_stabilized(np.stack([rows.x, rows.y], axis=1)[index])
-    assert (np.hypot(*(at - TRUE).T) / EYES).max() < 0.12
-
-
 def test_the_network_for_an_eye_places_lids_and_iris(iris_model):
     iris = Iris(iris_model)
     for pose in POSES:
@@ -107,9 +91,7 @@ def test_the_network_for_an_eye_places_lids_and_iris(iris_model):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda one: one._replace(mean=one.mean[:3]), "are no regressions of eyes"),
         (lambda one: one._replace(lids=one.lids[:-1]), "are no regressions of eyes"),
-        (lambda one: one._replace(stages=one.stages[:1]), "are no regressions of eyes"),
         (lambda one: one._replace(scales=one.scales[:0], stages=one.stages[:0]), "above 0"),
         (lambda one: one._replace(first=one.first * np.nan), "not finite"),
         (lambda one: one._replace(std=0 * one.std), "above 0"),

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
-from facetrack_cli.trackers.face.detectors import Found
+from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.stabilized import Similarity
 from facetrack_cli.trackers.people import identity
 from facetrack_cli.trackers.people.descriptor import (
@@ -217,7 +217,7 @@ class Sees:
 
     def measure(self, image, box):
         score = next(self.scores)
-        return Found(box, score=score) if score else None
+        return Detection(box, score=score) if score else None
 
 
 def reader_of(*scores, blur=0.0):

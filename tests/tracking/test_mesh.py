@@ -7,11 +7,11 @@ import pytest
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import MESH, POINTS
-from facetrack_cli.trackers.face.descent import load_descent, seen_in
-from facetrack_cli.trackers.face.detectors import Found
+from facetrack_cli.trackers.face.cascaded_regression import face_channels, load_regression
+from facetrack_cli.trackers.face.detectors import Detection
+from facetrack_cli.trackers.face.landmark_filters import DETECTOR, FADES, NETWORK, REGRESSION
+from facetrack_cli.trackers.face.landmark_sensors import LandmarkSensors
 from facetrack_cli.trackers.face.mesh import COUNT, CROPS, NAMES, Mesh
-from facetrack_cli.trackers.face.senses import Senses
-from facetrack_cli.trackers.face.sensors import DETECTOR, FADES, NETWORK, REGRESSION
 from facetrack_cli.trackers.face.stabilized import EYES
 from tests.support import moving_face as moving
 from tests.support.fake_mesh import IN_CLIP, FakeMesh, head_of
@@ -45,7 +45,9 @@ def test_the_network_places_the_points_where_they_are(mesh_model, pose):
     at = found.mean(axis=0)
     true = head.to_stabilized(moving.truth(pose, 0))
     assert off(at[CORE], true).max() < 0.12
-    assert off(at[CORE], load_descent().fit(head.read(frame).bgr).at).max() < 0.2, "and where the regression has them"
+    assert off(at[CORE], load_regression().fit(head.read(frame).bgr).at).max() < 0.2, (
+        "and where the regression has them"
+    )
     # brows above eyes above nose, and the left of the image at the left
     brow, eye, chin = (at[MESH[part]] for part in ("brow_left_middle", "eye_left_upper", "chin"))
     assert brow[1] < eye[1] < at[MESH["nose"], 1] < chin[1] and eye[0] < chin[0] < at[MESH["eye_right_upper"], 0]
@@ -93,29 +95,29 @@ def test_another_network_is_refused_before_anything_is_tracked(tmp_path, monkeyp
         Mesh(tmp_path / "iris.tflite")
 
 
-# --- what senses the points -----------------------------------------------------------------------------------------
+# --- what sensors the points -----------------------------------------------------------------------------------------
 
 
-def sensed(senses, pose=IN_CLIP):
+def sensed(sensors, pose=IN_CLIP):
     [frame] = moving.clip([pose])
     head = head_of(pose)
     seen = head.read(frame)
-    return senses.sensed(frame, head, seen), seen.bgr
+    return sensors.read(frame, head, seen), seen.bgr
 
 
-def begun(senses, x0, found=None):
+def begun(sensors, x0, found=None):
     [frame] = moving.clip([IN_CLIP])
     head = head_of(IN_CLIP)
-    return senses.begin(frame, head, head.read(frame), found, x0)
+    return sensors.begin(frame, head, head.read(frame), found, x0)
 
 
-def senses_of(parts, mesh=None, others=(), searched=False):
-    return Senses(parts, None, searched, mesh, others)
+def sensors_of(parts, mesh=None, others=(), searched=False):
+    return LandmarkSensors(parts, None, searched, mesh, others)
 
 
 def test_without_a_network_the_regression_places_its_parts_and_of_others_nothing_is_known():
-    (_, parts, network, others, _), seen = sensed(senses_of(("lip_lower", "ear_left", "nose", "chin")))
-    expected, order = load_descent().fit(seen), [PARTS.index("lip_lower"), 0]
+    (_, parts, network, others, _), seen = sensed(sensors_of(("lip_lower", "ear_left", "nose", "chin")))
+    expected, order = load_regression().fit(seen), [PARTS.index("lip_lower"), 0]
     np.testing.assert_array_equal(parts.at[[0, 2]], expected.at[order])
     np.testing.assert_array_equal(parts.odds[[0, 2]], expected.odds[order])
     assert np.isnan(parts.at[[1, 3]]).all() and (parts.odds[[1, 3]] == 0).all()
@@ -124,18 +126,18 @@ def test_without_a_network_the_regression_places_its_parts_and_of_others_nothing
 
 def test_a_network_and_the_regression_place_parts_which_are_visible_where_either_says():
     mesh, names = FakeMesh([IN_CLIP], noise=0.4), tuple(name for name in NAMES if name not in PARTS)
-    (_, parts, network, others, _), seen = sensed(senses_of((*PARTS, "ear_left"), mesh, names))
+    (_, parts, network, others, _), seen = sensed(sensors_of((*PARTS, "ear_left"), mesh, names))
     [frame] = moving.clip([IN_CLIP])
     at = mesh.measure(frame, head_of(IN_CLIP)).mean(axis=0)
     np.testing.assert_allclose(network[:5], at[CORE])
     assert np.isnan([parts.at[5], network[5]]).all() and parts.odds[5] == 0
-    regressed = load_descent().fit(seen)
+    regressed = load_regression().fit(seen)
     np.testing.assert_array_equal(parts.at[:5], regressed.at)
     np.testing.assert_allclose(others.at, at[[NAMES[name] for name in names]])
     # of each point of which something is known, the odds at its place; of all others those of the nearest
-    descent = load_descent()
+    descent = load_regression()
     core = at[[NAMES[point] for point in descent.points]]
-    odds = descent.visible(seen_in(seen), core)
+    odds = descent.visible(face_channels(seen), core)
     both = 0.5 * np.exp(odds[:5]) + 0.5 * np.exp(regressed.odds)
     np.testing.assert_allclose(np.exp(parts.odds[:5]), both, rtol=1e-5)
     assert len(set(others.odds.tolist())) > 20
@@ -144,22 +146,24 @@ def test_a_network_and_the_regression_place_parts_which_are_visible_where_either
 
 
 def test_a_network_that_sees_no_face_places_nothing_and_the_regression_says_what_is_visible():
-    (_, parts, network, others, _), seen = sensed(senses_of(PARTS, FakeMesh([None]), ("chin",)))
+    (_, parts, network, others, _), seen = sensed(sensors_of(PARTS, FakeMesh([None]), ("chin",)))
     assert np.isnan(network).all() and others is None
-    np.testing.assert_array_equal(parts.odds, load_descent().fit(seen).odds)
-    sensors, points, _ = begun(senses_of(PARTS, FakeMesh([None]), ("chin",)), np.zeros((5, 2)))
+    np.testing.assert_array_equal(parts.odds, load_regression().fit(seen).odds)
+    sensors, points, _ = begun(sensors_of(PARTS, FakeMesh([None]), ("chin",)), np.zeros((5, 2)))
     assert points is None
-    assert (sensors[2].bias == 0).all() and (sensors[2].measured(network, np.ones(5)).sure == 0).all()
+    assert (sensors[2].bias == 0).all() and (sensors[2].reading(network, np.ones(5)).sure == 0).all()
 
 
 @pytest.mark.parametrize("searched", [False, True])
 def test_the_bias_of_sensors_fades_where_the_points_of_the_start_were_searched(searched):
     x0 = head_of(IN_CLIP).to_stabilized(moving.truth(IN_CLIP, 0)) + 1.5
-    senses = senses_of(PARTS, FakeMesh([IN_CLIP]), searched=searched)
-    found, _ = sensed(senses)
-    (regression, detector, network), *_ = begun(senses, x0, Found((0, 0, 9, 9), None, {"nose": tuple(x0[0] + 2.0)}))
+    sensors = sensors_of(PARTS, FakeMesh([IN_CLIP]), searched=searched)
+    found, _ = sensed(sensors)
+    (regression, detector, network), *_ = begun(
+        sensors, x0, Detection((0, 0, 9, 9), None, {"nose": tuple(x0[0] + 2.0)})
+    )
     for one, least in ((regression, REGRESSION), (detector, DETECTOR), (network, NETWORK)):
-        assert (one.keep, one.least) == (FADES if searched else 1.0, least)
+        assert (one.keep, one.min_std) == (FADES if searched else 1.0, least)
     np.testing.assert_allclose(regression.bias, found.parts.at - x0)
     np.testing.assert_allclose(network.bias, found.network - x0)
     np.testing.assert_allclose(detector.bias, [[2, 2], *4 * [[0, 0]]])

@@ -12,9 +12,9 @@ from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.search import ALONE_S, MIN_LOOKS, SEARCHED_FRAMES, STILL_S, box_start, search_start
+from facetrack_cli.trackers.face.cascaded_regression import PlacedPoints, load_regression
 from facetrack_cli.trackers.face.closer import again, everywhere, righted
-from facetrack_cli.trackers.face.descent import PlacedPoints, load_descent
-from facetrack_cli.trackers.face.detectors import Found, Haar, YuNet, yunet_model
+from facetrack_cli.trackers.face.detectors import Detection, Haar, YuNet, yunet_model
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity
 from tests.support import moving_face as moving
 from tests.support.moving_face import EYES, PARTS, Pose
@@ -31,7 +31,7 @@ class Fake:
         self.found, self.sure = found, sure
 
     def find(self, frame):
-        return [Found((x, y, side, side), sure=self.sure) for x, y, side in self.found(frame.index)]
+        return [Detection((x, y, side, side), sure=self.sure) for x, y, side in self.found(frame.index)]
 
     def measure(self, image, box):
         return None
@@ -109,10 +109,10 @@ SEEN = {  # where a part is seen in frame t, and where it is placed
 def test_points_are_means_in_the_box_of_what_looks_as_in_the_first_frame(at, expected, monkeypatch):
     def placed(face, frame):
         x, y, w, h = face.box
-        places = [np.array([x, y]) + np.multiply(at(frame.index, part), [w, h]) for part in load_descent().parts]
+        places = [np.array([x, y]) + np.multiply(at(frame.index, part), [w, h]) for part in load_regression().parts]
         return PlacedPoints(np.array(places), np.full(len(places), 4.0))
 
-    monkeypatch.setattr(Found, "placed", placed)
+    monkeypatch.setattr(Detection, "placed", placed)
     start = search_start(noise(12), detector=Fake(lambda t: [(40 + 2 * t, 30, 50)]))
     (x, y, w, h), points = start.targets["face"].box, start.targets["face"].points
     assert start.frame == 0
@@ -285,7 +285,7 @@ def test_nothing_is_seen_where_nobody_is():
     empty = moving.frame(0, moving.ground())
     for detector in INSTALLED:
         assert everywhere(detector, empty) == []
-        nobody = Found((100.0, 60.0, 80.0, 80.0))
+        nobody = Detection((100.0, 60.0, 80.0, 80.0))
         assert righted(detector, empty, nobody) is nobody
 
 
@@ -308,7 +308,7 @@ class Knowing:
             return []
         (dx, dy) = self.moved(frame.time_s)
         boxes = ((p.x + dx - p.side / 2, p.y + dy - p.side / 2, p.side, p.side) for p in (POSTER, PERSON))
-        return [Found(box, sure=True) for box in boxes]
+        return [Detection(box, sure=True) for box in boxes]
 
 
 def room(fps, seconds, speaks, moved=lambda t: (0, 0)):
@@ -352,6 +352,8 @@ def test_of_two_posters_the_larger_one_is_taken_and_it_says_so():
 def test_one_that_keeps_still_alone_is_waited_for_less():
     frames = [Frame(i, i / 25, moving.clip([POSE])[0].bgr) for i in range(40)]
     detector = Knowing()
-    detector.find = lambda frame: detector.looks.append(frame.time_s) or [Found((110.0, 70.0, 100.0, 100.0), sure=True)]
+    detector.find = lambda frame: (
+        detector.looks.append(frame.time_s) or [Detection((110.0, 70.0, 100.0, 100.0), sure=True)]
+    )
     assert search_start(frames, detector=detector).frame == 0
     assert ALONE_S <= max(detector.looks) < ALONE_S + 0.3 and len(detector.looks) < 15

@@ -13,8 +13,7 @@ from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.start.init_file import check_start, find_init, read_init
 from facetrack_cli.start.preview import draw_start
 from facetrack_cli.start.search import box_start, search_start
-from facetrack_cli.trackers.face.detectors import PARTS, find_faces
-from facetrack_cli.trackers.face.points import mean_eyes, place
+from facetrack_cli.trackers.face.detectors import PARTS, find_faces, mean_eyes, place
 from tests.support.samples import TrackClip
 
 CLIPS = Path(os.environ.get("FACETRACK_CLIPS", "clips"))

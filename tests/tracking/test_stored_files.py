@@ -10,14 +10,14 @@ import pytest
 from facetrack_cli.core import files
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.trackers.appearance.gallery import load_gallery
-from facetrack_cli.trackers.face.descent import DEFAULT, load_descent
+from facetrack_cli.trackers.face.cascaded_regression import DEFAULT, load_regression
 from facetrack_cli.trackers.points.shape_prior import default_prior_path, load_prior
 from tests.support.samples import FOLDER
 
 LOADED = {
     "shape prior": (load_prior, default_prior_path()),
     "gallery": (load_gallery, FOLDER / "people.npz"),
-    "mouth descent": (load_descent, default_prior_path().with_name(DEFAULT)),
+    "mouth descent": (load_regression, default_prior_path().with_name(DEFAULT)),
 }
 KINDS = pytest.mark.parametrize("kind", LOADED)
 OPTIONAL = {"format", "version", "proportion"}  # of the first two the message says more

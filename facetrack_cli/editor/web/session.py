@@ -29,8 +29,7 @@ from facetrack_cli.start.assembly import name_targets
 from facetrack_cli.start.init_file import NAME, TARGET
 from facetrack_cli.start.search import box_start
 from facetrack_cli.trackers.face.closer import righted
-from facetrack_cli.trackers.face.detectors import PARTS, NotHereError, detector
-from facetrack_cli.trackers.face.points import named
+from facetrack_cli.trackers.face.detectors import PARTS, NotHereError, detector, named
 from facetrack_cli.trajectory.header import FrameNumber, Pixels, Side
 from facetrack_cli.video.seek import Frames
 

@@ -1,11 +1,12 @@
 """A face: a head that carries points, and the points tracked inside of it (ours).
 
-- `target.py`: a frame's way through all of it; begin here. `state.py`: what is carried from frame to frame.
+- `target.py`: a frame's way through all of it; begin here. `state.py`: what is carried from frame to frame, and rows.
 - `stabilized.py`: the frame as the head sees it.
-- `senses.py`: what places points: `descent.py` and `eyes.py`, regressions; `mesh.py`, networks; `detectors.py`.
-- `sensors.py`: how far each is trusted, and which is right. `evidence.py`: which face is the target.
+- `landmark_sensors.py`: what places points in a frame: `cascaded_regression.py`, `eyes.py`; `mesh.py`, networks;
+  `detectors.py`, and `closer.py`, which looks at a face again.
+- `landmark_filters.py`: how far each sensor is trusted, and which is right; points without windows.
+- `evidence.py`: which face is the target.
 - `window_ncc.py`: the likelihood of a point's window; `motion.py`: a walk that jumps; `shape_prior.py`: shapes.
-- `mesh_points.py`: points without windows. `closer.py`, `points.py`: a face looked at again, and its five points.
 - Loops are in the files that end in `_kernels.py`.
 - `assembly.py`: from a recipe and a start to the target. `settings.py`: what a recipe may say.
 

@@ -14,10 +14,10 @@ from facetrack_cli.engine.target import ParticleTarget, calibration_of, particle
 from facetrack_cli.recipe.load import resolve_file
 from facetrack_cli.recipe.model import ConfidenceSettings, ParticleFilterSettings, Recipe, above
 from facetrack_cli.trackers.box.hidden_box import BoxTarget
-from facetrack_cli.trackers.face.descent import CORNER, load_descent
+from facetrack_cli.trackers.face.cascaded_regression import CORNER, load_regression
 from facetrack_cli.trackers.face.detectors import detector
+from facetrack_cli.trackers.face.landmark_sensors import LandmarkSensors
 from facetrack_cli.trackers.face.mesh import NAMES, Iris, Mesh
-from facetrack_cli.trackers.face.senses import Senses
 from facetrack_cli.trackers.face.settings import HeadSettings
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity, change_between, slope
 from facetrack_cli.trackers.face.target import FaceTarget
@@ -34,84 +34,84 @@ def _network(recipe: Recipe, key: str, name: str) -> Path:
 
 
 def face_target(
-    recipe: Recipe, key: str, given: ParticleFilterSettings, head: HeadSettings, start: Start, name: str
+    recipe: Recipe, key: str, settings: ParticleFilterSettings, head: HeadSettings, start: Start, name: str
 ) -> FaceTarget:
     """The head by its own filter, and the points by the recipe's, in the stabilized image."""
-    begun = start.targets[name]
-    box = begun.box or box_around(begun)
+    placed = start.targets[name]
+    box = placed.box or box_around(placed)
     side = math.sqrt(box[2] * box[3])
     searched, pose = start.placed_by != "", np.zeros(4)
     if searched:
-        pose = pose_of(begun, box)
+        pose = pose_of(placed, box)
     middle = np.array(centre(box)) + side * pose[2:]
     similarity = Similarity(middle, side * math.exp(pose[1]) / FACE, float(pose[0]))
-    at = {part: similarity.to_stabilized(np.array(place)).tolist() for part, place in begun.points.items()}
-    windows = {part: (w / similarity.scale, h / similarity.scale) for part, (w, h) in begun.windows.items()}
+    at = {part: similarity.to_stabilized(np.array(place)).tolist() for part, place in placed.points.items()}
+    windows = {part: (w / similarity.scale, h / similarity.scale) for part, (w, h) in placed.windows.items()}
     inside = TargetStart(None, {part: (x, y) for part, (x, y) in at.items()}, windows)
     judged = ConfidenceSettings(lost_below=head.lost_below, patience=1)
     by = None if head.detections is None else head.detections.by
-    alone = ParticleFilterSettings.model_construct(
+    box_filter = ParticleFilterSettings.model_construct(
         target=head.target, motion=head.motion, likelihood=head.likelihood, filter=head.filter, confidence=judged
     )
-    named = head.landmarks
-    mesh = (
-        None if named.network is None else Mesh(_network(recipe, f"{above(key)}head.landmarks.network", named.network))
-    )
-    iris = None
-    if mesh is not None and named.iris is not None:
-        iris = Iris(_network(recipe, f"{above(key)}head.landmarks.iris", named.iris))
-    eyes, more = GROUPS["eyes"], POINTS if named.points == "features" else tuple(NAMES)
-    still, boxed = (replace(start, targets={name: one}, corrections=()) for one in (inside, TargetStart(box)))
-    features = replace(particle_target(recipe, key, given, still, name, ParticleTarget), calibration=None)
+    landmarks = head.landmarks
+    mesh: Mesh | None = None
+    iris: Iris | None = None
+    if landmarks.network is not None:
+        mesh = Mesh(_network(recipe, f"{above(key)}head.landmarks.network", landmarks.network))
+        if landmarks.iris is not None:
+            iris = Iris(_network(recipe, f"{above(key)}head.landmarks.iris", landmarks.iris))
+    eyes, more = GROUPS["eyes"], POINTS if landmarks.points == "features" else tuple(NAMES)
+    still, boxed = (replace(start, targets={name: part}, corrections=()) for part in (inside, TargetStart(box)))
+    features = replace(particle_target(recipe, key, settings, still, name, ParticleTarget), calibration=None)
     return FaceTarget(
         name=name,
-        head=particle_target(recipe, f"{key}.head" if key else "head", alone, boxed, name, BoxTarget),
+        head=particle_target(recipe, f"{key}.head" if key else "head", box_filter, boxed, name, BoxTarget),
         features=features,
         settings=head,
-        senses=Senses(
+        sensors=LandmarkSensors(
             features.parts,
             None if by is None else detector(start.measured_by if by == "auto" else by),
             searched=searched,
             mesh=mesh,
-            others=() if mesh is None else tuple(point for point in more if point not in (*given.points, *eyes)),
-            eyes=tuple(point for point in (*eyes, *(IRISES if iris else ())) if point not in given.points),
+            others=() if mesh is None else tuple(point for point in more if point not in (*settings.points, *eyes)),
+            eyes=tuple(point for point in (*eyes, *(IRISES if iris else ())) if point not in settings.points),
             iris=iris,
         ),
         side=side,
         pose=pose,
-        calibration=calibration_of(recipe, key, given),
+        calibration=calibration_of(recipe, key, settings),
     )
 
 
-def pose_of(begun: TargetStart, box: Box) -> Array:
+def pose_of(start: TargetStart, box: Box) -> Array:
     """How a face lies in a box that a search has found, (4,) as in `FaceState`: by the box and by its points alike."""
-    descent, side = load_descent(), math.sqrt(box[2] * box[3])
-    known = [part for part in descent.parts if part in begun.points]
-    if len(known) < 3:
+    regression, side = load_regression(), math.sqrt(box[2] * box[3])
+    parts = [part for part in regression.parts if part in start.points]
+    if len(parts) < 3:
         return np.zeros(4)
-    rest = (descent.mean + CORNER)[[descent.parts.index(part) for part in known]]
-    at = np.array([begun.points[part] for part in known])
-    ends = [begun.points.get(part) for part in ("mouth_left", "mouth_right")]
+    rest = (regression.mean + CORNER)[[regression.parts.index(part) for part in parts]]
+    at = np.array([start.points[part] for part in parts])
+    ends = [start.points.get(part) for part in ("mouth_left", "mouth_right")]
     roll, log_size = slope(np.array(ends)) if None not in ends else 0.0, change_between(at, rest)[1]
     shape = Similarity(np.zeros(2), math.exp(log_size), roll)
     off = (at.mean(axis=0) - shape.to_frame(rest.mean(axis=0)) - centre(box)) / side
     return np.array([roll, 0.5 * (log_size - math.log(side / FACE)), *(0.5 * off)])
 
 
-def box_with(given: TargetStart, begun: TargetStart) -> Box | None:
-    """The box that goes with points given later, as it went with those of the start; of a single one that of then."""
-    common = [part for part in given.points if part in begun.points]
-    if begun.box is None or len(common) < 2:
-        return begun.box
-    x, rest = (np.array([one.points[part] for part in common]) for one in (given, begun))
+def box_with(later: TargetStart, start: TargetStart) -> Box | None:
+    """The box for points of a later frame, as it lay about them at the start; of a single point the start's box."""
+    common = [part for part in later.points if part in start.points]
+    if start.box is None or len(common) < 2:
+        return start.box
+    x, rest = (np.array([placed.points[part] for part in common]) for placed in (later, start))
     scale = float(np.sqrt(np.sum((x - x.mean(axis=0)) ** 2) / max(np.sum((rest - rest.mean(axis=0)) ** 2), 1e-9)))
-    left, top = (x.mean(axis=0) + scale * (np.array(begun.box[:2]) - rest.mean(axis=0))).tolist()
-    return left, top, scale * begun.box[2], scale * begun.box[3]
+    left, top = (x.mean(axis=0) + scale * (np.array(start.box[:2]) - rest.mean(axis=0))).tolist()
+    return left, top, scale * start.box[2], scale * start.box[3]
 
 
-def box_around(begun: TargetStart) -> Box:
+def box_around(start: TargetStart) -> Box:
     """A face's box, as frontal cascades draw it, from its points."""
-    x = np.array(list(begun.points.values()))
+    x = np.array(list(start.points.values()))
     side = 3.0 * size_of_points(x)  # of nose and mouth
     left, top = (x.mean(axis=0) - (0.5 * side, 0.72 * side)).tolist()
     return left, top, side, side

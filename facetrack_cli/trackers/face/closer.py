@@ -13,10 +13,10 @@ import numpy as np
 
 from facetrack_cli.core.geometry import centre, overlap, square
 from facetrack_cli.core.types import Array, Box, Frame, Point, factor_for
-from facetrack_cli.trackers.face.detectors import MAX_SEARCHED_PX, MIN_SEARCHED_PX, Detector, Found
+from facetrack_cli.trackers.face.detectors import MAX_SEARCHED_PX, MIN_SEARCHED_PX, Detection, Detector
 from facetrack_cli.trackers.face.stabilized import FACE, Similarity
 
-FACE_PX: Final = 67  # pixels of a face's box in the view of a face that is known
+FACE_PX: Final = 67  # pixels of a face's box in the view around a detected face
 NEAR: Final = 3  # sizes of the face's box that this view shows
 ROOM: Final = 1.5  # sizes of the frame that the view with room around it shows
 SHARED_PX: Final = 96  # pixels that neighbouring tiles share; larger faces are seen in the coarser view
@@ -27,46 +27,46 @@ TURNS: Final = range(8)
 SKEW: Final = (1.0, 1.4)  # by how much a view shows more if it is turned by an odd number of eighths
 
 
-def seen(detector: Detector, frame: Frame, view: Similarity, side: int) -> Iterator[Found]:
+def seen(detector: Detector, frame: Frame, view: Similarity, side: int) -> Iterator[Detection]:
     """The faces that a detector sees in a view of `side` pixels, where they are in the frame."""
 
     def at(point: Point) -> Point:
         x, y = (view.matrix @ (np.array(point) - (side - 1) / 2) + view.centre).tolist()
         return x, y
 
-    for one in detector.find(view.read(frame, side)):
-        box = square(np.array(at(centre(one.box))), one.box[2] * view.scale)
+    for face in detector.find(view.read(frame, side)):
+        box = square(np.array(at(centre(face.box))), face.box[2] * view.scale)
         x, y, w, h = (round(value, 2) for value in box)  # to 0.01 px, as in an init file
-        eyes = None if one.eyes is None else (at(one.eyes[0]), at(one.eyes[1]))
-        points = {name: at(point) for name, point in one.points.items()}
-        yield Found((x, y, w, h), eyes, points, one.sure, one.score, eighths(view.angle), closer=True)
+        eyes = None if face.eyes is None else (at(face.eyes[0]), at(face.eyes[1]))
+        points = {name: at(point) for name, point in face.points.items()}
+        yield Detection((x, y, w, h), eyes, points, face.sure, face.score, eighths(view.angle), closer=True)
 
 
-def near(detector: Detector, frame: Frame, box: Box, turn: int) -> Found | None:
+def near(detector: Detector, frame: Frame, box: Box, turn: int) -> Detection | None:
     """The face about in a box, which is turned there by eighths of a turn."""
     view = Similarity(np.array(centre(box)), box[2] / FACE_PX, turn * math.pi / 4)
-    best = max(seen(detector, frame, view, NEAR * FACE_PX), key=lambda one: overlap(one.box, box), default=None)
+    best = max(seen(detector, frame, view, NEAR * FACE_PX), key=lambda face: overlap(face.box, box), default=None)
     return None if best is None or overlap(best.box, box) < MIN_OVERLAP else best
 
 
-def righted(detector: Detector, frame: Frame, face: Found) -> Found:
+def righted(detector: Detector, frame: Frame, face: Detection) -> Detection:
     """The face as it lies and as large as it is, where a closer view shows its nose and mouth; else as it is."""
-    best, odds = face, face.placed(frame).sure
+    best, odds = face, face.placed(frame).log_odds
     factor = factor_for(max(frame.size), MAX_SEARCHED_PX)
     small = factor > 1 and face.box[2] < LEAST_PX[detector.name] * factor
     for turn in TURNS if odds <= 0 or small else ():
-        one = near(detector, frame, face.box, turn)
-        if one is not None and (sure := one.placed(frame).sure) > max(odds, CERTAIN):
-            best, odds = one, sure
+        closer = near(detector, frame, face.box, turn)
+        if closer is not None and (closer_odds := closer.placed(frame).log_odds) > max(odds, CERTAIN):
+            best, odds = closer, closer_odds
     return best
 
 
-def everywhere(detector: Detector, frame: Frame) -> list[Found]:
+def everywhere(detector: Detector, frame: Frame) -> list[Detection]:
     """The faces that turned and enlarged views show, and one with room around the frame."""
     return _certain(detector, frame, _views(frame.size))
 
 
-def again(detector: Detector, frame: Frame, face: Similarity) -> list[Found]:
+def again(detector: Detector, frame: Frame, face: Similarity) -> list[Detection]:
     """The faces of a frame that lie as one that was lost, and are about as large or larger."""
     turn, whole = eighths(face.angle), factor_for(max(frame.size), MAX_SEARCHED_PX)
     factor = min(whole, 2 ** max(math.floor(math.log2(face.scale * FACE / LEAST_PX[detector.name])), 0))
@@ -80,14 +80,14 @@ def eighths(angle: float) -> int:
     return round(4 * angle / math.pi) % 8
 
 
-def _certain(detector: Detector, frame: Frame, views: Iterable[tuple[Similarity, int]]) -> list[Found]:
+def _certain(detector: Detector, frame: Frame, views: Iterable[tuple[Similarity, int]]) -> list[Detection]:
     """The faces of views in which the regression sees nose and mouth, each once."""
-    found: list[Found] = []
-    for one in (one for view, side in views for one in seen(detector, frame, view, side)):
-        new = all(overlap(one.box, other.box) < MIN_OVERLAP for other in found)
-        if new and one.placed(frame).sure > CERTAIN:
-            found.append(one)
-    return found
+    faces: list[Detection] = []
+    for face in (face for view, side in views for face in seen(detector, frame, view, side)):
+        new = all(overlap(face.box, other.box) < MIN_OVERLAP for other in faces)
+        if new and face.placed(frame).log_odds > CERTAIN:
+            faces.append(face)
+    return faces
 
 
 def _views(size: tuple[int, int]) -> Iterator[tuple[Similarity, int]]:

@@ -1,7 +1,12 @@
-"""Detectors of faces: OpenCV's Haar cascades, and YuNet where the extra `detect` is installed."""
+"""Detectors of faces, and the five points of a face that one has seen.
+
+Detectors are OpenCV's Haar cascades, and YuNet where the extra `detect` is installed. The cascaded regression places
+the points in the face as it is seen upright.
+"""
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -16,19 +21,10 @@ from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.face_points import DetectorName
-from facetrack_cli.core.geometry import overlap
-from facetrack_cli.core.types import Box, Frame, Image, Point, factor_for
-from facetrack_cli.trackers.face.descent import PlacedPoints
-from facetrack_cli.trackers.face.points import (
-    EYES_IN_BOX,
-    MOUTH_Y,
-    cascade,
-    check_cascades,
-    has_cascades,
-    place,
-    placed,
-)
-from facetrack_cli.trackers.face.stabilized import slope
+from facetrack_cli.core.geometry import overlap, warp_affine
+from facetrack_cli.core.types import Array, Box, Frame, Image, Point, factor_for
+from facetrack_cli.trackers.face.cascaded_regression import CORNER, PlacedPoints, load_regression
+from facetrack_cli.trackers.face.stabilized import EYE_LINE, FACE, MIDDLE, Similarity, change_between, slope
 
 PARTS: Final = ("nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower")
 """What can be placed; left and right as seen in the image."""
@@ -41,6 +37,18 @@ _STEPS: Final = np.array(
 )  # in a pixel, and in the score, that YuNet's rows are rounded to
 MEASURED_PX: Final = 67  # pixels of the face's box to which a measured image is reduced
 MIN_OVERLAP: Final = 0.3  # overlap with the face that is expected
+# Fractions of a Haar box (x, y): the mean over 26 images, of 15 clips and two portraits; standard deviation 0.02.
+EYES_IN_BOX: Final = ((0.309, 0.388), (0.672, 0.388))
+MOUTH_Y: Final = 1.12  # how far the corners of the mouth are below the eyes, in distances between the eyes
+EYES_AT: Final = np.array([MIDDLE, EYE_LINE])  # the middle between the eyes in the stabilized image
+ZOOMS: Final = (0.95, 1.1, 1.3)  # sizes of a face in the box of a cascade
+AGAIN: Final = 2  # times that a face is laid upright by its points, at most
+EYE_WIDTH: Final = 100  # pixels to which a face is brought before its eyes are searched
+# Each cascade with the offset of its window's centre from the eye's centre, in face widths.
+_EYE_CASCADES: Final = (
+    ("lefteye_2splits", 0.019, -0.030),
+    ("righteye_2splits", 0.004, -0.034),
+)
 
 
 class NotHereError(InputError):
@@ -54,12 +62,18 @@ def check_parts(parts: Sequence[str]) -> None:
         raise UsageError(f"no cascade can place {unknown}, only {', '.join(PARTS)}; {remedy}")
 
 
-class Found(NamedTuple):
-    """A face: its box as the frontal cascades draw it, and what else the detector says of it.
+class Detection(NamedTuple):
+    """A face that a detector has seen, in pixels of the image.
 
-    `eyes`: the left one of the upright face first. `points`: the nose and the corners of the mouth. `sure` if the
-    detector has seen the face's features. `score`: how sure the detector is, 0..1; 1 of one that does not say. `turn`:
-    by how many eighths of a turn, clockwise, it is turned. `closer`: it was seen in a part of the frame, or turned.
+    Attributes
+    ----------
+    box : as the frontal Haar cascades draw it
+    eyes : the left one of the upright face first; None where the detector does not say
+    points : the nose and the corners of the mouth, by their names, where the detector says
+    sure : whether the detector has seen the face's features
+    score : 0..1, its own confidence; 1 of a detector that does not say
+    turn : eighths of a turn, clockwise, by which the face is turned
+    closer : whether it was seen in a view of a part of the frame, or of a turned frame
     """
 
     box: Box
@@ -84,10 +98,10 @@ class Detector(Protocol):
     @property
     def name(self) -> DetectorName: ...
 
-    def find(self, frame: Frame) -> list[Found]:
+    def find(self, frame: Frame) -> list[Detection]:
         """All faces of a frame, the best first."""
 
-    def measure(self, image: Image, box: Box) -> Found | None:
+    def measure(self, image: Image, box: Box) -> Detection | None:
         """The upright face that about fills `box` of a small image; None if none is seen there."""
 
     def place(self, image: Image, box: Box) -> Mapping[str, Point]:
@@ -103,14 +117,14 @@ class Haar:
 
     name: Final = "haar"
 
-    def find(self, frame: Frame) -> list[Found]:
-        return [Found(box) for box in find_faces(frame.bgr)]
+    def find(self, frame: Frame) -> list[Detection]:
+        return [Detection(box) for box in find_faces(frame.bgr)]
 
-    def measure(self, image: Image, box: Box) -> Found | None:
+    def measure(self, image: Image, box: Box) -> Detection | None:
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
         faces = _detect("frontalface_alt2", grey, 2, round(0.7 * box[2]), round(1.4 * box[2]))
         best = max(faces, key=lambda face: overlap(face, box), default=None)
-        return Found(best) if best is not None and overlap(best, box) >= 0.4 else None
+        return Detection(best) if best is not None and overlap(best, box) >= 0.4 else None
 
     def place(self, image: Image, box: Box) -> Mapping[str, Point]:
         """In the face that fits the box best, if a cascade sees one."""
@@ -150,8 +164,8 @@ def find_faces(image: Image) -> list[Box]:
 
 
 def _detect(name: str, grey: Image, neighbours: int, smallest: int, largest: int) -> list[tuple[int, int, int, int]]:
-    found = cascade(name).detectMultiScale(grey, 1.1, neighbours, 0, (smallest, smallest), (largest, largest))
-    return [(int(x), int(y), int(w), int(h)) for x, y, w, h in found]
+    boxes = cascade(name).detectMultiScale(grey, 1.1, neighbours, 0, (smallest, smallest), (largest, largest))
+    return [(int(x), int(y), int(w), int(h)) for x, y, w, h in boxes]
 
 
 def _confirmed(name: str, grey: Image, box: tuple[int, int, int, int]) -> bool:
@@ -171,41 +185,41 @@ class YuNet:
     def __init__(self, model: Path) -> None:
         self._model = str(model)
 
-    def find(self, frame: Frame) -> list[Found]:
+    def find(self, frame: Frame) -> list[Detection]:
         factor = factor_for(max(frame.size), MAX_SEARCHED_PX)
         image, _, _ = frame.reduced(factor, (0.0, 0.0, frame.size[0] - 1.0, frame.size[1] - 1.0))
         rows = sorted(self._detect(image), key=lambda row: -row[2] * row[3] * row[14])
-        return [self._found(factor * (row[4:14].reshape(5, 2) + 0.5) - 0.5, row[14]) for row in rows]
+        return [self._face(factor * (row[4:14].reshape(5, 2) + 0.5) - 0.5, row[14]) for row in rows]
 
-    def measure(self, image: Image, box: Box) -> Found | None:
+    def measure(self, image: Image, box: Box) -> Detection | None:
         # on faces of 60 to 70 pixels it is faster and more exact than on larger ones
         k = MEASURED_PX / box[2]
         small = cv2.resize(image, None, fx=k, fy=k, interpolation=cv2.INTER_AREA)
         rows = self._detect(np.asarray(small, np.uint8))
-        found = [self._found((row[4:14].reshape(5, 2) + 0.5) / k - 0.5, row[14]) for row in rows]
-        best = max(found, key=lambda one: overlap(one.box, box), default=None)
+        faces = [self._face((row[4:14].reshape(5, 2) + 0.5) / k - 0.5, row[14]) for row in rows]
+        best = max(faces, key=lambda face: overlap(face.box, box), default=None)
         return None if best is None or overlap(best.box, box) < MIN_OVERLAP else best
 
     def place(self, image: Image, box: Box) -> Mapping[str, Point]:
         (x, y, w, h), side = box, max(box[2:])
         left, top = max(int(x - 0.5 * side), 0), max(int(y - 0.5 * side), 0)
         near = image[top : int(y + h + 0.5 * side) + 1, left : int(x + w + 0.5 * side) + 1]
-        found = self.measure(near, (x - left, y - top, w, h))
-        if found is None:
+        face = self.measure(near, (x - left, y - top, w, h))
+        if face is None:
             return Haar().place(image, box) if has_cascades() else place(image, box)
-        points = place(near, found.box, found.eyes, found.points)
+        points = place(near, face.box, face.eyes, face.points)
         return {name: (u + left, v + top) for name, (u, v) in points.items()}
 
     def _detect(self, image: Image) -> NDArray[np.float32]:
         """(J, 15): left, top, width, height, five points, score of each face."""
         net = _net(self._model, get_ident())
         net.setInputSize((image.shape[1], image.shape[0]))
-        _, found = net.detect(image)
-        rows = np.empty((0, 15), np.float32) if found is None else np.asarray(found, np.float32)
+        _, faces = net.detect(image)
+        rows = np.empty((0, 15), np.float32) if faces is None else np.asarray(faces, np.float32)
         # the last bits are the processor's and OpenCV's own, and a filter that sees them goes another way
         return np.asarray(np.rint(rows * _STEPS) / _STEPS, np.float32)
 
-    def _found(self, marks: NDArray[np.float32], score: np.float32) -> Found:
+    def _face(self, marks: NDArray[np.float32], score: np.float32) -> Detection:
         """A face with the eyes, the nose and the corners of the mouth at `marks` (5, 2)."""
         left, right = sorted(map(tuple, marks[:2].tolist()))
         middle = marks[:2].mean(axis=0)
@@ -217,17 +231,17 @@ class YuNet:
         x, y, side = (round(value, 2) for value in (*(middle + down - (side - 1) / 2).tolist(), side))
         corners = sorted(map(tuple, marks[3:].tolist()))
         points = dict(zip(("nose", "mouth_left", "mouth_right"), (tuple(marks[2].tolist()), *corners), strict=True))
-        return Found((x, y, side, side), (left, right), points, True, float(score))
+        return Detection((x, y, side, side), (left, right), points, True, float(score))
 
 
 @lru_cache(maxsize=16)
 def _net(model: str, thread: int) -> cv2.FaceDetectorYN:
     # OpenCV 5 warns that its engine takes no target, which nobody has asked for
-    said = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
     try:
         return cv2.FaceDetectorYN.create(model, "", (320, 320), 0.6, 0.3, 500)
     finally:
-        cv2.utils.logging.setLogLevel(said)
+        cv2.utils.logging.setLogLevel(level)
 
 
 @lru_cache(maxsize=1)
@@ -249,3 +263,114 @@ def detector(name: str | None = None) -> Detector:
         return YuNet(model)
     check_cascades()
     return Haar()
+
+
+@lru_cache(maxsize=1)
+def has_cascades() -> bool:
+    """Whether this OpenCV has Haar cascades: 5 has the files no longer, and the class in contrib alone."""
+    return hasattr(cv2, "CascadeClassifier") and _file("frontalface_alt2").is_file()
+
+
+def check_cascades() -> None:
+    """UsageError where this OpenCV has none."""
+    if not has_cascades():
+        remedy = "pip install 'opencv-python-headless<5', or take YuNet: pip install 'facetrack[detect]'"
+        raise UsageError(f"the installed OpenCV {cv2.__version__} has no Haar cascades; {remedy}")
+
+
+def cascade(name: str) -> cv2.CascadeClassifier:
+    """OpenCV's own cascade of that name, loaded once for each thread, since it holds the image that it searches."""
+    return _load(name, get_ident())
+
+
+@lru_cache(maxsize=64)
+def _load(name: str, thread: int) -> cv2.CascadeClassifier:
+    check_cascades()
+    return cv2.CascadeClassifier(str(_file(name)))
+
+
+def _file(name: str) -> Path:
+    return Path(cv2.__file__).parent / "data" / f"haarcascade_{name}.xml"
+
+
+def place(
+    image: Image, box: Box, eyes: tuple[Point, Point] | None = None, points: Mapping[str, Point] | None = None
+) -> dict[str, Point]:
+    """All five points of the upright face that fills `box` as the frontal cascade draws it, in pixels of `image` (BGR).
+
+    `eyes`, the left one in the image first, and `points`: where a detector sees them.
+    """
+    return named(placed(Frame(0, 0.0, image), box, eyes, points or {}))
+
+
+def named(points: PlacedPoints) -> dict[str, Point]:
+    """The places by the names of the parts."""
+    return {part: (x, y) for part, (x, y) in zip(load_regression().parts, points.at.tolist(), strict=True)}
+
+
+def placed(
+    frame: Frame, box: Box, eyes: tuple[Point, Point] | None, points: Mapping[str, Point], turn: int = 0
+) -> PlacedPoints:
+    """The face in `box` where the regression sees most of it; it is turned by eighths of a turn.
+
+    Without `eyes` they are taken to be where they are on average, and the face of one of three sizes: the boxes of
+    cascades say neither how a face is tilted, nor well how large it is. Then the face is laid upright by its points,
+    as long as more is seen; its size stays, since a mouth may be wide.
+    """
+    regression, (left, right) = load_regression(), np.array(eyes or mean_eyes(box, turn))
+    zooms = (1.0,) if eyes else ZOOMS
+    size, (across, down) = math.sqrt(box[2] * box[3]) / FACE, (right - left).tolist()
+
+    def seen(scale: float, angle: float, at: Array, still: Array) -> PlacedPoints:
+        """What is seen of a face whose place `still` (2,) in the stabilized image is `at` (2,) in the frame."""
+        face = Similarity(np.zeros(2), scale, angle)
+        face = face._replace(centre=at - face.to_frame(still))
+        fit = regression.fit(face.read(frame).bgr)
+        return PlacedPoints(face.to_frame(fit.at), fit.odds)
+
+    rest, angle = regression.mean + CORNER, math.atan2(down, across)
+    tries = [(zoom * size, seen(zoom * size, angle, (left + right) / 2, EYES_AT)) for zoom in zooms]
+    if points:
+        measured = rest[[regression.parts.index(part) for part in points]]
+        tries.append((size, seen(size, angle, np.mean(list(points.values()), axis=0), measured.mean(axis=0))))
+    scale, best = max(tries, key=lambda fit: fit[1].log_odds)
+    for _ in range(AGAIN):
+        again = seen(scale, change_between(best.at, rest)[0], best.at.mean(axis=0), rest.mean(axis=0))
+        if again.log_odds <= best.log_odds:
+            break
+        best = again
+    return best
+
+
+def mean_eyes(box: Box, turn: int = 0) -> tuple[Point, Point]:
+    """Where the eyes are in a face's box on average, in pixels; it is turned by eighths of a turn clockwise."""
+    x, y, w, h = box
+    left, right = ((x + across * w - 0.5, y + down * h - 0.5) for across, down in EYES_IN_BOX)
+    if turn:
+        middle, by = complex(x + w / 2 - 0.5, y + h / 2 - 0.5), cmath.exp(0.25j * math.pi * turn)
+        left, right = ((z.real, z.imag) for z in (middle + by * (complex(*eye) - middle) for eye in (left, right)))
+    return left, right
+
+
+def shows_eye(image: Image, box: Box) -> bool:
+    """Whether a cascade sees an eye of the upright face in `box` near the mean place of either."""
+    x0, y0 = max(int(box[0]), 0), max(int(box[1]), 0)
+    image = image[y0 : int(box[1] + box[3]) + 1, x0 : int(box[0] + box[2]) + 1]
+    x, y, w, h = box[0] - x0, box[1] - y0, *box[2:]
+    zoom, top = EYE_WIDTH / w, y + 0.1 * h
+    matrix = np.array([[zoom, 0, -(x - 0.5) * zoom - 0.5], [0, zoom, -(top - 0.5) * zoom - 0.5]])
+    size = (EYE_WIDTH, round(0.55 * h * zoom))
+    patch = warp_affine(_smooth(image, 1 / zoom), matrix, size, cv2.BORDER_REPLICATE)
+    grey = cv2.equalizeHist(cv2.cvtColor(patch, cv2.COLOR_BGR2GRAY))
+    smallest, largest = (round(0.15 * EYE_WIDTH),) * 2, (round(0.45 * EYE_WIDTH),) * 2
+    for name, dx, dy in _EYE_CASCADES:
+        for ex, ey, ew, eh in cascade(name).detectMultiScale(grey, 1.1, 2, 0, smallest, largest):
+            at = (x - 0.5 + (ex + ew / 2) / zoom - dx * w, top - 0.5 + (ey + eh / 2) / zoom - dy * w)
+            if any(abs(at[0] - u) < 0.08 * w and abs(at[1] - v) < 0.09 * h for u, v in mean_eyes(box)):
+                return True
+    return False
+
+
+def _smooth(image: Image, shrink: float) -> Image:
+    """The image, blurred against aliasing if it is to be reduced by `shrink`."""
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), 0.5 * shrink), np.uint8) if shrink > 1 else image

@@ -29,7 +29,7 @@ import numpy as np
 
 from facetrack_cli.core.geometry import centre
 from facetrack_cli.core.types import Array, Box, Frame
-from facetrack_cli.trackers.face.detectors import Found
+from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.stabilized import BOX, FACE, Similarity
 from facetrack_cli.trackers.people.descriptor import Picture, together
 from facetrack_cli.trackers.people.identity import same_person
@@ -52,8 +52,12 @@ _T = TypeVar("_T")
 class Sighting(NamedTuple):
     """A face that is seen while the target is lost.
 
-    Its box, its roll in radians, since when it is seen in s, the probability `p` that it is the target, and the log
-    odds of that by its looks alone: of the `latest`, and the mean of `views`.
+    Attributes
+    ----------
+    box, roll : in pixels of the frame, and in radians
+    since : time in s since which it is seen
+    p : probability that it is the target
+    by_looks, latest : log odds of that by its looks alone, the mean of `views` looks and the latest look
     """
 
     box: Box
@@ -65,7 +69,7 @@ class Sighting(NamedTuple):
     views: int = 1
 
     @classmethod
-    def of(cls, face: Found, frame: Frame) -> Sighting:
+    def of(cls, face: Detection, frame: Frame) -> Sighting:
         return cls(face.box, face.roll, frame.time_s)
 
     @property
@@ -74,9 +78,7 @@ class Sighting(NamedTuple):
 
     def after(self, before: Sighting | None) -> Sighting:
         """With what the sighting `before` tells, if it is of the same face."""
-        if before is None:
-            return self
-        if math.dist(centre(before.box), centre(self.box)) >= SAME * max(before.box[2], self.box[2]):
+        if before is None or math.dist(centre(before.box), centre(self.box)) >= SAME * max(before.box[2], self.box[2]):
             return self
         views = before.views + 1
         mean = before.by_looks + (self.by_looks - before.by_looks) / views
@@ -88,13 +90,10 @@ class Sighting(NamedTuple):
 
 
 def by_place(last: Similarity, faces: Sequence[Similarity], *, covered: bool) -> Array:
-    """The log odds (K,) of faces of one shot by where they lie; the target was `last` seen there.
-
-    `covered`: whether it is held to be where it was.
-    """
+    """Log odds (K,) of faces of one shot by where they lie, of a target that was seen `last` and may be `covered`."""
     if not faces:
         return np.zeros(0)
-    x, scale = np.array([one.centre for one in faces]), np.array([one.scale for one in faces])
+    x, scale = np.array([face.centre for face in faces]), np.array([face.scale for face in faces])
     off = np.hypot(*(x - last.centre).T) / (FACE * last.scale)
     near = (off < 1) & (np.abs(np.log(scale / last.scale)) < math.log(1.6))
     return np.asarray(np.where(near, NEAR, -AWAY * covered))
@@ -117,11 +116,11 @@ def probabilities(looks: Array, others: Array, *, cut: bool, company: bool) -> A
     return np.asarray(p / (math.exp(-most) + p.sum()))
 
 
-def by_looks(known: Sequence[Picture], faces: Sequence[Similarity], frame: Frame) -> Array:
-    """The bounded log odds (K,) that the faces, upright in stabilized images, are that of the `known` pictures."""
+def by_looks(views: Sequence[Picture], faces: Sequence[Similarity], frame: Frame) -> Array:
+    """Bounded log odds (K,) that faces, upright in their stabilized images, are the person of the `views`."""
     if not faces:
         return np.zeros(0)
-    looks = [together(one.looks for one in known)]
+    looks = [together(view.looks for view in views)]
     looks += [Picture.of(frame, face._replace(scale=face.scale * FACE)).looks for face in faces]
     return np.clip(same_person(looks)[0, 1:], -BOUND, BOUND)
 
@@ -137,7 +136,7 @@ def look_of(still: Frame) -> Array:
 
 def likeness(looks: tuple[Array, ...], look: Array) -> float:
     """The highest correlation of a look with the known looks."""
-    return max(float(one @ look) for one in looks)
+    return max(float(view @ look) for view in looks)
 
 
 def kept(looks: tuple[_T, ...], look: _T) -> tuple[_T, ...]:

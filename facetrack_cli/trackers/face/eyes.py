@@ -1,8 +1,9 @@
 """The eyes of a face, placed by linear regressions (ours).
 
-From where nose and mouth are (`descent.py`), and by the same channels, a cascade places the corners of both eyes in the
-stabilized image. Lids need more: an eye is 18 pixels wide there, and a blink moves its upper lid by 5. So a patch
-around each eye is read from the frame itself, at twice the size, along the line of the eyes, the right eye mirrored.
+From where nose and mouth are, and by the same channels (`cascaded_regression.py`), a cascade places the corners of both
+eyes in the stabilized image. Lids need more: an eye is 18 pixels wide there, and a blink moves its upper lid by 5. So a
+patch around each eye is read from the frame itself, at twice the size, along the line of the eyes, the right eye
+mirrored.
 With phi the gradients of log(grey) in 8 directions and log(grey), on a grid in the patch, and a 1, one matrix gives
 corners and lids, and the log odds of the eye's being visible:
 
@@ -26,8 +27,8 @@ from facetrack_cli.core.face_points import GROUPS
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array, Frame, Image
-from facetrack_cli.trackers.face.channel_kernels import DIRECTIONS, descended, read, smoothed_channels
-from facetrack_cli.trackers.face.descent import AROUND, CORNER, GRID, PlacedPoints
+from facetrack_cli.trackers.face.cascaded_regression import AROUND, CORNER, GRID, PlacedPoints
+from facetrack_cli.trackers.face.image_kernels import DIRECTIONS, read, run_stages, smoothed_channels
 from facetrack_cli.trackers.face.stabilized import EYES, MIDDLE, Similarity, slope
 
 KIND = Kind("facetrack-eyes", 1, "eye descent", "python tools/eye_descent.py")
@@ -48,12 +49,16 @@ _GRID: Final = np.stack(np.meshgrid(*2 * [np.arange(CELL // 2, SIDE, CELL, dtype
 WIDTH: Final = (SIDE // CELL) ** 2 * (DIRECTIONS + 1) + 1  # of phi
 
 
-class EyeDescent(NamedTuple):
-    """`rest` (5, 2): mean places of nose and mouth; `mean` (4, 2): of the corners, in the part that is read.
+class EyeRegression(NamedTuple):
+    """The trained regressions of both eyes, in pixels of the part of the stabilized image that is read.
 
-    `first` (11, 8): how the corners follow nose and mouth; `stages` (S, F + 1, 8) and `scales` (S,) as of `Descent`;
-    `lids` (WIDTH, 9): R; `std` (4,): of the errors of outer and inner corner, upper and lower lid, on people that were
-    left out, in pixels of the stabilized image.
+    Attributes
+    ----------
+    rest, mean : (5, 2) and (4, 2), mean places of nose and mouth, and of the corners of the eyes
+    first : (11, 8), how the corners follow nose and mouth
+    scales, stages : (S,) and (S, F + 1, 8), as in `CascadedRegression`
+    std : (4,), of the errors of outer and inner corner, upper and lower lid, on people that were left out
+    lids : (WIDTH, 9), the matrix R
     """
 
     rest: Array
@@ -71,26 +76,23 @@ class EyeDescent(NamedTuple):
         """
         at, odds = np.empty((len(POINTS), 2)), np.empty(len(POINTS))
         for eye, view, way in zip(SIDES, views(head, self.corners(seen, parts)), (1, -1), strict=True):
-            told = phi(view.read_grey(frame, SIDE)[:, ::way]) @ self.lids
-            off = told[:-1].reshape(-1, 2).astype(np.float64) * (way, 1)
+            output = phi(view.read_grey(frame, SIDE)[:, ::way]) @ self.lids
+            off = output[:-1].reshape(-1, 2).astype(np.float64) * (way, 1)
             narrow = math.hypot(*(off[0] - off[1])) / (ZOOM * EYES) - NARROW  # turned away
             small = head.scale * EYES / SMALL - 1
             at[eye] = head.to_stabilized(view.to_frame(MIDDLE + off))
-            odds[eye] = told[-1] + min(STEEP * narrow, 0.0) + min(STEEP * small, 0.0)
+            odds[eye] = output[-1] + min(STEEP * narrow, 0.0) + min(STEEP * small, 0.0)
         return PlacedPoints(at, odds)
 
     def corners(self, seen: NDArray[np.float32], parts: Array) -> Array:
         """The corners (4, 2), as the cascade has them."""
         x = self.mean + (np.append(parts - CORNER - self.rest, 1.0) @ self.first).reshape(-1, 2)
-        return descended(seen, x, AROUND, self.scales, self.stages) + CORNER
+        return run_stages(seen, x, AROUND, self.scales, self.stages) + CORNER
 
     def save(self, path: Path) -> None:
         """Raises OutputError."""
-        kept = {
-            name: np.asarray(value, "<f2" if value.dtype == np.float32 else "<f8")
-            for name, value in self._asdict().items()
-        }
-        KIND.write(path, kept)
+        arrays = self._asdict().items()
+        KIND.write(path, {name: np.asarray(a, "<f2" if a.dtype == np.float32 else "<f8") for name, a in arrays})
 
 
 def openings(at: Array) -> Array:
@@ -114,20 +116,20 @@ def phi(patch: Image) -> NDArray[np.float32]:
 
 
 @lru_cache(maxsize=8)
-def load_eyes(path: Path | None = None) -> EyeDescent:
+def load_eyes(path: Path | None = None) -> EyeRegression:
     """The regressions in a file that `save` wrote, by default the shipped one. Raises InputError for anything else."""
     return KIND.read(shipped_folder() / DEFAULT if path is None else path, _made)
 
 
-def _made(stored: Stored) -> EyeDescent:
+def _made(stored: Stored) -> EyeRegression:
     wide, width = len(CORNERS) * GRID**2 * (DIRECTIONS + 3) + 1, 2 * len(CORNERS)
     scales, stages = stored.reals("scales", 1), stored.reals("stages", 3)
     rest, mean, first, lids = (stored.reals(name, 2) for name in ("rest", "mean", "first", "lids"))
     std = stored.reals("std", 1)
-    found = EyeDescent(rest, mean, first, scales, std, stages.astype(np.float32), lids.astype(np.float32))
-    shapes = [one.shape for one in found]
+    eyes = EyeRegression(rest, mean, first, scales, std, stages.astype(np.float32), lids.astype(np.float32))
+    shapes = [array.shape for array in eyes]
     if shapes != [(5, 2), (4, 2), (11, width), (len(scales),), (4,), (len(scales), wide, width), (WIDTH, 9)]:
         raise ValueError(f"arrays of {shapes} are no regressions of eyes")
-    if not all(np.isfinite(one).all() for one in found) or not len(scales) or min(*scales, *found.std) <= 0:
+    if not all(np.isfinite(array).all() for array in eyes) or not len(scales) or min(*scales, *std) <= 0:
         raise ValueError("a number is not finite, or a scale or an error not above 0")
-    return found
+    return eyes

@@ -16,10 +16,11 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import MESH, POINTS
-from facetrack_cli.core.types import Array, Frame
+from facetrack_cli.core.types import Array, Frame, Image
 from facetrack_cli.trackers.face.eyes import SIDES
 from facetrack_cli.trackers.face.stabilized import EYE_LINE, EYES, MIDDLE, Similarity, slope
 
@@ -41,26 +42,30 @@ PRESENT: Final = 0.5  # probability of a face below which nothing is said
 _ENGINE: Final[Mapping[str, Any]] = {"engine": getattr(cv2.dnn, "ENGINE_CLASSIC", 0)} if cv2.__version__ >= "5" else {}
 
 
+# of a network: pixels of a side of its input, sizes of its outputs, what it is, and its file's name
+_MESH: Final = (CROP, (1, 3 * COUNT), "MediaPipe's face mesh", "face_landmark.tflite")
+_IRIS: Final = (EYE, (15, 213), "MediaPipe's iris network", "iris_landmark.tflite")
+
+
 class Mesh:
     """The network in a file. Raises InputError for a file that is none."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        _mesh(path, get_ident())
+        _net(path, get_ident(), *_MESH)
 
     def measure(self, frame: Frame, head: Similarity, crops: tuple[tuple[float, float], ...] = CROPS) -> Array | None:
         """The points (C, 468, 2) of a face by each crop, in pixels of the stabilized image; None without a face."""
-        net, found = _mesh(self.path, get_ident()), []
+        by_crop = []
         for side, below in crops:
             zoom = side * EYES / CROP
             middle = np.array([MIDDLE, EYE_LINE + below * EYES])
             crop = Similarity(head.to_frame(middle), head.scale * zoom, head.angle).read(frame, CROP)
-            net.setInput(cv2.dnn.blobFromImage(crop.bgr, 1 / 255, swapRB=True))
-            points, presence = sorted(net.forward(net.getUnconnectedOutLayersNames()), key=np.size, reverse=True)
+            points, presence = _outputs(_net(self.path, get_ident(), *_MESH), crop.bgr)
             if 1 / (1 + math.exp(-float(presence.ravel()[0]))) < PRESENT:
                 return None
-            found.append((points.reshape(COUNT, 3)[:, :2] - (CROP - 1) / 2) * zoom + middle)
-        return np.asarray(found, np.float64)
+            by_crop.append((points.reshape(COUNT, 3)[:, :2] - (CROP - 1) / 2) * zoom + middle)
+        return np.asarray(by_crop, np.float64)
 
 
 class Iris:
@@ -71,31 +76,28 @@ class Iris:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        _iris(path, get_ident())
+        _net(path, get_ident(), *_IRIS)
 
     def measure(self, frame: Frame, head: Similarity, corners: Array) -> tuple[Array, Array]:
         """The points (8, 2) of both eyes, as in GROUPS, and the middles (2, 2) of the irises, by `corners` (4, 2).
 
         All are in the stabilized image.
         """
-        net, eyes, irises = _iris(self.path, get_ident()), np.empty((8, 2)), np.empty((2, 2))
+        eyes, irises = np.empty((8, 2)), np.empty((2, 2))
         for k, (eye, ends, way) in enumerate(zip(SIDES, corners.reshape(2, 2, 2), (1, -1), strict=True)):
             zoom = EYE_CROP * math.hypot(*(ends[1] - ends[0]).tolist()) / EYE
             view = Similarity(head.to_frame(ends.mean(axis=0)), head.scale * zoom, head.angle + slope(ends))
-            net.setInput(cv2.dnn.blobFromImage(view.read(frame, EYE).bgr[:, ::way], 1 / 255, swapRB=True))
-            told = sorted(net.forward(net.getUnconnectedOutLayersNames()), key=np.size, reverse=True)
-            points = np.concatenate([one.reshape(-1, 3)[:, :2] for one in told])[[*LIDS, IRIS]]
+            outputs = _outputs(_net(self.path, get_ident(), *_IRIS), view.read(frame, EYE).bgr[:, ::way])
+            points = np.concatenate([output.reshape(-1, 3)[:, :2] for output in outputs])[[*LIDS, IRIS]]
             points = head.to_stabilized(view.to_frame((points - (EYE - 1) / 2) * (way, 1) + MIDDLE))
             eyes[eye], irises[k] = points[:-1], points[-1]
         return eyes, irises
 
 
-def _mesh(path: Path, thread: int) -> cv2.dnn.Net:
-    return _net(path, thread, CROP, (1, 3 * COUNT), "MediaPipe's face mesh", "face_landmark.tflite")
-
-
-def _iris(path: Path, thread: int) -> cv2.dnn.Net:
-    return _net(path, thread, EYE, (15, 213), "MediaPipe's iris network", "iris_landmark.tflite")
+def _outputs(net: cv2.dnn.Net, image: Image | NDArray[np.float32]) -> list[Any]:
+    """The network's outputs for an image (H, W, 3), the largest first."""
+    net.setInput(cv2.dnn.blobFromImage(image, 1 / 255, swapRB=True))
+    return sorted(net.forward(net.getUnconnectedOutLayersNames()), key=np.size, reverse=True)
 
 
 @lru_cache(maxsize=32)
@@ -104,10 +106,9 @@ def _net(path: Path, thread: int, side: int, sizes: tuple[int, ...], what: str, 
     remedy = f"get it by facetrack models get mesh, or name {name}"
     try:
         net = cv2.dnn.readNetFromTFLite(str(path), **_ENGINE)
-        net.setInput(np.zeros((1, 3, side, side), np.float32))
-        found = tuple(sorted(one.size for one in net.forward(net.getUnconnectedOutLayersNames())))
+        actual = tuple(sorted(output.size for output in _outputs(net, np.zeros((side, side, 3), np.float32))))
     except cv2.error:
         raise InputError(f"{path}: is no network that OpenCV reads; {remedy}") from None
-    if found != sizes:
+    if actual != sizes:
         raise InputError(f"{path}: is another network than {what}; {remedy}")
     return net

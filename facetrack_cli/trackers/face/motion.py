@@ -13,15 +13,16 @@ from facetrack_cli.core.types import Array
 from facetrack_cli.engine.protocols import Linear, Motion
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.face.settings import JumpingWalkSettings
-from facetrack_cli.trackers.face.walk_kernels import jump
+from facetrack_cli.trackers.face.window_kernels import jump
 
 ANY: Final = 0.3  # share of draws that do not follow what a sensor and the last place make likely
 
 
 class SensorReading(NamedTuple):
-    """What a sensor says of K parts in one frame: z (K, 2) = part + N(0, var I) with probability `sure` (K,).
+    """What a sensor says of K parts in one frame, in pixels of the stabilized image.
 
-    Otherwise it says nothing: z is then anywhere in `area` square pixels. `var` (K,) in square pixels.
+    With probability `sure` (K,), z (K, 2) is the part's place plus N(0, var I); `var` (K,) is in square pixels.
+    Otherwise z is anywhere in an `area` of so many square pixels.
     """
 
     z: Array
@@ -54,14 +55,14 @@ def _log_sum(values: Array) -> Array:
 def modes(measured: Sequence[SensorReading], parts: int) -> tuple[Array, Array, Array]:
     """p(z | a) as sum_m exp(w_m - p_m |a - z_m|^2 / 2), a mode for each set of sensors that say something."""
     z, p, w = np.zeros((1, parts, 2)), np.zeros((1, parts)), np.zeros((1, parts))
-    for one in (each for each in measured if each.sure.any()):
-        sure, new = np.clip(one.sure, 1e-6, 1 - 1e-6), 1 / one.var
+    for reading in (each for each in measured if each.sure.any()):
+        sure, new = np.clip(reading.sure, 1e-6, 1 - 1e-6), 1 / reading.var
         total = p + new
-        apart = np.sum((one.z - z) ** 2, axis=2) * p * new / total
-        z = np.concatenate([(p[..., None] * z + new[:, None] * one.z) / total[..., None], z])
+        apart = np.sum((reading.z - z) ** 2, axis=2) * p * new / total
+        z = np.concatenate([(p[..., None] * z + new[:, None] * reading.z) / total[..., None], z])
         p = np.concatenate([total, p])
-        says = w + np.log(sure) - 0.5 * apart - np.log(2 * np.pi * one.var)
-        w = np.concatenate([says, w + np.log1p(-sure) - np.log(one.area)])
+        says = w + np.log(sure) - 0.5 * apart - np.log(2 * np.pi * reading.var)
+        w = np.concatenate([says, w + np.log1p(-sure) - np.log(reading.area)])
     return z, p, w
 
 
@@ -120,7 +121,7 @@ class JumpingWalk(Motion):
         """
         rest = self.expect(x)
         z, precision, w = modes(measured, x.shape[1])
-        z, precision, w = (np.repeat(one, 2, axis=0)[:, None] for one in (z, precision, w))
+        z, precision, w = (np.repeat(mode, 2, axis=0)[:, None] for mode in (z, precision, w))
         var = np.tile(np.stack([self.sigma**2, self.jump**2]), (len(z) // 2, 1))[:, None]
         share = np.tile(np.log([max(1 - self.jumps, 1e-12), max(self.jumps, 1e-12)]), len(z) // 2)[:, None, None]
         wider, off = 1 + var * precision, z - rest
@@ -154,35 +155,25 @@ def jumping_walk(settings: JumpingWalkSettings, context: Context) -> JumpingWalk
 
 
 @dataclass(frozen=True)
-class MeasuredWalk(Motion):
+class MeasuredWalk(JumpingWalk):
     """A jumping walk in one frame, in which sensors have `measured` the parts.
 
-    With `windows`, which score the parts, draws are weighed as they are drawn; `known` are these, by their ids.
+    With `windows`, which score the parts, draws are weighed as they are drawn; `draws` keeps both by id.
     """
 
-    walk: JumpingWalk
     measured: Sequence[SensorReading]
-    windows: ScoredMaps | None = None
-    known: dict[int, tuple[Array, Array]] = field(default_factory=dict)
+    windows: ScoredMaps | None
+    draws: dict[int, tuple[Array, Array]] = field(default_factory=dict)
 
     def propagate(self, rng: np.random.Generator, x: Array) -> Array:
         if self.windows is None:
-            return self.walk.propagate_given(rng, x, self.measured)
-        drawn, log_p = self.walk.propose(rng, x, self.measured, self.windows)
-        self.known[id(drawn)] = drawn, log_p
+            return self.propagate_given(rng, x, self.measured)
+        drawn, log_p = self.propose(rng, x, self.measured, self.windows)
+        self.draws[id(drawn)] = drawn, log_p
         return drawn
 
     def weighed(self, x: Array) -> Array | None:
-        return self.known[id(x)][1] if id(x) in self.known else None
+        return self.draws[id(x)][1] if id(x) in self.draws else None
 
     def log_importance(self, x: Array, parents: Array) -> Array:
-        return self.walk.log_measured(x, parents, self.measured)
-
-    def expect(self, x: Array) -> Array:
-        return self.walk.expect(x)
-
-    def log_transition(self, x: Array, parents: Array) -> Array:
-        return self.walk.log_transition(x, parents)
-
-    def linear(self, state: Array) -> Linear:
-        return self.walk.linear(state)
+        return self.log_measured(x, parents, self.measured)

@@ -11,7 +11,7 @@ import numpy as np
 from facetrack_cli.core.face_points import EYE_DISTANCE
 from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Array, Extent, Frame, Image
-from facetrack_cli.trackers.face.colour_kernels import coloured
+from facetrack_cli.trackers.face.image_kernels import coloured
 
 SIDE: Final = 160  # sides of the stabilized image, in pixels
 FACE: Final = 112.0  # sides of the face's box in it
@@ -22,7 +22,14 @@ EYE_LINE: Final = MIDDLE - 0.112 * FACE  # the row of the eyes
 
 
 class Similarity(NamedTuple):
-    """Maps the stabilized image to the frame: its middle comes to `centre` (2,), turned by `angle`, times `scale`."""
+    """The map from a stabilized image to the frame.
+
+    Attributes
+    ----------
+    centre : (2,), where the middle of the stabilized image lies in the frame, in pixels
+    scale : pixels of the frame to a pixel of the stabilized image
+    angle : by which the image is turned in the frame, clockwise, in radians
+    """
 
     centre: Array
     scale: float
@@ -46,9 +53,8 @@ class Similarity(NamedTuple):
     def into(self, other: Similarity) -> tuple[Array, Array]:
         """M.T (2, 2) and t (2,): x @ M.T + t are places x in the stabilized image of another map."""
         turned = self.matrix.T @ other.matrix / other.scale**2
-        return turned, (self.centre - other.centre) @ (other.matrix / other.scale**2) + MIDDLE - MIDDLE * turned.sum(
-            axis=0
-        )
+        shift = (self.centre - other.centre) @ (other.matrix / other.scale**2)
+        return turned, shift + MIDDLE - MIDDLE * turned.sum(axis=0)
 
     def is_near(self, other: Similarity, pixels: float) -> bool:
         """Whether the face's box lies within so many pixels of the stabilized image of where another map has it."""
@@ -59,7 +65,7 @@ class Similarity(NamedTuple):
         """The stabilized image, (side, side, 3), of a frame; beyond the frame's border, the border's pixels."""
         factor, extent = self._extent(side)
         if (planes := frame.planes(factor, extent)) is not None:
-            colours = coloured(*(self._warped(*one, side) for one in planes))
+            colours = coloured(*(self._warped(*plane, side) for plane in planes))
             still = np.asarray(cv2.merge(tuple(colours)), np.uint8)
         else:
             still = self._warped(*frame.reduced(factor, extent), factor, side)

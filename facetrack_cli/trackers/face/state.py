@@ -1,101 +1,275 @@
-"""What is known of a face from frame to frame, and what a frame shows of it."""
+"""What is known of a face after a frame, what the next frame shows of it, and the rows that follow."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Final, NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from facetrack_cli.core.types import Array, Frame
-from facetrack_cli.engine.target import ParticleState, Rows
-from facetrack_cli.trackers.face.descent import PlacedPoints
-from facetrack_cli.trackers.face.detectors import Found
+from facetrack_cli.core.geometry import corners
+from facetrack_cli.core.types import BOX, Array, Frame, Mask
+from facetrack_cli.engine.calibration import Calibration
+from facetrack_cli.engine.loop import Footprint
+from facetrack_cli.engine.smoothing import Belief
+from facetrack_cli.engine.target import ParticleState, ParticleTarget, Rows
+from facetrack_cli.trackers.box.hidden_box import BoxTarget
+from facetrack_cli.trackers.face.detectors import Detection
 from facetrack_cli.trackers.face.evidence import Sighting
-from facetrack_cli.trackers.face.mesh_points import MeshPoints
+from facetrack_cli.trackers.face.landmark_filters import BiasFilter, Facing, LandmarkFilter
+from facetrack_cli.trackers.face.landmark_sensors import LandmarkReadings, LandmarkSensors
 from facetrack_cli.trackers.face.motion import SensorReading
-from facetrack_cli.trackers.face.sensors import Facing, Sensor
-from facetrack_cli.trackers.face.stabilized import Similarity
+from facetrack_cli.trackers.face.settings import HeadSettings
+from facetrack_cli.trackers.face.stabilized import EYES, FACE, MIDDLE, Similarity
 from facetrack_cli.trackers.people.descriptor import Picture
+from facetrack_cli.trajectory.diagnostics import EVIDENCE, NETWORK, ROLL, SCALE, Diagnostics
+from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
 from facetrack_cli.video.shots import Passing
 
+OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
 _MAX_POSE: Final = np.array([math.inf, 0.7, 0.3, 0.3])  # a face may lie, and a head may turn over
 
 
 class FaceState(NamedTuple):
-    """The states of head and points, the last rows of `points` in the stabilized image; what is known of their sensors.
+    """A face after a frame.
 
-    `sensors` are regression, detector, network; `others` the network's points, None before it has seen the face;
-    `eyes` those of the eyes, None where they have no rows.
-
-    `pose` (4,) is that of the face in its head: roll in radians, the logarithm of its size, and its middle in sizes of
-    the head's box; `pose_var` (4,) are their variances. `frames` counts those since the start. `sure` are the log odds
-    that the sensors see the face where it is. `looks` are those of the face so far, and so are `pictures`; `sighting`
-    is one of it while it is lost, `seen` where it was last seen for sure. `passing` is what the frames show; `cut` is
-    the time of a cut, or what may be one, since which the face was not seen; `several` counts looks at several faces in
-    one frame.
+    Attributes
+    ----------
+    head, features : states of the head's filter and of the points' filter, which lives in the stabilized image
+    feature_rows : the last rows of the points, in pixels of the stabilized image
+    bias_filters : of the regression, the detector and the network, in this order
+    facing : whether the face is turned to the camera
+    pose : (4,), how the face lies in the head's box: roll in radians, log of its size, offset in sizes of the box
+    pose_var : (4,), the variances of `pose`
+    others : the network's further points; None before it has seen the face
+    eyes : the points of the eyes; None where they have no rows
+    looks, pictures : views of the face so far, by which it is recognised
+    last_seen : where a detector last saw the face for sure
+    shots : the tests for cuts
+    frames : frames since the start
+    log_odds : log odds that the sensors see the face where it is tracked
+    sighting : the likeliest face of a frame while the target is lost
+    cut_time : time in s of a (possible) cut after which the face was not seen yet
+    crowded : in how many searches several faces were seen
     """
 
     head: ParticleState
     features: ParticleState
-    points: Rows
-    sensors: tuple[Sensor, ...]
+    feature_rows: Rows
+    bias_filters: tuple[BiasFilter, ...]
     facing: Facing
     pose: Array
     pose_var: Array
-    others: MeshPoints | None
-    eyes: MeshPoints | None
+    others: LandmarkFilter | None
+    eyes: LandmarkFilter | None
     looks: tuple[Array, ...]
     pictures: tuple[Picture, ...]
-    seen: Similarity
-    passing: Passing
+    last_seen: Similarity
+    shots: Passing
     frames: int = 0
-    sure: float = 0.0
+    log_odds: float = 0.0
     sighting: Sighting | None = None
-    cut: float | None = None
-    several: int = 0
+    cut_time: float | None = None
+    crowded: int = 0
 
 
-class View(NamedTuple):
-    """A frame as `seen` from the head, its `channels` for the regressions, and what sensors say of the points there.
+class FaceView(NamedTuple):
+    """A frame as seen from the head, and what the sensors say of the points there.
 
-    `places` are those (K, 2) by each sensor, `measured` what they say without their bias; `upright` (K, 2): what
-    regression and network say together; `shift` (2,): how far the face is from where the head was expected; `sure`:
-    log odds that it is there.
+    Attributes
+    ----------
+    similarity, image : the stabilized image, and where it lies in the frame
+    checked : whether the detector has looked
+    detection : the face that it saw, in the stabilized image
+    landmarks : what regression and network say
+    places : (K, 2) by each sensor, in pixels of the stabilized image, nan where it says nothing
+    readings : the same without the sensors' biases
+    fused : (K, 2), regression and network together, without biases
+    shift : (2,) pixels, how far the face is from where the head was expected
+    log_odds : log odds that the face is there
     """
 
     similarity: Similarity
-    seen: Frame
-    channels: NDArray[np.float32]
-    due: bool
-    found: Found | None
-    parts: PlacedPoints
-    others: PlacedPoints | None
-    eyes: PlacedPoints | None
+    image: Frame
+    checked: bool
+    detection: Detection | None
+    landmarks: LandmarkReadings
     places: tuple[Array, ...]
-    measured: tuple[SensorReading, ...]
-    upright: Array
+    readings: tuple[SensorReading, ...]
+    fused: Array
     shift: Array
-    sure: float
+    log_odds: float
 
 
-def updated(pose: Array, var: Array, off: Array, std: Array) -> tuple[Array, Array]:
-    """A pose (4,) and its variances, measured to be `off` with standard deviations."""
+def updated(pose: Array, var: Array, offset: Array, std: Array) -> tuple[Array, Array]:
+    """A pose (4,) and its variances after a measurement that is `offset` from it, with standard deviations `std`."""
     gain = var / (var + std**2)
-    return np.clip(pose + gain * off, -_MAX_POSE, _MAX_POSE), (1 - gain) * var
+    return np.clip(pose + gain * offset, -_MAX_POSE, _MAX_POSE), (1 - gain) * var
 
 
-def shifted(features: ParticleState, to: Callable[[Array], Array]) -> ParticleState:
-    """The points' state at other places."""
+def moved(features: ParticleState, to: Callable[[Array], Array]) -> ParticleState:
+    """The points' state, with every place x replaced by to(x)."""
     particles = features.particles._replace(x=to(features.particles.x))
     return replace(
         features, particles=particles, estimated=features.estimated._replace(state=to(features.estimated.state))
     )
 
 
-def sure_of(head: ParticleState) -> float:
+def head_confidence(head: ParticleState) -> float:
     assert head.judgement is not None
     return float(head.judgement.confidence[0])
+
+
+@dataclass(frozen=True)
+class FaceParts:
+    """The parts of a face, and the rows that they have in a state.
+
+    Rows are those of the points, of the head's box, of the eyes, and of the network's further points.
+
+    Attributes
+    ----------
+    name : name of the target
+    head : the filter of the head's box, in pixels of the frame
+    features : the filter of the points with windows, in pixels of the stabilized image
+    settings : the recipe's section `head`
+    sensors : what measures the points in a frame
+    side : side in pixels of the head's box at the start, the square root of its area
+    calibration : what turns confidences into probabilities
+    """
+
+    name: str
+    head: BoxTarget
+    features: ParticleTarget
+    settings: HeadSettings
+    sensors: LandmarkSensors
+    side: float
+    calibration: Calibration | None
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return (*self.features.parts, BOX, *self.sensors.eyes, *self.sensors.others)
+
+    @property
+    def windows(self) -> Mapping[str, tuple[float, float]]:
+        scale = self.side / FACE
+        points = {part: (w * scale, h * scale) for part, (w, h) in self.features.windows.items()}
+        return {**points, **self.head.windows}
+
+    def map_to_frame(self, head: Array, pose: Array) -> Similarity:
+        """The stabilized image of a face that lies by `pose` (4,) in a head at `head` (1, D)."""
+        x, y, scale = head[0, :3].tolist()
+        middle = np.array([x, y]) + self.side * scale * pose[2:]
+        return Similarity(middle, self.side * scale * math.exp(pose[1]) / FACE, float(pose[0]))
+
+    def footprint(self, state: FaceState, *, ahead: bool) -> Footprint | None:
+        return self.head.footprint(state.head, ahead=ahead)
+
+    @property
+    def diagnostics(self) -> tuple[Any, ...]:
+        return (SCALE, ROLL, EVIDENCE) if self.sensors.mesh is None else (SCALE, ROLL, EVIDENCE, NETWORK)
+
+    def result(self, state: FaceState, box: Rows, frame: Frame) -> TargetResult:
+        """The rows of all parts, with the particles of the points, in the frame."""
+        similarity, k = self.map_to_frame(state.head.estimated.state, state.pose), len(self.features.parts)
+        points = self._point_columns(state, similarity)
+        head = {name: box.columns[name] for name in points} | self._box_columns(box.columns, similarity)
+        columns = {}
+        for name, values in head.items():
+            others = points[name] if name in points else np.full((len(points["x"]), *values.shape[1:]), np.nan)
+            columns[name] = np.concatenate([others[:k], values, others[k:]])
+        # of a target one number: both filters' together
+        particles = float(state.feature_rows.columns["particles"].max() + box.columns["particles"][0])
+        columns["particles"] = np.full(len(self.parts), particles)
+        values = {
+            SCALE.name: similarity.scale * FACE / self.side,
+            ROLL.name: math.degrees(state.pose[0]),
+            # both likelihoods are ratios, which are 1 where the head is lost and nothing is compared
+            EVIDENCE.name: sum(rows.evidence for rows in (box, state.feature_rows) if rows.frame == frame.index),
+            NETWORK.name: float(state.bias_filters[2].reliability.mean()),
+        }
+        diagnostics = {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
+        rows = of_frame(self._names, frame, diagnostics, **columns)
+        unseen = rows.unseen
+        if self.calibration is not None:
+            rows = self.calibration.applied(rows, self.features.size * self.side / FACE)
+        cloud = similarity.to_frame(state.features.particles.x)
+        return TargetResult(rows, cloud, (), box.notes, lambda: self.beliefs(state, unseen))
+
+    def _point_columns(self, state: FaceState, similarity: Similarity) -> dict[str, Any]:
+        """Columns of all points but the head's: places in the frame, covariances, confidence and status.
+
+        The confidence of a point with a window is that it is visible, shown with the head and near. That of a point
+        without a window is of its place alone; where it is not seen it is hidden. Points at nan are lost.
+        """
+        last, estimated, k = state.feature_rows.columns, state.features.estimated, len(self.features.parts)
+        status, confidence = last["status"], last.get("confidence", np.full(k, np.nan))
+        groups = [(estimated.state, estimated.cov, np.where(np.isnan(confidence), 1.0, confidence), status == "lost")]
+        for names, landmarks in self._without_windows(state):
+            if landmarks is None:
+                nothing = np.full((len(names), 2, 2), np.nan)
+                groups.append((nothing[:, 0], nothing, nothing[:, 0, 0], np.ones(len(names), np.bool_)))
+            else:
+                hidden = landmarks.visible < self.settings.lost_below
+                groups.append((landmarks.at, landmarks.cov, landmarks.visible, hidden))
+        at, cov, visible, unseen = map(np.concatenate, zip(*groups, strict=True))
+        shown, windows = state.facing.shown * head_confidence(state.head), np.arange(len(at)) < k
+        seen = visible * shown
+        # of what is hidden, the head alone says where it is
+        cov = similarity.matrix @ cov @ similarity.matrix.T + (1 - seen)[:, None, None] * state.head.estimated.cov[0]
+        var = cov.reshape(-1, 4)[:, ::3]
+        near = 1 - np.exp(-((OFF * EYES * similarity.scale) ** 2) / np.maximum(var.sum(axis=1), 1e-9))
+        (x, y), (std_x, std_y), nan = similarity.to_frame(at).T, np.sqrt(var).T, np.full(len(at) - k, np.nan)
+        columns = {
+            "x": x, "y": y, "std_x": std_x, "std_y": std_y, "cov_xy": cov[:, 0, 1],
+            "confidence": np.where(windows, seen, shown) * near,
+            "status": np.where(unseen, np.where(windows, "lost", "hidden"), "tracked"),
+            "w": np.append(last["w"] * similarity.scale, nan), "h": np.append(last["h"] * similarity.scale, nan),
+            "ess": np.append(last["ess"], nan),
+        }  # fmt: skip
+        columns["status"][~(shown * near >= self.settings.lost_below)] = "lost"
+        if not state.frames:
+            init = (columns["status"][:k] != "lost") & (status == "init")
+            columns["status"][:k][init], columns["confidence"][:k] = "init", confidence
+        absent = np.flatnonzero(status == "absent")
+        for name, values in columns.items():
+            values[absent] = "absent" if name == "status" else np.nan
+        return columns
+
+    def _box_columns(self, row: Mapping[str, Any], face: Similarity) -> dict[str, Array]:
+        """Columns of the head's box: it is where the face is in it, as large as that, and turned by its roll."""
+        roll, grown = math.remainder(face.angle, math.tau), face.scale * FACE / np.sqrt(row["w"] * row["h"])
+        columns = {name: row.get(name, np.nan) * grown for name in ("w", "h", "std_w", "std_h")}
+        columns |= {"x": face.centre[:1], "y": face.centre[1:], "angle": np.array([math.degrees(roll)])}
+        way = np.array([[math.cos(roll), -math.sin(roll), math.sin(roll), math.cos(roll)]])
+        # the border runs through the middle of the outermost pixels
+        size = np.stack([columns["w"] - 1, columns["h"] - 1], axis=1)
+        return {**columns, "corners": corners(way, face.centre[None], size)}
+
+    def beliefs(self, state: FaceState, unseen: Mask) -> tuple[Belief, ...]:
+        """For the smoother: of the points in the stabilized image, of the head, and of the points without windows.
+
+        `unseen` (K,) marks the parts that are in doubt.
+        """
+        beliefs = [*self.features.beliefs(state.features), *self.head.beliefs(state.head)]
+        if self.calibration is not None:
+            beliefs = list(map(self.calibration.believed, (self.features.parts, self.head.parts), beliefs))
+        for names, landmarks in self._without_windows(state):
+            if landmarks is None:
+                nowhere = LandmarkFilter.begin(np.full((len(names), 2), MIDDLE))
+                landmarks = nowhere._replace(visible=np.zeros(len(names)))
+            beliefs.append(landmarks.belief())
+        ends = np.cumsum([len(belief.mean) for belief in beliefs])[:-1]
+        each = zip(beliefs, np.split(unseen, ends), strict=True)
+        return tuple(belief._replace(doubt=belief.doubt | lost) for belief, lost in each)
+
+    def _without_windows(self, state: FaceState) -> list[tuple[tuple[str, ...], LandmarkFilter | None]]:
+        """The names of points without windows, in the order of rows, with their filters."""
+        groups = (self.sensors.eyes, state.eyes), (self.sensors.others, state.others)
+        return [(names, landmarks) for names, landmarks in groups if names]
+
+    @cached_property
+    def _names(self) -> tuple[tuple[str, str], ...]:
+        return tuple((self.name, part) for part in self.parts)

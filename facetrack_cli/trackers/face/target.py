@@ -6,20 +6,20 @@ the face hardly moves. What is left to track is expression, and what the head tu
 T is constant, and that filter is the published one (Patras & Pantic, FG 2004). The shape prior is that of the
 stabilized image, so it is registered by the head: translation, scale and roll.
 
-In each frame sensors place the points in the stabilized image: a regression (`descent.py`), and a network if its file
-is there (`mesh.py`). Windows are exact and may be lost. Sensors are less exact and have no memory. The points' filter
-joins all (`sensors.py`, `motion.py`). Eyes (`eyes.py`) and further points of the network have no windows
-(`mesh_points.py`), and no say in where the face is.
+In each frame sensors place the points in the stabilized image: a regression (`cascaded_regression.py`), and a network
+if its file is there (`mesh.py`). Windows are exact and may be lost. Sensors are less exact and have no memory. The
+points' filter joins all (`landmark_filters.py`, `motion.py`). Eyes (`eyes.py`) and further points of the network have
+no windows, and no say in where the face is.
 
-A detector of faces measures the face's box every so many frames. Of a head that is lost, it is asked as often where in
-the frame faces are; the head's filter compares them with what the first frames showed, and what it recognises is where
-it is proposed.
+A detector of faces measures the face's box every so many frames. While the head is lost, the detector looks as often
+for faces anywhere in the frame. The head's filter compares them with what the first frames showed; so does
+`evidence.py`, and where it recognises the target, tracking begins again.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -28,15 +28,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.random import Generator
 
-from facetrack_cli.core.geometry import centre, corners, square
-from facetrack_cli.core.types import BOX, Array, Frame, Mask, TargetStart
-from facetrack_cli.engine.calibration import Calibration
+from facetrack_cli.core.geometry import centre, square
+from facetrack_cli.core.types import Array, Frame, Info, TargetStart
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Motion, Names
-from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.engine.spaces import Estimate
-from facetrack_cli.engine.target import ParticleState, ParticleTarget, Rows
-from facetrack_cli.trackers.box.hidden_box import BoxTarget
+from facetrack_cli.engine.target import ParticleState, Rows
 from facetrack_cli.trackers.face import stabilized, window_ncc
 from facetrack_cli.trackers.face.evidence import (
     MAYBE,
@@ -51,36 +48,34 @@ from facetrack_cli.trackers.face.evidence import (
     look_of,
     probabilities,
 )
-from facetrack_cli.trackers.face.mesh_points import NO_FACE, MeshPoints
-from facetrack_cli.trackers.face.motion import JumpingWalk, MeasuredWalk, SensorReading, modes
-from facetrack_cli.trackers.face.senses import Senses
-from facetrack_cli.trackers.face.sensors import (
+from facetrack_cli.trackers.face.landmark_filters import (
     AREA,
+    NO_FACE,
     WINDOWS,
+    BiasFilter,
     Facing,
+    LandmarkFilter,
     apart,
     common_shift,
     in_common,
     joined,
     who_is_right,
 )
-from facetrack_cli.trackers.face.settings import HeadSettings
-from facetrack_cli.trackers.face.stabilized import EYES, FACE, Similarity
-from facetrack_cli.trackers.face.state import FaceState, View, shifted, sure_of, updated
+from facetrack_cli.trackers.face.motion import JumpingWalk, MeasuredWalk, SensorReading, modes
+from facetrack_cli.trackers.face.stabilized import FACE, Similarity
+from facetrack_cli.trackers.face.state import FaceParts, FaceState, FaceView, head_confidence, moved, updated
 from facetrack_cli.trackers.people.descriptor import Picture
-from facetrack_cli.trajectory.diagnostics import EVIDENCE, NETWORK, ROLL, SCALE, Diagnostics
-from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
+from facetrack_cli.trajectory.trajectory import TargetResult
 from facetrack_cli.video.shots import Passing, small
 
-OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
-COMPANY: Final = 2  # looks at several faces, from which the clip has shown somebody else
+COMPANY: Final = 2  # searches that saw several faces, from which the clip has shown somebody else
 LOOK: Final = (3, 9)  # frames between two looks of the head's filter while it is new, and later, where points are seen
-NEW_FILTER: Final = 20  # looks until it knows how high its peaks are, and takes no other thing for the head
+NEW_FILTER: Final = 20  # looks after which the head's filter knows its peaks; sooner it may return on what is no face
 SETTLED: Final = 0.95  # probability by the head's filter, below which it looks in every frame
 EASY: Final = 8.0  # log odds that the points are seen where they are
 DOUBT: Final = 8.0  # log odds, below which the detector looks at once
 STEADY: Final = 2.5  # pixels of the stabilized image, which a face is at most from where it is expected, in between
-_FORGETS: Final = 0.95  # share of `sure` that is left after a frame in which the head is lost
+_FORGETS: Final = 0.95  # share of the log odds that is left after a frame in which the head is lost
 _FACES: Final = 4  # that are compared with the one that is lost
 # standard deviations of the pose in a frame, of that by a detected box, and of that by parts left and right
 _POSE: Final = np.array([math.radians(1.5), 0.012, 0.004, 0.004])
@@ -90,58 +85,44 @@ _BY_PAIRS: Final = np.array([math.radians(3), np.inf, np.inf, np.inf])
 
 
 @dataclass(frozen=True)
-class FaceTarget:
-    """A face whose box has sides of `side` pixels at the start, and lies in it as `pose` (4,) says.
+class FaceTarget(FaceParts):
+    """A face that is followed from frame to frame.
 
-    Rows are those of the points, of the box, of the eyes, and of the `others`. `alone`: while it is lost, any face that
-    is seen may be this one.
+    Attributes
+    ----------
+    pose : (4,), how the face lies in the head's box at the start; see `FaceState`
+    alone : whether any face that is seen while the target is lost may be the target
     """
 
-    name: str
-    head: BoxTarget
-    features: ParticleTarget
-    settings: HeadSettings
-    senses: Senses
-    side: float
     pose: Array
-    calibration: Calibration | None = None
     alone: bool = True
 
-    @property
-    def parts(self) -> tuple[str, ...]:
-        return (*self.features.parts, BOX, *self.senses.eyes, *self.senses.others)
-
-    @property
-    def windows(self) -> Mapping[str, tuple[float, float]]:
-        scale = self.side / FACE
-        points = {part: (w * scale, h * scale) for part, (w, h) in self.features.windows.items()}
-        return {**points, **self.head.windows}
+    # --- the start -----------------------------------------------------------------------------------------------
 
     def begin(self, rng: Generator, frame: Frame) -> tuple[FaceState, TargetResult]:
-        head, begun = self.head.begin(rng, frame)
-        similarity = self._map(head.estimated.state, self.pose)
-        seen = similarity.read(frame)
-        features, _ = self.features.begin(rng, seen)
-        facing, found = Facing(), self.senses.detected(seen)
-        sensors, others, eyes = self.senses.begin(frame, similarity, seen, found, self.features.x0)
-        if self.senses.detector is not None and not self.senses.searched and found is None:
-            facing = facing.unseen()
-        points = self.features.rows(features, seen, otherwise="init")
+        head, result = self.head.begin(rng, frame)
+        similarity = self.map_to_frame(head.estimated.state, self.pose)
+        image = similarity.read(frame)
+        features, _ = self.features.begin(rng, image)
+        facing, detection = Facing(), self.sensors.detected(image)
+        biases, others, eyes = self.sensors.begin(frame, similarity, image, detection, self.features.x0)
+        if self.sensors.detector is not None and not self.sensors.searched and detection is None:
+            facing = facing.undetected()
+        rows, shots = self.features.rows(features, image, otherwise="init"), Passing((small(frame),))
+        looks, pictures, pose = (look_of(image),), (self._picture(frame, similarity),), self.pose
         state = FaceState(
-            head, features, points, sensors, facing, self.pose, np.zeros(4), others, eyes,
-            (look_of(seen),), (self._picture(frame, similarity),), similarity, Passing((small(frame),)),
-        )  # fmt: skip
-        box = self.head.rows(head, frame, otherwise="init")._replace(notes=begun.notes)
-        return state, self._result(state, box, frame)
+            head, features, rows, biases, facing, pose, np.zeros(4), others, eyes, looks, pictures, similarity, shots
+        )
+        box = self.head.rows(head, frame, otherwise="init")._replace(notes=result.notes)
+        return state, self.result(state, box, frame)
 
     def restart(
         self, rng: Generator, frame: Frame, first: FaceState, given: TargetStart, absent: Names = (), anew: Names = ()
     ) -> tuple[FaceState, TargetResult]:
-        """As `ParticleTarget.restart`; the head is where the points are as in the first frame."""
+        """As `ParticleTarget.restart`; the head lies about the points as in the first frame."""
         placed = {part: np.array(at) for part, at in given.points.items() if part not in absent}
-        known = np.isin(self.features.parts, list(placed))
         at = np.array([placed[part] for part in self.features.parts if part in placed])
-        rest, scale, roll = self.features.x0[known], self.side / FACE, 0.0
+        rest, scale, roll = self.features.x0[np.isin(self.features.parts, list(placed))], self.side / FACE, 0.0
         if len(at) > 1:
             spread = np.sum((rest - rest.mean(axis=0)) ** 2)
             scale = math.sqrt(float(np.sum((at - at.mean(axis=0)) ** 2)) / max(float(spread), 1e-9))
@@ -150,396 +131,271 @@ class FaceTarget:
             scale = math.sqrt(given.box[2] * given.box[3]) / FACE
         shape = Similarity(np.zeros(2), scale, roll)
         middle = at.mean(axis=0) - (rest.mean(axis=0) - stabilized.MIDDLE) @ shape.matrix.T
-        side = FACE * scale
-        head, _ = self.head.restart(rng, frame, first.head, TargetStart(square(middle, side)))
+        head, _ = self.head.restart(rng, frame, first.head, TargetStart(square(middle, FACE * scale)))
         pose = np.array([roll, 0.0, 0.0, 0.0])
-        similarity = self._map(head.estimated.state, pose)
-        moved = {part: tuple(similarity.to_stabilized(place).tolist()) for part, place in placed.items()}
-        seen, there = similarity.read(frame), TargetStart(points=moved)
-        features, _ = self.features.restart(rng, seen, first.features, there, absent, anew)
-        found, at = self.senses.detected(seen), features.estimated.state
-        sensors, others, eyes = self.senses.begin(frame, similarity, seen, found, at)
-        points = self.features.rows(features, seen)
+        similarity = self.map_to_frame(head.estimated.state, pose)
+        points = {part: tuple(similarity.to_stabilized(place).tolist()) for part, place in placed.items()}
+        image = similarity.read(frame)
+        features, _ = self.features.restart(rng, image, first.features, TargetStart(points=points), absent, anew)
+        detection, at = self.sensors.detected(image), features.estimated.state
+        biases, others, eyes = self.sensors.begin(frame, similarity, image, detection, at)
+        rows, shots = self.features.rows(features, image), Passing((small(frame),))
+        looks, pictures = first.looks, first.pictures
         state = FaceState(
-            head, features, points, sensors, Facing(), pose, np.zeros(4), others, eyes, first.looks,
-            first.pictures, similarity, Passing((small(frame),)),
-        )  # fmt: skip
-        return state, self._result(state, self.head.rows(head, frame), frame)
+            head, features, rows, biases, Facing(), pose, np.zeros(4), others, eyes, looks, pictures, similarity, shots
+        )
+        return state, self.result(state, self.head.rows(head, frame), frame)
+
+    # --- a frame -------------------------------------------------------------------------------------------------
 
     def advance(
         self, rng: Generator, state: FaceState, frame: Frame, footprints: Sequence[Footprint] = ()
     ) -> tuple[FaceState, TargetResult]:
+        """The next frame, which may be of another shot.
+
+        Without a detector, or where other targets are tracked beside this one, cuts are not looked for. After what may
+        be a cut the target is tracked on where it was, for half a second. If it is then not seen there, or does not
+        look like the target, the cut was one, and the face is searched for anywhere until it is recognised.
+        """
         state = state._replace(frames=state.frames + 1)
-        if not self._searches:
+        if not self.alone or self.sensors.detector is None:
             return self._step(rng, state, frame, footprints)
-        passing, event = state.passing.after(frame)
-        cut = {"": state.cut, "none": None}.get(event, frame.time_s)
-        state = state._replace(passing=passing, cut=cut)
-        if cut is None or frame.time_s - cut <= STAYS:
+        shots, event = state.shots.after(frame)
+        cut_time = {"": state.cut_time, "none": None}.get(event, frame.time_s)
+        state = state._replace(shots=shots, cut_time=cut_time)
+        if cut_time is None:
+            return self._step(rng, state, frame, footprints)
+        just_cut = frame.time_s - cut_time <= STAYS
+        if just_cut:
             after, result = self._step(rng, state, frame, footprints)
-            if cut is None or after.cut is None or self._stays(after, frame):
-                return after._replace(cut=None), result
-        just = frame.time_s - cut <= STAYS  # then every frame counts
-        if just or event or self._is_due(state):
-            state = self._sighted(state, frame)
-            if (seen := state.sighting) is not None and seen.is_target(frame):
-                return self._returned(rng, state, seen, frame)
-        head, info = self.head.unseen(rng, state.head, frame, anywhere=not just)
-        state = state._replace(head=head, sure=_FORGETS * state.sure)
-        return state, self._result(state, self.head.rows(head, frame, info), frame)
-
-    @cached_property
-    def _searches(self) -> bool:
-        """Whether a detector looks for the face anywhere in the frame while it is lost."""
-        return self.alone and self.senses.detector is not None and self.settings.detections is not None
-
-    def _is_due(self, state: FaceState) -> bool:
-        detections = self.settings.detections
-        return self.senses.detector is not None and detections is not None and state.frames % detections.every == 0
+            if after.cut_time is None or self._stays(after, frame):
+                return after._replace(cut_time=None), result
+        if just_cut or event or self._is_due(state):
+            state = self._searched(state, frame)
+            if (sighting := state.sighting) is not None and sighting.is_target(frame):
+                return self._returned(rng, state, sighting, frame)
+        head, info = self.head.unseen(rng, state.head, frame, anywhere=not just_cut)
+        state = state._replace(head=head, log_odds=_FORGETS * state.log_odds)
+        return state, self.result(state, self.head.rows(head, frame, info), frame)
 
     def _step(
         self, rng: Generator, state: FaceState, frame: Frame, footprints: Sequence[Footprint]
     ) -> tuple[FaceState, TargetResult]:
-        """A frame later, in the same scene."""
-        shown = sure_of(state.head) >= self.settings.lost_below
+        """The next frame of the same shot.
+
+        1. While the head's filter is sure and the sensors see the points where the head is expected, the points carry
+           the head, and its filter looks in every few frames alone.
+        2. While the head is lost, the detector searches the frame every so often; tracking begins again where it sees
+           the target.
+        3. Else the head's filter follows the box. If it loses the head, the points keep their last rows.
+        4. Else the points are followed in the stabilized image of the head.
+        """
+        shown = head_confidence(state.head) >= self.settings.lost_below
         due = self._is_due(state)
-        if self.senses.detector is not None and self.settings.detections is not None:
-            due |= shown and state.sure <= DOUBT
-        view: View | None = None
-        if sure_of(state.head) >= SETTLED and state.sure >= EASY and state.frames % self._every(state):
-            view = self._view(state, self.head.motion.expect(state.head.estimated.state[None])[0], frame, due=due)
-            if view.parts.sure >= EASY and math.hypot(*view.shift) < STEADY:
+        if self.sensors.detector is not None:
+            due |= shown and state.log_odds <= DOUBT
+        view: FaceView | None = None
+        settled = head_confidence(state.head) >= SETTLED and state.log_odds >= EASY
+        if settled and state.frames % LOOK[state.head.learned.frames > NEW_FILTER]:
+            expected = self.head.motion.expect(state.head.estimated.state[None])[0]
+            view = self._view(state, expected, frame, due=due)
+            if view.landmarks.parts.log_odds >= EASY and math.hypot(*view.shift) < STEADY:
                 return self._followed(rng, state, view, frame, None)
         if due and not shown and self.alone:
-            state = self._sighted(state, frame)
-            if (seen := state.sighting) is not None and seen.is_target(frame):
-                return self._returned(rng, state, seen, frame)
-        told = 0.0 if state.sighting is not None else state.facing.odds(state.sure)
-        before = replace(state.head, learned=state.head.learned._replace(told=told))
-        head, info = self.head.advanced(rng, before, frame, footprints)
+            state = self._searched(state, frame)
+            if (sighting := state.sighting) is not None and sighting.is_target(frame):
+                return self._returned(rng, state, sighting, frame)
+        log_odds = 0.0 if state.sighting is not None else state.facing.log_odds(state.log_odds)
+        informed = replace(state.head, learned=state.head.learned._replace(told=log_odds))
+        head, info = self.head.advanced(rng, informed, frame, footprints)
         box = self.head.rows(head, frame, info)
-        if sure_of(head) < self.settings.lost_below:
-            state = state._replace(head=head, facing=state.facing.predicted(), sure=_FORGETS * state.sure)
-            return state, self._result(state, box, frame)
+        if head_confidence(head) < self.settings.lost_below:
+            log_odds = _FORGETS * state.log_odds
+            state = state._replace(head=head, facing=state.facing.predicted(), log_odds=log_odds)
+            return state, self.result(state, box, frame)
         state = state._replace(head=head, sighting=None)
-        if view is None or not view.similarity.is_near(self._map(head.estimated.state, state.pose), STEADY):
+        if view is None or not view.similarity.is_near(self.map_to_frame(head.estimated.state, state.pose), STEADY):
             view = self._view(state, head.estimated.state, frame, due=due)
         return self._followed(rng, state, view, frame, box)
 
-    def _every(self, state: FaceState) -> int:
-        """Frames between two looks of the head's filter, where the points are seen in between."""
-        return LOOK[state.head.learned.frames > NEW_FILTER]
+    def _is_due(self, state: FaceState) -> bool:
+        """Whether it is the detector's turn to look."""
+        detections = self.settings.detections
+        return self.sensors.detector is not None and detections is not None and state.frames % detections.every == 0
 
     def _stays(self, state: FaceState, frame: Frame) -> bool:
-        """Whether what is followed, after what may be a cut, is the face of before."""
-        if sure_of(state.head) < self.settings.lost_below or state.sure <= 0:
+        """Whether what is followed after a possible cut looks like the face of before."""
+        if head_confidence(state.head) < self.settings.lost_below or state.log_odds <= 0:
             return False
-        looks = by_looks(state.pictures, [self._map(state.head.estimated.state, state.pose)], frame)
-        [p] = probabilities(looks, np.zeros(1), cut=True, company=state.several >= COMPANY)
+        looks = by_looks(state.pictures, [self.map_to_frame(state.head.estimated.state, state.pose)], frame)
+        [p] = probabilities(looks, np.zeros(1), cut=True, company=state.crowded >= COMPANY)
         return bool(p > 0.5)
+
+    def _view(self, state: FaceState, head: Array, frame: Frame, *, due: bool) -> FaceView:
+        """The frame seen from a head at `head` (1, D); the detector looks as well if that is `due`."""
+        similarity = self.map_to_frame(head, state.pose)
+        image = similarity.read(frame)
+        detection = self.sensors.detected(image) if due else None
+        before = state.features.estimated.state
+        detected = self.sensors.places({} if detection is None else detection.points)
+        around, measured = [before.mean(axis=0)], np.isfinite(detected).all(axis=1)
+        if measured.any():
+            around.append((before + (detected - before)[measured].mean(axis=0)).mean(axis=0))
+        landmarks = self.sensors.read(frame, similarity, image, around)
+        visible = self._visible(state.features)
+        places = landmarks.parts.at, detected, landmarks.network
+        readings = tuple(bias.reading(z, visible) for bias, z in zip(state.bias_filters, places, strict=True))
+        fused = joined(readings[0], readings[2])
+        shift = common_shift(joined(fused, readings[1]), before)
+        log_odds = 0.0 if apart(fused, readings[1]).any() else landmarks.parts.log_odds
+        fused_at = np.where(fused.sure[:, None] > 0, fused.z, np.nan)
+        return FaceView(similarity, image, due, detection, landmarks, places, readings, fused_at, shift, log_odds)
+
+    def _followed(
+        self, rng: Generator, state: FaceState, view: FaceView, frame: Frame, box: Rows | None
+    ) -> tuple[FaceState, TargetResult]:
+        """The points followed in a view of the frame, then what sensors, pose and landmarks learn from it.
+
+        `box` are the head's rows; None: its filter has not looked, and the points carry the head.
+        """
+        features, info = self._tracked(rng, state.features, view)
+        estimated, visible = features.estimated, self._visible(features)
+        sensor_odds, window_odds = self._judged(state.features, view, estimated)
+        biases = self._biases(state.bias_filters, view, sensor_odds, estimated, visible)
+        if isinstance(features.learned, window_ncc.WindowState):
+            features = replace(features, learned=window_ncc.doubted(features.learned, window_odds))
+        rows = self.features.rows(features, frame, info)
+        facing = state.facing if self.sensors.detector is None else state.facing.predicted()
+        others, mesh, eyes = state.others, view.landmarks.others, state.eyes
+        if others is None:
+            others = None if mesh is None else LandmarkFilter.begin(mesh.at)
+        elif mesh is None:
+            others = others.after(None, NO_FACE)
+        else:
+            others = others.after(mesh.at, biases[2].landmark_odds(mesh, view.places[2]))
+        if eyes is not None and view.landmarks.eyes is not None:
+            eyes = eyes.after(*view.landmarks.eyes)
+        head = state.head
+        if box is None:
+            # by all of what the points have moved, or it falls behind until the head's filter looks again
+            step = in_common(estimated.state - state.features.estimated.state, visible > 0.5)
+            head, info = self.head.carried(rng, head, view.similarity.matrix @ step)
+            box = self.head.rows(head, frame, info)
+        state = state._replace(
+            head=head, features=features, feature_rows=rows, bias_filters=biases, facing=facing, others=others,
+            eyes=eyes, log_odds=view.log_odds,
+        )  # fmt: skip
+        if view.detection is not None and view.log_odds >= EASY and state.cut_time is None:
+            state = state._replace(last_seen=view.similarity)
+            if likeness(state.looks, look := look_of(view.image)) < NEW:
+                picture = self._picture(frame, view.similarity)
+                state = state._replace(looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
+        state = self._restabilized(self._posed(state, view), view.similarity)
+        return state, self.result(state, box, frame)
+
+    def _tracked(self, rng: Generator, features: ParticleState, view: FaceView) -> tuple[ParticleState, Info]:
+        """The points' filter a frame later, in the stabilized image of the view.
+
+        All points first move by the view's shift. A jumping walk then follows the sensors' readings; any other motion
+        has the shift alone.
+        """
+        features = moved(features, lambda x: x + view.shift)
+        if isinstance(features.learned, window_ncc.WindowState):
+            odds, within = view.landmarks.parts.odds, self._within(features.estimated, view.readings)
+            features = replace(features, learned=features.learned._replace(sensor_odds=odds, within=within))
+        walk, likelihood = self.features.motion, self.features.likelihood
+
+        def measured(learned: Any) -> Motion:
+            if not isinstance(walk, JumpingWalk):
+                return walk
+            windows = likelihood.scored(learned) if isinstance(likelihood, window_ncc.WindowNcc) else None
+            return MeasuredWalk(**vars(walk), measured=view.readings, windows=windows)
+
+        return self.features.advanced(rng, features, view.image, (), measured)
+
+    def _visible(self, features: ParticleState) -> Array:
+        """(K,): how visible the points are, 1 where their likelihood does not say."""
+        windows = isinstance(features.learned, window_ncc.WindowState)
+        return np.asarray(features.learned.visible if windows else np.ones(len(self.features.parts)))
+
+    def _within(self, before: Estimate, readings: Sequence[SensorReading]) -> float:
+        """Pixels from where they are expected, within which the points are by their spread and by the readings."""
+        expected, far = self.features.motion.expect(before.state[None])[0], 0.0
+        for reading in readings:
+            far = max(far, np.abs(np.where(reading.sure[:, None] > 0.5, reading.z - expected, 0.0)).max())
+        return float(far + 3 * math.sqrt(before.cov[:, [0, 1], [0, 1]].max()))
+
+    def _judged(self, features: ParticleState, view: FaceView, estimated: Estimate) -> tuple[Array, Array]:
+        """Log odds by this frame that the sensors (S, K) and that the windows (K,) see the parts.
+
+        They are judged where some of them are too far apart to be right together; elsewhere, nan.
+        """
+        likelihood, at, readings = self.features.likelihood, estimated.state, view.readings
+        odds = np.full((len(readings) + 1, len(at)), np.nan)
+        var = 0.5 * (estimated.cov[:, 0, 0] + estimated.cov[:, 1, 1])
+        windows = SensorReading(at, var, WINDOWS * self._visible(features), AREA)
+        own = [reading._replace(z=reading.z - in_common(reading.z - at, reading.sure > 0)) for reading in readings]
+        index = [i for i, reading in enumerate((*readings, windows)) if reading.sure.any()]
+        judged = [(*own, windows)[i] for i in index]
+        differ = np.any([apart(*pair) for pair in combinations(judged, 2)], axis=0)
+        if isinstance(likelihood, window_ncc.WindowNcc) and differ.any():
+            learned, places = likelihood.look(features.learned, view.image, at), modes(judged, len(at))[0]
+            by_windows = likelihood.score(learned, view.image, places, at)
+            by_regression = self.sensors.log_odds_at(view.landmarks.channels, places)
+            odds[index] = np.where(differ, who_is_right(judged, by_windows, by_regression), np.nan)
+        return odds[:-1], odds[-1]
+
+    def _biases(
+        self, filters: Sequence[BiasFilter], view: FaceView, log_odds: Array, estimated: Estimate, visible: Array
+    ) -> tuple[BiasFilter, ...]:
+        """The sensors' bias filters after a frame whose points are estimated."""
+        regression, _, network = view.readings
+        cross: Array | float = 0.0
+        if network.sure.any():
+            squared = np.sum((network.z - regression.z) ** 2, axis=1)
+            cross = np.where((network.sure > 0) & ~apart(network, regression), 0.25 * squared, 0.0)
+        each = zip(filters, view.places, log_odds, (cross, 0.0, cross), strict=True)
+        return tuple(bias.updated(z, estimated.state, estimated.cov, visible, *rest) for bias, z, *rest in each)
+
+    def _posed(self, state: FaceState, view: FaceView) -> FaceState:
+        """With the pose by the detected box, and by the line of parts left and right, or else of the eyes."""
+        z = view.fused
+        pose, var, seen = state.pose, state.pose_var + _POSE**2, np.asarray(np.isfinite(z).all(axis=1))
+        turns = [stabilized.slope(z[pair]) - self._slope(pair) for pair in self._pairs if seen[pair].all()]
+        # a box drawn by hand may differ from the detector's box
+        detection = view.detection if self.sensors.searched else None
+        if view.log_odds <= 0:  # the points are not seen
+            eyes = None if detection is None else detection.eyes
+            turns = [] if eyes is None else [stabilized.slope(np.array(eyes))]
+        if turns:
+            pose, var = updated(pose, var, np.array([np.mean(turns), 0, 0, 0]), _BY_PAIRS)
+        if view.checked:
+            state = state._replace(facing=state.facing.updated(detected=view.detection is not None))
+        if detection is not None:
+            box = detection.box
+            # how the detected face lies in the head's box, along the axes of the frame
+            lies = Similarity(np.zeros(2), math.exp(pose[1]) / FACE, float(pose[0])).to_frame(np.array(centre(box)))
+            std = _BY_BOX if detection.eyes is None else np.array([np.inf, _BY_EYES, *_BY_BOX[2:]])
+            pose, var = updated(pose, var, np.array([0.0, math.log(box[2] / FACE), *lies]), std)
+        return state._replace(pose=pose, pose_var=var)
+
+    def _restabilized(self, state: FaceState, old: Similarity) -> FaceState:
+        """With the points, which are in the stabilized image of the `old` map, in that of the state's own."""
+        turned, shift = old.into(self.map_to_frame(state.head.estimated.state, state.pose))
+
+        def to(x: Array) -> Array:
+            return np.asarray((x.reshape(-1, 2) @ turned + shift).reshape(x.shape))
+
+        biases = tuple(bias._replace(bias=bias.bias @ turned) for bias in state.bias_filters)
+        others, eyes = (landmarks and landmarks.mapped(to) for landmarks in (state.others, state.eyes))
+        return state._replace(features=moved(state.features, to), bias_filters=biases, others=others, eyes=eyes)
 
     def _picture(self, frame: Frame, face: Similarity) -> Picture:
         return Picture.of(frame, face._replace(scale=face.scale * FACE))
 
-    def _view(self, state: FaceState, head: Array, frame: Frame, *, due: bool) -> View:
-        """What is seen of the points where the head is at `head` (1, D); by the detector, too, where that is `due`."""
-        similarity = self._map(head, state.pose)
-        seen = similarity.read(frame)
-        found = self.senses.detected(seen) if due else None
-        before, z2 = state.features.estimated.state, self.senses.named({} if found is None else found.points)
-        around, told = [before.mean(axis=0)], np.isfinite(z2).all(axis=1)
-        if told.any():
-            around.append((before + (z2 - before)[told].mean(axis=0)).mean(axis=0))
-        channels, parts, network, others, eyes = self.senses.sensed(frame, similarity, seen, around)
-        visible = self._visible(state.features)
-        places = parts.at, z2, network
-        measured = tuple(one.measured(z, visible) for one, z in zip(state.sensors, places, strict=True))
-        first, second = joined(measured[0], measured[2]), measured[1]
-        upright = np.where(first.sure[:, None] > 0, first.z, np.nan)
-        shift, sure = common_shift(joined(first, second), before), 0.0 if apart(first, second).any() else parts.sure
-        return View(similarity, seen, channels, due, found, parts, others, eyes, places, measured, upright, shift, sure)
-
-    def _followed(
-        self, rng: Generator, state: FaceState, view: View, frame: Frame, box: Rows | None
-    ) -> tuple[FaceState, TargetResult]:
-        """The points in a frame of which there is a `view`; a head without a `box` goes with them."""
-        odds, features, shift = view.parts.odds, state.features, view.shift
-        features = shifted(features, lambda x: x + shift)
-        if isinstance(features.learned, window_ncc.WindowState):
-            within = self._within(features.estimated, view.measured)
-            features = replace(features, learned=features.learned._replace(told=odds, within=within))
-        walk, likelihood = self.features.motion, self.features.likelihood
-
-        def measured(learned: Any) -> Motion:
-            """Other motions than this walk have the shift alone."""
-            if not isinstance(walk, JumpingWalk):
-                return walk
-            windows = likelihood.scored(learned) if isinstance(likelihood, window_ncc.WindowNcc) else None
-            return MeasuredWalk(walk, view.measured, windows)
-
-        features, info = self.features.advanced(rng, features, view.seen, (), measured)
-        estimated, visible = features.estimated, self._visible(features)
-        told, own = self._judged(state.features, view, estimated)
-        regression, _, network = view.measured
-        cross: Array | float = 0.0
-        if network.sure.any():
-            off = np.sum((network.z - regression.z) ** 2, axis=1)
-            cross = np.where((network.sure > 0) & ~apart(network, regression), 0.25 * off, 0.0)
-        each = zip(state.sensors, view.places, told, (cross, 0.0, cross), strict=True)
-        sensors = tuple(one.learned(z, estimated.state, estimated.cov, visible, *more) for one, z, *more in each)
-        if isinstance(features.learned, window_ncc.WindowState):
-            features = replace(features, learned=window_ncc.doubted(features.learned, own))
-        points = self.features.rows(features, frame, info)
-        facing = state.facing if self.senses.detector is None else state.facing.predicted()
-        others, far, similarity, head = state.others, view.others, view.similarity, state.head
-        if others is not None:
-            others = (
-                others.after(None, NO_FACE)
-                if far is None
-                else others.after(far.at, sensors[2].near(far, view.places[2]))
-            )
-        elif far is not None:
-            others = MeshPoints.begin(far.at)
-        eyes = state.eyes
-        if eyes is not None and view.eyes is not None:
-            eyes = eyes.after(*view.eyes)
-        if box is None:
-            # by all of what the points have moved, or it falls behind until the head's filter looks again
-            moved = in_common(estimated.state - state.features.estimated.state, visible > 0.5)
-            head, info = self.head.carried(rng, head, similarity.matrix @ moved)
-            box = self.head.rows(head, frame, info)
-        state = state._replace(
-            head=head, features=features, points=points, sensors=sensors, facing=facing, others=others,
-            eyes=eyes, sure=view.sure,
-        )  # fmt: skip
-        if view.found is not None and view.sure >= EASY and state.cut is None:
-            state = state._replace(seen=similarity)
-            if likeness(state.looks, look := look_of(view.seen)) < NEW:
-                picture = self._picture(frame, similarity)
-                state = state._replace(looks=kept(state.looks, look), pictures=kept(state.pictures, picture))
-        state = self._moved(self._posed(state, view), similarity)
-        return state, self._result(state, box, frame)
-
-    def _visible(self, features: ParticleState) -> Array:
-        """(K,) how visible the parts are, where their likelihood says so."""
-        known = isinstance(features.learned, window_ncc.WindowState)
-        return np.asarray(features.learned.visible if known else np.ones(len(self.features.parts)))
-
-    def _within(self, before: Estimate, measured: Sequence[SensorReading]) -> float:
-        """How far parts are from where they are expected, in pixels, by their spread and by what is `measured`."""
-        expected, far = self.features.motion.expect(before.state[None])[0], 0.0
-        for one in (each for each in measured if each.sure.any()):
-            far = max(far, np.abs(np.where(one.sure[:, None] > 0.5, one.z - expected, 0.0)).max())
-        return float(far + 3 * math.sqrt(before.cov[:, [0, 1], [0, 1]].max()))
-
-    def _judged(self, features: ParticleState, view: View, found: Estimate) -> tuple[Array, Array]:
-        """By how much it is said that sensors see parts (S, K), and that windows do (K,), in log odds.
-
-        nan of parts of which all are where the estimate is.
-        """
-        likelihood, own, measured = self.features.likelihood, found.state, view.measured
-        odds = np.full((len(measured) + 1, len(own)), np.nan)
-        visible = self._visible(features)
-        windows = SensorReading(own, 0.5 * (found.cov[:, 0, 0] + found.cov[:, 1, 1]), WINDOWS * visible, AREA)
-        said = [i for i, one in enumerate((*measured, windows)) if one.sure.any()]
-        each = [one._replace(z=one.z - in_common(one.z - own, one.sure > 0)) for one in measured]
-        each.append(windows)
-        differ = np.any([apart(one, other) for one, other in combinations([each[i] for i in said], 2)], axis=0)
-        if isinstance(likelihood, window_ncc.WindowNcc) and differ.any():
-            learned, readings = likelihood.look(features.learned, view.seen, own), [each[i] for i in said]
-            places = modes(readings, len(own))[0]
-            scores = likelihood.score(learned, view.seen, places, own), self.senses.odds_at(view.channels, places)
-            odds[said] = np.where(differ, who_is_right(readings, *scores), np.nan)
-        return odds[:-1], odds[-1]
-
-    def _map(self, head: Array, pose: Array) -> Similarity:
-        """Of the face that lies so in a head at `head` (1, D)."""
-        x, y, scale = head[0, :3].tolist()
-        middle = np.array([x, y]) + self.side * scale * pose[2:]
-        return Similarity(middle, self.side * scale * math.exp(pose[1]) / FACE, float(pose[0]))
-
-    def _sighted(self, state: FaceState, frame: Frame) -> FaceState:
-        """The state of a face that is lost, with the places where a detector sees faces, and the likeliest of them."""
-        here, pose = self._map(state.head.estimated.state, state.pose), state.pose
-        faces = self.senses.faces(frame, here)[:_FACES]
-        places = tuple(
-            np.array([*(np.array(centre(one.box)) - one.box[2] * pose[2:]), math.log(one.box[2] / self.side)])
-            for one in faces
-        )
-        state = state._replace(several=state.several + (len(faces) > 1))
-        seen = [Sighting.of(one, frame) for one in faces]
-        if seen:
-            lie = [one.similarity for one in seen]
-            cut, looks = state.cut is not None, by_looks(state.pictures, lie, frame).tolist()
-            seen = [
-                one._replace(by_looks=odds, latest=odds).after(state.sighting)
-                for one, odds in zip(seen, looks, strict=True)
-            ]
-            place = by_place(state.seen, lie, covered=self._is_covered(state.head)) * (not cut)
-            p = probabilities(
-                np.array([one.by_looks for one in seen]), place, cut=cut, company=state.several >= COMPANY
-            )
-            best = int(p.argmax())
-            found = seen[best]._replace(p=float(p[best]))
-        sighting = found if seen and found.p > MAYBE else None
-        facing = state.facing.looked(found=False) if sighting is None else state.facing
-        head = replace(state.head, learned=state.head.learned._replace(sighted=places))
-        return state._replace(head=head, sighting=sighting, facing=facing)
-
-    def _is_covered(self, head: ParticleState) -> bool:
-        """Whether a head that is not seen is held to be where it was."""
-        middle, half = head.estimated.state[0, :2], 0.5 * self.head.space.windows(head.estimated)[0]
-        near = (np.abs(head.particles.x[:, 0, :2] - middle) < half).all(axis=1)
-        return float(np.exp(head.particles.log_w) @ near) >= 0.5
-
-    def _returned(
-        self, rng: Generator, state: FaceState, seen: Sighting, frame: Frame
-    ) -> tuple[FaceState, TargetResult]:
-        """The face where it is seen again."""
-        side = seen.box[2] * math.exp(-state.pose[1])
-        middle = np.array(centre(seen.box)) - side * state.pose[2:]
-        head, _ = self.head.restart(rng, frame, state.head, TargetStart(square(middle, side)))
-        boxed = self.head.rows(head, frame)
-        pose, rest = np.array([seen.roll, *state.pose[1:]]), self.features.x0
-        if seen.p < SURE:
-            doubt = (
-                f"from frame {frame.index} on the face may be another one than before (probability {1 - seen.p:.2f})"
-            )
-            boxed = boxed._replace(notes=(*boxed.notes, doubt))
-        features = shifted(state.features, lambda x: x + (rest - state.features.estimated.state))
-        state = state._replace(head=head, features=features, pose=pose, facing=Facing(), sighting=None, cut=None)
-        return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=True), frame, boxed)
-
-    def _posed(self, state: FaceState, view: View) -> FaceState:
-        """With what the detector says of the face's box, and parts left and right, or else the eyes, of its roll."""
-        z = view.upright
-        pose, var, known = state.pose, state.pose_var + _POSE**2, np.asarray(np.isfinite(z).all(axis=1))
-        turns = [stabilized.slope(z[pair]) - self._slope(pair) for pair in self._pairs if known[pair].all()]
-        if view.sure <= 0:  # the points are not seen
-            eyes = None if view.found is None or not self.senses.searched else view.found.eyes
-            turns = [] if eyes is None else [stabilized.slope(np.array(eyes))]
-        if turns:
-            pose, var = updated(pose, var, np.array([np.mean(turns), 0, 0, 0]), _BY_PAIRS)
-        if view.due:
-            state = state._replace(facing=state.facing.looked(found=view.found is not None))
-        # a box drawn by hand may differ from the detector's box
-        if view.found is not None and self.senses.searched:
-            box = view.found.box
-            # how the detected face lies in the head's box, along the axes of the frame
-            lies = Similarity(np.zeros(2), math.exp(pose[1]) / FACE, float(pose[0])).to_frame(np.array(centre(box)))
-            std = _BY_BOX if view.found.eyes is None else np.array([np.inf, _BY_EYES, *_BY_BOX[2:]])
-            pose, var = updated(pose, var, np.array([0.0, math.log(box[2] / FACE), *lies]), std)
-        return state._replace(pose=pose, pose_var=var)
-
-    def _moved(self, state: FaceState, old: Similarity) -> FaceState:
-        """With the points, which are in the stabilized image of the `old` map, in that of the state's own."""
-        turned, shift = old.into(self._map(state.head.estimated.state, state.pose))
-
-        def moved(x: Array) -> Array:
-            return np.asarray((x.reshape(-1, 2) @ turned + shift).reshape(x.shape))
-
-        sensors = tuple(one._replace(bias=one.bias @ turned) for one in state.sensors)
-        others, eyes = (one and one.mapped(moved) for one in (state.others, state.eyes))
-        features = shifted(state.features, moved)
-        return state._replace(features=features, sensors=sensors, others=others, eyes=eyes)
-
-    def footprint(self, state: FaceState, *, ahead: bool) -> Footprint | None:
-        return self.head.footprint(state.head, ahead=ahead)
-
-    @property
-    def diagnostics(self) -> tuple[Any, ...]:
-        return (SCALE, ROLL, EVIDENCE) if self.senses.mesh is None else (SCALE, ROLL, EVIDENCE, NETWORK)
-
-    def _result(self, state: FaceState, box: Rows, frame: Frame) -> TargetResult:
-        """Rows of the points, as last seen in the stabilized image, of the box, and of points without windows."""
-        similarity, rows = self._map(state.head.estimated.state, state.pose), state.points.columns
-        estimated, status, k = state.features.estimated, rows["status"], len(self.features.parts)
-        confidence = rows.get("confidence", np.full(k, np.nan))
-        visible = np.where(np.isnan(confidence), 1.0, confidence)
-        places = [(estimated.state, estimated.cov, visible, status == "lost")]
-        for names, one in self._without_windows(state):
-            if one is None:
-                nothing = np.full((len(names), 2, 2), np.nan)
-                places.append((nothing[:, 0], nothing, nothing[:, 0, 0], np.ones(len(names), np.bool_)))
-            else:
-                places.append((one.at, one.cov, one.visible, one.visible < self.settings.lost_below))
-        points = self._rows(state, similarity, *map(np.concatenate, zip(*places, strict=True)))
-        nan = np.full(len(points["x"]) - k, np.nan)
-        points |= {name: np.append(values, nan) for name, values in (
-            ("w", rows["w"] * similarity.scale), ("h", rows["h"] * similarity.scale), ("ess", rows["ess"]),
-        )}  # fmt: skip
-        if not state.frames:
-            begun = (points["status"][:k] != "lost") & (status == "init")
-            points["status"][:k][begun], points["confidence"][:k] = "init", confidence
-        if (gone := status == "absent").any():
-            for name, values in points.items():
-                values[:k][gone] = "absent" if name == "status" else np.nan
-        face = {name: box.columns[name] for name in points} | self._face(box.columns, similarity)
-        columns = {}
-        for name, of_box in face.items():
-            others = points[name] if name in points else np.full((k + len(nan), *of_box.shape[1:]), np.nan)
-            columns[name] = np.concatenate([others[:k], of_box, others[k:]])
-        # of a target one number: both filters' together
-        columns["particles"] = np.full(len(self.parts), float(rows["particles"].max() + box.columns["particles"][0]))
-        values = {SCALE.name: similarity.scale * FACE / self.side, ROLL.name: math.degrees(state.pose[0])}
-        # both likelihoods are ratios, which are 1 where the head is lost and nothing is compared
-        values[EVIDENCE.name] = sum(one.evidence for one in (box, state.points) if one.frame == frame.index)
-        values[NETWORK.name] = float(state.sensors[2].right.mean())
-        found = {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
-        faces = of_frame(self._names, frame, found, **columns)
-        unseen = faces.unseen
-        if self.calibration is not None:
-            faces = self.calibration.applied(faces, self.features.size * self.side / FACE)
-        cloud = similarity.to_frame(state.features.particles.x)
-        return TargetResult(faces, cloud, (), box.notes, lambda: self.beliefs(state, unseen))
-
-    def _rows(
-        self, state: FaceState, similarity: Similarity, at: Array, cov: Array, visible: Array, unseen: Mask
-    ) -> dict[str, Any]:
-        """Columns of points of the stabilized image: places (K, 2), covariances (K, 2, 2), visibility, seen or not.
-
-        The confidence of points without windows is that of the place alone, and where they are not seen they are
-        hidden. Points at nan are lost.
-        """
-        shown = state.facing.shown * sure_of(state.head)
-        known, windows = visible * shown, np.arange(len(at)) < len(self.features.parts)
-        cov = similarity.matrix @ cov @ similarity.matrix.T
-        cov = cov + (1 - known)[:, None, None] * state.head.estimated.cov[0]  # of what is hidden, the head alone says
-        var = cov.reshape(-1, 4)[:, ::3]
-        near = 1 - np.exp(-((OFF * EYES * similarity.scale) ** 2) / np.maximum(var.sum(axis=1), 1e-9))
-        x, y = similarity.to_frame(at).T
-        std_x, std_y = np.sqrt(var).T
-        status = np.where(unseen, np.where(windows, "lost", "hidden"), "tracked")
-        status[~(shown * near >= self.settings.lost_below)] = "lost"
-        return {
-            "x": x, "y": y, "std_x": std_x, "std_y": std_y, "cov_xy": cov[:, 0, 1],
-            "confidence": np.where(windows, known, shown) * near, "status": status,
-        }  # fmt: skip
-
-    def beliefs(self, state: FaceState, unseen: Mask) -> tuple[Belief, ...]:
-        """What is known of the points in the stabilized image, of the head, and of points without windows.
-
-        Which of them are `unseen` (K,) is in doubt.
-        """
-        found = [*self.features.beliefs(state.features), *self.head.beliefs(state.head)]
-        if self.calibration is not None:
-            found = list(map(self.calibration.believed, (self.features.parts, self.head.parts), found))
-        for names, one in self._without_windows(state):
-            nobody = MeshPoints.begin(np.full((len(names), 2), stabilized.MIDDLE))
-            nobody = nobody._replace(visible=np.zeros(len(names)))
-            found.append((one or nobody).belief())
-        ends = np.cumsum([len(one.mean) for one in found])[:-1]
-        each = zip(found, np.split(unseen, ends), strict=True)
-        return tuple(one._replace(doubt=one.doubt | gone) for one, gone in each)
-
-    def _without_windows(self, state: FaceState) -> list[tuple[tuple[str, ...], MeshPoints | None]]:
-        """The names of points without windows, in the order of rows, and what is known of them."""
-        each = (self.senses.eyes, state.eyes), (self.senses.others, state.others)
-        return [(names, one) for names, one in each if names]
-
     def _slope(self, pair: list[int]) -> float:
         """Of the line between two parts when the face is upright."""
-        return 0.0 if self.senses.searched else stabilized.slope(self.features.x0[pair])
+        return 0.0 if self.sensors.searched else stabilized.slope(self.features.x0[pair])
 
     @cached_property
     def _pairs(self) -> list[list[int]]:
@@ -548,16 +404,53 @@ class FaceTarget:
         pairs = [(part, part.replace("left", "right")) for part in parts if "left" in part]
         return [[parts.index(left), parts.index(right)] for left, right in pairs if right in parts]
 
-    @cached_property
-    def _names(self) -> tuple[tuple[str, str], ...]:
-        return tuple((self.name, part) for part in self.parts)
+    # --- a face that is lost -------------------------------------------------------------------------------------
 
-    def _face(self, row: Mapping[str, Any], face: Similarity) -> dict[str, Array]:
-        """Columns of the head's box: it is where the face is in it, as large as that, and turned by its roll."""
-        roll, grown = math.remainder(face.angle, math.tau), face.scale * FACE / np.sqrt(row["w"] * row["h"])
-        found = {name: row.get(name, np.nan) * grown for name in ("w", "h", "std_w", "std_h")}
-        found |= {"x": face.centre[:1], "y": face.centre[1:], "angle": np.array([math.degrees(roll)])}
-        way = np.array([[math.cos(roll), -math.sin(roll), math.sin(roll), math.cos(roll)]])
-        # the border runs through the middle of the outermost pixels
-        size = np.stack([found["w"] - 1, found["h"] - 1], axis=1)
-        return {**found, "corners": corners(way, face.centre[None], size)}
+    def _searched(self, state: FaceState, frame: Frame) -> FaceState:
+        """With the places where the detector sees faces in the frame, and the likeliest of them as the sighting."""
+        here, pose = self.map_to_frame(state.head.estimated.state, state.pose), state.pose
+        faces = self.sensors.faces(frame, here)[:_FACES]
+        places = tuple(
+            np.array([*(np.array(centre(face.box)) - face.box[2] * pose[2:]), math.log(face.box[2] / self.side)])
+            for face in faces
+        )
+        crowded, sighting = state.crowded + (len(faces) > 1), None
+        if faces:
+            sightings = [Sighting.of(face, frame) for face in faces]
+            maps = [face.similarity for face in sightings]
+            cut, looks = state.cut_time is not None, by_looks(state.pictures, maps, frame).tolist()
+            sightings = [
+                face._replace(by_looks=odds, latest=odds).after(state.sighting)
+                for face, odds in zip(sightings, looks, strict=True)
+            ]
+            place = by_place(state.last_seen, maps, covered=self._is_covered(state.head)) * (not cut)
+            mean_looks = np.array([face.by_looks for face in sightings])
+            p = probabilities(mean_looks, place, cut=cut, company=crowded >= COMPANY)
+            best = int(p.argmax())
+            sighting = sightings[best]._replace(p=float(p[best])) if p[best] > MAYBE else None
+        facing = state.facing.updated(detected=False) if sighting is None else state.facing
+        head = replace(state.head, learned=state.head.learned._replace(sighted=places))
+        return state._replace(head=head, sighting=sighting, facing=facing, crowded=crowded)
+
+    def _is_covered(self, head: ParticleState) -> bool:
+        """Whether a head that is not seen is held to be where it was."""
+        middle, half = head.estimated.state[0, :2], 0.5 * self.head.space.windows(head.estimated)[0]
+        near = (np.abs(head.particles.x[:, 0, :2] - middle) < half).all(axis=1)
+        return float(np.exp(head.particles.log_w) @ near) >= 0.5
+
+    def _returned(
+        self, rng: Generator, state: FaceState, sighting: Sighting, frame: Frame
+    ) -> tuple[FaceState, TargetResult]:
+        """The face, followed again from where it was sighted, with the points at rest."""
+        side = sighting.box[2] * math.exp(-state.pose[1])
+        middle = np.array(centre(sighting.box)) - side * state.pose[2:]
+        head, _ = self.head.restart(rng, frame, state.head, TargetStart(square(middle, side)))
+        box = self.head.rows(head, frame)
+        if sighting.p < SURE:
+            doubt = f"(probability {1 - sighting.p:.2f})"
+            note = f"from frame {frame.index} on the face may be another one than before {doubt}"
+            box = box._replace(notes=(*box.notes, note))
+        pose, rest = np.array([sighting.roll, *state.pose[1:]]), self.features.x0
+        features = moved(state.features, lambda x: x + (rest - state.features.estimated.state))
+        state = state._replace(head=head, features=features, pose=pose, facing=Facing(), sighting=None, cut_time=None)
+        return self._followed(rng, state, self._view(state, head.estimated.state, frame, due=True), frame, box)

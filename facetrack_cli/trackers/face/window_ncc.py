@@ -11,9 +11,9 @@ so that a window that matches nothing says nothing, and the other sources place 
 (g), and the mean of r beside it (b), follow the clip slowly. v is the state of a chain of two states, visible and
 hidden, whose evidence in a frame is
 
-    log p(y | visible) - log p(y | hidden) = (0.45 - q) / 0.1 + told,    q = (g - r) / (g - b) at the estimate
+    log p(y | visible) - log p(y | hidden) = (0.45 - q) / 0.1 + sensor,    q = (g - r) / (g - b) at the estimate
 
-where `told` is what a sensor says of it. Both terms are bounded.
+where `sensor` is the log odds by a sensor in this frame. Both terms are bounded.
 
 A part that is visible, and looks like none of its templates, gives a new one: an open mouth, a smile. It may be what
 covers the part: it does not count in q for three frames, and is forgotten if the part is hidden before. The first
@@ -34,17 +34,17 @@ from numpy.typing import NDArray
 from facetrack_cli.core.types import Array, Frame, Mask, Particles, Whole
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context
-from facetrack_cli.trackers.face.channel_kernels import looks
-from facetrack_cli.trackers.face.correlation_kernels import greatest, matched, stride
+from facetrack_cli.trackers.face.image_kernels import looks
 from facetrack_cli.trackers.face.motion import ScoredMaps
 from facetrack_cli.trackers.face.settings import WindowNccSettings
+from facetrack_cli.trackers.face.window_kernels import greatest, matched, stride
 
 Channels = NDArray[np.float32]
 MEMORY: Final = 50.0  # frames over which g and b are learned
 NEW_BELOW: Final = 0.7  # correlation with all templates below which a visible part gives a new one
 SURE: Final = 0.06  # standard deviation of a part, in reaches, up to which a new template is learned
 HIDDEN, SOFT = 0.45, 0.1
-BY_WINDOW, BY_TOLD = (-1.0, 6.0), (-4.0, 4.0)  # bounds of the terms of the evidence: looks change
+BY_WINDOW, BY_SENSOR = (-1.0, 6.0), (-4.0, 4.0)  # bounds of the terms of the evidence: looks change
 YOUNG: Final = 3  # frames
 UNLIKE: Final = 2.0  # below what a sensor usually says of a part, which then may be half covered
 HIDE, SHOW = 0.01, 0.1  # probabilities a frame
@@ -57,37 +57,48 @@ USED: Final = 0.02  # rate at which it is learned how often a template matches b
 
 
 class Templates(NamedTuple):
-    """Up to T templates of K parts: `windows` (K, T, 2, L), as the kernels read them, the first frame's first.
+    """Up to T templates of K parts.
 
-    Of a part `many` (K,) are there; `used` (K, T): how often each matched best, `age` (K, T) in frames.
+    Attributes
+    ----------
+    windows : (K, T, 2, L), as the kernels read them; that of the first frame comes first
+    number : (K,), how many templates a part has
+    used : (K, T), how often each matched best
+    age : (K, T), in frames
     """
 
     windows: Channels
-    many: Whole
+    number: Whole
     used: Array
     age: Whole
 
     @property
     def old(self) -> Mask:
         """(K, T): those that are there, and no longer young."""
-        return np.asarray((np.arange(self.age.shape[1]) < self.many[:, None]) & (self.age >= YOUNG))
+        return np.asarray((np.arange(self.age.shape[1]) < self.number[:, None]) & (self.age >= YOUNG))
 
 
 class WindowState(NamedTuple):
-    """Templates, g and b (K,), v (K,); `told` (K,), what a sensor says of the parts in this frame, and `usual`.
+    """What is learned of K parts.
 
-    `within`: how far from where they are expected parts may be in this frame, in pixels. Of the frame that was looked
-    at last, r and where it begins; `looks` counts frames.
-
-    `maps` (K, S, S): r on a grid of whole pixels; `corner` (K, 2): the place of the first value of each map.
+    Attributes
+    ----------
+    templates : their templates
+    good, beside : g and b (K,), the mean of r at a part and beside it
+    visible : v (K,)
+    sensor_odds, usual_odds : (K,), log odds by a sensor that a part is visible: in this frame, and usually
+    looks : frames so far
+    within : pixels from where they are expected, within which the parts are in this frame
+    maps : (K, S, S), r on a grid of whole pixels of the last frame
+    corner : (K, 2), the place of the first value of each map
     """
 
     templates: Templates
     good: Array
     beside: Array
     visible: Array
-    told: Array
-    usual: Array
+    sensor_odds: Array
+    usual_odds: Array
     looks: int = 0
     within: float = math.inf
     maps: Channels | None = None
@@ -122,8 +133,8 @@ class WindowNcc(Likelihood):
         """With r around `expected` (K, 2)."""
         reach = self.reach if learned.within >= self.reach else min(max(math.ceil(learned.within), LEAST), self.reach)
         corner, side = np.round(expected) - reach, 2 * reach + 1
-        maps, known = np.empty((len(expected), side, side), np.float32), learned.templates
-        greatest(channels(frame), known.windows, known.many, self.sides, corner + self.shift, maps)
+        maps, templates = np.empty((len(expected), side, side), np.float32), learned.templates
+        greatest(channels(frame), templates.windows, templates.number, self.sides, corner + self.shift, maps)
         return learned._replace(maps=maps, corner=corner)
 
     def correlation(self, learned: WindowState, x: Array) -> Array:
@@ -162,7 +173,7 @@ class WindowNcc(Likelihood):
         """v (K,) of parts whose windows at the estimate are `like` (K, T) the templates."""
         r = np.where(learned.templates.old, like, -np.inf).max(axis=1)
         q = (learned.good - r) / np.maximum(learned.good - learned.beside, 0.05)
-        evidence = np.clip((HIDDEN - q) / SOFT, *BY_WINDOW) + np.clip(learned.told, *BY_TOLD)
+        evidence = np.clip((HIDDEN - q) / SOFT, *BY_WINDOW) + np.clip(learned.sensor_odds, *BY_SENSOR)
         return visible_after(learned.visible, evidence)
 
     def learn(self, learned: WindowState, frame: Frame, state: Array, particles: Particles) -> WindowState:
@@ -177,31 +188,29 @@ class WindowNcc(Likelihood):
             beside = beside + (self._beside(frame, learned.templates, state) - beside) * (RARELY / MEMORY)
         w = np.exp(particles.log_w)
         spread = np.sqrt(np.einsum("n,nkd->kd", w, (particles.x - state) ** 2)).max(axis=1)
-        usual = learned.usual + visible / MEMORY * (np.clip(learned.told, *BY_TOLD) - learned.usual)
-        clear = (visible > 0.5) & (spread < SURE * 2 * self.reach) & (learned.told >= usual - UNLIKE)
+        odds, usual = learned.sensor_odds, learned.usual_odds
+        usual = usual + visible / MEMORY * (np.clip(odds, *BY_SENSOR) - usual)
+        clear = (visible > 0.5) & (spread < SURE * 2 * self.reach) & (odds >= usual - UNLIKE)
         templates = self._kept(learned.templates, windows, like[0], clear, visible < 0.5)
-        return WindowState(templates, good, beside, visible, learned.told, usual, learned.looks + 1)
+        return WindowState(templates, good, beside, visible, odds, usual, learned.looks + 1)
 
     def relearn(self, learned: WindowState, frame: Frame, x0: Array, parts: Mask) -> WindowState:
         """With all that is known of `parts` (K,) as they look in `frame` at x0 (K, 2)."""
-        anew = self.init(frame, x0)
+        fresh = self.init(frame, x0)
 
         def either(new: Any, old: Any) -> Any:
             return np.where(parts.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
-        templates = Templates(*map(either, anew.templates, learned.templates))
-        good, beside, visible = (
-            either(new, old)
-            for new, old in ((anew.good, learned.good), (anew.beside, learned.beside), (anew.visible, learned.visible))
-        )
-        return WindowState(templates, good, beside, visible, learned.told, learned.usual)
+        templates = Templates(*map(either, fresh.templates, learned.templates))
+        good, beside, visible = map(either, fresh[1:4], learned[1:4])
+        return WindowState(templates, good, beside, visible, learned.sensor_odds, learned.usual_odds)
 
-    def _kept(self, known: Templates, found: Channels, like: Array, clear: Mask, hidden: Mask) -> Templates:
-        """The templates after one more frame; `found` (K, 2, L): how parts look, `clear` and `hidden` (K,): which.
+    def _kept(self, templates: Templates, windows: Channels, like: Array, clear: Mask, hidden: Mask) -> Templates:
+        """The templates after a frame in which `windows` (K, 2, L) of the parts correlate with them by `like` (K, T).
 
-        `like` (K, T) are the windows that are found the templates.
+        `clear` and `hidden` (K,) say which parts may give a template, and which are not seen.
         """
-        windows, count, used, age = known
+        stored, count, used, age = templates
         most = age.shape[1]
         there = np.arange(most) < count[:, None]
         best = np.where(there, like, -np.inf).argmax(axis=1)
@@ -211,33 +220,31 @@ class WindowNcc(Likelihood):
         changes = np.flatnonzero(new | (hidden & (there & (age < YOUNG)).any(axis=1)))
         age = age + 1
         if changes.size:
-            windows, count = windows.copy(), count.copy()
+            stored, count = stored.copy(), count.copy()
         for k in changes.tolist():
-            kept = np.flatnonzero(known.old[k]) if hidden[k] else np.arange(count[k])
+            kept = np.flatnonzero(templates.old[k]) if hidden[k] else np.arange(count[k])
             if new[k] and len(kept) == most:
                 kept = np.delete(kept, 1 + int(np.argmin(used[k, 1:])))
             count[k] = n = len(kept)
-            windows[k, :n], used[k, :n], age[k, :n] = windows[k, kept], used[k, kept], age[k, kept]
+            stored[k, :n], used[k, :n], age[k, :n] = stored[k, kept], used[k, kept], age[k, kept]
             if new[k]:
-                windows[k, n], used[k, n], age[k, n] = found[k], 0.5, 0
+                stored[k, n], used[k, n], age[k, n] = windows[k], 0.5, 0
                 count[k] += 1
-        return Templates(windows, count, used, age)
+        return Templates(stored, count, used, age)
 
     def _beside(self, frame: Frame, templates: Templates, state: Array) -> Array:
         """(K,): the mean of r at 16 places around the parts at `state` (K, 2)."""
-        there = np.arange(templates.age.shape[1]) < templates.many[:, None]
+        there = np.arange(templates.age.shape[1]) < templates.number[:, None]
         like = self._matched(frame, templates, state + self._ring)[1]
         return np.asarray(np.where(there, like, -np.inf).max(axis=2).mean(axis=0))
 
     def _matched(self, frame: Frame, templates: Templates, at: Array) -> tuple[Channels, Array]:
         """The windows (K, 2, L) at the last of places `at` (M, K, 2), and r of all with each template (M, K, T)."""
-        windows, count = templates[:2]
-        found, like = (
-            np.zeros((len(windows), *windows.shape[2:]), np.float32),
-            np.zeros((*at.shape[:2], len(windows[0]))),
-        )
-        matched(channels(frame), windows, count, self.sides, at + self.shift, found, like)
-        return found, like
+        stored, count = templates[:2]
+        windows = np.zeros((len(stored), *stored.shape[2:]), np.float32)
+        like = np.zeros((*at.shape[:2], len(stored[0])))
+        matched(channels(frame), stored, count, self.sides, at + self.shift, windows, like)
+        return windows, like
 
 
 def visible_after(before: Array, evidence: Array) -> Array:
@@ -246,7 +253,7 @@ def visible_after(before: Array, evidence: Array) -> Array:
 
 
 def doubted(learned: WindowState, odds: Array) -> WindowState:
-    """Where other senses say by log `odds` (K,) below 0, nan where they do not, that windows follow something else."""
+    """After log odds (K,) by other sensors that windows follow the parts; only doubt counts, nan says nothing."""
     against = np.clip(np.nan_to_num(odds), -BY_WINDOW[1], 0)
     return learned._replace(visible=_weighed(np.clip(learned.visible, *BOUNDS), against))
 
@@ -258,9 +265,9 @@ def _weighed(p: Array, evidence: Array) -> Array:
 
 def channels(frame: Frame) -> Channels:
     """log(grey + 16) and 2 log((red + 8) / (green + 8)) of a frame, (2, H, W)."""
-    found = frame.remembered("looks")
-    if found is None:
-        found = looks(frame.bgr)
-        found[1] *= 2
-        frame.remember("looks", frame.bgr, found)
-    return found
+    values = frame.remembered("looks")
+    if values is None:
+        values = looks(frame.bgr)
+        values[1] *= 2
+        frame.remember("looks", frame.bgr, values)
+    return values

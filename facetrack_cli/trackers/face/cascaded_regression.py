@@ -1,6 +1,6 @@
 """Nose and mouth of a face, placed by a cascade of linear regressions on gradients and redness (ours).
 
-The supervised descent method of Xiong & De la Torre, "Supervised Descent Method and its Applications to Face
+The supervised descent method of Xiong & De la Torre, "Supervised CascadedRegression Method and its Applications to Face
 Alignment", CVPR 2013. From the mean shape x_0, stage k moves all parts at once,
 
     x_{k+1} = x_k + R_k phi_k(x_k),
@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.npz import Kind, Stored
 from facetrack_cli.core.types import Array, Image
-from facetrack_cli.trackers.face import channel_kernels as orientations
-from facetrack_cli.trackers.face.channel_kernels import DIRECTIONS, smoothed_channels
+from facetrack_cli.trackers.face import image_kernels
+from facetrack_cli.trackers.face.image_kernels import DIRECTIONS, smoothed_channels
 
 KIND = Kind("facetrack-descent", 1, "mouth descent", "python tools/mouth_descent.py")
 DEFAULT = "mouth_descent.npz"
@@ -40,28 +40,40 @@ GRID: Final = 5
 ODDS_SCALE: Final = 1.6
 NEAR: Final = 3.0  # pixels
 SEEN: Final = 14.0  # log odds of all parts, above which nothing else is tried
-SURE: Final = 4.0  # bound of what one part says of how well a face lies, in log odds
+MAX_LOG_ODDS: Final = 4.0  # bound of what one part says of how well a face lies
 STEP: Final = 5.0  # pixels between the points of the grid, times the stage's scale
 AROUND: Final = (np.stack(np.meshgrid(*2 * [np.arange(GRID) - (GRID - 1) / 2]), axis=2) * STEP).reshape(-1, 2)
 
 
 class PlacedPoints(NamedTuple):
-    """Points `at` (K, 2), in pixels; `odds` (K,): log p(image | visible) - log p(image | covered)."""
+    """Points that a regression or a network has placed.
+
+    Attributes
+    ----------
+    at : (K, 2), in pixels
+    odds : (K,), log p(image | visible) - log p(image | covered)
+    """
 
     at: Array
     odds: Array
 
     @property
-    def sure(self) -> float:
-        """The log odds of all parts together, each of them bounded."""
-        return float(np.clip(self.odds, -SURE, SURE).sum())
+    def log_odds(self) -> float:
+        """Log odds that the face is there: those of all points together, each of them bounded."""
+        return float(np.clip(self.odds, -MAX_LOG_ODDS, MAX_LOG_ODDS).sum())
 
 
-class Descent(NamedTuple):
-    """`mean` (K, 2): the mean shape in the part of the stabilized image that is read; `stages` (S, F + 1, 2 K): R_k.
+class CascadedRegression(NamedTuple):
+    """A trained cascade, in pixels of the part of the stabilized image that is read.
 
-    `scales` (S,): of the grid in each stage; `std` (K,): of the errors on people that were left out, pixels; `odds`
-    (F / K + 1, J): of J points, the K `parts` first.
+    Attributes
+    ----------
+    points : names of J points, of which the cascade places the first K, the `parts`
+    mean : (K, 2), the mean shape
+    stages : (S, F + 1, 2 K), the matrices R_k
+    scales : (S,), by which the grid of each stage is wider
+    std : (K,), of the errors on people that were left out
+    odds : (F / K + 1, J), the regressions of whether a point is visible
     """
 
     points: tuple[str, ...]
@@ -76,32 +88,36 @@ class Descent(NamedTuple):
         return self.points[: len(self.mean)]
 
     def fit(self, still: Image, around: Sequence[Array] = (), seen: NDArray[np.float32] | None = None) -> PlacedPoints:
-        """The parts in a stabilized image, of which `seen` are the channels, if they are known.
+        """The parts in a stabilized image.
 
-        If they are hardly seen from the usual place of a face, they are sought around other middles (2,); the likeliest
-        is taken, by the odds of being visible.
+        Parameters
+        ----------
+        still : (H, W, 3), the stabilized image
+        around : middles (2,) of further starts, which are tried where the parts are hardly seen from the mean shape;
+            the fit of the greatest log odds is taken
+        seen : the image's `face_channels`, if they are computed already
         """
         usual = self.mean.mean(axis=0) + CORNER
         best = self._from(still, np.zeros(2), seen)
         for middle in around:
             shift = np.round(middle - usual)
-            if best.sure < SEEN and np.abs(shift).max() >= NEAR:  # from nearer the regression finds its way
-                best = max(best, self._from(still, shift), key=lambda one: one.sure)
+            if best.log_odds < SEEN and np.abs(shift).max() >= NEAR:  # from nearer the regression finds its way
+                best = max(best, self._from(still, shift), key=lambda fit: fit.log_odds)
         return best
 
     def _from(self, still: Image, shift: Array, seen: NDArray[np.float32] | None = None) -> PlacedPoints:
         """The parts, sought `shift` (2,) beside the usual place."""
-        seen = seen_in(still, shift) if seen is None else seen
-        at = self.descended(seen) + CORNER
+        seen = face_channels(still, shift) if seen is None else seen
+        at = self.run_stages(seen) + CORNER
         return PlacedPoints(at + shift, self.visible(seen, at))
 
-    def descended(self, seen: NDArray[np.float32]) -> Array:
-        """x after the last stage (K, 2), in the channels of the part of the stabilized image that is read."""
-        return orientations.descended(seen, self.mean, AROUND, self.scales, self.stages)
+    def run_stages(self, seen: NDArray[np.float32]) -> Array:
+        """(K, 2): x after the last stage."""
+        return image_kernels.run_stages(seen, self.mean, AROUND, self.scales, self.stages)
 
     def visible(self, seen: NDArray[np.float32], at: Array) -> Array:
         """The log odds (J,) that the first J points are visible at (J, 2), by the channels `seen`."""
-        phi, odds = orientations.read(seen, at - CORNER, ODDS_SCALE * AROUND), self.odds[:, : len(at)]
+        phi, odds = image_kernels.read(seen, at - CORNER, ODDS_SCALE * AROUND), self.odds[:, : len(at)]
         return np.asarray(np.einsum("jf,fj->j", phi.reshape(len(at), -1), odds[:-1]) + odds[-1])
 
     def save(self, path: Path) -> None:
@@ -112,26 +128,27 @@ class Descent(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def load_descent(path: Path | None = None) -> Descent:
-    """The descent in a file that `save` wrote, by default the shipped one. Raises InputError for anything else."""
+def load_regression(path: Path | None = None) -> CascadedRegression:
+    """The cascade in a file that `save` wrote, by default the shipped one. Raises InputError for anything else."""
     return KIND.read(shipped_folder() / DEFAULT if path is None else path, _made)
 
 
-def _made(stored: Stored) -> Descent:
+def _made(stored: Stored) -> CascadedRegression:
     points, stages = stored.texts("points"), stored.reals("stages", 3).astype(np.float32)
     mean, scales, std = stored.reals("mean", 2), stored.reals("scales", 1), stored.reals("std", 1)
     odds, k, width = stored.reals("odds", 2).astype(np.float32), len(mean), GRID**2 * (DIRECTIONS + 3)
     if not k or len(set(points)) < len(points) or not len(scales):
-        raise ValueError("a descent has a stage or more, and a part or more, each named once")
-    if not all(np.isfinite(one).all() for one in (stages, mean, scales, std, odds)) or min(*scales, *std) <= 0:
+        raise ValueError("a cascade has a stage or more, and a part or more, each named once")
+    arrays = stages, mean, std, odds
+    if not all(np.isfinite(array).all() for array in (*arrays, scales)) or min(*scales, *std) <= 0:
         raise ValueError("a number is not finite, or a scale or an error not above 0")
-    shapes = [one.shape for one in (stages, mean, std, odds)]
+    shapes = [array.shape for array in arrays]
     if shapes != [(len(scales), k * width + 1, 2 * k), (k, 2), (k,), (width + 1, len(points))] or k > len(points):
         raise ValueError(f"arrays of {shapes} do not fit {len(points)} points")
-    return Descent(points, mean, stages, scales, std, odds)
+    return CascadedRegression(points, mean, stages, scales, std, odds)
 
 
-def seen_in(still: Image, shift: Array | None = None) -> NDArray[np.float32]:
+def face_channels(still: Image, shift: Array | None = None) -> NDArray[np.float32]:
     """The channels of the part of a stabilized image that is read, or of the part (2,) whole pixels beside it."""
     if shift is None or not shift.any():
         return channels(still[TOP : TOP + SIDE, LEFT : LEFT + SIDE])
@@ -143,7 +160,7 @@ def seen_in(still: Image, shift: Array | None = None) -> NDArray[np.float32]:
 
 def read(seen: NDArray[np.float32], x: Array, scale: float) -> NDArray[np.float32]:
     """phi of parts x (K, 2): the channels at the nearest pixels of the grids, and a 1; (K GRID^2 C + 1,)."""
-    return np.append(orientations.read(seen, x, scale * AROUND).ravel(), np.float32(1))
+    return np.append(image_kernels.read(seen, x, scale * AROUND).ravel(), np.float32(1))
 
 
 def channels(image: Image) -> NDArray[np.float32]:

@@ -1,5 +1,4 @@
-"""What is known of a sensor of points, and of a detector of faces: against chains written out, and where they must not
-learn."""
+"""Bias filters of sensors, the detector's chain and landmarks without windows: against filters that are written out."""
 
 from itertools import product
 
@@ -8,29 +7,34 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.trackers.face import sensors
-from facetrack_cli.trackers.face.motion import SensorReading
-from facetrack_cli.trackers.face.sensors import (
+from facetrack_cli.trackers.face import landmark_filters
+from facetrack_cli.trackers.face.landmark_filters import (
     AREA,
     ASTRAY,
+    BIAS,
     BLIND,
     DRIFT,
     ENDS,
     FADES,
     LIMITS,
+    MAX_LOG_ODDS,
     MAX_NOISE,
     MISLED,
+    MOTION,
+    NO_FACE,
+    NOISE,
     REGRESSION,
     SLIP,
     SURE,
-    TOLD,
+    BiasFilter,
     Facing,
-    Sensor,
+    LandmarkFilter,
     common_shift,
     joined,
     who_is_right,
 )
-from facetrack_cli.trackers.face.stabilized import EYES, SIDE
+from facetrack_cli.trackers.face.motion import SensorReading
+from facetrack_cli.trackers.face.stabilized import EYES, MIDDLE, SIDE, Similarity
 
 PLACES = np.array([[80.0, 100.0], [64.0, 120.0], [96.0, 120.0]])
 VISIBLE = np.ones(3)
@@ -40,7 +44,7 @@ FAR_AWAY, TOGETHER = np.array([20.0, 0.0]), np.array([6.0, -3.0])
 
 
 def begun(z, x0, std, least=REGRESSION):
-    return Sensor.begin(z, x0, std, least)
+    return BiasFilter.begin(z, x0, std, least)
 
 
 def fed(sensor, offset, frames, rng, noise=1.0, visible=VISIBLE, cov=EXACT, every=1):
@@ -48,7 +52,7 @@ def fed(sensor, offset, frames, rng, noise=1.0, visible=VISIBLE, cov=EXACT, ever
     for t in range(frames):
         z = PLACES + offset + noise * rng.standard_normal((3, 2))
         z = z if t % every == 0 else np.full((3, 2), np.nan)
-        sensor = sensor.learned(z, PLACES + np.sqrt(0.2) * rng.standard_normal((3, 2)), cov, visible)
+        sensor = sensor.updated(z, PLACES + np.sqrt(0.2) * rng.standard_normal((3, 2)), cov, visible)
     return sensor
 
 
@@ -56,14 +60,14 @@ def fed(sensor, offset, frames, rng, noise=1.0, visible=VISIBLE, cov=EXACT, ever
 def test_the_bias_is_the_kalman_filter_of_an_offset_that_drifts_and_may_fade(keep):
     """In frames in which it is right, which is a chain of two states."""
     rng = np.random.default_rng(1)
-    one = Sensor.begin(PLACES + AWAY, PLACES, 2.5, REGRESSION, keep)
+    one = BiasFilter.begin(PLACES + AWAY, PLACES, 2.5, REGRESSION, keep)
     mean, var, r2 = AWAY.copy(), np.full(3, 2.5**2), np.full(3, 2.5**2)
     right, wrong = np.full(3, SURE), np.full(3, 1 - SURE)
     np.testing.assert_allclose(one.bias, mean)
     for _ in range(25):
         z = PLACES + AWAY + 1.5 * rng.standard_normal((3, 2))
         z[rng.random(3) < 0.2] += 14.0
-        said = one.measured(z, VISIBLE)
+        said = one.reading(z, VISIBLE)
         np.testing.assert_allclose(said.z, z - keep * mean)
         np.testing.assert_allclose(said.var, keep**2 * var + DRIFT**2 + r2)
         common = np.median(z - keep * mean - PLACES, axis=0)  # the head's, not the sensor's
@@ -75,7 +79,7 @@ def test_the_bias_is_the_kalman_filter_of_an_offset_that_drifts_and_may_fade(kee
             own = off - common
             here, far = (np.exp(-0.5 * own @ own / v) / (2 * np.pi * v) for v in (total, total + ASTRAY**2))
             ahead = right[k] * (1 - ENDS * wrong[k] / (1 - wrong[k])) + (1 - right[k]) * ENDS
-            odds = ahead / (1 - ahead) * np.clip(here / far, np.exp(-TOLD), np.exp(TOLD))
+            odds = ahead / (1 - ahead) * np.clip(here / far, np.exp(-MAX_LOG_ODDS), np.exp(MAX_LOG_ODDS))
             right[k] = odds / (1 + odds)
             wrong[k] = np.clip(wrong[k] + 0.01 * (1 - right[k] - wrong[k]), *LIMITS)
             if off @ off / 2 >= 9 * (predicted + r2[k] + 0.2):
@@ -85,18 +89,18 @@ def test_the_bias_is_the_kalman_filter_of_an_offset_that_drifts_and_may_fade(kee
             mean[k] = mean[k] + gain * off
             var[k] = (1 - gain) * predicted
             r2[k] = np.clip(r2[k] + 0.02 * right[k] * (off @ off / 2 - r2[k]), REGRESSION**2, MAX_NOISE**2)
-        one = one.learned(z, PLACES, EXACT, VISIBLE)
+        one = one.updated(z, PLACES, EXACT, VISIBLE)
     np.testing.assert_allclose(one.bias, mean)
     np.testing.assert_allclose(one.var, var)
     np.testing.assert_allclose(one.noise, r2)
-    np.testing.assert_allclose(one.right, right)
-    np.testing.assert_allclose(one.wrong, wrong)
+    np.testing.assert_allclose(one.reliability, right)
+    np.testing.assert_allclose(one.error_rate, wrong)
 
 
 def test_a_bias_of_a_start_that_a_sensor_placed_fades_while_nothing_is_measured_and_that_of_a_hand_stays():
-    hand, placed = (Sensor.begin(PLACES + AWAY, PLACES, 2.5, REGRESSION, keep) for keep in (1.0, FADES))
+    hand, placed = (BiasFilter.begin(PLACES + AWAY, PLACES, 2.5, REGRESSION, keep) for keep in (1.0, FADES))
     for _ in range(60):
-        hand, placed = (one.learned(np.full((3, 2), np.nan), PLACES, EXACT, VISIBLE) for one in (hand, placed))
+        hand, placed = (one.updated(np.full((3, 2), np.nan), PLACES, EXACT, VISIBLE) for one in (hand, placed))
     np.testing.assert_array_equal(hand.bias, AWAY)
     np.testing.assert_allclose(placed.bias, FADES**60 * AWAY)
 
@@ -127,7 +131,7 @@ def test_it_is_not_misled_by_what_says_nothing_of_the_part(how):
 
 def test_what_it_says_of_a_part_depends_on_how_visible_that_is():
     one = begun(PLACES, PLACES, 2.0)
-    seen, hidden = (one.measured(PLACES, np.array([1.0, 1.0, v])) for v in (1.0, 0.0))
+    seen, hidden = (one.reading(PLACES, np.array([1.0, 1.0, v])) for v in (1.0, 0.0))
     np.testing.assert_allclose(seen.sure, SURE)
     np.testing.assert_allclose(hidden.sure, [SURE, SURE, SURE * BLIND])
     np.testing.assert_allclose(seen.var, one.var + DRIFT**2 + one.noise)
@@ -140,33 +144,20 @@ def test_a_part_that_the_sensor_does_not_know_has_no_bias_and_is_not_measured():
     one = begun(z, PLACES - 1.0, 3.0)
     np.testing.assert_allclose(one.bias, [[1, 1], [0, 0], [1, 1]])
     assert one.var[1] == pytest.approx(MAX_NOISE**2) and one.var[0] == pytest.approx(9.0)
-    said = one.measured(z, VISIBLE)
+    said = one.reading(z, VISIBLE)
     assert said.sure[1] == 0 and np.isfinite(said.z).all()
-    after = one.learned(z, PLACES, EXACT, VISIBLE)
+    after = one.updated(z, PLACES, EXACT, VISIBLE)
     assert np.isfinite([*after.bias.ravel(), *after.var, *after.noise]).all() and after.noise[1] == one.noise[1]
-
-
-def test_a_sensor_that_takes_something_else_for_a_part_is_believed_again_when_it_is_back():
-    """Of the part alone; how often it does is learned."""
-    rng, astray = np.random.default_rng(4), np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 10.0]])
-    good = fed(begun(PLACES, PLACES, 2.0), 0.0, 100, rng)
-    gone = fed(good, astray, 3, rng)
-    assert (gone.right > 0.5).tolist() == [True, True, False] and gone.measured(PLACES, VISIBLE).sure[2] < 0.2
-    back = fed(fed(good, astray, 30, rng), 0.0, 4, rng)
-    assert (back.measured(PLACES, VISIBLE).sure > 0.9).all()
-    np.testing.assert_allclose(back.bias, good.bias, atol=1.0)
-    often = good
-    for _ in range(10):
-        often = fed(fed(often, astray, 20, rng), 0.0, 10, rng)
-    assert often.wrong[2] > 0.5 > 0.02 > often.wrong[:2].max()
 
 
 def test_windows_that_see_a_part_elsewhere_speak_against_a_sensor():
     sensor = begun(PLACES, PLACES, 2.0)
-    told = [sensor.learned(PLACES, PLACES, EXACT, VISIBLE, np.full(3, said)).right[0] for said in (-9.0, -3.0, 0.0)]
-    assert told[0] < 0.5 < told[1] < told[2]
-    hidden = sensor.learned(PLACES, PLACES, EXACT, np.zeros(3), np.full(3, -9.0))
-    assert (hidden.right > 0.9).all(), "of what is hidden they say nothing"
+    after = [
+        sensor.updated(PLACES, PLACES, EXACT, VISIBLE, np.full(3, odds)).reliability[0] for odds in (-9.0, -3.0, 0.0)
+    ]
+    assert after[0] < 0.5 < after[1] < after[2]
+    hidden = sensor.updated(PLACES, PLACES, EXACT, np.zeros(3), np.full(3, -9.0))
+    assert (hidden.reliability > 0.9).all(), "of what is hidden they say nothing"
 
 
 # --- two sensors ----------------------------------------------------------------------------------------------------
@@ -176,27 +167,26 @@ def said(z, var, sure):
     return SensorReading(np.asarray(z, float), np.full(3, var), np.full(3, sure), SIDE**2 / 4)
 
 
-def test_two_sensors_that_agree_are_one_that_is_more_exact():
-    """As the product of their normal densities, where both are sure."""
-    both = joined(said(PLACES, 4.0, 1.0), said(PLACES + 1.0, 1.0, 1.0))
-    np.testing.assert_allclose(both.z, PLACES + 0.8)
-    np.testing.assert_allclose(both.var, 1 / (1 / 4 + 1))
-    np.testing.assert_allclose(both.sure, 1.0)
+@pytest.mark.parametrize(
+    ("first", "second", "at", "sure"),
+    [
+        ((0.0, 4.0, 1.0), (1.0, 1.0, 1.0), 0.8, 1.0),  # the product of their normal densities
+        ((0.0, 4.0, 0.9), (1.0, 1.0, 0.0), 0.0, 0.9),  # one that says nothing does not count
+        ((1.0, 1.0, 0.0), (0.0, 4.0, 0.9), 0.0, 0.9),
+        ((0.0, 4.0, 0.9), (FAR_AWAY, 1.0, 0.9), FAR_AWAY, 0.9),  # far apart, the second is believed
+    ],
+)
+def test_two_readings_in_one(first, second, at, sure):
+    both = joined(*(said(PLACES + off, *rest) for off, *rest in (first, second)))
+    np.testing.assert_allclose(both.z, PLACES + at)
+    np.testing.assert_allclose(both.sure, sure)
+    if np.all(at == 0.8):
+        np.testing.assert_allclose(both.var, 1 / (1 / 4 + 1))
 
 
-def test_of_two_sensors_the_one_that_says_nothing_does_not_count():
-    one, other = said(PLACES, 4.0, 0.9), said(PLACES + 1.0, 1.0, 0.0)
-    np.testing.assert_allclose(joined(one, other).z, PLACES)
-    np.testing.assert_allclose(joined(one, other).sure, 0.9)
-    np.testing.assert_allclose(joined(other, one).z, PLACES)
-    neither = joined(other, other)
+def test_two_readings_that_say_nothing_say_nothing():
+    neither = joined(*2 * [said(PLACES, 1.0, 0.0)])
     assert np.isfinite([*neither.z.ravel(), *neither.var]).all() and (neither.sure == 0).all()
-
-
-def test_where_two_sensors_are_far_apart_the_second_is_believed():
-    far = joined(said(PLACES, 4.0, 0.9), said(PLACES + FAR_AWAY, 1.0, 0.9))
-    np.testing.assert_allclose(far.z, PLACES + FAR_AWAY)
-    np.testing.assert_allclose(far.sure, 0.9)
 
 
 def test_what_all_parts_move_together_is_the_head_s_and_what_one_moves_is_not():
@@ -232,7 +222,7 @@ def test_who_is_right_is_the_sum_over_all_sets_of_readings_that_may_be():
                     density = density * 0.9 * np.exp(-0.5 * squared / each.var[part]) / (2 * np.pi * each.var[part])
             p *= 1.0 if all(off) else density.sum() * 0.25
             for scores in (windows_see, regression_sees):
-                p *= np.exp(np.clip(scores[index, part] - scores[:-1, part].max(), -TOLD, 0))
+                p *= np.exp(np.clip(scores[index, part] - scores[:-1, part].max(), -MAX_LOG_ODDS, 0))
             share[index] = p
         for i in range(3):
             says = (np.arange(8) >> i) % 2 == 0
@@ -256,18 +246,136 @@ def test_what_two_sensors_say_alike_is_believed_though_windows_prefer_another_pl
 @given(st.lists(st.sampled_from([True, False, None]), min_size=1, max_size=40), st.booleans())
 def test_facing_is_the_exact_chain_of_two_states(looks, unseen):
     """The forward pass over [shown, away], with the rate of finds as it was counted; None: a frame without a look."""
-    one = Facing().unseen() if unseen else Facing()
-    p, (yes, no) = np.array([1.0, 0.0]), one.found
-    moves = np.array([[1 - sensors._HIDE, sensors._HIDE], [sensors._SHOW, 1 - sensors._SHOW]])
+    one = Facing().undetected() if unseen else Facing()
+    p, (yes, no) = np.array([1.0, 0.0]), one.counts
+    hide, show = landmark_filters._HIDE, landmark_filters._SHOW
+    moves = np.array([[1 - hide, hide], [show, 1 - show]])
     for found in looks:
         one = one.predicted()
         p = p @ moves
         if found is not None:
             rate = yes / (yes + no)
-            seen = np.array([rate, sensors._FALSE])
+            seen = np.array([rate, landmark_filters._FALSE])
             p = p * (seen if found else 1 - seen)
             p /= p.sum()
             yes, no = ((1 - 1 / 50) * count + p[0] * hit for count, hit in ((yes, found), (no, not found)))
-            one = one.looked(found=found)
+            one = one.updated(detected=found)
         assert one.shown == pytest.approx(p[0])
-        assert one.found == pytest.approx((yes, no))
+        assert one.counts == pytest.approx((yes, no))
+
+
+# --- landmarks without windows ---------------------------------------------------------------------------------------
+
+REST = MIDDLE + 30 * np.random.default_rng(7).standard_normal((30, 2))
+SHOWN = np.full(30, 4.0)
+TURN = Similarity(np.array([83.0, 71.0]), 1.0, 0.3)
+
+
+def similarity(rest, z, weight):
+    """Where least squares lead `rest` (J, 2) to z: the unknowns a, b, c, d of (a x - b y + c, b x + a y + d)."""
+    rows, values, roots = [], [], np.repeat(np.sqrt(weight), 2)
+    for (x, y), (u, v) in zip(rest, z, strict=True):
+        rows += [[x, -y, 1, 0], [y, x, 0, 1]]
+        values += [u, v]
+    rows = np.array(rows)
+    found = np.linalg.lstsq(rows * roots[:, None], np.array(values) * roots, rcond=None)[0]
+    return (rows @ found).reshape(-1, 2)
+
+
+def moving_face(frames, rng, turn=0.01, s=MOTION, r=NOISE):
+    """(T, J, 2) true places and what is measured of them: points of their own, carried by a face that turns."""
+    own, true = s * rng.standard_normal(REST.shape), []
+    for t in range(frames):
+        own = 0.5 * own + np.sqrt(0.75) * s * rng.standard_normal(REST.shape)
+        true.append(Similarity(np.array([MIDDLE + 0.2 * t, MIDDLE]), 1 + 0.002 * t, turn * t).to_frame(REST) + own)
+    true = np.stack(true)
+    return true, true + r * rng.standard_normal(true.shape)
+
+
+def test_each_point_is_the_kalman_filter_that_is_written():
+    rng = np.random.default_rng(1)
+    _, zs = moving_face(30, rng)
+    odds = rng.uniform(-7, 7, (30, 30))
+    one = LandmarkFilter.begin(zs[0])
+    rest, moved, before = zs[0].copy(), zs[0].copy(), [zs[0], zs[0]]
+    off, var, s2 = np.zeros((30, 2)), np.full(30, (0.015 * EYES) ** 2), np.full(30, (0.05 * EYES) ** 2)
+    r2, seen = var.copy(), np.ones(30)
+    for t in range(1, 30):
+        z = None if t % 7 == 3 else zs[t]
+        for j in range(30):
+            ahead = 0.99 * seen[j] + 0.1 * (1 - seen[j])
+            for_it = ahead * np.exp(np.clip(odds[t, j], -4, 4))
+            seen[j] = for_it / (for_it + 1 - ahead)
+            off[j], var[j] = off[j] / 2, var[j] / 4 + 0.75 * s2[j]
+        if z is not None:
+            moved = similarity(rest, z, np.clip(seen, 0.001, 0.98))
+            for j in range(30):
+                gain = seen[j] * var[j] / (var[j] + r2[j])
+                off[j] = off[j] + gain * (z[j] - moved[j] - off[j])
+                var[j] = (1 - gain) * var[j]
+                bend = z[j] - 2 * before[1][j] + before[0][j]
+                rate = seen[j] / 100
+                r2[j] += rate * (min(bend @ bend / 12, 4 * r2[j]) - r2[j])
+                r2[j] = min(max(r2[j], (0.005 * EYES) ** 2), (0.05 * EYES) ** 2)
+                s2[j] = max(s2[j] + rate * (off[j] @ off[j] / 2 - s2[j]), (0.02 * EYES) ** 2)
+                rest[j] = rest[j] + rate / 4 * off[j]
+            before = [before[1], z]
+        one = one.after(z, odds[t])
+        np.testing.assert_allclose(one.visible, seen)
+        np.testing.assert_allclose(one.at, moved + off)
+        np.testing.assert_allclose(one.var, var)
+    for mine, written in ((one.rest, rest), (one.motion_var, s2), (one.noise_var, r2), (one.last, np.stack(before))):
+        np.testing.assert_allclose(mine, written)
+    np.testing.assert_allclose(one.cov[:, 0, 0], var + BIAS**2)
+
+
+def test_in_another_stabilized_image_all_is_as_it_would_have_been_there():
+    _, zs = moving_face(24, np.random.default_rng(5))
+    here, there = LandmarkFilter.begin(zs[0]), None
+    for t in range(1, 24):
+        here = here.after(zs[t], SHOWN)
+        if there is not None:
+            there = there.after(TURN.to_frame(zs[t]), SHOWN)
+        if t == 12:
+            there = here.mapped(TURN.to_frame)
+            np.testing.assert_allclose(there.at, TURN.to_frame(here.at))
+    np.testing.assert_allclose(there.at, TURN.to_frame(here.at))
+    for name in ("var", "motion_var", "noise_var", "visible"):
+        np.testing.assert_allclose(getattr(there, name), getattr(here, name))
+
+
+def test_a_belief_has_the_motion_that_the_filter_predicts_by():
+    _, zs = moving_face(10, np.random.default_rng(6))
+    before = LandmarkFilter.begin(zs[0])
+    for z in zs[1:]:
+        before = before.after(z, SHOWN)
+    after = before.after(None, NO_FACE)
+    mean, cov, motion, doubt, _ = after.belief()
+    np.testing.assert_array_equal(mean, after.at)
+    np.testing.assert_array_equal(cov, after.var[:, None, None] * np.eye(2))
+    np.testing.assert_allclose(np.einsum("jde,je->jd", motion.matrix, before.at) + motion.offset, after.at)
+    own = before.var[:, None, None] * np.eye(2)
+    np.testing.assert_allclose(motion.matrix @ own @ motion.matrix + motion.cov, after.var[:, None, None] * np.eye(2))
+    assert not doubt.any()
+    for _ in range(30):
+        after = after.after(None, NO_FACE)
+    # what is unseen for long is known as its motion says: more would let a smoother add up what is wrong
+    cov, motion = after.belief()[1:3]
+    np.testing.assert_allclose(motion.matrix @ cov @ motion.matrix + motion.cov, cov)
+
+
+def test_what_was_still_for_long_is_followed_at_once_where_its_least_motion_says_so():
+    """A blink: some lids of a face go down for three frames, after a minute."""
+    still, lids = REST + 0, np.arange(30) < 3
+    shut = still + np.where(lids[:, None], (0, 0.12 * EYES), 0)
+    followed = []
+    for least in (0.1 * EYES, 0.002 * EYES):
+        one = LandmarkFilter.begin(still, 0.02 * EYES, np.where(lids, least, 0.02 * EYES))
+        rng = np.random.default_rng(4)
+        for _ in range(600):
+            one = one.after(still + 0.02 * EYES * rng.standard_normal(still.shape), SHOWN)
+        for _ in range(2):
+            one = one.after(shut, SHOWN)
+        followed.append((one.at - still)[lids, 1].mean() / (0.12 * EYES))
+        np.testing.assert_allclose(one.cov[:, 0, 0], one.var + (0.02 * EYES) ** 2)
+    assert followed[0] > 0.85 and followed[1] < 0.6
