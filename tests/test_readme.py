@@ -20,9 +20,10 @@ from imageio_ffmpeg import get_ffmpeg_exe
 from facetrack_cli.core.models import VARIABLE
 from tests.test_docs import FENCE, PAGES, ROOT
 
-# README and a guide by day, with few frames; with `nightly` all pages, with whole clips and what is printed
+# README and two guides by day, with few frames; with `nightly` all pages, with whole clips and what is printed
 BY_DAY = {
     "README.md": {},
+    "film.md": {"RUN_STOP": "60"},  # until both people are there
     "signer.md": {"RUN_STOP": "40"},  # until a hand is corrected
 }
 SHORT = {"RUN_STOP": "12", "RUN_NO_VIDEO": "1", "COMPARE_STOP": "12", "COMPARE_SEEDS": "1", "EVAL_PARTIAL": "1"}

@@ -70,10 +70,10 @@ class Stop:
 
 
 @contextlib.contextmanager
-def raising(instead_of: Callable[[int, Any], None] | None = None) -> Iterator[None]:
+def raising() -> Iterator[None]:
     """Where no Stop listens, Ctrl-C raises KeyboardInterrupt, other signals TerminatedError; what is ignored stays so.
 
-    Handlers of others stay, but for `instead_of`.
+    Handlers of others stay.
 
     Within an import, which may turn the exception into another one, the process ends at once. Python drops what is
     raised within a `__del__` or a callback: then the next Stop ends at once.
@@ -101,6 +101,6 @@ def raising(instead_of: Callable[[int, Any], None] | None = None) -> Iterator[No
         restored.callback(setattr, Stop, "before", None)
         main = threading.current_thread() is threading.main_thread()
         for number in [one for one in signal.Signals if one.name in _CODES] if main else ():
-            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler, instead_of):
+            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
                 restored.callback(signal.signal, number, signal.signal(number, end))
         yield
