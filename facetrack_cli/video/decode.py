@@ -322,25 +322,30 @@ def pixels(raw: VideoFrame, range_: Levels | None = None) -> Image:
     if raw.format.name != "yuv420p" or raw.color_range == _FULL_RANGE or sides[0] % 2 or sides[1] % 2:
         image = np.asarray(raw.to_ndarray(format="bgr24", src_colorspace=matrix, dst_colorspace=_BT601), np.uint8)
         return np.ascontiguousarray(_oriented(image, way))
-    planes = np.asarray(raw.to_ndarray(), np.uint8)
+    planes = np.empty((sides[1] * 3 // 2, sides[0]), np.uint8)
+    for part, plane in zip(planes_of(planes), raw.planes, strict=True):
+        part[:] = np.frombuffer(memoryview(plane), np.uint8).reshape(-1, plane.line_size)[: len(part), : part.shape[1]]
     if _LUMA[matrix] != _LUMA[_BT601]:
-        planes = _in_bt601(planes, matrix)
+        _to_our_matrix(planes, matrix)
     if not any(way):
         return planes
     turned = np.concatenate([_oriented(part, way).ravel() for part in planes_of(planes)])
     return turned.reshape(-1, sides[way[0]])
 
 
-def _in_bt601(planes: Image, matrix: int) -> Image:
-    """The planes of limited range of another matrix, as those of BT.601 that have the same colours."""
+def _to_our_matrix(planes: Image, matrix: int) -> None:
+    """Planes of limited range of another matrix become those of BT.601 that have the same colours."""
     luma, *chroma = planes_of(planes)
     # grey stays grey: Y changes by U and V alone, each about its middle
     more, *others = (
         cv2.addWeighted(chroma[0], u, chroma[1], v, 128 - 128 * (u + v)) for _, u, v in _to_bt601(matrix).tolist()
     )
-    more = cv2.resize(more, luma.shape[::-1], interpolation=cv2.INTER_NEAREST)
-    parts = cv2.addWeighted(luma, 1, more, 1, -128), *others
-    return np.concatenate([np.asarray(part, np.uint8).ravel() for part in parts]).reshape(planes.shape)
+    chroma[0][:], chroma[1][:] = others
+    # up and down by themselves, since bytes end at 0 and at 255; in place, since new memory costs more than the sums
+    for change, by in ((cv2.add, np.maximum(more, 128) - 128), (cv2.subtract, 128 - np.minimum(more, 128))):
+        pairs = cv2.merge((by, by)).reshape(by.shape[0], -1)
+        for rows in (luma[::2], luma[1::2]):
+            change(rows, pairs, dst=rows)
 
 
 @lru_cache
