@@ -258,6 +258,9 @@ class CorrelationFilter(Likelihood):
             evidence(learned.heights.now, learned.heights.elsewhere, height, self.settings.evidence)
             + _SIGHTED * best[2]
         )
+        # what others see of the target's own place holds for what is found there again
+        if float(np.hypot(*(best[1][:2] - expected[0, :2]))) < 0.5 * self._unit * scale:
+            log_l += learned.told
         return self._modes(view, size, found, np.array([log_l]), anew=True), height
 
     def _both(self, learned: CorrelationState, view: ResponseView) -> Single:
