@@ -103,7 +103,7 @@ def test_a_face_that_leaves_and_returns_elsewhere(stays):
     assert spread[back - 2] > 2 * spread[stays - 5], "it grows while nothing is seen"
     confidence = np.array([row.confidence for row in rows])[stays:back]
     assert confidence[5:19, :5].max() < 0.5 and confidence[7:19].max() < 0.6, "it falls as the spread grows"
-    assert confidence[13:19, 5].max() < 0.4
+    assert confidence[13:19, 5].max() < 0.5
 
 
 @pytest.mark.nightly
