@@ -225,7 +225,7 @@ def test_files_are_written_beside_the_tables(folder, capsys):
         (["--normalise", "left:chin"], 2, "the ground truth has no chin; it has left, right"),
         (["--failure", "0"], 2, "give a normalised error above 0"),
         (["--failure", "nan"], 2, "give a normalised error above 0"),
-        (["--truth", "none.csv"], 3, "none.csv: no such file"),
+        (["--truth", "none.csv"], 3, "none.csv: cannot be read: No such file"),
         (["--truth-format", "xml"], 2, "xml"),
     ],
 )
