@@ -24,9 +24,9 @@ from boxes import clip_in
 from reference import HANDS, hands_in
 
 from facetrack_cli import load_recipe, track_frames
+from facetrack_cli.core.face_points import HANDS as NAMES
 from facetrack_cli.core.types import Array, Image
 from facetrack_cli.trackers.hands import target
-from facetrack_cli.trackers.hands.settings import NAMES
 
 CUT, SURE, NEAR = 0.81, 15.0, 10  # of the height; pixels from there, and frames from when a hand is seen first or last
 WEIGHT, PRIOR = 0.25, 1e-4  # of a frame of a cut clip; of the weights' squares

@@ -15,6 +15,7 @@ from pydantic import BaseModel, Field, PrivateAttr, TypeAdapter, ValidationError
 from pydantic.json_schema import GenerateJsonSchema
 
 from facetrack_cli.core.errors import RecipeError
+from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems
 from facetrack_cli.recipe import sections
 from facetrack_cli.recipe.messages import locate
@@ -34,7 +35,6 @@ from facetrack_cli.recipe.sections import (
 )
 from facetrack_cli.trackers.appearance.settings import RecognitionSettings
 from facetrack_cli.trackers.face.settings import HeadSettings
-from facetrack_cli.trackers.hands.settings import NAMES as HANDS
 from facetrack_cli.trackers.hands.settings import HandsSettings
 from facetrack_cli.trackers.skin.settings import ExclusionSettings, SkinCloudSettings
 

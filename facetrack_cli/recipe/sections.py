@@ -413,6 +413,7 @@ def has_times(value: object) -> bool:
 # Patras & Pantic, "Particle Filtering with Factorized Likelihoods for Tracking Facial Features", FG 2004.
 BOX = "box"  # the one part of a target that is followed as a box
 Factor: TypeAlias = Annotated[float, Field(gt=0, le=100)]
+Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 MAX_COMPARED_PARTICLES = 2_000  # particles that are compared with each other: memory grows with their square
 
 

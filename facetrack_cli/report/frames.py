@@ -2,7 +2,7 @@
 
 import base64
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
@@ -14,6 +14,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.core.types import Image as Pixels
 from facetrack_cli.run_folder.manifest import check_belongs, other_clip
+from facetrack_cli.runs.plan import Report
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.header import Header
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, joined, recorded
@@ -28,7 +29,6 @@ _VIEW = 3.5  # an image shows this many times the target's size; larger clips ar
 _TRAIL_S = 1.0
 _TRAIL = 25  # frames of it that are drawn
 _APART_S = 0.002  # a clip whose frames have other times than the run's is another clip
-Report: TypeAlias = Callable[[int, int], None]  # frames read, frames to read
 View: TypeAlias = tuple[int, int, int, int]  # left, top, width, height in the clip's pixels
 
 

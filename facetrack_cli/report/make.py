@@ -29,10 +29,11 @@ from facetrack_cli.recipe.load import calibrated
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report import story
 from facetrack_cli.report.command_line import command, init_yaml, recipe_yaml
-from facetrack_cli.report.frames import Image, Report, key_images
+from facetrack_cli.report.frames import Image, key_images
 from facetrack_cli.report.story import LostSpan, Stretch, history_of, key_frames
 from facetrack_cli.run_folder.manifest import REPORT, VIDEO, read_manifest, read_run, trajectory_of
 from facetrack_cli.run_folder.status import ClipStatus, badness, name_of, survey
+from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.diagnostics import EVIDENCE
 from facetrack_cli.trajectory.formats.read import read_truth
@@ -74,7 +75,7 @@ def make_report(
     truth: TruthFile | None = None,
     clip: Path | None = None,
     title: str | None = None,
-    report: Report = lambda done, total: None,
+    report: Report = silent,
 ) -> ReportPage:
     """The report of the run in the folder `run`.
 
@@ -145,9 +146,7 @@ def make_report(
     return ReportPage(encoded(document), tuple(images.notes))
 
 
-def make_batch_report(
-    batch: Path, to: Path, title: str | None = None, report: Report = lambda done, total: None
-) -> ReportPage:
+def make_batch_report(batch: Path, to: Path, title: str | None = None, report: Report = silent) -> ReportPage:
     """The page about the runs in the folder `batch`, to be written to the file `to`: its clips, the worst first.
 
     Raises InputError for a folder without runs, UsageError without Jinja2.
@@ -182,7 +181,7 @@ def _still(folder: Path, clip: ClipStatus) -> Image | None:
     """The frame to look at first, or else the middle one, reduced."""
     table = read_run(trajectory_of(folder))
     at = int(table.frames[len(table.frames) // 2]) if clip.still is None else clip.still
-    images = key_images(table, read_header(table), [at], None, _video(folder), lambda done, total: None)
+    images = key_images(table, read_header(table), [at], None, _video(folder), silent)
     if at not in images.found:
         return None
     image = cv2.imdecode(np.frombuffer(images.found[at].data, np.uint8), cv2.IMREAD_COLOR)

@@ -17,7 +17,7 @@ from facetrack_cli.core.numbers import clock as at_clock
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array
 from facetrack_cli.recipe.load import calibrated, fitted
-from facetrack_cli.runs.verdict import SURE as LOW
+from facetrack_cli.runs.verdict import LOW
 from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.diagnostics import DOUBTFUL, SURE
 from facetrack_cli.trajectory.header import Header, SeamHeader

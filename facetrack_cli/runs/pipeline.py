@@ -15,6 +15,7 @@ from typing import Generic, TypeVar
 import cv2
 
 from facetrack_cli.core.types import Frame
+from facetrack_cli.runs.signals import never
 from facetrack_cli.trajectory.trajectory import FrameResult
 
 MAX_QUEUE = 4  # frames in each queue
@@ -31,7 +32,7 @@ def share_threads(threads: int) -> None:
 
 @contextlib.contextmanager
 def decoded_ahead(
-    frames: Iterable[Frame], *, threaded: bool = True, stopped: Callable[[], bool] = lambda: False
+    frames: Iterable[Frame], *, threaded: bool = True, stopped: Callable[[], bool] = never
 ) -> Iterator[Iterator[Frame]]:
     """The frames in a `with`, decoded in a thread of their own. `stopped` is asked before each; then they end.
 
@@ -86,7 +87,7 @@ class Painter:
 
     def _run(self) -> None:
         try:
-            for result in self._results.items(lambda: False):
+            for result in self._results.items(never):
                 self._paint(result)
         except BaseException as e:
             self._error.append(e)

@@ -104,7 +104,7 @@ class ClipRequest:
         recipe: Recipe,
         truth: Trajectory | None = None,
         stopped: Callable[[], bool] = never,
-        looked: Callable[[int, int | None], None] = lambda done, total: None,
+        looked: Callable[[int, int | None], None] = silent,
     ) -> Start:
         """Where a recipe begins: the box or init file given, the init file beside the clip, else the ground truth.
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -22,13 +22,13 @@ from facetrack_cli.core.types import Frame, Start, Whole
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import OVERRIDES, load_recipe, with_gallery
 from facetrack_cli.recipe.model import Recipe
+from facetrack_cli.runs.plan import Report, silent
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.workers import DiedError, cores, side_by_side
 from facetrack_cli.start.assembly import check_gallery, tracker_for
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, joined, one_part
 from facetrack_cli.video.source import FOLDER_FPS, open_source
 
-Report: TypeAlias = Callable[[int, int], None]  # frames tracked over all seeds, and in all; 0 where that is not known
 _ENDED = "a process of -j ended by itself (too little memory?); run without -j"
 
 
@@ -109,7 +109,7 @@ def run_plans(
     plans: Sequence[SeedPlan],
     workers: int = 1,
     stopped: Stop | None = None,
-    report: Report = lambda done, total: None,
+    report: Report = silent,
 ) -> Generator[PlanResult, None, None]:
     """Run all plans, in `workers` processes; each is yielded as it ends, in their order.
 

@@ -29,7 +29,7 @@ from facetrack_cli.trajectory.trajectory import SEEN, FrameResult, Trajectory, m
 from facetrack_cli.trajectory.writers import Header
 
 EVERY_FRAMES: Final = 15  # between two looks
-SURE: Final = 0.9  # the frame of the lowest mean confidence is named if that is less
+LOW: Final = 0.9  # the frame of the lowest mean confidence is named if that is less
 SURE_OF_NAMES: Final = 0.8  # probability, below which the names of hands are in doubt
 MIN_LOOKS: Final = 3  # fewer looks than this say nothing
 _MAX_SPANS: Final = 3  # the longest ones, which are named
@@ -150,7 +150,7 @@ class RunMonitor(Sink):
         if self.lost_seen:
             parts.append(f"while it is lost, {by} sees a face in {self.lost_seen} of {self.lost_looks} looks")
         look = [f"{places(sorted(self.lost))} (lost)"] if self.lost else []
-        if self.least[0] < SURE:
+        if self.least[0] < LOW:
             raw = "" if self.calibrated else ", not calibrated"
             look.append(f"{self.least[1]} (lowest confidence, {self.least[0]:.2f}{raw})")
         if self.unnamed:
@@ -163,7 +163,7 @@ class RunMonitor(Sink):
     def look(self) -> tuple[tuple[int, int], ...]:
         """First and last frames to look at first: the longest in which a part is lost, else the least sure one."""
         self._ended()
-        return tuple(self.lost) or ((self.least[1],) * 2,) * (self.least[0] < SURE)
+        return tuple(self.lost) or ((self.least[1],) * 2,) * (self.least[0] < LOW)
 
     def doubts(self) -> str:
         """What speaks against the track; "" if nothing does."""

@@ -30,14 +30,13 @@ from typing import Any, Final, NoReturn, TextIO, TypeAlias, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.core.face_points import DETECTORS
+from facetrack_cli.core.face_points import DETECTORS, HANDS
 from facetrack_cli.core.files import write_new
 from facetrack_cli.core.geometry import centre, inside
 from facetrack_cli.core.types import BOX, Correction, Point, Start, TargetStart
 from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems, parse, read_source
 from facetrack_cli.recipe.messages import locate, problems
 from facetrack_cli.recipe.sections import suggest
-from facetrack_cli.trackers.hands.settings import NAMES as HANDS
 from facetrack_cli.trajectory.header import CorrectedTarget, TargetRecord, corrected, to_record, whole
 from facetrack_cli.trajectory.reader import MAX_FRAME
 

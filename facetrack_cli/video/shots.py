@@ -62,10 +62,6 @@ class Cut(NamedTuple):
     first: int
     last: int
 
-    @property
-    def dissolve(self) -> bool:
-        return self.last >= self.first
-
 
 class Shot(NamedTuple):
     """Frames [first, stop); stop None: the end of the clip. Those of [clear, until) show no other shot."""

@@ -5,7 +5,6 @@ import importlib
 import sys
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -49,26 +48,6 @@ class TrackClip:
         with open_source(path, stop=stop) as source:
             self.frames = list(source)
         self.truth = {(row.frame, row.part): row for row in file_rows(path.with_suffix(".truth.csv"))}
-
-
-class BoxClip(NamedTuple):
-    """pictures (T, H, W, 3) BGR; boxes (T, ..., 4) middle, width, height in pixels; hidden (T, ...).
-
-    Where there is more than one target, `...` is their number.
-    """
-
-    name: str
-    pictures: np.ndarray
-    boxes: np.ndarray
-    hidden: np.ndarray
-
-
-def read_boxes(name: str, targets: int = 1) -> BoxClip:
-    """A clip whose ground truth has a box for each of so many targets."""
-    rows = read_rows(name)
-    shape = (-1,) if targets == 1 else (-1, targets)
-    boxes = np.array([[float(r[k]) for k in "xywh"] for r in rows]).reshape(*shape, 4)
-    return BoxClip(name, read_pictures(name), boxes, np.array([r["status"] == "hidden" for r in rows]).reshape(shape))
 
 
 def read_rows(name: str) -> list[dict[str, str]]:

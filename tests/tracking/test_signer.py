@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.types import Correction, Frame, Start, TargetStart
 from facetrack_cli.engine.loop import Footprint, track
 from facetrack_cli.engine.protocols import Linear
@@ -19,7 +20,7 @@ from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.hands import evidence, joint
 from facetrack_cli.trackers.hands import target as hand_target
 from facetrack_cli.trackers.hands.evidence import shift_between
-from facetrack_cli.trackers.hands.settings import NAMES, HandsSettings
+from facetrack_cli.trackers.hands.settings import HandsSettings
 from facetrack_cli.trackers.smoothed import renamed_hands
 from facetrack_cli.trajectory.formats.eaf import seen_in
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
@@ -82,7 +83,7 @@ def test_hands_are_absent_until_they_appear_and_then_followed_by_their_names(ris
             assert math.dist((one.x[i], one.y[i]), rising(i)[side]) < 10
         assert (abs(one.w[28:] - 28) < 8).all() and (abs(one.h[28:] - 28) < 8).all()  # of a disc of 29 pixels
     alone = rows_of(drawn(i) for i in range(12))
-    assert {*alone.find(NAMES[0], "box").status, *alone.find(NAMES[1], "box").status} <= {"absent", "lost"}
+    assert {*alone.find(HANDS[0], "box").status, *alone.find(HANDS[1], "box").status} <= {"absent", "lost"}
 
 
 def test_what_the_tracker_calls_absent_is_no_correction_and_has_no_segment(risen):
@@ -98,7 +99,7 @@ def test_what_the_tracker_calls_absent_is_no_correction_and_has_no_segment(risen
 
 def test_a_hand_that_leaves_the_picture_is_absent_again():
     rows = rows_of(drawn(i, rising(i if i < 26 else max(48 - i, 0))) for i in range(54))
-    for name in NAMES:
+    for name in HANDS:
         assert rows.find(name, "box").status[[25, 53]].tolist() == ["tracked", "absent"]
 
 
@@ -139,11 +140,11 @@ def meeting(index, side):
 @pytest.mark.parametrize("side", [1, -1])
 def test_forearms_say_which_hand_is_which_after_a_crossing_and_after_a_touch(side):
     given = {
-        name: TargetStart((x - 14, y - 14, 29, 29)) for name, (x, y, _) in zip(NAMES, meeting(0, side), strict=True)
+        name: TargetStart((x - 14, y - 14, 29, 29)) for name, (x, y, _) in zip(HANDS, meeting(0, side), strict=True)
     }
     start = Start(0, {"head": TargetStart(FACE), **given}, "x")
     rows = rows_of((drawn(i, meeting(i, side)) for i in range(36)), start)
-    for name, sign in zip(NAMES, (1, -1), strict=True):
+    for name, sign in zip(HANDS, (1, -1), strict=True):
         one = rows.find(name, "box")
         assert (np.hypot(one.x - MEETING[0] - sign * side * 40, one.y - MEETING[1])[28:] < 14).all()
 
@@ -163,7 +164,7 @@ def test_the_lean_of_skin_is_that_of_a_plain_loop_and_of_a_line():
 
 def test_smoothing_exchanges_names_that_later_frames_deny():
     rows = rows_of(drawn(i, rising(i)) for i in range(24))
-    left, right = (rows.find(name, "box") for name in NAMES)
+    left, right = (rows.find(name, "box") for name in HANDS)
     seen = np.isfinite(left.x) & np.isfinite(right.x)
     beliefs = {}
     for one in (left, right):

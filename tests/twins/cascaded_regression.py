@@ -1,4 +1,4 @@
-"""Slow, plain twins of the channels of face/cascaded_regression.py and how they are read. Imports nothing of ours."""
+"""Slow, plain twins of the channels of trackers/face/cascaded_regression.py, and how they are read. Nothing of ours."""
 
 import math
 

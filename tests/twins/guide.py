@@ -1,4 +1,4 @@
-"""Slow, plain twins of guide.py, of kernels/least_squares.py and of the affine walk, from the formulas alone."""
+"""Slow, plain twins of trackers/appearance/affine.py: shift, noise and walk, from the formulas alone."""
 
 import math
 

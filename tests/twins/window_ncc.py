@@ -1,4 +1,4 @@
-"""A slow, plain twin of the correlation of models/likelihoods/window_ncc.py. Imports nothing of ours."""
+"""A slow, plain twin of the correlation of trackers/face/window_ncc.py. Imports nothing of ours."""
 
 import math
 

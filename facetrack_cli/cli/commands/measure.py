@@ -106,7 +106,6 @@ def eval_command(
     from facetrack_cli.evaluation.identities import identified
     from facetrack_cli.evaluation.rows import check_normalise
     from facetrack_cli.evaluation.summary import About, Options, evaluate, to_csv, to_json, to_text
-    from facetrack_cli.report.figures.style import need_matplotlib
     from facetrack_cli.run_folder.manifest import check_run, other_clip
     from facetrack_cli.trajectory.formats.read import read_results
     from facetrack_cli.trajectory.header import clip_of, frame_size_of
@@ -123,6 +122,8 @@ def eval_command(
     for path in files.values():
         check_new(path, overwrite=overwrite)
     if plot is not None:
+        from facetrack_cli.report.figures.style import need_matplotlib  # with it the tracker is loaded
+
         need_matplotlib()
     check_normalise(normalise)
     check_run(trajectory)

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field, StrictBool, StrictInt
 
 from facetrack_cli.core.errors import FacetrackError, InputError
+from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Correction, TargetStart
 from facetrack_cli.editor.history import Fixer, merged
@@ -20,7 +21,6 @@ from facetrack_cli.engine.corrected import correctable_parts
 from facetrack_cli.recipe.model import OpenCvRecipe
 from facetrack_cli.runs.plan import Report
 from facetrack_cli.trackers.face.detectors import PARTS
-from facetrack_cli.trackers.hands.settings import NAMES as HANDS
 from facetrack_cli.trajectory.diagnostics import outlines
 from facetrack_cli.trajectory.header import UNSAVED, FrameNumber
 from facetrack_cli.trajectory.select import choose

@@ -64,9 +64,9 @@ def curves_figure(
 
 
 def error_over_time_figure(
-    frames: Whole, errors: Mapping[str, Array], hidden: Mask, unit: str = "px", *, title: str = "Error over time"
+    frames: Whole, errors: Mapping[str, Array], hidden: Mask, *, title: str = "Error over time"
 ) -> Figure:
-    """Median over seeds of `errors` (S, T) in `unit` by label, in a band of 10 to 90 % of them; `hidden` is shaded."""
+    """Median over seeds of `errors` (S, T) in pixels by label, in a band of 10 to 90 % of them; `hidden` is shaded."""
     names = [style.clean(label, 40) for label in errors]
     columns, rows = columns_for(names, WIDE_INCHES[0])
     top = 0.1 + 0.2 * rows
@@ -91,7 +91,7 @@ def error_over_time_figure(
             pen.line(axes, frames, middle, linewidth=1.3, **look)
         notes = ["line: median over seeds, band: 10 to 90 %"] if several else []
         style.heading(axes, title, "; ".join([*notes, *(["shaded: hidden"] if hidden.any() else [])]))
-        axes.set_ylabel(f"error ({unit})")
+        axes.set_ylabel("error (px)")
         return figure
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.types import Array, Whole
-from facetrack_cli.evaluation.rows import Pair
+from facetrack_cli.evaluation.rows import NOT_SEEN, Pair
 from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.diagnostics import adaptation, is_known, panels
 from facetrack_cli.report.figures.style import Axes, Figure, Line, Panel, Pen
@@ -27,7 +27,6 @@ USUAL = (
 )  # fmt: skip
 """The measures of a face on the page."""
 BINS = 1000  # about the pixels across a panel
-UNSEEN = ("hidden", "absent")
 _UNIT = (-0.03, 1.06)  # the axis of what is from 0 to 1
 Of = Callable[[Trajectory], Array]
 _x, _y, _angle, _confidence, _particles, _ess = map(attrgetter, ("x", "y", "angle", "confidence", "particles", "ess"))
@@ -199,7 +198,7 @@ class _Page:
         found |= {status: Patch(color=style.STATUS[status], linewidth=0) for status in self.gone}
         if len(self.corrected):
             found["corrected by hand"] = Line2D([], [], **style.CORRECTED)
-        unseen = [status for status in UNSEEN if status in self.truth and not self.many]
+        unseen = [status for status in NOT_SEEN if status in self.truth and not self.many]
         return found | {f"{one} in the ground truth": Patch(color=style.STATUS[one], linewidth=0) for one in unseen}
 
     def _summary(self) -> list[str]:
@@ -215,7 +214,7 @@ class _Page:
             found.append(f"called lost in {share} of {over}" if any(lost) else "never called lost")
         if len(self.corrected):
             found.append(f"corrected by hand in {len(self.corrected):,} of them")
-        wrong = [error[~np.isin(pair.truth.status, UNSEEN)] for _, pair, error in self.paired]  # as in eval
+        wrong = [error[~np.isin(pair.truth.status, NOT_SEEN)] for _, pair, error in self.paired]  # as in eval
         if wrong and is_known(every := np.concatenate(wrong)):
             found.append(f"median error {np.nanmedian(every):.2f} px")
         if self.table.header.get("complete") is False:
@@ -242,7 +241,7 @@ class _Page:
         if is_known(table.confidence):
             yield Panel("confidence", [bands, self._shaded(" or ".join(self.gone))], 0.95, self._confidence)
         if self.judged:
-            below = "below each row: ground truth" if self.truth & {*UNSEEN} else ""
+            below = "below each row: ground truth" if self.truth & {*NOT_SEEN} else ""
             notes = ["a row a part, from first to last" if many else below]
             tall = max(0.2, min(0.165 * len(lines), 1.5))
             yield Panel("status", notes, tall, partial(self.pen.status, lines=lines))

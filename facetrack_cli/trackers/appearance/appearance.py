@@ -21,7 +21,7 @@ printed m_s sigma_s^2 + F^2 does not. Beyond the paper:
 - `outlier` is the weight of a fourth component, the L of Jepson et al. (the paper's [3]), uniform over `OUTLIER_RANGE`;
   the other three share the rest.
 - `pixels`: neighbours in a patch are not independent. log p_a is multiplied by `pixels` / d; with `independent:
-  estimated` by the share that is estimated from frame to frame (independent.py).
+  estimated` by the share that is estimated from frame to frame (`effective_share` in engine/resampling.py).
 """
 
 from __future__ import annotations

@@ -131,7 +131,7 @@ class ComponentsSettings(Section):
 
 
 class PatchLikelihoodSettings(LikelihoodSettings):
-    """A likelihood that scores patches by their distance from the appearance (eq. 13): `roles.ScoresPatches`."""
+    """A likelihood that scores patches by how far they are from the appearance (eq. 13), as `Appearance` does."""
 
     template: Annotated[tuple[Points, Points], Field(strict=False)] = (26, 30)
     """[columns, rows] of the patch; its grey levels have zero mean and unit variance."""

@@ -19,9 +19,9 @@ from facetrack_cli.recipe.sections import (
     Refusal,
     ScaledSettings,
     Section,
+    Share,
 )
 
-Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 Rate: TypeAlias = Annotated[float, Field(ge=0, le=1), SHARE]
 Probability: TypeAlias = Annotated[float, Field(gt=0, lt=1)]
 

@@ -21,12 +21,12 @@ from facetrack_cli.recipe.sections import (
     PriorSettings,
     Refusal,
     Section,
+    Share,
 )
 from facetrack_cli.trackers.box.settings import (
     BoxSettings,
     CorrelationFilterSettings,
     GuidedSettings,
-    Share,
     VisibleWalkSettings,
 )
 

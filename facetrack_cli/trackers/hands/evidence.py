@@ -53,8 +53,6 @@ DARK, BRIGHT, ENOUGH = 20, 240, 0.1  # levels, and the share of pixels between t
 THIN: Final = 3  # every third row and column of them tell
 LEAST_GAIN, AGREES = 0.01, 0.15  # of a channel: less is left as it is; between the quartiles of all pixels at most
 HEAD: Final = (-0.8, -1.3, 0.8, 1.1)  # head and neck about the face's middle, in sizes of the box
-
-
 _NOBODY: Final = np.empty((0, 2))
 
 

@@ -4,15 +4,12 @@ No numerics are imported here.
 """
 
 from collections.abc import Iterable
-from typing import Annotated, Final
+from typing import Annotated
 
 from pydantic import Field
 
-from facetrack_cli.core.face_points import HANDS
-from facetrack_cli.recipe.sections import Refusal, Section
+from facetrack_cli.recipe.sections import Refusal, Section, Share
 
-NAMES: Final = HANDS
-Share = Annotated[float, Field(ge=0, le=1)]
 Sizes = Annotated[float, Field(gt=0, le=10)]
 
 

@@ -1,7 +1,7 @@
 # mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
 """The inner loops of the Parzen shape prior.
 
-Each kernel has a slow plain twin in `tests/twins/shape.py`. A hypothesis is registered to q (P, 2), in kernel widths,
+Each kernel has a slow plain twin in `tests/twins/points.py`. A hypothesis is registered to q (P, 2), in kernel widths,
 over the P parts that are listed in `parts`:
 
     q_i = ((x_i - first_i) - r) / width,   r = x_stable - first_stable,   or the mean over `parts` with `stable` = -1.

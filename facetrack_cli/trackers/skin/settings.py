@@ -9,9 +9,8 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
-from facetrack_cli.recipe.sections import SHARE, LikelihoodSettings, Refusal, Section, TargetSettings
+from facetrack_cli.recipe.sections import SHARE, LikelihoodSettings, Refusal, Section, Share, TargetSettings
 
-Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 MaxSize: TypeAlias = Annotated[int, Field(ge=16)]
 # the rules pass 0.50 to 0.96 of faces that they know, 0.02 to 0.08 of very dark ones, 0.39 of one of a greyish pale
 LEAST_SHARE = 0.4

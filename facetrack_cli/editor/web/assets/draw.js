@@ -4,8 +4,8 @@ import { readable } from "./dom.js";
 import { markScale } from "./geometry.js";
 import { BOX, sameSlot } from "./store.js";
 
-/** PALETTE of facetrack's videos; vermilion is reserved for what is lost. */
-export const PALETTE = ["#50cdff", "#fae846", "#28e1a0", "#f096de", "#648cff", "#f0f0f0"];
+/** Colours of facetrack's videos; vermilion is reserved for what is lost. */
+const PALETTE = ["#50cdff", "#fae846", "#28e1a0", "#f096de", "#648cff", "#f0f0f0"];
 export const LOST = "#ff6e19";
 const RIM = "rgb(0 0 0 / 70%)";
 export const LABEL_FONT = "600 12px system-ui, sans-serif";
