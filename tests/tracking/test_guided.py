@@ -9,7 +9,7 @@ import pytest
 from facetrack_cli.core.types import Particles
 from facetrack_cli.engine.resampling import logsumexp, normalise, uniform
 from facetrack_cli.trackers.box.hidden_box import VISIBLE
-from facetrack_cli.trackers.box.proposals import Guides
+from facetrack_cli.trackers.box.proposals import ModeProposal
 from tests.support.parts import guided, visible_walk
 
 SIGMA, HIDDEN = 3.0, 1.5
@@ -28,7 +28,7 @@ class Modes:
     mean: Any
     std: Any
     tops: Any
-    anew: Any = False
+    redetected: Any = False
     flat: float | None = None
 
     def propagate(self, rng, x):
@@ -44,7 +44,7 @@ class Modes:
         mean = np.atleast_2d(np.asarray(self.mean, float))
         std = np.broadcast_to(np.asarray(self.std, float), mean.shape).copy()
         tops = np.broadcast_to(np.asarray(self.tops, float), len(mean)).copy()
-        return Guides(mean, std, tops, np.broadcast_to(self.anew, len(mean)).copy())
+        return ModeProposal(mean, std, tops, np.broadcast_to(self.redetected, len(mean)).copy())
 
     def log_likelihood(self, x, parents):
         z = np.column_stack([x[:, 0, :2], np.log(x[:, 0, 2])])
@@ -246,7 +246,7 @@ def test_a_likelihood_of_zero_ends_no_track():
 def test_a_mode_found_anew_is_taken_up_by_a_hidden_target(before, log_l, taken):
     """Far away. A target that is visible has no reason to be there, and one that is hidden needs evidence."""
     near = 3.0 if before else -20.0
-    model = Modes(WALK, [(50, 40, 0.0), (150, 120, 0.0)], (2.0, 2.0, 0.03), (near, log_l), anew=(False, True))
+    model = Modes(WALK, [(50, 40, 0.0), (150, 120, 0.0)], (2.0, 2.0, 0.03), (near, log_l), redetected=(False, True))
     particles, _ = guided(100, 0.7)(np.random.default_rng(0), states(100, before), model)
     there = np.hypot(*(particles.x[:, 0, :2] - (150, 120)).T) < 10
     share = float(weighted(particles, there * particles.x[:, 0, VISIBLE]))
@@ -273,7 +273,7 @@ def test_modes_after_a_prior_are_where_the_product_is_highest_and_those_found_an
     def height(z):
         return log_w[0] - 0.5 * np.sum(((z - mean[0]) / std[0]) ** 2 + ((z - prior_mean) / prior_std) ** 2)
 
-    found = Guides(mean, std, log_w, np.array([False, True])).after(prior_mean, prior_std)
+    found = ModeProposal(mean, std, log_w, np.array([False, True])).after(prior_mean, prior_std)
     assert found.log_w[0] == pytest.approx(height(found.mean[0]))
     assert all(height(found.mean[0] + off) < found.log_w[0] for off in rng.normal(0, 0.1, (20, 3)))
     np.testing.assert_allclose(found.std[0], (1 / std[0] ** 2 + 1 / prior_std**2) ** -0.5)

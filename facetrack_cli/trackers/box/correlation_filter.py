@@ -63,7 +63,7 @@ from facetrack_cli.trackers.box.peak_statistics import (
     evidence,
     log_student,
 )
-from facetrack_cli.trackers.box.proposals import Guides
+from facetrack_cli.trackers.box.proposals import ModeProposal
 from facetrack_cli.trackers.box.settings import CorrelationFilterSettings
 from facetrack_cli.trackers.box.trained import UPSAMPLED, Trained, Trainer, peaks
 
@@ -94,7 +94,7 @@ class Seen(NamedTuple):
     `view` is the window that was read at `scale`, and `scales` the spectrum over scales at its highest mode.
     """
 
-    guides: Guides
+    guides: ModeProposal
     heights: Peaks
     candidate: Array | None
     view: ResponseView
@@ -108,7 +108,7 @@ class CorrelationState(NamedTuple):
     `last` is the index of the frame that was learned last.
 
     `candidate` (3,) is the best place and log scale elsewhere of the last frame, which is looked at again; `sighted`
-    are those where somebody else has seen something like the target in this one; `told` is the log odds by which others
+    are those where somebody else has seen something like the target in this one; `external_log_odds` is the log odds by which others
     see it at its place.
     """
 
@@ -123,7 +123,7 @@ class CorrelationState(NamedTuple):
     hidden: int = 0
     candidate: Array | None = None
     sighted: tuple[Array, ...] = ()
-    told: float = 0.0
+    external_log_odds: float = 0.0
     seen: Seen | None = None
 
 
@@ -197,7 +197,9 @@ class CorrelationFilter(Likelihood):
             view = self._view(learned, frame, centre + off, scale)
             found = peaks(view.response, 0.5, one.modes)
         heights = view.heights(found[0])
-        log_l: Any = evidence(learned.heights.now, learned.heights.others, heights.now, one.evidence) + learned.told
+        log_l: Any = (
+            evidence(learned.heights.now, learned.heights.others, heights.now, one.evidence) + learned.external_log_odds
+        )
         log_l = log_l + one.sharpness * np.log(np.maximum(found[:, 2] / found[0, 2], _MIN_RATIO))
         modes = [self._modes(view, scale, found, log_l)]
         scales = None
@@ -207,11 +209,11 @@ class CorrelationFilter(Likelihood):
         modes[0].mean[:, 2] += log_s
         modes[0].std[:, 2] = std
         candidate = None
-        if (found_anew := self._detect(learned, frame, expected, scale)) is not None:
-            anew, height = found_anew
-            modes.append(anew)
-            candidate, heights = anew.mean[0], heights._replace(elsewhere=height)
-        guides = Guides(*(np.concatenate(column) for column in zip(*modes, strict=True)))
+        if (redetection := self._detect(learned, frame, expected, scale)) is not None:
+            mode, height = redetection
+            modes.append(mode)
+            candidate, heights = mode.mean[0], heights._replace(elsewhere=height)
+        guides = ModeProposal(*(np.concatenate(column) for column in zip(*modes, strict=True)))
         return learned._replace(seen=Seen(guides, heights, candidate, view, scale, scales))
 
     def _sample(self, scale: float) -> float:
@@ -232,7 +234,7 @@ class CorrelationFilter(Likelihood):
 
     def _detect(
         self, learned: CorrelationState, frame: Frame, expected: Array, scale: float
-    ) -> tuple[Guides, float] | None:
+    ) -> tuple[ModeProposal, float] | None:
         """A mode found elsewhere, where the target is hidden, and how high it is: the best of a few windows."""
         best: tuple[float, Array, bool] | None = None
         middle = UPSAMPLED * self.settings.cells // 2
@@ -260,21 +262,23 @@ class CorrelationFilter(Likelihood):
         )
         # what others see of the target's own place holds for what is found there again
         if float(np.hypot(*(best[1][:2] - expected[0, :2]))) < 0.5 * self._unit * scale:
-            log_l += learned.told
-        return self._modes(view, size, found, np.array([log_l]), anew=True), height
+            log_l += learned.external_log_odds
+        return self._modes(view, size, found, np.array([log_l]), redetected=True), height
 
     def _both(self, learned: CorrelationState, view: ResponseView) -> Single:
         """What both filters respond to, as high as R usually is."""
         return np.float32(0.5) * (view.now + np.float32(learned.heights.ratio) * view.first)
 
-    def _modes(self, view: ResponseView, scale: float, found: Array, log_l: Array, *, anew: bool = False) -> Guides:
+    def _modes(
+        self, view: ResponseView, scale: float, found: Array, log_l: Array, *, redetected: bool = False
+    ) -> ModeProposal:
         """The peaks `found` (J, 3) of a response as Gaussians of place and log scale, which is left open."""
         n, sharpness, sample, response = len(view.response), self.settings.sharpness, self._sample(scale), view.response
         usual = UPSAMPLED * self._trainer.sigma
         widths = np.array([_widths(response, one, usual) for one in found])
         mean = np.column_stack([view.centre + (found[:, :2] - n // 2) * sample, np.full(len(found), math.log(scale))])
         std = np.column_stack([widths * sample / math.sqrt(sharpness), np.full(len(found), _SCALE_STD)])
-        return Guides(mean, std, log_l, np.full(len(found), anew))
+        return ModeProposal(mean, std, log_l, np.full(len(found), redetected))
 
     def _scale_at(self, learned: CorrelationState, scales: NDArray[np.complex64] | None) -> tuple[float, float]:
         """Mean and standard deviation of the change of log scale, by S^sharpness times a broad prior."""
@@ -336,7 +340,7 @@ class CorrelationFilter(Likelihood):
         )
         return logsumexp(guides.log_w - np.log(volume) - 0.5 * off, axis=1)[:, None]
 
-    def guides(self, learned: CorrelationState) -> Guides:
+    def guides(self, learned: CorrelationState) -> ModeProposal:
         assert learned.seen is not None
         return learned.seen.guides
 
@@ -349,7 +353,9 @@ class CorrelationFilter(Likelihood):
             learned = learned._replace(heights=learned.heights.learn(seen.heights, visible))
         hidden = learned.hidden + 1 if visible < 0.5 else 0
         candidate = seen.candidate if hidden and seen is not None else None
-        learned = learned._replace(hidden=hidden, candidate=candidate, sighted=(), told=0.0, seen=None, frames=frames)
+        learned = learned._replace(
+            hidden=hidden, candidate=candidate, sighted=(), external_log_odds=0.0, seen=None, frames=frames
+        )
         share = one.hidden_rate + (1 - one.hidden_rate) * visible
         if seen is not None:
             low = max(learned.heights.now.z(seen.heights.now) - _LOW, 0.0)

@@ -31,7 +31,9 @@ def guided(settings: GuidedSettings, rng: Generator, particles: Particles, model
     parents = SCHEMES["systematic"](rng, particles.log_w, (n - drawn + 1) // 2)
     moved = model.propagate(rng, particles.x[np.repeat(parents, 2)[: n - drawn]])[:, 0, :3]
     z = np.vstack([guides.draw(rng, drawn), np.column_stack([moved[:, :2], np.log(moved[:, 2])])])
-    x, log_visible, log_hidden, returns, spread = model.motion.arrive(rng, z, particles, found=bool(guides.anew.any()))
+    x, log_visible, log_hidden, returns, spread = model.motion.arrive(
+        rng, z, particles, found=bool(guides.redetected.any())
+    )
     with np.errstate(divide="ignore"):
         log_g = np.log([drawn / n, 1 - drawn / n])
     log_q = np.logaddexp(log_g[0] + guides.log_density(z), log_g[1] + np.logaddexp(log_visible, log_hidden))

@@ -16,7 +16,7 @@ from facetrack_cli.engine.protocols import Linear, Motion
 from facetrack_cli.engine.resampling import effective_sample_size, normalise
 from facetrack_cli.engine.spaces import BoxSpace, Context, Estimate
 from facetrack_cli.engine.target import ParticleState, ParticleTarget
-from facetrack_cli.trackers.box.proposals import Arrived
+from facetrack_cli.trackers.box.proposals import TransitionDensity
 from facetrack_cli.trackers.box.settings import VisibleWalkSettings
 from facetrack_cli.trackers.box.walk_kernels import arrive
 
@@ -113,7 +113,9 @@ class VisibleWalk(Motion):
         mean, step = w @ z, self.sigma[0] * float(w @ x[:, 2])
         return mean, np.sqrt(w @ (z - mean) ** 2 + np.array([step, step, one.scale]) ** 2)
 
-    def arrive(self, rng: np.random.Generator, z: Array, particles: Particles, *, found: bool = False) -> Arrived:
+    def arrive(
+        self, rng: np.random.Generator, z: Array, particles: Particles, *, found: bool = False
+    ) -> TransitionDensity:
         """How a particle of the last frame may come to z (N, 3), place and log scale, and with which velocity.
 
         `found`: whether re-detection found anything; what returns elsewhere unseen counts as hidden.
@@ -137,7 +139,7 @@ class VisibleWalk(Motion):
         w = np.exp(particles.log_w)
         returns = float(w @ leaves)
         size = float(w @ parents[:, 0, 2]) * self.unit
-        return Arrived(x, log_visible, log_hidden, returns, np.array([0.4 * size, 0.4 * size, 0.04]))
+        return TransitionDensity(x, log_visible, log_hidden, returns, np.array([0.4 * size, 0.4 * size, 0.04]))
 
     def linear(self, state: Array) -> Linear:
         """The motion around a state (1, 6), without its last coordinate, by whether the target is visible there."""

@@ -206,7 +206,7 @@ class FaceTarget(FaceParts):
             if (sighting := state.sighting) is not None and sighting.is_target(frame):
                 return self._returned(rng, state, sighting, frame)
         log_odds = 0.0 if state.sighting is not None else state.facing.log_odds(state.log_odds)
-        informed = replace(state.head, learned=state.head.learned._replace(told=log_odds))
+        informed = replace(state.head, learned=state.head.learned._replace(external_log_odds=log_odds))
         head, info = self.head.advanced(rng, informed, frame, footprints)
         box = self.head.rows(head, frame, info)
         if head_confidence(head) < self.settings.lost_below:
