@@ -108,8 +108,8 @@ class CorrelationState(NamedTuple):
     `last` is the index of the frame that was learned last.
 
     `candidate` (3,) is the best place and log scale elsewhere of the last frame, which is looked at again; `sighted`
-    are those where somebody else has seen something like the target in this one; `external_log_odds` is the log odds by which others
-    see it at its place.
+    are places where another sensor has seen something like the target in this one; `external_log_odds` are those by
+    which other sensors see it at its place.
     """
 
     features: Features

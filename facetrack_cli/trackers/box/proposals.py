@@ -26,11 +26,11 @@ class ModeProposal(NamedTuple):
         """These modes times a Gaussian prior (3,); modes of re-detection stay as they are."""
         precision = 1 / self.std**2 + 1 / std**2
         both = (self.mean / self.std**2 + mean / std**2) / precision
-        anew = self.redetected[:, None]
+        kept = self.redetected[:, None]
         off = np.where(self.redetected, 0.0, np.sum((self.mean - mean) ** 2 / (self.std**2 + std**2), axis=1))
         log_w = self.log_w - 0.5 * off
         return ModeProposal(
-            np.where(anew, self.mean, both), np.where(anew, self.std, precision**-0.5), log_w, self.redetected
+            np.where(kept, self.mean, both), np.where(kept, self.std, precision**-0.5), log_w, self.redetected
         )
 
     def draw(self, rng: Generator, n: int) -> Array:
