@@ -205,7 +205,7 @@ class FaceTarget(FaceParts):
             state = self._searched(state, frame)
             if (sighting := state.sighting) is not None and sighting.is_target(frame):
                 return self._returned(rng, state, sighting, frame)
-        # of this frame where its view shows less than expected: else the head's filter learns what took the face's place
+        # of this frame, where it shows less than expected: else the head's filter learns what took the face's place
         seen = state.log_odds if view is None else min(state.log_odds, view.landmarks.parts.log_odds)
         log_odds = 0.0 if state.sighting is not None else state.facing.log_odds(seen)
         informed = replace(state.head, learned=state.head.learned._replace(external_log_odds=log_odds))
