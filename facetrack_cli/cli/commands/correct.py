@@ -250,6 +250,10 @@ def people_command(
     from facetrack_cli.trajectory.clock import Clock
 
     refuse((as_json and as_csv, "--json and --csv both go to standard output; give one of them"))
+    given: dict[str, object] = {"--split": split, "--give": give, "--merge": merge, "--rename": rename}
+    given |= {"--save": save is not None, "--json": as_json, "--csv": as_csv}
+    also = ", ".join(name for name, value in given.items() if value)
+    refuse((edit and also, f"--page corrects on the page alone; give {also} in a command without it"))
     people = people_in(folder)
     clock = Clock(rows_in(folder) if split or give else None, people.fps)
     changes = _changes(clock, split, give, merge, rename)
