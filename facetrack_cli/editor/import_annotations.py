@@ -11,7 +11,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Correction, Mask, TargetStart
 from facetrack_cli.engine.corrected import all_or, correctable_parts
@@ -127,10 +127,8 @@ def _place(path: Path, part: Trajectory, frame: int) -> Place:
 
 def read_annotations(path: Path, run: Run, rows: Trajectory) -> Trajectory:
     """The file of an annotation tool: CVAT's XML, or Label Studio's JSON. InputError if it is neither."""
-    begins = ""
-    if path.is_file():
-        with path.open("rb") as file:
-            begins = file.read(256).decode("utf-8-sig", "replace").lstrip()
+    with reading(path, "name a file of CVAT, Label Studio or ELAN"), path.open("rb") as file:
+        begins = file.read(256).decode("utf-8-sig", "replace").lstrip()
     if begins[:1] in ("[", "{"):
         return read_labelstudio(path, run.header.source.size, every_frame(rows), fps=run.header.source.fps)
     return read_cvat(path)

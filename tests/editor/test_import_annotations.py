@@ -210,6 +210,7 @@ def test_what_the_run_does_not_have_is_refused(runs, capsys):
     file = run / "trajectory.cvat.xml"
     file.write_text(file.read_text().replace('label="face/nose"', 'label="face/chin"'))
     refused(file, "face/chin is not in the run, which has face/nose, face/mouth_left")
+    refused(run / "nope.xml", "No such file or directory; name a file of CVAT, Label Studio or ELAN")
     refused(file, "--import adds to the run's corrections, --init replaces them", "--init", file, code=2)
     chin = in_elan(run, ("absent@face", "face", [(120, 240, "chin")]))
     refused(chin, "'chin' is no part; there are nose, mouth_left")
