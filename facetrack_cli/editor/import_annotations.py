@@ -16,6 +16,7 @@ from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Correction, Mask, TargetStart
 from facetrack_cli.engine.corrected import all_or, correctable_parts
 from facetrack_cli.run_folder.finished import Run
+from facetrack_cli.runs.people import rows_in
 from facetrack_cli.trajectory.clock import every_frame, frame_milliseconds
 from facetrack_cli.trajectory.formats.annotation import read_cvat, read_labelstudio
 from facetrack_cli.trajectory.formats.eaf import Tier, read_tiers, seen_in, spans_of
@@ -32,21 +33,29 @@ def imported_corrections(path: Path, run: Run, rows: Trajectory) -> tuple[Correc
 
     A visible part is placed by hand if its place is more than MOVED pixels from its row, if that is not seen, and in
     the first frame after it was not visible. A part that is not visible, and whose row is seen, is absent from there
-    on. InputError for a file that cannot be read, and for a part that the run lacks.
+    on. Of one track of a film only that person in those frames counts. InputError for a file that cannot be read, for a
+    part that the run lacks, and for a film's person who is not in the file.
     """
     changes: Changes = defaultdict(dict)
     if path.suffix.lower() == ".eaf":
         changes = _presence(path, run, rows)
     else:
         annotated, rows = read_annotations(path, run, rows), hide_outside(rows, run.header.source.size)
-        for part in annotated.parts:
+        ours = [part for part in annotated.parts if part.target in run.parts or not run.film]
+        if not ours:
+            whose = ", ".join(annotated.targets[:10])
+            raise InputError(f"{path}: has no track of {rows.targets[0]}, but of {whose}; correct the labels")
+        for part in ours:
             row = rows.find(part.target, part.part)
             if row is None:
                 there = ", ".join("/".join(pair) if pair[1] != BOX else pair[0] for pair in rows.names)
                 raise InputError(f"{path}: {part.name} is not in the run, which has {there}; correct the label")
             # the box of a head that carries points is not absent by itself
             carries = part.part == BOX and len(run.parts[part.target]) > 1
-            for frame, place in _moves(part.take(part.status != "absent") if carries else part, row):
+            kept = part.take(part.status != "absent") if carries else part
+            if run.film:
+                kept = kept.between(run.first, run.last + 1)
+            for frame, place in _moves(kept, row):
                 changes[frame, part.target][part.part] = place
     return tuple(_correction(*key, parts, run) for key, parts in sorted(changes.items()))
 
@@ -130,7 +139,8 @@ def read_annotations(path: Path, run: Run, rows: Trajectory) -> Trajectory:
     with reading(path, "name a file of CVAT, Label Studio or ELAN"), path.open("rb") as file:
         begins = file.read(256).decode("utf-8-sig", "replace").lstrip()
     if begins[:1] in ("[", "{"):
-        return read_labelstudio(path, run.header.source.size, every_frame(rows), fps=run.header.source.fps)
+        whole = rows_in(run.folder) if run.film else rows  # the file has all frames of the film
+        return read_labelstudio(path, run.header.source.size, every_frame(whole), fps=run.header.source.fps)
     return read_cvat(path)
 
 
