@@ -128,7 +128,13 @@ def _apply(fixer: Fixer, file: Path, quiet: bool, *, adds: bool, video: bool) ->
     from facetrack_cli.trajectory.header import UNSAVED
 
     folder = fixer.run.folder
-    unsaved = folder / UNSAVED
+    unsaved, left_out = folder / UNSAVED, list[str]()
+
+    def note(line: str) -> None:
+        left_out.append(line)
+        if not quiet:
+            say(f"facetrack: warning: {line}")
+
     if unsaved.is_file() and not (file.is_file() and file.samefile(unsaved)):
         raise UsageError(
             f"{unsaved}: corrections that were not saved are there; facetrack fix {folder} goes on with them, "
@@ -136,8 +142,8 @@ def _apply(fixer: Fixer, file: Path, quiet: bool, *, adds: bool, video: bool) ->
         )
     if not adds:
         corrections = corrections_of(file, fixer.run)
-    elif not (corrections := imported_corrections(file, fixer.run, fixer.rows)):
-        say(f"facetrack: {file} is as the run has it; nothing was written")
+    elif not (corrections := imported_corrections(file, fixer.run, fixer.rows, note)):
+        say(f"facetrack: {file} is {'otherwise ' * bool(left_out)}as the run has it; nothing was written")
         return ExitCode.DONE
     else:
         parts, find = fixer.run.parts, fixer.find
