@@ -5,17 +5,18 @@ rows, the target, or the parts that the text names, come or go. Another particip
 """
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from facetrack_cli.core.errors import InputError
+from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Correction, Mask, TargetStart
 from facetrack_cli.engine.corrected import all_or, correctable_parts
 from facetrack_cli.run_folder.finished import Run
+from facetrack_cli.runs.people import rows_in
 from facetrack_cli.trajectory.clock import every_frame, frame_milliseconds
 from facetrack_cli.trajectory.formats.annotation import read_cvat, read_labelstudio
 from facetrack_cli.trajectory.formats.eaf import Tier, read_tiers, seen_in, spans_of
@@ -27,28 +28,64 @@ Place: TypeAlias = "tuple[float, ...] | None"  # of a part: (x, y), or a box; No
 Changes: TypeAlias = "dict[tuple[int, str], dict[str, Place]]"  # of parts, by frame and target
 
 
-def imported_corrections(path: Path, run: Run, rows: Trajectory) -> tuple[Correction, ...]:
+def imported_corrections(
+    path: Path, run: Run, rows: Trajectory, note: Callable[[str], None] = lambda line: None
+) -> tuple[Correction, ...]:
     """The corrections in which the keyframes of an annotation tool's file differ from `rows` of a run; () for none.
 
     A visible part is placed by hand if its place is more than MOVED pixels from its row, if that is not seen, and in
     the first frame after it was not visible. A part that is not visible, and whose row is seen, is absent from there
-    on. InputError for a file that cannot be read, and for a part that the run lacks.
+    on. `note` gets a line on parts that no correction places, and that were changed: they are left out. Of one track of
+    a film only that person in those frames counts. InputError for a file that cannot be read, for a part that the run
+    lacks, and for a film's person who is not in the file.
     """
     changes: Changes = defaultdict(dict)
+    beside: dict[str, None] = {}  # names of parts that were changed in vain
     if path.suffix.lower() == ".eaf":
-        changes = _presence(path, run, rows)
+        changes = _presence(path, run, rows, beside)
     else:
         annotated, rows = read_annotations(path, run, rows), hide_outside(rows, run.header.source.size)
-        for part in annotated.parts:
+        ours = [part for part in annotated.parts if part.target in run.parts or not run.film]
+        if not ours:
+            whose = ", ".join(annotated.targets[:10])
+            raise InputError(f"{path}: has no track of {rows.targets[0]}, but of {whose}; correct the labels")
+        for part in ours:
             row = rows.find(part.target, part.part)
             if row is None:
                 there = ", ".join("/".join(pair) if pair[1] != BOX else pair[0] for pair in rows.names)
                 raise InputError(f"{path}: {part.name} is not in the run, which has {there}; correct the label")
             # the box of a head that carries points is not absent by itself
             carries = part.part == BOX and len(run.parts[part.target]) > 1
-            for frame, place in _moves(part.take(part.status != "absent") if carries else part, row):
+            kept = part.take(part.status != "absent") if carries else part
+            if run.film:
+                kept = kept.between(run.first, run.last + 1)
+            for frame, place in _moves(kept, row):
                 changes[frame, part.target][part.part] = place
+        beside |= _taken_out(changes, run, rows)
+    if beside:
+        note(f"{path}: {', '.join(beside)}: no correction places {'these' if len(beside) > 1 else 'this'}; left out")
     return tuple(_correction(*key, parts, run) for key, parts in sorted(changes.items()))
+
+
+def _taken_out(changes: Changes, run: Run, rows: Trajectory) -> dict[str, None]:
+    """Takes the parts that no correction places out of the changes; the names of those that changed by themselves."""
+    beside: dict[str, None] = {}
+    for (frame, target), parts in [*changes.items()]:
+        can = correctable_parts(run.parts[target])
+        gone = all(part in parts and parts[part] is None for part in can)  # the whole target is absent
+        for name in [name for name in parts if name not in (*can, BOX)]:
+            row, place = rows.find(target, name), parts.pop(name)
+            at = None if row is None else row.row(frame)
+            if place is None:
+                changed = not gone
+            else:  # one that comes back where it was has not changed
+                there = np.array([row.x[at], row.y[at]]) if row is not None and at is not None else np.array(np.nan)
+                changed = not np.abs(there - place).max() <= MOVED
+            if changed:
+                beside[f"{target}/{name}"] = None
+        if not parts:
+            del changes[frame, target]
+    return beside
 
 
 def renames(path: Path, names: Sequence[str], clip: str) -> dict[str, str]:
@@ -63,8 +100,11 @@ def renames(path: Path, names: Sequence[str], clip: str) -> dict[str, str]:
     return new
 
 
-def _presence(path: Path, run: Run, rows: Trajectory) -> Changes:
-    """What comes and goes by the tiers `seen` and `absent` of targets. A second tier has a number at its end."""
+def _presence(path: Path, run: Run, rows: Trajectory, beside: dict[str, None]) -> Changes:
+    """What comes and goes by the tiers `seen` and `absent` of targets. A second tier has a number at its end.
+
+    `beside` gets the names of parts that no correction places, and that come or go without their target.
+    """
     tiers: dict[tuple[str, str], list[Tier]] = defaultdict(list)
     for tier in read_tiers(path, run.clip.name):
         kind, _, name = tier.name.partition("@")
@@ -91,7 +131,12 @@ def _presence(path: Path, run: Run, rows: Trajectory) -> Changes:
                 for name, mask in _marked(notes, middles, parts, path).items():
                     changed = mask != ours[name]
                     then[name][changed] = mask[changed] if kind == "absent" else ~mask[changed]
-        for name in correctable_parts(run.parts[target]):
+        can = correctable_parts(run.parts[target])
+        whole = np.all([then[name] != now[name] for name in can], axis=0)
+        for name in parts:
+            if name not in (*can, BOX) and ((then[name] != now[name]) & ~whole).any():
+                beside[f"{target}/{name}"] = None
+        for name in can:
             off, gone = then[name] != now[name], then[name]
             # where it differs, and where it is as before again
             for at in sorted({at for span in spans(off) for at in span if at < len(frames)}):
@@ -127,12 +172,11 @@ def _place(path: Path, part: Trajectory, frame: int) -> Place:
 
 def read_annotations(path: Path, run: Run, rows: Trajectory) -> Trajectory:
     """The file of an annotation tool: CVAT's XML, or Label Studio's JSON. InputError if it is neither."""
-    begins = ""
-    if path.is_file():
-        with path.open("rb") as file:
-            begins = file.read(256).decode("utf-8-sig", "replace").lstrip()
+    with reading(path, "name a file of CVAT, Label Studio or ELAN"), path.open("rb") as file:
+        begins = file.read(256).decode("utf-8-sig", "replace").lstrip()
     if begins[:1] in ("[", "{"):
-        return read_labelstudio(path, run.header.source.size, every_frame(rows), fps=run.header.source.fps)
+        whole = rows_in(run.folder) if run.film else rows  # the file has all frames of the film
+        return read_labelstudio(path, run.header.source.size, every_frame(whole), fps=run.header.source.fps)
     return read_cvat(path)
 
 

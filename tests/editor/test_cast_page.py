@@ -118,6 +118,15 @@ def test_fix_of_a_film_names_the_page(ran, capsys):
     assert main(["people", str(ran), "--port", "8000"]) == ExitCode.USAGE
 
 
+@pytest.mark.parametrize(
+    "more", [["--rename", "person_1=A"], ["--merge", "person_2=person_1", "--csv"], ["--save", "x.npz"]]
+)
+def test_the_page_goes_with_no_correction_of_the_command_line(ran, capsys, more):
+    assert main(["people", str(ran), "--page", *more]) == ExitCode.USAGE
+    names = ", ".join(word for word in more if word.startswith("--"))
+    assert f"--page corrects on the page alone; give {names} in a command without it" in capsys.readouterr().err
+
+
 def test_the_page_in_a_browser(page, windows):
     _, session, url = page
     window = windows()

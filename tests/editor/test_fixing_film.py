@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor.history import Fixer
+from facetrack_cli.editor.import_annotations import imported_corrections
 from facetrack_cli.editor.save import keep, open_track, save
 from facetrack_cli.runs.people import people_in, recast, rows_in
 from facetrack_cli.trackers.face.target import FaceTarget
@@ -128,3 +130,29 @@ def test_the_command_applies_a_file_to_a_track(film, tmp_path, capsys):
     nose = rows_in(film).find("person_1", "nose")
     assert nose.frame[nose.by_hand].tolist() == [5]
     assert "trajectory.json: written" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("export", [[], ["--target", "person_1"]])
+def test_the_export_of_a_film_comes_back_to_one_track(film, export, capsys):
+    second = [one for one in people_in(film).tracks if one.person == "person_1"][1]
+    run, file = open_track(film, "person_1", second.first), film / "trajectory.cvat.xml"
+    assert main(["export", str(film), "--to", "cvat", *export]) == 0
+    assert main(["export", str(film), "--to", "labelstudio", *export]) == 0
+    for name in (file, film / "trajectory.labelstudio.json"):
+        assert imported_corrections(name, run, run.rows) == ()
+    at, tree = run.first + 5, ET.parse(file)
+    for track in tree.iter("track"):
+        for shape in track:  # every nose moves, in all shots
+            if track.get("label").endswith("/nose") and shape.get("frame") in ("5", "50", str(at)):
+                shape.set("points", "100.50,90.50")
+    tree.write(file)
+    (one,) = imported_corrections(file, run, run.rows)
+    assert (one.frame, one.target, dict(one.given.points)) == (at, "person_1", {"nose": (100.0, 90.0)})
+    who = ["--person", f"person_1@{at}f", "--import", str(file), "--no-video"]
+    assert main(["fix", str(film), *who]) == 0
+    nose = rows_in(film).find("person_1", "nose")
+    assert nose.frame[nose.by_hand].tolist() == [at]
+    file.write_text(file.read_text().replace('label="person_', 'label="nobody_'))
+    capsys.readouterr()
+    assert main(["fix", str(film), *who]) == 3
+    assert "has no track of person_1, but of nobody_1" in capsys.readouterr().err

@@ -99,6 +99,40 @@ def test_the_box_of_a_head_that_carries_points_is_moved_and_never_absent_alone(r
     assert one.given.box == pytest.approx((left, top, w + 8, h), abs=0.011)
 
 
+def test_parts_that_no_correction_places_are_left_out_by_name(runs, capsys):
+    run = runs / "face"
+    eye, nose = "face__eye_left_outer", "face__nose"
+    file = in_cvat(run, **{f"{eye}_3": {"points": "120.50,120.50"}, f"{nose}_4": {"points": "160.50,141.00"}})
+    assert facetrack("fix", run, "--import", file, "--no-video") == 0
+    said = capsys.readouterr().err
+    assert f"warning: {file}: face/eye_left_outer: no correction places this; left out" in said
+    assert "1 correction, in frames 4" in said
+    assert facetrack("export", run, "--to", "cvat", "--overwrite") == 0
+    before = (run / "trajectory.csv").read_bytes()
+    assert facetrack("fix", run, "--import", in_cvat(run, **{f"{eye}_3": {"outside": "1"}})) == 0
+    said = capsys.readouterr().err
+    assert "face/eye_left_outer: no correction" in said and "is otherwise as the run has it; nothing was" in said
+    assert (run / "trajectory.csv").read_bytes() == before
+
+
+@pytest.mark.parametrize("form", ["cvat", "elan"])
+def test_a_whole_face_is_absent_with_the_parts_that_no_correction_places(runs, form):
+    run, notes = runs / "face", []
+    if form == "cvat":
+        names = open_run(run).parts["face"]
+        labels = ["face" if part == "box" else f"face__{part}" for part in names]
+        file = in_cvat(run, **{f"{label}_{frame}": {"outside": "1"} for label in labels for frame in (5, 6)})
+    else:
+        file = in_elan(run, ("absent@face", "face", [(200, 280, "absent")]))
+    opened = open_run(run)
+    gone, back = imported_corrections(file, opened, opened.rows, notes.append)
+    assert gone == Correction(5, "face", absent=True) and back.frame == 7 and not notes
+    assert set(back.given.points) == {"nose", "mouth_left", "mouth_right", "lip_upper", "lip_lower"}
+    if form == "elan":
+        file = in_elan(run, ("absent@face", "face", [(200, 280, "eye_left_outer")]))
+        assert imported_corrections(file, opened, opened.rows, notes.append) == () and len(notes) == 1
+
+
 def test_boxes_that_were_moved_or_switched_off_in_label_studio(runs):
     def change(places):
         places["face", 2] |= {"x": places["face", 2]["x"] + 5, "auto": True}  # interpolated
@@ -210,6 +244,7 @@ def test_what_the_run_does_not_have_is_refused(runs, capsys):
     file = run / "trajectory.cvat.xml"
     file.write_text(file.read_text().replace('label="face/nose"', 'label="face/chin"'))
     refused(file, "face/chin is not in the run, which has face/nose, face/mouth_left")
+    refused(run / "nope.xml", "No such file or directory; name a file of CVAT, Label Studio or ELAN")
     refused(file, "--import adds to the run's corrections, --init replaces them", "--init", file, code=2)
     chin = in_elan(run, ("absent@face", "face", [(120, 240, "chin")]))
     refused(chin, "'chin' is no part; there are nose, mouth_left")

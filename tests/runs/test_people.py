@@ -20,7 +20,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.cli.types import frame_at
 from facetrack_cli.core.errors import BusyError, ExitCode, InputError, UsageError
 from facetrack_cli.run_folder import checkpoint
-from facetrack_cli.run_folder.lease import NOTE
+from facetrack_cli.run_folder.lease import NOTE, FolderLease
 from facetrack_cli.runs import clip
 from facetrack_cli.runs import people as runs_people
 from facetrack_cli.runs.people import people_in, recast
@@ -384,7 +384,7 @@ def test_a_run_of_one_face_has_no_cast(tmp_path, capsys):
     assert "none: no such folder; name the folder of a film" in capsys.readouterr().err
 
 
-def test_a_film_that_was_interrupted_goes_on_with_the_same_rows(named, tmp_path, monkeypatch):
+def test_a_film_that_was_interrupted_goes_on_with_the_same_rows(named, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(checkpoint, "EVERY_FRAMES", 7)
     out, stop = tmp_path / "out", Stop()
 
@@ -393,6 +393,12 @@ def test_a_film_that_was_interrupted_goes_on_with_the_same_rows(named, tmp_path,
             stop.code = ExitCode.INTERRUPTED
 
     assert clip.run(job(out), stop, report).stopped is not None
+    assert main(["people", str(out)]) == ExitCode.INPUT
+    said = "the run was interrupted before its people had names; the same command again goes on with it"
+    assert f"{out}: {said}" in capsys.readouterr().err
+    with FolderLease(out):
+        assert main(["people", str(out)]) == ExitCode.INPUT
+    assert f"{out}: a run goes on here; wait until it ends" in capsys.readouterr().err
     done = clip.run(job(out), Stop())
     assert done.error is None and done.resumed
     for name in ("trajectory.csv", "trajectory.json", "people.json"):

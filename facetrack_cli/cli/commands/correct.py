@@ -128,7 +128,13 @@ def _apply(fixer: Fixer, file: Path, quiet: bool, *, adds: bool, video: bool) ->
     from facetrack_cli.trajectory.header import UNSAVED
 
     folder = fixer.run.folder
-    unsaved = folder / UNSAVED
+    unsaved, left_out = folder / UNSAVED, list[str]()
+
+    def note(line: str) -> None:
+        left_out.append(line)
+        if not quiet:
+            say(f"facetrack: warning: {line}")
+
     if unsaved.is_file() and not (file.is_file() and file.samefile(unsaved)):
         raise UsageError(
             f"{unsaved}: corrections that were not saved are there; facetrack fix {folder} goes on with them, "
@@ -136,8 +142,8 @@ def _apply(fixer: Fixer, file: Path, quiet: bool, *, adds: bool, video: bool) ->
         )
     if not adds:
         corrections = corrections_of(file, fixer.run)
-    elif not (corrections := imported_corrections(file, fixer.run, fixer.rows)):
-        say(f"facetrack: {file} is as the run has it; nothing was written")
+    elif not (corrections := imported_corrections(file, fixer.run, fixer.rows, note)):
+        say(f"facetrack: {file} is {'otherwise ' * bool(left_out)}as the run has it; nothing was written")
         return ExitCode.DONE
     else:
         parts, find = fixer.run.parts, fixer.find
@@ -250,6 +256,10 @@ def people_command(
     from facetrack_cli.trajectory.clock import Clock
 
     refuse((as_json and as_csv, "--json and --csv both go to standard output; give one of them"))
+    given: dict[str, object] = {"--split": split, "--give": give, "--merge": merge, "--rename": rename}
+    given |= {"--save": save is not None, "--json": as_json, "--csv": as_csv}
+    also = ", ".join(name for name, value in given.items() if value)
+    refuse((edit and also, f"--page corrects on the page alone; give {also} in a command without it"))
     people = people_in(folder)
     clock = Clock(rows_in(folder) if split or give else None, people.fps)
     changes = _changes(clock, split, give, merge, rename)
