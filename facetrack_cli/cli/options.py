@@ -198,17 +198,14 @@ class Extent:
 
     def check(self, *clips: Path) -> None:
         """UsageError where options contradict each other, or have no meaning for these clips."""
+        from facetrack_cli.runs.plan import check_span
         from facetrack_cli.video.files import brings_rate
 
         both = self.init is not None and self.box is not None
-        empty = self.stop is not None and self.stop <= self.start
-        place = f"after --start {self.start}" if self.start else "at all"
         rates = self.fps is not None and all(clip.is_file() and brings_rate(clip) for clip in clips)
-        refuse(
-            (both, "--init and --box both say where the track starts; give one of them"),
-            (empty, f"--stop {self.stop} leaves no frame {place}; it is the frame to stop before"),
-            (rates, "--fps is for image folders and archives; a video brings its own rate"),
-        )
+        refuse((both, "--init and --box both say where the track starts; give one of them"))
+        check_span(self.start, self.stop)
+        refuse((rates, "--fps is for image folders and archives; a video brings its own rate"))
 
 
 extent_options = gathered(

@@ -319,7 +319,8 @@ class _Search:
         if others:
             note += f", and {len(others)} more"
         if left:
-            note += f"; {len(left)} more face{'s were' * (len(left) > 1) or ' was'} found, --faces all follows each"
+            note += f"; {len(left)} more face{'s were' * (len(left) > 1) or ' was'} found"
+            note += ", recipe face with --faces all follows each"
         if left and not best.lives:
             note += "; none of them moves: if another one is meant, name it by --box X,Y,W,H"
         if passed:

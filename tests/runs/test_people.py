@@ -434,6 +434,16 @@ def test_an_init_file_beside_the_clip_is_followed_alone_and_that_is_said(tmp_pat
     assert said in capsys.readouterr().err.replace("\n", " ")
 
 
+@pytest.mark.parametrize("recipe", ["sir", "histogram", "head_hands"])
+def test_everybody_by_a_recipe_of_one_start_is_refused(recipe, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", str(FILM), "--faces", "all", "--config", recipe]) == ExitCode.USAGE
+    said = f"recipe {recipe} does not follow everybody over cuts, as face does; take that one, or leave --faces out"
+    assert f"--faces all: {said}" in capsys.readouterr().err and not [*tmp_path.iterdir()]
+    with pytest.raises(UsageError, match=f"^faces all: recipe {recipe} does not follow everybody .* leave faces out"):
+        facetrack.track_video(FILM, recipe, faces="all")
+
+
 def test_moments():
     assert [frame_at(one, Clock(None, 25.0)) for one in ("2075f", "83", "1:23", "0:01:23.0")] == [2075] * 4
     for odd in ("x", "1:x", "f", "1e999"):
