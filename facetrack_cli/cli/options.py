@@ -141,6 +141,10 @@ def box(text: str) -> Decorator:
     return option("--box", type=types.BOX, help=text)
 
 
+def gallery(text: str) -> Decorator:
+    return option("--gallery", type=types.GALLERY, help=text)
+
+
 def figure_file(default: str) -> Decorator:
     """--out of a figure; `default` says in words where it goes without."""
     text = f"File to write: .png, .svg or .pdf [default: {default}]."
@@ -174,10 +178,6 @@ config = option(
     type=types.RECIPE,
     help="Recipe: a file, or a name [default: face; with --box correlation_filter].",
 )
-gallery = option(
-    "--gallery", type=types.GALLERY,
-    help="People to recognise, as facetrack gallery fit writes them; with --faces all as facetrack people --save does.",
-)  # fmt: skip
 clip = option("--clip", type=types.INPUT, help="The clip, if it is elsewhere now.")
 title = option("--title", type=Text("TEXT"), help="Title of the page [default: clip and recipe].")
 target = option("--target", type=Text("NAME[/PART]"), help="One target, or one part of it, alone.")

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -182,21 +183,12 @@ def test_what_is_seen_once_late_is_no_face():
 # --- faces that lie, are small, or cut off ------------------------------------------------------------------------
 
 
-class MadeUp:
-    """YuNet's network on an image that is smaller than what it reads."""
-
-    def setInputSize(self, size):
-        pass
-
-    def detect(self, image):
-        rows = np.ones((4, 15), np.float32)
-        rows[0], rows[1, 2:4], rows[2] = np.nan, 1e30, np.inf
-        return 1, rows
-
-
 @pytest.mark.filterwarnings("error")
 def test_what_the_network_makes_up_of_a_tiny_image_is_no_face(monkeypatch):
-    monkeypatch.setattr("facetrack_cli.trackers.face.detectors._net", lambda *_: MadeUp())
+    rows = np.ones((4, 15), np.float32)
+    rows[0], rows[1, 2:4], rows[2] = np.nan, 1e30, np.inf
+    net = SimpleNamespace(setInputSize=lambda size: None, detect=lambda image: (1, rows))
+    monkeypatch.setattr("facetrack_cli.trackers.face.detectors._net", lambda *_: net)
     assert len(YuNet(Path("none")).find(Frame(0, 0.0, np.zeros((10, 10, 3), np.uint8)))) == 1, "one is a number"
 
 
