@@ -141,6 +141,10 @@ def box(text: str) -> Decorator:
     return option("--box", type=types.BOX, help=text)
 
 
+def gallery(text: str) -> Decorator:
+    return option("--gallery", type=types.GALLERY, help=text)
+
+
 def figure_file(default: str) -> Decorator:
     """--out of a figure; `default` says in words where it goes without."""
     text = f"File to write: .png, .svg or .pdf [default: {default}]."
@@ -174,10 +178,6 @@ config = option(
     type=types.RECIPE,
     help="Recipe: a file, or a name [default: face; with --box correlation_filter].",
 )
-gallery = option(
-    "--gallery", type=types.GALLERY,
-    help="People to recognise, as facetrack gallery fit writes them; with --faces all as facetrack people --save does.",
-)  # fmt: skip
 clip = option("--clip", type=types.INPUT, help="The clip, if it is elsewhere now.")
 title = option("--title", type=Text("TEXT"), help="Title of the page [default: clip and recipe].")
 target = option("--target", type=Text("NAME[/PART]"), help="One target, or one part of it, alone.")
@@ -198,17 +198,14 @@ class Extent:
 
     def check(self, *clips: Path) -> None:
         """UsageError where options contradict each other, or have no meaning for these clips."""
+        from facetrack_cli.runs.plan import check_span
         from facetrack_cli.video.files import brings_rate
 
         both = self.init is not None and self.box is not None
-        empty = self.stop is not None and self.stop <= self.start
-        place = f"after --start {self.start}" if self.start else "at all"
         rates = self.fps is not None and all(clip.is_file() and brings_rate(clip) for clip in clips)
-        refuse(
-            (both, "--init and --box both say where the track starts; give one of them"),
-            (empty, f"--stop {self.stop} leaves no frame {place}; it is the frame to stop before"),
-            (rates, "--fps is for image folders and archives; a video brings its own rate"),
-        )
+        refuse((both, "--init and --box both say where the track starts; give one of them"))
+        check_span(self.start, self.stop)
+        refuse((rates, "--fps is for image folders and archives; a video brings its own rate"))
 
 
 extent_options = gathered(

@@ -125,7 +125,8 @@ def needed(what: str, package: str, extra: str = "plot") -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as e:
-        missing = (e.name or package).partition(".")[0]
+        module = (e.name or package).partition(".")[0]
+        missing = "PyTables" if module == "tables" else module
         raise UsageError(f"{what} need {missing}, which is not installed: {remedy}") from None
     except (ImportError, ValueError, OSError) as e:
         said = " ".join(str(e).split())

@@ -12,6 +12,7 @@ tracker runs once and its interval is its value; of a single seed of any other n
 
 import contextlib
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,6 +35,7 @@ from facetrack_cli.runs.seeds import SeedPlan, SeedRun, outline, run_plans
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.trajectory.reader import MAX_FRAME
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
+from facetrack_cli.video.files import is_clip, is_image
 
 TAIL: Final = 0.1  # of the rows with a true box: those that tell whether the target is lost at the end
 TAIL_IOU: Final = 0.1
@@ -305,17 +307,30 @@ def run_recipes(
 
 
 def default_truth(clip: Path) -> Path:
-    """The ground truth of a clip: `<clip>.truth.csv` beside it, else groundtruth.csv in its folder or beside it."""
+    """The ground truth of a clip: `<clip>.truth.csv` beside it, else one of `TRUTH_NAMES` in its folder or beside it.
+
+    InputError if there is none, and for one beside several clips, which does not say whose it is.
+    """
     beside = clip.resolve().parent if clip.is_dir() else clip.parent
     stem = clip.resolve().name if clip.is_dir() else clip.stem
     folders = [clip, beside] if clip.is_dir() else [beside]
     candidates = [beside / f"{stem}.truth.csv", *(folder / name for folder in folders for name in TRUTH_NAMES)]
     for path in candidates:
         if path.is_file():
+            if path.name in TRUTH_NAMES and path.parent == beside and (count := _clips_in(beside, clip.is_dir())) > 1:
+                raise InputError(f"{clip}: {path} is beside {count} clips; if it is of this one, name it with --truth")
             return path
     raise InputError(
         f"{clip}: there is neither {candidates[0].name} nor groundtruth.csv beside it; name it with --truth"
     )
+
+
+def _clips_in(folder: Path, of_images: bool) -> int:
+    """How many clips, or folders `of_images`, a folder holds; a comparison's has plots."""
+    if not of_images:
+        return sum(map(is_clip, folder.iterdir()))
+    folders = [sub for sub in folder.iterdir() if sub.is_dir() and not (sub / "compare.json").exists()]
+    return sum(any(map(is_image, sub.iterdir())) for sub in folders if os.access(sub, os.R_OK))
 
 
 @dataclass(frozen=True)
@@ -343,7 +358,8 @@ class Comparison:
         """A row for each recipe by rank; recipes that could not run come last, and notes say why."""
         frames = np.concatenate([score.frame for entry in self.entries for score in entry.scores])
         span = f"frames {frames.min()} to {frames.max()}"
-        title = f"{clip_name(self.clip)}: {len(self.entries)} recipes on {span}, ground truth {self.truth.name}"
+        recipes = "1 recipe" if len(self.entries) == 1 else f"{len(self.entries)} recipes"
+        title = f"{clip_name(self.clip)}: {recipes} on {span}, ground truth {self.truth.name}"
         fastest = max((entry.frames_per_s or 0.0 for entry in self.entries), default=0.0)
         heads = ("rank", "recipe", *map(_head, self.measures), "failed", "frames\nper s", "time a\nframe")
         rows = tuple(self._row(place, fastest) for place in self.places)

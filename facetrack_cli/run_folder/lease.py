@@ -34,6 +34,7 @@ from facetrack_cli.trajectory.people import STILLS
 
 LOCK: Final = ".facetrack.lock"
 NOTE: Final = ".facetrack.note"
+IN_A_COPY: Final = "work in a copy of the folder"  # also what commands without --out can do
 BEAT_S = 10.0  # between two notes of how far it is
 LEASE_S = 60.0  # of silence, after which a lease is taken over
 _AT_ONCE_S: Final = 0.2  # in which the lease of a process that has ended is taken over
@@ -64,7 +65,7 @@ class FolderLease:
 
     def __enter__(self) -> FolderLease:
         check_plain(self._folder / LOCK, self._path)
-        with writing(self._folder / LOCK):
+        with writing(self._folder / LOCK, IN_A_COPY):
             self._lease = self._acquired()
             try:
                 left = left_in(self._folder)
@@ -84,7 +85,7 @@ class FolderLease:
 
     def note(self, record: Mapping[str, Any], *, on_disk: bool = False) -> None:
         """Note what is being done, for others and for after a kill; `on_disk`: or a power loss. Raises OutputError."""
-        with self._writing, writing(self._path):
+        with self._writing, writing(self._path, IN_A_COPY):
             self._note |= record
             self._file.seek(0)
             self._file.write(self._text())

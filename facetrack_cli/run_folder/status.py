@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import statistics
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -20,6 +21,8 @@ from facetrack_cli.run_folder.manifest import NAME, Manifest, as_text, read_mani
 
 State: TypeAlias = Literal["done", "running", "interrupted", "failed", "not begun"]
 _BATCHES: Final = "batch-????????.json"
+CHUNKS: Final = "chunks"  # the folder of them, in that of a run
+PLAN: Final = "plan.json"  # how the clip is cut, beside them
 MAX_ROWS: Final = 20  # of the table of clips to look at
 STATES: Final[tuple[State, ...]] = ("done", "running", "interrupted", "failed", "not begun")
 
@@ -100,10 +103,11 @@ class ClipStatus:
 
 @dataclass(frozen=True)
 class Status:
-    """Those of a folder, in the order of its batch."""
+    """Those of a folder, in the order of its batch; `kind`: clips, or chunks of one that are not joined yet."""
 
     folder: Path
     clips: tuple[ClipStatus, ...]
+    kind: Literal["clip", "chunk"] = "clip"
 
     @property
     def counts(self) -> dict[State, int]:
@@ -138,7 +142,7 @@ class Status:
 
     def lines(self) -> Iterator[str]:
         """The same in words."""
-        yield f"{self.folder}: {len(self.clips)} {'clip' if len(self.clips) == 1 else 'clips'}"
+        yield f"{self.folder}: {len(self.clips)} {self.kind}{'s' * (len(self.clips) != 1)}"
         width = max(map(len, STATES))
         yield from (f"  {state:<{width}}  {n}" for state, n in self.counts.items() if n)
         yield from worst(self.clips)
@@ -157,8 +161,10 @@ class Status:
                 yield f"the last lines of {clip.clip}:"
                 yield from (f"    {line}" for line in clip.log[-5:])
         left = sum(self.counts[state] for state in ("running", "interrupted", "not begun"))
-        clips, running = "1 clip" if left == 1 else f"{left} clips", self.counts["running"]
-        if not left:
+        clips, running = f"{left} {self.kind}{'s' * (left != 1)}", self.counts["running"]
+        if not left and self.kind == "chunk":
+            yield "no chunk is left: give the command again, which joins them"
+        elif not left:
             yield f"nothing is left{', but --retry-failed tries what failed again' if self.counts['failed'] else ''}"
         elif self.work_s is None:
             yield f"{clips} left; none is done yet that would tell how long one takes"
@@ -194,13 +200,18 @@ def name_of(clip: ClipStatus) -> str:
 
 
 def survey(folder: Path) -> Status:
-    """How far the runs in the folder of a batch, or of one run, are. Raises InputError for any other path."""
+    """How far the runs in the folder of a batch, or of one run, are; of one that is not joined yet, its chunks.
+
+    Raises InputError for any other path.
+    """
     with reading(folder):
         if not folder.is_dir():
             what = "is a file" if folder.exists() else "no such folder"
             raise InputError(f"{folder}: {what}; name the folder that --out named")
         if _is_run(folder):
             return Status(folder, (clip_status(folder, ".", ""),))
+        if chunks := _chunks_in(folder):
+            return Status(folder, tuple(clip_status(folder / name, name, name) for name in chunks), "chunk")
         named: dict[str, str] = {}
         for batch in batches(folder):
             named |= {name: clip for clip, name in batch.clips if name not in named}
@@ -223,6 +234,19 @@ def duration(seconds: float) -> str:
             value = seconds / length
             return f"{value:.1f} {unit}" if value < 10 and unit == "h" else f"{value:.0f} {unit}"
     return f"{seconds / 86400:.1f} days"
+
+
+def chunk_name(chunk: int) -> str:
+    """The folder of a chunk, in that of the run."""
+    return f"{CHUNKS}/{chunk:05d}"
+
+
+def _chunks_in(folder: Path) -> list[str]:
+    """The names of the chunks of a clip that was split; none where there is no plan of them."""
+    try:
+        return [chunk_name(i) for i, _ in enumerate(json.loads(read_bounded(folder / CHUNKS / PLAN))["cuts"])]
+    except (OSError, InputError, ValueError, LookupError, TypeError):
+        return []
 
 
 def _is_run(folder: Path) -> bool:

@@ -155,6 +155,9 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: RunState, stop: S
             if job.faces == "all" and not shots and start.origin not in DETECTORS:
                 alone = f"says where {' and '.join(start.targets)} begins, so --faces all follows no other"
                 warnings += (f"{start.origin} {alone}; --init haar does",)
+            elif job.faces == "all" and not shots and not job.chunk:
+                alone = f"recipe {job.recipe.name} follows the faces of frame {start.frame} and no other"
+                warnings += (f"{alone}; recipe face follows everybody, over cuts",)
             return Ended(source.complete, warnings, source.variable)
 
         yield Results(clip, partial(header_of, job, clip, start, more), tracked(), state.at, ended)

@@ -17,7 +17,7 @@ from facetrack_cli.core.files import check_plain, make_folder, remove_folders
 from facetrack_cli.core.types import BOX, Frame, Image
 from facetrack_cli.engine.loop import TrackState
 from facetrack_cli.run_folder.finished import Painted, run_files
-from facetrack_cli.run_folder.lease import FolderLease, holder
+from facetrack_cli.run_folder.lease import IN_A_COPY, FolderLease, holder
 from facetrack_cli.run_folder.manifest import VIDEO, check_run, read_manifest, read_run, write_rows
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
@@ -248,7 +248,7 @@ def write_people(
     files[folder / PEOPLE] = lambda write: write(people.text())
     files |= {folder / still: lambda write, data=data: write(data) for still, data in stills.items()}
     check_plain(folder / STILLS)
-    made = make_folder(folder / STILLS)
+    made = make_folder(folder / STILLS, IN_A_COPY)
     gone = [path for path in (folder / STILLS).iterdir() if path not in files and not path.is_dir()]
     if (ended := read_manifest(folder)) is not None:
         kept = {name: file for name, file in ended.files.items() if name != VIDEO or paint is None}

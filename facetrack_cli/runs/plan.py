@@ -209,6 +209,8 @@ def completed(recipe: Recipe, start: Start, first: Callable[[], Frame], clip: st
 
     `first` gives its frame.
     """
+    if not start.targets:
+        raise InputError(f"{start.origin}: has no targets; give one, with a box or points")
     if recipe.followed:
         frame = None
         if not set(recipe.followed) <= {*start.targets, *recipe.later}:
@@ -402,7 +404,7 @@ def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
     if job.init is None and job.box is None:
         job = replace(job, init=find_init(job.clip))
     searched = job.box is None and (job.init is None or job.init in DETECTORS)
-    everyone = job.faces == "all" and searched and job.recipe.has_head and not job.recipe.followed
+    everyone = job.faces == "all" and searched and follows_everyone(job.recipe)
     _check_options(job, everyone, kept)
     asked = digest_of(job)
     if job.out is None:
@@ -424,6 +426,11 @@ def resolve(job: Job, *, kept: bool = False, locked: bool = False) -> Plan:
             raise
         check_folder(job.out, OWNED, overwrite=True, inputs=inputs)
     return Plan(job, asked, everyone, known)
+
+
+def follows_everyone(recipe: Recipe) -> bool:
+    """Whether a recipe follows everybody over cuts, where all faces are asked for."""
+    return recipe.has_head and not recipe.followed
 
 
 def digest_of(job: Job) -> str:
@@ -451,6 +458,13 @@ def check_count(name: str, value: object) -> None:
         raise UsageError(f"{name} {value!r} is no whole number from 0 on")
 
 
+def check_span(start: int, stop: int | None) -> None:
+    """UsageError for a span of frames that has none."""
+    if stop is not None and stop <= start:
+        place = f"after --start {start}" if start else "at all"
+        raise UsageError(f"--stop {stop} leaves no frame {place}; it is the frame to stop before")
+
+
 def _check_options(job: Job, everyone: bool, kept: bool) -> None:
     """UsageError for options that exclude each other, and for values that only Python can ask for."""
     if job.faces not in get_args(Faces):
@@ -459,6 +473,7 @@ def _check_options(job: Job, everyone: bool, kept: bool) -> None:
         raise UsageError(f"formats: {unknown[0]!r} is not one of {', '.join(FORMATS)}")
     for name, value in (("start", job.start), ("stop", job.stop or 0), ("lag", job.lag)):
         check_count(name, value)
+    check_span(job.start, job.stop)
     if job.faces == "all" and job.recipe.later:
         who = f"recipe {job.recipe.name} follows the hands of one person"
         raise UsageError(f"--faces all: {who}; leave it out, and choose the signer with --box X,Y,W,H")

@@ -31,6 +31,7 @@ from facetrack_cli.core.geometry import iou
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import BOX, Array, Frame, Mask, Start, Whole
 from facetrack_cli.run_folder.manifest import clip_stat, read_manifest, read_run
+from facetrack_cli.run_folder.status import CHUNKS, PLAN, chunk_name
 from facetrack_cli.runs.batch import attempt, check_all, run_batch, run_shared
 from facetrack_cli.runs.people import ORIGIN
 from facetrack_cli.runs.pipeline import decoded_ahead
@@ -193,8 +194,6 @@ def cut_by_length(
 OVERLAP: Final = 0.5  # of boxes, intersection over union
 APART: Final = 0.5  # mean distance of points, in sizes of their shape
 SHARE: Final = 0.8  # of the frames that both have, in which they must agree
-CHUNKS: Final = "chunks"  # the folder of them, in that of the run
-PLAN: Final = "plan.json"
 TABLE: Final = "trajectory.json"
 _SAME: Final = 0.5  # of those frames, in which tracks of several faces agree if they are of one face
 _EYES: Final = ("eye_left", "eye_right")
@@ -239,7 +238,7 @@ def read_plan(out: Path) -> ChunkPlan:
 
 
 def folder_of(out: Path, chunk: int) -> Path:
-    return out / CHUNKS / f"{chunk:05d}"
+    return out / chunk_name(chunk)
 
 
 class Seam(NamedTuple):

@@ -66,6 +66,13 @@ def test_a_recipe_that_cannot_run_does_not_stop_the_others(facetrack):
     assert last["label"] == "mil" and last["rank"] is None and last["error"] and not last["runs"]
 
 
+def test_one_recipe_is_one(facetrack):
+    code, out, _ = facetrack("compare", CLIP, *TWO[:2], "--stop", "3", "--seeds", "1", "--no-plots", "-q")
+    assert code == 0 and "1 recipe on frames 0 to 2" in out
+    help_all = facetrack("compare", "--help-all")[1]
+    assert "--faces" not in help_all and "groundtruth_rect.txt" in help_all
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -104,6 +104,7 @@ def test_truth_that_does_not_belong_is_refused(capsys, run, truth, tmp_path):
         (["-o", ""], 2, "--out is empty"),
         (["-o", "nowhere/page.png"], 2, "nowhere/page.png: there is no folder nowhere"),
         (["--target", "hand"], 2, "has no 'hand'; choose among face"),
+        (["--measure", "yaw"], 2, "has no yaw; it has no measures, which the recipe face gives"),
         (["--partial"], 2, "give its file with --truth FILE"),
         (["--dpi", "1"], 2, "--dpi"),
     ],

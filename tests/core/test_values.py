@@ -1,4 +1,4 @@
-"""Reduced images of a frame; spans of masks and their unions, against slow twins."""
+"""Reduced images of a frame; spans of masks and their unions, against slow twins; words for what is missing."""
 
 import itertools
 
@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from facetrack_cli.core.errors import UsageError, needed
 from facetrack_cli.core.numbers import spans, union
 from facetrack_cli.core.types import Frame, factor_for
 
@@ -134,3 +135,11 @@ def test_a_union_covers_the_same_and_closes_gaps(found, gap):
     assert covered <= {place for begin, end in joined for place in range(begin, end)}
     assert all(later[0] - earlier[1] > gap for earlier, later in itertools.pairwise(joined))
     assert gap or covered == {place for begin, end in joined for place in range(begin, end)}
+
+
+def test_a_missing_module_is_named_as_it_is_installed():
+    with (
+        pytest.raises(UsageError, match=r"^HDF5 files need PyTables, which is not installed: pip install"),
+        needed("HDF5 files", "x"),
+    ):
+        raise ModuleNotFoundError(name="tables")

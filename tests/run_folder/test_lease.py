@@ -32,6 +32,12 @@ def soon(monkeypatch):
     monkeypatch.setattr(leases, "BEAT_S", 0.1)
 
 
+def test_a_folder_that_cannot_be_written_names_no_option_that_its_command_may_lack(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match=r"cannot be written: .*; work in a copy of the folder$"):
+        FolderLease(tmp_path / "file" / "run").__enter__()
+
+
 def is_refused(folder):
     """Whether a second writer is refused, with its line; the lease stays as it was."""
     before = (folder / LOCK).read_bytes()

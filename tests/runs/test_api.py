@@ -11,6 +11,7 @@ import pytest
 import facetrack_cli as facetrack
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError, UsageError
+from facetrack_cli.core.types import Start
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from facetrack_cli.trajectory.writers import csv_frames
 from facetrack_cli.video.source import open_source
@@ -23,6 +24,7 @@ CLIP = FOLDER / "expressions.mp4"
 INIT = CLIP.with_suffix(".init.yaml")
 NOISE = np.random.default_rng(1).integers(0, 256, (60, 80, 3), dtype=np.uint8)
 BOX = (110, 60, 90, 90)
+NOBODY = Start(0, {}, "x")
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +103,14 @@ def test_a_grey_image_is_tracked_and_drawn(images):
         (lambda: track(lag=-1), facetrack.FacetrackError, "lag -1 is no whole number from 0 on"),
         (lambda: track(start=-1), facetrack.FacetrackError, "start -1 is no whole number"),
         (lambda: track(stop=2.5), facetrack.FacetrackError, "stop 2.5 is no whole number"),
+        (
+            lambda: track(start=10, stop=3),
+            facetrack.FacetrackError,
+            "^stop 3 leaves no frame after start 10; it is the",
+        ),
+        (lambda: track(stop=0), facetrack.FacetrackError, "^stop 0 leaves no frame at all; it is the frame to stop"),
+        (lambda: track(init=NOBODY), facetrack.InputError, "^x: has no targets; give one, with a box or points"),
+        (lambda: follow([NOISE], init=NOBODY), facetrack.InputError, "^x: has no targets; give one"),
         (lambda: track(fps=0), facetrack.FacetrackError, "fps 0 is no rate"),
         (lambda: follow([np.zeros((8, 8, 3))]), facetrack.InputError, r"image 0: is float64 \(8, 8, 3\); give "),
         (lambda: follow([np.zeros((8, 8, 4), np.uint8)]), facetrack.InputError, r"image 0: is uint8 \(8, 8, 4\)"),
@@ -122,8 +132,8 @@ def track(**asked):
     return facetrack.track_video(CLIP, "histogram", **asked)
 
 
-def follow(images, **asked):
-    return list(facetrack.track_frames(images, "histogram", init=(5, 5, 40, 40), **asked))
+def follow(images, init=(5, 5, 40, 40), **asked):
+    return list(facetrack.track_frames(images, "histogram", init=init, **asked))
 
 
 def record(**asked):

@@ -440,6 +440,14 @@ def test_an_init_file_beside_the_clip_is_followed_alone_and_that_is_said(tmp_pat
     assert said in capsys.readouterr().err.replace("\n", " ")
 
 
+def test_a_recipe_of_one_start_says_that_it_follows_nobody_who_comes_later(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    asked = ["run", str(FILM), "--faces", "all", "--config", "histogram", "--stop", "12", "--no-video"]
+    assert main(asked) == ExitCode.DONE
+    said = "recipe histogram follows the faces of frame 0 and no other; recipe face follows everybody, over cuts"
+    assert said in capsys.readouterr().err
+
+
 def test_moments():
     assert [frame_at(one, Clock(None, 25.0)) for one in ("2075f", "83", "1:23", "0:01:23.0")] == [2075] * 4
     for odd in ("x", "1:x", "f", "1e999"):

@@ -93,6 +93,11 @@ def test_shards_share_the_chunks_and_the_last_joins_them(facetrack, clips):
     code, _, err = facetrack(*command, "out", "--shard", "1/2")
     assert code == 0 and "1 of 2 chunks are not done; who ends the last one joins them" in err
     assert not Path("out/run.json").exists()
+    said = facetrack("status", "out")[1]
+    assert "out: 2 chunks" in said and "1 chunk left" in said and "give the command again" in said
+    assert [one["folder"] for one in json.loads(facetrack("status", "out", "--json")[1])["clips"]] == [
+        "chunks/00000", "chunks/00001",
+    ]  # fmt: skip
     code, _, err = facetrack(*command, "out", "--seed", "3")
     assert code == 2 and "holds chunks of another --split" in err
     assert facetrack(*command, "out", "--shard", "2/2")[0] == facetrack(*command, "alone", "-j", "2")[0] == 0

@@ -1,6 +1,8 @@
 """Which of the things that a detector finds is the face: upright, lying, small, cut off, or a picture on the wall."""
 
 import re
+from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -179,6 +181,16 @@ def test_what_is_seen_once_late_is_no_face():
 
 
 # --- faces that lie, are small, or cut off ------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_the_network_makes_up_of_a_tiny_image_is_no_face(monkeypatch):
+    rows = np.ones((4, 15), np.float32)
+    rows[0], rows[1, 2:4], rows[2] = np.nan, 1e30, np.inf
+    net = SimpleNamespace(setInputSize=lambda size: None, detect=lambda image: (1, rows))
+    monkeypatch.setattr("facetrack_cli.trackers.face.detectors._net", lambda *_: net)
+    assert len(YuNet(Path("none")).find(Frame(0, 0.0, np.zeros((10, 10, 3), np.uint8)))) == 1, "one is a number"
+
 
 INSTALLED = [Haar(), *([YuNet(model)] if (model := yunet_model()) else [])]
 detectors = pytest.mark.parametrize("detector", INSTALLED, ids=lambda one: one.name)

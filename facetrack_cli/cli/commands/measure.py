@@ -197,8 +197,12 @@ def _plot(evaluation: Evaluation, path: Path) -> bytes:
 @option("--seeds", type=Whole(min=1), default=10, help="Runs of each, seed 0 on.")
 @option("--rank-by", type=Text("MEASURE"), help="Rank by this, as points.median_px or boxes.precision_20.")
 @options.set_("Override a key of all; repeatable.")
-@options.gallery
-@option("--truth", type=FILE, help="Ground truth [default: <clip>.truth.csv, else groundtruth.csv beside the clip].")
+@options.gallery("People to recognise, as facetrack gallery fit writes them.")
+@option(
+    "--truth", type=FILE,
+    help="Ground truth [default: <clip>.truth.csv, else groundtruth.csv, groundtruth_rect.txt or groundtruth.txt in "
+    "the folder of this clip alone].",
+)  # fmt: skip
 @truth_options
 @extent_options
 @option("-o", "--out", type=FOLDER, help="Folder for results [default: ./<clip>-compare].")
@@ -291,7 +295,7 @@ def compare_command(
             shown.say(f"{clip} -> {folder}{os.sep} ({', '.join(names)})")
             failed = sum(entry.error is not None for entry in entries)
             if failed:
-                shown.say(f"{failed} of {len(entries)} recipes could not run")
+                shown.say(f"{failed} of {len(entries)} recipe{'s' * (len(entries) > 1)} could not run")
         return stop.code or (ExitCode.BATCH if failed else ExitCode.DONE)
     finally:
         remove_folders(made)  # if they are empty

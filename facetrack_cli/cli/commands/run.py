@@ -85,7 +85,9 @@ def _formats(value: str) -> tuple[Format, ...]:
 @options.config
 @options.set_("Override a key of the recipe; repeatable.")
 @option("--seed", type=int, metavar="N", help="Seed of the random numbers, instead of the recipe's.")
-@options.gallery
+@options.gallery(
+    "People to recognise, as facetrack gallery fit writes them; with --faces all as facetrack people --save does."
+)
 @option(
     "-o", "--out", type=FOLDER_OR_DASH,
     help="Folder for results [default: ./<clip>-<recipe>, with --set]; - streams to stdout.",
@@ -159,7 +161,7 @@ def run_command(
     from facetrack_cli.runs.batch import expand, folders, run_batch, variant_name
     from facetrack_cli.runs.cluster import check_cluster, run_cluster
     from facetrack_cli.runs.live import is_live
-    from facetrack_cli.runs.plan import Job, Split, check_smoothing, default_reason
+    from facetrack_cli.runs.plan import Job, Split, check_smoothing, default_reason, follows_everyone
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.runs.workers import cores
@@ -221,7 +223,7 @@ def run_command(
                 init_frame=init_frame,
                 stream=stream,
                 faces=faces,
-                gallery=Path(gallery) if gallery and faces == "all" and recipe.has_head else None,
+                gallery=Path(gallery) if gallery and faces == "all" and follows_everyone(recipe) else None,
                 overwrite=overwrite,
                 lag=lag or 0,
                 posterior=smooth,
@@ -254,10 +256,11 @@ def _recipe(
 ) -> Recipe:
     from facetrack_cli.recipe.load import default_recipe, load_recipe
     from facetrack_cli.recipe.model import seeded
+    from facetrack_cli.runs.plan import follows_everyone
     from facetrack_cli.runs.seeds import load_recipes
 
     wanted = (default_recipe(box=extent.box is not None) if config is None else config), overrides
-    cast = faces == "all" and load_recipe(*wanted).has_head  # people are named at the end, by the looks of all
+    cast = faces == "all" and follows_everyone(load_recipe(*wanted))  # people are named at the end, by the looks of all
     return seeded(load_recipes([wanted], None if cast else gallery)[0], seed)
 
 
@@ -272,6 +275,7 @@ def _live(
 ) -> int:
     """Track what comes from a camera, a pipe or a clip; the exit code."""
     from facetrack_cli.runs.live import LiveCast, follow, images_of
+    from facetrack_cli.runs.plan import follows_everyone
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trackers.people.descriptor import load_people
 
@@ -288,7 +292,7 @@ def _live(
     recipe = recipe_of(gallery, extent, faces)
     init, cast = extent.box if extent.box is not None else extent.init, None
     if faces == "all":
-        if recipe.later or recipe.followed or not recipe.has_head or isinstance(init, Path | tuple):
+        if not follows_everyone(recipe) or isinstance(init, Path | tuple):
             raise UsageError("--faces all --live looks for every face; leave out --init, --box, and --config but face")
         cast = LiveCast(init, 25.0, {} if gallery is None else load_people(Path(gallery)))
     with Stop().listening() as stop:

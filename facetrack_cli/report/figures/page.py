@@ -59,7 +59,8 @@ def measures_figure(
     rows = list(dict.fromkeys(name if name in measures else by.get(name, name) for name in names))
     if missing := [name for name in rows if name not in measures]:
         known = [*measures, *(word for word, measure in by.items() if word and measure in measures)]
-        raise UsageError(f"{table.path}: has no {', '.join(missing)}; choose among {', '.join(known) or 'none'}")
+        others = f"choose among {', '.join(known)}" if known else "it has no measures, which the recipe face gives"
+        raise UsageError(f"{table.path}: has no {', '.join(missing)}; {others}")
     with style.style():
         figure = style.new_figure(width, 0.7 + 1.3 * len(rows))
         column = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]

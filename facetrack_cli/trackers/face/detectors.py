@@ -36,6 +36,7 @@ _STEPS: Final = np.array(
     [16] * 14 + [1024], np.float32
 )  # in a pixel, and in the score, that YuNet's rows are rounded to
 MEASURED_PX: Final = 67  # pixels of the face's box to which a measured image is reduced
+MAX_PLACE_PX: Final = 1e6  # beyond which the network sees nothing, but makes it up, as in an image of 10x10
 MIN_OVERLAP: Final = 0.3  # overlap with the face that is expected
 # Fractions of a Haar box (x, y): the mean over 26 images, of 15 clips and two portraits; standard deviation 0.02.
 EYES_IN_BOX: Final = ((0.309, 0.388), (0.672, 0.388))
@@ -216,6 +217,7 @@ class YuNet:
         net.setInputSize((image.shape[1], image.shape[0]))
         _, faces = net.detect(image)
         rows = np.empty((0, 15), np.float32) if faces is None else np.asarray(faces, np.float32)
+        rows = rows[(np.abs(rows) < MAX_PLACE_PX).all(axis=1)]
         # the last bits are the processor's and OpenCV's own, and a filter that sees them goes another way
         return np.asarray(np.rint(rows * _STEPS) / _STEPS, np.float32)
 

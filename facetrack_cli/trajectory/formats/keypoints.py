@@ -134,7 +134,7 @@ def write_dlc_h5(table: Trajectory, scorer: str = "facetrack") -> bytes:
 
     UsageError without pandas and PyTables, InputError for more columns than such a table has room for.
     """
-    with needed("DeepLabCut's HDF5", "pandas", "pandas"):
+    with needed("DeepLabCut's HDF5 files", "pandas", "pandas"):
         import pandas
         from tables.exceptions import HDF5ExtError
     names, columns, frames, values = _dlc(table, scorer)
