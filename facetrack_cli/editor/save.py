@@ -50,8 +50,8 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
         fixer.saved()
         return lines
     files: dict[Path, Write] = {}
-    if "smoothed" in rows.header:
-        filtered, rows = _smoothed(fixer, report, stop)
+    if "smoothed" in rows.header or run.recipe.later:
+        filtered, rows = _tracked_again(fixer, report, stop)
         if filtered is not None:
             files[folder / FILTERED] = partial(write_rows, "csv", rows=filtered)
     for form, (path, _) in run.files.items():
@@ -70,12 +70,15 @@ def save(fixer: Fixer, *, video: bool = True, report: Report = silent, stop: Sto
     return [*(f"{path}: written" for path in written), *notes, *outdated(folder)]
 
 
-def _smoothed(fixer: Fixer, report: Report, stop: Stopped) -> tuple[Trajectory | None, Trajectory]:
-    """The rows of a smoothed run, whose clip is tracked again with the corrections: the filter's, and the smoothed.
+def _tracked_again(fixer: Fixer, report: Report, stop: Stopped) -> tuple[Trajectory | None, Trajectory]:
+    """The rows of a run whose clip is tracked again with the corrections: the filter's, and the smoothed.
 
-    A run with a lag keeps no rows of the filter. Raises StoppedError once `stop` says so.
+    Smoothing needs all frames, and two hands are one filter's: what corrects one of them moves the other. A run with a
+    lag, or without smoothing, keeps no other rows of the filter. Raises StoppedError once `stop` says so.
     """
-    run, lag = fixer.run, fixer.run.rows.header["smoothed"]["lag"]
+    run = fixer.run
+    smoothed = run.rows.header.get("smoothed", {"lag": 0})
+    lag, kept = smoothed["lag"], "smoothed" in run.rows.header and not smoothed["lag"]
     collected, beliefs = Collector(), {name: list[tuple[Belief, ...]]() for name in run.rows.targets}
     total, stream = run.last - run.first + 1, run.header.source.stream
     with open_source(run.clip, fps=run.fps, start=run.first, stop=run.last + 1, stream=stream) as source:
@@ -85,11 +88,11 @@ def _smoothed(fixer: Fixer, report: Report, stop: Stopped) -> tuple[Trajectory |
             if stop():
                 raise StoppedError
             collected.add(result.rows)
-            for name, target in zip(beliefs, () if lag else result.targets, strict=False):
+            for name, target in zip(beliefs, result.targets if kept else (), strict=False):
                 beliefs[name].append(() if target.beliefs is None else target.beliefs())
             report(done, total)
     rows = collected.trajectory(header=run.rows.header, path=run.rows.path)
-    return (None, rows) if lag else (rows, given_all(rows, beliefs))
+    return (rows, given_all(rows, beliefs)) if kept else (None, rows)
 
 
 def _check(run: Run) -> None:

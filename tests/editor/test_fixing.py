@@ -9,6 +9,7 @@ import shutil
 import tempfile
 import weakref
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -26,6 +27,7 @@ from facetrack_cli.runs.signals import StoppedError
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
+from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.writers import csv_frames, json_frames
 from facetrack_cli.video.overlay.overlay import Overlay
@@ -547,3 +549,20 @@ def test_targets_that_are_tracked_together_see_each_other_as_they_are_now(fixed,
     assert np.isfinite(recorded_footprint(one.fixer.rows, 5, "head").centre).all()
     one.put(Correction(4, "head", absent=True))
     assert recorded_footprint(one.fixer.rows, 5, "head") is None
+
+
+def test_a_signer_is_tracked_again_as_a_whole(tmp_path, monkeypatch):
+    """Two hands are one filter's, so what is saved is what a run with the corrections makes."""
+    monkeypatch.chdir(tmp_path)
+    asked = ["run", str(FOLDER / "signing.mp4"), "--config", "signer", "--stop", "14", "--no-video", "-q", "-o"]
+    assert main([*asked, "out"]) == 0
+    start = (FOLDER / "signing.init.yaml").read_text()
+    Path("one.yaml").write_text(f"{start}corrections:\n- frame: 6\n  right_hand: {{box: [200, 110, 50, 56]}}\n")
+    assert main(["fix", "out", "--init", "one.yaml"]) == 0
+    assert main([*asked, "again", "--init", "out/corrected.init.yaml"]) == 0
+    saved, whole = (read_trajectory(Path(name)) for name in ("out", "again"))
+    for ours, theirs in zip(saved.parts, whole.parts, strict=True):
+        assert ours.part == theirs.part
+        np.testing.assert_array_equal(ours.x, theirs.x)
+        np.testing.assert_array_equal(ours.confidence, theirs.confidence)
+    assert saved.find("right_hand", "box").x[6] == pytest.approx(224.5, abs=1)
