@@ -31,7 +31,7 @@ from facetrack_cli.trajectory.header import CORRECTED, UNSAVED, read_header
 from facetrack_cli.trajectory.people import read_still
 from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successive
-from facetrack_cli.trajectory.writers import summary_of
+from facetrack_cli.trajectory.writers import as_written, summary_of
 from facetrack_cli.video.source import open_source
 
 
@@ -91,7 +91,7 @@ def _tracked_again(fixer: Fixer, report: Report, stop: Stopped) -> tuple[Traject
             for name, target in zip(beliefs, result.targets if kept else (), strict=False):
                 beliefs[name].append(() if target.beliefs is None else target.beliefs())
             report(done, total)
-    rows = collected.trajectory(header=run.rows.header, path=run.rows.path)
+    rows = as_written(collected.trajectory(header=run.rows.header, path=run.rows.path))
     return (rows, given_all(rows, beliefs)) if kept else (None, rows)
 
 
