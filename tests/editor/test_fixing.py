@@ -553,7 +553,7 @@ def test_targets_that_are_tracked_together_see_each_other_as_they_are_now(fixed,
 
 @pytest.mark.parametrize("more", [(), ("--smooth",)])
 def test_a_signer_is_tracked_again_as_a_whole(more, tmp_path, monkeypatch):
-    """Two hands are one filter's, and smoothing needs all frames: what is saved is what a run with corrections makes."""
+    """Two hands are one filter's, and smoothing needs all frames: what is saved is a run with corrections."""
     monkeypatch.chdir(tmp_path)
     asked = ["run", str(FOLDER / "signing.mp4"), "--config", "signer", "--stop", "14", "--no-video", "-q", *more, "-o"]
     assert main([*asked, "out"]) == 0
