@@ -322,9 +322,7 @@ def pixels(raw: VideoFrame, range_: Levels | None = None) -> Image:
     if raw.format.name != "yuv420p" or raw.color_range == _FULL_RANGE or sides[0] % 2 or sides[1] % 2:
         image = np.asarray(raw.to_ndarray(format="bgr24", src_colorspace=matrix, dst_colorspace=_BT601), np.uint8)
         return np.ascontiguousarray(_oriented(image, way))
-    planes = np.empty((sides[1] * 3 // 2, sides[0]), np.uint8)
-    for part, plane in zip(planes_of(planes), raw.planes, strict=True):
-        part[:] = np.frombuffer(memoryview(plane), np.uint8).reshape(-1, plane.line_size)[: len(part), : part.shape[1]]
+    planes = np.asarray(raw.to_ndarray(), np.uint8)
     if _LUMA[matrix] != _LUMA[_BT601]:
         _to_our_matrix(planes, matrix)
     if not any(way):

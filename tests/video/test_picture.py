@@ -17,6 +17,7 @@ from facetrack_cli.report.command_line import command
 from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.trajectory.analysis.measures import measures_of
 from facetrack_cli.trajectory.trajectory import Trajectory, of_frame, one_part
+from facetrack_cli.video.decode import pixels
 from facetrack_cli.video.seek import Frames
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
@@ -231,3 +232,18 @@ def test_a_file_that_says_nothing_is_read_as_opencv_reads_it(tmp_path: Path) -> 
         ours = middles(next(iter(source)).bgr)
     assert got
     np.testing.assert_allclose(ours, middles(theirs), atol=4)
+
+
+def test_planes_that_lie_upside_down_in_memory_are_read_as_they_are_shown():
+    shown = np.arange(96 * 64, dtype=np.uint8).reshape(96, 64)
+    frame, graph = av.VideoFrame.from_ndarray(shown, format="yuv420p"), av.filter.Graph()
+    frame.pts = 0
+    source = graph.add_buffer(width=64, height=64, format="yuv420p", time_base=Fraction(1, 25))
+    flip, sink = graph.add("vflip"), graph.add("buffersink")
+    source.link_to(flip)
+    flip.link_to(sink)
+    graph.configure()
+    graph.push(frame)
+    flipped = graph.pull()
+    assert all(plane.line_size < 0 for plane in flipped.planes)
+    np.testing.assert_array_equal(pixels(flipped)[:64], shown[63::-1])
