@@ -29,7 +29,7 @@ from reference import HANDS, MESH
 from facetrack_cli.core.errors import FacetrackError
 from facetrack_cli.core.types import Array, Mask, Start, TargetStart
 from facetrack_cli.engine.loop import track
-from facetrack_cli.evaluation.boxes import measure_boxes
+from facetrack_cli.evaluation.accuracy import measure_boxes
 from facetrack_cli.evaluation.compare import default_truth
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.plan import truth_start

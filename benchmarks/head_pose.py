@@ -1,4 +1,4 @@
-"""The generic face of trajectory/analysis/head_pose.py, and how exact a pose is, by landmarks from five cameras.
+"""The generic face of trajectory/head.py, and how exact a pose is, by landmarks from five cameras.
 
     python benchmarks/head_pose.py muct76-opencv.csv
 
@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from facetrack_cli.core.types import Array
-from facetrack_cli.trajectory.analysis.head_pose import SHAPE, SPREAD, euler, fit_pose, rotation_of
+from facetrack_cli.trajectory.head import SHAPE, SPREAD, euler, fit_pose, rotation_of
 
 LANDMARKS: Final = {"eye_left": 31, "eye_right": 36, "nose": 67, "mouth_left": 48, "mouth_right": 54} | {
     "lip_upper": 51, "lip_lower": 57,

@@ -50,7 +50,7 @@ from facetrack_cli.core.types import Array, Image, Mask
 from facetrack_cli.evaluation.reliability import calibration_error, reliability_bins
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.runs.api import track_frames, track_video
-from facetrack_cli.trajectory.analysis.measures import Measured
+from facetrack_cli.trajectory.measures import Measured
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory
 from facetrack_cli.video.source import open_source
 

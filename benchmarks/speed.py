@@ -38,7 +38,7 @@ from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import find_init, read_init, write_init
-from facetrack_cli.trackers.points import window_kernels as windows
+from facetrack_cli.trackers.points import point_kernels as windows
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
 

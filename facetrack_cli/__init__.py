@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from facetrack_cli.runs.export import annotated_video, export
     from facetrack_cli.trajectory.formats.read import read_truth
     from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
-    from facetrack_cli.video.overlay.overlay import Overlay
+    from facetrack_cli.video.overlay import Overlay
 
 __all__ = [
     "FacetrackError",
@@ -69,7 +69,7 @@ _PLACES = {
     "runs.export": ("annotated_video", "export"),
     "trajectory.formats.read": ("read_truth",),
     "trajectory.trajectory": ("FrameResult", "Trajectory"),
-    "video.overlay.overlay": ("Overlay",),
+    "video.overlay": ("Overlay",),
 }
 
 

@@ -10,8 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import TextIO
 
-from facetrack_cli.core.errors import ExitCode, FacetrackError, RecipeError, from_system
-from facetrack_cli.core.log import as_json, log_line
+from facetrack_cli.core.errors import ExitCode, FacetrackError, RecipeError, as_json, from_system, log_line
 from facetrack_cli.runs.signals import TerminatedError, raising
 
 _MAX_MESSAGE = 1000  # characters of an error

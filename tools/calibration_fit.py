@@ -19,7 +19,7 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import BOX, Array, Mask, Whole
-from facetrack_cli.engine.calibration import (
+from facetrack_cli.engine.confidence import (
     MAX_SPREAD_FACTOR,
     RISES,
     Calibration,

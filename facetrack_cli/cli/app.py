@@ -13,7 +13,7 @@ from click.shell_completion import CompletionItem
 
 from facetrack_cli.cli.options import option
 from facetrack_cli.core import __version__
-from facetrack_cli.core.log import VARIABLE
+from facetrack_cli.core.errors import LOG_FORMAT
 
 SECTIONS = {
     "Track": {
@@ -150,9 +150,9 @@ def cli(ctx: click.Context, debug: bool, log_format: str) -> None:
         click.echo(ctx.get_help())
         return
     if log_format == "json":
-        os.environ[VARIABLE] = "json"
+        os.environ[LOG_FORMAT] = "json"
     else:
-        os.environ.pop(VARIABLE, None)
+        os.environ.pop(LOG_FORMAT, None)
 
 
 def colour() -> bool:

@@ -1,12 +1,16 @@
-"""What commands share: options with defaults by variables, a help in sections, and groups of options.
+"""What commands share: kinds of values, options with defaults by variables, a help in sections, groups of options.
 
-A group of options reaches its command as one value, as `extent` of `@extent_options`.
+A kind of value says what the help calls it, how it is read, and what a shell completes. A shell asks at each key, so
+completion loads no recipe. A group of options reaches its command as one value, as `extent` of `@extent_options`.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import math
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
@@ -15,22 +19,218 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import click
+from click.shell_completion import CompletionItem
 
-from facetrack_cli.cli import types
-from facetrack_cli.cli.types import FRAME, Text, Whole
-from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError
-from facetrack_cli.core.log import log_line
+from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError, log_line
+from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.trajectory.formats import TRUTH_FORMATS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from facetrack_cli.core.types import Box
-    from facetrack_cli.editor.web.session import Page as PageSession
+    from facetrack_cli.editor.session import Page as PageSession
     from facetrack_cli.evaluation.rows import Pair
     from facetrack_cli.runs.progress import Progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.trajectory.trajectory import Trajectory
+    from facetrack_cli.trajectory.views import Clock
+
+Complete: TypeAlias = Callable[[click.Context, str], list[CompletionItem]]
+FIGURES = ("png", "svg", "pdf")  # those that report/figures/style.py renders
+
+
+class Whole(click.IntRange):
+    """A whole number in a range; click itself would call it an integer range."""
+
+    name = "whole number"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        return "N"
+
+
+class Number(click.FloatRange):
+    """A number in a range: nan and infinity are none."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is no finite number.", param, ctx)
+        return number
+
+
+class Text(click.ParamType):  # type: ignore[type-arg]  # it has arguments since Click 8.4
+    """A value that the help calls `metavar`.
+
+    `parse` reads it and raises BadParameter, `complete` completes it. An option that is not to be empty is told to name
+    `what`.
+    """
+
+    name = "text"
+
+    def __init__(
+        self, metavar: str, parse: Callable[[str], Any] = str, complete: Complete | None = None, what: str = ""
+    ) -> None:
+        self.metavar, self.parse, self.complete, self.what = metavar, parse, complete, what
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
+        return self.metavar
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "" and self.what and isinstance(param, click.Option):
+            raise UsageError(f"{max(param.opts, key=len)} is empty; name {self.what}")
+        return self.parse(value) if isinstance(value, str) else value
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        return self.complete(ctx, incomplete) if self.complete else []
+
+
+def words(metavar: str, pattern: str, remedy: str) -> Text:
+    """Values that a pattern takes apart into words; `remedy` says what to give."""
+
+    def parse(value: str) -> tuple[str, ...]:
+        match = re.fullmatch(pattern, value)
+        each = tuple(word.strip() for word in match.groups()) if match else ()
+        if not each or not all(each):
+            raise click.BadParameter(f"{value!r}: {remedy}")
+        return each
+
+    return Text(metavar, parse)
+
+
+# what a shell completes
+
+
+def _files(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+    return [CompletionItem(incomplete, type="file")]
+
+
+def _folders(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+    return [CompletionItem(incomplete, type="dir")]
+
+
+def _runs(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+    """Folders of runs; without one, any folder."""
+    above, slash, prefix = incomplete.rpartition("/")
+    runs: list[Path] = []
+    with contextlib.suppress(OSError):
+        folders = sorted(path for path in Path(f"{above}{slash}" or ".").iterdir() if path.name.startswith(prefix))
+        runs = [path for path in folders if (path / "run.json").is_file() or (path / "trajectory.json").is_file()]
+    return _folders(ctx, incomplete) + [CompletionItem(f"{above}{slash}{path.name}") for path in runs]
+
+
+def _recipes(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+    """Names of shipped recipes, and files."""
+    names = [path.stem for path in shipped_recipes()]
+    # files first: Bash then takes them only where no name fits
+    return _files(ctx, incomplete) + [CompletionItem(name) for name in names if name.startswith(incomplete)]
+
+
+def _keys(ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+    """Keys that the recipe of the command line has, or any shipped one."""
+    shipped = {path.stem: path for path in shipped_recipes()}
+    values = [ctx.params.get(name) for name in ("config", "recipe")]
+    names = [name for value in values for name in ([value] if isinstance(value, str) else value or ())]
+    files = [shipped.get(name.removesuffix(".yaml"), Path(name)) for name in names] or list(shipped.values())
+    keys: dict[str, None] = {}
+    for file in files:
+        with contextlib.suppress(OSError, ValueError):
+            keys.update(dict.fromkeys(_keys_of(file.read_text(encoding="utf-8"))))
+    return [CompletionItem(f"{key}=") for key in keys if key.startswith(incomplete)]
+
+
+def _keys_of(text: str) -> Iterator[str]:
+    """The keys of a recipe that have values, with dots between the levels, as its lines show them."""
+    above: list[tuple[int, str]] = []  # indentation and name of the sections around a line
+    for indent, name, value in re.findall(r"^( *)(\w+):(.*)$", text, re.MULTILINE):
+        while above and above[-1][0] >= len(indent):
+            above.pop()
+        key = ".".join([*(one for _, one in above), name])
+        value = value.partition(" #")[0].strip()
+        if value.startswith("{"):
+            yield from (f"{key}.{below}" for below in re.findall(r"(\w+):", value))
+        elif value:
+            yield key
+        else:
+            above.append((len(indent), name))
+
+
+# how values are read
+
+
+def _box(value: str) -> Box:
+    """`left,top,width,height` in pixels."""
+    try:
+        x, y, w, h = (float(part) for part in value.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{value!r}: give four numbers with commas: left,top,width,height") from None
+    if not (abs(x) < 1e6 and abs(y) < 1e6 and 0 < w < 1e6 and 0 < h < 1e6):
+        raise click.BadParameter(f"{value!r}: give pixels of the frame, width and height above 0")
+    return (x, y, w, h)
+
+
+def _rate(value: str) -> Fraction:
+    """Frames per second."""
+    with contextlib.suppress(ValueError, ZeroDivisionError):
+        if 0 < (rate := Fraction(value)) <= 100_000:
+            return rate
+    raise click.BadParameter(f"{value!r}: give frames per second as 25, 29.97 or 30000/1001")
+
+
+def _figure(value: str) -> Path:
+    if Path(value).suffix[1:].lower() not in FIGURES:
+        raise UsageError(f"{value}: cannot tell the kind of file; let its name end in .png, .svg or .pdf")
+    return Path(value)
+
+
+def array(what: str) -> Text:
+    """An .npz file that holds a `what`, as a gallery."""
+
+    def parse(value: str) -> Path:
+        if Path(value).suffix != ".npz":
+            raise UsageError(f"{value}: a {what} is an .npz file; let its name end so")
+        return Path(value)
+
+    return Text("FILE", parse, _files)
+
+
+FILE, INPUT = Text("FILE", Path, _files, "a file"), Text("INPUT", Path, _files)
+PNG, NPZ = Text("FILE.png", Path, _files, "a file"), Text("FILE.npz", Path, _files, "a file")
+FOLDER, PROJECT = Text("DIR", Path, _folders, "a folder"), Text("PROJECT", Path, _folders)
+RUN = Text("RUN_DIR", Path, _runs)
+TRAJECTORY = Text("TRAJECTORY", Path, lambda ctx, incomplete: _files(ctx, incomplete) + _runs(ctx, incomplete)[1:])
+FILE_OR_DASH = Text("FILE", complete=_files, what="a file, or - for standard output")
+FOLDER_OR_DASH = Text("DIR", complete=_folders, what="a folder, or - for standard output")
+GALLERY = Text("FILE", complete=_files, what="a gallery, as facetrack gallery fit writes it")
+FIGURE = Text("FILE", _figure, _files, "a file that ends in .png, .svg or .pdf")
+INIT = Text(
+    "FILE", lambda value: value if value in ("haar", "yunet") else Path(value), _files,
+    "an init file, or haar to look for a face",
+)  # fmt: skip
+RECIPE, KEY = Text("RECIPE", complete=_recipes), Text("KEY=VALUE", complete=_keys)
+BOX, RATE = Text("X,Y,W,H", _box), Text("RATE", _rate)
+FRAME = Whole(min=0)
+
+
+def moment(metavar: str) -> Text:
+    """A name at a time."""
+    return words(metavar, "(.*)@([^@]*)", "give a name and a time, as person_2@1:23 or person_2@2075f")
+
+
+def frame_at(at: str, clock: Clock) -> int:
+    """The frame of a moment: 2075f, 83, 1:23 or 0:01:23.5. UsageError for anything else."""
+    try:
+        if at[-1:].lower() == "f":
+            return int(at[:-1])
+        seconds = 0.0
+        for part in at.split(":"):
+            seconds = 60 * seconds + float(part)
+        return clock.frame(seconds)
+    except (ValueError, OverflowError):
+        raise UsageError(f"@{at}: is no time; give 1:23, 83 (seconds) or 2075f (a frame)") from None
+
 
 Decorator: TypeAlias = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -138,22 +338,22 @@ def gathered(name: str, kind: type[Any], *options: Decorator) -> Decorator:
 
 
 def box(text: str) -> Decorator:
-    return option("--box", type=types.BOX, help=text)
+    return option("--box", type=BOX, help=text)
 
 
 def gallery(text: str) -> Decorator:
-    return option("--gallery", type=types.GALLERY, help=text)
+    return option("--gallery", type=GALLERY, help=text)
 
 
 def figure_file(default: str) -> Decorator:
     """--out of a figure; `default` says in words where it goes without."""
     text = f"File to write: .png, .svg or .pdf [default: {default}]."
-    return option("-o", "--out", type=types.FIGURE, help=text)
+    return option("-o", "--out", type=FIGURE, help=text)
 
 
 def array_file(what: str) -> Decorator:
     """--out of an .npz file that holds a `what`, as a gallery."""
-    return option("-o", "--out", type=types.array(what), default=f"{what}.npz", help=f"Where the {what} goes.")
+    return option("-o", "--out", type=array(what), default=f"{what}.npz", help=f"Where the {what} goes.")
 
 
 def jobs(text: str) -> Decorator:
@@ -161,7 +361,7 @@ def jobs(text: str) -> Decorator:
 
 
 def set_(text: str) -> Decorator:
-    return option("--set", "overrides", type=types.KEY, multiple=True, help=text)
+    return option("--set", "overrides", type=KEY, multiple=True, help=text)
 
 
 def format_of(name: str, text: str) -> Decorator:
@@ -175,10 +375,10 @@ def format_of(name: str, text: str) -> Decorator:
 config = option(
     "--config",
     "--recipe",
-    type=types.RECIPE,
+    type=RECIPE,
     help="Recipe: a file, or a name [default: face; with --box correlation_filter].",
 )
-clip = option("--clip", type=types.INPUT, help="The clip, if it is elsewhere now.")
+clip = option("--clip", type=INPUT, help="The clip, if it is elsewhere now.")
 title = option("--title", type=Text("TEXT"), help="Title of the page [default: clip and recipe].")
 target = option("--target", type=Text("NAME[/PART]"), help="One target, or one part of it, alone.")
 overwrite = flag("--overwrite", help="Replace files that are there already.")
@@ -199,7 +399,7 @@ class Extent:
     def check(self, *clips: Path) -> None:
         """UsageError where options contradict each other, or have no meaning for these clips."""
         from facetrack_cli.runs.plan import check_span
-        from facetrack_cli.video.files import brings_rate
+        from facetrack_cli.video.source import brings_rate
 
         both = self.init is not None and self.box is not None
         rates = self.fps is not None and all(clip.is_file() and brings_rate(clip) for clip in clips)
@@ -210,12 +410,12 @@ class Extent:
 
 extent_options = gathered(
     "extent", Extent,
-    option("--init", type=types.INIT,
+    option("--init", type=INIT,
            help="Init file; `haar` or `yunet` looks for a face even if one lies beside the clip."),
     box("The face, head or hand in the first frame, in pixels."),
     option("--start", type=FRAME, default=0, show_default=False, help="First frame, from 0."),
     option("--stop", type=FRAME, help="Frame to stop before."),
-    option("--fps", type=types.RATE, help="Frames per second of a folder or .zip of images."),
+    option("--fps", type=RATE, help="Frames per second of a folder or .zip of images."),
 )  # fmt: skip
 
 
@@ -274,7 +474,7 @@ class Page:
 
     def serve(self, session: PageSession, stop: Stop) -> bool:
         """Serve a page until it is saved or stopped, and say what it did; whether it was saved."""
-        from facetrack_cli.editor.web.server import run_page
+        from facetrack_cli.editor.server import run_page
 
         run_page(session, stop, say, port=self.port or 0, browse=self.browse)
         if session.ended is None:

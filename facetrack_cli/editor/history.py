@@ -31,8 +31,8 @@ from facetrack_cli.runs.signals import Stopped, StoppedError, never
 from facetrack_cli.start.assembly import build_tracker, name_targets, tracker_for
 from facetrack_cli.start.init_file import TARGET, read_init
 from facetrack_cli.start.presence import among_others
-from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successive
+from facetrack_cli.trajectory.views import choose
 from facetrack_cli.trajectory.writers import as_written
 
 MAX_STEPS: Final = 1000  # steps that can be undone

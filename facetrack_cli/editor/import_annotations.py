@@ -17,11 +17,10 @@ from facetrack_cli.core.types import BOX, Array, Correction, Mask, TargetStart
 from facetrack_cli.engine.corrected import all_or, correctable_parts
 from facetrack_cli.run_folder.finished import Run
 from facetrack_cli.runs.people import rows_in
-from facetrack_cli.trajectory.clock import every_frame, frame_milliseconds
 from facetrack_cli.trajectory.formats.annotation import read_cvat, read_labelstudio
 from facetrack_cli.trajectory.formats.eaf import Tier, read_tiers, seen_in, spans_of
-from facetrack_cli.trajectory.select import hide_outside
 from facetrack_cli.trajectory.trajectory import DECIMALS, UNSEEN, Trajectory
+from facetrack_cli.trajectory.views import every_frame, frame_milliseconds, hide_outside
 
 MOVED: Final = 0.05  # pixels: CVAT keeps two decimals
 Place: TypeAlias = "tuple[float, ...] | None"  # of a part: (x, y), or a box; None where it is absent

@@ -19,6 +19,7 @@ from typing import IO, Annotated, Any, Final, Literal, TypeAlias
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from facetrack_cli.core.errors import (
+    LOG_FORMAT,
     BusyError,
     ExitCode,
     FacetrackError,
@@ -28,7 +29,6 @@ from facetrack_cli.core.errors import (
     reading,
 )
 from facetrack_cli.core.files import absolute, make_folder, read_bounded, write_new, writing
-from facetrack_cli.core.log import VARIABLE
 from facetrack_cli.core.types import checked_name
 from facetrack_cli.run_folder.lease import FolderLease
 from facetrack_cli.run_folder.status import ClipStatus, clip_status
@@ -227,7 +227,7 @@ class Project:
         self.save()
         self._child = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-            encoding="utf-8", errors="replace", env={**os.environ, VARIABLE: "json"},
+            encoding="utf-8", errors="replace", env={**os.environ, LOG_FORMAT: "json"},
         )  # fmt: skip
         self.running, self.progress = clip, {}
         self._work.release()

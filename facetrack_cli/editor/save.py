@@ -27,10 +27,10 @@ from facetrack_cli.runs.smooth import Write, given_all, repaint, replace_files
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.init_file import as_yaml, write_init
 from facetrack_cli.trackers.smoothed import lagged
-from facetrack_cli.trajectory.header import CORRECTED, UNSAVED, read_header
 from facetrack_cli.trajectory.people import read_still
-from facetrack_cli.trajectory.select import choose
+from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED, read_header
 from facetrack_cli.trajectory.trajectory import Collector, Trajectory, successive
+from facetrack_cli.trajectory.views import choose
 from facetrack_cli.trajectory.writers import as_written, summary_of
 from facetrack_cli.video.source import open_source
 

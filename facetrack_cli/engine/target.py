@@ -13,8 +13,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import BOX, Array, Frame, Info, Mask, Particles, Start, TargetStart
 from facetrack_cli.engine import confidence
-from facetrack_cli.engine.calibration import Calibration, load_calibration
-from facetrack_cli.engine.confidence import Judgement
+from facetrack_cli.engine.confidence import Calibration, Judgement, load_calibration
 from facetrack_cli.engine.filters import Prediction, Step
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.protocols import Likelihood, Motion, Names, PredictiveMotion, Prior

@@ -24,7 +24,7 @@ from facetrack_cli.core.errors import FacetrackError, InputError, UsageError
 from facetrack_cli.core.numbers import csv_text, document
 from facetrack_cli.core.types import Array, Start, Whole
 from facetrack_cli.evaluation import summary
-from facetrack_cli.evaluation.boxes import share_up_to
+from facetrack_cli.evaluation.accuracy import share_up_to
 from facetrack_cli.evaluation.rows import PERCENT, Measure, Rows, at, column, match
 from facetrack_cli.evaluation.sheet import NO_FIGURE, Sheet, clip_name, rounded
 from facetrack_cli.evaluation.summary import MEASURES, Evaluation, evaluate, scalars
@@ -35,7 +35,7 @@ from facetrack_cli.runs.seeds import SeedPlan, SeedRun, outline, run_plans
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.trajectory.reader import MAX_FRAME
 from facetrack_cli.trajectory.trajectory import Trajectory, joined
-from facetrack_cli.video.files import is_clip, is_image
+from facetrack_cli.video.source import is_clip, is_image
 
 TAIL: Final = 0.1  # of the rows with a true box: those that tell whether the target is lost at the end
 TAIL_IOU: Final = 0.1

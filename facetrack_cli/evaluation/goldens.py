@@ -44,7 +44,7 @@ from facetrack_cli.runs.signals import Stop
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.init_file import find_init
 from facetrack_cli.trackers.opencv import find as find_opencv
-from facetrack_cli.trajectory.header import StartRecord, to_record
+from facetrack_cli.trajectory.reader import StartRecord, to_record
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import csv_frames
 

@@ -26,9 +26,9 @@ import numpy as np
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.geometry import iou, size_of_points
 from facetrack_cli.core.types import BOX, Array, Mask, Whole
-from facetrack_cli.trajectory.header import frame_size_of
-from facetrack_cli.trajectory.select import choose
+from facetrack_cli.trajectory.reader import frame_size_of
 from facetrack_cli.trajectory.trajectory import Trajectory
+from facetrack_cli.trajectory.views import choose
 
 Value: TypeAlias = float | int | None
 """A measured value; None where the measure is not defined, as the precision without any row called lost."""

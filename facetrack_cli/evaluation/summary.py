@@ -18,9 +18,9 @@ from rich.text import Text
 from facetrack_cli.core.errors import InputError, flat
 from facetrack_cli.core.numbers import csv_text, document
 from facetrack_cli.core.types import Whole
-from facetrack_cli.evaluation import points as errors
+from facetrack_cli.evaluation import accuracy as errors
 from facetrack_cli.evaluation import reliability
-from facetrack_cli.evaluation.boxes import BoxMeasures, measure_boxes
+from facetrack_cli.evaluation.accuracy import BoxMeasures, measure_boxes
 from facetrack_cli.evaluation.identities import PeopleMeasures
 from facetrack_cli.evaluation.rows import (
     HALVES,

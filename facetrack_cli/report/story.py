@@ -18,10 +18,10 @@ from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array
 from facetrack_cli.recipe.load import calibrated, fitted
 from facetrack_cli.runs.verdict import LOW
-from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.diagnostics import DOUBTFUL, SURE
-from facetrack_cli.trajectory.header import Header, SeamHeader
+from facetrack_cli.trajectory.reader import Header, SeamHeader
 from facetrack_cli.trajectory.trajectory import Trajectory, mean_confidence
+from facetrack_cli.trajectory.views import Clock
 
 Kind: TypeAlias = Literal[
     "start", "corrected", "seam", "lost", "hidden", "back", "opening", "smile", "blink", "worst", "end"

@@ -27,9 +27,8 @@ from typing import Any, BinaryIO, Final
 
 from filelock import LeaseSettingsMismatch, SoftFileLease, Timeout
 
-from facetrack_cli.core.errors import BusyError, InputError, OutputError
+from facetrack_cli.core.errors import BusyError, InputError, OutputError, write_line
 from facetrack_cli.core.files import check_plain, discard, own_mark, read_bounded, sync, temporary_path, writing
-from facetrack_cli.core.log import write_line
 from facetrack_cli.trajectory.people import STILLS
 
 LOCK: Final = ".facetrack.lock"

@@ -28,7 +28,16 @@ from typing import Any, ClassVar, Final, Literal
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from facetrack_cli.core import __version__
-from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, InputError, OutputError, from_system, reading
+from facetrack_cli.core.errors import (
+    LOG_LINES,
+    BusyError,
+    ExitCode,
+    FacetrackError,
+    InputError,
+    OutputError,
+    from_system,
+    reading,
+)
 from facetrack_cli.core.files import (
     FULL,
     MAX_TABLE_BYTES,
@@ -41,7 +50,6 @@ from facetrack_cli.core.files import (
     sampled,
     temporary_path,
 )
-from facetrack_cli.core.log import LINES
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import Correction
 from facetrack_cli.core.yaml_tree import YamlProblems
@@ -57,9 +65,8 @@ from facetrack_cli.run_folder.lease import (
     sweep,
     utc_now,
 )
-from facetrack_cli.trajectory.header import corrections_record, is_there
 from facetrack_cli.trajectory.people import PEOPLE
-from facetrack_cli.trajectory.reader import read_table, read_trajectory, table_in
+from facetrack_cli.trajectory.reader import corrections_record, is_there, read_table, read_trajectory, table_in
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Format, RunSummary, summary_of, tail
 from facetrack_cli.video.images import listing
@@ -251,7 +258,7 @@ def as_line(error: Exception) -> FacetrackError:
 def failed(run: Manifest, error: Exception, log: Sequence[str] = ()) -> Manifest:
     """The run with the error that ended it. `log`: the last lines of its process, if that died."""
     line = as_line(error)
-    last = tuple(text.encode(errors="replace").decode() for text in log[-LINES:])
+    last = tuple(text.encode(errors="replace").decode() for text in log[-LOG_LINES:])
     return replace(
         run, complete=False, error=as_text(str(line)), exit_code=int(line.exit_code), log=last, ended=utc_now()
     )

@@ -41,7 +41,7 @@ from facetrack_cli.trackers.smoothed import lagged
 from facetrack_cli.trajectory.people import under_names
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import Format
-from facetrack_cli.video.overlay.overlay import Overlay
+from facetrack_cli.video.overlay import Overlay
 
 Init: TypeAlias = str | Path | Start | Box
 IMAGES = "the images"

@@ -21,22 +21,20 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from facetrack_cli.core.errors import BusyError, FacetrackError, InputError, UsageError, from_system, reason
+from facetrack_cli.core.errors import BusyError, FacetrackError, InputError, UsageError, about, from_system, reason
 from facetrack_cli.core.files import MAX_FILE_BYTES, absolute, read_bounded
-from facetrack_cli.core.log import about
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.lease import FolderLease, here, holder, is_held
 from facetrack_cli.run_folder.manifest import NAME, Manifest, as_line, note_failure, recover_interrupted
 from facetrack_cli.runs.clip import Work, run
-from facetrack_cli.runs.pipeline import share_threads
 from facetrack_cli.runs.plan import Job, Outcome, Report, resolve, silent
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.workers import DiedError, cores, side_by_side
+from facetrack_cli.runs.workers import DiedError, cores, share_threads, side_by_side
 from facetrack_cli.start.precompile import precompiling
-from facetrack_cli.trajectory.header import is_there
+from facetrack_cli.trajectory.reader import is_there
 from facetrack_cli.video import images
-from facetrack_cli.video.files import chapters, check_local, is_clip, is_image
+from facetrack_cli.video.source import chapters, check_local, is_clip, is_image
 
 TRIES: Final = 2  # of a clip whose process a signal ends
 LOOK_S: Final = 0.5  # between two looks whether a clip of somebody else is free

@@ -15,7 +15,6 @@ from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.checkpoint import remove_checkpoints
 from facetrack_cli.runs.people import ORIGIN, crowded, film_shots, name_run
-from facetrack_cli.runs.pipeline import decoded_ahead
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, resolve, silent
 from facetrack_cli.runs.record import (
     ClipFacts,
@@ -33,14 +32,15 @@ from facetrack_cli.runs.record import (
 from facetrack_cli.runs.signals import Stop
 from facetrack_cli.runs.smooth import PosteriorWriter
 from facetrack_cli.runs.verdict import RunMonitor
+from facetrack_cli.runs.workers import decoded_ahead
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.precompile import precompiling
 from facetrack_cli.start.presence import MultiFaceTracker
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.smoothed import lagged
 from facetrack_cli.trajectory.trajectory import FrameResult
-from facetrack_cli.video.files import brings_rate
 from facetrack_cli.video.shots import Shot
+from facetrack_cli.video.source import brings_rate
 
 MAX_LAG_BYTES = 1 << 30  # of the frames that wait for later ones
 Work: TypeAlias = Callable[[Plan, RunFolder, Stop, Report, Report], Outcome]

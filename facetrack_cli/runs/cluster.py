@@ -30,10 +30,10 @@ from facetrack_cli.core.errors import BusyError, ExitCode, FacetrackError, Input
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.run_folder.manifest import NAME, as_line
 from facetrack_cli.runs.batch import attempt, outcome_of_crash, run_shared
-from facetrack_cli.runs.pipeline import share_threads
 from facetrack_cli.runs.plan import Job, Outcome, resolve
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.signals import Stop, StoppedError
+from facetrack_cli.runs.workers import share_threads
 
 After: TypeAlias = Callable[[Outcome, Stop], tuple[object, Sequence[str]]]
 """What is done with a clip that was tracked, as smoothing; it gives warnings, and can be pickled."""

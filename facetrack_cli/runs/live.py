@@ -38,10 +38,9 @@ from facetrack_cli.trackers.people.identity import UNKNOWN, TrackSummary, cast_o
 from facetrack_cli.trajectory.people import new_name
 from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.video.decode import FORMATS, pixels, silence
-from facetrack_cli.video.files import address_of
 from facetrack_cli.video.images import MOST_PIXELS, check_pixels
 from facetrack_cli.video.shots import Shot, passing_shots
-from facetrack_cli.video.source import open_source
+from facetrack_cli.video.source import address_of, open_source
 
 LOOK_S: Final = 0.1  # between two looks at the wish to stop
 OPEN_S, READ_S = 10.0, 10.0  # seconds without a byte, after which an address is given up

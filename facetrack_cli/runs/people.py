@@ -26,8 +26,6 @@ from facetrack_cli.start.presence import MAX_FACES
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.people.descriptor import Describer, load_people, save_people, still, views_of
 from facetrack_cli.trackers.people.identity import AT_ONCE_S, SURE, UNKNOWN, Cast, TrackSummary, cast_of, places
-from facetrack_cli.trajectory.clock import Clock
-from facetrack_cli.trajectory.header import clip_of
 from facetrack_cli.trajectory.people import (
     NOBODY,
     PEOPLE,
@@ -44,11 +42,12 @@ from facetrack_cli.trajectory.people import (
     tracks_of,
     under_names,
 )
+from facetrack_cli.trajectory.reader import clip_of
 from facetrack_cli.trajectory.trajectory import Trajectory, header_value
+from facetrack_cli.trajectory.views import Clock
 from facetrack_cli.trajectory.writers import summary_of
-from facetrack_cli.video.files import given_rate
 from facetrack_cli.video.shots import Shot, find_cuts, shots_of
-from facetrack_cli.video.source import Source, open_source
+from facetrack_cli.video.source import Source, given_rate, open_source
 
 ORIGIN: Final = "--faces all"
 MIN_FRAMES: Final = 5  # of a track in which its face is seen; of fewer nothing is kept

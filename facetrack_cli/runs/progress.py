@@ -7,8 +7,7 @@ import re
 import sys
 import time
 
-from facetrack_cli.core.errors import flat
-from facetrack_cli.core.log import as_json, write_line
+from facetrack_cli.core.errors import as_json, flat, write_line
 
 EVERY_S = 10.0  # between plain lines
 EVERY_JSON_S = 1.0  # between objects of JSON, which nobody reads

@@ -54,14 +54,14 @@ from facetrack_cli.run_folder.manifest import (
     outdated,
     recover,
 )
-from facetrack_cli.runs.pipeline import Painter
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, resolve, silent
 from facetrack_cli.runs.signals import Stop, Stopped, StoppedError, never
+from facetrack_cli.runs.workers import Painter
 from facetrack_cli.trajectory.diagnostics import KNOWN
-from facetrack_cli.trajectory.header import CORRECTED, UNSAVED, to_record
+from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED, to_record
 from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, SCHEMA, VERSION, WRITERS, Format, Header
-from facetrack_cli.video.overlay.overlay import Overlay
+from facetrack_cli.video.overlay import Overlay
 from facetrack_cli.video.source import Source
 from facetrack_cli.video.writer import Cut, VideoWriter
 

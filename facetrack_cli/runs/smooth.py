@@ -39,10 +39,10 @@ from facetrack_cli.runs.plan import Report
 from facetrack_cli.runs.record import ClipFacts, Sink
 from facetrack_cli.runs.signals import Stopped, StoppedError
 from facetrack_cli.trackers.smoothed import Beliefs, renamed_hands, smoothed_rows
-from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded, successive
+from facetrack_cli.trajectory.views import choose
 from facetrack_cli.trajectory.writers import Header
-from facetrack_cli.video.overlay.overlay import Overlay
+from facetrack_cli.video.overlay import Overlay
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
 

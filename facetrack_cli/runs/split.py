@@ -34,16 +34,16 @@ from facetrack_cli.run_folder.manifest import clip_stat, read_manifest, read_run
 from facetrack_cli.run_folder.status import CHUNKS, PLAN, chunk_name
 from facetrack_cli.runs.batch import attempt, check_all, run_batch, run_shared
 from facetrack_cli.runs.people import ORIGIN
-from facetrack_cli.runs.pipeline import decoded_ahead
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, Split, digest_of, resolve
 from facetrack_cli.runs.progress import Progress
 from facetrack_cli.runs.record import ClipFacts, Ended, Recorder, Results, RunFolder, Video, header_of, record, tables
 from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.runs.verdict import RunMonitor
+from facetrack_cli.runs.workers import decoded_ahead
 from facetrack_cli.trackers.face.detectors import check_parts, detector
-from facetrack_cli.trajectory.header import StartRecord, to_record
-from facetrack_cli.trajectory.select import choose
+from facetrack_cli.trajectory.reader import StartRecord, to_record
 from facetrack_cli.trajectory.trajectory import FrameResult, Trajectory, recorded
+from facetrack_cli.trajectory.views import choose
 from facetrack_cli.video.decode import read_index
 from facetrack_cli.video.source import FolderSource
 

@@ -28,13 +28,12 @@ from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, ParticlesRe
 from facetrack_cli.start.init_file import TARGET, check_start
 from facetrack_cli.start.search import box_start
 from facetrack_cli.trackers import opencv
-from facetrack_cli.trackers.appearance.recognition import find_gallery
+from facetrack_cli.trackers.appearance.appearance import find_gallery
 from facetrack_cli.trackers.appearance.settings import PatchLikelihoodSettings
 from facetrack_cli.trackers.face.assembly import box_with, face_target
 from facetrack_cli.trackers.face.detectors import PARTS, NotHereError
 from facetrack_cli.trackers.hands.target import HandTarget
-from facetrack_cli.trackers.skin.cloud import log_weights
-from facetrack_cli.trackers.skin.colour import SkinModel, learn_skin
+from facetrack_cli.trackers.skin.cloud import SkinModel, learn_skin, log_weights
 from facetrack_cli.trackers.skin.skin_kernels import skin_map
 
 MIN_WINDOW_PX: Final = 3.0  # pixels; windows are not made smaller

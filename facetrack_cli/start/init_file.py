@@ -37,8 +37,7 @@ from facetrack_cli.core.types import BOX, Correction, Point, Start, TargetStart
 from facetrack_cli.core.yaml_tree import Node, Problem, YamlProblems, parse, read_source
 from facetrack_cli.recipe.messages import locate, problems
 from facetrack_cli.recipe.sections import suggest
-from facetrack_cli.trajectory.header import CorrectedTarget, TargetRecord, corrected, to_record, whole
-from facetrack_cli.trajectory.reader import MAX_FRAME
+from facetrack_cli.trajectory.reader import MAX_FRAME, CorrectedTarget, TargetRecord, corrected, to_record, whole
 
 SUFFIXES: Final = (".yaml", ".yml", ".json")
 TARGET: Final = "face"

@@ -43,13 +43,13 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.face.image_kernels._coloured": ("u1:1 u1:1 u1:1 u1:1 u1:1 u1:1", "head"),
     "engine.kernels.affine.read_patches": ("u1:2 i8 i8 i8 i8 i8 f8x4 f8:2 f8 f8 i8 i8", "target=affine"),
     "trackers.appearance.appearance_kernels.log_densities": ("f4:2r f4:2 f4:2 f4:2 f8 b1", _LOOKS),
-    "trackers.points.window_kernels.colour_ratio_distances": (
+    "trackers.points.point_kernels.colour_ratio_distances": (
         "u1:2 f4:1 i8:1 i8:2 i8:1 f8:3 i8 i8 i8 f8 i8 f8 f8:2",
         _COLOURS,
     ),
     "trackers.appearance.appearance_kernels.update": ("f4:1r f4:2 f4:2 f4:2 f8:2 f4:2 f4:2 f8 b1 f8 f8 f8", _LOOKS),
     "trackers.skin.skin_kernels.moments_direct": ("u1:2 f4:2 f8:2", _NCC),
-    "trackers.points.shape_kernels.parzen": ("f8:3 i8:1 f8:2 i8 f8 f4:2 f4:1 f8:1", "prior=parzen"),
+    "trackers.points.point_kernels.parzen": ("f8:3 i8:1 f8:2 i8 f8 f4:2 f4:1 f8:1", "prior=parzen"),
     "trackers.skin.skin_kernels.place": ("f8:3 i8 f8x2 i8 i8 i8 i8", _NCC),
     "trackers.skin.skin_kernels.read_patch": ("u1:2 f8 f8 f8 i8 i8", _NCC),
     "trackers.skin.skin_kernels.variances": ("f8:2x5 f8:2 i8 i8 i8 i8", _NCC),
@@ -81,7 +81,7 @@ KERNELS: Mapping[str, tuple[str, str]] = {
     "trackers.skin.skin_kernels.at_points": ("u1:3 u1:2 f8:2", "likelihood=skin"),
     "trackers.appearance.appearance_kernels.mapped": ("f8:2 f4:2 f4:1", "velocity"),
     "trackers.appearance.appearance_kernels.greys": ("f4:1", _LOOKS),
-    "trackers.points.window_kernels.extent": ("f8:3 f8", f"{_COLOURS} likelihood=skin"),
+    "trackers.points.point_kernels.extent": ("f8:3 f8", f"{_COLOURS} likelihood=skin"),
 }
 _SECOND = """import json, os, stat, sys; from threading import Thread  # its input ends with the process that began it
 if stat.S_ISFIFO(os.fstat(0).st_mode): Thread(target=lambda: os._exit(len(os.read(0, 1))), daemon=True).start()

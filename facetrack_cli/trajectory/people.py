@@ -16,10 +16,9 @@ from facetrack_cli.core.errors import InputError, UsageError, reading
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import checked_name
-from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.reader import MAX_FRAME, not_as_written
-from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
+from facetrack_cli.trajectory.views import Clock, choose
 
 PEOPLE: Final = "people.json"
 PERSON: Final = "person_"

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
 
-    from facetrack_cli.trajectory.analysis.face_events import FaceEvent
-    from facetrack_cli.trajectory.analysis.measures import Measured
+    from facetrack_cli.trajectory.face_events import FaceEvent
+    from facetrack_cli.trajectory.measures import Measured
     from facetrack_cli.trajectory.people import People
 
 Status: TypeAlias = Literal["init", "tracked", "hidden", "lost", "absent"]
@@ -235,14 +235,14 @@ class Trajectory:
     @cached_property
     def measures(self) -> Mapping[str, Mapping[str, Measured]]:
         """Of each target what its face does, or the hand, by the measure's name."""
-        from facetrack_cli.trajectory.analysis.measures import hand_measures, measures_of
+        from facetrack_cli.trajectory.measures import hand_measures, measures_of
 
         return {target: measures_of(self.of_target(target)) for target in self.targets} | hand_measures(self)
 
     @cached_property
     def events(self) -> tuple[FaceEvent, ...]:
         """When mouths open and close, eyes blink, heads nod, hands move, hold still and touch, in the order of time."""
-        from facetrack_cli.trajectory.analysis.face_events import events_of
+        from facetrack_cli.trajectory.face_events import events_of
 
         kinds = (kind for name, found in self.measures.items() for kind in events_of(name, found).values())
         return tuple(sorted(event for kind in kinds for event in kind))
@@ -278,9 +278,9 @@ class Trajectory:
         return {name: (own[name] if name in own else getattr(self, name))[order] for name in COLUMNS}
 
     def _repr_html_(self) -> str:
-        from facetrack_cli.trajectory.frames import html
+        from facetrack_cli.trajectory.formats.tables import html_table
 
-        return html(self)
+        return html_table(self)
 
     def _repr_png_(self) -> bytes | None:
         """The plot of all of it; None where it cannot be drawn."""
@@ -313,7 +313,7 @@ class Trajectory:
         one, whose number is the coordinate `frame`; what is not known is nan. Lost rows have the tracker's estimate.
         UsageError without xarray, which the extra `xarray` brings.
         """
-        from facetrack_cli.trajectory.frames import dataset
+        from facetrack_cli.trajectory.formats.tables import dataset
 
         return dataset(self)
 
@@ -324,7 +324,7 @@ class Trajectory:
         of the columns has those of its target and frame, too, a column each. UsageError without pandas, which the
         extra `pandas` brings.
         """
-        from facetrack_cli.trajectory.frames import data_frame
+        from facetrack_cli.trajectory.formats.tables import data_frame
 
         return data_frame(self, what, measures=measures)
 

@@ -23,8 +23,8 @@ from facetrack_cli.trajectory.formats import EXPORTS
 from facetrack_cli.trajectory.formats.boxes import read_got10k, read_mot, read_otb, read_vot
 from facetrack_cli.trajectory.formats.keypoints import write_dlc_h5
 from facetrack_cli.trajectory.reader import read_trajectory
-from facetrack_cli.trajectory.select import enclose
 from facetrack_cli.trajectory.trajectory import COLUMNS, joined, one_part
+from facetrack_cli.trajectory.views import enclose
 from facetrack_cli.trajectory.writers import SCHEMA
 
 FORMS = ("csv-wide", "openface", "mot", "otb", "got10k", "vot", "coco", "dlc", "eaf", "cvat", "labelstudio")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.__main__ import main
-from facetrack_cli.core.log import VARIABLE, log_line
+from facetrack_cli.core.errors import LOG_FORMAT, log_line
 from facetrack_cli.recipe.load import find_recipe, read_recipe
 from facetrack_cli.runs import progress as module
 from facetrack_cli.runs.progress import Bar, progress
@@ -18,7 +18,7 @@ from tests.support.samples import FOLDER
 
 @pytest.fixture(autouse=True)
 def plain_afterwards(monkeypatch):
-    monkeypatch.setenv(VARIABLE, "")  # so that what main() sets ends with the test
+    monkeypatch.setenv(LOG_FORMAT, "")  # so that what main() sets ends with the test
 
 
 def objects(text):
@@ -104,13 +104,13 @@ def test_errors_are_objects(tmp_path, capfd):
     ],
 )
 def test_the_level_of_a_line(monkeypatch, line, level, message):
-    monkeypatch.setenv(VARIABLE, "json")
+    monkeypatch.setenv(LOG_FORMAT, "json")
     said = json.loads(log_line(line, clip=None, done=1))
     assert said["level"] == level and said["message"].startswith(message) and "clip" not in said and said["done"] == 1
 
 
 def test_quiet_is_quiet(monkeypatch, capfd):
-    monkeypatch.setenv(VARIABLE, "json")
+    monkeypatch.setenv(LOG_FORMAT, "json")
     with progress(quiet=True) as shown:
         shown.begin("[1/3] a.mp4")
         shown.update(1, 2)

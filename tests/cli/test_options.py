@@ -78,7 +78,7 @@ def test_recipes_are_completed_without_loading_anything_heavy():
         _FACETRACK_COMPLETE="bash_complete", COMP_WORDS="facetrack run --config f", COMP_CWORD="3",
     )  # fmt: skip
     imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
-    assert "plain,face" in done.stdout.split() and "facetrack_cli.cli.types" in imported
+    assert "plain,face" in done.stdout.split() and "facetrack_cli.cli.options" in imported
     assert {name.partition(".")[0] for name in imported} & HEAVY == set()
     assert "facetrack_cli.recipe" not in imported
 

@@ -24,7 +24,7 @@ from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.files import FileSink, check_new, check_readable, publish, write_new
 from facetrack_cli.core.npz import STORED, flatten, restore
 from facetrack_cli.core.types import Particles, TargetStart
-from facetrack_cli.engine.calibration import load_calibration
+from facetrack_cli.engine.confidence import load_calibration
 from facetrack_cli.runs.smooth import KIND
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.appearance.gallery import load_gallery, name_problem

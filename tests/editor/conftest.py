@@ -2,7 +2,7 @@
 
 import pytest
 
-from facetrack_cli.editor.web import server as server_module
+from facetrack_cli.editor import server as server_module
 from tests.support.browser import command, fix, pages, pick, served, windows  # noqa: F401 -- fixtures
 
 

@@ -7,10 +7,10 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.editor import project as project_module
+from facetrack_cli.editor import session as session_module
+from facetrack_cli.editor.app_session import PROGRAMS, AppSession, likely_in
 from facetrack_cli.editor.project import Project
-from facetrack_cli.editor.web import session as session_module
-from facetrack_cli.editor.web.app_session import PROGRAMS, AppSession, likely_in
-from facetrack_cli.editor.web.server import serving
+from facetrack_cli.editor.server import serving
 from facetrack_cli.run_folder.manifest import read_manifest
 from facetrack_cli.video.seek import Frames
 from tests.support.page_client import Client, drive, wait_for

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from facetrack_cli.__main__ import main
+from facetrack_cli.editor import app_session
+from facetrack_cli.editor.app_session import AppSession
 from facetrack_cli.editor.project import Project
-from facetrack_cli.editor.web import app_session
-from facetrack_cli.editor.web.app_session import AppSession
-from facetrack_cli.editor.web.server import serving
+from facetrack_cli.editor.server import serving
 from facetrack_cli.run_folder.manifest import read_manifest
 from tests.support.browser import DESK, PHONE
 from tests.support.samples import cut

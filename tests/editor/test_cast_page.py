@@ -9,8 +9,8 @@ import pytest
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode
-from facetrack_cli.editor.web.cast_session import CastSession
-from facetrack_cli.editor.web.server import serving
+from facetrack_cli.editor.fix_session import CastSession
+from facetrack_cli.editor.server import serving
 from facetrack_cli.trajectory.people import read_people
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.video.seek import Frames

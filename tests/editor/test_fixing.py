@@ -19,18 +19,17 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, OutputError
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor import history
+from facetrack_cli.editor.fix_session import overview
 from facetrack_cli.editor.history import Fixer, Task, corrections_of, recorded_footprint, spans_of
 from facetrack_cli.editor.save import keep, save
-from facetrack_cli.editor.web.fix_session import overview
 from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.runs.signals import StoppedError
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.face.detectors import detector
-from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
-from facetrack_cli.trajectory.reader import read_trajectory
-from facetrack_cli.trajectory.select import choose
+from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED, read_trajectory
+from facetrack_cli.trajectory.views import choose
 from facetrack_cli.trajectory.writers import csv_frames, json_frames
-from facetrack_cli.video.overlay.overlay import Overlay
+from facetrack_cli.video.overlay import Overlay
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
 from tests.support.hands_run import hands_run

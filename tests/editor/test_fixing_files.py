@@ -21,7 +21,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.finished import check_size, open_run, read_files, recipe_of
 from facetrack_cli.run_folder.lease import NOTE, FolderLease
-from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
+from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED
 from facetrack_cli.video.seek import Frames
 from tests.support.leases import abandon
 from tests.support.samples import FOLDER

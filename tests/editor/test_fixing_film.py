@@ -16,7 +16,7 @@ from facetrack_cli.editor.save import keep, open_track, save
 from facetrack_cli.runs.people import people_in, recast, rows_in
 from facetrack_cli.trackers.face.target import FaceTarget
 from facetrack_cli.trajectory import people as changes
-from facetrack_cli.trajectory.header import UNSAVED
+from facetrack_cli.trajectory.reader import UNSAVED
 from facetrack_cli.video.seek import Frames
 from tests.support.film_run import FILM, film_run
 

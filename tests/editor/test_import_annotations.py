@@ -12,8 +12,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, TargetStart
 from facetrack_cli.editor.import_annotations import imported_corrections, renames
 from facetrack_cli.run_folder.finished import open_run
-from facetrack_cli.trajectory.header import CORRECTED
-from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.reader import CORRECTED, read_trajectory
 from tests.support.samples import FOLDER
 
 FRAMES = 10

@@ -15,14 +15,14 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.types import Correction
 from facetrack_cli.editor import save as saving
+from facetrack_cli.editor import session as session_module
+from facetrack_cli.editor.fix_session import doubtful, overview
 from facetrack_cli.editor.history import Fixer
-from facetrack_cli.editor.web import session as session_module
-from facetrack_cli.editor.web.fix_session import doubtful, overview
-from facetrack_cli.editor.web.server import run_page
+from facetrack_cli.editor.server import run_page
 from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.run_folder.manifest import write_rows
 from facetrack_cli.start.init_file import read_init
-from facetrack_cli.trajectory.header import CORRECTED, UNSAVED
+from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED
 from facetrack_cli.trajectory.trajectory import Collector
 from tests.support import results
 from tests.support.browser import READY

@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
-from facetrack_cli.editor.web import server as server_module
-from facetrack_cli.editor.web import session as session_module
-from facetrack_cli.editor.web.pick_session import start_of
-from facetrack_cli.editor.web.session import Draft, DraftTarget, RefusedError
+from facetrack_cli.editor import server as server_module
+from facetrack_cli.editor import session as session_module
+from facetrack_cli.editor.pick_session import start_of
+from facetrack_cli.editor.session import Draft, DraftTarget, RefusedError
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.start.assembly import name_targets
 from facetrack_cli.start.init_file import read_init, write_init
@@ -90,7 +90,7 @@ def test_what_a_recipe_requires(clips):
 
 def looking(monkeypatch, find):
     """The page finds faces so."""
-    monkeypatch.setattr("facetrack_cli.editor.web.session.detector", lambda: SimpleNamespace(find=find))
+    monkeypatch.setattr("facetrack_cli.editor.session.detector", lambda: SimpleNamespace(find=find))
 
 
 def test_the_faces_of_a_frame_are_proposed_once(clips, monkeypatch):

@@ -16,8 +16,8 @@ import pytest
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame
-from facetrack_cli.editor.web.server import ADDRESS, HEADERS, MAX_BODY_BYTES, MAX_REFUSED_BYTES, Server, assets, serving
-from facetrack_cli.editor.web.session import Answer, Draft, DraftTarget, RefusedError, Route, Session, crop, jpeg
+from facetrack_cli.editor.server import ADDRESS, HEADERS, MAX_BODY_BYTES, MAX_REFUSED_BYTES, Server, assets, serving
+from facetrack_cli.editor.session import Answer, Draft, DraftTarget, RefusedError, Route, Session, crop, jpeg
 from tests.support.page_client import Client, wait_for
 
 LARGE = b"\xff" * 40_000_000  # more than the buffers of any connection hold
@@ -225,7 +225,7 @@ def test_every_answer_has_the_headers(client):
 
 def test_the_files_of_the_page_are_served_and_no_others(shared):
     _, client = shared
-    folder = resources.files("facetrack_cli.editor.web").joinpath("assets")
+    folder = resources.files("facetrack_cli.editor").joinpath("assets")
     assert set(assets()) == {file.name for file in folder.iterdir()}
     for name, asset in assets().items():
         got = client.get(name)

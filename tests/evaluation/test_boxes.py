@@ -13,7 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.geometry import centre, iou, square
-from facetrack_cli.evaluation.boxes import centre_errors, measure_boxes, share_above, share_up_to, vot_overlaps, within
+from facetrack_cli.evaluation.accuracy import (
+    centre_errors,
+    measure_boxes,
+    share_above,
+    share_up_to,
+    vot_overlaps,
+    within,
+)
 from tests.peers import cases
 from tests.twins import boxes as naive_boxes
 

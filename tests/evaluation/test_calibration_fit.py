@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.engine.calibration import RISES
+from facetrack_cli.engine.confidence import RISES
 from facetrack_cli.evaluation.reliability import ELLIPSE_90
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import to_dict

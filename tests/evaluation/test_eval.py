@@ -17,7 +17,7 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.cli.app import cli
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import iou
-from facetrack_cli.evaluation.boxes import measure_boxes
+from facetrack_cli.evaluation.accuracy import measure_boxes
 from facetrack_cli.evaluation.rows import Pair
 from facetrack_cli.evaluation.summary import MEASURES, evaluate, scalars
 from facetrack_cli.trajectory.trajectory import one_part

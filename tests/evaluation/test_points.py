@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as arrays
 
 from facetrack_cli.core.errors import UsageError
 from facetrack_cli.evaluation import reliability
-from facetrack_cli.evaluation.points import auc, lost_for_good, measure_points, measure_recovery, occlusions
+from facetrack_cli.evaluation.accuracy import auc, lost_for_good, measure_points, measure_recovery, occlusions
 from facetrack_cli.evaluation.reliability import (
     ELLIPSE_50,
     ELLIPSE_90,

@@ -25,7 +25,7 @@ def parsers() -> dict[str, Callable[[Path, bytes], object]]:
     """By name; each gets an empty folder, and bytes. The package is loaded here, under atheris if that guides."""
     from facetrack_cli.core.errors import InputError
     from facetrack_cli.core.npz import read_value
-    from facetrack_cli.engine.calibration import load_calibration
+    from facetrack_cli.engine.confidence import load_calibration
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.run_folder import lease
     from facetrack_cli.run_folder.checkpoint import KIND
@@ -35,9 +35,8 @@ def parsers() -> dict[str, Callable[[Path, bytes], object]]:
     from facetrack_cli.trackers.appearance.gallery import load_gallery
     from facetrack_cli.trackers.people.descriptor import load_people
     from facetrack_cli.trackers.points.shape_prior import load_prior
-    from facetrack_cli.trajectory.header import read_header
     from facetrack_cli.trajectory.people import read_people, read_still
-    from facetrack_cli.trajectory.reader import read_trajectory
+    from facetrack_cli.trajectory.reader import read_header, read_trajectory
 
     def put(folder: Path, name: str, data: bytes) -> Path:
         (folder / name).write_bytes(data)

@@ -15,7 +15,7 @@ from facetrack_cli.report import figures as plots
 from facetrack_cli.report.figures import style as plot_style
 from facetrack_cli.report.figures.page import USUAL
 from facetrack_cli.report.figures.style import MAX_LINES, columns_for, lines_of, numbers
-from facetrack_cli.trajectory.analysis.measures import MEASURES
+from facetrack_cli.trajectory.measures import MEASURES
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.support.face_shape import moving_face
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facetrack_cli.cli.types import FIGURES
+from facetrack_cli.cli.options import FIGURES
 from facetrack_cli.evaluation.reliability import reliability_bins
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report.figures import style

@@ -21,15 +21,13 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.core.geometry import corners
-from facetrack_cli.report import frames as report_frames
 from facetrack_cli.report import make as report
-from facetrack_cli.report.frames import MAX_BYTES, Image, _jpeg, key_images
-from facetrack_cli.report.make import make_report
+from facetrack_cli.report import make as report_frames
+from facetrack_cli.report.make import MAX_BYTES, Image, _jpeg, key_images, make_report
 from facetrack_cli.report.story import identities
 from facetrack_cli.run_folder.manifest import read_manifest
-from facetrack_cli.trajectory.clock import Clock
-from facetrack_cli.trajectory.header import read_header
-from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.reader import read_header, read_trajectory
+from facetrack_cli.trajectory.views import Clock
 from facetrack_cli.trajectory.writers import RunSummary
 from tests.runs.test_run import SMALL, make_clip
 from tests.support.media import number, numbered, write_pictures, write_video

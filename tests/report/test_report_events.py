@@ -12,13 +12,12 @@ from facetrack_cli.core.models import shipped_recipes
 from facetrack_cli.core.types import Start
 from facetrack_cli.recipe.load import _shipped, calibrated, load_recipe
 from facetrack_cli.recipe.model import to_dict
-from facetrack_cli.report.command_line import command, recipe_yaml
+from facetrack_cli.report.make import command, recipe_yaml
 from facetrack_cli.report.story import _trust, doubts, history_of, key_frames, number, reasons, to_look_at
 from facetrack_cli.runs.verdict import RunMonitor
-from facetrack_cli.trajectory.clock import Clock
-from facetrack_cli.trajectory.header import read_header
-from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.trajectory import joined, mean_confidence
+from facetrack_cli.trajectory.views import Clock
 from tests.support.face_shape import moving_face
 from tests.support.report_run import LOST, write_run
 from tests.support.samples import FOLDER

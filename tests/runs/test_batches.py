@@ -25,7 +25,7 @@ from facetrack_cli.run_folder.status import MAX_ROWS, ClipStatus, duration, wors
 from facetrack_cli.runs import plan as jobs
 from facetrack_cli.runs.batch import expand
 from facetrack_cli.runs.plan import Outcome
-from facetrack_cli.video.files import brings_rate
+from facetrack_cli.video.source import brings_rate
 from tests.support.leases import ELSEWHERE, leave
 from tests.support.samples import FOLDER
 from tests.support.sway import FACETRACK, SMALL, make_clip, until

@@ -17,7 +17,7 @@ import pytest
 
 import facetrack_cli as facetrack
 from facetrack_cli.__main__ import main
-from facetrack_cli.cli.types import frame_at
+from facetrack_cli.cli.options import frame_at
 from facetrack_cli.core.errors import BusyError, ExitCode, InputError, UsageError
 from facetrack_cli.run_folder import checkpoint
 from facetrack_cli.run_folder.lease import NOTE, FolderLease
@@ -30,9 +30,9 @@ from facetrack_cli.runs.signals import Stop, StoppedError
 from facetrack_cli.start import presence
 from facetrack_cli.trackers.people.descriptor import FaceDescriptor, load_people, save_people
 from facetrack_cli.trackers.people.identity import UNKNOWN, Cast, Doubt, TrackSummary, cast_of
-from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.people import read_people, read_still, rename, under_names
 from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.views import Clock
 from facetrack_cli.video.shots import Shot
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter

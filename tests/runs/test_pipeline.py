@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.types import Frame
-from facetrack_cli.runs import pipeline
+from facetrack_cli.runs import workers
 from facetrack_cli.trajectory.trajectory import FrameResult
 
 both = pytest.mark.parametrize("threaded", [False, True], ids=["one-thread", "threads"])
@@ -44,9 +44,9 @@ class Seen(list):
 
 def run(given, record, paint, *, track=lambda frame: None, threaded=True, stopped=lambda: False):
     """The stages as a run puts them together."""
-    painter = pipeline.Painter(paint, threaded=threaded)
+    painter = workers.Painter(paint, threaded=threaded)
     try:
-        with pipeline.decoded_ahead(given, threaded=threaded, stopped=stopped) as decoded:
+        with workers.decoded_ahead(given, threaded=threaded, stopped=stopped) as decoded:
             for frame in decoded:
                 track(result := FrameResult(frame, ()))
                 record(result)
@@ -111,10 +111,10 @@ def test_a_stop_is_granted_while_the_decoder_hangs():
     assert recorded == painted == [0, 1, 2]
 
 
-@pytest.mark.parametrize(("most_bytes", "queue"), [(pipeline.MAX_QUEUE_BYTES, pipeline.MAX_QUEUE), (25, 2), (1, 1)])
+@pytest.mark.parametrize(("most_bytes", "queue"), [(workers.MAX_QUEUE_BYTES, workers.MAX_QUEUE), (25, 2), (1, 1)])
 def test_queues_are_short_and_those_of_large_frames_shorter(monkeypatch, most_bytes, queue):
     """What has been decoded is never far ahead of what has been painted; frames of 12 bytes here."""
-    monkeypatch.setattr(pipeline, "MAX_QUEUE_BYTES", most_bytes)
+    monkeypatch.setattr(workers, "MAX_QUEUE_BYTES", most_bytes)
     made, ahead = [], []
 
     def paint(result):

@@ -25,7 +25,7 @@ from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.run_folder import manifest
 from facetrack_cli.runs.batch import folders, variant_name
 from facetrack_cli.runs.signals import Stop, TerminatedError, raising
-from facetrack_cli.video.overlay.overlay import Overlay
+from facetrack_cli.video.overlay import Overlay
 from facetrack_cli.video.source import open_source
 from facetrack_cli.video.writer import VideoWriter
 from tests.support.samples import FOLDER

@@ -19,10 +19,9 @@ from facetrack_cli.runs import batch
 from facetrack_cli.runs.plan import Split
 from facetrack_cli.runs.split import OVERLAP_S, ChunkPlan, Seam, agreeing, cut_by_length, read_plan, renamed, stitch
 from facetrack_cli.start.init_file import write_init
-from facetrack_cli.trajectory.clock import Clock
-from facetrack_cli.trajectory.header import read_header
-from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.trajectory import joined, one_part
+from facetrack_cli.trajectory.views import Clock
 from facetrack_cli.video.source import open_source
 from tests.support import media
 from tests.support.samples import FOLDER as SAMPLES

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
+from facetrack_cli.editor import server
+from facetrack_cli.editor.fix_session import FixSession
 from facetrack_cli.editor.history import Fixer
-from facetrack_cli.editor.web import server
-from facetrack_cli.editor.web.fix_session import FixSession
-from facetrack_cli.editor.web.pick_session import PickSession
+from facetrack_cli.editor.pick_session import PickSession
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.video.seek import Frames

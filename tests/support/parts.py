@@ -6,8 +6,7 @@ from functools import partial
 from facetrack_cli.engine import filters as steps
 from facetrack_cli.recipe.sections import AuxiliarySettings, FactorizedSettings, SirSettings, type_of
 from facetrack_cli.trackers.appearance.affine import AffineWalk, PredictedWalk
-from facetrack_cli.trackers.appearance.appearance import Appearance
-from facetrack_cli.trackers.appearance.recognition import Recognition
+from facetrack_cli.trackers.appearance.appearance import Appearance, Recognition
 from facetrack_cli.trackers.appearance.settings import (
     AdaptiveSettings,
     AffineWalkSettings,
@@ -20,9 +19,7 @@ from facetrack_cli.trackers.box.hidden_box import VisibleWalk
 from facetrack_cli.trackers.box.settings import GuidedSettings, VisibleWalkSettings
 from facetrack_cli.trackers.points.colour_ratio import ColourRatio
 from facetrack_cli.trackers.points.settings import ColourRatioSettings
-from facetrack_cli.trackers.regions.contour import Contour
-from facetrack_cli.trackers.regions.correlation import Correlation
-from facetrack_cli.trackers.regions.histogram import Histogram
+from facetrack_cli.trackers.regions.likelihoods import Contour, Correlation, Histogram
 from facetrack_cli.trackers.regions.settings import ContourSettings, CorrelationSettings, HistogramSettings
 from facetrack_cli.trackers.skin.cloud import SkinCloud
 from facetrack_cli.trackers.skin.settings import PatternSettings, SkinCloudSettings, SkinNccSettings, SkinSettings

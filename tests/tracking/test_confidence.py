@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError, RecipeError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.engine import confidence as judging
-from facetrack_cli.engine.calibration import Calibration, CrossChecked, Isotonic, Logistic, features, load_calibration
+from facetrack_cli.engine.confidence import Calibration, CrossChecked, Isotonic, Logistic, features, load_calibration
 from facetrack_cli.recipe.load import check_recipe, load_recipe
 from facetrack_cli.recipe.model import ConfidenceSettings
 from facetrack_cli.runs.api import track_video

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facetrack_cli.trackers.regions import region_kernels as kernel
-from facetrack_cli.trackers.regions.contour import ellipse
+from facetrack_cli.trackers.regions.likelihoods import ellipse
 from tests.support import parts
 from tests.support.images import grey, states
 from tests.twins import regions as naive_contour

@@ -26,7 +26,7 @@ from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trackers.appearance.affine import AffineSpace
 from facetrack_cli.trackers.skin.cloud import CloudSpace
-from facetrack_cli.trajectory.header import CORRECTED
+from facetrack_cli.trajectory.reader import CORRECTED
 from facetrack_cli.trajectory.trajectory import joined
 from facetrack_cli.trajectory.writers import csv_frames
 from tests.support.results import parts_of

@@ -13,25 +13,22 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Correction, Start, TargetStart
+from facetrack_cli.evaluation.accuracy import measure_points, measure_recovery, occlusions
 from facetrack_cli.evaluation.goldens import read_golden, write_golden
-from facetrack_cli.evaluation.points import measure_points, measure_recovery, occlusions
 from facetrack_cli.evaluation.reliability import measure_confidence, measure_coverage, measure_lost
 from facetrack_cli.evaluation.rows import match
 from facetrack_cli.evaluation.summary import evaluate
 from facetrack_cli.report import figures as plots
 from facetrack_cli.report import make
-from facetrack_cli.report.command_line import command, init_yaml
-from facetrack_cli.report.frames import Image
+from facetrack_cli.report.make import Image, command, init_yaml
 from facetrack_cli.report.story import history_of, key_frames
 from facetrack_cli.start.init_file import read_init
-from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.formats.boxes import write_mot, write_otb, write_vot
 from facetrack_cli.trajectory.formats.eaf import spans_of
 from facetrack_cli.trajectory.formats.keypoints import write_coco, write_dlc
-from facetrack_cli.trajectory.header import read_header
-from facetrack_cli.trajectory.reader import read_trajectory
-from facetrack_cli.trajectory.select import enclose
+from facetrack_cli.trajectory.reader import read_header, read_trajectory
 from facetrack_cli.trajectory.trajectory import Collector, joined, one_part
+from facetrack_cli.trajectory.views import Clock, enclose
 from facetrack_cli.trajectory.writers import WRITERS, RunSummary
 from tests.evaluation.test_goldens import golden_in
 from tests.evaluation.test_points import rows, statuses

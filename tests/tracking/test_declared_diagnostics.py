@@ -16,8 +16,7 @@ from facetrack_cli.report import figures as plots
 from facetrack_cli.run_folder.finished import open_run
 from facetrack_cli.trackers.points import colour_ratio
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, Diagnostic
-from facetrack_cli.trajectory.header import CORRECTED
-from facetrack_cli.trajectory.reader import read_trajectory
+from facetrack_cli.trajectory.reader import CORRECTED, read_trajectory
 from facetrack_cli.video.source import open_source
 from tests.support.samples import FOLDER
 from tests.trajectory.test_writers import plain

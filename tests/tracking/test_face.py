@@ -19,7 +19,7 @@ from facetrack_cli.trackers.face import detectors
 from facetrack_cli.trackers.face.detectors import place
 from facetrack_cli.trackers.face.stabilized import BOX as STILL_BOX
 from facetrack_cli.trackers.face.stabilized import EYES, FACE, MIDDLE, SIDE, Similarity, change_between
-from facetrack_cli.trajectory.header import StartRecord, to_record
+from facetrack_cli.trajectory.reader import StartRecord, to_record
 from facetrack_cli.trajectory.trajectory import UNSEEN
 from tests.support import moving_face as moving
 from tests.support.media import write_pictures

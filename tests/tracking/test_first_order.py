@@ -9,7 +9,7 @@ from facetrack_cli.core.types import Particles
 from facetrack_cli.engine.motion import FirstOrder
 from facetrack_cli.engine.resampling import uniform
 from facetrack_cli.engine.spaces import BoxSpace, evenly
-from facetrack_cli.trackers.regions.correlation import Product
+from facetrack_cli.trackers.regions.likelihoods import Product
 from tests.support.parts import auxiliary, factorized, sir
 
 A = np.array([[1.0, 0.9], [0.0, 0.8]])

@@ -10,7 +10,7 @@ from facetrack_cli.core.types import Frame, planes_of
 from facetrack_cli.engine import resampling
 from facetrack_cli.trackers.face.image_kernels import coloured
 from facetrack_cli.trackers.face.stabilized import Similarity
-from facetrack_cli.trackers.points import window_kernels as windows
+from facetrack_cli.trackers.points import point_kernels as windows
 from tests.twins import points as naive
 
 

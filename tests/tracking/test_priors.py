@@ -13,7 +13,7 @@ from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.report.figures.models import prior_figure
 from facetrack_cli.report.figures.style import COLOURS, FAINT, render
 from facetrack_cli.trackers.face.shape_prior import StudentPrior
-from facetrack_cli.trackers.points.shape_kernels import LANES, PADDING, parzen
+from facetrack_cli.trackers.points.point_kernels import LANES, PADDING, parzen
 from facetrack_cli.trackers.points.shape_prior import (
     BoundPrior,
     ShapePrior,

@@ -12,7 +12,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
 from facetrack_cli.start.assembly import hand_regions
 from facetrack_cli.trackers.skin import skin_kernels as kernel
-from facetrack_cli.trackers.skin.colour import MIN_CONTRAST, MIN_VARIANCE, kovac, learn_skin
+from facetrack_cli.trackers.skin.cloud import MIN_CONTRAST, MIN_VARIANCE, kovac, learn_skin
 from facetrack_cli.trackers.skin.settings import LEAST_SHARE
 from tests.twins import skin as naive
 

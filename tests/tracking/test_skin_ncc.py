@@ -12,7 +12,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Particles
 from facetrack_cli.trackers.skin import skin_kernels as kernel
 from facetrack_cli.trackers.skin import skin_ncc as matching
-from facetrack_cli.trackers.skin.colour import learn_skin
+from facetrack_cli.trackers.skin.cloud import learn_skin
 from facetrack_cli.trackers.skin.settings import SkinNccSettings
 from facetrack_cli.trackers.skin.skin_ncc import MIN_NCC
 from tests.support.images import frame, grey, smooth, states

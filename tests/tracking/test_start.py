@@ -11,9 +11,9 @@ from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.types import Frame, Start, TargetStart
 from facetrack_cli.start.init_file import check_start, find_init, read_init
-from facetrack_cli.start.preview import draw_start
 from facetrack_cli.start.search import box_start, search_start
 from facetrack_cli.trackers.face.detectors import PARTS, find_faces, mean_eyes, place
+from facetrack_cli.video.overlay import draw_start
 from tests.support.samples import TrackClip
 
 CLIPS = Path(os.environ.get("FACETRACK_CLIPS", "clips"))

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.trajectory.diagnostics import AFFINE, KNOWN, POSTERIOR, SCALE, Diagnostic, Diagnostics
 from facetrack_cli.trajectory.reader import read_trajectory
-from facetrack_cli.trajectory.select import choose
 from facetrack_cli.trajectory.trajectory import successive
+from facetrack_cli.trajectory.views import choose
 from facetrack_cli.trajectory.writers import SCHEMA, as_written
 from tests.support import results, trajectories
 from tests.support.results import result

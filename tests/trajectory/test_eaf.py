@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
-from facetrack_cli.trajectory.analysis import face_events
-from facetrack_cli.trajectory.analysis.head_motion import KINDS, LABELS
+from facetrack_cli.trajectory import face_events
 from facetrack_cli.trajectory.formats.eaf import IDS, ORDER, VOCABULARIES, add_tiers, read_tiers, spans_of, write_eaf
+from facetrack_cli.trajectory.head import KINDS, LABELS
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from tests.support.face_shape import moving_face
 

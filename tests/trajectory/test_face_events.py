@@ -7,8 +7,8 @@ import pytest
 
 import facetrack_cli as facetrack
 from facetrack_cli.recipe.load import load_recipe
-from facetrack_cli.trajectory.analysis.face_events import Chain, events_of
-from facetrack_cli.trajectory.analysis.measures import SHARE, Measured
+from facetrack_cli.trajectory.face_events import Chain, events_of
+from facetrack_cli.trajectory.measures import SHARE, Measured
 from tests.support.face_shape import moving_face
 from tests.support.samples import FOLDER
 from tests.twins import hidden_markov

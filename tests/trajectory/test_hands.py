@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facetrack_cli.trajectory.analysis.head_motion import head_motion
 from facetrack_cli.trajectory.formats.eaf import write_eaf
 from facetrack_cli.trajectory.formats.tables import Clip, write_measures
+from facetrack_cli.trajectory.head import head_motion
 from facetrack_cli.trajectory.trajectory import joined, one_part
 
 N, SIDE = 60, 100.0  # a face of 100 pixels, at 25 frames/s

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from facetrack_cli.trajectory.analysis.head_motion import KINDS, head_motion, kinds_of
+from facetrack_cli.trajectory.head import KINDS, head_motion, kinds_of
 from facetrack_cli.trajectory.trajectory import one_part
 
 POINTS = {"nose": (0, -30), "mouth_left": (-25, 8), "mouth_right": (25, 8), "lip_upper": (0, 0), "lip_lower": (0, 15)}

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facetrack_cli.trajectory.analysis.head_pose import SHAPE, SPREAD, euler, fit_pose, head_pose, rotation_of
+from facetrack_cli.trajectory.head import SHAPE, SPREAD, euler, fit_pose, head_pose, rotation_of
 from facetrack_cli.trajectory.trajectory import one_part
 from tests.twins import head_pose as twin
 

@@ -10,10 +10,10 @@ import pytest
 
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.face_points import MESH, POINTS
-from facetrack_cli.trajectory.analysis.head_pose import SHAPE, rotation_of
 from facetrack_cli.trajectory.formats.boxes import NAMED
 from facetrack_cli.trajectory.formats.keypoints import COLUMNS, IN_MESH, LANDMARKS, write_openface
 from facetrack_cli.trajectory.formats.tables import write_pose
+from facetrack_cli.trajectory.head import SHAPE, rotation_of
 from facetrack_cli.trajectory.trajectory import joined, one_part
 from facetrack_cli.video.source import open_source
 from tests.support.samples import FOLDER

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from facetrack_cli.core.errors import InputError, UsageError
-from facetrack_cli.trajectory.clock import Clock
 from facetrack_cli.trajectory.people import (
     PEOPLE,
     People,
@@ -21,6 +20,7 @@ from facetrack_cli.trajectory.people import (
     under_names,
 )
 from facetrack_cli.trajectory.trajectory import build
+from facetrack_cli.trajectory.views import Clock
 
 
 def track(person, first, stop, **more):

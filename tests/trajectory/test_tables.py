@@ -22,7 +22,7 @@ from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.core.face_points import GROUPS
 from facetrack_cli.core.numbers import csv_text
 from facetrack_cli.report import figures as plots
-from facetrack_cli.trajectory.analysis.face_events import FaceEvent
+from facetrack_cli.trajectory.face_events import FaceEvent
 from facetrack_cli.trajectory.formats.keypoints import write_dlc
 from facetrack_cli.trajectory.formats.tables import (
     EVENT_COLUMNS,

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.trajectory.diagnostics import AFFINE, SCALE, Diagnostics
-from facetrack_cli.trajectory.select import enclose
 from facetrack_cli.trajectory.trajectory import (
     COLUMNS,
     FLOATS,
@@ -24,6 +23,7 @@ from facetrack_cli.trajectory.trajectory import (
     recorded,
     successive,
 )
+from facetrack_cli.trajectory.views import enclose
 from tests.support import results
 from tests.support.results import rows_of
 from tests.support.trajectories import known, trajectories

@@ -1,4 +1,4 @@
-"""A slow, plain twin of trajectory/analysis/head_pose.py: one frame, a loop over points, derivatives by differences.
+"""A slow, plain twin of trajectory/head.py: one frame, a loop over points, derivatives by differences.
 
 Written from the formulas and from nothing of ours.
 """

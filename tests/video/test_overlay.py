@@ -15,9 +15,21 @@ from hypothesis import strategies as st
 from facetrack_cli.core.face_points import GROUPS, LINES, POINTS
 from facetrack_cli.core.types import Frame, Image
 from facetrack_cli.trajectory.trajectory import FrameResult, Status, TargetResult, recorded
-from facetrack_cli.video.overlay.labels import Insets, Rect, Shown, StatusBar, adaptation, summary
-from facetrack_cli.video.overlay.marks import PALETTE, Font, Sprite, plain, readable, stamp
-from facetrack_cli.video.overlay.overlay import Overlay
+from facetrack_cli.video.overlay import Overlay
+from facetrack_cli.video.overlay_labels import (
+    PALETTE,
+    Font,
+    Insets,
+    Rect,
+    Shown,
+    Sprite,
+    StatusBar,
+    adaptation,
+    plain,
+    readable,
+    stamp,
+    summary,
+)
 from tests.support import results
 from tests.support.face_shape import SHAPE, moving_face
 from tests.support.results import target

@@ -13,9 +13,9 @@ from PIL import Image as Pictures
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.types import Frame
-from facetrack_cli.report.command_line import command
+from facetrack_cli.report.make import command
 from facetrack_cli.run_folder.finished import open_run
-from facetrack_cli.trajectory.analysis.measures import measures_of
+from facetrack_cli.trajectory.measures import measures_of
 from facetrack_cli.trajectory.trajectory import Trajectory, of_frame, one_part
 from facetrack_cli.video.decode import pixels
 from facetrack_cli.video.seek import Frames

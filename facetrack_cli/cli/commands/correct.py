@@ -11,8 +11,22 @@ from typing import TYPE_CHECKING, TypeAlias
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import Command, Page, flag, option, page_options, refuse, say, working
-from facetrack_cli.cli.types import FILE, NPZ, RUN, frame_at, moment, words
+from facetrack_cli.cli.options import (
+    FILE,
+    NPZ,
+    RUN,
+    Command,
+    Page,
+    flag,
+    frame_at,
+    moment,
+    option,
+    page_options,
+    refuse,
+    say,
+    words,
+    working,
+)
 from facetrack_cli.core.errors import ExitCode, FacetrackError, UsageError
 
 if TYPE_CHECKING:
@@ -20,8 +34,8 @@ if TYPE_CHECKING:
     from facetrack_cli.editor.history import Fixer
     from facetrack_cli.run_folder.finished import Run
     from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.trajectory.clock import Clock
     from facetrack_cli.trajectory.people import People, Tracks
+    from facetrack_cli.trajectory.views import Clock
     from facetrack_cli.video.seek import Frames
 
     Change: TypeAlias = tuple[str, Callable[[Tracks], Tracks]]
@@ -115,7 +129,7 @@ def _track(folder: Path, clip: Path | None, name: str, at: str) -> Run:
     """The track of a person of a film."""
     from facetrack_cli.editor.save import open_track
     from facetrack_cli.runs.people import people_in, rows_in
-    from facetrack_cli.trajectory.clock import Clock
+    from facetrack_cli.trajectory.views import Clock
 
     return open_track(folder, name, frame_at(at, Clock(rows_in(folder), people_in(folder).fps)), clip)
 
@@ -125,7 +139,7 @@ def _apply(fixer: Fixer, file: Path, quiet: bool, *, adds: bool, video: bool) ->
     from facetrack_cli.editor.history import corrections_of, merged
     from facetrack_cli.editor.import_annotations import imported_corrections
     from facetrack_cli.editor.save import save
-    from facetrack_cli.trajectory.header import UNSAVED
+    from facetrack_cli.trajectory.reader import UNSAVED
 
     folder = fixer.run.folder
     unsaved, left_out = folder / UNSAVED, list[str]()
@@ -164,8 +178,8 @@ def _rename(folder: Path, clip: Path | None, file: Path, quiet: bool, *, video: 
     """Take the names that a film's people have in a file of ELAN; the exit code."""
     from facetrack_cli.editor.import_annotations import renames
     from facetrack_cli.runs.people import people_in, recast, rows_in
-    from facetrack_cli.trajectory.header import clip_of
     from facetrack_cli.trajectory.people import rename
+    from facetrack_cli.trajectory.reader import clip_of
 
     at = clip or clip_of(rows_in(folder))
     names = renames(file, people_in(folder).names, at.name if at else "")
@@ -181,9 +195,9 @@ def _rename(folder: Path, clip: Path | None, file: Path, quiet: bool, *, video: 
 
 def _serve_fixer(fixer: Fixer, frames: Frames, page: Page, stop: Stop, *, video: bool) -> int:
     """Serve the page until it is saved or stopped; the exit code."""
+    from facetrack_cli.editor.fix_session import FixSession
     from facetrack_cli.editor.history import corrections_of
-    from facetrack_cli.editor.web.fix_session import FixSession
-    from facetrack_cli.trajectory.header import UNSAVED
+    from facetrack_cli.trajectory.reader import UNSAVED
 
     folder = fixer.run.folder
     kept = folder / UNSAVED
@@ -253,7 +267,7 @@ def people_command(
     """
     from facetrack_cli.core.files import check_new
     from facetrack_cli.runs.people import people_in, recast, rows_in, save_looks
-    from facetrack_cli.trajectory.clock import Clock
+    from facetrack_cli.trajectory.views import Clock
 
     refuse((as_json and as_csv, "--json and --csv both go to standard output; give one of them"))
     given: dict[str, object] = {"--split": split, "--give": give, "--merge": merge, "--rename": rename}
@@ -285,7 +299,7 @@ def people_command(
 
 def _serve_cast(folder: Path, elsewhere: Path | None, page: Page, *, video: bool) -> int:
     """Serve the page until it is saved or stopped; the exit code."""
-    from facetrack_cli.editor.web.cast_session import CastSession
+    from facetrack_cli.editor.fix_session import CastSession
     from facetrack_cli.runs.people import film_of, people_in, rows_in
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.video.seek import Frames

@@ -14,8 +14,7 @@ from pathlib import Path
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import option, refuse, say, write_figure
-from facetrack_cli.cli.types import FILE, FOLDER, FRAME, Text, Whole, words
+from facetrack_cli.cli.options import FILE, FOLDER, FRAME, Text, Whole, option, refuse, say, words, write_figure
 from facetrack_cli.core.errors import InputError, flat
 
 if TYPE_CHECKING:

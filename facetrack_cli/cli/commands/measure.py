@@ -13,9 +13,18 @@ import click
 from facetrack_cli.cli import options
 from facetrack_cli.cli.app import colour
 from facetrack_cli.cli.options import (
+    FILE,
+    FILE_OR_DASH,
+    FOLDER,
+    INPUT,
+    PNG,
+    RECIPE,
+    TRAJECTORY,
     Command,
     Extent,
+    Text,
     TruthOptions,
+    Whole,
     extent_options,
     flag,
     option,
@@ -23,7 +32,6 @@ from facetrack_cli.cli.options import (
     say,
     truth_options,
 )
-from facetrack_cli.cli.types import FILE, FILE_OR_DASH, FOLDER, INPUT, PNG, RECIPE, TRAJECTORY, Text, Whole
 from facetrack_cli.core.errors import ExitCode, InputError, UsageError, flat
 
 if TYPE_CHECKING:
@@ -108,7 +116,7 @@ def eval_command(
     from facetrack_cli.evaluation.summary import About, Options, evaluate, to_csv, to_json, to_text
     from facetrack_cli.run_folder.manifest import check_run, other_clip
     from facetrack_cli.trajectory.formats.read import read_results
-    from facetrack_cli.trajectory.header import clip_of, frame_size_of
+    from facetrack_cli.trajectory.reader import clip_of, frame_size_of
 
     outputs = {"--json": json_file, "--csv": csv_file, "--plot": plot}
     files = {name: Path(file) for name, file in outputs.items() if file is not None and file != "-"}
@@ -161,7 +169,7 @@ def eval_command(
 
 def _truth_beside(ours: Trajectory) -> Path:
     """The ground truth beside the clip of a JSON trajectory."""
-    from facetrack_cli.trajectory.header import clip_of, is_there
+    from facetrack_cli.trajectory.reader import clip_of, is_there
 
     clip = clip_of(ours)
     if clip is None:

@@ -10,8 +10,7 @@ from click.shell_completion import get_completion_class
 
 from facetrack_cli.cli import options
 from facetrack_cli.cli.app import cli, colour
-from facetrack_cli.cli.options import say
-from facetrack_cli.cli.types import RECIPE
+from facetrack_cli.cli.options import RECIPE, say
 from facetrack_cli.core.errors import ExitCode, InputError, RecipeError
 from facetrack_cli.core.models import BROUGHT, MODELS, fetch_model, model_path
 

@@ -13,8 +13,20 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import Command, Extent, extent_options, flag, option, refuse, say
-from facetrack_cli.cli.types import FOLDER_OR_DASH, FRAME, INPUT, Text, Whole
+from facetrack_cli.cli.options import (
+    FOLDER_OR_DASH,
+    FRAME,
+    INPUT,
+    Command,
+    Extent,
+    Text,
+    Whole,
+    extent_options,
+    flag,
+    option,
+    refuse,
+    say,
+)
 from facetrack_cli.core.errors import ExitCode, FacetrackError, InputError, UsageError
 
 if TYPE_CHECKING:
@@ -165,7 +177,7 @@ def run_command(
     from facetrack_cli.runs.progress import progress
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.runs.workers import cores
-    from facetrack_cli.video.files import brings_rate
+    from facetrack_cli.video.source import brings_rate
 
     if live or any(is_live(path) for path in inputs):
         return _live(inputs, live, out, extent, partial(_recipe, config, overrides, seed), faces, gallery)
@@ -329,7 +341,7 @@ def _smoothed(outcome: Outcome, stop: Stop, report: Report | None = None) -> tup
 def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode:
     """Run one clip; its error is the command's."""
     from facetrack_cli.runs.clip import run
-    from facetrack_cli.runs.pipeline import share_threads
+    from facetrack_cli.runs.workers import share_threads
 
     share_threads(job.threads)
     shown.begin(job.clip.name)
@@ -348,7 +360,7 @@ def _one(job: Job, stop: Stop, shown: Progress, after: After | None) -> ExitCode
 
 def _chunks(job: Job, workers: int, stop: Stop, shown: Progress, shard: tuple[int, int]) -> ExitCode:
     """Track the chunks of a clip and join them. A chunk that fails does not stop the others."""
-    from facetrack_cli.core.log import about
+    from facetrack_cli.core.errors import about
     from facetrack_cli.runs.split import run_chunks
 
     whole = None
@@ -374,7 +386,7 @@ def _chunks(job: Job, workers: int, stop: Stop, shown: Progress, shard: tuple[in
 
 def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: After | None) -> ExitCode:
     """Run a batch; each clip's line is printed as it ends, and the failures are counted."""
-    from facetrack_cli.core.log import about
+    from facetrack_cli.core.errors import about
     from facetrack_cli.run_folder.status import clip_status, worst
     from facetrack_cli.runs.batch import check_all
 

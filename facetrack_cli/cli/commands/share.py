@@ -10,8 +10,21 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import TruthOptions, flag, option, refuse, say, truth_options, write_figure
-from facetrack_cli.cli.types import FILE, FILE_OR_DASH, RUN, TRAJECTORY, Number, Text
+from facetrack_cli.cli.options import (
+    FILE,
+    FILE_OR_DASH,
+    RUN,
+    TRAJECTORY,
+    Number,
+    Text,
+    TruthOptions,
+    flag,
+    option,
+    refuse,
+    say,
+    truth_options,
+    write_figure,
+)
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.trajectory.formats import ALIASES, EXPORTS, OF_BOXES, OF_MEDIA
 
@@ -19,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from facetrack_cli.trajectory.formats.tables import Clip
-    from facetrack_cli.trajectory.select import Around
+    from facetrack_cli.trajectory.views import Around
 
 
 @click.command()
@@ -79,7 +92,7 @@ def export_command(
     """
     from facetrack_cli.core.files import StreamSink, check_new, write_new
     from facetrack_cli.runs.export import content, encoded
-    from facetrack_cli.trajectory.header import clip_of
+    from facetrack_cli.trajectory.reader import clip_of
 
     to = ALIASES.get(to, to)
     refuse(
@@ -116,8 +129,8 @@ def _clips(trajectory: Path, to: str, target: str | None, drop_lost: bool) -> tu
     """The trajectory, or those of the many runs in a folder, less what cannot be read; whether there are many."""
     from facetrack_cli.run_folder.manifest import read_run
     from facetrack_cli.trajectory.formats.tables import Clip
-    from facetrack_cli.trajectory.header import clip_of
-    from facetrack_cli.trajectory.select import blank_lost, choose
+    from facetrack_cli.trajectory.reader import clip_of
+    from facetrack_cli.trajectory.views import blank_lost, choose
 
     paths = [] if any(trajectory.glob("trajectory.*")) else trajectory.glob("*/trajectory.*")
     folders = sorted({path.parent for path in paths})
@@ -250,7 +263,7 @@ def plot_command(
     """
     from facetrack_cli.report.figures import measures_figure, page_figure
     from facetrack_cli.run_folder.manifest import PLOT, read_run
-    from facetrack_cli.trajectory.select import choose
+    from facetrack_cli.trajectory.views import choose
 
     if truth is None:
         reference.refuse(target=False)

@@ -9,8 +9,21 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from facetrack_cli.cli import options
-from facetrack_cli.cli.options import Page, flag, option, page_options, refuse, say
-from facetrack_cli.cli.types import FILE_OR_DASH, FOLDER, FRAME, INPUT, PNG, PROJECT, RECIPE
+from facetrack_cli.cli.options import (
+    FILE_OR_DASH,
+    FOLDER,
+    FRAME,
+    INPUT,
+    PNG,
+    PROJECT,
+    RECIPE,
+    Page,
+    flag,
+    option,
+    page_options,
+    refuse,
+    say,
+)
 from facetrack_cli.core.errors import ExitCode, InputError, OutputError, flat
 
 if TYPE_CHECKING:
@@ -37,9 +50,9 @@ def app_command(project: Path, port: int | None, no_open: bool) -> int:
       facetrack app study/
       facetrack app study/ --port 8800 --no-open
     """
+    from facetrack_cli.editor.app_session import AppSession
     from facetrack_cli.editor.project import Project
-    from facetrack_cli.editor.web.app_session import AppSession
-    from facetrack_cli.editor.web.server import run_page
+    from facetrack_cli.editor.server import run_page
     from facetrack_cli.runs.signals import Stop
 
     refuse((project.is_file(), f"{project}: is a file; name a folder for the project, and add clips on its page"))
@@ -115,7 +128,7 @@ def init_command(
     """
     from facetrack_cli.recipe.load import load_recipe
     from facetrack_cli.start.init_file import default_path, write_init
-    from facetrack_cli.start.preview import write_preview
+    from facetrack_cli.video.overlay import write_preview
 
     others = faces == "all" and (box is not None or pick)
     refuse((others, "--faces all is of a search; leave out --box and --pick"))
@@ -191,7 +204,7 @@ def _pick(
     page: Page, run: str, *, overwrite: bool,
 ) -> int:  # fmt: skip
     """Let somebody choose on the page; the exit code."""
-    from facetrack_cli.editor.web.pick_session import PickSession
+    from facetrack_cli.editor.pick_session import PickSession
     from facetrack_cli.runs.signals import Stop
     from facetrack_cli.start.init_file import default_path, read_init, write_init
     from facetrack_cli.video.seek import Frames

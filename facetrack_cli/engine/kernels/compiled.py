@@ -12,7 +12,7 @@ from numba import njit
 from numba.core import caching
 from numba.core.runtime.nrt import rtsys
 
-from facetrack_cli.core.log import warn
+from facetrack_cli.core.errors import warn
 from facetrack_cli.engine.kernels.cache import compiling
 
 

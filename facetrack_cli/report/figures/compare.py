@@ -9,9 +9,8 @@ from typing import Any, Final, cast
 import numpy as np
 
 from facetrack_cli.core.types import Array, Mask, Whole
-from facetrack_cli.evaluation.boxes import PRECISION_THRESHOLDS, SUCCESS_THRESHOLDS
+from facetrack_cli.evaluation.accuracy import FAILURE, PRECISION_THRESHOLDS, SUCCESS_THRESHOLDS
 from facetrack_cli.evaluation.compare import CUMULATIVE_AT, Comparison, aligned
-from facetrack_cli.evaluation.points import FAILURE
 from facetrack_cli.evaluation.reliability import ReliabilityBin, calibration_error
 from facetrack_cli.evaluation.sheet import clip_name
 from facetrack_cli.report.figures import style

@@ -18,8 +18,8 @@ from facetrack_cli.evaluation.rows import NOT_SEEN, Pair
 from facetrack_cli.report.figures import style
 from facetrack_cli.report.figures.diagnostics import adaptation, is_known, panels
 from facetrack_cli.report.figures.style import Axes, Figure, Line, Panel, Pen
-from facetrack_cli.trajectory.analysis.face_events import KINDS
-from facetrack_cli.trajectory.analysis.measures import DEGREES, HAND_MEASURES, MEASURES, Measured
+from facetrack_cli.trajectory.face_events import KINDS
+from facetrack_cli.trajectory.measures import DEGREES, HAND_MEASURES, MEASURES, Measured
 from facetrack_cli.trajectory.trajectory import Trajectory, header_value
 
 USUAL = (

@@ -181,7 +181,7 @@ class AppearanceSettings(PatchLikelihoodSettings):
 class RecognitionSettings(Component):
     """Who it is: the joint posterior of motion and identity (eq. 5, 14 to 16)."""
 
-    engine = "facetrack_cli.trackers.appearance.recognition:Recognition.build"
+    engine = "facetrack_cli.trackers.appearance.appearance:Recognition.build"
     goes_with = ("affine",)
 
     gallery: str | None = None

@@ -12,7 +12,7 @@ import numpy as np
 
 from facetrack_cli.core.geometry import corners
 from facetrack_cli.core.types import BOX, Array, Frame, Mask
-from facetrack_cli.engine.calibration import Calibration
+from facetrack_cli.engine.confidence import Calibration
 from facetrack_cli.engine.loop import Footprint
 from facetrack_cli.engine.smoothing import Belief
 from facetrack_cli.engine.target import ParticleState, ParticleTarget, Rows

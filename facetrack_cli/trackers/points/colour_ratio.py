@@ -26,7 +26,7 @@ from facetrack_cli.core.geometry import size_of_points
 from facetrack_cli.core.types import Array, Extent, Frame, Mask, Particles, Start, Whole, factor_for
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context, Placed, PointSpace, size_of_box
-from facetrack_cli.trackers.points import window_kernels as windows
+from facetrack_cli.trackers.points import point_kernels as windows
 from facetrack_cli.trackers.points.settings import ColourRatioSettings, PointsSettings
 
 CHANNELS = 3

@@ -35,8 +35,8 @@ from facetrack_cli.core.types import Array
 from facetrack_cli.engine.protocols import Prior
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.recipe.load import resolve_file
+from facetrack_cli.trackers.points.point_kernels import LANES, PADDING, parzen
 from facetrack_cli.trackers.points.settings import ParzenSettings
-from facetrack_cli.trackers.points.shape_kernels import LANES, PADDING, parzen
 from facetrack_cli.trajectory.reader import read_trajectory
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned
 

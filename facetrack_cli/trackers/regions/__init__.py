@@ -2,9 +2,8 @@
 
 "An Implicit Motion Likelihood for Tracking with Particle Filters".
 
-- `correlation.py`, where to begin: the correlation of the box with itself in the frame before (sections 3.1 and 3.3,
-  eq. 12 and 13), and the product of likelihoods (eq. 10).
-- `contour.py`, `histogram.py`: edges and colours of the box (section 3.3, eq. 11).
+- `likelihoods.py`: edges and colours of the box (section 3.3, eq. 11), its correlation with itself in the frame before
+  (sections 3.1 and 3.3, eq. 12 and 13), and the product of likelihoods (eq. 10).
 - `settings.py`: what a recipe may say. `region_kernels.py`: the loops.
 
 Its motion, dynamics of value and speed (section 3.2), is in `engine/motion.py`. Recipes: `contour`, `histogram`, and

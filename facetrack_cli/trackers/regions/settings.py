@@ -92,7 +92,7 @@ class FirstOrderSettings(MotionSettings):
 class ContourSettings(Component):
     """Edges along the normals of the ellipse in the box (eq. 11)."""
 
-    engine = "facetrack_cli.trackers.regions.contour:Contour.build"
+    engine = "facetrack_cli.trackers.regions.likelihoods:Contour.build"
     normals: Annotated[int, Field(ge=4, le=360)] = 32
     """L, the number of normals along which edges are looked for."""
     sigma: Length
@@ -118,7 +118,7 @@ class ContourSettings(Component):
 class HistogramSettings(Component):
     """Histograms of hue and saturation in sub-regions of the box (section 3.3)."""
 
-    engine = "facetrack_cli.trackers.regions.histogram:Histogram.build"
+    engine = "facetrack_cli.trackers.regions.likelihoods:Histogram.build"
     hue_bins: Annotated[int, Field(ge=1, le=64)]
     """N_h."""
     saturation_bins: Annotated[int, Field(ge=1, le=64)]
@@ -140,7 +140,7 @@ class HistogramSettings(Component):
 class CorrelationSettings(Component):
     """Grey values of the box against those of its parent in the previous frame (eq. 12 and 13)."""
 
-    engine = "facetrack_cli.trackers.regions.correlation:Correlation.build"
+    engine = "facetrack_cli.trackers.regions.likelihoods:Correlation.build"
     grid: Annotated[tuple[Count, Count], Field(strict=False)] = (16, 16)
     """[columns, rows] of the reference grid on which both are sampled."""
     region: Annotated[float, Field(gt=0, le=1)] = 1.0
@@ -166,7 +166,7 @@ class CorrelationSettings(Component):
 class ProductSettings(LikelihoodSettings):
     """The product of the likelihoods that are given, each of them usable alone (eq. 10)."""
 
-    engine = "facetrack_cli.trackers.regions.correlation:Product.build"
+    engine = "facetrack_cli.trackers.regions.likelihoods:Product.build"
     goes_with = ("region",)
     type: Literal["product"]
     contour: ContourSettings | None = None

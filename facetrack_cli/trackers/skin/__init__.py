@@ -4,8 +4,8 @@ Gonzalez & Collet, "Face Tracking using a Combination of Colour and Pattern Matc
 Gianni, Collet & Dalle, GW 2007, of a head and two hands.
 
 - `skin_ncc.py`, where to begin: skin and pattern together (eq. 5 to 11).
-- `colour.py`: the skin's colour, learned from the face's box (section 3, eq. 4).
-- `cloud.py`: each particle is a pixel; what the box of a cloud is; how targets keep off each other.
+- `cloud.py`: the skin's colour, learned from the face's box (section 3, eq. 4); a cloud, whose
+  particles are pixels, and its box; how targets keep off each other.
 - `settings.py`: what a recipe may say. `skin_kernels.py`: the loops.
 
 Recipes: `skin`, `ncc`, `skin_ncc`, `head_hands` and variants.

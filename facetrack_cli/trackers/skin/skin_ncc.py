@@ -45,7 +45,7 @@ from facetrack_cli.engine.kernels.affine import boxes_extent
 from facetrack_cli.engine.protocols import Likelihood
 from facetrack_cli.engine.spaces import Context
 from facetrack_cli.trackers.skin import skin_kernels as kernel
-from facetrack_cli.trackers.skin.colour import learn_skin
+from facetrack_cli.trackers.skin.cloud import learn_skin
 from facetrack_cli.trackers.skin.settings import PatternSettings, SkinNccSettings
 
 MIN_NCC = 0.01  # what divides is at least this: a match of zero or below is as bad as can be, not of the other sign

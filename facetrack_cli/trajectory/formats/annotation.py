@@ -32,12 +32,11 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import shown_angle
 from facetrack_cli.core.numbers import dumps
 from facetrack_cli.core.types import BOX, Array, Texts, Whole
-from facetrack_cli.trajectory.clock import every_frame
 from facetrack_cli.trajectory.formats.boxes import read_text
 from facetrack_cli.trajectory.formats.eaf import clean
 from facetrack_cli.trajectory.reader import MAX_FRAME, MAX_PIXELS
-from facetrack_cli.trajectory.select import has_windows
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, joined, one_part
+from facetrack_cli.trajectory.views import every_frame, has_windows
 
 _HALF_PIXEL = 0.5  # the centre of the first pixel is 0 here and 0.5 in the tools
 _REGION = "videorectangle"

@@ -29,11 +29,11 @@ from facetrack_cli.core.errors import InputError, reading
 from facetrack_cli.core.face_points import HANDS
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.types import BOX
-from facetrack_cli.trajectory.analysis.face_events import events_of
-from facetrack_cli.trajectory.analysis.head_motion import head_motion, kinds_of
-from facetrack_cli.trajectory.analysis.measures import Measured
-from facetrack_cli.trajectory.clock import frame_milliseconds
+from facetrack_cli.trajectory.face_events import events_of
+from facetrack_cli.trajectory.head import head_motion, kinds_of
+from facetrack_cli.trajectory.measures import Measured
 from facetrack_cli.trajectory.trajectory import Trajectory, aligned
+from facetrack_cli.trajectory.views import frame_milliseconds
 
 XSI = "http://www.w3.org/2001/XMLSchema-instance"
 SCHEMA = "http://www.mpi.nl/tools/elan/EAFv3.0.xsd"

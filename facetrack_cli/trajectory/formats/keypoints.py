@@ -39,11 +39,10 @@ from facetrack_cli.core.errors import InputError, needed
 from facetrack_cli.core.face_points import LINES, MESH
 from facetrack_cli.core.numbers import csv_text, dumps
 from facetrack_cli.core.types import BOX, Array, Whole
-from facetrack_cli.trajectory.analysis.head_pose import HeadPose, euler, head_pose, rotation_of
-from facetrack_cli.trajectory.clock import every_frame
 from facetrack_cli.trajectory.formats.tables import texts
-from facetrack_cli.trajectory.select import Around, enclose, mean
+from facetrack_cli.trajectory.head import HeadPose, euler, head_pose, rotation_of
 from facetrack_cli.trajectory.trajectory import DECIMALS, SEEN, Trajectory, aligned, joined
+from facetrack_cli.trajectory.views import Around, enclose, every_frame, mean
 
 EDGES = (("nose", "lip_upper"), *(edge for line in LINES for edge in pairwise(line)))
 """How the points of a face hang together; other parts are drawn without lines."""

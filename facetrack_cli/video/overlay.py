@@ -3,6 +3,8 @@
 A target has a colour of its own, of a single one each part (as in the plots); what is lost is vermilion, its window
 dashed. Absent parts are not drawn. Of a face, points in a box, there are a frame, thin lines and small dots alone, so
 that the mouth stays visible; what is lost of it is grey.
+
+A start has a preview (`draw_start`): the frame around its targets, their boxes and parts, and rulers in pixels.
 """
 
 import math
@@ -10,18 +12,36 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator, Sequence
 from itertools import chain, pairwise
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
 
 from facetrack_cli.core.face_points import LINES
+from facetrack_cli.core.files import write_new
 from facetrack_cli.core.geometry import shown_angle
-from facetrack_cli.core.types import BOX, Array, Image, Mask
+from facetrack_cli.core.types import BOX, Array, Frame, Image, Mask, Point, Start
 from facetrack_cli.trajectory.trajectory import FrameResult, TargetResult
-from facetrack_cli.video.overlay import marks
-from facetrack_cli.video.overlay.labels import Insets, Labels, Shape, Shown, StatusBar
-from facetrack_cli.video.overlay.marks import GREY, LOST, PALETTE, WHITE, Colour, Font, Points
+from facetrack_cli.video.overlay_labels import (
+    GREY,
+    LOST,
+    PALETTE,
+    WHITE,
+    Colour,
+    Font,
+    Insets,
+    Labels,
+    Points,
+    Shape,
+    Shown,
+    StatusBar,
+    dashes,
+    fixed,
+    ink,
+    mark,
+    polylines,
+)
 
 _FADES = 4  # steps of opacity along a trail
 _MAX_SAMPLES = 32  # earlier places along a trail
@@ -189,10 +209,10 @@ class Overlay:
             for both in map(list, pairwise(path)):
                 colour = shape.colours[path[0]] if len(place) <= _MAX_DOTTED else shape.colour
                 colour = GREY if shape.lost[both].any() else colour
-                marks.polylines(image, [marks.fixed(shape.centres[both])], colour, max(1, self._line - 1))
+                polylines(image, [fixed(shape.centres[both])], colour, max(1, self._line - 1))
         for part in place.keys() - {BOX, *chain(*LINES)} if len(place) > _MAX_DOTTED else ():
             colour = GREY if shape.lost[place[part]] else shape.colour
-            marks.mark(image, shape.centres[place[part]].tolist(), "tracked", colour, 0.5 * self._line, 1, False)
+            mark(image, shape.centres[place[part]].tolist(), "tracked", colour, 0.5 * self._line, 1, False)
 
     def _lines(self, image: Image, shape: Shape, trail: list[_Past]) -> None:
         """Trails, ellipses, windows and marks with a dark rim around them, blended at once and only where they are."""
@@ -209,14 +229,14 @@ class Overlay:
             return
         layer = np.zeros((y1 - y0, x1 - x0, 4), np.uint8)  # colours times opacity, and opacity
         origin = np.array((x0, y0), np.float64)
-        for strokes, colour, opacity in self._strokes(trail, marks.fixed(np.array(places) - origin), shape.colours):
-            marks.polylines(layer, strokes, marks.ink(colour, opacity), fine)
+        for strokes, colour, opacity in self._strokes(trail, fixed(np.array(places) - origin), shape.colours):
+            polylines(layer, strokes, ink(colour, opacity), fine)
         gone = GREY if shape.is_face else LOST
         tints = [gone if lost else own for lost, own in zip(shape.lost.tolist(), shape.colours, strict=False)]
-        for ring, k in zip(marks.fixed(rings - origin), ring_parts, strict=True):
-            marks.polylines(layer, [ring], marks.ink(tints[k], 0.6), fine, closed=True)
+        for ring, k in zip(fixed(rings - origin), ring_parts, strict=True):
+            polylines(layer, [ring], ink(tints[k], 0.6), fine, closed=True)
         local = shape.corners - origin
-        windows, middles = marks.fixed(local), (shape.centres - origin).tolist()
+        windows, middles = fixed(local), (shape.centres - origin).tolist()
         order = np.argsort(shape.lost, kind="stable").tolist()  # what is lost lies on top
         for k in order:
             tint, part = tints[k], shape.parts[k]
@@ -226,16 +246,16 @@ class Overlay:
             # as the size is when it is first seen, or it would flicker
             weight = self._weights.setdefault((shape.target, part), line + bool(strong))
             if shape.lost[k]:
-                marks.polylines(layer, list(marks.fixed(marks.dashes(local[k], 10 * line))), marks.ink(tint, 1), weight)
+                polylines(layer, list(fixed(dashes(local[k], 10 * line))), ink(tint, 1), weight)
             else:
-                marks.polylines(layer, [windows[k]], marks.ink(tint, 1), weight, closed=True)
+                polylines(layer, [windows[k]], ink(tint, 1), weight, closed=True)
         statuses, by_hand = shape.rows.status.tolist(), shape.rows.by_hand.tolist()
         for k in order:
             status, size, at = statuses[k], signs[k], middles[k]
             if size:
                 if status == "tracked" and size >= line:  # a ring of shade, or it would merge with its trail
-                    marks.mark(layer, at, status, marks.ink((0, 0, 0), 0.8), size + line, line, False)
-                marks.mark(layer, at, status, marks.ink(tints[k], 1), size, line, by_hand[k])
+                    mark(layer, at, status, ink((0, 0, 0), 0.8), size + line, line, False)
+                mark(layer, at, status, ink(tints[k], 1), size, line, by_hand[k])
         cover = cv2.extractChannel(layer, 3)
         dark = cv2.dilate(cover, np.ones((2 * edge + 1, 2 * edge + 1), np.uint8))
         keep = cv2.bitwise_not(cv2.max(cover, cv2.convertScaleAbs(dark, None, _RIM)))
@@ -303,3 +323,90 @@ class Overlay:
         roots[:, 1, 1] = 2 * np.sqrt(1 - lean * lean) * sy
         rings: Array = _CIRCLE @ roots + shape.centres[whose, None]
         return rings, whose.tolist()
+
+
+_PREVIEW_PX: Final = 900  # pixels, about: what is shown is enlarged by a whole factor to come near it
+_BOX, _PART, _RULER = (255, 200, 0), (0, 255, 255), (255, 255, 255)
+
+
+def write_preview(path: Path, frame: Frame, start: Start, *, overwrite: bool = False) -> None:
+    """`draw_start` as a PNG file. OutputError if it exists and `overwrite` is not set, or cannot be written."""
+    write_new(path, cv2.imencode(".png", draw_start(frame, start))[1].tobytes(), overwrite=overwrite)
+
+
+def draw_start(frame: Frame, start: Start) -> Image:
+    """The frame around the start's targets with the start drawn on it, enlarged by a whole factor; BGR."""
+    view = _View(frame, start)
+    image, unit = view.image, view.unit
+    view.draw_rulers()
+    for name, target in start.targets.items():
+        if target.box is not None:
+            x, y, w, h = target.box
+            corner = view.at((x - 0.5, y - 0.5))
+            cv2.rectangle(image, corner, view.at((x + w - 0.5, y + h - 0.5)), _BOX, round(unit), cv2.LINE_AA)
+            view.label(f"{name}, frame {start.frame}", (corner[0], corner[1] - round(4 * unit)), _BOX)
+        centre = np.mean(list(target.points.values()), axis=0) if target.points else np.zeros(2)
+        for part, point in target.points.items():
+            at, text = view.at(point), f"{part} {point[0]:g}, {point[1]:g}"
+            for colour, size, line in (((0, 0, 0), 15, 3), (_PART, 13, 1)):
+                cv2.drawMarker(image, at, colour, cv2.MARKER_CROSS, round(size * unit), round(line * unit), cv2.LINE_AA)
+            view.label(text, view.beside(at, np.asarray(point) - centre, text), _PART)
+    return image
+
+
+class _View:
+    """What is shown of the frame, all targets and 0.7 of their size around; `unit` is the size of letters and lines."""
+
+    def __init__(self, frame: Frame, start: Start) -> None:
+        places: list[Point] = []
+        for target in start.targets.values():
+            places += target.points.values()
+            if target.box is not None:
+                x, y, w, h = target.box
+                places += [(x, y), (x + w, y + h)]
+        low, high = np.min(places, axis=0), np.max(places, axis=0)
+        around = max(20.0, 0.7 * float((high - low).max()))
+        self.x0, self.y0 = np.clip((low - around).astype(int), 0, np.array(frame.size) - 1).tolist()
+        self.x1, self.y1 = np.clip((high + around).astype(int) + 1, (self.x0 + 1, self.y0 + 1), frame.size).tolist()
+        shown = frame.bgr[self.y0 : self.y1, self.x0 : self.x1]
+        self.zoom = max(1, round(_PREVIEW_PX / max(shown.shape[:2])))
+        self.unit = max(1.0, max(shown.shape[:2]) * self.zoom / _PREVIEW_PX)
+        # a pixel covers zoom x zoom pixels
+        self.image: Image = np.repeat(np.repeat(shown, self.zoom, axis=0), self.zoom, axis=1)
+
+    def at(self, point: Point) -> tuple[int, int]:
+        """A point of the frame in the preview."""
+        x, y = ((value - first + 0.5) * self.zoom - 0.5 for value, first in zip(point, (self.x0, self.y0), strict=True))
+        return round(x), round(y)
+
+    def beside(self, at: tuple[int, int], away: Array, text: str) -> tuple[int, int]:
+        """Where the label of a point begins: on the side that is away from the other points."""
+        unit, width = self.unit, self.width(text)
+        if abs(away[0]) > abs(away[1]):
+            x = at[0] + 10 * unit if away[0] > 0 else at[0] - 10 * unit - width
+            return round(x), round(at[1] + 4 * unit)
+        return round(at[0] - width / 2), round(at[1] + (20 if away[1] > 0 else -11) * unit)
+
+    def draw_rulers(self) -> None:
+        """Ticks with numbers along the top and the left edge."""
+        unit, line, tick = self.unit, round(self.unit), round(8 * self.unit)
+        step = next(step for step in (5, 10, 20, 50, 100, 200, 500, 1000, 10**9) if step * self.zoom >= 70 * unit)
+        for x in range(-(-self.x0 // step) * step, self.x1, step):
+            column, _ = self.at((x, self.y0))
+            cv2.line(self.image, (column, 0), (column, tick), _RULER, line)
+            self.label(str(x), (column + round(3 * unit), round(14 * unit)), _RULER)
+        for y in range(-(-self.y0 // step) * step, self.y1, step):
+            _, row = self.at((self.x0, y))
+            cv2.line(self.image, (0, row), (tick, row), _RULER, line)
+            self.label(str(y), (round(10 * unit), row + round(4 * unit)), _RULER)
+
+    def width(self, text: str) -> int:
+        return cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.45 * self.unit, 1)[0][0]
+
+    def label(self, text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:
+        """Text with a dark rim, moved inside the image where it would be cut off."""
+        (height, width), size = self.image.shape[:2], 0.45 * self.unit
+        x = min(max(at[0], 2), max(width - self.width(text) - 2, 2))
+        y = min(max(at[1], round(14 * self.unit)), height - 3)
+        for fill, line in (((0, 0, 0), round(3 * self.unit)), (colour, round(self.unit))):
+            cv2.putText(self.image, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, size, fill, line, cv2.LINE_AA)

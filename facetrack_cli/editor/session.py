@@ -1,7 +1,6 @@
 """What pages have in common: one job in a thread; of picking and fixing one draft, its frames and the proposed faces.
 
-All methods are thread-safe.
-"""
+All methods are thread-safe."""
 
 import re
 import threading
@@ -30,7 +29,7 @@ from facetrack_cli.start.init_file import NAME, TARGET
 from facetrack_cli.start.search import box_start
 from facetrack_cli.trackers.face.closer import righted
 from facetrack_cli.trackers.face.detectors import PARTS, NotHereError, detector, named
-from facetrack_cli.trajectory.header import FrameNumber, Pixels, Side
+from facetrack_cli.trajectory.reader import FrameNumber, Pixels, Side
 from facetrack_cli.video.seek import Frames
 
 LINGER_S: Final = 3.0  # the server goes on so long after the end: each page asks for the state once a second

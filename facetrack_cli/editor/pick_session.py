@@ -8,7 +8,7 @@ from typing import ClassVar, Final, Literal
 
 from facetrack_cli.core.errors import FacetrackError, flat
 from facetrack_cli.core.types import Box, Start, TargetStart
-from facetrack_cli.editor.web.session import MAX_POINTS, Draft, Json, Proposer, RefusedError, Session, draft_of
+from facetrack_cli.editor.session import MAX_POINTS, Draft, Json, Proposer, RefusedError, Session, draft_of
 from facetrack_cli.engine.spaces import check_size
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.recipe.model import ParticleRecipe, ParticlesRecipe, Recipe
@@ -23,9 +23,9 @@ from facetrack_cli.start.init_file import (
     check_start,
     write_init,
 )
-from facetrack_cli.start.preview import write_preview
 from facetrack_cli.trackers.face.detectors import PARTS, detector
 from facetrack_cli.trackers.skin.settings import SkinCloudSettings
+from facetrack_cli.video.overlay import write_preview
 from facetrack_cli.video.seek import Frames
 
 ORIGIN: Final = "the page"

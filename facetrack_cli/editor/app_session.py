@@ -15,13 +15,12 @@ from pydantic import Field
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, flat
 from facetrack_cli.core.files import make_folder, write_new, writing
 from facetrack_cli.core.types import Array, Correction, checked_name
+from facetrack_cli.editor.fix_session import CastSession, FixSession
 from facetrack_cli.editor.history import Fixer, corrections_of
+from facetrack_cli.editor.pick_session import PickSession
 from facetrack_cli.editor.project import RECIPES, Clip, Project, What, free
 from facetrack_cli.editor.save import open_track
-from facetrack_cli.editor.web.cast_session import CastSession
-from facetrack_cli.editor.web.fix_session import FixSession
-from facetrack_cli.editor.web.pick_session import PickSession
-from facetrack_cli.editor.web.session import Answer, Json, Page, Proposer, RefusedError, Route, jpeg
+from facetrack_cli.editor.session import Answer, Json, Page, Proposer, RefusedError, Route, jpeg
 from facetrack_cli.recipe.load import load_recipe
 from facetrack_cli.run_folder.finished import open_run, stamp
 from facetrack_cli.run_folder.manifest import NAME as MANIFEST
@@ -31,8 +30,8 @@ from facetrack_cli.runs.export import content, encoded
 from facetrack_cli.runs.people import film_of, people_in, rows_in
 from facetrack_cli.start.init_file import read_init
 from facetrack_cli.trajectory.formats import tables
-from facetrack_cli.trajectory.header import UNSAVED, clip_of
-from facetrack_cli.trajectory.select import Around
+from facetrack_cli.trajectory.reader import UNSAVED, clip_of
+from facetrack_cli.trajectory.views import Around
 from facetrack_cli.video.seek import Frames
 
 LOOKS: Final = 5  # frames of a clip in which faces are sought, in its first seconds

@@ -1,7 +1,6 @@
 """The page's server: on the loopback address alone, and only for those who know the token in its address. A page of
 another site cannot use it: the host must be a loopback name, since a name of that site may resolve to this machine (DNS
-rebinding), and requests with an origin must come from this very page.
-"""
+rebinding), and requests with an origin must come from this very page."""
 
 import contextlib
 import hmac
@@ -25,7 +24,7 @@ from urllib.parse import parse_qs
 from pydantic import TypeAdapter, ValidationError
 
 from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, flat
-from facetrack_cli.editor.web.session import Answer, Page, RefusedError, internal_error
+from facetrack_cli.editor.session import Answer, Page, RefusedError, internal_error
 
 ADDRESS: Final = "127.0.0.1"
 MAX_BODY_BYTES: Final = 256 * 1024  # bytes: the largest draft has fewer

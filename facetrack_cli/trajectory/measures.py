@@ -26,8 +26,7 @@ motion blurs, is on the straight line between.
 - `held` is the probability that the speed is below `HOLD`, which is itself known to `BORDER`.
 - `touches_hand` and `touches_face`: that two boxes, each as the ellipse within it, meet. Their gap is that of two
   ellipses along the line of their centres, and its noise that of the centres in the rows and `OUTLINE` of the outlines.
-  It is the picture that is asked, not how far from the camera each is.
-"""
+  It is the picture that is asked, not how far from the camera each is."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -41,8 +40,17 @@ import numpy as np
 from facetrack_cli.core.face_points import EYE_DISTANCE, HANDS, IRISES
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import BOX, Array, Mask, Whole
-from facetrack_cli.trajectory.analysis.head_motion import GAP_S, NORMAL, gauss, noise_of, turning_points
-from facetrack_cli.trajectory.analysis.head_pose import SHAPE, head_pose, rotation_of, with_eyes
+from facetrack_cli.trajectory.head import (
+    GAP_S,
+    NORMAL,
+    SHAPE,
+    gauss,
+    head_pose,
+    noise_of,
+    rotation_of,
+    turning_points,
+    with_eyes,
+)
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory, aligned, joined
 
 LENGTH, DEGREES = "eye distances", "degrees"

@@ -18,8 +18,7 @@ eight people by regressions that have not seen them (`benchmarks/measures.py`). 
 people's openings of the eyes with noise added. Those of nods, shakes, winks and speech were set by hand.
 
 An event is where rest has less than half of the posterior. Its probability is that of a visit to the state away from
-rest meanwhile, 1 - p(rows, no visit) / p(rows). Below `threshold` it is no event.
-"""
+rest meanwhile, 1 - p(rows, no visit) / p(rows). Below `threshold` it is no event."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,8 +29,8 @@ import numpy as np
 
 from facetrack_cli.core.numbers import spans
 from facetrack_cli.core.types import Array, Whole
-from facetrack_cli.trajectory.analysis.head_motion import GAP_S
-from facetrack_cli.trajectory.analysis.measures import Measured, settled, stretches
+from facetrack_cli.trajectory.head import GAP_S
+from facetrack_cli.trajectory.measures import Measured, settled, stretches
 
 PRIOR, ROUNDS = 100.0, 8
 HALFWAY_S, LEAST_STEP, LEAST = 0.1, 0.75, 1e-9
