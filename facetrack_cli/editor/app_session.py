@@ -112,15 +112,15 @@ class AppSession(Page):
         project = self.project
         with project.lock:
             clips = [self._shown(clip) for clip in project.clips.values()]
-            rate = next((one["rate"] for one in clips if one.get("rate")), None)
-            left = sum(max(one["frames"] - one["done"], 0) for one in clips if one["state"] in ("queued", "running"))
+            rate = next((row["rate"] for row in clips if row.get("rate")), None)
+            left = sum(max(row["frames"] - row["done"], 0) for row in clips if row["state"] in ("queued", "running"))
             return {
                 "folder": str(project.folder),
                 "clips": clips,
                 "paused": project.paused,
                 "running": None if project.running is None else project.running.id,
                 "left_s": round(left / rate) if rate else None,
-                "programs": {name: {"name": one.name, "many": one.many} for name, one in PROGRAMS.items()},
+                "programs": {name: {"name": program.name, "many": program.many} for name, program in PROGRAMS.items()},
                 "ended": self.ended,
             }
 
@@ -151,8 +151,8 @@ class AppSession(Page):
         movie = stamp(project.run_of(clip) / VIDEO)
         more["movie"] = None if movie is None else str(movie)  # changes when it is drawn again
         more |= {"state": state, "done": done, "error": error, "start": start}
-        known = clip.model_dump(include={"id", "what", "likely", "size", "seconds", "frames"})
-        return {**known, "name": project.place(clip).name, "path": str(project.place(clip)), **more}
+        shown = clip.model_dump(include={"id", "what", "likely", "size", "seconds", "frames"})
+        return {**shown, "name": project.place(clip).name, "path": str(project.place(clip)), **more}
 
     # adding
 
@@ -174,7 +174,7 @@ class AppSession(Page):
             if file.tell() < total:
                 return {"offset": file.tell()}
         with self.project.lock, writing(part, "choose another folder"):
-            name = free(Path(name).stem, (one.name for one in folder.iterdir()), Path(name).suffix)
+            name = free(Path(name).stem, (file.name for file in folder.iterdir()), Path(name).suffix)
             part.rename(path := folder / name)
         return self._added([path])
 
@@ -303,9 +303,9 @@ class AppSession(Page):
 
     def _export(self, program: str, clip: int | None = None) -> Answer:
         """A file for a program, of one clip or of all; it stays in exports/."""
-        known = [name for name, one in PROGRAMS.items() if one.many or clip is not None]
-        if program not in known:
-            raise RefusedError(400, f"{program}: choose among {', '.join(known)}")
+        programs = [name for name, program in PROGRAMS.items() if program.many or clip is not None]
+        if program not in programs:
+            raise RefusedError(400, f"{program}: choose among {', '.join(programs)}")
         kind, project = PROGRAMS[program], self.project
         name, runs = project.folder.name, sorted({path.parent for path in project.folder.glob("runs/*/trajectory.*")})
         if clip is not None:
@@ -357,9 +357,9 @@ def likely_in(frames: Frames) -> What:
         last = min(max(frames.count - 1, 0), LOOKS_WITHIN)
         for at in sorted({last * k // (LOOKS - 1) for k in range(LOOKS)}):
             with suppress(InputError):
-                found = [one["targets"] for one in proposer(at)["proposals"]]
-                faces, several = faces + bool(found), several + (len(found) > 1)
-                hands += len(found) == 1 and len(found[0]) > 1
+                proposals = [proposal["targets"] for proposal in proposer(at)["proposals"]]
+                faces, several = faces + bool(proposals), several + (len(proposals) > 1)
+                hands += len(proposals) == 1 and len(proposals[0]) > 1
     finally:
         proposer.close()
     return "box" if not faces else "everybody" if several else "signer" if 2 * hands > LOOKS else "face"
@@ -372,19 +372,19 @@ def looked(folder: Path, _: str) -> Json:
     targets = []
     for name in rows.targets[:CURVES]:
         parts, measures = rows.of_target(name), rows.measures[name].values()
-        least = np.fmin.reduce([one.confidence for one in parts if len(one) == len(parts[0])])
-        curves = [_curve(one.name, one.unit, one.value, one.time_s, begins) for one in measures]
+        least = np.fmin.reduce([part.confidence for part in parts if len(part) == len(parts[0])])
+        curves = [_curve(measure.name, measure.unit, measure.value, measure.time_s, begins) for measure in measures]
         sure = _curve("confidence", "", least, parts[0].time_s, begins)
         targets.append({"name": name, "curves": [sure, *curves]})
     keys = ("target", "tier", "value", "begin_s", "end_s")
-    events = [{key: getattr(one, key) for key in keys} for one in rows.events[:EVENTS]]
+    events = [{key: getattr(event, key) for key in keys} for event in rows.events[:EVENTS]]
     return {"begin": begins[0], "end": begins[-1], "targets": targets, "events": events}
 
 
 def _curve(name: str, unit: str, values: Array, at: Array, begins: Array) -> Json:
     """The mean of the values from each time to the next, None where there are none."""
-    known = np.isfinite(values)
-    which = np.clip(np.searchsorted(begins, at[known] + 1e-6, "right") - 1, 0, None)
-    count, sums = (np.bincount(which, weights, len(begins)) for weights in (None, values[known]))
+    finite = np.isfinite(values)
+    bins = np.clip(np.searchsorted(begins, at[finite] + 1e-6, "right") - 1, 0, None)
+    count, sums = (np.bincount(bins, weights, len(begins)) for weights in (None, values[finite]))
     means = [round(s / n, 4) if n else None for s, n in zip(sums.tolist(), count.tolist(), strict=True)]
     return {"name": name, "unit": unit, "values": means}

@@ -83,9 +83,9 @@ class FixSession(Session):
 
     def proposals(self, frame: int) -> Json:
         """Proposals for the targets of the run. Where the recipe names no targets, a face may be any of them."""
-        found = super().proposals(frame)
+        answer = super().proposals(frame)
         proposals = []
-        for proposal in found["proposals"]:
+        for proposal in answer["proposals"]:
             label, targets = proposal["label"], proposal["targets"]
             if self.fixer.run.recipe.followed:
                 faces = {label: {name: target for name, target in targets.items() if name in self._parts}}
@@ -98,7 +98,7 @@ class FixSession(Session):
                     placed = {} if self._parts[name] == (BOX,) else target["points"]
                     fitted[name] = {"box": None if placed else target["box"], "points": placed}
                 proposals.append({"label": text, "targets": fitted})
-        return {**found, "proposals": proposals}
+        return {**answer, "proposals": proposals}
 
     def check_draft(self, draft: Draft) -> None:
         for name, target in draft.targets.items():
@@ -131,29 +131,29 @@ class FixSession(Session):
         """Make the draft a correction of its frame. `learn` as of Correction; "keep" leaves that as it is."""
         draft = self.current(base)
         self.refuse_if_busy()
-        given = []
+        corrections = []
         for name, target in draft.targets.items():
             if not target.empty:
                 new = Correction(draft.frame, name, target.rounded(), absent=target.absent)
-                given.append(merged(new, self.fixer.find(draft.frame, name), self._parts[name]))
-        if not given:
+                corrections.append(merged(new, self.fixer.find(draft.frame, name), self._parts[name]))
+        if not corrections:
             raise RefusedError(422, f"nothing is corrected in frame {draft.frame}; move a part, or mark it as absent")
         return self._put(
-            given if learn == "keep" else [replace(correction, learn=learn) for correction in given], draft
+            corrections if learn == "keep" else [replace(correction, learn=learn) for correction in corrections], draft
         )
 
-    def _put(self, given: Sequence[Correction], draft: Draft | None = None) -> Answer:
+    def _put(self, corrections: Sequence[Correction], draft: Draft | None = None) -> Answer:
         """Have corrections tracked; the draft that they are made of becomes empty."""
-        for correction in given:
+        for correction in corrections:
             self.fixer.check(correction)
 
         def work(**options: Any) -> None:
-            self.fixer.put(given, **options)
+            self.fixer.put(corrections, **options)
             with self.lock:
                 if draft is not None and self.draft is draft:  # else somebody continues with another one
                     self.change(Draft(draft.frame, {}))
 
-        return self._begin(f"tracking {', '.join(correction.target for correction in given)}", work)
+        return self._begin(f"tracking {', '.join(correction.target for correction in corrections)}", work)
 
     def _remove(self, frame: FrameNumber, target: str) -> Answer:
         if self.fixer.find(frame, target) is None:
@@ -182,14 +182,14 @@ class FixSession(Session):
             raise RefusedError(422, f"{target} {part} has no place in frame {frame}; give it one")
         lost = next((span for span in spans(row.status == "lost") if span[0] <= at < span[1]), (at, at + 1))
         first, stop = lost if stretch else (at, at + 1)
-        given = []
+        corrections = []
         for index in row.frame[first:stop][:MAX_ROWS].tolist():
             before = self.fixer.find(index, target)
             if before is not None and not before.confirmed:
                 raise RefusedError(422, f"{target} is corrected in frame {index} already; place {part} there")
             new = Correction(index, target, confirmed=(part,))
-            given.append(merged(new, before, self._parts[target]))
-        return self._begin(f"confirming {target}", partial(self.fixer.put, given))
+            corrections.append(merged(new, before, self._parts[target]))
+        return self._begin(f"confirming {target}", partial(self.fixer.put, corrections))
 
     def _done(self) -> Json:
         """End the session; what is not saved is kept for the next one."""
@@ -273,8 +273,8 @@ def overview(
             corrected.append(
                 {"frame": correction.frame, "target": correction.target, "parts": placed, "absent": absent, **more}
             )
-    found = {"first": first, "last": last, "bins": bins, "parts": parts}
-    return {**found, "doubtful": doubtful(rows, lost_below), "corrections": corrected}
+    view = {"first": first, "last": last, "bins": bins, "parts": parts}
+    return {**view, "doubtful": doubtful(rows, lost_below), "corrections": corrected}
 
 
 def doubtful(rows: Trajectory, lost_below: Mapping[str, float]) -> list[dict[str, Any]]:

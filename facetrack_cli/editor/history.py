@@ -126,7 +126,7 @@ class Fixer:
     def __init__(self, run: Run, read: Read) -> None:
         self.run, self._read, self._store = run, read, Store(run.rows)
         # the rows complete a correction that does not place all parts; a correction past the end stays as it is
-        saved = (completed_by(one, run.rows) if one.frame <= run.last else one for one in run.start.corrections)
+        saved = (completed_by(fix, run.rows) if fix.frame <= run.last else fix for fix in run.start.corrections)
         self._saved = self._ordered(saved)
         plans = {name: self._plan(name, self._saved) for name in run.rows.targets}
         self._known = {name: [Track(**vars(task)) for task in plan] for name, plan in plans.items()}
@@ -148,13 +148,13 @@ class Fixer:
         return bool(self._past)
 
     def find(self, frame: int, target: str) -> Correction | None:
-        return next((one for one in self.corrections if (one.frame, one.target) == (frame, target)), None)
+        return next((fix for fix in self.corrections if (fix.frame, fix.target) == (frame, target)), None)
 
-    def put(self, given: Sequence[Correction], *, report: Report = silent, stop: Stopped = never) -> None:
+    def put(self, corrections: Sequence[Correction], *, report: Report = silent, stop: Stopped = never) -> None:
         """Add corrections, or replace those of the same frames and targets, and track what follows from them."""
-        for correction in given:
+        for correction in corrections:
             self.check(correction)
-        new = {(one.frame, one.target): completed_by(one, self.rows) for one in given}
+        new = {(fix.frame, fix.target): completed_by(fix, self.rows) for fix in corrections}
         others = [correction for correction in self.corrections if (correction.frame, correction.target) not in new]
         self._become([*others, *new.values()], report, stop)
 
@@ -209,11 +209,11 @@ class Fixer:
             for name, plan in plans.items():
                 while plan:
                     task = self._completed(plan[0], last.get(name))
-                    if (known := self._find(task, task.stop)) is None:
+                    if (results := self._find(task, task.stop)) is None:
                         tasks.append(task)
                         break
-                    tracks[name].append(known)
-                    last[name] = known
+                    tracks[name].append(results)
+                    last[name] = results
                     plan.pop(0)
             # each round goes through the frames of its tasks once
             now = {task.target for task in tasks}
@@ -246,7 +246,7 @@ class Fixer:
 
     def _ordered(self, corrections: Iterable[Correction]) -> tuple[Correction, ...]:
         order = self.run.rows.targets.index
-        return tuple(sorted(corrections, key=lambda one: (one.frame, order(one.target))))
+        return tuple(sorted(corrections, key=lambda fix: (fix.frame, order(fix.target))))
 
     def _plan(self, target: str, corrections: Iterable[Correction]) -> list[Task]:
         """The tasks of one target, from each correction to the next. A task goes one frame further where the next
@@ -273,8 +273,8 @@ class Fixer:
 
     def _find(self, task: Task, stop: int) -> Track | None:
         """A known track of a task, up to a frame."""
-        known = self._known[task.target]
-        return next((track for track in known if track.begin == task.begin and track.stop >= stop), None)
+        results = self._known[task.target]
+        return next((track for track in results if track.begin == task.begin and track.stop >= stop), None)
 
     def _track(self, tasks: Sequence[Task], report: Report, stop: Stopped) -> list[Track]:
         """Track tasks of different targets; with mutual exclusion, the rows of now say where the others are.
@@ -308,12 +308,12 @@ class Fixer:
             raise InputError(f"{self.run.clip}: frame {index} {times}; name the run's clip with --clip")
         return frame
 
-    def _footprints(self, one: _Live, now: Mapping[str, _Live], index: int) -> list[Footprint]:
+    def _footprints(self, live: _Live, now: Mapping[str, _Live], index: int) -> list[Footprint]:
         """What other targets explain, by state or row: those before it in this frame, those after it in the last."""
         footprints = []
         for place, name in enumerate(self.run.rows.targets):
-            ahead, other = place > one.place, now.get(name)
-            if place == one.place:
+            ahead, other = place > live.place, now.get(name)
+            if place == live.place:
                 continue
             if other is not None and (other.started or not ahead):
                 footprint = other.target.footprint(other.state, ahead=ahead)
@@ -381,7 +381,7 @@ def merged(new: Correction, before: Correction | None, parts: tuple[str, ...]) -
     if new.given.box is not None and (parts == (BOX,) or not points):
         return replace(new, given=TargetStart(box=new.given.box))
     if new.confirmed:
-        lists = [parts if one.confirmed is True else one.confirmed for one in (new, before) if one is not None]
+        lists = [parts if fix.confirmed is True else fix.confirmed for fix in (new, before) if fix is not None]
         return replace(new, confirmed=all_or([part for part in parts if part in chain(*lists)], parts))
     old = Correction(frame, target) if before is None or before.confirmed else before
     by_hand = {part: at for part, at in {**old.given.points, **points}.items() if part not in gone or part in points}
@@ -396,10 +396,10 @@ def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:
     if start.frame != run.start.frame:
         begins = f"begins at frame {start.frame}, and the run at {run.start.frame}"
         raise InputError(f"{path}: {begins}; run the clip again with it")
-    for name, given in start.targets.items():
-        theirs = run.start.targets.get(name, given)
-        points = {part: theirs.points.get(part) for part in given.points}
-        if given.box not in (None, theirs.box) or points != given.points:
+    for name, target in start.targets.items():
+        theirs = run.start.targets.get(name, target)
+        points = {part: theirs.points.get(part) for part in target.points}
+        if target.box not in (None, theirs.box) or points != target.points:
             raise InputError(f"{path}: {name} does not begin where it does in the run; run the clip again with it")
     return start.corrections
 
@@ -407,15 +407,15 @@ def corrections_of(path: Path, run: Run) -> tuple[Correction, ...]:
 def _named(start: Start, run: Run) -> Start:
     """The start with the targets that the recipe follows; the run gives the targets that the file does not have."""
     names, out = run.recipe.followed, run.recipe.left_out
-    given = {name: target for name, target in start.targets.items() if name not in out}
-    if not names or not given:
+    targets = {name: target for name, target in start.targets.items() if name not in out}
+    if not names or not targets:
         return start
-    if len(given) == 1 and not given.keys() & set(names):
-        [called] = given
-        given = {TARGET: given[called]}
+    if len(targets) == 1 and not targets.keys() & set(names):
+        [called] = targets
+        targets = {TARGET: targets[called]}
         ours = (correction for correction in start.corrections if correction.target == called)
         start = replace(start, corrections=tuple(replace(correction, target=TARGET) for correction in ours))
-    rest = {name: target for name, target in run.start.targets.items() if name not in given and name != names[0]}
-    if not given.keys() & {names[0], TARGET}:
+    rest = {name: target for name, target in run.start.targets.items() if name not in targets and name != names[0]}
+    if not targets.keys() & {names[0], TARGET}:
         rest[names[0]] = run.start.targets[names[0]]
-    return name_targets(replace(start, targets={**given, **rest}), names, None, left_out=out, later=run.recipe.later)
+    return name_targets(replace(start, targets={**targets, **rest}), names, None, left_out=out, later=run.recipe.later)

@@ -186,15 +186,15 @@ def _moves(part: Trajectory, row: Trajectory) -> Iterator[tuple[int, Place]]:
     ours, theirs = ((each.boxes if box else np.stack([each.x, each.y], axis=1)) for each in (row, part))
     for n in np.flatnonzero(part.by_hand).tolist():
         frame, at = int(part.frame[n]), row.row(int(part.frame[n]))
-        known = at is not None and bool(np.isfinite(row.x[at] + row.y[at]))
-        lost = not known or row.status[at] in UNSEEN
+        placed = at is not None and bool(np.isfinite(row.x[at] + row.y[at]))
+        lost = not placed or row.status[at] in UNSEEN
         if part.status[n] == "absent":
             if not lost and not gone:
                 yield frame, None
                 gone = True
             continue
         place = tuple(round(value, DECIMALS["x"]) for value in theirs[n].tolist())
-        there = ours[at] if known else np.array(np.nan)
+        there = ours[at] if placed else np.array(np.nan)
         if gone or not np.abs(there - place).max() <= MOVED or (lost and part.status[n] == "visible"):
             yield frame, place
         gone = False

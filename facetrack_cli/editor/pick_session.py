@@ -109,9 +109,9 @@ class PickSession(Session):
 
     def _placed_by(self, chosen: Draft) -> str:
         """The detector that has placed all chosen parts; "" if the user has moved or drawn one of them."""
-        known = [*self._placed, *((draft, detector().name) for draft in self._proposer.proposed(chosen.frame))]
+        drafts = [*self._placed, *((draft, detector().name) for draft in self._proposer.proposed(chosen.frame))]
         same = chosen.frame, chosen.placed()
-        return max((by for draft, by in known if (draft.frame, draft.placed()) == same), default="")
+        return max((by for draft, by in drafts if (draft.frame, draft.placed()) == same), default="")
 
     def _write(self, start: Start) -> None:
         messages = []
@@ -146,11 +146,11 @@ def requirements(recipe: Recipe | None) -> list[Json]:
     for name, followed in recipe.filters.items():
         if isinstance(followed.likelihood, SkinCloudSettings):
             boxed.add(followed.likelihood.learn_from or name)
-    found = [
+    needs = [
         requirement(name, followed.points, "needed" if name in boxed else _box_for(followed.points))
         for name, followed in recipe.filters.items()
     ]
-    return [*found, *(requirement(name, (), "optional") for name in recipe.later)]
+    return [*needs, *(requirement(name, (), "optional") for name in recipe.later)]
 
 
 def _box_for(points: Sequence[str]) -> Literal["needed", "optional"]:
@@ -193,7 +193,7 @@ def fitted(start: Start, recipe: Recipe | None) -> Start:
     if len(start.targets) == 1 and not names:
         names = dict.fromkeys(start.targets, recipe.followed[0])
     targets = {names[name]: target for name, target in start.targets.items() if name in names}
-    kept = tuple(replace(one, target=names[one.target]) for one in start.corrections if one.target in names)
+    kept = tuple(replace(fix, target=names[fix.target]) for fix in start.corrections if fix.target in names)
     return replace(start, targets=targets, corrections=kept)
 
 
@@ -205,7 +205,7 @@ def carried(start: Start, previous: Start | None) -> Start:
     for name, target in start.targets.items():
         before = previous.targets.get(name, TargetStart())
         targets[name] = replace(target, windows={p: w for p, w in before.windows.items() if p in target.points})
-    kept = tuple(one for one in previous.corrections if one.target in targets and one.frame > start.frame)
+    kept = tuple(fix for fix in previous.corrections if fix.target in targets and fix.frame > start.frame)
     return replace(start, targets=targets, corrections=kept)
 
 

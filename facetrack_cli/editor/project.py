@@ -264,6 +264,6 @@ class Project:
 
 def free(stem: str, taken: Iterable[str], suffix: str = "") -> str:
     """The name, or the first one with a number, that is not taken, in whatever letters."""
-    known = {name.casefold() for name in taken}
+    used = {name.casefold() for name in taken}
     names = (f"{stem}-{k}{suffix}" if k > 1 else f"{stem}{suffix}" for k in count(1))
-    return next(name for name in names if name.casefold() not in known)
+    return next(name for name in names if name.casefold() not in used)

@@ -163,7 +163,7 @@ def _save_track(run: Run, rows: Trajectory, *, video: bool, report: Report, stop
     folder, [person] = run.folder, rows.targets
     with FolderLease(folder) as lease:
         people, whole = people_in(folder), rows_in(folder)
-        if not any((one.person, one.first, one.stop) == (person, run.first, run.last + 1) for one in people.tracks):
+        if not any((span.person, span.first, span.stop) == (person, run.first, run.last + 1) for span in people.tracks):
             raise InputError(f"{folder}: who is who was changed meanwhile; open the page again")
         pieces = [choose(whole, name) for name in whole.targets]
         at = whole.targets.index(person)
@@ -171,7 +171,7 @@ def _save_track(run: Run, rows: Trajectory, *, video: bool, report: Report, stop
         pieces[at : at + 1] = [piece for piece in (before, rows, after) if len(piece)]
         film = replace(successive(pieces), header=whole.header, path=whole.path)
         people = people.model_copy(update={"corrections": (*people.corrections, f"fix {person}@{run.first}f")})
-        names = {one.still for one in people.people} | {one.still for one in people.tracks}
+        names = {record.still for record in people.people} | {record.still for record in people.tracks}
         stills = {name: read_still(folder, name) for name in names if name}
         paint = painted(folder, people, whole, run.clip) if video else None
         notes = write_people(folder, film, people, stills, paint, report, stop, lease)

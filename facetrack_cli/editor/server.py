@@ -206,8 +206,8 @@ class _Handler(BaseHTTPRequestHandler):
         asset = assets().get(below or self._page.index)
         if asset is not None and method == "GET":
             return asset
-        found = [(route, pattern.fullmatch(below), handler) for route, pattern, handler in self._page.table]
-        matches = {route.method: (route, match, handler) for route, match, handler in found if match is not None}
+        candidates = [(route, pattern.fullmatch(below), handler) for route, pattern, handler in self._page.table]
+        matches = {route.method: (route, match, handler) for route, match, handler in candidates if match is not None}
         if asset is None and not matches:
             raise RefusedError(404, "there is nothing at this address")
         if method not in matches:

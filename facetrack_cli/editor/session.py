@@ -75,12 +75,12 @@ class Draft:
 
     def placed(self) -> dict[str, TargetStart]:
         """The targets that have a box or points, to 0.01 px."""
-        return {name: one.rounded() for name, one in self.targets.items() if one.box is not None or one.points}
+        return {name: draft.rounded() for name, draft in self.targets.items() if draft.box is not None or draft.points}
 
 
 def draft_of(frame: int, targets: Mapping[str, TargetStart]) -> Draft:
     """The draft of a start or a proposal."""
-    return Draft(frame, {name: DraftTarget(one.box, dict(one.points)) for name, one in targets.items()})
+    return Draft(frame, {name: DraftTarget(target.box, dict(target.points)) for name, target in targets.items()})
 
 
 def jpeg(frames: Frames, index: int, reduce: int = 1) -> bytes:
@@ -148,7 +148,7 @@ class Proposer:
             visible = {part: at for part, at in points.items() if inside(at, frame.size)}
             start = Start(index, {TARGET: TargetStart(face.box, visible)}, "the face found")
             start, note = self._complete(frame, start)
-            targets = {name: {"box": one.box, "points": one.points} for name, one in start.targets.items()}
+            targets = {name: {"box": target.box, "points": target.points} for name, target in start.targets.items()}
             proposals.append({"label": f"face {number}", "targets": targets})
             notes.append(note)
         if not proposals:
@@ -228,9 +228,9 @@ class Page(ABC):
     def table(self) -> list[tuple[Route, re.Pattern[str], Callable[..., Any]]]:
         """The routes, with the pattern of their path, and a handler that checks what it is given."""
         number = r"(?P<\1>[0-9]{1,9})"
-        patterns = [re.compile(re.sub(r"\\{(\w+)\\}", number, re.escape(one.path))) for one in self.routes()]
+        patterns = [re.compile(re.sub(r"\\{(\w+)\\}", number, re.escape(each.path))) for each in self.routes()]
         return [
-            (one, pattern, validate_call(one.handler)) for one, pattern in zip(self.routes(), patterns, strict=True)
+            (each, pattern, validate_call(each.handler)) for each, pattern in zip(self.routes(), patterns, strict=True)
         ]
 
     def page_at(self, below: str) -> tuple["Page", str]:

@@ -27,21 +27,52 @@ class Linear(NamedTuple):
 
 
 class Likelihood(Protocol):
-    """An observation model. What it learns of a clip is a value: it returns the value and is given it back.
+    """An observation model, of N particles, K parts and D coordinates of a part; lengths are pixels of the frame.
 
-    `init`: from the first frame with the parts at x0 (K, D); its `notes`, if any, are lines for the user. `score`:
-    (N, K), log p(y | x) of each part, x and parents (N, K, D). `learn`: after a frame with the estimate (K, D).
-    `distances`: (N, K), how badly parts x match what the first frame showed; 0 is perfect. A likelihood with a
-    predictive motion also has `error` of patches (N, d) -> (N,) and `expected`, the mean patch (d,).
+    What it learns of a clip is a value, `learned`: `init`, `look`, `learn` and `relearn` return it, and each method
+    gets that of the frame before. A likelihood with a predictive motion also has `error`, of patches (N, d) -> (N,),
+    and `expected`, the mean patch (d,).
     """
 
     diagnostics: ClassVar[tuple[Diagnostic, ...]] = ()
     """What it reports beside log-likelihoods."""
 
-    def init(self, frame: Frame, x0: Array) -> Any: ...
-    def score(self, learned: Any, frame: Frame, x: Array, parents: Array) -> Array: ...
-    def learn(self, learned: Any, frame: Frame, state: Array, particles: Particles) -> Any: ...
-    def distances(self, learned: Any, frame: Frame, x: Array) -> Array: ...
+    def init(self, frame: Frame, x0: Array) -> Any:
+        """What is learned of the first frame.
+
+        Parameters
+        ----------
+        frame : the first frame.
+        x0 : (K, D), the parts there.
+
+        Returns
+        -------
+        learned : any value. Its `notes`, if it has any, are lines for the user.
+        """
+        ...
+
+    def score(self, learned: Any, frame: Frame, x: Array, parents: Array) -> Array:
+        """The log-likelihood of each part of each particle.
+
+        Parameters
+        ----------
+        learned, frame : what the frames before have taught, and this frame.
+        x : (N, K, D), the particles.
+        parents : (N, K, D), the particle of the frame before that each comes from.
+
+        Returns
+        -------
+        (N, K) : log p(y | x), up to a constant that is the same for all particles of a part.
+        """
+        ...
+
+    def learn(self, learned: Any, frame: Frame, state: Array, particles: Particles) -> Any:
+        """What is known for the next frame, given the estimate `state` (K, D) and the particles of this one."""
+        ...
+
+    def distances(self, learned: Any, frame: Frame, x: Array) -> Array:
+        """(N, K): how badly parts x (N, K, D) match what the first frame showed; 0 is perfect."""
+        ...
 
     def diagnose(self, learned: Any) -> Mapping[str, Any]:
         """In every frame the value of each diagnostic, by its name."""
@@ -65,12 +96,23 @@ class Likelihood(Protocol):
 
 
 class Motion(Protocol):
-    """How parts move from frame to frame; see `filters.FrameModel`."""
+    """How parts move from frame to frame: the transition density p(x_t | x_{t-1}) of N particles of K parts."""
 
-    def propagate(self, rng: Generator, x: Array) -> Array: ...
-    def log_transition(self, x: Array, parents: Array) -> Array: ...
-    def expect(self, x: Array) -> Array: ...
-    def linear(self, state: Array) -> Linear: ...
+    def propagate(self, rng: Generator, x: Array) -> Array:
+        """(N, K, D): a draw from p(x_t | x_{t-1} = x) for each x (N, K, D)."""
+        ...
+
+    def log_transition(self, x: Array, parents: Array) -> Array:
+        """(N, M, K): log p(x_n | parents_m) of each part; x (N, K, D), parents (M, K, D)."""
+        ...
+
+    def expect(self, x: Array) -> Array:
+        """(N, K, D): the mean of p(x_t | x_{t-1} = x)."""
+        ...
+
+    def linear(self, state: Array) -> Linear:
+        """The motion around a state (K, D), for the smoother."""
+        ...
 
     def log_importance(self, x: Array, parents: Array) -> Array | None:
         """(N, K): log of p(x | parents) over the density by which x was drawn; None where these are equal."""
@@ -85,24 +127,43 @@ class Motion(Protocol):
 class PredictiveMotion(Protocol):
     """A motion that predicts from the frame where the target went, before any particle is drawn.
 
-    What it learns of a frame is a value, the flow. `predict` is given by how much patches differ from the appearance,
-    (N, d) -> (N,), and the patch (d,) that the appearance expects.
+    What it learns of a frame is a value, the flow.
     """
 
     diagnostics: ClassVar[tuple[Diagnostic, ...]]
 
-    def begin(self, rng: Generator, frame: Frame, x0: Array) -> Any: ...
-    def learn(self, frame: Frame, state: Array, x: Array) -> Any: ...
+    def begin(self, rng: Generator, frame: Frame, x0: Array) -> Any:
+        """The flow of the first frame, whose parts are at x0 (K, D)."""
+        ...
+
+    def learn(self, frame: Frame, state: Array, x: Array) -> Any:
+        """The flow after a frame with the estimate `state` (K, D) and the particles x (N, K, D)."""
+        ...
+
     def predict(
         self, flow: Any, frame: Frame, error: Callable[[Any], Array], expected: Callable[[], Any]
-    ) -> Prediction: ...
-    def propagate(self, rng: Generator, x: Array, shift: Array | None = None, noise: float = 1.0) -> Array: ...
+    ) -> Prediction:
+        """Where the target is expected in the frame.
+
+        Parameters
+        ----------
+        flow : of the frame before.
+        error : how much patches (N, d) differ from the appearance, (N,).
+        expected : the patch (d,) that the appearance expects.
+        """
+        ...
+
+    def propagate(self, rng: Generator, x: Array, shift: Array | None = None, noise: float = 1.0) -> Array:
+        """(N, K, D): a draw for each x, moved by `shift` (K, D), with noise so many times the usual."""
+        ...
 
 
 class Prior(Protocol):
-    """Which shapes are likely; x is (N, K, D)."""
+    """Which shapes, places of K parts together, are likely."""
 
-    def log_density(self, x: Array) -> Array: ...  # (N,)
+    def log_density(self, x: Array) -> Array:
+        """(N,): log p(x) of the shapes x (N, K, D), up to a constant."""
+        ...
 
     def propose(self, rng: Generator, x: Array, part: int) -> Array:
         """(N, D): the place of a part, drawn given those of the others."""

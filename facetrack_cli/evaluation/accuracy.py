@@ -135,10 +135,10 @@ def measure_boxes(
     size: (width, height) of the frames, for GOT-10k and VOT, which both clip to it; without it nothing is clipped.
     """
     ours, truth = np.asarray(ours, dtype=np.float64), np.asarray(truth, dtype=np.float64)
-    known = np.isfinite(truth).all(axis=1)
-    counts = known if visible is None else known & visible
+    finite = np.isfinite(truth).all(axis=1)
+    counts = finite if visible is None else finite & visible
     start: Mask = np.asarray(np.arange(len(ours)) == 0 if init is None else init)
-    covered = np.zeros_like(known) if hidden is None else known & hidden
+    covered = np.zeros_like(finite) if hidden is None else finite & hidden
     later = counts & ~start
     # nan all over, so that no half of a box is compared with anything
     ours = np.where(np.isfinite(ours).all(axis=1, keepdims=True), ours, np.nan)

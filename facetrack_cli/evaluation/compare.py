@@ -169,8 +169,8 @@ def rank(entries: Sequence[Entry], measure: str) -> list[Place]:
 
 def score_run(run: SeedRun, truth: Trajectory, options: Scoring, note: Callable[[str], None] = lambda _: None) -> Score:
     """Measure a run; `note` gets the notes of `match`. InputError if the truth does not fit the run."""
-    ours, known = run.trajectory, within(truth, run.trajectory, options)
-    pairs = match(ours, known, partial=options.partial, select=options.select, note=note)
+    ours, truth_within = run.trajectory, within(truth, run.trajectory, options)
+    pairs = match(ours, truth_within, partial=options.partial, select=options.select, note=note)
     evaluation = evaluate(pairs, options=summary.Options(size=options.size), reference=truth.parts)
     rows, boxes = evaluation.rows, evaluation.all.boxes
     frame, place = np.unique(column(rows, "frame"), return_inverse=True)
@@ -223,8 +223,8 @@ def has_failed(evaluation: Evaluation) -> bool:
 
 def tail_overlap(overlap: Array) -> float | None:
     """Median IoU over the last tenth, at least one, of the rows (T,) with a true box; None where all are nan."""
-    known = overlap[np.isfinite(overlap)]
-    return float(np.median(known[-math.ceil(TAIL * known.size) :])) if known.size else None
+    finite = overlap[np.isfinite(overlap)]
+    return float(np.median(finite[-math.ceil(TAIL * finite.size) :])) if finite.size else None
 
 
 def cumulative(rows: Sequence[Rows]) -> Array | None:

@@ -30,7 +30,7 @@ from llvmlite import binding
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError
 
 from facetrack_cli.core import __version__
-from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, reading
+from facetrack_cli.core.errors import FacetrackError, InputError, UsageError, flat, reading
 from facetrack_cli.core.files import read_bounded, write_new
 from facetrack_cli.core.models import shipped_folder
 from facetrack_cli.core.types import Array
@@ -60,7 +60,6 @@ QUANTITIES: Final[Mapping[str, tuple[float, float | None]]] = {
 }  # fmt: skip
 UPDATE: Final = "record again with --update if that is meant"
 NO_CLIPS: Final = (".csv", ".json", ".md", ".py", ".txt", ".yaml", ".yml")
-_NOT_XML: Final = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 class Golden(BaseModel):
@@ -256,49 +255,40 @@ def read_golden(path: Path) -> Golden:
     return golden
 
 
-def find_goldens(folder: Path) -> list[Path]:
-    """The golden files of a folder of clips, by name. InputError if there is no such folder."""
-    if not folder.is_dir():
-        what = "is no folder" if folder.exists() else "there is no such folder"
-        raise InputError(f"{folder}: {what}; name the folder that holds the clips")
-    return sorted((folder / "goldens").glob("*.json"))
-
-
 def tasks(folder: Path, recipes: Mapping[str, str], *, update: bool = False) -> list[Task]:
     """The goldens of a folder, only of these `recipes` if there are any: names or files, by their names.
 
     To `update` those of some recipes, one for each clip with an init file and each recipe, whether recorded or not.
     InputError where there is none.
     """
-    paths = find_goldens(folder)
+    if not folder.is_dir():
+        what = "is no folder" if folder.exists() else "there is no such folder"
+        raise InputError(f"{folder}: {what}; name the folder that holds the clips")
+    place = folder / "goldens"
     if update and recipes:
-        return _new(folder, recipes)
-    goldens = [(path, golden, Path(golden.recipe).stem) for path in paths for golden in [read_golden(path)]]
-    recorded = {name: golden.recipe for _, golden, name in goldens}
+        clips = [path for path in sorted(folder.iterdir()) if path.suffix.lower() not in NO_CLIPS and find_init(path)]
+        if not clips:
+            raise InputError(f"{folder}: has no clip with an init file beside it; make one with facetrack init CLIP")
+        stems = [clip.stem for clip in clips]
+        if twice := [stem for stem in stems if stems.count(stem) > 1]:
+            raise UsageError(f"{folder}: two clips are called {twice[0]}; rename one, goldens are kept by that name")
+        new = []
+        for clip, (name, recipe) in product(clips, recipes.items()):
+            new.append(Task(place / f"{clip.stem}.{name}.json", clip, recipe, None))
+            with contextlib.suppress(InputError):  # it may be that there is none yet, or none that can be read
+                new[-1] = new[-1]._replace(golden=read_golden(new[-1].path))
+        return new
+    goldens = [(path, read_golden(path)) for path in sorted(place.glob("*.json"))]
+    recorded = {Path(golden.recipe).stem: golden.recipe for _, golden in goldens}
     if not goldens:
         remedy = f"record some with facetrack regress {folder} --config RECIPE --update"
         raise InputError(f"{folder}: has no goldens; {remedy}")
     if absent := [name for name in recipes if name not in recorded]:
         there = f"has no golden of {absent[0]}, only of {', '.join(sorted(recorded))}"
         raise InputError(f"{folder}: {there}; record it with --update")
-    own = {name: str(folder / file) if file.endswith(".yaml") else file for name, file in recorded.items()}
-    use = recipes or own
-    return [Task(path, folder / golden.clip, use[name], golden) for path, golden, name in goldens if name in use]
-
-
-def _new(folder: Path, recipes: Mapping[str, str]) -> list[Task]:
-    clips = [path for path in sorted(folder.iterdir()) if path.suffix.lower() not in NO_CLIPS and find_init(path)]
-    if not clips:
-        raise InputError(f"{folder}: has no clip with an init file beside it; make one with facetrack init CLIP")
-    result = {}
-    for clip, (name, recipe) in product(clips, recipes.items()):
-        path, golden = folder / "goldens" / f"{clip.stem}.{name}.json", None
-        if path in result:
-            raise UsageError(f"{folder}: two clips are called {clip.stem}; rename one, goldens are kept by that name")
-        with contextlib.suppress(InputError):  # it may be that there is none yet, or none that can be read
-            golden = read_golden(path)
-        result[path] = Task(path, clip, recipe, golden)
-    return [*result.values()]
+    use = recipes or {name: str(folder / file) if file.endswith(".yaml") else file for name, file in recorded.items()}
+    named = ((path, golden, use.get(Path(golden.recipe).stem)) for path, golden in goldens)
+    return [Task(path, folder / golden.clip, recipe, golden) for path, golden, recipe in named if recipe is not None]
 
 
 def regress(
@@ -310,76 +300,69 @@ def regress(
     `overrides` are set in all recipes. Those that recognise know the people of `gallery`, else of the golden's, else
     their own. A golden is recorded from `seeds` runs up to the frame `stop`, else that of the golden before it.
     """
-    stopped = stopped or Stop()
-    prepared: list[SeedPlan | FacetrackError] = []
-    own = [task.golden.gallery if task.golden else "" for task in asked]
-    people = [gallery or (folder / name if name else None) for name in own]
-    for task, who in zip(asked, people, strict=True):
+    stopped, plans = stopped or Stop(), list[SeedPlan]()
+    prepared: list[tuple[Task, Path | None, FacetrackError | None]] = []
+    for task in asked:
+        people, error = gallery or (folder / task.golden.gallery if task.golden and task.golden.gallery else None), None
         try:
-            recipe = _recipe(task, overrides, who)
-            prepared.append(_to_record(task, recipe, seeds, stop, stopped) if update else _to_check(task, recipe))
+            plans.append(_plan(task, people, overrides, update, seeds, stop, stopped))
         except FacetrackError as e:
             if str(e).startswith("--set"):  # a mistake in the option is no regression
                 raise
-            prepared.append(e)
+            error = e
+        prepared.append((task, people, error))
         if stopped():
             return
-    plans = [plan for plan in prepared if isinstance(plan, SeedPlan)]
     with contextlib.closing(run_plans(plans, stopped=stopped, **how)) as ends:
-        for task, who, plan in zip(asked, people, prepared, strict=True):
-            ended = next(ends, None) if isinstance(plan, SeedPlan) else None
+        for task, people, error in prepared:
+            ended = None if error else next(ends, None)
             if stopped():
                 return
-            error = plan if ended is None else ended.error
+            error = ended.error if ended else error
             verdict = Verdict(task.path, task.clip.name, task.path.stem[len(task.clip.stem) + 1 :])
-            if isinstance(error, FacetrackError):
+            if ended is None or error is not None:
                 status: Any = "skipped" if isinstance(error, _SkippedError) else "fails"
                 yield replace(verdict, status=status, message=str(error))
-            elif ended is not None:
-                runs, golden = [run.trajectory for run in ended.runs], None if update else task.golden
-                now = record(folder, ended.plan, runs, who, golden.names if golden else None)
-                if golden is None:
-                    write_golden(task.path, now)
-                    yield replace(verdict, message=f"wrote {task.path} ({len(runs)} seeds)")
-                else:
-                    seconds = sum(len(run.trajectory.frames) / run.frames_per_s for run in ended.runs)
-                    verdict = replace(verdict, seconds=seconds, seeds=len(runs))
-                    yield compared(verdict, golden, now, differences(golden, ended.plan.recipe), runs)
+                continue
+            runs, golden = [run.trajectory for run in ended.runs], None if update else task.golden
+            now = record(folder, ended.plan, runs, people, golden.names if golden else None)
+            if golden is None:
+                write_golden(task.path, now)
+                yield replace(verdict, message=f"wrote {task.path} ({len(runs)} seeds)")
+            else:
+                seconds = sum(len(run.trajectory.frames) / run.frames_per_s for run in ended.runs)
+                verdict = replace(verdict, seconds=seconds, seeds=len(runs))
+                yield compared(verdict, golden, now, differences(golden, ended.plan.recipe), runs)
 
 
-def _recipe(task: Task, overrides: Sequence[str], people: Path | None) -> Recipe:
-    recipe = load_recipe(task.recipe, overrides, installed=False)
+def _plan(
+    task: Task, people: Path | None, overrides: Sequence[str], update: bool, seeds: int, stop: int | None, stopped: Stop
+) -> SeedPlan:
+    recipe, golden = load_recipe(task.recipe, overrides, installed=False), task.golden
     if isinstance(recipe, OpenCvRecipe) and find_opencv(recipe.tracker) is None:
         there = f"the installed OpenCV has no {recipe.tracker.upper()} tracker"
         raise _SkippedError(f"{there}; opencv-contrib-python-headless has")
-    if people is None or not any(each.recognition for each in recipe.filters.values()):
-        return recipe
-    if not people.is_file():
-        raise InputError(f"the gallery {people} is not there; put it back, or name another with --gallery")
-    return put_gallery(recipe, str(people))
-
-
-def _to_record(task: Task, recipe: Recipe, seeds: int, stop: int | None, stopped: Stop) -> SeedPlan:
-    clip = ClipRequest(task.clip, stop=stop or (task.golden.stop if task.golden else None))
-    start = replace(clip.find(recipe, stopped=stopped), detector="", placed=False)  # cascades are there on any machine
-    with clip.open() as source:
-        try:
-            tracker_for(recipe, start, source.size, source.fps)
-        except InputError as e:
-            raise _SkippedError(str(e)) from None
-    return SeedPlan(task.path.stem, task.clip, recipe, start, tuple(range(seeds if recipe.random else 1)), clip.stop)
-
-
-def _to_check(task: Task, recipe: Recipe) -> SeedPlan:
-    golden = task.golden
-    assert golden is not None
+    if people is not None and any(each.recognition for each in recipe.filters.values()):
+        if not people.is_file():
+            raise InputError(f"the gallery {people} is not there; put it back, or name another with --gallery")
+        recipe = put_gallery(recipe, str(people))
+    if update or golden is None:
+        clip = ClipRequest(task.clip, stop=stop or (golden.stop if golden else None))
+        start = replace(clip.find(recipe, stopped=stopped), detector="", placed=False)  # cascades are on any machine
+        with clip.open() as source:
+            try:
+                tracker_for(recipe, start, source.size, source.fps)
+            except InputError as e:
+                raise _SkippedError(str(e)) from None
+        tried = tuple(range(seeds if recipe.random else 1))
+        return SeedPlan(task.path.stem, task.clip, recipe, start, tried, clip.stop)
     if not task.clip.exists():
         raise InputError(f"the clip {task.clip} is not there; put it back, or remove {task.path}")
     if clip_digest(task.clip) != golden.sha256:
         raise InputError(f"the clip {task.clip} is not the one recorded; restore it, or {UPDATE}")
     other = recipe.random and differences(golden, recipe)
-    seeds = tuple(range(UNSEEN, UNSEEN + RUNS)) if other else (0,)
-    return SeedPlan(task.path.stem, task.clip, recipe, golden.start.start_from(str(task.path)), seeds, golden.stop)
+    tried = tuple(range(UNSEEN, UNSEEN + RUNS)) if other else (0,)
+    return SeedPlan(task.path.stem, task.clip, recipe, golden.start.start_from(str(task.path)), tried, golden.stop)
 
 
 def compared(verdict: Verdict, golden: Golden, now: Golden, changed: list[str], runs: Sequence[Trajectory]) -> Verdict:
@@ -436,12 +419,11 @@ def as_junit(verdicts: Sequence[Verdict]) -> str:
     many, root = counts(verdicts), ElementTree.Element("testsuites")
     about = {"tests": str(len(verdicts)), "failures": str(many["fails"]), "skipped": str(many["skipped"])}
     suite = ElementTree.SubElement(root, "testsuite", {"name": "facetrack regress", **about, "errors": "0"})
-    for verdict in verdicts:
-        texts = (verdict.clip, verdict.recipe, verdict.message, *verdict.details)
-        clip, recipe, message, *details = (_NOT_XML.sub("\ufffd", text) for text in texts)
+    for verdict in verdicts:  # XML cannot hold control characters
+        clip, recipe, *lines = map(flat, (verdict.clip, verdict.recipe, verdict.message, *verdict.details))
         about = {"classname": clip, "name": recipe, "time": f"{verdict.seconds:.3f}"}
         case = ElementTree.SubElement(suite, "testcase", about)
         if kind := {"fails": "failure", "skipped": "skipped"}.get(verdict.status):
-            ElementTree.SubElement(case, kind, {"message": message}).text = "\n".join([message, *details])
+            ElementTree.SubElement(case, kind, {"message": lines[0]}).text = "\n".join(lines)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"

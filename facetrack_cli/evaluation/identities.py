@@ -128,9 +128,9 @@ def _similarity(true: Array, mine: Array, *, boxes: bool) -> Array:
     apart = np.hypot(*np.moveaxis(true[:, :, None] - true[:, None], -1, 0))
     unit = np.nanmax(np.where(np.isfinite(apart), apart, 0), axis=(1, 2))
     off = np.hypot(*np.moveaxis(true[:, None] - mine, -1, 0))
-    known = np.isfinite(off)
-    error = np.where(known, off, 0).sum(axis=2) / np.maximum(known.sum(axis=2), 1)
-    able = known.any(axis=2) & (unit[:, None] > 0)
+    finite = np.isfinite(off)
+    error = np.where(finite, off, 0).sum(axis=2) / np.maximum(finite.sum(axis=2), 1)
+    able = finite.any(axis=2) & (unit[:, None] > 0)
     return np.where(able, np.clip(1 - error * SAME / (NEAR * np.maximum(unit, 1e-9)[:, None]), 0, 1), 0.0)
 
 
@@ -138,16 +138,16 @@ def measure_people(frames: Sequence[Seen]) -> PeopleMeasures:
     """The measures, as TrackEval has them."""
     numbers = [frame.people for frame in frames], [frame.targets for frame in frames]
     counts = [1 + max((int(each.max()) for each in column if each.size), default=-1) for column in numbers]
-    there, given = (np.zeros(n) for n in counts)
+    there, named = (np.zeros(n) for n in counts)
     close, together = np.zeros(counts), np.zeros(counts)
     for people, targets, similar in frames:
         there[people] += 1
-        given[targets] += 1
+        named[targets] += 1
         at = np.ix_(people, targets)
         rest = similar.sum(axis=0) + similar.sum(axis=1, keepdims=True) - similar
         close[at] += np.where(rest > _EPS, similar / np.maximum(rest, _EPS), 0)
         together[at] += similar >= SAME
-    least = there[:, None] + given
+    least = there[:, None] + named
     close = close / np.maximum(least - close, 1)
     same = sum(together[i, j] for i, j in assigned(together))
     hits = np.zeros((len(ALPHAS), *counts))
@@ -164,17 +164,17 @@ def measure_people(frames: Sequence[Seen]) -> PeopleMeasures:
         pairs = assigned(np.where(similar >= SAME - _EPS, 1000.0 * goes_on + similar, 0))
         before, now = now, np.full(counts[0], -1)
         for i, j in pairs:
-            who, which = people[i], targets[j]
-            switches += last[who] not in (-1, which)
-            last[who] = now[who] = which
+            who, target = people[i], targets[j]
+            switches += last[who] not in (-1, target)
+            last[who] = now[who] = target
         begun += (before < 0) & (now >= 0)
         on += len(pairs)
     tp = hits.sum(axis=(1, 2))
-    deta = tp / np.maximum(there.sum() + given.sum() - tp, 1)
+    deta = tp / np.maximum(there.sum() + named.sum() - tp, 1)
     assa = (hits * hits / np.maximum(least - hits, 1)).sum(axis=(1, 2)) / np.maximum(tp, 1)
-    true, mine = float(there.sum()), float(given.sum())
+    true, mine = float(there.sum()), float(named.sum())
     return PeopleMeasures(
-        people=int((there > 0).sum()), targets=int((given > 0).sum()), recall=_share(on, true),
+        people=int((there > 0).sum()), targets=int((named > 0).sum()), recall=_share(on, true),
         precision=_share(on, mine), idf1=_share(2 * same, true + mine), idr=_share(same, true), idp=_share(same, mine),
         hota=float(np.sqrt(deta * assa).mean()), deta=float(deta.mean()), assa=float(assa.mean()),
         switches=int(switches), fragments=int(np.maximum(begun - 1, 0).sum()),

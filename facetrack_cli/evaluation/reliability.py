@@ -125,8 +125,8 @@ def measure_jitter(parts: Sequence[Rows]) -> JitterMeasures | None:
     """None if no part has three visible rows in a row."""
     jitter: list[Array] = []
     for part in parts:
-        known = part.visible & part.placed & np.isfinite(part.at).all(axis=1) & ~part.by_hand
-        three = known[:-2] & known[1:-1] & known[2:] & (part.frame[2:] - part.frame[:-2] == 2)
+        usable = part.visible & part.placed & np.isfinite(part.at).all(axis=1) & ~part.by_hand
+        three = usable[:-2] & usable[1:-1] & usable[2:] & (part.frame[2:] - part.frame[:-2] == 2)
         both = np.stack([part.at, part.at - part.offset])
         off = both[:, :-2] - 2 * both[:, 1:-1] + both[:, 2:]
         jitter.append(np.hypot(off[..., 0], off[..., 1])[:, three] / math.sqrt(6))
@@ -156,14 +156,14 @@ def measure_lost(parts: Sequence[Rows]) -> LostMeasures | None:
         for delay, at, begin in zip(delays, (called, back), (first, end), strict=True):
             if len(at) and not np.any((helped >= part.frame[first]) & (helped <= at[0])):
                 delay.append(at[0] - part.frame[begin])
-    known = covered | judged  # a hidden row is gone, wherever it is
+    judged_rows = covered | judged  # a hidden row is gone, wherever it is
     gone = covered | (judged & ~near)
     return LostMeasures(
         rows=len(lost),
         covered=int(np.sum(covered)),
         called=int(np.sum(lost)),
         precision=_share(lost, covered),
-        precision_gone=_share(lost & known, gone),
+        precision_gone=_share(lost & judged_rows, gone),
         recall=_share(covered, lost),
         recall_gone=_share(gone, lost),
         false_alarms=_share(visible & judged & near, lost),
@@ -181,11 +181,11 @@ def measure_confidence(parts: Sequence[Rows]) -> ConfidenceMeasures | None:
     parts = [part.take(~part.init) for part in parts]
     names = ("confidence", "near", "right", "judged", "visible")
     confidence, near, right, judged, visible = (column(parts, name) for name in names)
-    known = np.isfinite(confidence)
-    if not known.any():
+    finite = np.isfinite(confidence)
+    if not finite.any():
         return None
-    seen = auroc(confidence[known], visible[known])
-    rows = known & judged
+    seen = auroc(confidence[finite], visible[finite])
+    rows = finite & judged
     confidence, near, right, visible = confidence[rows], near[rows], right[rows], visible[rows]
     # scores of other tools need not lie between 0 and 1; then they rank rows, and that is all
     scaled = len(confidence) and np.all((confidence >= 0) & (confidence <= 1))
@@ -208,11 +208,11 @@ def measure_coverage(parts: Sequence[Rows]) -> CoverageMeasures | None:
     names = ("offset", "std", "cov_xy", "visible", "placed")
     offset, std, cov_xy, visible, placed = (column(parts, name) for name in names)
     counted = visible & placed & np.isfinite(offset).all(axis=1)
-    known = np.isfinite(std).all(axis=1)
-    if not known.any():
+    finite = np.isfinite(std).all(axis=1)
+    if not finite.any():
         return None
-    offset, spread = offset[counted & known], std[counted & known]
-    squared = mahalanobis_squared(offset, spread, cov_xy[counted & known])
+    offset, spread = offset[counted & finite], std[counted & finite]
+    squared = mahalanobis_squared(offset, spread, cov_xy[counted & finite])
     # the median distance, which the 50 % ellipse would have to reach
     half = float(np.quantile(squared, 0.5, method="inverted_cdf")) if len(squared) else math.inf
     return CoverageMeasures(
@@ -221,7 +221,7 @@ def measure_coverage(parts: Sequence[Rows]) -> CoverageMeasures | None:
         within_90=mean(squared <= ELLIPSE_90),
         factor=math.sqrt(half / ELLIPSE_50) if math.isfinite(half) else None,
         zero_std=int(np.sum((spread == 0).any(axis=1))),
-        unknown_std=int(np.sum(counted & ~known)),
+        unknown_std=int(np.sum(counted & ~finite)),
     )
 
 
@@ -249,9 +249,9 @@ def auroc(score: Array, positive: Mask) -> Value:
     negatives = len(score) - positives
     if not positives or not negatives:
         return None
-    _, which, counts = np.unique(score, return_inverse=True, return_counts=True)
+    _, rank, counts = np.unique(score, return_inverse=True, return_counts=True)
     ranks = np.cumsum(counts) - (counts - 1) / 2  # the mean rank of each value, from 1
-    above = float(np.sum(ranks[which.reshape(-1)[positive]])) - positives * (positives + 1) / 2
+    above = float(np.sum(ranks[rank.reshape(-1)[positive]])) - positives * (positives + 1) / 2
     return above / (positives * negatives)
 
 
@@ -260,10 +260,10 @@ def reliability_bins(
 ) -> tuple[ReliabilityBin, ...]:
     """`BINS` bins of equal width for confidence (R,) from 0 to 1, right, visible, and the weight of each row, (R,)."""
     edges = np.arange(BINS + 1) / BINS
-    which = np.clip(np.searchsorted(edges, confidence, side="right") - 1, 0, BINS - 1)
-    rows = np.bincount(which, weight, BINS)
-    weight = np.ones(len(which)) if weight is None else weight
-    sums = [np.bincount(which, weight * values, BINS) for values in (confidence, right, visible)]
+    bin_of = np.clip(np.searchsorted(edges, confidence, side="right") - 1, 0, BINS - 1)
+    rows = np.bincount(bin_of, weight, BINS)
+    weight = np.ones(len(bin_of)) if weight is None else weight
+    sums = [np.bincount(bin_of, weight * values, BINS) for values in (confidence, right, visible)]
     with np.errstate(invalid="ignore"):
         means = np.stack(sums, axis=1) / rows[:, None]
     return tuple(

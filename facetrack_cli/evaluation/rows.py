@@ -148,10 +148,10 @@ def rows_of(pair: Pair, unit: Array) -> Rows:
     error = np.hypot(offset[:, 0], offset[:, 1])
     placed = ~absent & np.isfinite(truth.x) & np.isfinite(truth.y)
     if pair.is_box:  # which is near without a unit too
-        near, known = iou(ours.boxes, truth.boxes) > NEAR_IOU, np.isfinite(truth.boxes).all(axis=1)
+        near, finite = iou(ours.boxes, truth.boxes) > NEAR_IOU, np.isfinite(truth.boxes).all(axis=1)
         size = np.sqrt(np.maximum(truth.w * truth.h, 0))
     else:
-        near, known, size = error < NEAR * unit, np.isfinite(unit), unit
+        near, finite, size = error < NEAR * unit, np.isfinite(unit), unit
     first = np.arange(len(ours)) == 0
     init = ours.status == "init" if np.any(ours.status != "") else first
     return Rows(
@@ -165,9 +165,9 @@ def rows_of(pair: Pair, unit: Array) -> Rows:
         hidden=hidden,
         absent=absent,
         placed=placed,
-        near=near & placed & known,
-        right=(error < RIGHT * size) & placed & known,
-        judged=(placed & known) | absent,
+        near=near & placed & finite,
+        right=(error < RIGHT * size) & placed & finite,
+        judged=(placed & finite) | absent,
         stated=(ours.status == "tracked") | ours.unseen,
         lost=ours.unseen,
         init=init,
@@ -261,8 +261,8 @@ def unit_of(how: str, truth: Sequence[Trajectory], *, box: bool, frames: Whole) 
         size, text = _size(truth, frames) if how == "size" else (float(how), f"{float(how):g} px")
         return Unit(frames, np.full(len(frames), size), text)
     length = np.where(length > 0, length, np.nan)
-    known = length[np.isfinite(length)]
-    typical = f"median {np.median(known):.1f} px" if len(known) else "not known in any"
+    finite = length[np.isfinite(length)]
+    typical = f"median {np.median(finite):.1f} px" if len(finite) else "not known in any"
     return Unit(frames, length, f"{what} in each frame, {typical}")
 
 

@@ -223,10 +223,10 @@ def _strange_start(rows: Sequence[Rows]) -> list[str]:
     """A note where the rows that the tracker was given at its start are far from the ground truth."""
     start = [part.take(part.init & ~part.later & part.placed) for part in rows]
     error, unit = column(start, "error"), column(start, "unit")
-    known = np.isfinite(error) & np.isfinite(unit)
-    if not known.any() or np.median(error[known] / unit[known]) <= 1:
+    finite = np.isfinite(error) & np.isfinite(unit)
+    if not finite.any() or np.median(error[finite] / unit[finite]) <= 1:
         return []
-    off = float(np.median(error[known]))
+    off = float(np.median(error[finite]))
     return [f"the track starts {off:.0f} px from the ground truth: is that of another clip, size or frames?"]
 
 

@@ -117,6 +117,8 @@ def load_recipe(
 
     Parameters
     ----------
+    name_or_path
+        A file that exists, else the name of a shipped recipe, with or without .yaml.
     overrides
         Values by key, as in `{"filter.particles": 200}`, or texts such as `filter.particles=200`.
     installed
@@ -133,7 +135,23 @@ def load_recipe(
 
 
 def check_recipe(name_or_path: str, overrides: Sequence[str] = ()) -> list[Problem]:
-    """Everything that is wrong with a recipe; also that the files it names are there."""
+    """Everything that is wrong with a recipe, and with the files that it names.
+
+    Parameters
+    ----------
+    name_or_path, overrides
+        As of `load_recipe`.
+
+    Returns
+    -------
+    list of Problem
+        Each with its place in the file and a message; empty for a recipe that can run.
+
+    Raises
+    ------
+    RecipeError
+        Where there is no such recipe.
+    """
     try:
         files_of(_load(find_recipe(name_or_path), overrides))
     except YamlProblems as refused:

@@ -332,11 +332,27 @@ def seeded(recipe: Recipe, seed: Any) -> Recipe:
 
 
 def register(section: type[S]) -> type[S]:
-    """Make a section from outside of this package known, so that recipes can name it by its `type`; a decorator too.
+    """Make a section from outside of this package known, so that recipes can name it by its `type`.
 
-    A package names its sections as entry points of the group `facetrack.sections` in place of this. Raises TypeError
-    for what is no `LikelihoodSettings`, `MotionSettings`, `FilterSettings`, `PriorSettings` or `TargetSettings`,
-    ValueError for a `type` that is taken.
+    A package names its sections as entry points of the group `facetrack.sections` in place of this.
+
+    Parameters
+    ----------
+    section
+        A class derived from `LikelihoodSettings`, `MotionSettings`, `FilterSettings`, `PriorSettings` or
+        `TargetSettings`, whose field `type` has a Literal of its name.
+
+    Returns
+    -------
+    type
+        The section, so that this is a decorator as well.
+
+    Raises
+    ------
+    TypeError
+        For what is no such class.
+    ValueError
+        For a `type` that is taken.
     """
     sections.add(section)
     rebuild()

@@ -78,7 +78,16 @@ class Component(Section):
     """The types of target that it goes with."""
 
     def build(self, context: Any) -> Any:
-        """The part of the tracker. A section outside of this package may override this in place of `engine`."""
+        """The part of the tracker. A section outside of this package may override this in place of `engine`.
+
+        Parameters
+        ----------
+        context : an `engine.spaces.Context`: the recipe, the start, the target's name, and where it is placed.
+
+        Returns
+        -------
+        What `engine/protocols.py` says of this kind: a likelihood, a motion or a prior.
+        """
         return pkgutil.resolve_name(self.engine)(self, context)
 
     def mismatches(self, whole: ParticleFilterSettings) -> Iterable[Refusal]:
@@ -123,7 +132,21 @@ class TargetSettings(Kind):
         return False
 
     def place(self, start: Any, name: str) -> Any:
-        """Where the target begins, a `engine.spaces.Placed`; InputError if the start lacks what it needs."""
+        """Where the target begins.
+
+        Parameters
+        ----------
+        start : a `core.types.Start`, in pixels of its frame.
+        name : that of the target in the start.
+
+        Returns
+        -------
+        engine.spaces.Placed : the state space, the first state, windows and the unit of length.
+
+        Raises
+        ------
+        InputError : for a start that lacks what the target needs.
+        """
         return pkgutil.resolve_name(self.engine)(self, start, name)
 
 

@@ -133,9 +133,9 @@ def _init_words(init: InitHeader, folder: Path | None) -> list[str]:
         beside = [] if folder is None else [str(folder / CORRECTED)]
         for name in (init.origin, *beside):
             with contextlib.suppress(FacetrackError):
-                found = read_init(Path(name))
-                if _corrections(found) == _corrections(init.start):
-                    return ["--init", name, *([] if found.frame == init.frame else at)]
+                start = read_init(Path(name))
+                if _corrections(start) == _corrections(init.start):
+                    return ["--init", name, *([] if start.frame == init.frame else at)]
         return ["--init", CORRECTED]
     first = next(iter(init.targets.values()), None)
     if init.origin in DETECTORS:
@@ -150,7 +150,7 @@ def _init_words(init: InitHeader, folder: Path | None) -> list[str]:
 
 def _corrections(start: Start) -> list[Correction]:
     """Without the names of targets, since a recipe may call a face the head."""
-    return [replace(one, target="") for one in start.corrections]
+    return [replace(correction, target="") for correction in start.corrections]
 
 
 def _rate_words(source: ClipHeader) -> list[str]:
@@ -188,28 +188,28 @@ class Image(NamedTuple):
 class KeyImages:
     """The images that could be made, by frame, their origin, clip or annotated, and notes on what is missing."""
 
-    found: dict[int, Image] = field(default_factory=dict)
+    by_frame: dict[int, Image] = field(default_factory=dict)
     origin: str = ""
     notes: list[str] = field(default_factory=list)
 
 
 def key_images(
-    table: Trajectory, header: Header, wanted: Sequence[int], given: Path | None, annotated: Path | None, report: Report
+    table: Trajectory, header: Header, wanted: Sequence[int], clip: Path | None, annotated: Path | None, report: Report
 ) -> KeyImages:
     """Images of the `wanted` frames, from the clip `given` or the header's, else from the MP4 `annotated`. Raises
     InputError if the clip `given` is not the run's; what is wrong with the header's becomes a note.
     """
     maker = _Maker(table, header)
-    best = maker.read(given or Path(header.source.path), wanted, report)
-    if len(best.found) == len(wanted):
+    best = maker.read(clip or Path(header.source.path), wanted, report)
+    if len(best.by_frame) == len(wanted):
         return best
-    if given is not None:
+    if clip is not None:
         raise InputError(best.notes[-1])
     if annotated is None:
         return best
     other = maker.read(annotated, wanted, report, annotated=True)
-    first, second = (best, other) if len(best.found) > len(other.found) else (other, best)
-    return KeyImages(first.found, first.origin, second.notes + first.notes)
+    first, second = (best, other) if len(best.by_frame) > len(other.by_frame) else (other, best)
+    return KeyImages(first.by_frame, first.origin, second.notes + first.notes)
 
 
 class _Maker:
@@ -246,8 +246,8 @@ class _Maker:
                 view, out = self._layout(index)
                 whole = _scaled(frame.bgr, view, out)
                 drawn = whole if annotated else self.draw(Frame(index, then, whole, aspect=frame.aspect), view)
-                done.found[index] = Image(_jpeg(drawn), out, view=view)
-            missing = [index for index in wanted if index not in done.found]
+                done.by_frame[index] = Image(_jpeg(drawn), out, view=view)
+            missing = [index for index in wanted if index not in done.by_frame]
             if missing:
                 done.notes.append(f"{path}: has no frame {missing[0]}, which the run has; name its clip with --clip")
         except InputError as e:
@@ -274,16 +274,16 @@ class _Maker:
         columns |= {name: (getattr(rows, name) - at + 0.5) * zoom - 0.5 for name, at in zip("xy", view, strict=False)}
         shown = replace(rows, **columns, status=np.where(rows.status == "", "tracked", rows.status))
         # without diagnostics: their numbers stand in the plots
-        targets = (one._replace(rows=replace(one.rows, diagnostics={})) for one in recorded(frame.index, shown))
+        targets = (each._replace(rows=replace(each.rows, diagnostics={})) for each in recorded(frame.index, shown))
         return FrameResult(frame, tuple(targets))
 
     def _typical(self) -> float:
         """The size of targets without a box: the median span of their windows."""
-        parts = [one for one in self._table.parts if len(one) == len(self._table.parts[0])]
+        parts = [part for part in self._table.parts if len(part) == len(self._table.parts[0])]
         spans = []
         for at, side in (("x", "w"), ("y", "h")):
-            middle = np.stack([getattr(one, at) for one in parts])
-            half = np.nan_to_num(np.stack([getattr(one, side) for one in parts])) / 2
+            middle = np.stack([getattr(part, at) for part in parts])
+            half = np.nan_to_num(np.stack([getattr(part, side) for part in parts])) / 2
             span = (middle + half).max(axis=0) - (middle - half).min(axis=0)
             spans += [float(np.median(span[np.isfinite(span)]))] if np.isfinite(span).any() else []
         return max(spans, default=0.0) or max(self._clip.size)
@@ -397,7 +397,7 @@ def make_report(
     clock = Clock(table, header.source.fps)
     followed = table
     if people is not None:  # the points of a film's people come and go with the box
-        boxes = [one for one in table.parts if one.part == BOX]
+        boxes = [part for part in table.parts if part.part == BOX]
         followed = joined(boxes, header=table.header, path=table.path)
     history = history_of(followed, clock, header.seams)
     pairs, measured = ([], None) if truth is None else _measured(table, header, truth)
@@ -411,11 +411,11 @@ def make_report(
     again = command(header, last, run)
     network = f" Its points were placed {manifest.network}." if manifest is not None and manifest.network else ""
 
-    def picture(one: PersonRecord | TrackRecord) -> Image | None:
-        still = read_still(run, one.still)
+    def picture(entry: PersonRecord | TrackRecord) -> Image | None:
+        still = read_still(run, entry.still)
         return Image(still, (_PERSON_PX, _PERSON_PX)) if still else None
 
-    reported = any(one.values.keys() - {EVIDENCE.name} for one in table.diagnostics.values())
+    reported = any(reported_values.values.keys() - {EVIDENCE.name} for reported_values in table.diagnostics.values())
     document: str = template.render(
         title=title,
         header=header,
@@ -425,10 +425,10 @@ def make_report(
         cast=people,
         seen=lambda person: [Stretch(begin, stop - 1) for begin, stop in person.intervals],
         picture=picture,
-        pictures={} if people is None else {one.name: picture(one) for one in people.people},
-        parts=[one for one in history.parts if one.spans or one.hidings or one.absences],
+        pictures={} if people is None else {person.name: picture(person) for person in people.people},
+        parts=[part for part in history.parts if part.spans or part.hidings or part.absences],
         looks=looks,
-        leading=next((frame for frame in (*(at for at, _ in looks), *shown) if frame in images.found), None),
+        leading=next((frame for frame in (*(at for at, _ in looks), *shown) if frame in images.by_frame), None),
         identities=list(story.identities(table, clock)),
         mean=mean,
         calibrated=calibrated(header.recipe),
@@ -438,7 +438,7 @@ def make_report(
         several=len(table.targets) > 1,
         spans=sorted(longest, key=lambda s: (s.first, s.name)),
         keys=keys,
-        images=images.found,
+        images=images.by_frame,
         from_clip=images.origin == "clip",
         some_left_out=not {frame for frame, _ in history.events} <= {*shown},
         reasons={key.frame: story.reasons(key, followed, history, header.init.origin) for key in keys},
@@ -459,11 +459,11 @@ def make_batch_report(batch: Path, to: Path, title: str | None = None, report: R
 
     Raises InputError for a folder without runs, UsageError without Jinja2.
     """
-    template, found = page_template("batch.html.j2"), survey(batch)
+    template, progress = page_template("batch.html.j2"), survey(batch)
     notes: list[str] = []
     rows = []
-    for n, clip in enumerate(sorted(found.clips, key=badness)):
-        report(n, len(found.clips))
+    for n, clip in enumerate(sorted(progress.clips, key=badness)):
+        report(n, len(progress.clips))
         folder, still = batch / clip.folder, None
         if clip.state == "done":
             try:
@@ -478,7 +478,7 @@ def make_batch_report(batch: Path, to: Path, title: str | None = None, report: R
     title = f"{batch.resolve().name}, {len(rows)} clips" if title is None else title
     if len(notes) > MAX_NOTES:
         notes[MAX_NOTES:] = [f"and {len(notes) - MAX_NOTES} more clips without a picture"]
-    return ReportPage(encoded(template.render(title=title, rows=rows, counts=found.counts)), tuple(notes))
+    return ReportPage(encoded(template.render(title=title, rows=rows, counts=progress.counts)), tuple(notes))
 
 
 def _video(run: Path) -> Path | None:
@@ -490,9 +490,9 @@ def _still(folder: Path, clip: ClipStatus) -> Image | None:
     table = read_run(trajectory_of(folder))
     at = int(table.frames[len(table.frames) // 2]) if clip.still is None else clip.still
     images = key_images(table, read_header(table), [at], None, _video(folder), silent)
-    if at not in images.found:
+    if at not in images.by_frame:
         return None
-    image = cv2.imdecode(np.frombuffer(images.found[at].data, np.uint8), cv2.IMREAD_COLOR)
+    image = cv2.imdecode(np.frombuffer(images.by_frame[at].data, np.uint8), cv2.IMREAD_COLOR)
     assert image is not None
     size = (_STILL_PX, max(round(_STILL_PX * image.shape[0] / image.shape[1]), 1))
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
@@ -515,7 +515,7 @@ def page_template(name: str) -> Any:
     trim: Any = {"trim_blocks": True, "lstrip_blocks": True}
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=strict, **trim)
     filters = (story.count, story.lasting, story.names, story.number, story.percent)
-    environment.filters |= {"clock": at_clock, **{one.__name__: one for one in filters}}
+    environment.filters |= {"clock": at_clock, **{function.__name__: function for function in filters}}
     style = (folder / "report.css").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(style.encode()).digest()).decode("ascii")
     environment.globals |= {"style": Markup(style), "style_hash": f"sha256-{digest}", "version": __version__}
@@ -528,10 +528,10 @@ def _measured(table: Trajectory, header: Header, truth: TruthFile) -> tuple[list
     theirs = read_truth(truth.path, truth.form, shift=truth.shift)
     notes: list[str] = []
     pairs = match(table, theirs, partial=truth.partial, select=truth.target, note=notes.append)
-    found = evaluate(pairs, notes, Options(size=header.source.size), reference=theirs.parts)
+    measures = evaluate(pairs, notes, Options(size=header.source.size), reference=theirs.parts)
     read_as = str(theirs.header.get("read_as", truth.form)) + (f", {truth.shift:+d} frames" if truth.shift else "")
-    about = f"Read as {read_as}; {'; '.join(facts(found))}."
-    return pairs, {"path": str(theirs.path), "about": about, "tables": list(sheets(found)), "notes": found.notes}
+    about = f"Read as {read_as}; {'; '.join(facts(measures))}."
+    return pairs, {"path": str(theirs.path), "about": about, "tables": list(sheets(measures)), "notes": measures.notes}
 
 
 def _plot(table: Trajectory, pairs: list[Pair], title: str) -> Image:

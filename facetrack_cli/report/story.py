@@ -128,32 +128,32 @@ class RunHistory:
             spans[span.first, "hidden"].append(span)
         events = {(frame, kind): Event(kind, tuple(each)) for (frame, kind), each in spans.items()}
         events |= {(seam.frame, "seam"): Event("seam", seam=seam) for seam in self.seams if not seam.agrees}
-        return events | {(one.frame, "corrected"): Event("corrected", corrected=one) for one in self.corrections}
+        return events | {(fix.frame, "corrected"): Event("corrected", corrected=fix) for fix in self.corrections}
 
 
 def history_of(table: Trajectory, clock: Clock, seams: tuple[SeamHeader, ...] = ()) -> RunHistory:
     """What happened, from the rows of a trajectory; `seams` are where chunks of its clip meet."""
     several, boxes = len(table.targets) > 1, all(part == BOX for _, part in table.names)
     parts = tuple(
-        _part(one, (one.target if boxes else one.name) if several else one.part, clock) for one in table.parts
+        _part(rows, (rows.target if boxes else rows.name) if several else rows.part, clock) for rows in table.parts
     )
     place = np.searchsorted(clock.frames, table.frame)
     any_lost = np.zeros(len(clock.frames), dtype=np.bool_)
     any_lost[place[table.status == "lost"]] = True
     sure = np.isfinite(table.confidence) & (table.status != "init")
-    known = np.bincount(place[sure], minlength=len(clock.frames))
+    counted = np.bincount(place[sure], minlength=len(clock.frames))
     total = np.bincount(place[sure], table.confidence[sure], len(clock.frames))
     # as the run says it: frames in which a part is lost are shown as such
-    there = (known > 0) & ~any_lost
-    mean = np.round(np.divide(total, known, out=np.full(len(total), np.inf), where=there), 12)
+    there = (counted > 0) & ~any_lost
+    mean = np.round(np.divide(total, counted, out=np.full(len(total), np.inf), where=there), 12)
     episodes = tuple(Stretch(int(clock.frames[a]), int(clock.frames[b - 1])) for a, b in spans(any_lost))
     worst = int(clock.frames[np.argmin(mean)]) if there.any() else None
     corrected: dict[int, tuple[list[str], list[str]]] = {}
-    for one, part in zip(table.parts, parts, strict=True):
-        for at in np.flatnonzero(one.corrected).tolist():
-            given, absent = corrected.setdefault(int(one.frame[at]), ([], []))
-            (absent if one.status[at] == "absent" else given).append(part.name)
-    fixes = tuple(CorrectedFrame(at, tuple(given), tuple(absent)) for at, (given, absent) in sorted(corrected.items()))
+    for rows, part in zip(table.parts, parts, strict=True):
+        for at in np.flatnonzero(rows.corrected).tolist():
+            fixed, absent = corrected.setdefault(int(rows.frame[at]), ([], []))
+            (absent if rows.status[at] == "absent" else fixed).append(part.name)
+    fixes = tuple(CorrectedFrame(at, tuple(fixed), tuple(absent)) for at, (fixed, absent) in sorted(corrected.items()))
     return RunHistory(parts, episodes, int(any_lost.sum()), worst, fixes, seams, tuple(_peaks(table)))
 
 
@@ -163,38 +163,38 @@ def _peaks(table: Trajectory) -> Iterator[tuple[int, Event]]:
         ("opening", "mouth_opening", 1), ("smile", "mouth_width", 1), ("blink", "eye_opening", -1),
     )  # fmt: skip
     for kind, name, sign in kinds:
-        for one in [found[name] for found in table.measures.values() if name in found][:1]:
-            sure = sign * one.value - np.nan_to_num(one.std)
+        for measure in [measures[name] for measures in table.measures.values() if name in measures][:1]:
+            sure = sign * measure.value - np.nan_to_num(measure.std)
             if np.isfinite(sure).any() and (kind != "blink" or any(event.value == kind for event in table.events)):
                 row = int(np.nanargmax(sure))
-                words = f"{name.replace('_', ' ')} {one.value[row]:.2f} ± {one.std[row]:.2f} {one.unit}"
-                yield int(one.frame[row]), Event(kind, words=words)
+                words = f"{name.replace('_', ' ')} {measure.value[row]:.2f} ± {measure.std[row]:.2f} {measure.unit}"
+                yield int(measure.frame[row]), Event(kind, words=words)
 
 
-def _part(one: Trajectory, name: str, clock: Clock) -> PartHistory:
-    sure, frames, status = one.confidence, one.frame.tolist(), one.status
+def _part(rows: Trajectory, name: str, clock: Clock) -> PartHistory:
+    sure, frames, status = rows.confidence, rows.frame.tolist(), rows.status
     unseen: dict[str, list[LostSpan]] = {"lost": [], "hidden": []}
-    for kind, (a, b) in ((one, span) for one in unseen for span in spans(status == one)):
+    for kind, (a, b) in ((state, span) for state in unseen for span in spans(status == state)):
         ends = b < len(frames)
         stop = clock.at(frames[b]) if ends else clock.at(frames[b - 1] + 1)
         back = frames[b] if ends and status[b] != "absent" else None
-        seconds, by_hand = stop - clock.at(frames[a]), ends and bool(one.corrected[b])
+        seconds, by_hand = stop - clock.at(frames[a]), ends and bool(rows.corrected[b])
         unseen[kind].append(LostSpan(name, frames[a], frames[b - 1], back, b - a, seconds, _least(sure[a:b]), by_hand))
-    known = np.isfinite(sure)
-    tracked = sure[(status != "init") & known]
+    is_sure = np.isfinite(sure)
+    tracked = sure[(status != "init") & is_sure]
     return PartHistory(
         name=name,
-        rows=len(one),
+        rows=len(rows),
         spans=tuple(unseen["lost"]),
         hidings=tuple(unseen["hidden"]),
         mean=float(tracked.mean()) if len(tracked) else math.nan,
         lowest=_least(sure),
-        worst=frames[np.nanargmin(sure)] if known.any() else frames[0],
+        worst=frames[np.nanargmin(sure)] if is_sure.any() else frames[0],
         last_status=str(status[-1]),
-        judged=bool((status != "init").any() or known.any()),
+        judged=bool((status != "init").any() or is_sure.any()),
         absences=tuple(Stretch(frames[a], frames[b - 1]) for a, b in spans(status == "absent")),
         frames_absent=int((status == "absent").sum()),
-        vanishes=bool(one.vanished.any()),
+        vanishes=bool(rows.vanished.any()),
     )
 
 
@@ -206,11 +206,11 @@ def key_frames(history: RunHistory, first: int, last: int, most: int = MAX_KEY_F
     """At most `most` frames: the first, the last, that of the lowest mean confidence, the peaks, and of events. Of
     too many events, where the longest episodes begin and end, then, one by one, that furthest in time from all taken.
     """
-    found = history.events
-    events = sorted({frame for frame, _ in found})
+    by_frame = history.events
+    events = sorted({frame for frame, _ in by_frame})
     worst = [] if history.worst is None else [(history.worst, Event("worst"))]
     fixed = [(first, Event("start")), *worst, *history.peaks, (last, Event("end"))]
-    found |= {(frame, event.kind): event for frame, event in fixed}
+    by_frame |= {(frame, event.kind): event for frame, event in fixed}
     taken = {frame for frame, _ in fixed}
     if len(taken.union(events)) <= most:
         taken.update(events)
@@ -222,7 +222,7 @@ def key_frames(history: RunHistory, first: int, last: int, most: int = MAX_KEY_F
                 taken = both
         taken = _spread(taken, events, most)
     kinds: tuple[Kind, ...] = get_args(Kind)
-    return [KeyFrame(at, tuple(found[at, kind] for kind in kinds if (at, kind) in found)) for at in sorted(taken)]
+    return [KeyFrame(at, tuple(by_frame[at, kind] for kind in kinds if (at, kind) in by_frame)) for at in sorted(taken)]
 
 
 def _spread(taken: set[int], events: Sequence[int], most: int) -> set[int]:
@@ -239,9 +239,9 @@ def _spread(taken: set[int], events: Sequence[int], most: int) -> set[int]:
 # --- in words --------------------------------------------------------------------------------------------------------
 
 
-def count(n: int, one: str, many: str = "") -> str:
+def count(n: int, singular: str, many: str = "") -> str:
     """`1 frame`, `2 frames`, `12,000 frames`."""
-    return f"{n:,} {one if n == 1 else many or one + 's'}"
+    return f"{n:,} {singular if n == 1 else many or singular + 's'}"
 
 
 def lasting(seconds: float) -> str:
@@ -299,7 +299,7 @@ def sentences(table: Trajectory, header: Header, clock: Clock, history: RunHisto
             end = "it is called lost" if gone else "it is not called lost"
         if not one or not absent:
             facts.append(f"In the last frame {end}.")
-    if hidden := len({at for part in history.parts for one in part.hidings for at in range(one.first, one.last + 1)}):
+    if hidden := len({at for part in history.parts for gap in part.hidings for at in range(gap.first, gap.last + 1)}):
         facts.append(f"{who} was hidden, at a likely place, in {count(hidden, 'frame')}.")
     if (mean := confidence_of(table)) is not None:
         facts.append(_trust(calibrated(header.recipe), mean))
@@ -322,7 +322,7 @@ def to_look_at(table: Trajectory, history: RunHistory, clock: Clock) -> list[tup
     called lost, and the frame of the lowest confidence where that is low.
     """
     looks = []
-    for first, last in sorted(sorted(history.episodes, key=lambda one: one.first - one.last)[:3]):
+    for first, last in sorted(sorted(history.episodes, key=lambda episode: episode.first - episode.last)[:3]):
         lost = dict.fromkeys(span.name for span in history.spans if span.first <= last and span.last >= first)
         frames = f"frames {first} to {last}" if last > first else f"frame {first}"
         looks.append((first, f"{at_clock(clock.at(first))}, {frames}: {names([*lost], 3)} lost"))
@@ -341,9 +341,9 @@ def confidence_of(table: Trajectory) -> float | None:
     return float(sure.mean()) if sure.size else None
 
 
-def _trust(known: bool, mean: float) -> str:
+def _trust(calibrated: bool, mean: float) -> str:
     """What the mean confidence says of the rows."""
-    if not known:
+    if not calibrated:
         return "Its confidence is not calibrated: it says how alike the image is, not how often the place is right."
     right = "right, within a quarter of the target's size"
     return f"Its confidence, calibrated on clips of known truth, expects {percent(mean)} of the rows to be {right}."
@@ -359,20 +359,20 @@ def doubts(header: Header, mean: float | None) -> list[str]:
 def identities(table: Trajectory, clock: Clock) -> Iterator[str]:
     """A sentence for each target with an identity: the last one, its probability, and since when it is sure."""
     for target in table.targets:
-        one = table.of_target(target)[0]
-        known = np.flatnonzero(one.identity != "")
-        if not known.size:
+        rows = table.of_target(target)[0]
+        named = np.flatnonzero(rows.identity != "")
+        if not named.size:
             continue
-        name, sure = str(one.identity[known[-1]]), float(one.identity_prob[known[-1]])
-        found = f"{f'{target} is named' if len(table.targets) > 1 else 'It is named'} {name} at the end"
+        name, sure = str(rows.identity[named[-1]]), float(rows.identity_prob[named[-1]])
+        sentence = f"{f'{target} is named' if len(table.targets) > 1 else 'It is named'} {name} at the end"
         if math.isfinite(sure):
-            found += f", with a probability of {percent(sure)}"
+            sentence += f", with a probability of {percent(sure)}"
         passed = table.recognised(target, name)
         if passed is not None:
-            found += f"; that passed {SURE:g} in frame {passed:,}, at {at_clock(clock.at(passed))}"
+            sentence += f"; that passed {SURE:g} in frame {passed:,}, at {at_clock(clock.at(passed))}"
         elif math.isfinite(sure):
-            found += f"; that never passed {SURE:g}"
-        yield f"{found}."
+            sentence += f"; that never passed {SURE:g}"
+        yield f"{sentence}."
 
 
 def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) -> list[tuple[str, str, str]]:
@@ -380,17 +380,17 @@ def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) 
     rows = table.at(key.frame)
     parts = [history.parts[part].name for part in rows.which.tolist()]
     confidence = dict(zip(parts, rows.confidence.tolist(), strict=True))
-    known = rows.confidence[np.isfinite(rows.confidence)]
-    mean = number(float(known.mean()) if known.size else None)
+    confidences = rows.confidence[np.isfinite(rows.confidence)]
+    mean = number(float(confidences.mean()) if confidences.size else None)
 
     def words(event: Event) -> tuple[str, str]:
         match event.kind:
             case "start":
                 return "Start", f"placed by {_DETECTORS.get(origin) or Path(origin).name or origin}"
             case "corrected":
-                given, absent = event.corrected[1:] if event.corrected else ((), ())
+                placed, absent = event.corrected[1:] if event.corrected else ((), ())
                 gone = f"{_are(absent, 5)} absent" if absent else ""
-                return "Corrected by hand", "; ".join(filter(None, (names(given, 5), gone)))
+                return "Corrected by hand", "; ".join(filter(None, (names(placed, 5), gone)))
             case "seam":
                 share = None if event.seam is None else event.seam.agreement
                 agree = f"they agree in {percent(share)} of the frames that both have"
@@ -411,8 +411,8 @@ def reasons(key: KeyFrame, table: Trajectory, history: RunHistory, origin: str) 
             case _:
                 ends = [(kind, [parts[i] for i in np.flatnonzero(rows.status == kind)]) for kind in ("lost", "absent")]
                 words = {"lost": "called lost", "absent": "absent"}
-                found = "; ".join(f"{words[kind]}: {names(gone, 5)}" for kind, gone in ends if gone)
-                return "End", found or ("not called lost" if len(parts) == 1 else "no part is called lost")
+                endings = "; ".join(f"{words[kind]}: {names(gone, 5)}" for kind, gone in ends if gone)
+                return "End", endings or ("not called lost" if len(parts) == 1 else "no part is called lost")
 
     return [(event.kind, *words(event)) for event in key.events]
 

@@ -63,17 +63,29 @@ def track_video(
 ) -> Trajectory:
     """Track a video file, or a folder of images, from its start to its end; what `facetrack run` does, in memory.
 
-    `recipe` is a recipe, the name of a shipped one, or a file; None: correlation_filter where `init` is a box, else
-    face. `init` says where the track starts: an init file; "haar" or "yunet" to look for a face; a box (left, top,
-    width, height) in pixels; a `Start`. None: the init file beside the clip, else a face. `start` and `stop` are the
-    first frame and the frame to stop before, `fps` the rate of a folder of images. With `lag`, each row takes so many
-    later frames into account. `faces` "all": everybody, over cuts; each person is a target, and the trajectory's
-    `people` says who is seen when. `report` is called with the frames done and the frames in all, if that is known;
-    without it a bar is shown on a terminal and in Jupyter.
+    Parameters
+    ----------
+    path : the video file, or the folder of images.
+    recipe : a recipe, the name of a shipped recipe, or a file; None: correlation_filter where `init` is a box, else
+        face.
+    init : where the track starts: an init file; "haar" or "yunet" to look for a face; a box (left, top, width, height)
+        in pixels; a `Start`. None: the init file beside the clip, else a face.
+    seed : of the random numbers; None: that of the recipe.
+    start, stop : the first frame, and the frame to stop before.
+    fps : the rate of a folder of images, in frames per second.
+    lag : each row takes so many later frames into account.
+    faces : "all": everybody, over cuts; each person is a target, and the trajectory's `people` says who is seen when.
+    report : is called with the frames done and the frames in all, or None where that is not known. Without it a bar is
+        shown on a terminal and in Jupyter.
 
-    The trajectory's `header` says what a trajectory.json says: source, recipe, seed, init, warnings, `complete`.
-    Raises a FacetrackError (RecipeError, InputError) as the command line would print it; what is wrong after the first
-    frame ends the trajectory there, with `complete` False and the reason in `stopped`.
+    Returns
+    -------
+    Trajectory : its `header` says what a trajectory.json says: source, recipe, seed, init, warnings, `complete`. What
+        is wrong after the first frame ends it there, with `complete` False and the reason in `stopped`.
+
+    Raises
+    ------
+    RecipeError, InputError, UsageError : with the line that the command prints.
     """
     job = Job(
         Path(path),
@@ -114,11 +126,22 @@ def track_frames(
 ) -> Iterator[FrameResult]:
     """Track images as they come: from a webcam, a list, an array (T, H, W, 3); a result for each, from the start on.
 
-    Images are (H, W, 3) uint8 in OpenCV's order, blue first, or (H, W) grey, all of one size. `recipe` and `init` are
-    those of `track_video`, but there is nothing beside the images: None looks for a face, in at most 250 images.
-    With `lag`, each comes so many images later, and its rows take them into account. `clock` is asked for the time of
-    each image, in s, by its number; without it images come at `fps`.
-    Raises InputError for images that are none, or no start in them.
+    Parameters
+    ----------
+    images : (H, W, 3) uint8 in OpenCV's order, blue first, or (H, W) grey, all of one size.
+    recipe, init, seed : as of `track_video`, but there is nothing beside the images: without `init` a face is looked
+        for, in at most 250 images.
+    fps : images per second.
+    lag : each result comes so many images later, and its rows take them into account.
+    clock : gives the time of an image, in seconds, by its number; without it images come at `fps`.
+
+    Yields
+    ------
+    FrameResult : of each image from the start on.
+
+    Raises
+    ------
+    InputError : for an item that is no such image, and where no image has a start.
     """
     tracker = Tracker(recipe, init=init, seed=seed, fps=fps)
     check_count("lag", lag)
@@ -184,7 +207,12 @@ class Recording:
         return self
 
     def write(self, result: FrameResult) -> None:
-        """Write one more frame."""
+        """Write the rows of one more frame, and draw it; `result` is the next one of `track_frames`.
+
+        Raises
+        ------
+        InputError : for a first result without a start.
+        """
         if not self._into.outcome.frames:
             if result.start is None:
                 raise InputError(f"{self.job.out}: the first result has no start; write results of track_frames")
@@ -203,7 +231,17 @@ class Recording:
 
 
 def draw(result: FrameResult, overlay: Overlay | None = None) -> Image:
-    """A new image (H, W, 3) with what the tracker says drawn on its frame; trails need one `overlay` for all frames."""
+    """An image of a result, as the annotated video shows it.
+
+    Parameters
+    ----------
+    result : of one frame, by `track_frames` or `Tracker.update`.
+    overlay : one for all frames, which draws trails as well; None: a new one, without trails.
+
+    Returns
+    -------
+    (H, W, 3) uint8, blue first : a new image; the frame stays as it is.
+    """
     return (overlay or Overlay(result.frame.size)).draw(result)
 
 
@@ -370,6 +408,10 @@ class Tracker:
 
     def save(self, path: str | Path) -> None:
         """Write all that it knows, also while no target is found.
+
+        Parameters
+        ----------
+        path : the file (.npz), which is replaced. `Tracker(..., state=path)` goes on from it.
 
         Raises
         ------

@@ -68,20 +68,20 @@ def build_tracker(recipe: Recipe, start: Start, fps: float | Fraction = 25) -> T
     if missing := ", ".join(name for name in recipe.followed if name not in (*start.targets, *recipe.later)):
         raise InputError(f"{start.origin}: has no {missing}, which the recipe follows; add a box of each")
     names = recipe.followed or tuple(start.targets)
-    for one in start.corrections:
-        if one.target not in names:
-            known = f"it follows {', '.join(names)}; remove that correction"
-            raise InputError(f"{start.origin}: corrects {one.target}, which the recipe does not follow: {known}")
+    for correction in start.corrections:
+        if correction.target not in names:
+            hint = f"it follows {', '.join(names)}; remove that correction"
+            raise InputError(f"{start.origin}: corrects {correction.target}, which the recipe does not follow: {hint}")
     targets = [_target(recipe, start, name) for name in names]
     return tuple(_corrected(recipe, start, target) for target in targets)
 
 
 def check_gallery(recipe: Recipe) -> None:
     """Raises what `build_tracker` would, of the galleries of a recipe alone, before any clip is opened."""
-    for name, given in recipe.filters.items():
-        if given.recognition is not None and isinstance(given.likelihood, PatchLikelihoodSettings):
-            columns, rows = given.likelihood.template
-            find_gallery(given.recognition, (rows, columns), recipe, above(name))
+    for name, settings in recipe.filters.items():
+        if settings.recognition is not None and isinstance(settings.likelihood, PatchLikelihoodSettings):
+            columns, rows = settings.likelihood.template
+            find_gallery(settings.recognition, (rows, columns), recipe, above(name))
 
 
 def _target(recipe: Recipe, start: Start, name: str) -> Target:
@@ -90,17 +90,17 @@ def _target(recipe: Recipe, start: Start, name: str) -> Target:
         return opencv.OpenCvTarget(name, box_of(start, name), recipe.tracker, start.origin)
     if isinstance(recipe, ParticlesRecipe) and recipe.hands is not None and name in recipe.later:
         first = recipe.followed[0]
-        boxes = [None if (one := start.targets.get(hand)) is None else one.box for hand in recipe.later]
+        boxes = [None if (hand_start := start.targets.get(hand)) is None else hand_start.box for hand in recipe.later]
         return HandTarget(
             name, first, recipe.later.index(name), recipe.hands, box_of(start, first), (boxes[0], boxes[1])
         )
     key = name if name in recipe.filters else ""
-    given = recipe.filters[key]
-    if given.head is not None:
-        return face_target(recipe, key, given, given.head, start, name)
+    filter_settings = recipe.filters[key]
+    if filter_settings.head is not None:
+        return face_target(recipe, key, filter_settings, filter_settings.head, start, name)
     settings = recipe.exclusion if isinstance(recipe, ParticleRecipe | ParticlesRecipe) else None
     exclusion = None if settings is None or name in settings.first else partial(log_weights, settings)
-    return particle_target(recipe, key, given, start, name, ParticleTarget, exclusion)
+    return particle_target(recipe, key, filter_settings, start, name, ParticleTarget, exclusion)
 
 
 def tracker_for(recipe: Recipe, start: Start, size: tuple[int, int], fps: float | Fraction) -> Tracker:
@@ -126,65 +126,65 @@ def check_windows(recipe: Recipe, tracker: Tracker, size: tuple[int, int], origi
 
 def _corrected(recipe: Recipe, start: Start, target: Target) -> Target:
     """The target with the corrections that the start has of it, if any; InputError for one that it cannot follow."""
-    corrections = [one for one in start.corrections if one.target == target.name]
+    corrections = [fix for fix in start.corrections if fix.target == target.name]
     if not corrections:
         return target
-    given = recipe.filters.get(target.name, recipe.filters.get(""))
-    kind = None if given is None else given.target  # None of OpenCV's trackers
+    settings = recipe.filters.get(target.name, recipe.filters.get(""))
+    kind = None if settings is None else settings.target  # None of OpenCV's trackers
     points = kind is not None and bool(kind.points)
     hand = target.name in recipe.later
     learns = not points and not hand and (kind is None or kind.relearns)
     absent: set[str] = set()
-    for one in corrections:
-        origin = f"{start.origin}: the correction of {one.target} at frame {one.frame}"
-        _check(one, target, start, origin, points=points)
-        if one.confirmed:
+    for correction in corrections:
+        origin = f"{start.origin}: the correction of {correction.target} at frame {correction.frame}"
+        _check(correction, target, start, origin, points=points)
+        if correction.confirmed:
             continue
         # what a correction leaves open stays absent
-        still = () if is_complete(one, target.parts) else absent - {*one.given.points, *one.kept}
-        absent = {*one.hidden(target.parts), *still}
+        still = () if is_complete(correction, target.parts) else absent - {*correction.given.points, *correction.kept}
+        absent = {*correction.hidden(target.parts), *still}
         if absent >= set(correctable_parts(target.parts)):
             continue
-        if one.learn and points and absent:
+        if correction.learn and points and absent:
             raise InputError(f"{origin}: {', '.join(sorted(absent))} cannot be learned while absent; leave learn out")
-        if one.learn is False and kind is None and not hand:
+        if correction.learn is False and kind is None and not hand:
             raise InputError(f"{origin}: OpenCV's trackers begin again in any case; leave learn out")
-        if one.learn and not learns and not points:
+        if correction.learn and not learns and not points:
             raise InputError(f"{origin}: colours are learned in the first frame alone; leave learn out")
 
-    def place(frame: Frame, one: Correction) -> TargetStart:
-        assert one.given.box is not None
-        said_in = f"{start.origin}: the correction of {one.target} at frame {frame.index}"
-        seen = [part for part in correctable_parts(target.parts) if part not in one.hidden(target.parts)]
-        return box_start(frame, one.given.box, seen, by=start.measured_by, clip=said_in).targets[TARGET]
+    def place(frame: Frame, correction: Correction) -> TargetStart:
+        assert correction.given.box is not None
+        said_in = f"{start.origin}: the correction of {correction.target} at frame {frame.index}"
+        seen = [part for part in correctable_parts(target.parts) if part not in correction.hidden(target.parts)]
+        return box_start(frame, correction.given.box, seen, by=start.measured_by, clip=said_in).targets[TARGET]
 
-    def build(frame: Frame, given: TargetStart) -> Target:
-        if points and given.box is None:
-            given = replace(given, box=box_with(given, start.targets[target.name]))
-        known = replace(start, frame=frame.index, targets={**start.targets, target.name: given})
-        return _target(recipe, known, target.name)
+    def build(frame: Frame, target_start: TargetStart) -> Target:
+        if points and target_start.box is None:
+            target_start = replace(target_start, box=box_with(target_start, start.targets[target.name]))
+        renewed = replace(start, frame=frame.index, targets={**start.targets, target.name: target_start})
+        return _target(recipe, renewed, target.name)
 
-    return CorrectedTarget(target, {one.frame: one for one in corrections}, RestartPolicy(points, learns, place, build))
+    return CorrectedTarget(target, {fix.frame: fix for fix in corrections}, RestartPolicy(points, learns, place, build))
 
 
-def _check(one: Correction, target: Target, start: Start, origin: str, *, points: bool) -> None:
+def _check(correction: Correction, target: Target, start: Start, origin: str, *, points: bool) -> None:
     """InputError if it speaks of parts that nobody knows, or lacks the box of what is followed as a box."""
-    lists = (those for those in (one.absent, one.confirmed) if those is not True)
-    named = [*one.given.points, *one.kept, *chain(*lists)]
-    known = {*correctable_parts(target.parts), *start.targets.get(one.target, TargetStart()).points}
-    if unknown := ", ".join(part for part in named if part not in known):
+    lists = (names for names in (correction.absent, correction.confirmed) if names is not True)
+    named = [*correction.given.points, *correction.kept, *chain(*lists)]
+    parts = {*correctable_parts(target.parts), *start.targets.get(correction.target, TargetStart()).points}
+    if unknown := ", ".join(part for part in named if part not in parts):
         these = f"these are {', '.join(correctable_parts(target.parts))}: correct the name"
         raise InputError(f"{origin}: has {unknown}, which is no part that is followed; {these}")
-    hidden = one.hidden(target.parts)
-    if one.confirmed:
+    hidden = correction.hidden(target.parts)
+    if correction.confirmed:
         return
-    if not points and not hidden and one.given.box is None:
+    if not points and not hidden and correction.given.box is None:
         raise InputError(f"{origin}: has no box, which the recipe follows; add one, as in box: [x, y, w, h]")
     strange = [part for part in correctable_parts(target.parts) if part not in PARTS and part not in hidden]
-    if points and one.given.box is not None and not one.given.points and strange:
+    if points and correction.given.box is not None and not correction.given.points and strange:
         raise InputError(f"{origin}: no cascade can place {', '.join(strange)} in its box; give points: in place of it")
-    if not points and one.given.box is not None:
-        check_size(start.origin, f"{one.target} at frame {one.frame}", one.given.box)
+    if not points and correction.given.box is not None:
+        check_size(start.origin, f"{correction.target} at frame {correction.frame}", correction.given.box)
 
 
 def name_targets(
@@ -206,12 +206,12 @@ def name_targets(
     if not names:
         return start
     targets = {name: target for name, target in start.targets.items() if name not in left_out}
-    corrections = [one for one in start.corrections if one.target not in left_out]
+    corrections = [fix for fix in start.corrections if fix.target not in left_out]
     first, followed = names[0], ", ".join(names)
     head_as = next(iter(targets)) if len(targets) == 1 and not set(targets) & set(names) else TARGET
     if first not in targets and head_as in targets:
         targets[first] = targets.pop(head_as)
-        corrections = [replace(one, target=first) if one.target == head_as else one for one in corrections]
+        corrections = [replace(fix, target=first) if fix.target == head_as else fix for fix in corrections]
     if strangers := ", ".join(name for name in targets if name not in names):
         remedy = f"it follows {followed}: rename them in the init file, or in the recipe"
         raise InputError(f"{start.origin}: has {strangers}, which the recipe does not know; {remedy}")
@@ -223,7 +223,7 @@ def name_targets(
     check_size(start.origin, first, head)
     if missing := [name for name in names if name not in (*targets, *later)]:
         assert frame is not None
-        taken = [one.box for name, one in targets.items() if name != first and one.box is not None]
+        taken = [other.box for name, other in targets.items() if name != first and other.box is not None]
         try:
             regions = hand_regions(frame, head, learn_skin(frame, head), len(missing), taken, MIN_BOX_PX)
         except InputError as e:
@@ -261,7 +261,7 @@ def hand_regions(
         _cut(p, left + x0 * w, top + y0 * h, left + x1 * w, top + y1 * h)[...] = 0
     _, labels, stats, _ = cv2.connectedComponentsWithStats((p >= MIN_SKIN).astype(np.uint8), connectivity=4)
     most = min(max(round(w), 2), width), min(max(round(h), 2), height)
-    found = []
+    regions = []
     for k in range(1, len(stats)):
         x, y, across, down = stats[k, :4].tolist()
         part = np.s_[y : y + down, x : x + across]
@@ -270,12 +270,12 @@ def hand_regions(
             skin, (dx, dy, across, down) = _most_skin(region, most)
             middle = x + dx + across / 2, y + dy + down / 2
             if math.dist(middle, (left + w / 2, top + h / 2)) <= MAX_REACH * max(w, h):
-                found.append((-skin, (x + dx, y + dy, across, down)))
+                regions.append((-skin, (x + dx, y + dy, across, down)))
     free: list[Box] = []
     # by the skin in the box, or a large ceiling of nearly skin colour would come before the hands
-    for _, (x, y, w, h) in sorted(found):
+    for _, (x, y, w, h) in sorted(regions):
         box = float(x * factor), float(y * factor), float(w * factor), float(h * factor)
-        shared = (common_area(box, one) / min(box[2] * box[3], one[2] * one[3]) for one in taken)
+        shared = (common_area(box, other) / min(box[2] * box[3], other[2] * other[3]) for other in taken)
         if min(box[2:]) >= least and all(share < SHARED for share in shared):
             free.append(box)
     return sorted(free[:count])

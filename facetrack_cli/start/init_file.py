@@ -103,8 +103,8 @@ def as_json(start: Start) -> str:
     """As JSON, with the keys of the YAML form."""
     by = start.placed_by
     record = {"frame": start.frame, **({"placed_by": by} if by else {}), **to_record(start)["targets"]}
-    entries = groupby(start.corrections, key=lambda one: one.frame)
-    if corrections := [{"frame": frame, **{one.target: corrected(one) for one in group}} for frame, group in entries]:
+    entries = groupby(start.corrections, key=lambda correction: correction.frame)
+    if corrections := [{"frame": frame, **{fix.target: corrected(fix) for fix in group}} for frame, group in entries]:
         record["corrections"] = corrections
     return json.dumps(record, indent=2) + "\n"
 
@@ -166,7 +166,7 @@ def _below(pairs: Mapping[str, Point], indent: int) -> list[str]:
 def _flow(value: Any) -> str:
     """Numbers, names, lists and mappings on one line."""
     if isinstance(value, list | tuple):
-        value = [one if isinstance(one, str) else whole(one) for one in value]
+        value = [item if isinstance(item, str) else whole(item) for item in value]
     return re.sub('"(.+?)"', lambda name: _key(name[1]), json.dumps(value))
 
 
@@ -242,8 +242,8 @@ def _corrections(node: Node, first: int, targets: Mapping[str, TargetStart]) -> 
             _refuse(at, f"corrects frame {frame}, but the track begins in frame {first}; corrections come after it")
         for name, below in _corrected(keys, entry, targets).items():
             if (frame, name) in corrections:
-                known = f"{name} has a correction of frame {frame} in line {corrections[frame, name][1]} already"
-                _refuse(below, f"{known}; join them", at_key=True)
+                twice = f"{name} has a correction of frame {frame} in line {corrections[frame, name][1]} already"
+                _refuse(below, f"{twice}; join them", at_key=True)
             line = (below.key or below.span).line + 1
             corrections[frame, name] = _correction(frame, name, below, targets.get(name, TargetStart())), line
     return tuple(correction for correction, _ in sorted(corrections.values(), key=lambda pair: pair[0].frame))
@@ -259,8 +259,8 @@ def _corrected(keys: _KEYS, entry: Node, targets: Mapping[str, TargetStart]) -> 
         _refuse(entry, "nothing is corrected here; add points: or box: by hand, or absent: true")
     for key, node in keys.items():
         if key not in (*targets, *HANDS):  # these may appear after the start
-            known = suggest(key, (*targets, *CorrectedTarget.model_fields), "there are the start's targets, and keys")
-            _refuse(node, f'unknown key "{key}"; {known}', at_key=True)
+            remedy = suggest(key, (*targets, *CorrectedTarget.model_fields), "there are the start's targets, and keys")
+            _refuse(node, f'unknown key "{key}"; {remedy}', at_key=True)
     return keys
 
 
@@ -365,13 +365,13 @@ def check_start(start: Start, size: tuple[int, int], parts: Sequence[str], frame
         for part, (w, h) in target.windows.items():
             if w > size[0] or h > size[1]:
                 raise InputError(f"{origin}: the window of {part} of {name}, {w:g}x{h:g}, {larger}")
-    for one in start.corrections:
-        if one.frame <= start.frame:
+    for correction in start.corrections:
+        if correction.frame <= start.frame:
             begins = f"but the track begins at frame {start.frame}; remove that correction, or begin earlier"
-            raise InputError(f"{origin}: corrects {one.target} at frame {one.frame}, {begins}")
+            raise InputError(f"{origin}: corrects {correction.target} at frame {correction.frame}, {begins}")
         # kept points are where the tracker saw them, which may be beyond the border
-        name, box = f"{one.target} at frame {one.frame}", one.given.box
-        _check_places(origin, name, one.given, size)
+        name, box = f"{correction.target} at frame {correction.frame}", correction.given.box
+        _check_places(origin, name, correction.given, size)
         if box is not None and (box[2] > size[0] or box[3] > size[1]):
             raise InputError(f"{origin}: the box of {name}, {box[2]:g}x{box[3]:g} pixels, {larger}")
 

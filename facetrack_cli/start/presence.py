@@ -102,9 +102,9 @@ class MultiFaceTracker:
         """The results of successive frames of one shot, of which the detector looks at the last."""
         if frames:
             at.states = []  # what is between two blocks can be resumed
-            found, left = self._tracked(film, frames)
-            self._look(film, frames, found, left, shot)
-            results = [FrameResult(frame, tuple(found[frame.index].values())) for frame in frames]
+            by_frame, left = self._tracked(film, frames)
+            self._look(film, frames, by_frame, left, shot)
+            results = [FrameResult(frame, tuple(by_frame[frame.index].values())) for frame in frames]
             frames.clear()
             yield from results[:-1]
             at.states = [film]
@@ -113,13 +113,13 @@ class MultiFaceTracker:
     def _tracked(self, film: FilmState, frames: list[Frame]) -> tuple[_Results, list[Track]]:
         """The results of the tracks that go on, and the tracks that leave the picture."""
         each = [self._advance(track, frames) for track in film.tracks]
-        found: _Results = {frame.index: {} for frame in frames}
+        by_frame: _Results = {frame.index: {} for frame in frames}
         for track, results in zip(film.tracks, each, strict=True):
             for frame, result in zip(frames, results, strict=False):
-                found[frame.index][track.name] = result
+                by_frame[frame.index][track.name] = result
         left = [track for track, results in zip(film.tracks, each, strict=True) if len(results) < len(frames)]
         film.tracks = [track for track in film.tracks if track not in left]
-        return found, left
+        return by_frame, left
 
     def _advance(self, track: Track, frames: Iterable[Frame], *, back: bool = False) -> list[TargetResult]:
         """The results of one track in further frames, while it is in the picture; going `back`, while it is seen."""
@@ -136,19 +136,19 @@ class MultiFaceTracker:
 
     def _target(self, start: Start) -> FaceTarget:
         [target] = tracker_for(self.recipe, start, self.size, self.fps)
-        found = among_others(target)
-        assert isinstance(found, FaceTarget)
-        return found
+        face_target = among_others(target)
+        assert isinstance(face_target, FaceTarget)
+        return face_target
 
-    def _look(self, film: FilmState, frames: list[Frame], found: _Results, left: list[Track], shot: Shot) -> None:
+    def _look(self, film: FilmState, frames: list[Frame], results: _Results, left: list[Track], shot: Shot) -> None:
         """Look at the last frame: which tracks go on, and which faces are new."""
         frame = frames[-1]
         free, age = self.detector.find(frame), (frame.index - shot.clear) // LOOK_FRAMES
         nobody = not free and not film.tracks
         if age == 0 or (nobody and age % CLOSER == 0):
-            free += [one for one in everywhere(self.detector, frame) if not _taken(one, free)]
-        for track in sorted(film.tracks, key=lambda one: -one.odds):
-            mine = max(free, key=lambda one: 0 if track.box is None else overlap(track.box, one.box), default=None)
+            free += [face for face in everywhere(self.detector, frame) if not _taken(face, free)]
+        for track in sorted(film.tracks, key=lambda track: -track.odds):
+            mine = max(free, key=lambda face: 0 if track.box is None else overlap(track.box, face.box), default=None)
             if mine is not None and track.box is not None and overlap(track.box, mine.box) >= SAME_FACE:
                 free.remove(mine)
                 track.odds = min(track.odds + _FOUND, _MOST)
@@ -158,17 +158,17 @@ class MultiFaceTracker:
                 track.odds += _LOST if track.box is None else _UNFOUND
         kept: list[Track] = []
         for track in film.tracks:  # in the order of their age
-            twice = any(track.box and one.box and overlap(track.box, one.box) >= ONE_FACE for one in kept)
+            twice = any(track.box and other.box and overlap(track.box, other.box) >= ONE_FACE for other in kept)
             if track.odds > _ENDS and not twice:
                 kept.append(track)
         film.tracks = kept
         # a face that comes in when a shot ends is left out, and so is a face that another shot shows
         able = shot.is_clear(frame.index) and (len(frames) > TWICE_FRAMES or frames[0].index == shot.first)
-        new = [one for one in free if able and self._is_new(one, [*kept, *left], frames, nobody=nobody)]
+        new = [face for face in free if able and self._is_new(face, [*kept, *left], frames, nobody=nobody)]
         room = MAX_FACES - len(kept)
         if len(new) > room and film.crowd is None:
             film.crowd = frame.index
-        new_tracks = [one for face in new[:room] if (one := self._new_track(film, face, frame)) is not None]
+        new_tracks = [new_track for face in new[:room] if (new_track := self._new_track(film, face, frame)) is not None]
         passed = frames[-2::-1]
         each = [self._back(track, passed) for track, _ in new_tracks]
         for (track, first), back in zip(new_tracks, each, strict=True):
@@ -176,7 +176,7 @@ class MultiFaceTracker:
             for at, result in zip(frames[len(frames) - len(ordered) :], ordered, strict=True):
                 rows, how = result.rows, "init" if result is ordered[0] else "tracked"
                 status = np.where(rows.unseen, rows.status, how)
-                found[at.index][track.name] = result._replace(rows=replace(rows, status=status))
+                results[at.index][track.name] = result._replace(rows=replace(rows, status=status))
             track.see(first)
             film.tracks.append(track)
 
@@ -222,7 +222,7 @@ def among_others(target: Target) -> Target:
     """A face, corrected or not, that is one of several: while it is lost, not any face is taken for it."""
     if isinstance(target, CorrectedTarget):
         build = target.policy.build
-        policy = target.policy._replace(build=lambda frame, given: among_others(build(frame, given)))
+        policy = target.policy._replace(build=lambda frame, target_start: among_others(build(frame, target_start)))
         return replace(target, target=among_others(target.target), policy=policy)
     return replace(target, alone=False) if isinstance(target, FaceTarget) else target
 
@@ -235,7 +235,7 @@ def in_view(face: Box, size: tuple[int, int]) -> bool:
 
 
 def _taken(face: Detection, others: Sequence[Detection]) -> bool:
-    return any(overlap(one.box, face.box) >= SAME_FACE for one in others)
+    return any(overlap(other.box, face.box) >= SAME_FACE for other in others)
 
 
 def _own(frame: Frame) -> Frame:

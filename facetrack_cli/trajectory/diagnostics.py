@@ -97,34 +97,34 @@ class Diagnostics:
         return replace(self, frame=self.frame[rows], values={key: v[rows] for key, v in self.values.items()})
 
     @classmethod
-    def of(cls, declared: Sequence[Diagnostic], frame: list[int], found: Sequence[Mapping[str, Any]]) -> Diagnostics:
+    def of(cls, declared: Sequence[Diagnostic], frame: list[int], records: Sequence[Mapping[str, Any]]) -> Diagnostics:
         """From what each frame reports by name; ValueError(index of the frame, why) for what does not fit."""
         values: dict[str, Array] = {}
         labels: dict[str, tuple[str, ...]] = {}
-        for one in declared:
-            given = [each.get(one.name) for each in found]
-            if all(value is None for value in given):
+        for kind in declared:
+            readings = [each.get(kind.name) for each in records]
+            if all(value is None for value in readings):
                 continue
-            if one.shape is None:
-                labels[one.name] = tuple(dict.fromkeys(key for v in given if isinstance(v, Mapping) for key in v))
-            names = labels.get(one.name, ())
-            unknown = np.full(len(names) if one.shape is None else one.shape, math.nan)
-            each = [unknown if v is None else _checked(one, at, v, names) for at, v in enumerate(given)]
-            values[one.name] = np.array(each, np.float64)
+            if kind.shape is None:
+                labels[kind.name] = tuple(dict.fromkeys(key for v in readings if isinstance(v, Mapping) for key in v))
+            names = labels.get(kind.name, ())
+            unknown = np.full(len(names) if kind.shape is None else kind.shape, math.nan)
+            each = [unknown if v is None else _checked(kind, at, v, names) for at, v in enumerate(readings)]
+            values[kind.name] = np.array(each, np.float64)
         return cls(tuple(declared), np.asarray(frame, np.int64), values, labels)
 
     @classmethod
     def joined(cls, parts: Sequence[Diagnostics]) -> Diagnostics:
         """Those of successive frames as one."""
-        if len({(*one.values, *one.labels.items()) for one in parts}) == 1:
-            values = {key: np.concatenate([one.values[key] for one in parts]) for key in parts[0].values}
-            return replace(parts[0], frame=np.concatenate([one.frame for one in parts]), values=values)
+        if len({(*piece.values, *piece.labels.items()) for piece in parts}) == 1:
+            values = {key: np.concatenate([piece.values[key] for piece in parts]) for key in parts[0].values}
+            return replace(parts[0], frame=np.concatenate([piece.frame for piece in parts]), values=values)
         # what is read from a file declares, in the tracker's order, only what is there
         longest = sorted(parts, key=lambda part: -len(part.declared))
         declared = {each.name: each for part in reversed(longest) for each in part.declared}
         order = dict.fromkeys(each.name for part in longest for each in part.declared)
-        frames = [frame for one in parts for frame in one.frame.tolist()]
-        return cls.of([declared[name] for name in order], frames, [each for one in parts for each in one.records()])
+        frames = [frame for piece in parts for frame in piece.frame.tolist()]
+        return cls.of([declared[name] for name in order], frames, [each for piece in parts for each in piece.records()])
 
     def records(self) -> list[dict[str, Any]]:
         """What is known in each frame, by name, as `of` takes it."""

@@ -194,8 +194,8 @@ class Chain(NamedTuple):
         stay = np.exp(-usual / np.asarray(lasts))[:, None]
         once = stay * np.eye(len(lasts)) + (1 - stay) / len(lasts)
         # a pause is as many steps
-        count, which = np.unique(np.maximum(np.rint(np.diff(time_s) / usual), 1), return_inverse=True)
-        move = np.log([np.linalg.matrix_power(once, int(n)) for n in count])[which]
+        count, steps = np.unique(np.maximum(np.rint(np.diff(time_s) / usual), 1), return_inverse=True)
+        move = np.log([np.linalg.matrix_power(once, int(n)) for n in count])[steps]
         share = np.log((1 / (1 - stay[:, 0])) / np.sum(1 / (1 - stay)))
         forward, backward = np.empty_like(log_p), np.zeros_like(log_p)
         forward[0] = share + log_p[0]

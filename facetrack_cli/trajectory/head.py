@@ -437,8 +437,8 @@ def _spans(pose: Pose, rows: Whole) -> Iterator[Span]:
 
     def even(signal: Array) -> Array:
         values = signal[rows]
-        known = np.isfinite(values)  # of angle and size, pairs may be missing where points are not
-        return np.interp(grid, time_s[known], values[known]) if known.any() else np.zeros(len(grid))
+        finite = np.isfinite(values)  # of angle and size, pairs may be missing where points are not
+        return np.interp(grid, time_s[finite], values[finite]) if finite.any() else np.zeros(len(grid))
 
     def of_kind(kind: str, label: str, begin: int, end: int) -> Iterator[Span]:
         # grid times are rounding errors away from the rows'; where rows are far apart, a span may hold none

@@ -101,8 +101,8 @@ class Face(NamedTuple):
         each = [(self.at[i] - self.at[a]) / (self.at[b] - self.at[a]) for i, (a, b) in zip(IRISES, ENDS, strict=True)]
         return sum(each) / 2 - 0.5
 
-    def apart(self, one: str, other: str) -> Array:
-        return np.asarray(np.abs(self.at[one] - self.at[other]))
+    def apart(self, point: str, other: str) -> Array:
+        return np.asarray(np.abs(self.at[point] - self.at[other]))
 
     def height(self, above: Sequence[str], below: Sequence[str]) -> Array:
         """(T,) how far the middle of some points is above that of others, in distances between the eyes."""
@@ -289,8 +289,8 @@ def stretches(time_s: Array) -> list[tuple[int, int]]:
 
 def settled(measure: Measured) -> Whole:
     """The rows that have a value, and are not within `NEAR_S` of one that has none, where points come and go."""
-    known = np.isfinite(measure.value + measure.time_s)
-    rows, gone = np.flatnonzero(known), np.flatnonzero(~known)
+    finite = np.isfinite(measure.value + measure.time_s)
+    rows, gone = np.flatnonzero(finite), np.flatnonzero(~finite)
     after = np.searchsorted(gone, rows)
     sides = [np.append(gone, -1)[after - 1], np.append(gone, -1)[after]]  # -1: there is none
     near = [(side >= 0) & (np.abs(measure.time_s[rows] - measure.time_s[side]) <= NEAR_S) for side in sides]
@@ -315,7 +315,7 @@ def _spread(of: Callable[[Face], Array], face: Face, spread: Mapping[str, Array]
 @np.errstate(all="ignore")
 def hand_measures(table: Trajectory) -> dict[str, dict[str, Measured]]:
     """The measures of each hand of a trajectory by name; none without a head that has a box."""
-    boxes = {one.target: one for one in table.parts if one.part == BOX}
+    boxes = {part.target: part for part in table.parts if part.part == BOX}
     hands, heads = [name for name in HANDS if name in boxes], [name for name in boxes if name not in HANDS]
     if not hands or len(heads) != 1:
         return {}
@@ -327,8 +327,8 @@ def hand_measures(table: Trajectory) -> dict[str, dict[str, Measured]]:
     time_s = joined(parts).times
     if not size > 0 or len(frame) < 2 or not np.isfinite(time_s).all():
         return {}
-    at = np.stack([_bridged(one / size, time_s) for one in (x, y)], axis=-1)  # (T, K, 2)
-    half = np.stack([_bridged(one / size / 2, time_s) for one in (w, h)], axis=-1)
+    at = np.stack([_bridged(axis / size, time_s) for axis in (x, y)], axis=-1)  # (T, K, 2)
+    half = np.stack([_bridged(side / size / 2, time_s) for side in (w, h)], axis=-1)
     var = np.nan_to_num(spreads[0] ** 2 + spreads[1] ** 2) / 2 / size**2
     measures: dict[str, dict[str, Measured]] = {}
     for k, name in enumerate(hands):
@@ -343,7 +343,7 @@ def hand_measures(table: Trajectory) -> dict[str, dict[str, Measured]]:
                 spread = np.sqrt(var[:, j] + var[:, k] + OUTLINE**2)
                 values["touches_face" if j == len(hands) else "touches_hand"] = above(reach - apart, spread)
         std = {"speed": np.where(np.isfinite(speed), noise, np.nan)}
-        has = [one for one in HAND_MEASURES if one.name in values]
+        has = [measure for measure in HAND_MEASURES if measure.name in values]
         measures[name] = {
             key: Measured(key, unit, frame, time_s, values[key], *[std.get(key, speed * np.nan)] * 2)
             for key, unit, *_ in has
@@ -375,6 +375,6 @@ def _speed(at: Array, seen: Mask, time_s: Array) -> tuple[Array, float]:
     for a, b in spans(np.isfinite(at.sum(axis=1)), np.diff(time_s) > 1.5 * step):
         if b - a > k:
             padded = np.pad(at[a:b], ((k, k), (0, 0)), mode="reflect", reflect_type="odd")
-            way = np.stack([np.convolve(one, weights[::-1], mode="valid") for one in padded.T]) / step
+            way = np.stack([np.convolve(column, weights[::-1], mode="valid") for column in padded.T]) / step
             speed[a:b] = np.sqrt(np.maximum(np.sum(way**2, axis=0) - 2 * spread**2, 0.0))
     return speed, spread

@@ -160,7 +160,7 @@ def people_of(
         spans = tuple(union((track.first, track.stop) for track in theirs))
         times = tuple((round(clock.at(first), 4), round(clock.at(stop), 4)) for first, stop in spans)
         seconds = round(sum(stop - first for first, stop in times), 3)
-        p = round(float(np.average([one.p for one in theirs], weights=[one.stop - one.first for one in theirs])), 4)
+        p = round(float(np.average([row.p for row in theirs], weights=[row.stop - row.first for row in theirs])), 4)
         person = PersonRecord(name=name, seconds=seconds, p=p, intervals=spans, times=times)
         picture = {"still": stills.get(name, ""), "photograph": name in photographs}
         people.append(person.model_copy(update=picture))
@@ -183,7 +183,7 @@ def merge(tracks: Tracks, name: str, into: str) -> Tracks:
     if name == into or both:
         why = f"{name} and {into} are both seen in frame {both[0]}" if name != into else "that is one person already"
         raise UsageError(f"--merge {name}={into}: {why}; give two people that are never seen together")
-    return [(of, _given(one, into) if one.person == name else one) for of, one in tracks]
+    return [(of, _given(record, into) if record.person == name else record) for of, record in tracks]
 
 
 def rename(tracks: Tracks, name: str, to: str) -> Tracks:
@@ -201,8 +201,8 @@ def rename(tracks: Tracks, name: str, to: str) -> Tracks:
 def split(tracks: Tracks, name: str, frame: int) -> Tracks:
     """With the tracks of a person from a frame on given to somebody new. UsageError where that is all or nothing."""
     theirs = _of(tracks, name)
-    if frame <= min(one.first for _, one in theirs) or frame >= max(one.stop for _, one in theirs):
-        spans = ", ".join(f"{one.first} to {one.stop - 1}" for _, one in theirs[:4])
+    if frame <= min(record.first for _, record in theirs) or frame >= max(record.stop for _, record in theirs):
+        spans = ", ".join(f"{record.first} to {record.stop - 1}" for _, record in theirs[:4])
         remedy = f"{name} is seen in frames {spans}; give a frame between the first and the last"
         raise UsageError(f"--split {name}@{frame}f: {remedy}")
     new = new_name({track.person for _, track in tracks})
@@ -257,7 +257,7 @@ def _of(tracks: Tracks, name: str) -> Tracks:
     """The tracks of a person. UsageError for a name that nobody has."""
     own = [pair for pair in tracks if pair[1].person == name]
     if not own:
-        names = ", ".join(dict.fromkeys(one.person for _, one in tracks))
+        names = ", ".join(dict.fromkeys(track.person for _, track in tracks))
         raise UsageError(f"there is no {name}; there are {names}")
     return own
 

@@ -234,11 +234,11 @@ def _read_json(path: Path) -> Trajectory:
     targets, names = columns.pop("target"), columns.pop("part")
     arrays = {name: np.array(values, np.float64 if name in FLOATS else None) for name, values in columns.items()}
     diagnostics = {}
-    for target, found in reported.items():
-        frames = sorted(found)
-        chosen = [one for name, one in declared.items() if any(name in each for each in found.values())]
+    for target, by_diagnostic in reported.items():
+        frames = sorted(by_diagnostic)
+        chosen = [kind for name, kind in declared.items() if any(name in each for each in by_diagnostic.values())]
         try:
-            diagnostics[target] = Diagnostics.of(chosen, frames, [found[frame] for frame in frames])
+            diagnostics[target] = Diagnostics.of(chosen, frames, [by_diagnostic[frame] for frame in frames])
         except ValueError as e:
             at, why = e.args
             raise InputError(f"{path}: frame {frames[at]}, {target}: {why}; correct it, or leave it out") from None
@@ -377,15 +377,15 @@ def to_record(start: Start) -> dict[str, Any]:
 
 def corrections_record(corrections: Sequence[Correction]) -> dict[str, Any]:
     """The member `corrections` of a start's record; no member without any."""
-    return _members(corrections=[{"frame": one.frame, "target": one.target, **corrected(one)} for one in corrections])
+    return _members(corrections=[{"frame": fix.frame, "target": fix.target, **corrected(fix)} for fix in corrections])
 
 
 def corrected(correction: Correction) -> dict[str, Any]:
     """What `CorrectedTarget` reads, for JSON: whole numbers without a fraction, and only members with a value."""
     start, learn = correction.given, correction.learn
-    absent, sure = (one is True or list(one) for one in (correction.absent, correction.confirmed))
+    absent, sure = (names is True or list(names) for names in (correction.absent, correction.confirmed))
     box = start.box and list(map(whole, start.box))
-    points, kept = ({k: list(map(whole, xy)) for k, xy in those.items()} for those in (start.points, correction.kept))
+    points, kept = ({k: list(map(whole, xy)) for k, xy in places.items()} for places in (start.points, correction.kept))
     members = _members(box=box, points=points, kept=kept, absent=absent, confirmed=sure)
     return members if learn is None else {**members, "learn": learn}
 

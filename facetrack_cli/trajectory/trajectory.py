@@ -166,8 +166,8 @@ class Trajectory:
     def times(self) -> Array:
         """(T,) seconds of `frames`, nan where no row says when."""
         frames = self.frames
-        times, known = np.full(len(frames), np.nan), np.isfinite(self.time_s)
-        times[np.searchsorted(frames, self.frame[known])] = self.time_s[known]
+        times, timed = np.full(len(frames), np.nan), np.isfinite(self.time_s)
+        times[np.searchsorted(frames, self.frame[timed])] = self.time_s[timed]
         return times
 
     def beliefs(self, target: str) -> tuple[Whole, tuple[str, ...], Array]:
@@ -177,8 +177,8 @@ class Trajectory:
             return reported.frame, reported.labels[POSTERIOR.name], reported.values[POSTERIOR.name]
         rows = self.of_target(target)[0]
         names = tuple(dict.fromkeys(name for name in rows.identity.tolist() if name))
-        known = rows.identity[:, None] == np.array(names, dtype=np.str_)[None]
-        return rows.frame, names, np.where(known, rows.identity_prob[:, None], np.nan)
+        named = rows.identity[:, None] == np.array(names, dtype=np.str_)[None]
+        return rows.frame, names, np.where(named, rows.identity_prob[:, None], np.nan)
 
     def recognised(self, target: str, name: str, level: float = SURE) -> int | None:
         """The first frame in which the identity `name` has a probability above `level`; None if there is none."""
@@ -244,7 +244,7 @@ class Trajectory:
         """When mouths open and close, eyes blink, heads nod, hands move, hold still and touch, in the order of time."""
         from facetrack_cli.trajectory.face_events import events_of
 
-        kinds = (kind for name, found in self.measures.items() for kind in events_of(name, found).values())
+        kinds = (kind for name, measures in self.measures.items() for kind in events_of(name, measures).values())
         return tuple(sorted(event for kind in kinds for event in kind))
 
     @cached_property
@@ -252,8 +252,8 @@ class Trajectory:
         """Who is in a film, by the header or the people.json beside the file; None of a clip of one target."""
         from facetrack_cli.trajectory.people import People, read_people
 
-        told = self.header.get("people")
-        return read_people(self.path.parent) if told is None else People.model_validate(told)
+        record = self.header.get("people")
+        return read_people(self.path.parent) if record is None else People.model_validate(record)
 
     def lost_intervals(self) -> dict[str, list[tuple[int, int]]]:
         """Frames [first, stop) in which each `target/part` is lost, in the order of time."""
@@ -356,11 +356,11 @@ def build(names: Sequence[tuple[str, str]], which: Any, frame: Any, **others: An
         at, name = frame[twice[0]], "/".join(names[which[twice[0]]])
         why = f"frame {at} has two rows of {name}; keep one row a frame, target and part"
         raise InputError(f"{about.get('path', Path())}: {why}")
-    given = {name: values for name, values in others.items() if values is not None}
-    for name, values in given.items():
-        given[name] = np.asarray(values, dtype=_TYPES.get(name, np.float64))[order]
-    given = {**_unknown(len(frame)), **given, "which": which, "frame": frame}
-    return Trajectory(tuple(names), **given, **about)
+    columns = {name: values for name, values in others.items() if values is not None}
+    for name, values in columns.items():
+        columns[name] = np.asarray(values, dtype=_TYPES.get(name, np.float64))[order]
+    columns = {**_unknown(len(frame)), **columns, "which": which, "frame": frame}
+    return Trajectory(tuple(names), **columns, **about)
 
 
 def of_frame(
@@ -371,15 +371,15 @@ def of_frame(
     An angle is that in the frame's pixels. What lies beyond the outermost pixels of the frame cannot be seen: it is
     hidden where it would be tracked.
     """
-    rows, given = len(names), dict(_unknown(len(names)))
-    given |= {"which": np.arange(rows), "frame": np.full(rows, frame.index), "time_s": np.full(rows, frame.time_s)}
-    given |= {name: np.asarray(values, dtype=_TYPES.get(name, np.float64)) for name, values in columns.items()}
-    given["angle"] = shown_angle(given["angle"], frame.aspect)
-    (x, y), (width, height) = (given["x"], given["y"]), frame.size
+    rows, values_of = len(names), dict(_unknown(len(names)))
+    values_of |= {"which": np.arange(rows), "frame": np.full(rows, frame.index), "time_s": np.full(rows, frame.time_s)}
+    values_of |= {name: np.asarray(values, dtype=_TYPES.get(name, np.float64)) for name, values in columns.items()}
+    values_of["angle"] = shown_angle(values_of["angle"], frame.aspect)
+    (x, y), (width, height) = (values_of["x"], values_of["y"]), frame.size
     beyond = (x < 0) | (x > width - 1) | (y < 0) | (y > height - 1)
     if beyond.any():
-        given["status"] = np.where(beyond & (given["status"] == "tracked"), "hidden", given["status"])
-    return Trajectory(names, **given, diagnostics=diagnostics)
+        values_of["status"] = np.where(beyond & (values_of["status"] == "tracked"), "hidden", values_of["status"])
+    return Trajectory(names, **values_of, diagnostics=diagnostics)
 
 
 _TYPES: Final[Mapping[str, Any]] = {**dict.fromkeys(TEXTS, np.str_), "by_hand": np.bool_}
@@ -465,7 +465,7 @@ class FrameResult:
         """A row for each target and part, in the tracker's order."""
         if len(self.targets) == 1:
             return self.targets[0].rows
-        diagnostics = {name: one for target in self.targets for name, one in target.rows.diagnostics.items()}
+        diagnostics = {name: reported for target in self.targets for name, reported in target.rows.diagnostics.items()}
         return joined([target.rows for target in self.targets], diagnostics=diagnostics)
 
     @property
@@ -511,7 +511,7 @@ def successive(pieces: Sequence[Trajectory], like: Trajectory | None = None) -> 
     """Rows of different frames or targets as one, with their diagnostics; names, header and path as in `like`."""
     targets = dict.fromkeys(name for piece in pieces for name in piece.diagnostics)
     by_target = {name: [piece.diagnostics[name] for piece in pieces if name in piece.diagnostics] for name in targets}
-    diagnostics = {name: Diagnostics.joined(found) for name, found in by_target.items()}
+    diagnostics = {name: Diagnostics.joined(parts) for name, parts in by_target.items()}
     if like is None:
         return joined(pieces, diagnostics=diagnostics)
     # the first piece gives the order of the names

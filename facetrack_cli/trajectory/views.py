@@ -156,8 +156,8 @@ def every_frame(table: Trajectory) -> tuple[Whole, Array]:
     """
     if (last := int(table.frames[-1])) >= MAX_ROWS:
         raise InputError(f"frame {last} is too far on for a row a frame; correct the column frame")
-    frames, known = np.arange(last + 1), np.isfinite(table.times)
-    at, time_s = table.frames[known], table.times[known]
+    frames, timed = np.arange(last + 1), np.isfinite(table.times)
+    at, time_s = table.frames[timed], table.times[timed]
     fps = header_value(table, "source", "fps")
     periods = [1 / fps] if isinstance(fps, int | float) and fps > 0 else []
     steps = np.diff(time_s) / np.diff(at)

@@ -58,8 +58,8 @@ class RunSummary:
         for name in lost:
             self.lost_frames[name] = self.lost_frames.get(name, 0) + 1
         self.lost_at_end = tuple(name for name, frame in zip(lost, rows.frame[at], strict=True) if frame == last)
-        for target, found in rows.diagnostics.items():
-            nats = found.get(EVIDENCE.name)
+        for target, reported in rows.diagnostics.items():
+            nats = reported.get(EVIDENCE.name)
             if np.isfinite(nats).any():
                 self.evidence[target] = self.evidence.get(target, 0.0) + float(np.nansum(nats))
 
@@ -175,7 +175,7 @@ def as_written(rows: Trajectory) -> Trajectory:
         return replace(diagnostics, values=values)
 
     columns: dict[str, Any] = {name: rounded(getattr(rows, name), decimals) for name, decimals in DECIMALS.items()}
-    diagnostics = {target: reported(found) for target, found in rows.diagnostics.items()}
+    diagnostics = {target: reported(of_target) for target, of_target in rows.diagnostics.items()}
     return replace(rows, **columns, corners=None, diagnostics=diagnostics)
 
 

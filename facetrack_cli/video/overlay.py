@@ -64,9 +64,15 @@ class _Past(NamedTuple):
 class Overlay:
     """Draws results over their frames; it keeps the last `trail_s` seconds of them, and no more.
 
-    `size` is (width, height) of all frames, `fps` their nominal rate, `title` stands in the status bar. Lines and type
-    follow the height. Targets have colours by their places in `order`, else in the result. Give the results in their
-    order; a time that goes back starts the trails again.
+    Give the results in their order; a time that goes back starts the trails again. Lines and type follow the height.
+
+    Parameters
+    ----------
+    size : (width, height) of all frames, in pixels.
+    fps : their nominal rate, in frames per second.
+    title : stands in the status bar.
+    trail_s : the length of trails, in seconds.
+    order : names of targets; colours follow their places in it, else in the result.
     """
 
     def __init__(
@@ -106,9 +112,19 @@ class Overlay:
         self._count, self._past, self._weights, self._insets.memory, self._labels.memory = memory
 
     def draw(self, result: FrameResult) -> Image:
-        """A new image of the frame's size, (H, W, 3) uint8, with `result` drawn on it; the frame is left as it was.
+        """An image of the frame with its result; parts without a finite place are left out.
 
-        Parts without a finite place are left out. Raises ValueError if the frame is not of this overlay's size.
+        Parameters
+        ----------
+        result : of the next frame.
+
+        Returns
+        -------
+        (H, W, 3) uint8, blue first : a new image of the frame's size; the frame stays as it is.
+
+        Raises
+        ------
+        ValueError : for a frame that is not of this overlay's size.
         """
         frame = result.frame
         if frame.size != tuple(self.size):

@@ -52,7 +52,7 @@ def clip(tmp_path_factory):
 def image_of(run, frame):
     """The image of a frame of a run, and its pixels."""
     table = read_trajectory(run)
-    found = key_images(table, read_header(table), [frame], None, None, lambda *_: None).found[frame]
+    found = key_images(table, read_header(table), [frame], None, None, lambda *_: None).by_frame[frame]
     return found, cv2.imdecode(np.frombuffer(found.data, np.uint8), cv2.IMREAD_COLOR)
 
 

@@ -14,7 +14,7 @@ import pytest
 from facetrack_cli.__main__ import main
 from facetrack_cli.core.errors import ExitCode
 from facetrack_cli.core.geometry import iou
-from facetrack_cli.evaluation.goldens import find_goldens, read_golden
+from facetrack_cli.evaluation.goldens import read_golden
 from facetrack_cli.recipe.load import check_recipe, load_recipe, with_gallery
 from facetrack_cli.trackers.appearance.gallery_fit import fit_gallery
 from facetrack_cli.trajectory.formats.read import read_truth
@@ -156,7 +156,7 @@ def test_a_golden_holds_who_it_is_and_finds_its_gallery(tmp_path, capfd, monkeyp
     code, out = regress(*first)
     assert code == ExitCode.BATCH and "not recorded: " in out and "--gallery FILE" in out
     assert regress(*first, "--gallery", "clips/people.npz")[0] == 0
-    (path,) = find_goldens(folder)
+    (path,) = folder.glob("goldens/*.json")
     golden, before = read_golden(path), path.read_bytes()
     assert golden.names == {"face": "hopper"} and golden.gallery == "people.npz"
     assert golden.settings["recognition"]["gallery"] == "people.npz" and str(tmp_path) not in path.read_text()

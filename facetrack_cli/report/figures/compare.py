@@ -133,8 +133,8 @@ def compare_figures(comparison: Comparison) -> Iterator[tuple[str, bytes]]:
         name: str, at: Array, title: str, labels: tuple[str, str], measure: str = "AUC", mark: float | None = None
     ) -> Iterator[tuple[str, bytes]]:
         of = attrgetter(name)
-        found = {entry.label: [of(score) for score in entry.scores if of(score) is not None] for entry in entries}
-        curves = {label: (at, np.stack(values)) for label, values in found.items() if values}
+        by_label = {entry.label: [of(score) for score in entry.scores if of(score) is not None] for entry in entries}
+        curves = {label: (at, np.stack(values)) for label, values in by_label.items() if values}
         if curves:
             yield f"{name}.png", render(curves_figure(curves, f"{title} on {clip}", labels, measure, mark))
 

@@ -33,8 +33,8 @@ def panels(table: Trajectory, lines: Sequence[Line], pen: Pen) -> Iterator[Panel
     identities = [target for target in table.targets if is_known(table.beliefs(target)[2])]
     for target in identities[:MAX_IDENTITY_PANELS]:
         yield _identity(table, target, pen, target if len(first) > 1 else "")
-    reported = {target: one for target, one in table.diagnostics.items() if target in first}
-    declared = {one.name: one for each in reported.values() for one in each.declared if one.name in each.values}
+    reported = {target: values for target, values in table.diagnostics.items() if target in first}
+    declared = {kind.name: kind for each in reported.values() for kind in each.declared if kind.name in each.values}
     for name in [*_LOOK, *(name for name in declared if name not in (*_LOOK, *_ELSEWHERE))]:
         reports = {target: each for target, each in reported.items() if is_known(each.get(name))}
         if reports and name in declared:
@@ -79,10 +79,10 @@ def bounds_of(table: Trajectory) -> tuple[float, float, float] | None:
     motion = header_value(table, "recipe", "motion")
     noise = motion.get("noise") if isinstance(motion, Mapping) else None
     values = [noise.get(key) for key in ("least", "most", "rate")] if isinstance(noise, Mapping) else []
-    found = [float(v) for v in values if isinstance(v, int | float) and not isinstance(v, bool)]
-    if len(found) != 3 or not np.isfinite(found).all() or found[2] <= 0:
+    bounds = [float(v) for v in values if isinstance(v, int | float) and not isinstance(v, bool)]
+    if len(bounds) != 3 or not np.isfinite(bounds).all() or bounds[2] <= 0:
         return None
-    return found[0], found[1], found[2]
+    return bounds[0], bounds[1], bounds[2]
 
 
 def eta(error: Array, least: float, most: float, rate: float) -> Array:
@@ -93,7 +93,7 @@ def eta(error: Array, least: float, most: float, rate: float) -> Array:
 def adaptation(table: Trajectory) -> Panel | None:
     """Figure 2(a): eta over the error, and a histogram of the errors of this run; None if there are none."""
     bounds = bounds_of(table)
-    reported = [one.get("error") for target, one in table.diagnostics.items() if target in table.targets]
+    reported = [values.get("error") for target, values in table.diagnostics.items() if target in table.targets]
     errors = np.concatenate([np.empty(0), *reported])
     errors = errors[np.isfinite(errors)]
     if bounds is None or not errors.size:
@@ -178,7 +178,7 @@ def _identity(table: Trajectory, target: str, pen: Pen, whose: str) -> Panel:
         for turn, k in reversed(list(enumerate(leading))):
             pen.line(axes, frame, values[:, k], color=COLOURS[turn % len(COLOURS)], linewidth=1.3, zorder=2.5)
         finite = [values[np.isfinite(values[:, k]), k] for k in leading]
-        ends = [float(one[-1]) if one.size else 0.0 for one in finite]
+        ends = [float(probability[-1]) if probability.size else 0.0 for probability in finite]
         _labels(axes, ends, [clean(names[k], 24) for k in leading])
 
     kept = target in table.diagnostics and POSTERIOR.name in table.diagnostics[target].labels

@@ -37,9 +37,19 @@ def page_figure(
 ) -> Figure:
     """Position, size, confidence, status, particles, spread, diagnostics and error over time, as far as known.
 
-    `pairs` (evaluation/rows.py) bring the ground truth; the title is by default clip and recipe; `width` in inches.
     Of more than `MAX_LINES` parts, all panels but position and size show the median, the middle 80 % and the range.
-    Raises InputError where nothing is known.
+
+    Parameters
+    ----------
+    table : the trajectory.
+    pairs : its parts with their ground truth, as `match` of evaluation/rows.py makes them.
+    title : by default clip and recipe.
+    width : in inches.
+
+    Raises
+    ------
+    InputError : where nothing is known.
+    UsageError : without matplotlib, which the extra `plot` brings.
     """
     with style.style():
         return _Page(table, pairs or (), width).figure(_title(table) if title is None else title)
@@ -54,12 +64,12 @@ def measures_figure(
     Raises UsageError for a name that the table has not.
     """
     measures = {name: one for found in table.measures.values() for name, one in found.items()}
-    events = [one for one in table.events if {one.tier, one.value} & {*names}]
+    events = [event for event in table.events if {event.tier, event.value} & {*names}]
     by = {word: kind.measures[0] for tier, kind in KINDS.items() for word in (tier, kind.value, kind.longer)}
     rows = list(dict.fromkeys(name if name in measures else by.get(name, name) for name in names))
     if missing := [name for name in rows if name not in measures]:
-        known = [*measures, *(word for word, measure in by.items() if word and measure in measures)]
-        others = f"choose among {', '.join(known)}" if known else "it has no measures, which the recipe face gives"
+        choices = [*measures, *(word for word, measure in by.items() if word and measure in measures)]
+        others = f"choose among {', '.join(choices)}" if choices else "it has no measures, which the recipe face gives"
         raise UsageError(f"{table.path}: has no {', '.join(missing)}; {others}")
     with style.style():
         figure = style.new_figure(width, 0.7 + 1.3 * len(rows))
@@ -184,45 +194,45 @@ class _Page:
         from matplotlib.lines import Line2D
         from matplotlib.patches import Patch
 
-        found: dict[str, Any] = {}
+        legend: dict[str, Any] = {}
         if not self.many:
-            found |= {line.name: Line2D([], [], **line.look) for line in self.lines}
+            legend |= {line.name: Line2D([], [], **line.look) for line in self.lines}
         for target in self.table.targets if self.many else ():
             group = [line for line in self.lines if line.ours.target == target]
             of = f"{target}: " if len(self.table.targets) > 1 else ""
             what = f"{of}{len(group)} parts, {group[0].ours.part} to {group[-1].ours.part}"
             colours = [group[round(i * (len(group) - 1) / 5)].colour for i in range(6)]
             handles = tuple(Line2D([], [], color=colour, linewidth=2) for colour in colours)
-            found[style.clean(what if len(group) > 1 else target or group[0].name, 60)] = handles
+            legend[style.clean(what if len(group) > 1 else target or group[0].name, 60)] = handles
         if self.paired and not self.many:
-            found["ground truth"] = Line2D([], [], **style.TRUTH)
-        found |= {status: Patch(color=style.STATUS[status], linewidth=0) for status in self.gone}
+            legend["ground truth"] = Line2D([], [], **style.TRUTH)
+        legend |= {status: Patch(color=style.STATUS[status], linewidth=0) for status in self.gone}
         if len(self.corrected):
-            found["corrected by hand"] = Line2D([], [], **style.CORRECTED)
+            legend["corrected by hand"] = Line2D([], [], **style.CORRECTED)
         unseen = [status for status in NOT_SEEN if status in self.truth and not self.many]
-        return found | {f"{one} in the ground truth": Patch(color=style.STATUS[one], linewidth=0) for one in unseen}
+        return legend | {f"{kind} in the ground truth": Patch(color=style.STATUS[kind], linewidth=0) for kind in unseen}
 
     def _summary(self) -> list[str]:
         count = len(self.frames)
-        found = [f"{count:,} frame{'s' * (count != 1)}"]
+        words = [f"{count:,} frame{'s' * (count != 1)}"]
         if isinstance(seed := self.table.header.get("seed"), int):
-            found.append(f"seed {seed}")
+            words.append(f"seed {seed}")
         if self.judged:
             lost = [int((line.ours.status == "lost").sum()) for line in self.lines]
             percent = 100 * sum(lost) / len(self.table)
             share = f"{percent:.0f} %" if percent >= 9.95 else f"{max(percent, 0.1):.1f} %"
             over = "frames" if len(lost) == 1 else f"rows, {sum(map(bool, lost))} of {len(lost)} parts"
-            found.append(f"called lost in {share} of {over}" if any(lost) else "never called lost")
+            words.append(f"called lost in {share} of {over}" if any(lost) else "never called lost")
         if len(self.corrected):
-            found.append(f"corrected by hand in {len(self.corrected):,} of them")
+            words.append(f"corrected by hand in {len(self.corrected):,} of them")
         wrong = [error[~np.isin(pair.truth.status, NOT_SEEN)] for _, pair, error in self.paired]  # as in eval
         if wrong and is_known(every := np.concatenate(wrong)):
-            found.append(f"median error {np.nanmedian(every):.2f} px")
+            words.append(f"median error {np.nanmedian(every):.2f} px")
         if self.table.header.get("complete") is False:
-            found.append("the run was cut short")
+            words.append("the run was cut short")
         if count > 2 * self.pen.bins:
-            found.append(f"pale: range over {round(self.pen.least * BINS / self.pen.bins)} frames, line: their mean")
-        return found
+            words.append(f"pale: range over {round(self.pen.least * BINS / self.pen.bins)} frames, line: their mean")
+        return words
 
     def _panels(self) -> Iterator[Panel]:
         table, lines, many = self.table, self.lines, self.many
@@ -256,11 +266,11 @@ class _Page:
             notes = [bands, "standard deviation of the particles, both axes together"]
             yield Panel("spread (px)", notes, 0.95, partial(self._positive, of=spread))
         for name, unit, formula, *_ in (*MEASURES, *HAND_MEASURES):
-            found = {target: one[name] for target, one in table.measures.items() if name in one}
-            if found and name in {*USUAL, *(one.name for one in HAND_MEASURES)}:
+            by_target = {target: measured[name] for target, measured in table.measures.items() if name in measured}
+            if by_target and name in {*USUAL, *(measure.name for measure in HAND_MEASURES)}:
                 title = f"{'pose: ' if unit == DEGREES else ''}{name.replace('_', ' ')} ({unit})"
                 notes = ["band: a standard deviation to either side", formula]
-                yield Panel(title, notes, 0.7, partial(self._measure, found=found))
+                yield Panel(title, notes, 0.7, partial(self._measure, by_target=by_target))
         yield from panels(table, lines, self.pen)
         if any(is_known(wrong) for _, _, wrong in self.paired):
             notes = [bands, self._shaded("hidden in the ground truth" if "hidden" in self.truth else "")]
@@ -294,14 +304,14 @@ class _Page:
         if usual:
             axes.set_yticks([0, 0.5, 1])
 
-    def _measure(self, axes: Axes, found: Mapping[str, Measured]) -> None:
+    def _measure(self, axes: Axes, by_target: Mapping[str, Measured]) -> None:
         axes.locator_params(axis="y", nbins=3)
         for target, colour in {
-            line.ours.target: line.group for line in self.lines if line.ours.target in found
+            line.ours.target: line.group for line in self.lines if line.ours.target in by_target
         }.items():
-            one = found[target]
-            self.pen.band(axes, one.frame, one.value - one.std, one.value + one.std, colour, 0.2)
-            self.pen.line(axes, one.frame, one.value, color=colour, linewidth=1.2)
+            series = by_target[target]
+            self.pen.band(axes, series.frame, series.value - series.std, series.value + series.std, colour, 0.2)
+            self.pen.line(axes, series.frame, series.value, color=colour, linewidth=1.2)
 
     def _particles(self, axes: Axes) -> None:
         from matplotlib.ticker import LogLocator
@@ -357,8 +367,8 @@ class _Page:
                 self.pen.line(axes, frame, value, **line.look)
             return
         for target in dict.fromkeys(line.ours.target for line, _, _ in shown):
-            group = [one for one in shown if one[0].ours.target == target]
-            frame, values = style.stacked([one[1:] for one in group])
+            group = [entry for entry in shown if entry[0].ours.target == target]
+            frame, values = style.stacked([entry[1:] for entry in group])
             least, low, middle, high, most = style.quantiles(values, (0.0, 0.1, 0.5, 0.9, 1.0))
             colour = group[0][0].group
             self.pen.band(axes, frame, least, most, colour, 0.14)
@@ -368,5 +378,5 @@ class _Page:
 
 def _reach(value: Array) -> float:
     """Greatest minus least, of what is known."""
-    found = value[np.isfinite(value)]
-    return float(np.ptp(found)) if found.size else 0.0
+    finite = value[np.isfinite(value)]
+    return float(np.ptp(finite)) if finite.size else 0.0

@@ -165,12 +165,12 @@ def limit(axes: Axes, values: Iterable[Array], floor: float | None = None, ticks
     """The `limits` of the vertical axis, with few ticks."""
     from matplotlib.ticker import MaxNLocator
 
-    found = limits(values, floor)
-    if found is None:
+    bounds = limits(values, floor)
+    if bounds is None:
         return
-    axes.set_ylim(found)
-    places = MaxNLocator(ticks, steps=_STEPS).tick_values(*found)
-    inside = [float(place) for place in places if found[0] <= place <= found[1]]
+    axes.set_ylim(bounds)
+    places = MaxNLocator(ticks, steps=_STEPS).tick_values(*bounds)
+    inside = [float(place) for place in places if bounds[0] <= place <= bounds[1]]
     axes.set_yticks(inside, numbers(inside))
 
 
@@ -219,11 +219,11 @@ def frame_axis(axes: Axes, frame: Whole, most: int = 11) -> None:
 def second_axis(axes: Axes, table: Trajectory, most: int) -> bool:
     """An axis of seconds above that of frames; False where seconds are not known or do not increase."""
     time_s = table.times
-    known = np.isfinite(time_s)
-    if known.sum() < 2 or (np.diff(time_s[known]) <= 0).any():
+    timed = np.isfinite(time_s)
+    if timed.sum() < 2 or (np.diff(time_s[timed]) <= 0).any():
         return False
     above = axes.secondary_xaxis("top")
-    above.set_ticks(*ticks(table.frames[known], time_s[known], most))
+    above.set_ticks(*ticks(table.frames[timed], time_s[timed], most))
     above.tick_params(length=2, pad=2)
     above.spines["top"].set_visible(False)
     return True
@@ -278,10 +278,10 @@ def lines_of(table: Trajectory, pairs: Sequence[Pair]) -> list[Line]:
     from matplotlib.colors import to_hex
 
     truth, targets = {pair.ours.names[0]: pair for pair in pairs}, table.targets
-    nth = {one.names[0]: number for target in targets for number, one in enumerate(table.of_target(target))}
-    found = []
-    for number, one in enumerate(table.parts):
-        place = targets.index(one.target)
+    nth = {part.names[0]: number for target in targets for number, part in enumerate(table.of_target(target))}
+    lines = []
+    for number, part in enumerate(table.parts):
+        place = targets.index(part.target)
         group = COLOURS[place % len(COLOURS)]
         if len(table.parts) > MAX_LINES:
             # between purple and yellow-green, dark enough for paper
@@ -290,20 +290,20 @@ def lines_of(table: Trajectory, pairs: Sequence[Pair]) -> list[Line]:
             look: dict[str, Any] = {"color": colour, "linewidth": 0.6, "alpha": 0.75}
         elif len(targets) > 1:
             # the targets of a second round of colours would look like those of the first
-            dash = DASHES[(nth[one.names[0]] + place // len(COLOURS)) % len(DASHES)]
+            dash = DASHES[(nth[part.names[0]] + place // len(COLOURS)) % len(DASHES)]
             look = {"color": group, "linestyle": dash, "linewidth": 1.2}
         else:
             look = {**line_style(number), "linewidth": 1.2}
-        found.append(Line(one, truth.get(one.names[0]), _name(one, table), look, group))
-    return found
+        lines.append(Line(part, truth.get(part.names[0]), _name(part, table), look, group))
+    return lines
 
 
-def _name(one: Trajectory, table: Trajectory) -> str:
+def _name(part: Trajectory, table: Trajectory) -> str:
     """As short as distinguishes the parts: of several targets with a part each, the target's name."""
-    sole, several = len(table.of_target(one.target)) == 1, len(table.targets) > 1
-    if sole and (several or (one.part == "box" and one.target)):
-        return clean(one.target.replace("_", " "), 40)
-    return clean((one.name if several else one.part).replace("_", " "), 40)
+    sole, several = len(table.of_target(part.target)) == 1, len(table.targets) > 1
+    if sole and (several or (part.part == "box" and part.target)):
+        return clean(part.target.replace("_", " "), 40)
+    return clean((part.name if several else part.part).replace("_", " "), 40)
 
 
 @dataclass(frozen=True)
@@ -349,7 +349,7 @@ class Pen:
 
     def shade_parts(self, axes: Axes, parts: Sequence[Trajectory], status: str) -> None:
         """Pale where any part has the status, stronger where all have it; of many parts, where over half have it."""
-        frame, held = stacked([(one.frame, one.status == status) for one in parts])
+        frame, held = stacked([(part.frame, part.status == status) for part in parts])
         share = np.nanmean(held, axis=0)
         levels = [(share > 0.5, 0.22)] if len(parts) > MAX_LINES else [(share > 0, 0.16), (share == 1, 0.22)]
         for mask, alpha in levels[-1:] if len(parts) == 1 else levels:
@@ -380,10 +380,10 @@ class Pen:
         for label, line in zip(axes.get_yticklabels(), shown, strict=True):
             label.set(fontsize=7.5, color=line.colour)
 
-    def _bars(self, axes: Axes, one: Trajectory, status: str, place: tuple[float, float]) -> None:
-        mask = np.isin(one.status, (status, "init") if status == "tracked" else status)
-        if found := frame_spans(one.frame, mask, self.least):
-            bars = [(start, end - start) for start, end in found]
+    def _bars(self, axes: Axes, part: Trajectory, status: str, place: tuple[float, float]) -> None:
+        mask = np.isin(part.status, (status, "init") if status == "tracked" else status)
+        if intervals := frame_spans(part.frame, mask, self.least):
+            bars = [(start, end - start) for start, end in intervals]
             axes.broken_barh(bars, place, facecolors=STATUS[status], linewidth=0, antialiased=False)
 
 
@@ -421,11 +421,11 @@ def envelope(frame: Whole, value: Array, bins: int) -> Drawn:
     """A line through (T,) values, broken where values or frames are missing. More than two rows a bin are thinned to
     the least and the greatest value in each of `bins` equal spans of frames, so that no peak is lost, and their means.
     """
-    known = np.flatnonzero(np.isfinite(value))
-    if not known.size:
+    finite = np.flatnonzero(np.isfinite(value))
+    if not finite.size:
         return Drawn(np.full(1, np.nan), np.full(1, np.nan))
     reach = 1.5 * _step(frame)
-    f, v = frame[known].astype(np.float64), value[known].astype(np.float64)
+    f, v = frame[finite].astype(np.float64), value[finite].astype(np.float64)
     if len(frame) <= 2 * bins:
         return Drawn(*_broken(f, v, np.flatnonzero(np.diff(f) > reach) + 1))
     span = (frame[-1] - frame[0] + 1) / bins
@@ -452,8 +452,8 @@ def _step(frame: Whole) -> int:
 
 def alone(y: Array) -> Mask:
     """(T,) the points of a line without a neighbour, which need a mark to be seen."""
-    known = np.isfinite(np.concatenate([[np.nan], y, [np.nan]]))
-    lonely: Mask = known[1:-1] & ~known[:-2] & ~known[2:]
+    finite = np.isfinite(np.concatenate([[np.nan], y, [np.nan]]))
+    lonely: Mask = finite[1:-1] & ~finite[:-2] & ~finite[2:]
     return lonely
 
 
@@ -474,9 +474,9 @@ def quantiles(values: Array, shares: Iterable[float]) -> list[Array]:
     """(T,) for each share: as numpy.nanquantile of (K, T) along K, which is a hundred times slower."""
     ordered = np.sort(values, axis=0)  # nan goes to the end
     last = np.maximum(np.isfinite(ordered).sum(axis=0) - 1, 0)
-    found = []
+    levels = []
     for share in shares:
         low = np.floor(share * last).astype(np.int64)
         below, above = (np.take_along_axis(ordered, at[None], 0)[0] for at in (low, np.minimum(low + 1, last)))
-        found.append(below + (share * last - low) * (above - below))
-    return found
+        levels.append(below + (share * last - low) * (above - below))
+    return levels

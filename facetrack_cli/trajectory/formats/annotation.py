@@ -320,11 +320,11 @@ def read_labelstudio(
     try:
         content = json.loads(read_text(path))
         tasks = TypeAdapter(tuple[_Task, ...]).validate_python(content if isinstance(content, list) else [content])
-        annotations = [one for task in tasks for one in task.annotations if not one.was_cancelled]
+        annotations = [annotation for task in tasks for annotation in task.annotations if not annotation.was_cancelled]
         if len(tasks) != 1 or len(annotations) != 1:
             count = f"{len(tasks)} tasks with {len(annotations)} annotations"
             raise InputError(f"{path}: has {count}; export the one task of the clip, and keep one annotation of it")
-        regions = [_Region.model_validate(one) for one in annotations[0].result if one.get("type") == _REGION]
+        regions = [_Region.model_validate(region) for region in annotations[0].result if region.get("type") == _REGION]
     except (ValueError, RecursionError) as e:
         why = "it is no JSON"
         if isinstance(e, ValidationError):

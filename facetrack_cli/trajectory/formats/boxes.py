@@ -285,7 +285,7 @@ def read_mot(path: Path, *, shift: int = 0, results: bool | None = None) -> Traj
     eighth = values[:, 7] if count > 7 and not results else np.full(len(lines), np.nan)
     # of ten values the eighth is a class where all are whole numbers, else a coordinate in the world
     of_class = (count == 9 or bool((eighth == np.floor(eighth)).all())) & (eighth >= 1)
-    classes = [f"{one:.0f}" for one in np.unique(eighth[of_class & kept])]
+    classes = [f"{number:.0f}" for number in np.unique(eighth[of_class & kept])]
     other: Mask = of_class & (eighth != (float(classes[0]) if len(classes) == 1 else 1))
     ignored = other & np.isin(eighth, DISTRACTORS)
     if not kept.any():

@@ -88,9 +88,9 @@ def write_eaf(table: Trajectory, video: Path, folder: Path, written: datetime) -
     tiers = [
         (kind, target, spans)
         for name in table.targets
-        for kind, target, found in _tiers(name, table.of_target(name), table.measures[name])
+        for kind, target, measured in _tiers(name, table.of_target(name), table.measures[name])
         # readers have trouble with tiers without annotations
-        if (spans := [(begin[a], end[b], text) for a, b, text in found if end[b] > begin[a]])
+        if (spans := [(begin[a], end[b], text) for a, b, text in measured if end[b] > begin[a]])
     ]
     about = {"AUTHOR": "facetrack", "DATE": written.astimezone().isoformat(timespec="seconds")}
     schema = {"FORMAT": "3.0", "VERSION": "3.0", "xmlns:xsi": XSI, "xsi:noNamespaceSchemaLocation": SCHEMA}
@@ -114,8 +114,8 @@ def write_eaf(table: Trajectory, video: Path, folder: Path, written: datetime) -
             entry = {"CVE_REF": _entry(kind, text)} if kind in VOCABULARIES else {}
             ends = {"TIME_SLOT_REF1": slots[2 * count - 2], "TIME_SLOT_REF2": slots[2 * count - 1]}
             own = {"ANNOTATION_ID": f"a{count}", **entry, **ends}
-            one = ET.SubElement(ET.SubElement(tier, "ANNOTATION"), "ALIGNABLE_ANNOTATION", own)
-            ET.SubElement(one, "ANNOTATION_VALUE").text = clean(text)
+            element = ET.SubElement(ET.SubElement(tier, "ANNOTATION"), "ALIGNABLE_ANNOTATION", own)
+            ET.SubElement(element, "ANNOTATION_VALUE").text = clean(text)
     _types(root, list(dict.fromkeys(kind for kind, _, _ in tiers)))
     ET.indent(root, "    ")
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
@@ -338,7 +338,7 @@ def _named_apart(root: ET.Element, new: ET.Element) -> list[str]:
 def _is_ours(root: ET.Element, new: ET.Element, kind: ET.Element) -> bool:
     """Whether a type of the file is one of the new ones, with all of its vocabulary."""
     name = kind.get("LINGUISTIC_TYPE_ID")
-    ours = next((one for one in new.findall("LINGUISTIC_TYPE") if one.get("LINGUISTIC_TYPE_ID") == name), None)
+    ours = next((kind for kind in new.findall("LINGUISTIC_TYPE") if kind.get("LINGUISTIC_TYPE_ID") == name), None)
     if ours is None or any(ours.get(key) != kind.get(key) for key in ("CONTROLLED_VOCABULARY_REF", "CONSTRAINTS")):
         return False
     path = f"CONTROLLED_VOCABULARY[@CV_ID='{name}']/*"

@@ -76,14 +76,14 @@ def write_coco(
     categories, annotations = [], []
     for ident, target in enumerate(table.targets, 1):
         parts = table.of_target(target)
-        points = tuple(one for one in parts if one.part != BOX)
-        names = [one.part for one in points]
+        points = tuple(part for part in parts if part.part != BOX)
+        names = [part.part for part in points]
         # COCO counts the ends of a skeleton's edges from 1
         skeleton = [[names.index(a) + 1, names.index(b) + 1] for a, b in EDGES if a in names and b in names]
         about = {"keypoints": names, "skeleton": skeleton} if names else {}
         categories.append({"id": ident, "name": target or "target", "supercategory": "", **about})
         annotations += _annotations(ident, enclose(parts, around), points)
-    annotations.sort(key=lambda one: (one["image_id"], one["category_id"]))
+    annotations.sort(key=lambda annotation: (annotation["image_id"], annotation["category_id"]))
     for ident, one in enumerate(annotations, 1):
         one["id"] = ident
     sides, frames = {"width": size[0], "height": size[1]}, table.frames.tolist()
@@ -105,9 +105,9 @@ def _annotations(ident: int, box: Trajectory, points: tuple[Trajectory, ...]) ->
             rows[frame] = {**about, **place, "score": confidence if math.isfinite(confidence) else 1.0}
             if points:
                 rows[frame] |= {"num_keypoints": 0, "keypoints": zeros * 3, "keypoint_scores": list(zeros)}
-    for k, one in enumerate(points):
-        flags = np.where(np.isin(one.status, SEEN), 2, 1).tolist()
-        columns = (one.frame.tolist(), one.x.tolist(), one.y.tolist(), flags, one.confidence.tolist())
+    for k, part in enumerate(points):
+        flags = np.where(np.isin(part.status, SEEN), 2, 1).tolist()
+        columns = (part.frame.tolist(), part.x.tolist(), part.y.tolist(), flags, part.confidence.tolist())
         for frame, x, y, flag, confidence in zip(*columns, strict=True):
             if frame in rows and math.isfinite(x) and math.isfinite(y):
                 row = rows[frame]
@@ -159,9 +159,9 @@ def _dlc(table: Trajectory, scorer: str) -> tuple[list[str], list[tuple[str, ...
     several = len(table.targets) > 1
     pairs = [(t, part) for t in table.targets for part in dict.fromkeys(part for _, part in table.names)]
     frames, _ = every_frame(table)
-    _, known = aligned(table.parts, "x", "y", "confidence", frame=frames)
+    _, place = aligned(table.parts, "x", "y", "confidence", frame=frames)
     values = np.full((len(frames), len(pairs), 3), np.nan)
-    values[:, [pairs.index(pair) for pair in table.names]] = np.stack([*known.values()], axis=2)
+    values[:, [pairs.index(pair) for pair in table.names]] = np.stack([*place.values()], axis=2)
     values[~np.isfinite(values[..., :2]).all(axis=2)] = np.nan
     names = ["scorer", *(["individuals"] if several else []), "bodyparts", "coords"]
     columns = [
@@ -176,7 +176,7 @@ def write_openface(table: Trajectory, size: tuple[int, int] | None) -> str:
     """The text for images of `size` (width, height), None if that is not known. InputError without any landmark."""
     rows: list[tuple[int, int, list[Any]]] = []
     shown = size and (size[0] * table.pixel_aspect, size[1])
-    faces = [[one for one in table.of_target(name) if one.part in LANDMARKS] for name in table.targets]
+    faces = [[part for part in table.of_target(name) if part.part in LANDMARKS] for name in table.targets]
     for ident, parts in enumerate(filter(None, faces)):
         frames, columns = aligned(parts, "x", "y", "confidence", "status")
         cells = np.full((len(frames), len(COLUMNS)), "", dtype=object)
@@ -196,7 +196,7 @@ def write_openface(table: Trajectory, size: tuple[int, int] | None) -> str:
     if not rows:
         names = ", ".join(name for name in MESH if name in LANDMARKS)
         raise InputError(f"no part is one of OpenFace's landmarks, which are {names}, and point_01 to point_68")
-    return csv_text(COLUMNS, [row for *_, row in sorted(rows, key=lambda one: one[:2])])
+    return csv_text(COLUMNS, [row for *_, row in sorted(rows, key=lambda row: row[:2])])
 
 
 def _in_camera(pose: HeadPose, size: tuple[float, float] | None) -> list[tuple[Array, int]]:

@@ -46,10 +46,10 @@ def read_truth(path: Path | str, form: str = "auto", *, shift: int = 0, beside: 
         raise UsageError(f"--shift {shift}: no clip has so many frames; correct it")
     with reading(path, "make it readable, or name another"):
         try:
-            found, known = recognise(path) if form == "auto" else (path, form)
-            if form == "auto" and known == "otb" and beside is not None:
-                known = "vot" if str(beside.header.get("read_as")).startswith("VOT") else known
-            table: Trajectory = load("read", known)(found, shift=shift)
+            file, shape = recognise(path) if form == "auto" else (path, form)
+            if form == "auto" and shape == "otb" and beside is not None:
+                shape = "vot" if str(beside.header.get("read_as")).startswith("VOT") else shape
+            table: Trajectory = load("read", shape)(file, shift=shift)
         except InputError as e:
             raise InputError(f"{e}{_rather(path, form)}") from None
     return replace(table, header={**table.header, "shift": shift})

@@ -100,16 +100,16 @@ def write_measures(clips: Sequence[Clip], many: bool = False) -> str:
 
     Of `many` clips the first column has their names.
     """
-    measures = [{target: found for target, found in clip.table.measures.items() if found} for clip in clips]
-    known = {name for targets in measures for found in targets.values() for name in found}
-    names = [measure.name for measure in (*MEASURES, *HAND_MEASURES) if measure.name in known]
+    measures = [{target: measured for target, measured in clip.table.measures.items() if measured} for clip in clips]
+    names_known = {name for targets in measures for measured in targets.values() for name in measured}
+    names = [measure.name for measure in (*MEASURES, *HAND_MEASURES) if measure.name in names_known]
     if not names:
         face = f"a measure needs parts of a face, among {', '.join(POINTS)}, and its box or its eyes"
         raise InputError(f"{face}, or hands beside the box of a head")
     lines: list[list[Any]] = []
     for clip, targets in zip(clips, measures, strict=True):
         frames, times = timed(clip.table)
-        cells = [_measured(found, names, frames).tolist() for found in targets.values()]
+        cells = [_measured(measured, names, frames).tolist() for measured in targets.values()]
         for frame, time, *rows in zip(frames.tolist(), times.tolist(), *cells, strict=True):
             begin = [*([clip.name] if many else []), frame, time]
             lines += ([*begin, target, *row] for target, row in zip(targets, rows, strict=True))
@@ -157,7 +157,7 @@ def write_subtitles(table: Trajectory, form: str) -> str:
     """The events as `srt` or `vtt`, to the nearest millisecond, without those that have no extent then."""
     several, texts = len(table.targets) > 1, [] if form == "srt" else ["WEBVTT"]
     spans = [(round(e.begin_s * 1000), round(e.end_s * 1000), e) for e in table.events]
-    for n, (begin, end, e) in enumerate((one for one in spans if one[1] > one[0]), 1):
+    for n, (begin, end, e) in enumerate((span for span in spans if span[1] > span[0]), 1):
         who = f"{e.target}: " if several and e.target else ""
         text = f"{who}{e.tier.replace('_', ' ')}: {e.value}"
         text = html.escape(text, quote=False) if form == "vtt" else text
@@ -220,7 +220,7 @@ def write_boris(clips: Sequence[Clip], written: datetime) -> str:
                 rows.append([round(time, 3), e.target, e.tier, e.value, f"probability {e.probability:.2f}", frame])
         known = {"length": {path: float(table.times[-1])}, "fps": {path: fps or 25.0}}
         media = {"hasVideo": {path: True}, "hasAudio": {path: False}, "offset": {"1": 0.0}}
-        number = sum(one.partition(" (")[0] == name for one in observations)
+        number = sum(title.partition(" (")[0] == name for title in observations)
         observations[f"{name} ({number + 1})" if number else name] = {
             "file": {"1": [path], **{str(n): [] for n in range(2, 9)}}, "type": "MEDIA", "date": date,
             "description": "", "time offset": 0, "events": sorted(rows, key=lambda row: row[0]),
@@ -237,7 +237,7 @@ def write_boris(clips: Sequence[Clip], written: datetime) -> str:
         "time_format": "hh:mm:ss", "project_date": date, "project_name": "facetrack", "project_description": "",
         "project_format_version": "7.0", "observations": observations,
         "subjects_conf": {str(n): {**about, "name": name} for n, name in enumerate(subjects)},
-        "behaviors_conf": {str(n): one for n, one in enumerate(behaviours)},
+        "behaviors_conf": {str(n): behaviour for n, behaviour in enumerate(behaviours)},
         "behavioral_categories": [], "independent_variables": {}, "coding_map": {}, "behaviors_coding_map": [],
         "converters": {},
     })  # fmt: skip
@@ -255,15 +255,15 @@ def data_frame(table: Trajectory, what: Literal["rows", "measures", "events"], *
         import pandas
 
     measured = table.measures if measures or what == "measures" else {}
-    each = [(target, name, one) for target, found in measured.items() for name, one in found.items()]
+    each = [(target, name, line) for target, by_name in measured.items() for name, line in by_name.items()]
     if what == "rows":
         columns = dict(table.columns())
         frame, of = columns["frame"], np.asarray(columns["target"])
-        for target, name, one in each:
+        for target, name, line in each:
             column = columns.setdefault(name, np.full(len(table), np.nan))
-            at = np.minimum(np.searchsorted(one.frame, frame), len(one.frame) - 1)
-            here = (of == target) & (one.frame[at] == frame)
-            column[here] = one.value[at[here]]
+            at = np.minimum(np.searchsorted(line.frame, frame), len(line.frame) - 1)
+            here = (of == target) & (line.frame[at] == frame)
+            column[here] = line.value[at[here]]
         return pandas.DataFrame(columns)
     if what == "events":
         from facetrack_cli.trajectory.face_events import FaceEvent
@@ -271,8 +271,8 @@ def data_frame(table: Trajectory, what: Literal["rows", "measures", "events"], *
         return pandas.DataFrame(table.events, columns=FaceEvent._fields)
     names = ("frame", "time_s", "value", "std", "noise")
     frames = [
-        pandas.DataFrame({"target": target, "measure": name, "unit": one.unit, **{k: getattr(one, k) for k in names}})
-        for target, name, one in each
+        pandas.DataFrame({"target": target, "measure": name, "unit": line.unit, **{k: getattr(line, k) for k in names}})
+        for target, name, line in each
     ]
     if not frames:
         return pandas.DataFrame(columns=["target", "measure", *names])
@@ -284,8 +284,8 @@ def dataset(table: Trajectory) -> Dataset:
     with needed("datasets", "xarray", "xarray"):
         import xarray
 
-    known = np.isfinite(table.times)
-    if not known.any():
+    timed = np.isfinite(table.times)
+    if not timed.any():
         raise InputError("no row has a time_s, and a dataset needs times; fill that column")
     frames = np.arange(table.frames[0], table.frames[-1] + 1)
     parts, targets = list(dict.fromkeys(part for _, part in table.names)), list(table.targets)
@@ -295,10 +295,10 @@ def dataset(table: Trajectory) -> Dataset:
         at, k, n = one.frame - frames[0], parts.index(one.part), targets.index(one.target)
         position[at, 0, k, n], position[at, 1, k, n], confidence[at, k, n] = one.x, one.y, one.confidence
     places: dict[str, Any] = {
-        "time": np.interp(frames, table.frames[known], table.times[known]),
+        "time": np.interp(frames, table.frames[timed], table.times[timed]),
         "space": ["x", "y"],
         "keypoints": parts,
-        "individuals": [one or "target" for one in targets],
+        "individuals": [target or "target" for target in targets],
         "frame": ("time", frames),
     }
     values = {
@@ -319,22 +319,22 @@ def html_table(table: Trajectory) -> str:
     lines = []
     for target in table.targets[:_SHOWN]:
         parts = table.of_target(target)
-        seen = float(np.mean(np.concatenate([np.isin(one.status, SEEN) for one in parts])))
+        seen = float(np.mean(np.concatenate([np.isin(part.status, SEEN) for part in parts])))
         said = ", ".join(f"{n} {value}" for (of, value), n in sorted(events.items()) if of == target)
         cells = target or "-", len(parts), len(parts[0]), f"{seen:.0%}", said, _confidence_line(parts[0].confidence)
-        lines.append("<tr>" + "".join(f"<td>{one if i == 5 else escape(str(one))}</td>" for i, one in enumerate(cells)))
+        lines.append("<tr>" + "".join(f"<td>{td if i == 5 else escape(str(td))}</td>" for i, td in enumerate(cells)))
     if (more := len(table.targets) - _SHOWN) > 0:
         lines.append(f"<tr><td>and {more} more")
-    heads = "".join(f"<th>{one}" for one in ("target", "parts", "frames", "seen", "events", "confidence"))
+    heads = "".join(f"<th>{head}" for head in ("target", "parts", "frames", "seen", "events", "confidence"))
     return f"<table><tr>{heads}{''.join(lines)}</table>"
 
 
 def _confidence_line(values: Array) -> str:
     """Values from 0 to 1 over time as a picture."""
-    known = np.nan_to_num(values)
-    if not len(known):
+    finite = np.nan_to_num(values)
+    if not len(finite):
         return ""
-    means = [float(one.mean()) for one in np.array_split(known, min(_MEANS, len(known)))]
+    means = [float(share.mean()) for share in np.array_split(finite, min(_MEANS, len(finite)))]
     x = np.linspace(0, _WIDTH, len(means)) if len(means) > 1 else [_WIDTH / 2]
     points = " ".join(f"{a:.1f},{_HEIGHT - 1 - v * (_HEIGHT - 2):.1f}" for a, v in zip(x, means, strict=True))
     line = f'<polyline points="{points}" fill="none" stroke="currentColor"/>'
