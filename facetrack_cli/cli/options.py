@@ -147,7 +147,7 @@ def _keys_of(text: str) -> Iterator[str]:
     for indent, name, value in re.findall(r"^( *)(\w+):(.*)$", text, re.MULTILINE):
         while above and above[-1][0] >= len(indent):
             above.pop()
-        key = ".".join([*(one for _, one in above), name])
+        key = ".".join([*(key_above for _, key_above in above), name])
         value = value.partition(" #")[0].strip()
         if value.startswith("{"):
             yield from (f"{key}.{below}" for below in re.findall(r"(\w+):", value))

@@ -192,9 +192,9 @@ def log_line(message: str, **more: object) -> str:
         if said.startswith(prefix):
             level, said = name, said.removeprefix(prefix)
     time = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
-    known = {name: value for name, value in {**more, "clip": _clip or more.get("clip")}.items() if value is not None}
+    members = {name: value for name, value in {**more, "clip": _clip or more.get("clip")}.items() if value is not None}
     # what is no text in UTF-8, as a name of a file may be, is escaped
-    return json.dumps({"time": time, "level": level, "message": said, **known})
+    return json.dumps({"time": time, "level": level, "message": said, **members})
 
 
 def write_line(message: str, **more: object) -> None:

@@ -253,7 +253,7 @@ def check_file(
     with writing(path, remedy):
         if path.is_dir():
             raise OutputError(f"{path}: is a folder, where a file is to be; {remedy}")
-        if any(same_file(path, given) for given in inputs if given is not None):
+        if any(same_file(path, file) for file in inputs if file is not None):
             raise OutputError(f"{path}: is read here, and would be replaced; {remedy}")
         if os.path.lexists(path) and not overwrite and not _is_stream(path):
             raise OutputError(f"{path}: exists already; replace it with --overwrite, or {remedy}")
@@ -346,7 +346,7 @@ def check_folder(path: Path, names: Sequence[str], *, overwrite: bool, inputs: S
     with writing(path):
         if path.exists() and not path.is_dir():
             raise OutputError(f"{path}: is a file, where a folder for the results is to be; name another with --out")
-        if any(same_file(path, given) for given in inputs if given is not None):
+        if any(same_file(path, file) for file in inputs if file is not None):
             raise OutputError(f"{path}: the results would go among the frames of the input; name another with --out")
     for name in names:
         check_file(path / name, overwrite=overwrite, inputs=inputs, remedy="name another folder with --out")

@@ -59,8 +59,8 @@ _DATA: Final = {"win32": ("LOCALAPPDATA", "AppData/Local"), "darwin": ("XDG_DATA
 
 def models_folder() -> Path:
     """The folder that FACETRACK_MODELS names, or one in the user's folder of data."""
-    if given := os.environ.get(VARIABLE):
-        return Path(given)
+    if folder := os.environ.get(VARIABLE):
+        return Path(folder)
     variable, below = _DATA.get(sys.platform, ("XDG_DATA_HOME", ".local/share"))
     home = os.path.expanduser("~")  # noqa: PTH111 -- Path.home fails where no home is known
     return Path("/", home, below, os.environ.get(variable, ""), "facetrack", "models")

@@ -73,10 +73,10 @@ def places(spans: Iterable[tuple[int, int]]) -> str:
     return ", ".join(f"{a} to {b}" if b > a else str(a) for a, b in spans)
 
 
-def union(found: Iterable[tuple[_Number, _Number]], gap: float = 0.0) -> list[tuple[_Number, _Number]]:
+def union(intervals: Iterable[tuple[_Number, _Number]], gap: float = 0.0) -> list[tuple[_Number, _Number]]:
     """The spans, in order, joined where they overlap, touch, or are at most `gap` apart."""
     joined: list[tuple[_Number, _Number]] = []
-    for begin, end in sorted(found):
+    for begin, end in sorted(intervals):
         if joined and begin - joined[-1][1] <= gap:
             joined[-1] = joined[-1][0], max(joined[-1][1], end)
         else:

@@ -110,27 +110,27 @@ class CorrectedTarget:
 
     def correct(self, state: State, frame: Frame, correction: Correction) -> tuple[State, TargetResult]:
         """The state after `frame`, in which a `complete` correction says where the target is."""
-        given, absent = correction.given, correction.hidden(self.parts)
+        target_start, absent = correction.given, correction.hidden(self.parts)
         if set(absent) >= set(correctable_parts(self.parts)):
             result = self._absent(frame)
             rows = replace(result.rows, by_hand=np.isin(self.parts, absent))
             return replace(state, inner=None), result._replace(rows=rows)
-        if self.policy.points and given.box is not None and not given.points:
-            given = self.policy.place(frame, correction)
-        by_hand = tuple(part for part in self.parts if part in given.points or not self.policy.points)
+        if self.policy.points and target_start.box is not None and not target_start.points:
+            target_start = self.policy.place(frame, correction)
+        by_hand = tuple(part for part in self.parts if part in target_start.points or not self.policy.points)
         if self.policy.points:
             # a part is compared by as much of the image as at the start
-            given = TargetStart(points={**correction.kept, **given.points}, windows=self.windows)
+            target_start = TargetStart(points={**correction.kept, **target_start.points}, windows=self.windows)
         streams = state.streams
         key = (*streams.spawn_key, STREAM, frame.index)
         rng = np.random.default_rng(np.random.SeedSequence(streams.entropy, spawn_key=key))
         if self.policy.learn if correction.learn is None else correction.learn:
-            target, learned = self.policy.build(frame, given), (frame.index, given)
+            target, learned = self.policy.build(frame, target_start), (frame.index, target_start)
             inner, result = target.begin(rng, frame)
         else:
             target, learned, restarting = self.target, None, cast(Any, self.target)
             relearned = by_hand if correction.learn is None and self.policy.points else ()
-            inner, result = restarting.restart(rng, frame, state.first, given, absent, relearned)
+            inner, result = restarting.restart(rng, frame, state.first, target_start, absent, relearned)
         rows, sure = result.rows, np.isin(self.parts, by_hand)
         # what is kept is where the tracker was, though it may be learned again
         others = np.where(target is not self.target, "tracked", rows.status)
@@ -180,14 +180,14 @@ def with_confirmed(rows: Trajectory, corrections: Iterable[Correction]) -> Traje
 
 def is_complete(correction: Correction, parts: Sequence[str]) -> bool:
     """Whether it says of all `parts` of its target where they are, or that they are absent; a box alone does."""
-    given = correction.given
+    placed = correction.given
     if (
         correction.confirmed
         or correction.absent is True
-        or (given.box is not None and (not given.points or tuple(parts) == (BOX,)))
+        or (placed.box is not None and (not placed.points or tuple(parts) == (BOX,)))
     ):
         return True
-    return {*given.points, *correction.kept, *correction.absent} >= set(correctable_parts(parts))
+    return {*placed.points, *correction.kept, *correction.absent} >= set(correctable_parts(parts))
 
 
 def correctable_parts(parts: Sequence[str]) -> tuple[str, ...]:

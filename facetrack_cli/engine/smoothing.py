@@ -68,7 +68,7 @@ def belief(particles: Particles, motion: Linear, cov: Array, doubt: Mask) -> Bel
     w, x = np.exp(particles.log_w), particles.x[..., :d]
     mean = np.einsum("n,nkd->kd", w, x)
     spread = np.einsum("n,nkd,nke->kde", w, x - mean, x - mean)
-    ours, theirs = (np.trace(one[:, :2, :2], axis1=1, axis2=2) for one in (spread, cov))
+    ours, theirs = (np.trace(matrix[:, :2, :2], axis1=1, axis2=2) for matrix in (spread, cov))
     # the estimate's counts how few particles it stands on; without particles that differ there is nothing to count
     more = np.divide(theirs, ours, out=np.ones(len(ours)), where=ours > _MIN_VARIANCE)
     return Belief(mean, spread * more[:, None, None], motion, doubt)
@@ -78,34 +78,34 @@ def names(p: Array, exchanged: Array) -> Array:
     """(T,): the probability, given all T frames, of the one of two states that was filtered to `p` (T,); `exchanged`
     (T,) is the probability that the state of a frame is not that of the frame before.
     """
-    found = p.copy()
+    posterior = p.copy()
     for t in range(len(p) - 1, 0, -1):
         stay, change = p[t - 1] * (1 - exchanged[t]), p[t - 1] * exchanged[t]
         ahead = stay + (1 - p[t - 1]) * exchanged[t]
-        found[t - 1] = stay * found[t] / max(ahead, _TINY) + change * (1 - found[t]) / max(1 - ahead, _TINY)
-    return found
+        posterior[t - 1] = stay * posterior[t] / max(ahead, _TINY) + change * (1 - posterior[t]) / max(1 - ahead, _TINY)
+    return posterior
 
 
-def chain(beliefs: Sequence[Belief], lost: Mask, gone: Mask, given: Mask | None = None) -> Chain:
+def chain(beliefs: Sequence[Belief], lost: Mask, gone: Mask, by_hand: Mask | None = None) -> Chain:
     """Of beliefs of T frames; `lost` (T, K) as the tracker judged, `gone` where there is no part to know of.
 
     In frames that are `given` (T,) corrections placed the parts. A part is `lost` only after some frames in doubt,
     which did not show it either. Those of the last stretch, after which it is never seen again, say nothing of what
     was before.
     """
-    given = np.zeros(len(lost), dtype=np.bool_) if given is None else given
-    unseen = lost & ~gone & ~given[:, None]
+    by_hand = np.zeros(len(lost), dtype=np.bool_) if by_hand is None else by_hand
+    unseen = lost & ~gone & ~by_hand[:, None]
     seen_later = np.zeros_like(unseen)
     for t in range(len(unseen) - 2, -1, -1):
-        unseen[t] |= unseen[t + 1] & beliefs[t].doubt & ~gone[t] & ~given[t]
+        unseen[t] |= unseen[t + 1] & beliefs[t].doubt & ~gone[t] & ~by_hand[t]
         seen_later[t] = ~gone[t + 1] & (~unseen[t + 1] | seen_later[t + 1])
     joined = np.zeros_like(unseen)
     joined[1:] = ~gone[1:] & ~gone[:-1]
-    mean, cov = (np.stack([getattr(one, name) for one in beliefs]) for name in ("mean", "cov"))
-    motion = Linear(*(np.stack(each) for each in zip(*(one.motion for one in beliefs), strict=True)))
+    mean, cov = (np.stack([getattr(belief, name) for belief in beliefs]) for name in ("mean", "cov"))
+    motion = Linear(*(np.stack(each) for each in zip(*(belief.motion for belief in beliefs), strict=True)))
     # what a frame does not show moves with the parts that it shows
     shown, offset = joined & ~unseen, motion.offset.copy()
-    shown[1:] &= ~unseen[:-1] & ~given[1:, None]
+    shown[1:] &= ~unseen[:-1] & ~by_hand[1:, None]
     for t in np.flatnonzero(shown.any(axis=1) & (joined & ~shown).any(axis=1)).tolist():
         offset[t, joined[t] & ~shown[t]] += (mean[t] - mean[t - 1])[shown[t]].mean(axis=0)
     return Chain(mean, cov, motion._replace(offset=offset), unseen, joined, joined & (~unseen | seen_later))

@@ -331,7 +331,7 @@ def _files(settings: Mapping[str, Any]) -> list[str]:
     """The calibrations of all filters; none if one has none."""
     targets = settings.get("targets")
     filters = [target for target in targets.values() if target] if isinstance(targets, Mapping) else [settings]
-    sections = [one.get("confidence") for one in filters if isinstance(one, Mapping)]
+    sections = [settings_of.get("confidence") for settings_of in filters if isinstance(settings_of, Mapping)]
     files = [section.get("calibration") if isinstance(section, Mapping) else None for section in sections]
     return [] if None in files else [str(file) for file in files]
 

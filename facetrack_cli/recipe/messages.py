@@ -110,26 +110,26 @@ def _problems(details: ErrorDetails, model: type[BaseModel], root: Node) -> Iter
 
 def _must(details: ErrorDetails, node: Node) -> str:
     kind, context = details["type"], details.get("ctx", {})
-    given = _shown(node.value)
+    shown = _shown(node.value)
     if kind in _WANTED:
         quoted = isinstance(node.value, str) and kind in ("int_type", "float_type") and _is_number(node.value)
-        return f"must be {_WANTED[kind]}, not {given}{'; remove the quotes' if quoted else ''}"
+        return f"must be {_WANTED[kind]}, not {shown}{'; remove the quotes' if quoted else ''}"
     if kind in _BOUNDS:
         name, phrase = _BOUNDS[kind]
         bound = context[name]  # written as people do: 1000000, not 1e+06
         number = bound if isinstance(bound, int) else format(bound, ".0f" if bound.is_integer() else "g")
         if isinstance(node.value, str):  # a time
-            given = f"{details['input']:g}, which is {node.value} at the clip's frame rate"
-        return f"must be {phrase.format(number)}, not {given}"
+            shown = f"{details['input']:g}, which is {node.value} at the clip's frame rate"
+        return f"must be {phrase.format(number)}, not {shown}"
     if kind in ("too_short", "too_long"):
         bound = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
         return f"must have {bound} items, not {_length(node)}"
     if kind == "literal_error":
         choices = [word.strip(" '") for word in str(context["expected"]).replace(" or ", ",").split(",")]
-        return f"cannot be {given}; {suggest(str(node.value), choices, 'it is one of')}"
+        return f"cannot be {shown}; {suggest(str(node.value), choices, 'it is one of')}"
     if kind == "string_pattern_mismatch":
-        return f"cannot be {given}; {_NAMES}"
-    return f"{details['msg']}, not {given}"
+        return f"cannot be {shown}; {_NAMES}"
+    return f"{details['msg']}, not {shown}"
 
 
 def _unknown_key(key: str, path: Steps, model: type[BaseModel], root: Node) -> str:

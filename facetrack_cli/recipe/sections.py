@@ -46,10 +46,10 @@ class Refusal(NamedTuple):
     at_key: bool = False
 
 
-def suggest(wrong: str, known: Sequence[str], otherwise: str) -> str:
+def suggest(wrong: str, names: Sequence[str], otherwise: str) -> str:
     """`did you mean "x"?` where something known is near, else `otherwise` and all that is known."""
-    near = get_close_matches(wrong, known, n=1)
-    return f'did you mean "{near[0]}"?' if near else f"{otherwise}: {', '.join(known)}"
+    near = get_close_matches(wrong, names, n=1)
+    return f'did you mean "{near[0]}"?' if near else f"{otherwise}: {', '.join(names)}"
 
 
 class Section(BaseModel):
@@ -386,17 +386,17 @@ class OrTime:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
         def read(
-            given: object, number: core_schema.ValidatorFunctionWrapHandler, info: core_schema.ValidationInfo
+            value: object, number: core_schema.ValidatorFunctionWrapHandler, info: core_schema.ValidationInfo
         ) -> Any:
             fps = (info.context or {}).get(FPS)
-            time = Time.read(given) if isinstance(given, str) else given
+            time = Time.read(value) if isinstance(value, str) else value
             if isinstance(time, Time):
                 return time if fps is None else number(self.at(time, fps))
-            if isinstance(given, str):
+            if isinstance(value, str):
                 wanted = "a share from 0 to 1" if self.share else "a whole number of frames"
                 hint = f"must be {wanted}, or a time (to a million seconds) as in 1s or 40ms"
                 raise PydanticCustomError("time", hint)  # type: ignore[arg-type, unused-ignore]
-            return number(given)
+            return number(value)
 
         return core_schema.with_info_wrap_validator_function(
             read,

@@ -191,7 +191,7 @@ def recipe_of(main: Path, settings: Mapping[str, Any], folders: Sequence[Path]) 
 
 
 def _mappings(value: Any) -> list[dict[str, Any]]:
-    return [one for one in value.values() if isinstance(one, dict)] if isinstance(value, dict) else []
+    return [section for section in value.values() if isinstance(section, dict)] if isinstance(value, dict) else []
 
 
 def _sought(main: Path, name: str, folders: Sequence[Path]) -> Path:

@@ -152,8 +152,8 @@ class Manifest(RunSummary):
     def record(self) -> dict[str, Any]:
         """The contents as JSON has them. What the tables say of the ending and the clip is not repeated."""
         left_out = {"variable_fps", "evidence", "source_sha256"}
-        found: dict[str, Any] = _adapter().dump_python(self, mode="json", exclude=left_out)
-        return found
+        members: dict[str, Any] = _adapter().dump_python(self, mode="json", exclude=left_out)
+        return members
 
     @property
     def is_failure(self) -> bool:
@@ -275,12 +275,12 @@ def note_failure(
     if isinstance(error, OutputError):
         return
     with contextlib.suppress(FacetrackError, OSError):  # the error itself is worth more
-        known, present = previous_run(folder, run.asked, clip)
-        if known is not None and known.files:
-            if known.stopped is None:
+        same, present = previous_run(folder, run.asked, clip)
+        if same is not None and same.files:
+            if same.stopped is None:
                 return
-            run = known
-        elif known is None and not (present and present.is_failure) and any((folder / name).exists() for name in OWNED):
+            run = same
+        elif same is None and not (present and present.is_failure) and any((folder / name).exists() for name in OWNED):
             return
         else:
             run = replace(run, clip=clip_stat(clip))

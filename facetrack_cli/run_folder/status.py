@@ -300,7 +300,7 @@ def _worst_part(run: Manifest) -> tuple[float | None, str]:
     """The share of frames in which the part that is lost most is lost, and what to look at first."""
     if not run.frames:
         return None, ""
-    part, frames = max(run.lost_frames.items(), key=lambda one: one[1], default=("", 0))
+    part, frames = max(run.lost_frames.items(), key=lambda item: item[1], default=("", 0))
     part = part.replace("/", " ")
     lines = [*run.warnings[:1]] if run.warnings else [run.doubts] if run.doubts else []
     if frames:

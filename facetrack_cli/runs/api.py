@@ -385,15 +385,15 @@ class Tracker:
         waiting = [] if frame is None else [frame]
         if self.start is None:
             self._search = self._search or _Search(self.recipe, self._by)
-            found = self._search.give(frame)
-            if found is None:
+            answer = self._search.give(frame)
+            if answer is None:
                 return
             waiting, self._search = self._search.kept, None
-            if isinstance(found, InputError):
+            if isinstance(answer, InputError):
                 if again:
                     return
-                raise found
-            self.start = found
+                raise answer
+            self.start = answer
         start = self.start
         if self._tracker is None:
             waiting = [kept for kept in waiting if kept.index >= start.frame]
@@ -418,10 +418,10 @@ class Tracker:
         OutputError : for a file that cannot be written.
         UsageError : for a tracker of OpenCV, which does not give its state away.
         """
-        kept = [] if self._search is None else [(one.index, one.time_s, one.bgr) for one in self._search.kept]
-        known = self.start, self._at, self._size, self._next, self._last_s, kept
+        kept = [] if self._search is None else [(frame.index, frame.time_s, frame.bgr) for frame in self._search.kept]
+        state = self.start, self._at, self._size, self._next, self._last_s, kept
         try:
-            arrays = flat_value("known", known)
+            arrays = flat_value("known", state)
         except TypeError:  # what is behind Python has no state to write
             why = f"a tracker of OpenCV, as in {self.recipe.name}, does not give its state away"
             raise UsageError(f"{path}: {why}; take another recipe, or begin it again") from None
@@ -454,13 +454,13 @@ class _Search:
 
     def __init__(self, recipe: Recipe, by: DetectorName | None) -> None:
         self.kept: list[Frame] = []
-        given, answers = SimpleQueue[Frame | None](), SimpleQueue[Start | Exception | None]()
-        self._given, self._answers = given, answers
+        images, answers = SimpleQueue[Frame | None](), SimpleQueue[Start | Exception | None]()
+        self._given, self._answers = images, answers
 
         def frames() -> Iterator[Frame]:
             while True:
                 answers.put(None)  # it wants one more
-                if (frame := given.get()) is None:
+                if (frame := images.get()) is None:
                     return
                 yield frame
 
@@ -471,7 +471,7 @@ class _Search:
                 answers.put(e)
 
         threading.Thread(target=run, name="search", daemon=True).start()
-        weakref.finalize(self, given.put, None)
+        weakref.finalize(self, images.put, None)
         self._first = answers.get()
 
     def give(self, frame: Frame | None) -> Start | InputError | None:
@@ -480,7 +480,7 @@ class _Search:
             raise self._first
         self.kept += [] if frame is None else [frame]
         self._given.put(frame)
-        found = self._answers.get()
-        if isinstance(found, Exception) and (not isinstance(found, InputError) or len(self.kept) == 1):
-            raise found
-        return found if isinstance(found, InputError | Start) else None
+        answer = self._answers.get()
+        if isinstance(answer, Exception) and (not isinstance(answer, InputError) or len(self.kept) == 1):
+            raise answer
+        return answer if isinstance(answer, InputError | Start) else None

@@ -166,7 +166,7 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: RunState, stop: S
 def past_end(corrections: Iterable[Correction], last: int, origin: str) -> tuple[str, ...]:
     """A line for each correction that the clip, whose last frame is `last`, never came to; `origin` says them."""
     return tuple(
-        f"{origin}: the correction of {one.target} at frame {one.frame} is past the end, frame {last}"
-        for one in corrections
-        if one.frame > last
+        f"{origin}: the correction of {correction.target} at frame {correction.frame} is past the end, frame {last}"
+        for correction in corrections
+        if correction.frame > last
     )

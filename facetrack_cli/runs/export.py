@@ -65,9 +65,9 @@ def export(
     path, clip = None if out is None else Path(out), None if media is None else Path(media)
     if path is not None:
         inputs = (trajectory.path, clip, clip_of(trajectory))
-        check_new(path, overwrite=overwrite, inputs=[one for one in inputs if one != Path()])
-    known = clip_of(trajectory)
-    name = known.name if known else trajectory.path.parent.name
+        check_new(path, overwrite=overwrite, inputs=[file for file in inputs if file != Path()])
+    clip_path = clip_of(trajectory)
+    name = clip_path.name if clip_path else trajectory.path.parent.name
     rows = Clip(name, blank_lost(trajectory) if drop_lost else trajectory)
     made = content([rows], form, path, media=clip, into=None if into is None else Path(into))
     if path is None:

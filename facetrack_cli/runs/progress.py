@@ -113,7 +113,7 @@ class Bar(Progress):
         from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
         columns = ("description", "fields[count]", "fields[rate]")
-        name, count, rate = (TextColumn(f"{{task.{one}}}", markup=False) for one in columns)
+        name, count, rate = (TextColumn(f"{{task.{column}}}", markup=False) for column in columns)
         console = Console(stderr=True, emoji=False)
         self._bar = Progress(name, BarColumn(), count, rate, TimeRemainingColumn(), console=console, transient=True)
 

@@ -40,16 +40,16 @@ def variant(config: str) -> tuple[str, tuple[str, ...]]:
     return name, tuple(re.split(OVERRIDES, rest))
 
 
-def labels(given: Sequence[str]) -> list[str]:
+def labels(configs: Sequence[str]) -> list[str]:
     """A label for each --config that differs from all others: the recipe's name, else its path, and its overrides.
 
     Raises UsageError for one that is given twice.
     """
     short = []
-    for name, overrides in map(variant, given):
+    for name, overrides in map(variant, configs):
         stem = Path(name).stem if Path(name).suffix else name
         short.append(f"{stem}:{','.join(overrides)}" if overrides else stem)
-    unique = [s if short.count(s) == 1 else text for s, text in zip(short, given, strict=True)]
+    unique = [s if short.count(s) == 1 else text for s, text in zip(short, configs, strict=True)]
     if twice := [text for text in unique if unique.count(text) > 1]:
         raise UsageError(f"--config {twice[0]} is given twice; a recipe is compared with others")
     return unique
@@ -68,7 +68,7 @@ def load_recipes(asked: Sequence[tuple[str, Sequence[str]]], gallery: str | None
 
 def refuse_seed(overrides: Sequence[str]) -> None:
     """UsageError for an override that would have no effect: a recipe's own seed gives way to those of --seeds."""
-    if any(one.partition("=")[0].strip() == "seed" for one in overrides):
+    if any(override.partition("=")[0].strip() == "seed" for override in overrides):
         raise UsageError("the recipe's seed has no effect here: every recipe runs with the seeds 0 to --seeds - 1")
 
 
@@ -148,8 +148,8 @@ def outline(plan: SeedPlan, frames: Whole, size: tuple[int, int]) -> Trajectory:
     Raises the errors of recipe and start that show before a frame is read.
     """
     tracker = tracker_for(plan.recipe, plan.start, size, plan.fps or FOLDER_FPS)  # names alone, whatever the rate
-    one = np.ones(len(frames))  # every part of every tracker has a size
-    rows = [one_part(target.name, part, frames, w=one, h=one) for target in tracker for part in target.parts]
+    ones = np.ones(len(frames))  # every part of every tracker has a size
+    rows = [one_part(target.name, part, frames, w=ones, h=ones) for target in tracker for part in target.parts]
     return joined(rows, path=plan.clip, header={"source": {"size": list(size)}})
 
 

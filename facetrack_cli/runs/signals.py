@@ -61,10 +61,10 @@ class Stop:
             if self.code is None:
                 self.code = _CODES[signal.Signals(number).name]
 
-        known = [one for one in signal.Signals if one.name in _CODES and signal.getsignal(one) is not signal.SIG_IGN]
+        taken = [sig for sig in signal.Signals if sig.name in _CODES and signal.getsignal(sig) is not signal.SIG_IGN]
         with contextlib.ExitStack() as restored:
             if threading.current_thread() is threading.main_thread():
-                for number in known:
+                for number in taken:
                     restored.callback(signal.signal, number, signal.signal(number, note))
             yield self
 
@@ -100,7 +100,7 @@ def raising() -> Iterator[None]:
         restored.callback(setattr, sys, "unraisablehook", reported)
         restored.callback(setattr, Stop, "before", None)
         main = threading.current_thread() is threading.main_thread()
-        for number in [one for one in signal.Signals if one.name in _CODES] if main else ():
+        for number in [sig for sig in signal.Signals if sig.name in _CODES] if main else ():
             if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
                 restored.callback(signal.signal, number, signal.signal(number, end))
         yield

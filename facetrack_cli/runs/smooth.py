@@ -61,7 +61,7 @@ def save_smoothed(folder: Path, clip: Path, report: Report, stop: Stopped) -> tu
     files = {folder / FILTERED: partial(write_rows, "csv", rows=rows)}
     files |= {path: partial(write_rows, form, rows=after) for form, path in run_files(folder).items()}
     run = read_manifest(folder)
-    kept = {name: one for name, one in run.files.items() if name != POSTERIOR} if run else {}
+    kept = {name: file for name, file in run.files.items() if name != POSTERIOR} if run else {}
     ended = run and replace(run, smoothed=True, files=kept)
     paint = None
     if (folder / VIDEO).is_file():

@@ -59,8 +59,8 @@ def run_chunks(
     Raises UsageError where it cannot be split, OutputError where the chunks of another split are in its folder.
     """
     whole = resolve(job)
-    if (known := whole.ended()) is not None:
-        yield "", known
+    if (ended := whole.ended()) is not None:
+        yield "", ended
         return
     chunks = chunks_of(whole, _planned(whole, stop, progress))
     decided, left = check_all(chunks[shard[0] - 1 :: shard[1]])
@@ -292,7 +292,7 @@ def stitch(earlier: Trajectory, later: Trajectory, taken: Collection[str], *, ma
 
 def renamed(rows: Trajectory, names: Mapping[str, str]) -> Trajectory:
     """The rows, each target under its name in `names`."""
-    diagnostics = {names[target]: one for target, one in rows.diagnostics.items()}
+    diagnostics = {names[target]: reported for target, reported in rows.diagnostics.items()}
     return replace(rows, names=tuple((names[target], part) for target, part in rows.names), diagnostics=diagnostics)
 
 

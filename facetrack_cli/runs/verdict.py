@@ -100,8 +100,8 @@ class RunMonitor(Sink):
         if not len(rows):  # nobody is there
             self._ended()
             return
-        for one in rows.diagnostics.values():
-            share = one.get(NETWORK.name)[-1]
+        for diagnostics in rows.diagnostics.values():
+            share = diagnostics.get(NETWORK.name)[-1]
             self.placed, self.borne_out = self.placed + np.isfinite(share), self.borne_out + np.nan_to_num(share)
         index = int(rows.frame[0])
         if not self.frames:
@@ -185,12 +185,12 @@ class RunMonitor(Sink):
     def _ended(self) -> None:
         """The longest spans, with the one that ends here."""
         if self.now is not None:
-            self.lost = sorted([*self.lost, self.now], key=lambda one: one[0] - one[1])[:_MAX_SPANS]
+            self.lost = sorted([*self.lost, self.now], key=lambda span: span[0] - span[1])[:_MAX_SPANS]
             self.now = None
 
     def _look(self, result: FrameResult, detector: Detector) -> None:
         name, target = next(iter(self.start.targets.items()))  # the first is that of the face that was searched for
-        rows = next((one.rows for one in result.targets if one.rows.target == name), None)
+        rows = next((target.rows for target in result.targets if target.rows.target == name), None)
         box = None if rows is None or target.box is None else _face(rows, target.box, target.points)
         if rows is not None and box is not None:
             ends = [target.points[part] for part in ("mouth_left", "mouth_right") if part in target.points]

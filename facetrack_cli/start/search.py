@@ -212,8 +212,8 @@ class _Search:
             if 0 < since < (LOOK_S if self.ready is None else WAITING_S):
                 continue
             self.look(frame)
-            if found := self.faces():
-                return found
+            if faces := self.faces():
+                return faces
             if (least and not self._open()) or self.times[-1] - self.times[0] >= most - LOOK_S:
                 break
         return self.faces(ended=True) if self.times and self.times[-1] - self.times[0] >= least else []

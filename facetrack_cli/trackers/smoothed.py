@@ -55,8 +55,8 @@ def renamed_hands(rows: Trajectory, beliefs: Mapping[str, Beliefs]) -> tuple[Tra
     order[first], order[second] = second, first
     ours, theirs = (beliefs[name] for name in hands)
     both = {
-        name: [b if turned else a for a, b, turned in zip(one, other, changed, strict=True)]
-        for name, one, other in zip(hands, (ours, theirs), (theirs, ours), strict=True)
+        name: [b if turned else a for a, b, turned in zip(side, other, changed, strict=True)]
+        for name, side, other in zip(hands, (ours, theirs), (theirs, ours), strict=True)
     }
     return replace(rows.take(order), which=rows.which), {**beliefs, **both}
 
@@ -168,7 +168,7 @@ class _SmoothedTarget:
         affine, half = np.full((*before.unseen.shape, 6), np.nan), []
         affine[np.searchsorted(self.all.frames, reported.frame), 0] = reported.values[AFFINE.name]
         for side, std, size, at in (("w", "std_w", w, [2, 4]), ("h", "std_h", h, [3, 5])):
-            old, new = (np.linalg.norm(one, axis=-1) for one in (affine[..., np.array(at) - 2], mean[..., at]))
+            old, new = (np.linalg.norm(sides, axis=-1) for sides in (affine[..., np.array(at) - 2], mean[..., at]))
             half.append(np.maximum(size / old - 1, 1) / 2)
             way = mean[..., at] / new[..., None]
             var = np.einsum("tki,tkij,tkj->tk", way, cov[..., at, :][..., at], way)
@@ -183,7 +183,7 @@ class _SmoothedTarget:
         What a point's filter corrects of its head's noise must not come apart from it: the points are smoothed in the
         stabilized image of the smoothed head, in which they first are where they were in the frame.
         """
-        k, those = self.sizes[0], np.delete(np.arange(len(self.all.names)), self.sizes[0])
+        k, parts = self.sizes[0], np.delete(np.arange(len(self.all.names)), self.sizes[0])
         ratio = boxes[:, 0, 2] / head.mean[:, 0, 2]
         place = np.nan_to_num(np.stack([self.of["x"][:, k], self.of["y"][:, k]], axis=1))  # nan where it is absent
         moved = boxes[:, 0, :2] + (place - head.mean[:, 0, :2]) * ratio[:, None]
@@ -196,11 +196,11 @@ class _SmoothedTarget:
         still, cov = smoothing.smoothed(points._replace(mean=mean, cov=points.cov / ratio[:, None, None, None] ** 2))
         now = np.einsum("tde,tke->tkd", new, still - MIDDLE) + moved[:, None]
         # what the rows have beside the filter's mean and covariance is kept
-        at = np.stack([self.of["x"][:, those], self.of["y"][:, those]], axis=-1) + now - was
+        at = np.stack([self.of["x"][:, parts], self.of["y"][:, parts]], axis=-1) + now - was
         if not self.lag:
             # in the frame, where what the head's filter and the points' correct of each other is no jitter
-            at = smoothing.steadied(at, ~points.unseen & ~self.gone[:, those])
-        seen = self._cov(those) + _mapped(new, cov) - _mapped(old, points.cov)
+            at = smoothing.steadied(at, ~points.unseen & ~self.gone[:, parts])
+        seen = self._cov(parts) + _mapped(new, cov) - _mapped(old, points.cov)
         hidden = _mapped(new, cov) + box_cov[..., :2, :2]
         values, vectors = np.linalg.eigh(np.where(points.unseen[..., None, None], hidden, seen))
         spread = vectors * np.maximum(values, 1e-6)[..., None, :] @ np.swapaxes(vectors, -1, -2)
@@ -214,8 +214,8 @@ class _SmoothedTarget:
             columns[f"std_{side}"][:, k] = self.of[side][:, k] * np.sqrt(box_cov[:, 0, 2, 2]) / head.mean[:, 0, 2]
         return still, cov
 
-    def _cov(self, those: Whole) -> Array:
-        x, y, xy = (np.nan_to_num(self.of[name][:, those]) for name in ("std_x", "std_y", "cov_xy"))
+    def _cov(self, parts: Whole) -> Array:
+        x, y, xy = (np.nan_to_num(self.of[name][:, parts]) for name in ("std_x", "std_y", "cov_xy"))
         return np.stack([x**2, xy, xy, y**2], axis=-1).reshape(*x.shape, 2, 2)
 
     @property

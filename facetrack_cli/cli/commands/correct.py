@@ -161,7 +161,7 @@ def _apply(fixer: Fixer, file: Path, quiet: bool, *, adds: bool, video: bool) ->
         return ExitCode.DONE
     else:
         parts, find = fixer.run.parts, fixer.find
-        corrections = tuple(merged(one, find(one.frame, one.target), parts[one.target]) for one in corrections)
+        corrections = tuple(merged(fix, find(fix.frame, fix.target), parts[fix.target]) for fix in corrections)
     with working(quiet, folder.name or str(folder), f"{folder} is as it was") as (stop, shown):
         (fixer.put if adds else fixer.apply)(corrections, report=shown.update, stop=stop)
         if adds:
@@ -270,9 +270,9 @@ def people_command(
     from facetrack_cli.trajectory.views import Clock
 
     refuse((as_json and as_csv, "--json and --csv both go to standard output; give one of them"))
-    given: dict[str, object] = {"--split": split, "--give": give, "--merge": merge, "--rename": rename}
-    given |= {"--save": save is not None, "--json": as_json, "--csv": as_csv}
-    also = ", ".join(name for name, value in given.items() if value)
+    flags: dict[str, object] = {"--split": split, "--give": give, "--merge": merge, "--rename": rename}
+    flags |= {"--save": save is not None, "--json": as_json, "--csv": as_csv}
+    also = ", ".join(name for name, value in flags.items() if value)
     refuse((edit and also, f"--page corrects on the page alone; give {also} in a command without it"))
     people = people_in(folder)
     clock = Clock(rows_in(folder) if split or give else None, people.fps)

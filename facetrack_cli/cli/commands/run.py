@@ -391,7 +391,7 @@ def _several(jobs: list[Job], batch: Batch, stop: Stop, shown: Progress, after: 
     from facetrack_cli.runs.batch import check_all
 
     decided, left = check_all(jobs)
-    done = sum(one.again is not None and one.error is None for one in decided)
+    done = sum(outcome.again is not None and outcome.error is None for outcome in decided)
     if done > MAX_DONE_LINES:
         shown.say(f"{done} clips: done before")
     failed = before = lost = 0
