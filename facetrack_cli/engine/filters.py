@@ -57,11 +57,26 @@ class FrameModel(Protocol):
 
     @property
     def ahead(self) -> Prediction: ...
-    def propagate(self, rng: Generator, x: Array) -> Array: ...  # (N, K, D) drawn from p(x_t | x_{t-1} = x)
-    def expect(self, x: Array) -> Array: ...  # (N, K, D): the mean of that
-    def log_transition(self, x: Array, parents: Array) -> Array: ...  # (N, M, K): log p(x_t | x_{t-1}) of each part
-    def log_likelihood(self, x: Array, parents: Array) -> Array: ...  # (N, K): log p(y | x) of each part
-    def log_prior(self, x: Array) -> Array: ...  # (N,): log p(x) of the shape, up to a constant; zeros without a prior
+
+    def propagate(self, rng: Generator, x: Array) -> Array:
+        """(N, K, D): a draw from p(x_t | x_{t-1} = x) for each x (N, K, D)."""
+        ...
+
+    def expect(self, x: Array) -> Array:
+        """(N, K, D): the mean of p(x_t | x_{t-1} = x)."""
+        ...
+
+    def log_transition(self, x: Array, parents: Array) -> Array:
+        """(N, M, K): log p(x_n | parents_m) of each part; x (N, K, D), parents (M, K, D)."""
+        ...
+
+    def log_likelihood(self, x: Array, parents: Array) -> Array:
+        """(N, K): log p(y | x) of each part; x and the particles that they come from are (N, K, D)."""
+        ...
+
+    def log_prior(self, x: Array) -> Array:
+        """(N,): log p(x) of the shape, up to a constant; zeros without a prior."""
+        ...
 
 
 # in place of log 0, so that a ratio of two zeros is 1 and not a NaN: where nothing is likely, nothing is preferred

@@ -29,9 +29,7 @@ class Target(Protocol):
     """One target of a recipe, ready to track. `state` is a value that the loop keeps for it from frame to frame.
 
     Results have a row of each of `parts`; `windows` are width and height in pixels of what a part is compared by, if
-    there is such a window. `begin` and `advance` return state and result after the first frame, and after one more, of
-    which the other targets explain `footprints`. `footprint` is the part of the frame that the target explains, or,
-    `ahead`, the part of the next frame that it is expected to explain; None if it does not say.
+    there is such a window.
     """
 
     @property
@@ -40,11 +38,20 @@ class Target(Protocol):
     def parts(self) -> tuple[str, ...]: ...
     @property
     def windows(self) -> Mapping[str, tuple[float, float]]: ...
-    def begin(self, rng: Generator, frame: Frame) -> tuple[Any, TargetResult]: ...
+
+    def begin(self, rng: Generator, frame: Frame) -> tuple[Any, TargetResult]:
+        """State and result after the first frame. InputError for a start that the frame does not bear out."""
+        ...
+
     def advance(
         self, rng: Generator, state: Any, frame: Frame, footprints: Sequence[Footprint]
-    ) -> tuple[Any, TargetResult]: ...
-    def footprint(self, state: Any, *, ahead: bool) -> Footprint | None: ...
+    ) -> tuple[Any, TargetResult]:
+        """State and result after one more frame, of which the other targets explain `footprints`."""
+        ...
+
+    def footprint(self, state: Any, *, ahead: bool) -> Footprint | None:
+        """What of the frame the target explains, or `ahead` what of the next it is expected to; None: unknown."""
+        ...
 
 
 Tracker: TypeAlias = tuple[Target, ...]

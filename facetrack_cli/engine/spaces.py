@@ -64,20 +64,19 @@ class Outline(NamedTuple):
 
 
 class Space(Protocol):
-    """What a state is in the image. Its first two coordinates are the centre of the part, in pixels.
-
-    `windows` (K, 2): width and height in pixels of each part. `at` (1, D): the state, at rest, of a target that fills a
-    box at any time. `outline`: of the one part that is no upright box.
-    """
+    """What a state (K, D) is in the image. Its first two coordinates are the centre of the part, in pixels."""
 
     diagnostics: ClassVar[tuple[Diagnostic, ...]] = ()
     smooths: ClassVar[bool] = True
     """Whether particles are hypotheses of the target's place, which a smoother may weigh."""
 
     def diagnose(self, estimated: Estimate) -> Mapping[str, Any]:
+        """In every frame the value of each of `diagnostics`, by its name."""
         return {}
 
-    def windows(self, estimated: Estimate) -> Array: ...
+    def windows(self, estimated: Estimate) -> Array:
+        """(K, 2): width and height of each part, in pixels."""
+        ...
 
     def counted(self, particles: Particles) -> Array:
         """(N,) log weights by which particles count in the estimate."""
@@ -88,9 +87,11 @@ class Space(Protocol):
         return estimate(particles, ess, best=best)
 
     def outline(self, estimated: Estimate) -> Outline | None:
+        """That of the one part which is no upright box; None of upright ones."""
         return None
 
     def at(self, box: Box) -> Array:
+        """(1, D): the state, at rest, of a target that fills a box."""
         raise TypeError("points are not placed by a box")
 
     def presence(self, particles: Particles, estimated: Estimate) -> Array | None:

@@ -140,7 +140,7 @@ def fit_pose(
     rows = np.flatnonzero(_deep(shape, seen))
     if rows.size:
         points = np.where(seen[rows, :, None], xy[rows], 0.0), cov[rows], seen[rows], shape, spread
-        rotation = _begin(*points)
+        rotation = _begin(points[0], seen[rows], shape)
         mirrored = _completed(rotation[:, :2] * np.array([1, 1, -1]))  # the depth of all points reversed
         first, other = _refined(rotation, *points), _refined(mirrored, *points)
         better = other.cost < first.cost
@@ -226,8 +226,8 @@ def _jacobian(turned: Array, scale: Array) -> Array:
     return np.stack([np.stack([zero, z, -y, x, one, zero], -1), np.stack([-z, zero, x, y, zero, one], -1)], axis=-2)
 
 
-def _begin(xy: Array, cov: Array, seen: Mask, shape: Array, spread: Array) -> Array:
-    """(T, 3, 3) the rotation nearest to the affine map of least squares; without a look at the shape's spread."""
+def _begin(xy: Array, seen: Mask, shape: Array) -> Array:
+    """(T, 3, 3) the rotation nearest to the affine map of least squares, all points weighed alike."""
     weight = seen[..., None].astype(np.float64)
     count = weight.sum(axis=1)
     centred = weight * (shape - (weight * shape).sum(axis=1, keepdims=True) / count[:, None])
