@@ -177,7 +177,7 @@ def _key(name: str) -> str:
 def read_init(path: Path) -> Start:
     """The start and the corrections that an init file describes, the corrections by their frames.
 
-    Raises InputError, with file, line and column, for what is not valid: refused by YAML or `trajectory.header`, an
+    Raises InputError, with file, line and column, for what is not valid: refused by YAML or `trajectory.reader`, an
     unknown key, a missing frame, a target without box and points, a correction of a frame that is not after the first,
     of a target or part that the start does not have, or of the same part twice.
     """

@@ -8,7 +8,7 @@ head's horizontal. Nothing corrects heights for pitch.
 
 The spread is of first order: derivatives, by central differences, times the covariance of each point in its row. It
 takes points as independent and the pose as known. The spread of an angle is that of the points alone: what a person's
-proportions add (head_pose.py) is the same in all frames.
+proportions add (head.py) is the same in all frames.
 
 The spread holds an offset that all frames of a clip share as long as the head stands alike. The noise is what is left
 without it: two frames differ with the spread hypot(noise, noise). It has three parts. One is the jitter from frame to
