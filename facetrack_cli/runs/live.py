@@ -38,7 +38,7 @@ from facetrack_cli.trackers.people.identity import UNKNOWN, TrackSummary, cast_o
 from facetrack_cli.trajectory.people import new_name
 from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.video.decode import FORMATS, pixels, silence
-from facetrack_cli.video.files import address_of
+from facetrack_cli.video.files import address_of, is_live
 from facetrack_cli.video.images import MOST_PIXELS, check_pixels
 from facetrack_cli.video.shots import Shot, passing_shots
 from facetrack_cli.video.source import open_source
@@ -53,12 +53,6 @@ _FORMATS: Final = f"{FORMATS},jpeg_pipe"
 _PROTOCOLS: Final = "rtsp,rtsps,rtp,udp,tcp,tls,srt,http,https,crypto"
 _OF_PIPE: Final = "give what ffmpeg reads, as from ffmpeg -i ... -f yuv4mpegpipe -pix_fmt yuv420p -"
 _OF_OTHERS: Final = "check the name, and whether ffplay shows it"
-
-
-def is_live(clip: Path) -> bool:
-    """Whether an input is a camera, by its number or device, or standard input."""
-    name = str(clip)
-    return name == "-" or name.startswith("/dev/video") or (name.isdecimal() and not clip.exists())
 
 
 def images_of(clip: Path, say: Callable[[str], None]) -> Iterator[Image | Frame]:

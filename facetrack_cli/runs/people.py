@@ -27,11 +27,9 @@ from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.people.descriptor import Describer, load_people, save_people, still, views_of
 from facetrack_cli.trackers.people.identity import AT_ONCE_S, SURE, UNKNOWN, Cast, TrackSummary, cast_of, places
 from facetrack_cli.trajectory.clock import Clock
-from facetrack_cli.trajectory.header import clip_of
+from facetrack_cli.trajectory.header import PEOPLE, STILLS, clip_of
 from facetrack_cli.trajectory.people import (
     NOBODY,
-    PEOPLE,
-    STILLS,
     People,
     ShotRecord,
     TrackRecord,

@@ -7,8 +7,8 @@ import pytest
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.trajectory.clock import Clock
+from facetrack_cli.trajectory.header import PEOPLE
 from facetrack_cli.trajectory.people import (
-    PEOPLE,
     People,
     ShotRecord,
     TrackRecord,
