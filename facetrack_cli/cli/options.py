@@ -6,7 +6,6 @@ A group of options reaches its command as one value, as `extent` of `@extent_opt
 from __future__ import annotations
 
 import functools
-import gc
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -295,17 +294,6 @@ page_options = gathered(
 def say(line: str) -> None:
     """A line on standard error, also where a name holds line breaks."""
     click.echo(log_line(line), err=True)
-
-
-@contextmanager
-def loading() -> Iterator[None]:
-    """Modules are imported that stay: the collector never looks through them, which takes a tenth of a short run."""
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.freeze()
-        gc.enable()
 
 
 @contextmanager

@@ -71,6 +71,8 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent, 
         If nothing was tracked; no file is left then.
     """
     plan = resolve(job)
+    if plan.names:  # imported where a run asks for it, as below: a short run takes as long as its imports
+        from facetrack_cli.runs.people import name_run
     if (ended := plan.ended()) is not None:
         if job.out is not None:
             remove_checkpoints(job.out)  # a kill may leave checkpoints of a run that is done
@@ -78,22 +80,13 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent, 
     if job.out is None:
         return track_clip(plan, None, stop, report, looked)
     if plan.names and plan.tracked is not None:
-        return _named(plan, Outcome.of(job, plan.tracked), stop, looked)
+        return name_run(plan, Outcome.of(job, plan.tracked), stop, looked)
     with RunFolder(plan, stop) as folder:
         plan = folder.plan
         if (ended := plan.ended()) is not None:  # meanwhile, by another process
             return ended
         done = (work or track_clip)(plan, folder, stop, report, looked)
-    return _named(plan, done, stop, looked) if plan.names and done.error is None and done.stopped is None else done
-
-
-# Who follows everybody, smooths or draws is imported where a run asks for it: a short run takes as long as its imports.
-
-
-def _named(plan: Plan, done: Outcome, stop: Stop, looked: Report) -> Outcome:
-    from facetrack_cli.runs.people import name_run
-
-    return name_run(plan, done, stop, looked)
+    return name_run(plan, done, stop, looked) if plan.names and done.error is None and done.stopped is None else done
 
 
 def track_clip(

@@ -28,11 +28,8 @@ _Parts: TypeAlias = Annotated[
 ]
 
 
-class _Record(BaseModel):
+class _Target(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
-
-
-class _Target(_Record):
     box: tuple[Pixels, Pixels, Side, Side] | None = None  # left, top, width, height
     points: dict[Name, tuple[Pixels, Pixels]] = {}  # x, y
 
@@ -66,9 +63,10 @@ class CorrectionRecord(CorrectedTarget):
     target: Name
 
 
-class StartRecord(_Record):
+class StartRecord(BaseModel):
     """A start: its frame, its targets by name, and the corrections after it."""
 
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
     frame: FrameNumber
     targets: dict[Name, TargetRecord]
     corrections: tuple[CorrectionRecord, ...] = ()
@@ -115,11 +113,7 @@ def _members(**members: Any) -> dict[str, Any]:
     return {key: value for key, value in members.items() if value}
 
 
-class _Header(BaseModel):
-    model_config = ConfigDict(frozen=True, defer_build=True)
-
-
-class ClipHeader(_Header):
+class ClipHeader(BaseModel, defer_build=True):
     """A clip: `pixel_aspect` is the width of a pixel over its height, `begins_s` the time of its first frame."""
 
     path: str
@@ -138,13 +132,13 @@ class InitHeader(StartRecord):
         return self.start_from(self.origin)
 
 
-class SplitHeader(_Header):
+class SplitHeader(BaseModel, frozen=True, defer_build=True):
     """How a clip was cut into chunks, as --split takes it."""
 
     length: str
 
 
-class SeamHeader(_Header):
+class SeamHeader(BaseModel, frozen=True, defer_build=True):
     """Where two chunks of a clip meet: the first frame of the later one's rows, the share of frames that agree."""
 
     frame: FrameNumber
@@ -152,7 +146,7 @@ class SeamHeader(_Header):
     agrees: bool
 
 
-class Header(_Header):
+class Header(BaseModel, defer_build=True):
     """The JSON around the frames; what only its end says is None where a file of lines was cut off."""
 
     facetrack: str = "unknown"

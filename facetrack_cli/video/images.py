@@ -164,7 +164,9 @@ def numbers(path: Path, data: bytes | None = None, page: int = 0, held: dict[Pat
             check_pixels(path, width, height)
             options: dict[str, Any] = {"index": page, "rotate": True, "mode": _READ_AS.get(mode)}
             pixels: Any = np.asarray(file.read(**options))
-    except _damaged() as error:
+    except UnreadableError:
+        raise
+    except Exception as error:  # whatever Pillow raises
         if "can not handle the given uri" in str(error):
             raise UnreadableError(path, "is not an image, or of an unknown kind") from error
         raise UnreadableError(path, f"cannot be read as an image ({reason(error)})") from error
@@ -178,13 +180,6 @@ def _opened(path: Path, data: bytes | None = None) -> Any:
     from PIL import Image as Pictures
 
     return Pictures.open(path if data is None else io.BytesIO(data))
-
-
-def _damaged() -> tuple[type[Exception], ...]:
-    """What Pillow raises."""
-    from PIL.Image import DecompressionBombError as Bomb
-
-    return OSError, SyntaxError, EOFError, LookupError, TypeError, ValueError, RuntimeError, Bomb
 
 
 def let_go(held: dict[Path, Any]) -> None:
@@ -243,7 +238,7 @@ def durations(path: Path) -> list[float]:
     """How long each picture of an animated WebP is shown, in s; empty of what says nothing."""
     shown_s: list[float] = []
     if path.suffix.lower() == ".webp":
-        with contextlib.suppress(*_damaged()), _opened(path) as image:
+        with contextlib.suppress(Exception), _opened(path) as image:
             check_pixels(path, *image.size)
             for page in range(int(getattr(image, "n_frames", 1))):
                 image.seek(page)

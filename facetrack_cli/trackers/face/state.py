@@ -197,7 +197,8 @@ class FaceParts:
         without a window is of its place alone; where it is not seen it is hidden. Points at nan are lost. The head's
         box is where the face is in it, as large as that, and turned by its roll.
         """
-        last, estimated, k, count = state.feature_rows.columns, state.features.estimated, *self._counts
+        last, estimated = state.feature_rows.columns, state.features.estimated
+        k, count = len(self.features.parts), len(self._names)
         status, confidence = last["status"], last.get("confidence", np.full(k, np.nan))
         seen, hows = np.full(count, np.nan), np.full(count, "tracked")
         at, cov = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
@@ -265,11 +266,6 @@ class FaceParts:
         """The names of points without windows, in the order of rows, with their filters."""
         groups = (self.sensors.eyes, state.eyes), (self.sensors.others, state.others)
         return [(names, landmarks) for names, landmarks in groups if names]
-
-    @cached_property
-    def _counts(self) -> tuple[int, int]:
-        """Of the parts with windows, and of all."""
-        return len(self.features.parts), len(self.parts)
 
     @cached_property
     def _names(self) -> tuple[tuple[str, str], ...]:
