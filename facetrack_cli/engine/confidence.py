@@ -61,7 +61,7 @@ _Share: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 
 
 class _StoredPart(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
 
 
 class Logistic(_StoredPart):

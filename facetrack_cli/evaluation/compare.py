@@ -7,7 +7,8 @@
 A recipe stands clearly above another where the intervals mean +- 2 standard errors do not overlap; its place is the
 range from 1 + the number of recipes clearly above it to the number of all less those clearly below it. A deterministic
 tracker runs once and its interval is its value; of a single seed of any other nothing is known but the value.
-*Failure*: points, a part is lost for good (accuracy.py); boxes, the last tenth of true boxes has a median IoU below 0.1.
+*Failure*: points, a part is lost for good (`accuracy.py`); boxes, the last tenth of true boxes has a median IoU below
+0.1.
 """
 
 import contextlib

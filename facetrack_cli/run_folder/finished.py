@@ -20,8 +20,7 @@ from facetrack_cli.recipe.model import KINDS, ParticleRecipe, Recipe
 from facetrack_cli.run_folder.manifest import VIDEO, check_belongs, other_clip, read_run, trajectory_of
 from facetrack_cli.start.assembly import build_tracker
 from facetrack_cli.start.init_file import check_start
-from facetrack_cli.trajectory.people import PEOPLE
-from facetrack_cli.trajectory.reader import Header, is_there, read_header
+from facetrack_cli.trajectory.reader import PEOPLE, Header, is_there, read_header
 from facetrack_cli.trajectory.trajectory import Status, Trajectory, header_value
 from facetrack_cli.trajectory.writers import FORMATS, Format
 from facetrack_cli.video.images import listing

@@ -29,7 +29,7 @@ from filelock import LeaseSettingsMismatch, SoftFileLease, Timeout
 
 from facetrack_cli.core.errors import BusyError, InputError, OutputError, write_line
 from facetrack_cli.core.files import check_plain, discard, own_mark, read_bounded, sync, temporary_path, writing
-from facetrack_cli.trajectory.people import STILLS
+from facetrack_cli.trajectory.reader import STILLS
 
 LOCK: Final = ".facetrack.lock"
 NOTE: Final = ".facetrack.note"

@@ -65,8 +65,7 @@ from facetrack_cli.run_folder.lease import (
     sweep,
     utc_now,
 )
-from facetrack_cli.trajectory.people import PEOPLE
-from facetrack_cli.trajectory.reader import corrections_record, is_there, read_table, read_trajectory, table_in
+from facetrack_cli.trajectory.reader import PEOPLE, corrections_record, is_there, read_table, read_trajectory, table_in
 from facetrack_cli.trajectory.trajectory import Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, FORMATS, WRITERS, Format, RunSummary, summary_of, tail
 from facetrack_cli.video.images import listing

@@ -33,7 +33,7 @@ class BatchFile(BaseModel):
     The same batch has the same name.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
     format: Literal["facetrack-batch"] = "facetrack-batch"
     version: Literal[1] = 1
     recipe: str

@@ -14,7 +14,6 @@ from facetrack_cli.engine.corrected import restored
 from facetrack_cli.engine.loop import track
 from facetrack_cli.recipe.model import to_dict
 from facetrack_cli.run_folder.checkpoint import remove_checkpoints
-from facetrack_cli.runs.people import ORIGIN, crowded, film_shots, name_run
 from facetrack_cli.runs.plan import Job, Outcome, Plan, Report, frames_of, resolve, silent
 from facetrack_cli.runs.record import (
     ClipFacts,
@@ -30,14 +29,11 @@ from facetrack_cli.runs.record import (
     tables,
 )
 from facetrack_cli.runs.signals import Stop
-from facetrack_cli.runs.smooth import PosteriorWriter
 from facetrack_cli.runs.verdict import RunMonitor
 from facetrack_cli.runs.workers import decoded_ahead
 from facetrack_cli.start.assembly import tracker_for
 from facetrack_cli.start.precompile import precompiling
-from facetrack_cli.start.presence import MultiFaceTracker
 from facetrack_cli.trackers.face.detectors import detector
-from facetrack_cli.trackers.smoothed import lagged
 from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.video.shots import Shot
 from facetrack_cli.video.source import brings_rate
@@ -75,6 +71,8 @@ def run(job: Job, stop: Stop, report: Report = silent, looked: Report = silent, 
         If nothing was tracked; no file is left then.
     """
     plan = resolve(job)
+    if plan.names:  # imported where a run asks for it, as below: a short run takes as long as its imports
+        from facetrack_cli.runs.people import name_run
     if (ended := plan.ended()) is not None:
         if job.out is not None:
             remove_checkpoints(job.out)  # a kill may leave checkpoints of a run that is done
@@ -99,6 +97,8 @@ def track_clip(
     try:
         with precompiling(to_dict(job.recipe), job.threads) as compile_all:  # while the start is looked for
             if plan.everyone:
+                from facetrack_cli.runs.people import ORIGIN, film_shots
+
                 start, shots = Start(job.first, {}, ORIGIN), film_shots(job, job.first, stop, looked)
             else:
                 start, shots = job.find(job.recipe, stopped=stop, looked=looked), []
@@ -109,7 +109,11 @@ def track_clip(
         return Outcome(clip=job.clip, streamed=job.out is None, stopped=stop.reason)
     resumed, video, sinks = None, None, sinks or tables(plan)
     if folder is not None:
-        sinks = [*sinks, RunMonitor.of(job.recipe, start), *([PosteriorWriter(folder.path)] if job.posterior else [])]
+        sinks = [*sinks, RunMonitor.of(job.recipe, start)]
+        if job.posterior:
+            from facetrack_cli.runs.smooth import PosteriorWriter
+
+            sinks.append(PosteriorWriter(folder.path))
         resumed = folder.resume(start, sinks)
         video = Video(plan, folder) if plan.draws else None
     with Recorder(plan, sinks, video, folder, resumed) as into:
@@ -137,6 +141,8 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: RunState, stop: S
         def tracked() -> Generator[FrameResult, None, None]:
             with decoded_ahead(asked, threaded=job.threads > 1, stopped=stop) as frames:
                 if shots:
+                    from facetrack_cli.start.presence import MultiFaceTracker
+
                     size, fps = source.size, float(source.fps)
                     faces = MultiFaceTracker(job.recipe, shots, detector(job.by), size, fps, job.recipe.seed)
                     yield from faces.follow(frames, state.at)
@@ -144,12 +150,20 @@ def follow(plan: Plan, start: Start, shots: list[Shot], state: RunState, stop: S
                 tracker = tracker_for(job.recipe, start, source.size, source.fps)
                 state.at.states = restored(tracker, state.at.states, job.frame)
                 results = track(tracker, frames, job.recipe.seed, clip=str(job.clip), at=state.at)
-                yield from lagged(results, job.lag) if job.lag else results
+                if job.lag:
+                    from facetrack_cli.trackers.smoothed import lagged
+
+                    results = lagged(results, job.lag)
+                yield from results
 
         def ended(whole: bool) -> Ended:
             if shots and whole and not job.chunk and not state.outcome.evidence:
                 raise InputError(f"{job.clip}: no face found in frames {start.frame} to {state.frame - 1}")
-            warnings = (*source.warnings, *state.notes, *(crowded(state.at) if shots else ()))
+            warnings = (*source.warnings, *state.notes)
+            if shots:
+                from facetrack_cli.runs.people import crowded
+
+                warnings += crowded(state.at)
             if whole and job.stop is None:
                 warnings += past_end(start.corrections, state.frame - 1, start.origin)
             if job.faces == "all" and not shots and start.origin not in DETECTORS:

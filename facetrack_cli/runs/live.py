@@ -40,7 +40,7 @@ from facetrack_cli.trajectory.trajectory import FrameResult
 from facetrack_cli.video.decode import FORMATS, pixels, silence
 from facetrack_cli.video.images import MOST_PIXELS, check_pixels
 from facetrack_cli.video.shots import Shot, passing_shots
-from facetrack_cli.video.source import address_of, open_source
+from facetrack_cli.video.source import address_of, is_live, open_source
 
 LOOK_S: Final = 0.1  # between two looks at the wish to stop
 OPEN_S, READ_S = 10.0, 10.0  # seconds without a byte, after which an address is given up
@@ -52,12 +52,6 @@ _FORMATS: Final = f"{FORMATS},jpeg_pipe"
 _PROTOCOLS: Final = "rtsp,rtsps,rtp,udp,tcp,tls,srt,http,https,crypto"
 _OF_PIPE: Final = "give what ffmpeg reads, as from ffmpeg -i ... -f yuv4mpegpipe -pix_fmt yuv420p -"
 _OF_OTHERS: Final = "check the name, and whether ffplay shows it"
-
-
-def is_live(clip: Path) -> bool:
-    """Whether an input is a camera, by its number or device, or standard input."""
-    name = str(clip)
-    return name == "-" or name.startswith("/dev/video") or (name.isdecimal() and not clip.exists())
 
 
 def images_of(clip: Path, say: Callable[[str], None]) -> Iterator[Image | Frame]:

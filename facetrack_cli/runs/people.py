@@ -28,8 +28,6 @@ from facetrack_cli.trackers.people.descriptor import Describer, load_people, sav
 from facetrack_cli.trackers.people.identity import AT_ONCE_S, SURE, UNKNOWN, Cast, TrackSummary, cast_of, places
 from facetrack_cli.trajectory.people import (
     NOBODY,
-    PEOPLE,
-    STILLS,
     People,
     ShotRecord,
     TrackRecord,
@@ -42,7 +40,7 @@ from facetrack_cli.trajectory.people import (
     tracks_of,
     under_names,
 )
-from facetrack_cli.trajectory.reader import clip_of
+from facetrack_cli.trajectory.reader import PEOPLE, STILLS, clip_of
 from facetrack_cli.trajectory.trajectory import Trajectory, header_value
 from facetrack_cli.trajectory.views import Clock
 from facetrack_cli.trajectory.writers import summary_of

@@ -47,8 +47,7 @@ from facetrack_cli.start.search import Faces, box_start, search_start
 from facetrack_cli.trackers.face.detectors import detector
 from facetrack_cli.trackers.people.descriptor import load_people
 from facetrack_cli.trackers.skin.settings import CloudSettings
-from facetrack_cli.trajectory.people import PEOPLE
-from facetrack_cli.trajectory.reader import to_record
+from facetrack_cli.trajectory.reader import PEOPLE, to_record
 from facetrack_cli.trajectory.trajectory import SEEN, Trajectory
 from facetrack_cli.trajectory.writers import FORMATS, Format, RunSummary, by_frame
 from facetrack_cli.video.source import Source, open_source

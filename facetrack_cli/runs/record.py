@@ -17,7 +17,7 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import cv2
 import numba
@@ -61,9 +61,10 @@ from facetrack_cli.trajectory.diagnostics import KNOWN
 from facetrack_cli.trajectory.reader import CORRECTED, UNSAVED, to_record
 from facetrack_cli.trajectory.trajectory import Collector, FrameResult, Trajectory
 from facetrack_cli.trajectory.writers import FOOTER, SCHEMA, VERSION, WRITERS, Format, Header
-from facetrack_cli.video.overlay import Overlay
 from facetrack_cli.video.source import Source
-from facetrack_cli.video.writer import Cut, VideoWriter
+
+if TYPE_CHECKING:
+    from facetrack_cli.video.writer import VideoWriter
 
 _MAX_NOTES: Final = 5  # lines that the tracker has for the user, which are kept
 
@@ -535,6 +536,9 @@ class Video(Sink):
         self._painter: Painter | None = None
 
     def begin(self, clip: ClipFacts, header: Header, mark: Any) -> None:
+        from facetrack_cli.video.overlay import Overlay
+        from facetrack_cli.video.writer import Cut, VideoWriter
+
         self._overlay, cut = Overlay(clip.size, fps=float(clip.fps), title=self._title), Cut()
         if mark is not None:
             cut, self._overlay.memory = mark

@@ -6,6 +6,7 @@ no part in the tracking, so that a track of something else is told from one of a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -101,8 +102,8 @@ class RunMonitor(Sink):
             self._ended()
             return
         for diagnostics in rows.diagnostics.values():
-            share = diagnostics.get(NETWORK.name)[-1]
-            self.placed, self.borne_out = self.placed + np.isfinite(share), self.borne_out + np.nan_to_num(share)
+            if math.isfinite(share := float(diagnostics.get(NETWORK.name)[-1])):
+                self.placed, self.borne_out = self.placed + 1, self.borne_out + share
         index = int(rows.frame[0])
         if not self.frames:
             self.first = index, float(rows.time_s[0])
@@ -121,7 +122,7 @@ class RunMonitor(Sink):
             self.judged, self.sure = self.judged + 1, self.sure + mean
             if not gone.any():
                 self.least = min(self.least, (mean, index))
-        hands = np.isin([target for target, _ in rows.names], HANDS)[rows.which]
+        hands = np.array([target in HANDS for target, _ in rows.names])[rows.which]
         if not hands.any():
             return
         seen = bool((hands & np.isin(rows.status, SEEN)).any())

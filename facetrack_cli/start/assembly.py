@@ -11,7 +11,7 @@ from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 from itertools import chain
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
@@ -27,15 +27,14 @@ from facetrack_cli.recipe.load import in_frames
 from facetrack_cli.recipe.model import OpenCvRecipe, ParticleRecipe, ParticlesRecipe, Recipe, above
 from facetrack_cli.start.init_file import TARGET, check_start
 from facetrack_cli.start.search import box_start
-from facetrack_cli.trackers import opencv
-from facetrack_cli.trackers.appearance.appearance import find_gallery
 from facetrack_cli.trackers.appearance.settings import PatchLikelihoodSettings
 from facetrack_cli.trackers.face.assembly import box_with, face_target
 from facetrack_cli.trackers.face.detectors import PARTS, NotHereError
-from facetrack_cli.trackers.hands.target import HandTarget
-from facetrack_cli.trackers.skin.cloud import SkinModel, learn_skin, log_weights
-from facetrack_cli.trackers.skin.skin_kernels import skin_map
 
+if TYPE_CHECKING:
+    from facetrack_cli.trackers.skin.cloud import SkinModel
+
+# trackers are imported where a recipe has them: a short run takes as long as its imports
 MIN_WINDOW_PX: Final = 3.0  # pixels; windows are not made smaller
 MAX_SEARCHED_PX: Final = 400  # pixels of the longer side, at most, of the image that is searched for hands
 MIN_SKIN: Final = 0.2  # of a region's pixels, smoothed over a tenth of the face
@@ -64,6 +63,8 @@ def build_tracker(recipe: Recipe, start: Start, fps: float | Fraction = 25) -> T
     """
     recipe = in_frames(recipe, fps)
     if isinstance(recipe, OpenCvRecipe):
+        from facetrack_cli.trackers import opencv
+
         opencv.check(recipe)
     if missing := ", ".join(name for name in recipe.followed if name not in (*start.targets, *recipe.later)):
         raise InputError(f"{start.origin}: has no {missing}, which the recipe follows; add a box of each")
@@ -80,6 +81,8 @@ def check_gallery(recipe: Recipe) -> None:
     """Raises what `build_tracker` would, of the galleries of a recipe alone, before any clip is opened."""
     for name, settings in recipe.filters.items():
         if settings.recognition is not None and isinstance(settings.likelihood, PatchLikelihoodSettings):
+            from facetrack_cli.trackers.appearance.appearance import find_gallery
+
             columns, rows = settings.likelihood.template
             find_gallery(settings.recognition, (rows, columns), recipe, above(name))
 
@@ -87,8 +90,12 @@ def check_gallery(recipe: Recipe) -> None:
 def _target(recipe: Recipe, start: Start, name: str) -> Target:
     """One target, without its corrections."""
     if isinstance(recipe, OpenCvRecipe):
-        return opencv.OpenCvTarget(name, box_of(start, name), recipe.tracker, start.origin)
+        from facetrack_cli.trackers.opencv import OpenCvTarget
+
+        return OpenCvTarget(name, box_of(start, name), recipe.tracker, start.origin)
     if isinstance(recipe, ParticlesRecipe) and recipe.hands is not None and name in recipe.later:
+        from facetrack_cli.trackers.hands.target import HandTarget
+
         first = recipe.followed[0]
         boxes = [None if (hand_start := start.targets.get(hand)) is None else hand_start.box for hand in recipe.later]
         return HandTarget(
@@ -99,7 +106,11 @@ def _target(recipe: Recipe, start: Start, name: str) -> Target:
     if filter_settings.head is not None:
         return face_target(recipe, key, filter_settings, filter_settings.head, start, name)
     settings = recipe.exclusion if isinstance(recipe, ParticleRecipe | ParticlesRecipe) else None
-    exclusion = None if settings is None or name in settings.first else partial(log_weights, settings)
+    exclusion = None
+    if settings is not None and name not in settings.first:
+        from facetrack_cli.trackers.skin.cloud import log_weights
+
+        exclusion = partial(log_weights, settings)
     return particle_target(recipe, key, filter_settings, start, name, ParticleTarget, exclusion)
 
 
@@ -222,6 +233,8 @@ def name_targets(
         raise InputError(f"{start.origin}: {what}: {remedy}")
     check_size(start.origin, first, head)
     if missing := [name for name in names if name not in (*targets, *later)]:
+        from facetrack_cli.trackers.skin.cloud import learn_skin
+
         assert frame is not None
         taken = [other.box for name, other in targets.items() if name != first and other.box is not None]
         try:
@@ -240,7 +253,7 @@ def name_targets(
 
 
 def hand_regions(
-    frame: Frame, face: Box, model: SkinModel, count: int, taken: Sequence[Box] = (), least: float = 0.0
+    frame: Frame, face: Box, model: "SkinModel", count: int, taken: Sequence[Box] = (), least: float = 0.0
 ) -> list[Box]:
     """The `count` largest connected regions of skin colour beside the face and its neck, from left to right.
 
@@ -248,6 +261,8 @@ def hand_regions(
     region, such as a bare arm, the box is where most skin is. Regions out of an arm's reach, of another size than a
     hand's, over a box of `taken`, or with a side of less than `least` pixels do not count: there may be fewer.
     """
+    from facetrack_cli.trackers.skin.skin_kernels import skin_map
+
     factor = factor_for(max(frame.size), MAX_SEARCHED_PX)
     image, _, _ = frame.reduced(factor, (0.0, 0.0, frame.size[0] - 1.0, frame.size[1] - 1.0))
     height, width = image.shape[:2]

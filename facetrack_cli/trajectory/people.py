@@ -16,14 +16,12 @@ from facetrack_cli.core.errors import InputError, UsageError, reading
 from facetrack_cli.core.files import read_bounded
 from facetrack_cli.core.numbers import union
 from facetrack_cli.core.types import checked_name
-from facetrack_cli.trajectory.reader import MAX_FRAME, not_as_written
+from facetrack_cli.trajectory.reader import MAX_FRAME, PEOPLE, STILLS, not_as_written
 from facetrack_cli.trajectory.trajectory import Trajectory, successive
 from facetrack_cli.trajectory.views import Clock, choose
 
-PEOPLE: Final = "people.json"
 PERSON: Final = "person_"
 NOBODY: Final = "unknown"  # begins the names of those whose face could not be told again: also unknown_2, unknown_3
-STILLS: Final = "people"  # the folder of the pictures, in that of a run
 _MAX_STILL_BYTES: Final = 1 << 20
 _P: TypeAlias = Annotated[float, Field(ge=0, le=1)]
 _Name: TypeAlias = Annotated[str, AfterValidator(checked_name)]
@@ -34,7 +32,7 @@ _Still: TypeAlias = Annotated[str, Field(pattern=rf"^({STILLS}/[^/\\\x00.][^/\\\
 
 
 class _Record(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
 
 class ShotRecord(_Record):

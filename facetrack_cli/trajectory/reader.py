@@ -303,6 +303,8 @@ def check_schema(path: Path, header: Any) -> None:
 
 CORRECTED: Final = "corrected.init.yaml"
 UNSAVED: Final = "unsaved.init.yaml"
+PEOPLE: Final = "people.json"
+STILLS: Final = "people"  # the folder of the pictures of people, in that of a run
 Pixels: TypeAlias = Annotated[float, Field(strict=True, ge=-MAX_PIXELS, le=MAX_PIXELS, allow_inf_nan=False)]
 Side: TypeAlias = Annotated[float, Field(strict=True, gt=0, le=MAX_PIXELS, allow_inf_nan=False)]
 FrameNumber: TypeAlias = Annotated[int, Field(strict=True, ge=0, le=MAX_FRAME)]
@@ -315,7 +317,7 @@ _Parts: TypeAlias = Annotated[
 
 
 class _Target(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
     box: tuple[Pixels, Pixels, Side, Side] | None = None  # left, top, width, height
     points: dict[Name, tuple[Pixels, Pixels]] = {}  # x, y
 
@@ -352,7 +354,7 @@ class CorrectionRecord(CorrectedTarget):
 class StartRecord(BaseModel):
     """A start: its frame, its targets by name, and the corrections after it."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
     frame: FrameNumber
     targets: dict[Name, TargetRecord]
     corrections: tuple[CorrectionRecord, ...] = ()
@@ -399,7 +401,7 @@ def _members(**members: Any) -> dict[str, Any]:
     return {key: value for key, value in members.items() if value}
 
 
-class ClipHeader(BaseModel):
+class ClipHeader(BaseModel, defer_build=True):
     """A clip: `pixel_aspect` is the width of a pixel over its height, `begins_s` the time of its first frame."""
 
     path: str
@@ -418,23 +420,21 @@ class InitHeader(StartRecord):
         return self.start_from(self.origin)
 
 
-class SplitHeader(BaseModel):
+class SplitHeader(BaseModel, frozen=True, defer_build=True):
     """How a clip was cut into chunks, as --split takes it."""
 
-    model_config = ConfigDict(frozen=True)
     length: str
 
 
-class SeamHeader(BaseModel):
+class SeamHeader(BaseModel, frozen=True, defer_build=True):
     """Where two chunks of a clip meet: the first frame of the later one's rows, the share of frames that agree."""
 
-    model_config = ConfigDict(frozen=True)
     frame: FrameNumber
     agreement: float | None
     agrees: bool
 
 
-class Header(BaseModel):
+class Header(BaseModel, defer_build=True):
     """The JSON around the frames; what only its end says is None where a file of lines was cut off."""
 
     facetrack: str = "unknown"

@@ -8,7 +8,7 @@ footer (how the run ended). JSON lines are the header, a line a frame, and the f
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from itertools import chain, groupby, islice
+from itertools import groupby, islice
 from typing import Any, Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -219,11 +219,8 @@ def _lines(rows: Trajectory, columns: tuple[str, ...], named: bool) -> list[tupl
 
 @lru_cache(1)  # of the rows of one frame CSV and JSON ask, one after the other
 def _digits(rows: Trajectory) -> dict[str, list[str]]:
-    """The columns of numbers as text, formatted all at once; "" for what is not finite, and never -0."""
-    values = chain.from_iterable(zip(*(getattr(rows, name).tolist() for name in _SPECS), strict=True))
-    texts = (_ROW * len(rows) % tuple(values)).split("\n")[:-1]
-    texts = [_ODD.get(text, text) for text in texts]
-    return {name: texts[i :: len(_SPECS)] for i, name in enumerate(_SPECS)}
+    """The columns of numbers as text."""
+    return {name: _numbers(spec)(getattr(rows, name).tolist()) for name, spec in _SPECS.items()}
 
 
 def _reported(reported: Diagnostics, frame: int) -> list[str]:
@@ -251,7 +248,7 @@ def _reported(reported: Diagnostics, frame: int) -> list[str]:
 
 @lru_cache
 def _numbers(spec: str) -> Callable[[list[Any]], list[str]]:
-    """Writes numbers as `_digits` does."""
+    """Writes numbers, all at once; "" for what is not finite, and never -0."""
     whole, odd = f"%{spec}\n", {**_ODD, format(-0.0, spec): format(0.0, spec)}
     return lambda values: [odd.get(text, text) for text in (whole * len(values) % tuple(values)).split("\n")[:-1]]
 
@@ -264,8 +261,7 @@ def _quoted(text: str) -> str:
 _key = lru_cache(4096)(dumps)  # the names of a gallery come again in every frame
 _OF_TARGET = ("target", "particles", "identity", "identity_prob")
 _OF_PART = ("part", "x", "y", "w", "h", "angle", "confidence", "status", "by_hand", *SPREAD, "ess")
-_SPECS = {"frame": "d", "particles": ".0f", **{name: f".{decimals}f" for name, decimals in DECIMALS.items()}}
-_ROW = "".join(f"%{spec}\n" for spec in _SPECS.values())
-_ODD = {"nan": "", "inf": "", "-inf": "", **{f"-{zero}": zero for zero in ("0", *(f"{0:.{n}f}" for n in range(1, 5)))}}
+_SPECS = {"frame": ".0f", "particles": ".0f", **{name: f".{decimals}f" for name, decimals in DECIMALS.items()}}
+_ODD = {"nan": "", "inf": "", "-inf": ""}
 
 _BLOCK = 1_000  # frames that become text at a time

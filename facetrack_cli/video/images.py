@@ -13,9 +13,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 from zipfile import BadZipFile, ZipFile, ZipInfo, is_zipfile
 
 import cv2
-import imageio.v3 as iio
 import numpy as np
-from PIL import Image as Pictures
 
 from facetrack_cli.core.errors import InputError, reason
 from facetrack_cli.core.npz import check_directory
@@ -37,10 +35,6 @@ _DEEP: Final = frozenset((".png", ".tif", ".tiff"))  # whose colours may have 16
 _NUMBER: Final = re.compile(r"-?[0-9]+(\.[0-9]+)?")
 _CLOCK: Final = re.compile(r".*?[0-9]+[-_:h][0-5]?[0-9][-_:m][0-5]?[0-9](\.[0-9]+)?")
 _Name = TypeVar("_Name")
-# what Pillow raises
-_DAMAGED: Final = (
-    OSError, SyntaxError, EOFError, LookupError, TypeError, ValueError, RuntimeError, Pictures.DecompressionBombError,
-)  # fmt: skip
 
 
 class Levels(NamedTuple):
@@ -151,6 +145,8 @@ def numbers(path: Path, data: bytes | None = None, page: int = 0, held: dict[Pat
 
     A stack stays open in `held`, whose pages are found one after the other.
     """
+    import imageio.v3 as iio  # and Pillow, where images are read: a short run takes as long as its imports
+
     try:
         with contextlib.ExitStack() as opened:
             if (file := (held or {}).get(path)) is None:
@@ -168,13 +164,22 @@ def numbers(path: Path, data: bytes | None = None, page: int = 0, held: dict[Pat
             check_pixels(path, width, height)
             options: dict[str, Any] = {"index": page, "rotate": True, "mode": _READ_AS.get(mode)}
             pixels: Any = np.asarray(file.read(**options))
-    except _DAMAGED as error:
+    except UnreadableError:
+        raise
+    except Exception as error:  # whatever Pillow raises
         if "can not handle the given uri" in str(error):
             raise UnreadableError(path, "is not an image, or of an unknown kind") from error
         raise UnreadableError(path, f"cannot be read as an image ({reason(error)})") from error
     deep = _sixteen(path, data) if mode == "RGB" and not page and path.suffix.lower() in _DEEP else None
     pixels = deep if deep is not None and deep.shape == pixels.shape else pixels
     return pixels if pixels.ndim == 3 else np.repeat(pixels[..., None], 3, axis=2)
+
+
+def _opened(path: Path, data: bytes | None = None) -> Any:
+    """A picture as Pillow opens it, whose bytes may be given as `data`."""
+    from PIL import Image as Pictures
+
+    return Pictures.open(path if data is None else io.BytesIO(data))
 
 
 def let_go(held: dict[Path, Any]) -> None:
@@ -185,7 +190,7 @@ def let_go(held: dict[Path, Any]) -> None:
 
 def _sixteen(path: Path, data: bytes | None) -> Any:
     """A colour image of 16 bits, of which Pillow reads 8; None of any other."""
-    with Pictures.open(path if data is None else io.BytesIO(data)) as image:
+    with _opened(path, data) as image:
         if ";16" not in str(image.tile):  # how its pixels are stored
             return None
     encoded = np.fromfile(path, np.uint8) if data is None else np.frombuffer(data, np.uint8)
@@ -214,7 +219,7 @@ def pages(path: Path, data: Callable[[Path], bytes | None] = lambda file: None) 
     if path.suffix.lower() not in _STACKS:
         return 1
     try:
-        with Pictures.open(path if (encoded := data(path)) is None else io.BytesIO(encoded)) as image:
+        with _opened(path, data(path)) as image:
             count, size = int(getattr(image, "n_frames", 1)), image.size
             description = str(getattr(image, "tag_v2", {}).get(270, ""))  # of a microscope's stack
             if count > 1:
@@ -233,7 +238,7 @@ def durations(path: Path) -> list[float]:
     """How long each picture of an animated WebP is shown, in s; empty of what says nothing."""
     shown_s: list[float] = []
     if path.suffix.lower() == ".webp":
-        with contextlib.suppress(*_DAMAGED), Pictures.open(path) as image:
+        with contextlib.suppress(Exception), _opened(path) as image:
             check_pixels(path, *image.size)
             for page in range(int(getattr(image, "n_frames", 1))):
                 image.seek(page)

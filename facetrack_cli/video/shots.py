@@ -81,6 +81,8 @@ Event: TypeAlias = Literal["", "maybe", "none", "cut"]
 class Passing(NamedTuple):
     """Cuts and dissolves of a clip as it passes; `images` are the last small ones, `waits` the frames to a decision.
 
+    `step` is the mean difference of the last two images.
+
     A cut is known when some frames after it are there. Until then it is a `maybe`, since a flash and fast motion look
     alike; then it was a "cut" or "none". A dissolve is known half a second after its end.
     """
@@ -88,20 +90,20 @@ class Passing(NamedTuple):
     images: tuple[Image, ...]
     frames: int = 0
     waits: int = 0
+    step: float = 0.0
 
     def after(self, frame: Frame) -> tuple[Passing, Event]:
         """With the next frame, and what is known with it."""
         images = (*self.images[-_KEPT:], small(frame))
-        passing = Passing(images, self.frames + 1, max(self.waits - 1, 0))
-        before, now = (image.astype(np.float32).ravel() for image in images[-2:])
-        step = float(np.abs(now - before).mean())
-        earlier = float(np.abs(before - images[-3].astype(np.float32).ravel()).mean()) if len(images) > 2 else 0.0
-        if step >= MIN_STEP and earlier <= BESIDE * step and float(_alike(before, now)) < SAME_STRUCTURE:
+        step = cv2.norm(images[-1], images[-2], cv2.NORM_L1) / images[-1].size
+        passing = Passing(images, self.frames + 1, max(self.waits - 1, 0), step)
+        if step >= MIN_STEP and self.step <= BESIDE * step and _alike(*_flat(images[-2:])) < SAME_STRUCTURE:
             return passing._replace(waits=_AFTER - 1), "maybe"
         if self.waits == 1:
             last = images[-2 * _AFTER - 2 :]
             return passing, "cut" if len(last) - _AFTER in _hard(_flat(last), _AFTER) else "none"
-        if passing.frames % _LATE == 0 and len(images) > SPANS[0] and _alike(_flat(images[:1])[0], now) < SAME_SCENE:
+        late = passing.frames % _LATE == 0 and len(images) > SPANS[0]
+        if late and _alike(*_flat((images[0], images[-1]))) < SAME_SCENE:
             ends = [last - len(images) for _, _, last in _dissolves(_flat(images))]
             return passing, "cut" if any(-1.5 * _LATE <= end < -0.5 * _LATE for end in ends) else ""
         return passing, ""

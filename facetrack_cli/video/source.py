@@ -91,6 +91,12 @@ def given_rate(clip: Path, fps: float) -> Fraction | None:
     return None if brings_rate(clip) else Fraction(fps).limit_denominator(1001)
 
 
+def is_live(clip: Path) -> bool:
+    """Whether an input is a camera, by its number or device, or standard input."""
+    name = str(clip)
+    return name == "-" or name.startswith("/dev/video") or (name.isdecimal() and not clip.exists())
+
+
 def address_of(path: Path) -> str | None:
     """The address on the network of which a path has lost a slash; None for a path."""
     scheme = _ADDRESS.match(str(path))

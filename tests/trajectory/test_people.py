@@ -7,7 +7,6 @@ import pytest
 
 from facetrack_cli.core.errors import InputError, UsageError
 from facetrack_cli.trajectory.people import (
-    PEOPLE,
     People,
     ShotRecord,
     TrackRecord,
@@ -19,6 +18,7 @@ from facetrack_cli.trajectory.people import (
     tracks_of,
     under_names,
 )
+from facetrack_cli.trajectory.reader import PEOPLE
 from facetrack_cli.trajectory.trajectory import build
 from facetrack_cli.trajectory.views import Clock
 

@@ -102,7 +102,7 @@ def fix_command(
     from facetrack_cli.editor.history import Fixer
     from facetrack_cli.run_folder.finished import check_size, open_run
     from facetrack_cli.runs.signals import Stop
-    from facetrack_cli.trajectory.people import PEOPLE
+    from facetrack_cli.trajectory.reader import PEOPLE
     from facetrack_cli.video.seek import Frames
 
     file = init or imported

@@ -10,7 +10,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from facetrack_cli.core.geometry import corners
 from facetrack_cli.core.types import BOX, Array, Frame, Mask
 from facetrack_cli.engine.confidence import Calibration
 from facetrack_cli.engine.loop import Footprint
@@ -26,7 +25,7 @@ from facetrack_cli.trackers.face.settings import HeadSettings
 from facetrack_cli.trackers.face.stabilized import EYES, FACE, MIDDLE, Similarity
 from facetrack_cli.trackers.people.descriptor import Picture
 from facetrack_cli.trajectory.diagnostics import EVIDENCE, NETWORK, ROLL, SCALE, Diagnostics
-from facetrack_cli.trajectory.trajectory import TargetResult, of_frame
+from facetrack_cli.trajectory.trajectory import PLACE, TargetResult, of_frame
 from facetrack_cli.video.shots import Passing
 
 OFF: Final = 0.35  # distances between the eyes; a point that is farther away than this is off
@@ -173,80 +172,78 @@ class FaceParts:
 
     def result(self, state: FaceState, box: Rows, frame: Frame) -> TargetResult:
         """The rows of all parts, with the particles of the points, in the frame."""
-        similarity, k = self.map_to_frame(state.head.estimated.state, state.pose), len(self.features.parts)
-        points = self._point_columns(state, similarity)
-        head = {name: box.columns[name] for name in points} | self._box_columns(box.columns, similarity)
-        columns = {}
-        for name, values in head.items():
-            others = points[name] if name in points else np.full((len(points["x"]), *values.shape[1:]), np.nan)
-            columns[name] = np.concatenate([others[:k], values, others[k:]])
-        # of a target one number: both filters' together
-        particles = float(state.feature_rows.columns["particles"].max() + box.columns["particles"][0])
-        columns["particles"] = np.full(len(self.parts), particles)
+        similarity = self.map_to_frame(state.head.estimated.state, state.pose)
+        columns = self._columns(state, box.columns, similarity)
         values = {
             SCALE.name: similarity.scale * FACE / self.side,
             ROLL.name: math.degrees(state.pose[0]),
             # both likelihoods are ratios, which are 1 where the head is lost and nothing is compared
             EVIDENCE.name: sum(rows.evidence for rows in (box, state.feature_rows) if rows.frame == frame.index),
-            NETWORK.name: float(state.bias_filters[2].reliability.mean()),
         }
-        diagnostics = {self.name: Diagnostics.of(self.diagnostics, [frame.index], [values])}
-        rows = of_frame(self._names, frame, diagnostics, **columns)
-        unseen = rows.unseen
+        if self.sensors.mesh is not None:
+            values[NETWORK.name] = state.bias_filters[2].reliability.mean()
+        of_time = {name: np.array([value], np.float64) for name, value in values.items()}
+        diagnostics = {self.name: Diagnostics(self.diagnostics, np.array([frame.index]), of_time)}
+        rows = filtered = of_frame(self._names, frame, diagnostics, **columns)
         if self.calibration is not None:
             rows = self.calibration.applied(rows, self.features.size * self.side / FACE)
         cloud = similarity.to_frame(state.features.particles.x)
-        return TargetResult(rows, cloud, (), box.notes, lambda: self.beliefs(state, unseen))
+        return TargetResult(rows, cloud, (), box.notes, lambda: self.beliefs(state, filtered.unseen))
 
-    def _point_columns(self, state: FaceState, similarity: Similarity) -> dict[str, Any]:
-        """Columns of all points but the head's: places in the frame, covariances, confidence and status.
+    def _columns(self, state: FaceState, box: Mapping[str, Any], face: Similarity) -> dict[str, Any]:
+        """Columns of all parts; `box` has those of the head's filter.
 
         The confidence of a point with a window is that it is visible, shown with the head and near. That of a point
-        without a window is of its place alone; where it is not seen it is hidden. Points at nan are lost.
+        without a window is of its place alone; where it is not seen it is hidden. Points at nan are lost. The head's
+        box is where the face is in it, as large as that, and turned by its roll.
         """
-        last, estimated, k = state.feature_rows.columns, state.features.estimated, len(self.features.parts)
+        last, estimated = state.feature_rows.columns, state.features.estimated
+        k, count = len(self.features.parts), len(self._names)
         status, confidence = last["status"], last.get("confidence", np.full(k, np.nan))
-        groups = [(estimated.state, estimated.cov, np.where(np.isnan(confidence), 1.0, confidence), status == "lost")]
+        seen, hows = np.full(count, np.nan), np.full(count, "tracked")
+        at, cov = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
+        at[:k], cov[:k], seen[:k] = estimated.state, estimated.cov, np.where(np.isnan(confidence), 1.0, confidence)
+        hows[:k][status == "lost"], end = "lost", k + 1
         for names, landmarks in self._without_windows(state):
-            if landmarks is None:
-                nothing = np.full((len(names), 2, 2), np.nan)
-                groups.append((nothing[:, 0], nothing, nothing[:, 0, 0], np.ones(len(names), np.bool_)))
-            else:
-                hidden = landmarks.visible < self.settings.lost_below
-                groups.append((landmarks.at, landmarks.cov, landmarks.visible, hidden))
-        at, cov, visible, unseen = map(np.concatenate, zip(*groups, strict=True))
-        shown, windows = state.facing.shown * head_confidence(state.head), np.arange(len(at)) < k
-        seen = visible * shown
+            those, end = slice(end, end + len(names)), end + len(names)
+            if landmarks is not None:
+                at[those], cov[those], seen[those] = landmarks.at, landmarks.cov, landmarks.visible
+                hows[those][landmarks.visible < self.settings.lost_below] = "hidden"
+        shown = state.facing.shown * head_confidence(state.head)
+        seen *= shown
         # of what is hidden, the head alone says where it is
-        cov = similarity.matrix @ cov @ similarity.matrix.T + (1 - seen)[:, None, None] * state.head.estimated.cov[0]
+        cov = face.matrix @ cov @ face.matrix.T + (1 - seen)[:, None, None] * state.head.estimated.cov[0]
         var = cov.reshape(-1, 4)[:, ::3]
-        near = 1 - np.exp(-((OFF * EYES * similarity.scale) ** 2) / np.maximum(var.sum(axis=1), 1e-9))
-        (x, y), (std_x, std_y), nan = similarity.to_frame(at).T, np.sqrt(var).T, np.full(len(at) - k, np.nan)
-        columns = {
-            "x": x, "y": y, "std_x": std_x, "std_y": std_y, "cov_xy": cov[:, 0, 1],
-            "confidence": np.where(windows, seen, shown) * near,
-            "status": np.where(unseen, np.where(windows, "lost", "hidden"), "tracked"),
-            "w": np.append(last["w"] * similarity.scale, nan), "h": np.append(last["h"] * similarity.scale, nan),
-            "ess": np.append(last["ess"], nan),
-        }  # fmt: skip
-        columns["status"][~(shown * near >= self.settings.lost_below)] = "lost"
+        near = 1 - np.exp(-((OFF * EYES * face.scale) ** 2) / np.maximum(var.sum(axis=1), 1e-9))
+        hows[~(shown * near >= self.settings.lost_below)] = "lost"
+        seen[k + 1 :] = shown
+        (x, y), (std_x, std_y) = face.to_frame(at).T, np.sqrt(var).T
+        columns = dict(zip(PLACE, np.full((len(PLACE), count), np.nan), strict=True))
+        columns |= {"x": x, "y": y, "std_x": std_x, "std_y": std_y, "cov_xy": cov[:, 0, 1], "confidence": seen * near}
+        columns["w"][:k], columns["h"][:k] = last["w"] * face.scale, last["h"] * face.scale
+        columns["ess"][:k] = last["ess"]
         if not state.frames:
-            init = (columns["status"][:k] != "lost") & (status == "init")
-            columns["status"][:k][init], columns["confidence"][:k] = "init", confidence
-        absent = np.flatnonzero(status == "absent")
-        for name, values in columns.items():
-            values[absent] = "absent" if name == "status" else np.nan
-        return columns
-
-    def _box_columns(self, row: Mapping[str, Any], face: Similarity) -> dict[str, Array]:
-        """Columns of the head's box: it is where the face is in it, as large as that, and turned by its roll."""
-        roll, grown = math.remainder(face.angle, math.tau), face.scale * FACE / np.sqrt(row["w"] * row["h"])
-        columns = {name: row.get(name, np.nan) * grown for name in ("w", "h", "std_w", "std_h")}
-        columns |= {"x": face.centre[:1], "y": face.centre[1:], "angle": np.array([math.degrees(roll)])}
-        way = np.array([[math.cos(roll), -math.sin(roll), math.sin(roll), math.cos(roll)]])
+            hows[:k][(hows[:k] != "lost") & (status == "init")] = "init"
+            columns["confidence"][:k] = confidence
+        if (absent := status == "absent").any():
+            hows[:k][absent] = "absent"
+            for values in columns.values():
+                values[:k][absent] = np.nan
+        columns["status"] = hows
+        for name in ("confidence", "status", "std_x", "std_y", "cov_xy", "ess"):
+            columns[name][k] = box[name][0]
+        grown, roll = face.scale * FACE / math.sqrt(box["w"][0] * box["h"][0]), math.remainder(face.angle, math.tau)
+        for name in ("w", "h", "std_w", "std_h"):
+            columns[name][k] = box[name][0] * grown if name in box else np.nan
+        columns["x"][k], columns["y"][k], columns["angle"][k] = *face.centre, math.degrees(roll)
         # the border runs through the middle of the outermost pixels
-        size = np.stack([columns["w"] - 1, columns["h"] - 1], axis=1)
-        return {**columns, "corners": corners(way, face.centre[None], size)}
+        across, down = (columns[name][k] / 2 - 0.5 for name in ("w", "h"))
+        u, v = (np.array([math.cos(a), math.sin(a)]) * half for a, half in ((roll, across), (roll + math.pi / 2, down)))
+        columns["corners"] = np.full((count, 4, 2), np.nan)
+        columns["corners"][k] = face.centre + np.array([-u - v, u - v, u + v, v - u])
+        # of a target one number: both filters' together
+        columns["particles"] = np.full(count, float(last["particles"].max() + box["particles"][0]))
+        return columns
 
     def beliefs(self, state: FaceState, unseen: Mask) -> tuple[Belief, ...]:
         """For the smoother: of the points in the stabilized image, of the head, and of the points without windows.
