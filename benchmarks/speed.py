@@ -12,8 +12,9 @@ video     `run` with MP4 against the slower of decoding and encoding alone      
     python benchmarks/speed.py --against 35a92ca --recipe face clips/*.mp4
 
 --against measures processor time a frame of this tree and of another commit, one thread, decoding included, in turns
-A B A B: for each clip the median of the ratios this / other, and the least and the greatest. Without clips it takes the
-sample clips that faces are in. Where FACETRACK_MESH names a Python that has mediapipe, its face mesh takes turns too.
+A B A B: for each clip the median of the ratios this / other, and the least and the greatest. `--faces all` is of films,
+people and their names included. Without clips it takes the sample clips that faces are in. Where FACETRACK_MESH names
+a Python that has mediapipe, its face mesh takes turns too.
 """
 
 from __future__ import annotations
@@ -192,7 +193,7 @@ def video() -> None:
 
 CHILD: Final = """
 import os, sys, time
-tree, recipe = sys.argv[1:]
+tree, recipe, faces = sys.argv[1:]
 sys.path.insert(0, tree)
 os.environ["FACETRACK_MODELS"] = tree  # without networks that are there by chance
 import cv2
@@ -201,7 +202,7 @@ from facetrack_cli import track_video
 for line in sys.stdin:
     stop, clip = line.rstrip().split(" ", 1)
     began = time.process_time()
-    track_video(clip, recipe, stop=int(stop), seed=0)
+    track_video(clip, recipe, stop=int(stop), seed=0, faces=faces)
     print("took", time.process_time() - began, flush=True)
 """
 MESH: Final = """
@@ -242,14 +243,14 @@ class Worker:
         return (self.took(clip, WARM + frames) - self.took(clip, WARM)) / frames
 
 
-def against(revision: str, recipe: str, clips: Sequence[Path], frames: int, rounds: int) -> None:
+def against(revision: str, how: tuple[str, str], clips: Sequence[Path], frames: int, rounds: int) -> None:
     here = Path(__file__).parent.parent
     with tempfile.TemporaryDirectory() as folder:
         other = Path(folder) / "other"
         subprocess.run(["git", "-C", here, "worktree", "add", "--quiet", "--detach", other, revision], check=True)
         try:
-            workers = {"this": Worker(sys.executable, CHILD, str(here), recipe)}
-            workers[revision] = Worker(sys.executable, CHILD, str(other), recipe)
+            workers = {"this": Worker(sys.executable, CHILD, str(here), *how)}
+            workers[revision] = Worker(sys.executable, CHILD, str(other), *how)
             if python := os.environ.get("FACETRACK_MESH"):
                 workers["mesh"] = Worker(python, MESH)
             for clip in clips:
@@ -272,12 +273,13 @@ def main() -> None:
     parser.add_argument("parts", nargs="*", help=f"which of {', '.join(parts)} (default: all), or clips")
     parser.add_argument("--against", metavar="REV", help="measure a commit beside this tree; what follows are clips")
     parser.add_argument("--recipe", default="face")
+    parser.add_argument("--faces", choices=("one", "all"), default="one")
     parser.add_argument("--frames", type=int, default=200)
     parser.add_argument("--rounds", type=int, default=5)
     given = parser.parse_args()
     if given.against:
         clips = [Path(one) for one in given.parts] or [SAMPLE, SAMPLE.with_name("occlusion.mp4")]
-        against(given.against, given.recipe, clips, given.frames, given.rounds)
+        against(given.against, (given.recipe, given.faces), clips, given.frames, given.rounds)
         return
     if unknown := set(given.parts) - set(parts):
         parser.error(f"no such part: {', '.join(sorted(unknown))}")

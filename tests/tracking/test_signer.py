@@ -212,14 +212,6 @@ def test_disc_means_are_those_of_a_plain_loop():
         assert found[row, column] == pytest.approx(total / max((weight * inside).sum() / weight.sum(), 0.35), abs=1e-5)
 
 
-def test_steps_and_proposals_have_densities_that_integrate_to_one():
-    grid = np.stack(np.meshgrid(np.linspace(-4, 4, 401), np.linspace(-4, 4, 401)), axis=-1).reshape(-1, 2)
-    area = (8 / 400) ** 2
-    assert joint._transition(SETTINGS, grid).sum() * area == pytest.approx(1, abs=1e-3)
-    peaks, weights = np.array([[0.5, 0.2], [-1.0, 1.0]]), np.array([0.7, 0.3])
-    assert joint._mixture(grid, peaks, weights, 0.1).sum() * area == pytest.approx(1, abs=1e-3)
-
-
 def likelihood(blobs, at, *, line=None, parted=True):
     """log p of two hands at places in sizes, where `blobs` are discs of skin."""
     scale, e = 16.0, np.zeros((96, 128), np.float32)

@@ -24,6 +24,7 @@ images show.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import cv2
@@ -34,6 +35,7 @@ from facetrack_cli.core.errors import InputError
 from facetrack_cli.core.geometry import warp_affine
 from facetrack_cli.core.types import Array, Box, Frame, Image, factor_for
 from facetrack_cli.engine.loop import Footprint
+from facetrack_cli.trackers.hands.hand_kernels import least_change
 
 Map = NDArray[np.float32]
 MAX_FACE_PX: Final = 20  # of the face's box in the reduced frame
@@ -140,7 +142,8 @@ def look(
     at, s = to_map(head.centre, scene.factor), side_of(head) / scene.factor
     seen = _head(small, at, s, scene.side)
     # a head that turns a little is no hand: each pixel may come from beside its own
-    least = np.min([np.abs(seen - np.roll(scene.face, shift, (0, 1))).max(axis=2) for shift in _SHIFTS], axis=0)
+    least = np.empty(seen.shape[:2], np.float32)
+    least_change(seen, scene.face, least)
     change = cv2.GaussianBlur(least, (0, 0), 1.0)
     limit = max(CHANGED, UNREST * scene.unrest)
     new = 1 / (1 + np.exp(np.clip((limit - change) / CHANGED_WIDTH, -30, 30)))
@@ -165,19 +168,18 @@ def look(
     return scene, now
 
 
-_SHIFTS: Final = tuple((dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1))
-
-
 def _as_lit(first: Image, now: Image) -> Image:
     """A frame in the light of the first one: new exposure or white balance changes each channel by a factor, which is
     the median over pixels if they agree.
     """
-    before, after = (one[::THIN, ::THIN].reshape(-1, 3) for one in (first, now))
-    usable = ((np.minimum(before, after) >= DARK) & (np.maximum(before, after) <= BRIGHT)).all(axis=1)
+    before, after = (np.moveaxis(one[::THIN, ::THIN], 2, 0).reshape(3, -1) for one in (first, now))
+    usable = ((np.minimum(before, after) >= DARK) & (np.maximum(before, after) <= BRIGHT)).all(axis=0)
     if np.mean(usable) < ENOUGH:
         return now
-    ratio = np.sort(after[usable] / before[usable].astype(np.float32), axis=0)
-    low, gain, high = ratio[[len(ratio) // 4, len(ratio) // 2, 3 * len(ratio) // 4]]
+    ratio = after[:, usable] / before[:, usable].astype(np.float32)
+    many = ratio.shape[1]
+    quarters = [many // 4, many // 2, 3 * many // 4]
+    low, gain, high = np.partition(ratio, quarters, axis=1)[:, quarters].T
     if np.abs(gain - 1).max() < LEAST_GAIN or (high - low).max() > AGREES:
         return now
     return np.asarray(np.clip(np.rint(now / gain), 0, 255), np.uint8)
@@ -277,11 +279,16 @@ def shift_between(before: Map, after: Map) -> tuple[Array, float]:
 
 def _peak(before: Map, after: Map) -> tuple[Array, float]:
     height, width = before.shape
-    window = cv2.createHanningWindow((width, height), cv2.CV_32F)
+    window = _hanning(width, height)
     bottom, right = _even(height) - height, _even(width) - width
     padded = (cv2.copyMakeBorder(one * window, 0, bottom, 0, right, cv2.BORDER_CONSTANT) for one in (before, after))
     shift, sure = cv2.phaseCorrelate(*padded)
     return np.array(shift), sure
+
+
+@lru_cache(4)
+def _hanning(width: int, height: int) -> Map:
+    return np.asarray(cv2.createHanningWindow((width, height), cv2.CV_32F), np.float32)
 
 
 def _even(length: int) -> int:

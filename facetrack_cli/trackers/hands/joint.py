@@ -37,27 +37,12 @@ from numpy.random import Generator
 from facetrack_cli.core.types import Array, Mask
 from facetrack_cli.engine.resampling import effective_sample_size, normalise, systematic
 from facetrack_cli.trackers.hands.evidence import Map, Seen
+from facetrack_cli.trackers.hands.hand_kernels import BEYOND, REACH, REST, gather, move, weigh
 from facetrack_cli.trackers.hands.settings import HandsSettings
 
 START: Final = 0.075  # sizes, standard deviation of a hand that is given
-HIDES: Final = 0.5  # of `skin`, which two hands that overlap need once: between two discs apart, 0, and a union, 1
-NEWS: Final = 0.4  # share of the last step in the velocity
-REST: Final = np.array([[-1.4, 4.6], [1.4, 4.6]])  # where hands hang, about the face's middle, in its sizes
-REACH: Final = (0.0, 1.6, 3.2, 3.6)  # ellipse of an arm's reach about the face's middle, in its sizes: x, y, half axes
-ANYWHERE: Final = 0.1  # share of the hands that appear anywhere within reach, and not about where they were
-BEYOND: Final = 12.0  # what a place beyond 0.8 of that ellipse loses of log p
 PEAKS: Final = 8  # places of most skin, at most
 LEAST: Final = -1.5  # of log p(y | x) at such a place
-SHOULDERS: Final = np.array([[-0.9, 1.1], [0.9, 1.1]])  # about the face's middle, in its sizes
-BEYOND_HAND: Final = np.array([1.6, 2.2])  # radii from a hand's middle to where no skin is, seen from the shoulder
-FAR_END: Final = 0.15  # what skin there takes away, of what it would give within the hand
-MIDDLE: Final = 0.2  # what skin on two opposite sides takes away
-ARM: Final = (0.8, 0.4, 3.0)  # sizes from one hand to another place of its arm: from, to surely, to at most
-_ALONG: Final = np.array([0.2, 0.35, 0.5, 0.65, 0.8])
-_AROUND: Final = np.array([[math.cos(turn), math.sin(turn)] for turn in np.arange(6) * math.pi / 6])
-_OPPOSITE: Final = np.stack([2 * _AROUND, -2 * _AROUND])  # (2, 6, 2), radii
-
-_SPREAD: Final = 0.6  # pixels of the reduced frame, about a place of most skin
 _TINY: Final = 1e-12
 
 SIGNS: Final = (1.0, -1.0)  # of each hand, of the way to the other hand's side
@@ -128,49 +113,31 @@ def step(
     n, evidence = len(cloud.x), looked.evidence
     share = disc_means(evidence, settings.radius * face.size * scale)
     fit = settings.evidence * (share - settings.skin) + _reach(evidence.shape, scale, face)
-    peaks = _peaks(fit)
-    x, seen, weight = cloud.x.copy(), cloud.seen.copy(), np.zeros(n)
-    for hand in (0, 1):
-        before, was = cloud.x[:, hand], cloud.seen[:, hand]
-        luck = rng.random(n)
-        now = np.where(was, luck >= settings.vanishes, luck < (0.5 if first else settings.appears))
-        now &= was | (len(peaks[0]) > 0)
-        ahead = before[:, :2] + before[:, 2:]
-        wide = np.array(settings.steps)[rng.choice(3, n, p=np.array(settings.shares) / sum(settings.shares))]
-        at = ahead + wide[:, None] * rng.standard_normal((n, 2))
-        if len(peaks[0]):
-            drawn = peaks[0][rng.choice(len(peaks[0]), n, p=peaks[1])] + _SPREAD * rng.standard_normal((n, 2))
-            born = now & ~was
-            at = np.where((born | (now & (rng.random(n) < settings.proposed)))[:, None], drawn / scale, at)
-            q = _mixture(at, peaks[0] / scale, peaks[1], _SPREAD / scale)
-            moved = _transition(settings, at - ahead)
-            stays = np.log(moved + _TINY) - np.log((1 - settings.proposed) * moved + settings.proposed * q + _TINY)
-            # one that appears is about where it was, or anywhere within reach
-            near = np.exp(-0.5 * np.sum((at - before[:, :2]) ** 2, axis=1)) / (2 * math.pi)
-            comes = np.log((1 - ANYWHERE) * near + ANYWHERE / (math.pi * REACH[2] * REACH[3])) - np.log(q + _TINY)
-            comes -= BEYOND * np.maximum(_at(looked.face, at * scale), 0.0)
-            weight += np.where(born, comes, np.where(now, stays, 0.0))
-        # nor does one leap along its own bare arm, to the elbow
-        far = np.flatnonzero(now & (np.hypot(*(at - before[:, :2]).T) > ARM[0] * face.size))
-        weight[far] -= settings.evidence * _arm(evidence, before[far, :2], at[far], scale, face)
-        drift = before[:, :2] + 0.5 * before[:, 2:] + 0.03 * (face.at + face.size * REST[hand] - before[:, :2])
-        hidden = drift + 0.15 * rng.standard_normal((n, 2))
-        x[:, hand, :2] = np.where(now[:, None], at, hidden)
-        speed = np.where(was[:, None], NEWS * (at - before[:, :2]) + (1 - NEWS) * before[:, 2:], 0.0)
-        x[:, hand, 2:] = np.where(now[:, None], speed, 0.5 * before[:, 2:])
-        seen[:, hand] = now
-    parted = cloud.parted & seen.all(axis=1)
-    met = np.flatnonzero(seen.all(axis=1) & ~parted)
-    parted[met] = _joined(evidence, x[met, 0, :2], x[met, 1, :2], scale) <= 0
+    peaks, often = _peaks(fit)
+    luck, noise = np.empty((2, 4, n)), np.empty((2, 3, n, 2))
+    for u, e in zip(luck, noise, strict=True):
+        rng.random(out=u[:2])
+        rng.standard_normal(out=e[0])
+        if len(peaks):
+            rng.random(out=u[2])
+            rng.standard_normal(out=e[1])
+            rng.random(out=u[3])
+        rng.standard_normal(out=e[2])
+    x, seen, parted, weight = cloud.x.copy(), cloud.seen.copy(), cloud.parted.copy(), np.empty(n)
+    chances = np.array([0.5 if first else settings.appears, settings.vanishes, settings.proposed])
+    motion = np.array(settings.steps), np.array(settings.shares), chances, settings.evidence
+    seen_in = evidence, looked.face, face.at, face.size, scale
+    move(x, seen, parted, luck, noise, peaks, often, *motion, *seen_in, weight)
     weight += log_likelihood(settings, x, seen, parted, (fit, share, evidence), scale, face)
     log_w = normalise(weight)
-    belief = _belief(x, seen, np.exp(log_w), float(effective_sample_size(log_w)))
-    belief = belief._replace(skin=np.clip(_at(share, belief.at * scale), 0, 1))
+    p, at, cov, near = np.empty(2), np.empty((2, 2)), np.empty((2, 2, 2)), np.empty(2)
+    gather(x, seen, np.exp(log_w), p, at, cov, near)
+    skin = np.clip(_at(share, at * scale), 0, 1)
+    belief = Belief(p, at, cov, near, float(effective_sample_size(log_w)), skin)
     kept = systematic(rng, log_w, n)
     x, seen, parted = x[kept], seen[kept], parted[kept]
     # all particles have the order of the belief: which hand is which is not theirs to say
-    off = [np.sum((x[..., :2] - at) ** 2, axis=(1, 2)) for at in (belief.at, belief.at[::-1])]
-    other = seen.all(axis=1) & (off[1] < off[0])
+    other = seen.all(axis=1) & ((x[:, 0, :2] - x[:, 1, :2]) @ (at[0] - at[1]) < 0)
     x[other] = x[other][:, ::-1]
     return Cloud(x, seen, parted), belief
 
@@ -178,13 +145,16 @@ def step(
 def disc_means(evidence: Map, radius: float) -> Map:
     """Means of the evidence in a disc about each pixel, within the frame; a third of the disc must be there."""
     n = math.ceil(radius + 0.5)
-    y, x = np.mgrid[-n : n + 1, -n : n + 1]
-    disc = np.clip(radius + 0.5 - np.hypot(x, y), 0, 1).astype(np.float32)
+    off = np.arange(-n, n + 1.0)
+    disc = np.clip(radius + 0.5 - np.hypot(off[:, None], off), 0, 1).astype(np.float32)
     disc /= disc.sum()
-    mean, inside = (
-        cv2.filter2D(one, -1, disc, borderType=cv2.BORDER_CONSTANT) for one in (evidence, np.ones_like(evidence))
+    few = np.ones(np.minimum(evidence.shape, 2 * n + 1), np.float32)  # all that a border may cut off, once
+    mean, inside = (cv2.filter2D(one, -1, disc, borderType=cv2.BORDER_CONSTANT) for one in (evidence, few))
+    rows, columns = (
+        np.minimum(np.arange(side), np.maximum(n, np.arange(side) - side + of))
+        for side, of in zip(evidence.shape, few.shape, strict=True)
     )
-    return np.asarray(mean / np.maximum(inside, 0.35), np.float32)
+    return np.asarray(mean / np.maximum(inside, 0.35)[rows][:, columns], np.float32)
 
 
 def log_likelihood(
@@ -193,49 +163,10 @@ def log_likelihood(
     """(N,): log p(y, x) of both hands, but for the motion; `maps` are log p(y | x) of one hand, its share of skin, and
     the evidence.
     """
-    fit, share, evidence = maps
-    at, both = x[..., :2] * scale, seen.all(axis=1)
-    each = _at(fit, at)
-    radius = settings.radius * face.size
-
-    def skin_at(off: Array) -> Array:
-        """Of skin at places (N, 2, ..., 2) off from each hand, what is not the other hand's."""
-        extra = tuple(range(2, off.ndim - 1))
-        at, other = np.expand_dims(x[..., :2], extra) + off, np.expand_dims(x[:, ::-1, :2], extra)
-        near = np.hypot(*np.moveaxis(at - other, -1, 0)) < 1.2 * settings.radius * face.size
-        hides = near & np.expand_dims(seen[:, ::-1], extra)
-        return np.where(hides, 0.0, np.maximum(_at(evidence, at * scale), 0.0))
-
-    # a hand is the far end of a bare arm: beyond it, seen from the shoulder, is no skin but the other hand's
-    way = x[..., :2] - (face.at + face.size * SHOULDERS)
-    way = way / np.maximum(np.hypot(way[..., 0], way[..., 1]), 1e-6)[..., None]
-    beyond = skin_at((radius * BEYOND_HAND)[:, None] * way[..., None, :])
-    each = each - settings.evidence * FAR_END * beyond.mean(axis=2)
-    # nor is it the middle of one, with skin on two opposite sides
-    sides = skin_at((radius * _OPPOSITE)[None, None])
-    each = each - settings.evidence * MIDDLE * sides.min(axis=2).max(axis=2)
-    total = np.sum(np.where(seen, each, 0.0), axis=1)
-    if both.any():
-        apart = np.hypot(*(x[:, 0, :2] - x[:, 1, :2]).T) / face.size
-        shared = np.minimum(1.3 * np.maximum(1 - apart / (2 * settings.radius), 0.0), 1.0)
-        arm = _arm(evidence, x[:, 0, :2], x[:, 1, :2], scale, face, nearest=np.where(parted, ARM[0], -ARM[1]))
-        least = _at(share, at).min(axis=1)
-        twice = shared * np.maximum(least - HIDES * settings.skin, 0.0) + arm * np.maximum(least, 0.0)
-        total -= np.where(both, settings.evidence * twice, 0.0)
-    return np.asarray(total)
-
-
-def _arm(evidence: Map, a: Array, b: Array, scale: float, face: Face, nearest: Array | float = ARM[0]) -> Array:
-    """(N,): how surely places (N, 2) are of one bare arm: skin all along the line, `nearest` sizes apart at least."""
-    apart = np.hypot(*(a - b).T) / face.size
-    within = np.clip((apart - nearest) / ARM[1], 0, 1) * np.clip((ARM[2] - apart) / 0.5, 0, 1)
-    return np.asarray(_joined(evidence, a, b, scale) * within)
-
-
-def _joined(evidence: Map, a: Array, b: Array, scale: float) -> Array:
-    """(N,): whether there is skin all along the lines between places (N, 2), 0 to 1."""
-    line = scale * (a[:, None] + _ALONG[:, None] * (b - a)[:, None])
-    return np.asarray(np.clip((np.maximum(_at(evidence, line), 0.0).min(axis=1) - 0.2) / 0.4, 0, 1))
+    out = np.empty(len(x))
+    of = settings.radius, settings.evidence, settings.skin
+    weigh(x, seen, parted, *maps, face.at, face.size, scale, *of, out)
+    return out
 
 
 def crop(evidence: Map, at: Array, far: float) -> tuple[Map, tuple[int, int]]:
@@ -281,40 +212,6 @@ def _peaks(fit: Map) -> tuple[Array, Array]:
     at = np.stack([column[best], row[best]], axis=1).astype(float)
     weight = np.exp(0.5 * (fit[row[best], column[best]].astype(float) - fit.max()))
     return at, weight / max(weight.sum(), _TINY)
-
-
-def _mixture(at: Array, peaks: Array, weights: Array, sigma: float) -> Array:
-    """(N,): the density of proposals about the peaks."""
-    squared = np.sum((at[:, None] - peaks) ** 2, axis=2)
-    return np.asarray((np.exp(-0.5 * squared / sigma**2) @ weights) / (2 * math.pi * sigma**2))
-
-
-def _transition(settings: HandsSettings, off: Array) -> Array:
-    """(N,): the density of steps `off` (N, 2)."""
-    squared = np.sum(off**2, axis=1)
-    var = np.array(settings.steps) ** 2
-    return np.asarray(np.exp(-0.5 * squared[:, None] / var) @ (settings.shares / (2 * math.pi * var)))
-
-
-def _belief(x: Array, seen: Mask, w: Array, ess: float) -> Belief:
-    """Each hand where most of the particles that see it are; all of them where none does."""
-    p, at, cov, near = np.zeros(2), np.zeros((2, 2)), np.zeros((2, 2, 2)), np.zeros(2)
-    for hand in (0, 1):
-        p[hand] = w @ seen[:, hand]
-        share = w * seen[:, hand] if p[hand] > 1e-6 else w
-        share, places = share / share.sum(), x[:, hand, :2]
-        middle = share @ places
-        for _ in range(5):  # mean shift, from the mean
-            close = share * np.exp(-0.5 * np.sum((places - middle) ** 2, axis=1) / 0.25)
-            if close.sum() < 1e-9:
-                middle = places[share.argmax()]
-                continue
-            middle = close @ places / close.sum()
-        off = places - middle
-        there = share * (np.hypot(*off.T) < 0.5)
-        near[hand], at[hand] = there.sum() if p[hand] > 1e-6 else 0.0, middle
-        cov[hand] = (off.T * there) @ off / max(there.sum(), 1e-9)
-    return Belief(p, at, cov, near, ess, np.zeros(2))
 
 
 def exchanged(belief: Belief, face: Face) -> float:

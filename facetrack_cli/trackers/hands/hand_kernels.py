@@ -1,0 +1,226 @@
+# mypy: disallow_untyped_defs=False, disallow_untyped_calls=False
+"""Steps and weights of two hands, particle by particle; what they mean stands in `joint.py`.
+
+Places x (N, 2, 4) and the `face` (2,) are in sizes of the face's first box, of which the face now has `size` and which
+are `scale` pixels of the maps (H, W) float32. `strength` is what the share of skin in a hand adds to log p.
+"""
+
+import math
+
+import numpy as np
+
+from facetrack_cli.engine.kernels.compiled import exact, part
+
+HIDES = 0.5  # of `skin`, which two hands that overlap need once: between two discs apart, 0, and a union, 1
+NEWS = 0.4  # share of the last step in the velocity
+REST = np.array([[-1.4, 4.6], [1.4, 4.6]])  # where hands hang, about the face's middle, in its sizes
+REACH = (0.0, 1.6, 3.2, 3.6)  # ellipse of an arm's reach about the face's middle, in its sizes: x, y, half axes
+ANYWHERE = 0.1  # share of the hands that appear anywhere within reach, and not about where they were
+BEYOND = 12.0  # what a place beyond 0.8 of that ellipse loses of log p
+SHOULDERS = np.array([[-0.9, 1.1], [0.9, 1.1]])  # about the face's middle, in its sizes
+BEYOND_HAND = (1.6, 2.2)  # radii from a hand's middle to where no skin is, seen from the shoulder
+FAR_END = 0.15  # what skin there takes away, of what it would give within the hand
+MIDDLE = 0.2  # what skin on two opposite sides takes away
+ARM = (0.8, 0.4, 3.0)  # sizes from one hand to another place of its arm: from, to surely, to at most
+SPREAD = 0.6  # pixels of the reduced frame, about a place of most skin
+_ALONG = (0.2, 0.35, 0.5, 0.65, 0.8)
+_OPPOSITE = np.array([[2 * math.cos(k * math.pi / 6), 2 * math.sin(k * math.pi / 6)] for k in range(6)])  # radii
+_TINY = 1e-12
+
+
+@part
+def _at(values, x, y):
+    """The value at a place in pixels; -9 beyond the border."""
+    height, width = values.shape
+    column, row = int(np.rint(x)), int(np.rint(y))
+    if column < -1 or column > width or row < -1 or row > height:
+        return -9.0
+    return np.float64(values[min(max(row, 0), height - 1), min(max(column, 0), width - 1)])
+
+
+@part
+def _joined(evidence, ax, ay, bx, by, scale):
+    """Whether there is skin all along the line between two places, 0 to 1."""
+    least = math.inf
+    for t in _ALONG:
+        least = min(least, _at(evidence, scale * (ax + t * (bx - ax)), scale * (ay + t * (by - ay))))
+    return min(max((least - 0.2) / 0.4, 0.0), 1.0)
+
+
+@part
+def _arm(evidence, ax, ay, bx, by, scale, size, nearest):
+    """How surely two places are of one bare arm: skin all along the line, `nearest` sizes apart at least."""
+    apart = math.hypot(ax - bx, ay - by) / size
+    within = min(max((apart - nearest) / ARM[1], 0.0), 1.0) * min(max((ARM[2] - apart) / 0.5, 0.0), 1.0)
+    return within * _joined(evidence, ax, ay, bx, by, scale) if within > 0.0 else 0.0
+
+
+@part
+def _drawn(often, u):
+    """The index that a uniform number draws."""
+    k, total = 0, often[0]
+    while k < len(often) - 1 and total <= u:
+        k += 1
+        total += often[k]
+    return k
+
+
+@exact
+def move(
+    x, seen, parted, luck, noise, peaks, often, steps, shares, chances, strength, evidence, covered, face, size, scale,
+    weight,
+):  # fmt: skip
+    """Particles moved by a frame, in place, and the logarithm of p(x | x') / q(x) in `weight` (N,).
+
+    `luck` (2, 4, N) is uniform, `noise` (2, 3, N, 2) standard normal. `peaks` (P, 2) are the places of most skin in
+    pixels, proposed as `often` (P,) as that; `steps` and `shares` (3,) those of the motion. `chances` (3,) are those to
+    appear, to vanish, and to be proposed; `covered` is 1 at the face.
+    """
+    sigma, appears, vanishes, proposed = SPREAD / scale, chances[0], chances[1], chances[2]
+    for n in range(len(x)):
+        total = 0.0
+        for hand in range(2):
+            mine, was = x[n, hand], seen[n, hand]
+            u, e = luck[hand], noise[hand]
+            now = u[0, n] >= vanishes if was else u[0, n] < appears and len(peaks) > 0
+            x0, y0, vx, vy = mine[0], mine[1], mine[2], mine[3]
+            if now:
+                step = steps[_drawn(shares, u[1, n])]
+                ax, ay = x0 + vx + step * e[0, n, 0], y0 + vy + step * e[0, n, 1]
+                if len(peaks):
+                    if not was or u[3, n] < proposed:
+                        k = _drawn(often, u[2, n])
+                        ax, ay = (
+                            (peaks[k, 0] + SPREAD * e[1, n, 0]) / scale,
+                            (peaks[k, 1] + SPREAD * e[1, n, 1]) / scale,
+                        )
+                    q = 0.0
+                    for k in range(len(peaks)):
+                        away = (ax - peaks[k, 0] / scale) ** 2 + (ay - peaks[k, 1] / scale) ** 2
+                        q += often[k] * math.exp(-0.5 * away / sigma**2)
+                    q /= 2 * math.pi * sigma**2
+                    if was:
+                        away, moved = (ax - x0 - vx) ** 2 + (ay - y0 - vy) ** 2, 0.0
+                        for k in range(3):
+                            moved += shares[k] / (2 * math.pi * steps[k] ** 2) * math.exp(-0.5 * away / steps[k] ** 2)
+                        total += math.log((moved + _TINY) / ((1 - proposed) * moved + proposed * q + _TINY))
+                    else:  # it is about where it was, or anywhere within reach; but never before the face
+                        near = math.exp(-0.5 * ((ax - x0) ** 2 + (ay - y0) ** 2)) / (2 * math.pi)
+                        near = (1 - ANYWHERE) * near + ANYWHERE / (math.pi * REACH[2] * REACH[3])
+                        total += math.log(near / (q + _TINY)) - BEYOND * max(_at(covered, ax * scale, ay * scale), 0.0)
+                # nor does one leap along its own bare arm, to the elbow
+                total -= strength * _arm(evidence, x0, y0, ax, ay, scale, size, ARM[0])
+                mine[0], mine[1] = ax, ay
+            else:
+                for k in range(2):
+                    rest = face[k] + size * REST[hand, k]
+                    mine[k] += 0.5 * mine[2 + k] + 0.03 * (rest - mine[k]) + 0.15 * e[2, n, k]
+            if was and now:
+                vx, vy = NEWS * (ax - x0) + (1 - NEWS) * vx, NEWS * (ay - y0) + (1 - NEWS) * vy
+            elif now:
+                vx = vy = 0.0
+            else:
+                vx, vy = 0.5 * vx, 0.5 * vy
+            mine[2], mine[3], seen[n, hand] = vx, vy, now
+        if not (seen[n, 0] and seen[n, 1]):
+            parted[n] = False
+        elif not parted[n]:
+            parted[n] = _joined(evidence, x[n, 0, 0], x[n, 0, 1], x[n, 1, 0], x[n, 1, 1], scale) <= 0.0
+        weight[n] = total
+
+
+@exact
+def weigh(x, seen, parted, fit, share, evidence, face, size, scale, radius, strength, skin, out):
+    """log p(y, x) of both hands, but for the motion, in `out` (N,); `fit` and `share` are log p(y | x) and the share of
+    skin of a hand at each pixel. `radius` is that of a hand in sizes of the face now, `skin` what a hand has.
+    """
+    far = radius * size
+    for n in range(len(x)):
+        total, least, both = 0.0, math.inf, seen[n, 0] and seen[n, 1]
+        for hand in range(2):
+            if not seen[n, hand]:
+                continue
+            px, py, ox, oy = x[n, hand, 0], x[n, hand, 1], x[n, 1 - hand, 0], x[n, 1 - hand, 1]
+            total += _at(fit, px * scale, py * scale)
+            least = min(least, _at(share, px * scale, py * scale))
+            wx, wy = px - face[0] - size * SHOULDERS[hand, 0], py - face[1] - size * SHOULDERS[hand, 1]
+            length = max(math.hypot(wx, wy), 1e-6)
+            beyond = sides = 0.0
+            for k in range(8):  # first beyond the hand, then on either side of it
+                ends = 1 if k < 2 else 2
+                less = math.inf
+                for end in range(ends):
+                    if k < 2:
+                        qx, qy = px + far * BEYOND_HAND[k] * wx / length, py + far * BEYOND_HAND[k] * wy / length
+                    else:
+                        sign = far * (1 - 2 * end)
+                        qx, qy = px + sign * _OPPOSITE[k - 2, 0], py + sign * _OPPOSITE[k - 2, 1]
+                    found = max(_at(evidence, qx * scale, qy * scale), 0.0)
+                    if both and math.hypot(qx - ox, qy - oy) < 1.2 * far:
+                        found = 0.0  # it is the other hand's
+                    less = min(less, found)
+                if k < 2:
+                    beyond += 0.5 * less
+                else:
+                    sides = max(sides, less)
+            total -= strength * (FAR_END * beyond + MIDDLE * sides)
+        if both:
+            ax, ay, bx, by = x[n, 0, 0], x[n, 0, 1], x[n, 1, 0], x[n, 1, 1]
+            shared = min(1.3 * max(1 - math.hypot(ax - bx, ay - by) / (2 * far), 0.0), 1.0)
+            one = _arm(evidence, ax, ay, bx, by, scale, size, ARM[0] if parted[n] else -ARM[1])
+            total -= strength * (shared * max(least - HIDES * skin, 0.0) + one * max(least, 0.0))
+        out[n] = total
+
+
+@exact
+def gather(x, seen, w, p, at, cov, near):
+    """Each hand where most of the particles that see it are; all of them where none does. See `joint.Belief`."""
+    share = np.empty(len(w))
+    for hand in range(2):
+        p[hand] = total = 0.0
+        for n in range(len(w)):
+            p[hand] += w[n] * seen[n, hand]
+        for n in range(len(w)):
+            share[n] = w[n] if p[hand] <= 1e-6 else w[n] * seen[n, hand]
+            total += share[n]
+        mx = my = 0.0
+        for k in range(6):  # mean shift, from the mean
+            sx = sy = s = 0.0
+            best = 0
+            for n in range(len(w)):
+                one, px, py = share[n] / total, x[n, hand, 0], x[n, hand, 1]
+                if share[n] > share[best]:
+                    best = n
+                if k and one > 0.0:
+                    one *= math.exp(-2.0 * ((px - mx) ** 2 + (py - my) ** 2))
+                sx, sy, s = sx + one * px, sy + one * py, s + one
+            if s < 1e-9:
+                mx, my = x[best, hand, 0], x[best, hand, 1]
+            else:
+                mx, my = sx / s, sy / s
+        xx = xy = yy = s = 0.0
+        for n in range(len(w)):
+            dx, dy = x[n, hand, 0] - mx, x[n, hand, 1] - my
+            if math.hypot(dx, dy) < 0.5:
+                one = share[n] / total
+                xx, xy, yy, s = xx + one * dx * dx, xy + one * dx * dy, yy + one * dy * dy, s + one
+        at[hand, 0], at[hand, 1], near[hand] = mx, my, s if p[hand] > 1e-6 else 0.0
+        s = max(s, 1e-9)
+        cov[hand, 0, 0], cov[hand, 0, 1], cov[hand, 1, 0], cov[hand, 1, 1] = xx / s, xy / s, xy / s, yy / s
+
+
+@exact
+def least_change(seen, before, out):
+    """By how much each pixel of `seen` (h, w, 3) differs from the likest one beside it in `before`, in `out` (h, w)."""
+    height, width, _ = seen.shape
+    for y in range(height):
+        for x in range(width):
+            least = np.float32(math.inf)
+            for dy in range(-1, 2):
+                for dx in range(-1, 2):
+                    there = before[(y + dy) % height, (x + dx) % width]
+                    most = np.float32(0.0)
+                    for c in range(3):
+                        most = max(most, abs(seen[y, x, c] - there[c]))
+                    least = min(least, most)
+            out[y, x] = least

@@ -1,0 +1,83 @@
+"""The kernels of two hands against their plain twins, on hands and skin drawn at random."""
+
+import numpy as np
+import pytest
+
+from facetrack_cli.recipe.load import load_recipe
+from facetrack_cli.trackers.hands import hand_kernels as kernels
+from tests.twins import hands as naive
+
+SETTINGS = load_recipe("signer").hands
+STEPS, SHARES = np.array(SETTINGS.steps), np.array(SETTINGS.shares)
+SCALE, FACE, SIZE = 8.0, np.array([4.0, 1.0]), 1.1
+
+
+def maps(rng, count):
+    """Of blobs, each from 0 to 1."""
+    coarse = rng.random((count, 6, 8)).astype(np.float32) ** 2
+    return np.ascontiguousarray(coarse.repeat(8, axis=1).repeat(8, axis=2))
+
+
+def cloud(rng, n=300):
+    x = np.concatenate([rng.uniform(-0.5, 8.5, (n, 2, 2)), 0.2 * rng.standard_normal((n, 2, 2))], axis=2)
+    x[: n // 3, 1, :2] = x[: n // 3, 0, :2] + 0.3 * rng.standard_normal((n // 3, 2))  # near to each other
+    return x, rng.random((n, 2)) < 0.7, rng.random(n) < 0.5
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_hands_move_as_their_plain_twin_says(count):
+    rng = np.random.default_rng(count)
+    x, seen, parted = cloud(rng)
+    luck, noise = rng.random((2, 4, len(x))), rng.standard_normal((2, 3, len(x), 2))
+    peaks, often = rng.uniform(0, 48, (count, 2)), rng.dirichlet(np.ones(count)) if count else np.empty(0)
+    evidence, covered = maps(rng, 2)
+    given = luck, noise, peaks, often, STEPS, SHARES, np.array([0.4, 0.2, 0.3]), 20.0, evidence, covered, FACE, SIZE
+    expected = naive.move(x, seen, parted, *given, SCALE)
+    weight = np.empty(len(x))
+    kernels.move(x, seen, parted, *given, SCALE, weight)
+    for ours, theirs in zip((x, seen, parted, weight), expected, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_hands_are_weighed_as_their_plain_twin_says(seed):
+    rng = np.random.default_rng(seed)
+    given = (*cloud(rng), *maps(rng, 3), FACE, SIZE, SCALE, 0.36, 20.0, 0.18)
+    out = np.empty(len(given[0]))
+    kernels.weigh(*given, out)
+    np.testing.assert_allclose(out, naive.weigh(*given), atol=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_a_belief_is_what_its_plain_twin_says(share):
+    rng = np.random.default_rng(4)
+    x, _, _ = cloud(rng)
+    seen, w = rng.random((len(x), 2)) < share, rng.dirichlet(np.full(len(x), 0.3))
+    found = np.empty(2), np.empty((2, 2)), np.empty((2, 2, 2)), np.empty(2)
+    kernels.gather(x, seen, w, *found)
+    for ours, theirs in zip(found, naive.gather(x, seen, w), strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-9)
+
+
+def test_far_from_all_particles_a_belief_is_at_the_heaviest():
+    x = np.zeros((3, 2, 4))
+    x[:, :, 0] = np.array([0.0, 50.0, 100.0])[:, None]
+    found = np.empty(2), np.empty((2, 2)), np.empty((2, 2, 2)), np.empty(2)
+    kernels.gather(x, np.ones((3, 2), bool), np.array([0.45, 0.1, 0.45]), *found)
+    expected = naive.gather(x, np.ones((3, 2), bool), np.array([0.45, 0.1, 0.45]))
+    np.testing.assert_allclose(found[1], expected[1], atol=1e-9)
+
+
+def test_change_is_that_of_a_plain_loop_over_shifts():
+    seen, before = np.random.default_rng(5).uniform(0, 255, (2, 9, 7, 3)).astype(np.float32)
+    out = np.empty((9, 7), np.float32)
+    kernels.least_change(seen, before, out)
+    assert (out == naive.least_change(seen, before)).all()
+
+
+def test_steps_and_proposals_have_densities_that_integrate_to_one():
+    grid = np.stack(np.meshgrid(np.linspace(-4, 4, 401), np.linspace(-4, 4, 401)), axis=-1).reshape(-1, 2)
+    area = (8 / 400) ** 2
+    assert naive.transition(STEPS, SHARES, grid).sum() * area == pytest.approx(1, abs=1e-3)
+    peaks, weights = np.array([[0.5, 0.2], [-1.0, 1.0]]), np.array([0.7, 0.3])
+    assert naive.mixture(grid, peaks, weights, 0.1).sum() * area == pytest.approx(1, abs=1e-3)

@@ -1,0 +1,126 @@
+"""Slow, plain twins of trackers/hands/hand_kernels.py: all particles at once, from the formulas of `joint.py`."""
+
+import math
+
+import numpy as np
+
+from facetrack_cli.trackers.hands import hand_kernels as of
+
+ALONG = np.array([0.2, 0.35, 0.5, 0.65, 0.8])
+AROUND = np.array([[math.cos(turn), math.sin(turn)] for turn in np.arange(6) * math.pi / 6])
+TINY = 1e-12
+
+
+def at(values, places):
+    """The values at places (..., 2) in pixels; -9 beyond the border."""
+    height, width = values.shape
+    column, row = np.rint(places[..., 0]).astype(np.int64), np.rint(places[..., 1]).astype(np.int64)
+    out = (column < -1) | (column > width) | (row < -1) | (row > height)
+    return np.where(out, -9.0, values[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)].astype(float))
+
+
+def joined(evidence, a, b, scale):
+    line = scale * (a[:, None] + ALONG[:, None] * (b - a)[:, None])
+    return np.clip((np.maximum(at(evidence, line), 0.0).min(axis=1) - 0.2) / 0.4, 0, 1)
+
+
+def arm(evidence, a, b, scale, size, nearest=of.ARM[0]):
+    apart = np.hypot(*(a - b).T) / size
+    within = np.clip((apart - nearest) / of.ARM[1], 0, 1) * np.clip((of.ARM[2] - apart) / 0.5, 0, 1)
+    return joined(evidence, a, b, scale) * within
+
+
+def mixture(places, peaks, often, sigma):
+    """(N,): the density of proposals about the peaks."""
+    squared = np.sum((places[:, None] - peaks) ** 2, axis=2)
+    return (np.exp(-0.5 * squared / sigma**2) @ often) / (2 * math.pi * sigma**2)
+
+
+def transition(steps, shares, off):
+    """(N,): the density of steps `off` (N, 2)."""
+    var = np.square(steps)
+    return np.exp(-0.5 * np.sum(off**2, axis=1)[:, None] / var) @ (shares / (2 * math.pi * var))
+
+
+def drawn(often, luck):
+    return np.minimum(np.cumsum(often).searchsorted(luck, side="right"), len(often) - 1)
+
+
+def move(
+    x, seen, parted, luck, noise, peaks, often, steps, shares, chances, strength, evidence, covered, face, size, scale
+):
+    """x, seen, parted and weight after a frame."""
+    x, seen, weight, (appears, vanishes, proposed) = x.copy(), seen.copy(), np.zeros(len(x)), chances
+    for hand in (0, 1):
+        before, was, u, e = x[:, hand].copy(), seen[:, hand].copy(), luck[hand], noise[hand]
+        now = np.where(was, u[0] >= vanishes, (u[0] < appears) & (len(peaks) > 0))
+        ahead = before[:, :2] + before[:, 2:]
+        to = ahead + np.array(steps)[drawn(shares, u[1])][:, None] * e[0]
+        if len(peaks):
+            there = (peaks[drawn(often, u[2])] + of.SPREAD * e[1]) / scale
+            to = np.where((~was | (u[3] < proposed))[:, None], there, to)
+            q, moved = mixture(to, peaks / scale, often, of.SPREAD / scale), transition(steps, shares, to - ahead)
+            stays = np.log(moved + TINY) - np.log((1 - proposed) * moved + proposed * q + TINY)
+            near = np.exp(-0.5 * np.sum((to - before[:, :2]) ** 2, axis=1)) / (2 * math.pi)
+            near = (1 - of.ANYWHERE) * near + of.ANYWHERE / (math.pi * of.REACH[2] * of.REACH[3])
+            comes = np.log(near) - np.log(q + TINY) - of.BEYOND * np.maximum(at(covered, to * scale), 0.0)
+            weight += np.where(now, np.where(was, stays, comes), 0.0)
+        weight -= np.where(now, strength * arm(evidence, before[:, :2], to, scale, size), 0.0)
+        hidden = before[:, :2] + 0.5 * before[:, 2:] + 0.03 * (face + size * of.REST[hand] - before[:, :2])
+        x[:, hand, :2] = np.where(now[:, None], to, hidden + 0.15 * e[2])
+        speed = np.where(was[:, None], of.NEWS * (to - before[:, :2]) + (1 - of.NEWS) * before[:, 2:], 0.0)
+        x[:, hand, 2:] = np.where(now[:, None], speed, 0.5 * before[:, 2:])
+        seen[:, hand] = now
+    parted = seen.all(axis=1) & (parted | (joined(evidence, x[:, 0, :2], x[:, 1, :2], scale) <= 0))
+    return x, seen, parted, weight
+
+
+def weigh(x, seen, parted, fit, share, evidence, face, size, scale, radius, strength, skin):
+    """(N,): log p(y, x) of both hands, but for the motion."""
+    both, each = seen.all(axis=1), at(fit, x[..., :2] * scale)
+
+    def skin_at(off):
+        """Of skin at places (N, 2, ..., 2) off from each hand, what is not the other hand's."""
+        extra = tuple(range(2, off.ndim - 1))
+        there, other = np.expand_dims(x[..., :2], extra) + off, np.expand_dims(x[:, ::-1, :2], extra)
+        near = np.hypot(*np.moveaxis(there - other, -1, 0)) < 1.2 * radius * size
+        hides = near & np.expand_dims(seen[:, ::-1], extra)
+        return np.where(hides, 0.0, np.maximum(at(evidence, there * scale), 0.0))
+
+    way = x[..., :2] - (face + size * of.SHOULDERS)
+    way = way / np.maximum(np.hypot(way[..., 0], way[..., 1]), 1e-6)[..., None]
+    beyond = skin_at((radius * size * np.array(of.BEYOND_HAND))[:, None] * way[..., None, :]).mean(axis=2)
+    sides = skin_at((radius * size * np.stack([2 * AROUND, -2 * AROUND]))[None, None]).min(axis=2).max(axis=2)
+    each = each - strength * (of.FAR_END * beyond + of.MIDDLE * sides)
+    apart = np.hypot(*(x[:, 0, :2] - x[:, 1, :2]).T) / size
+    shared = np.minimum(1.3 * np.maximum(1 - apart / (2 * radius), 0.0), 1.0)
+    nearest = np.where(parted, of.ARM[0], -of.ARM[1])
+    one, least = (
+        arm(evidence, x[:, 0, :2], x[:, 1, :2], scale, size, nearest),
+        at(share, x[..., :2] * scale).min(axis=1),
+    )
+    twice = shared * np.maximum(least - of.HIDES * skin, 0.0) + one * np.maximum(least, 0.0)
+    return np.sum(np.where(seen, each, 0.0), axis=1) - np.where(both, strength * twice, 0.0)
+
+
+def gather(x, seen, w):
+    """p (2,), at (2, 2), cov (2, 2, 2), near (2,)."""
+    found = []
+    for hand in (0, 1):
+        p, places = w @ seen[:, hand], x[:, hand, :2]
+        share = w * seen[:, hand] if p > 1e-6 else w
+        share = share / share.sum()
+        middle = share @ places
+        for _ in range(5):
+            close = share * np.exp(-0.5 * np.sum((places - middle) ** 2, axis=1) / 0.25)
+            middle = places[share.argmax()] if close.sum() < 1e-9 else close @ places / close.sum()
+        off = places - middle
+        there = share * (np.hypot(*off.T) < 0.5)
+        cov = (off.T * there) @ off / max(there.sum(), 1e-9)
+        found.append((p, middle, cov, there.sum() if p > 1e-6 else 0.0))
+    return tuple(map(np.array, zip(*found, strict=True)))
+
+
+def least_change(seen, before):
+    shifted = [np.roll(before, (dy, dx), (0, 1)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+    return np.min([np.abs(seen - one).max(axis=2) for one in shifted], axis=0)
